@@ -1,0 +1,42 @@
+# `make demo` and `make test` are all that a newcomer needs; both make .venv first.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+PYTEST := $(BIN)/python -m pytest -q
+
+.PHONY: help install demo test lint types layers unit bench clean
+help:            ## this list
+	@grep -hE '^[a-z]+: .*##|^[a-z]+:  +##' Makefile | sed 's/:.*##/\t/'
+
+install: $(STAMP) ## make .venv and install steerd with its development tools
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "steerd needs Python 3.11 or newer; set one with: make PYTHON=python3.12 install"; exit 3; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || \
+	  { rm -rf $(VENV); echo "could not make a virtual environment; on Debian/Ubuntu: sudo apt install python3-venv"; exit 3; }
+	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
+	$(BIN)/python -m pip install --quiet --progress-bar off -c constraints.txt -e '.[bag,baselines]' --group dev
+	@touch $(STAMP)
+
+demo: install     ## drive 20 s of simulated figure-eight with a live status, record it
+	$(BIN)/steerd run --sim --auto-arm --path figure8 --speed 1.5 --duration 20
+
+test: install lint types layers unit ## everything that CI checks
+
+lint: install     ## formatting and style
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+types: install    ## mypy --strict
+	$(BIN)/mypy
+
+layers: install   ## which room may import which
+	$(BIN)/lint-imports --no-cache
+
+unit: install     ## all tests: first those that may run side by side, then the real-time ones alone
+	$(PYTEST) -n 2 -m "not realtime"
+	$(PYTEST) -m realtime
+
+clean:            ## remove what was made here
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis
