@@ -1,0 +1,170 @@
+"""The car with effects: the base equations with every active effect's hooks in their places."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Generic, NamedTuple
+
+from car_model.effect import HOOKS, Bound, Effect
+from car_model.ops import Ops, T
+from car_model.params import Car
+from car_model.single_track import (
+    Actuated,
+    Axles,
+    Rates,
+    actuate,
+    axle_loads,
+    chassis_rates,
+    lateral_forces,
+    references,
+    slip_angles,
+)
+from car_model.state import Command, Delays, Observation, State
+
+
+class Model(NamedTuple, Generic[T]):
+    """A car, the effects switched on, and their parameter values (one tuple per effect)."""
+
+    car: Car[T]
+    effects: tuple[Effect, ...] = ()
+    values: tuple[tuple[T, ...], ...] = ()
+
+
+class Moment(NamedTuple, Generic[T]):
+    """The car at one instant: its state and what the effects remember."""
+
+    state: State[T]
+    memory: tuple[T, ...] = ()
+
+
+@lru_cache(maxsize=4096)
+def bound_hooks(effects: tuple[Effect, ...], name: str) -> tuple[Bound, ...]:
+    """The hooks called `name` of all effects, in order, each with its slice of the memory."""
+    bound: list[Bound] = []
+    start = 0
+    for index, effect in enumerate(effects):
+        stop = start + effect.memory
+        hook = getattr(effect, name)
+        if hook is not None:
+            bound.append(Bound(hook, index, start, stop))
+        start = stop
+    return tuple(bound)
+
+
+def memory_size(effects: tuple[Effect, ...]) -> int:
+    """How many numbers the effects remember between steps."""
+    return sum(effect.memory for effect in effects)
+
+
+def hooked(effects: tuple[Effect, ...]) -> frozenset[str]:
+    """Names of the hooks that at least one of the effects uses."""
+    return frozenset(name for name in HOOKS if bound_hooks(effects, name))
+
+
+def delays(model: Model[T]) -> Delays[T]:
+    """Dead time of each channel [s]: the car's own and what effects add."""
+    total = Delays(model.car.steer_delay, model.car.drive_delay, model.car.pose_delay)
+    for b in bound_hooks(model.effects, "delays"):
+        extra = b.hook(model.values[b.position])
+        total = Delays(
+            total.steer + extra.steer, total.drive + extra.drive, total.pose + extra.pose
+        )
+    return total
+
+
+def car_now(ops: Ops[T], model: Model[T], state: State[T], t: float) -> Car[T]:
+    """The car's parameters at this place and time (`t` seconds into the run)."""
+    car = model.car
+    for b in bound_hooks(model.effects, "car"):
+        car = b.hook(ops, model.values[b.position], car, state, t)
+    return car
+
+
+def aim(ops: Ops[T], model: Model[T], car: Car[T], command: Command[T], t: float) -> Command[T]:
+    """What the actuators aim at for an (already delayed) command."""
+    ref = references(ops, car, command)
+    for b in bound_hooks(model.effects, "reference"):
+        ref = b.hook(ops, model.values[b.position], ref, t)
+    return ref
+
+
+def drive_actuators(
+    ops: Ops[T], model: Model[T], car: Car[T], state: State[T], ref: Command[T], h: float
+) -> Actuated[T]:
+    """Where steering and drive get to within a step of `h` seconds."""
+    out = actuate(ops, car, state, ref, h)
+    for b in bound_hooks(model.effects, "actuated"):
+        out = b.hook(ops, model.values[b.position], car, state, ref, h, out)
+    return out
+
+
+def link(ops: Ops[T], model: Model[T], memory: tuple[T, ...], angle: T) -> tuple[T, tuple[T, ...]]:
+    """Road-wheel angle [rad] for an actuator angle [rad], and the memory after it."""
+    wheel = angle
+    for b in bound_hooks(model.effects, "linkage"):
+        wheel, own = b.hook(ops, model.values[b.position], memory[b.start : b.stop], wheel)
+        memory = (*memory[: b.start], *own, *memory[b.stop :])
+    return wheel, memory
+
+
+def felt_slips(
+    ops: Ops[T], model: Model[T], car: Car[T], memory: tuple[T, ...], state: State[T], wheel: T
+) -> Axles[T]:
+    """Slip angles that the tyres answer to [rad]."""
+    slips = slip_angles(ops, car, state, wheel)
+    for b in bound_hooks(model.effects, "slips"):
+        slips = b.hook(ops, model.values[b.position], memory[b.start : b.stop], slips)
+    return slips
+
+
+def model_rates(
+    ops: Ops[T],
+    model: Model[T],
+    car: Car[T],
+    memory: tuple[T, ...],
+    state: State[T],
+    wheel: T,
+    accel: T,
+) -> Rates[T]:
+    """Rates of the chassis states with every effect in its place."""
+    slips = felt_slips(ops, model, car, memory, state, wheel)
+    loads = axle_loads(car, accel)
+    for b in bound_hooks(model.effects, "loads"):
+        loads = b.hook(ops, model.values[b.position], car, state, accel, loads)
+    forces = lateral_forces(car, slips, loads)
+    for b in bound_hooks(model.effects, "forces"):
+        forces = b.hook(ops, model.values[b.position], car, slips, loads, accel, forces)
+    rates = chassis_rates(ops, car, state, wheel, accel, forces)
+    for b in bound_hooks(model.effects, "rates"):
+        rates = b.hook(ops, model.values[b.position], car, state, wheel, forces, rates)
+    return rates
+
+
+def remember(
+    ops: Ops[T],
+    model: Model[T],
+    memory: tuple[T, ...],
+    speed: T,
+    ends: Sequence[Axles[T]],
+    h: float,
+) -> tuple[T, ...]:
+    """Memory after a step; `ends` holds the steady slip angles before and after it."""
+    for b in bound_hooks(model.effects, "remember"):
+        own = b.hook(
+            ops, model.values[b.position], memory[b.start : b.stop], speed, ends[0], ends[1], h
+        )
+        memory = (*memory[: b.start], *own, *memory[b.stop :])
+    return memory
+
+
+def observe(ops: Ops[T], model: Model[T], state: State[T]) -> Observation[T]:
+    """What pose, wheel speed and gyro would read at this instant, without noise or latency."""
+    seen = Observation(
+        x=state.x,
+        y=state.y,
+        yaw=state.yaw,
+        wheel_speed=state.speed / model.car.speed_gain,
+        yaw_rate=state.yaw_rate,
+    )
+    for b in bound_hooks(model.effects, "observe"):
+        seen = b.hook(ops, model.values[b.position], state, seen)
+    return seen

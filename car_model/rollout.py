@@ -1,0 +1,159 @@
+"""Stepping the car through time: one step, delayed commands, whole runs."""
+
+import math
+from collections.abc import Callable, Sequence
+
+from car_model.model import (
+    Model,
+    Moment,
+    aim,
+    bound_hooks,
+    car_now,
+    delays,
+    drive_actuators,
+    link,
+    memory_size,
+    model_rates,
+    remember,
+)
+from car_model.ops import Ops, T
+from car_model.params import GRAVITY, Car
+from car_model.single_track import SPEED_KINEMATIC, Rates, slip_angles
+from car_model.state import Command, State
+
+RatesAt = Callable[[State[T], float], Rates[T]]
+"""Rates for a state at a fraction (0..1) of the step."""
+Integrator = Callable[[RatesAt[T], State[T], float], State[T]]
+
+
+def advance(state: State[T], rates: Rates[T], h: float) -> State[T]:
+    """The state moved along its rates for `h` seconds; the steering angle stays."""
+    return State(
+        state.x + h * rates.x,
+        state.y + h * rates.y,
+        state.yaw + h * rates.yaw,
+        state.speed + h * rates.speed,
+        state.yaw_rate + h * rates.yaw_rate,
+        state.slip_angle + h * rates.slip_angle,
+        state.steer,
+    )
+
+
+def euler(rates_at: RatesAt[T], state: State[T], h: float) -> State[T]:
+    """Explicit Euler, the paper's integrator (at 0.002 s)."""
+    return advance(state, rates_at(state, 0.0), h)
+
+
+def rk4(rates_at: RatesAt[T], state: State[T], h: float) -> State[T]:
+    """The classical fourth-order Runge-Kutta step."""
+    k1 = rates_at(state, 0.0)
+    k2 = rates_at(advance(state, k1, 0.5 * h), 0.5)
+    k3 = rates_at(advance(state, k2, 0.5 * h), 0.5)
+    k4 = rates_at(advance(state, k3, h), 1.0)
+    mean = Rates(
+        *((a + 2.0 * (b + c) + d) / 6.0 for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
+    )
+    return advance(state, mean, h)
+
+
+def start(model: Model[T], state: State[T], zero: T) -> Moment[T]:
+    """A first moment in `state`; `zero` is the number type's zero."""
+    return Moment(state, (zero,) * memory_size(model.effects))
+
+
+def step(
+    ops: Ops[T],
+    model: Model[T],
+    moment: Moment[T],
+    command: Command[T],
+    t: float,
+    h: float,
+    integrate: Integrator[T] = rk4,
+) -> Moment[T]:
+    """One step of `h` seconds, `t` seconds into the run, under an already delayed command."""
+    car = car_now(ops, model, moment.state, t)
+    ref = aim(ops, model, car, command, t)
+    out = drive_actuators(ops, model, car, moment.state, ref, h)
+    return glide(ops, model, car, moment, out.steer, out.accel, h, integrate)
+
+
+def glide(
+    ops: Ops[T],
+    model: Model[T],
+    car: Car[T],
+    moment: Moment[T],
+    steer: T,
+    accel: T,
+    h: float,
+    integrate: Integrator[T] = rk4,
+) -> Moment[T]:
+    """The chassis moved for `h` seconds while its actuators end at `steer` with `accel` held.
+
+    Used by `step`, and by simulated hardware whose motor controller brakes or coasts instead of
+    following a speed.
+    """
+    state = moment.state
+    wheel_start, memory = link(ops, model, moment.memory, state.steer)
+    wheel_end, memory = link(ops, model, memory, steer)
+    wheel_move = wheel_end - wheel_start
+
+    def rates_at(at: State[T], share: float) -> Rates[T]:
+        return model_rates(ops, model, car, memory, at, wheel_start + share * wheel_move, accel)
+
+    after = integrate(rates_at, state, h)._replace(steer=steer)
+    if bound_hooks(model.effects, "remember"):
+        ends = (
+            slip_angles(ops, car, state, wheel_start),
+            slip_angles(ops, car, after, wheel_end),
+        )
+        memory = remember(ops, model, memory, after.speed, ends, h)
+    return Moment(after, memory)
+
+
+def stiffness_rate(car: Car[float], speed: float) -> float:
+    """Bound of the fastest decay rate of yaw rate and slip [1/s] at a speed [m/s]."""
+    v = max(abs(speed), SPEED_KINEMATIC)
+    base = car.lf + car.lr
+    front, rear = car.c_sf * GRAVITY * car.lr, car.c_sr * GRAVITY * car.lf
+    yaw = car.mass * (car.lf**2 * front + car.lr**2 * rear) / (car.inertia_z * base)
+    slip = (front + rear) / base
+    return car.mu * (yaw + slip) / v
+
+
+def substeps(car: Car[float], speed: float, h: float) -> int:
+    """How many RK4 steps keep a step of `h` seconds stable: decay per substep at most 2."""
+    return max(1, math.ceil(h * stiffness_rate(car, speed) / 2.0))
+
+
+def channel_delayed(values: Sequence[T], k: int, delay: T, h: float) -> T:
+    """Mean of a held signal over grid step `k` when it arrives `delay` seconds late.
+
+    `values[i]` is held over step `i` (zero-order hold); before the first the first holds. The mean
+    over a step is linear in the delay, so its gradient is exact.
+    """
+    steps = delay / h
+    whole = math.floor(float(steps))
+    part = steps - whole
+    newer, older = values[max(k - whole, 0)], values[max(k - whole - 1, 0)]
+    mixed: T = newer + part * (older - newer)
+    return mixed
+
+
+def simulate(
+    ops: Ops[T],
+    model: Model[T],
+    first: Moment[T],
+    commands: Sequence[Command[T]],
+    h: float,
+    integrate: Integrator[T] = rk4,
+) -> list[Moment[T]]:
+    """The whole run on a grid of `h` seconds: `len(commands) + 1` moments, `first` included."""
+    late = delays(model)
+    steer, speed = [c.steer for c in commands], [c.speed for c in commands]
+    run = [first]
+    for k in range(len(commands)):
+        command = Command(
+            channel_delayed(steer, k, late.steer, h), channel_delayed(speed, k, late.drive, h)
+        )
+        run.append(step(ops, model, run[-1], command, k * h, h, integrate))
+    return run

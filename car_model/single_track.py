@@ -1,0 +1,138 @@
+"""The single-track (bicycle) equations, component by component.
+
+Source: CommonRoad vehicle models, single-track (ST) model, which the paper's code integrates:
+linear tyres, small slip angles, vertical loads shifted by longitudinal acceleration. The equations
+are written as the chain slips -> loads -> forces -> rates, so that an unmodelled effect can touch
+one link. Below walking pace the slip angles lose meaning (division by speed): the model passes
+smoothly into the kinematic one, as CommonRoad's does abruptly.
+"""
+
+from typing import Generic, NamedTuple
+
+from car_model.ops import Ops, T
+from car_model.params import GRAVITY, Car
+from car_model.state import Command, State
+
+SPEED_KINEMATIC = 0.2
+"""At and below this speed the car follows its wheels without slip [m/s]."""
+SPEED_DYNAMIC = 0.5
+"""At and above this speed the tyre equations hold alone [m/s]."""
+KINEMATIC_RATE = 50.0
+"""How fast yaw rate and slip settle on the kinematic values at crawling speed [1/s]."""
+LAG_FLOOR = 1e-6
+"""A lag below this is none: exp(-h / LAG_FLOOR) is zero for every step size in use [s]."""
+
+
+class Axles(NamedTuple, Generic[T]):
+    """A quantity of the front and the rear axle: slip angle [rad], load or force [N]."""
+
+    front: T
+    rear: T
+
+
+class Rates(NamedTuple, Generic[T]):
+    """Time derivatives of the chassis states."""
+
+    x: T
+    y: T
+    yaw: T
+    speed: T
+    yaw_rate: T
+    slip_angle: T
+
+
+class Actuated(NamedTuple, Generic[T]):
+    """What the actuators do within one step: end angle [rad] and constant acceleration [m/s^2]."""
+
+    steer: T
+    accel: T
+
+
+def references(ops: Ops[T], car: Car[T], command: Command[T]) -> Command[T]:
+    """What the actuators aim at: the command through the car's gains, bias and end stops."""
+    steer = car.steer_gain * command.steer + car.steer_bias
+    return Command(
+        steer=ops.clip(steer, car.steer_min, car.steer_max),
+        speed=car.speed_gain * command.speed,
+    )
+
+
+def actuate(ops: Ops[T], car: Car[T], state: State[T], ref: Command[T], h: float) -> Actuated[T]:
+    """First-order lags with slew limits, solved exactly over a step of `h` seconds.
+
+    The exact solution keeps the step stable however short a lag is, down to none at all.
+    """
+    steer_move = (ref.steer - state.steer) * (
+        1.0 - ops.exp(-h / ops.maximum(car.steer_lag, LAG_FLOOR))
+    )
+    speed_gap = ref.speed - state.speed
+    accel = speed_gap * (1.0 - ops.exp(-h / ops.maximum(car.speed_lag, LAG_FLOOR))) / h
+    limit = car.steer_rate * h
+    return Actuated(
+        steer=state.steer + ops.clip(steer_move, -limit, limit),
+        accel=ops.clip(accel, -car.decel_max, car.accel_max),
+    )
+
+
+def slip_angles(ops: Ops[T], car: Car[T], state: State[T], wheel: T) -> Axles[T]:
+    """Slip angle of each axle [rad], small-angle form; `wheel` is the road-wheel angle [rad]."""
+    spin = state.yaw_rate / ops.maximum(state.speed, SPEED_KINEMATIC)
+    return Axles(
+        front=wheel - state.slip_angle - car.lf * spin,
+        rear=car.lr * spin - state.slip_angle,
+    )
+
+
+def axle_loads(car: Car[T], accel: T) -> Axles[T]:
+    """Vertical load of each axle [N] at longitudinal acceleration `accel` [m/s^2]."""
+    per_metre = car.mass / (car.lf + car.lr)
+    shift = accel * car.cog_height
+    return Axles(
+        front=per_metre * (GRAVITY * car.lr - shift),
+        rear=per_metre * (GRAVITY * car.lf + shift),
+    )
+
+
+def lateral_forces(car: Car[T], slips: Axles[T], loads: Axles[T]) -> Axles[T]:
+    """Linear tyres: force of each axle [N], positive to the left."""
+    return Axles(
+        front=car.mu * car.c_sf * loads.front * slips.front,
+        rear=car.mu * car.c_sr * loads.rear * slips.rear,
+    )
+
+
+def dynamic_share(ops: Ops[T], speed: T) -> T:
+    """Weight of the tyre equations against the kinematic ones: 0 crawling, 1 driving (C1)."""
+    s = ops.clip((speed - SPEED_KINEMATIC) / (SPEED_DYNAMIC - SPEED_KINEMATIC), 0.0, 1.0)
+    share: T = s * s * (3.0 - 2.0 * s)
+    return share
+
+
+def chassis_rates(
+    ops: Ops[T], car: Car[T], state: State[T], wheel: T, accel: T, forces: Axles[T]
+) -> Rates[T]:
+    """Newton and Euler for the planar body, blended into the kinematic car at crawling speed."""
+    share = dynamic_share(ops, state.speed)
+    heavy = car.mass * ops.maximum(state.speed, SPEED_KINEMATIC)
+    yaw_accel = (car.lf * forces.front - car.lr * forces.rear) / car.inertia_z
+    slip_rate = (forces.front + forces.rear) / heavy - state.yaw_rate
+    tangent = ops.tan(wheel)
+    slip_rolling = ops.atan(car.lr * tangent / (car.lf + car.lr))
+    yaw_rate_rolling = state.speed * ops.cos(slip_rolling) * tangent / (car.lf + car.lr)
+    crawl = (1.0 - share) * KINEMATIC_RATE
+    course = state.yaw + state.slip_angle
+    return Rates(
+        x=state.speed * ops.cos(course),
+        y=state.speed * ops.sin(course),
+        yaw=state.yaw_rate,
+        speed=accel,
+        yaw_rate=share * yaw_accel + crawl * (yaw_rate_rolling - state.yaw_rate),
+        slip_angle=share * slip_rate + crawl * (slip_rolling - state.slip_angle),
+    )
+
+
+def derivative(ops: Ops[T], car: Car[T], state: State[T], wheel: T, accel: T) -> Rates[T]:
+    """Rates of the chassis states for a road-wheel angle [rad] and acceleration [m/s^2]."""
+    slips = slip_angles(ops, car, state, wheel)
+    forces = lateral_forces(car, slips, axle_loads(car, accel))
+    return chassis_rates(ops, car, state, wheel, accel, forces)
