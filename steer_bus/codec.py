@@ -1,0 +1,279 @@
+"""Messages to and from ROS 2 CDR (XCDR1, little endian), derived from the message class alone.
+
+Wire rules (OMG DDSI-RTPS 10, checked against rosbags): four bytes ``00 01 00 00``, then the
+fields in order; alignment counts from byte 4; a primitive is aligned to its own size; a string is
+``uint32`` length with its NUL, bytes, NUL; a fixed array has no length; a sequence starts with
+its ``uint32`` count.
+
+A flat message (no sequence of messages) is one cached ``struct.Struct`` per set of string lengths,
+so encoding it is one ``pack``.
+"""
+
+import functools
+import operator
+import struct
+from collections.abc import Callable, Iterator
+from itertools import islice
+from typing import Any, TypeVar
+
+from steer_bus.fields import (
+    Array,
+    Blob,
+    Kind,
+    Nested,
+    Scalar,
+    Text,
+    flat_leaves,
+    message_fields,
+    per_class,
+    type_name,
+)
+from steer_bus.schema import schema_text, type_hash
+
+__all__ = ["MAX_BYTES", "CodecError", "decode", "encode", "schema_text", "type_hash", "type_name"]
+
+MAX_BYTES = 65536
+"""Largest encoded message; the bus drops anything above it (``rx/max_message_size``)."""
+
+_HEADER = b"\x00\x01\x00\x00"
+_MAX_TRAILING = 3  # DDS pads a payload to a multiple of four
+_MAX_LAYOUTS = 256
+_LENGTH = struct.Struct("<I")
+
+M = TypeVar("M")
+
+
+class CodecError(ValueError):
+    """A message that cannot be encoded, or bytes that are not the message they should be."""
+
+
+def encode(msg: Any) -> bytes:
+    """Encode a message as CDR with its 4-byte header.
+
+    Raises:
+        CodecError: if a value does not fit its type or the result exceeds ``MAX_BYTES``.
+    """
+    try:
+        data = _encoder(type(msg))(msg)
+    except (struct.error, OverflowError, UnicodeError, TypeError, AttributeError) as error:
+        raise CodecError(f"cannot encode {type(msg).__name__}: {error}") from error
+    if len(data) > MAX_BYTES:
+        raise CodecError(f"{type(msg).__name__} of {len(data)} bytes exceeds {MAX_BYTES}")
+    return data
+
+
+def decode(cls: type[M], data: bytes) -> M:
+    """Decode CDR bytes as a message of class ``cls``.
+
+    Raises:
+        CodecError: on a wrong header, truncation, lengths outside the data, invalid UTF-8, more
+            than three trailing bytes, or more than ``MAX_BYTES``.
+    """
+    name = cls.__name__
+    if len(data) > MAX_BYTES:
+        raise CodecError(f"{name}: {len(data)} bytes exceed {MAX_BYTES}")
+    if data[:2] != _HEADER[:2]:
+        raise CodecError(f"{name}: not little-endian CDR (header {data[:4].hex() or 'missing'})")
+    values: list[Any] = []
+    try:
+        end = _read(_steps(cls), data, len(_HEADER), values)
+    except (struct.error, UnicodeError, IndexError) as error:
+        raise CodecError(f"{name}: {error}") from error
+    if len(data) - end > _MAX_TRAILING:
+        raise CodecError(f"{name}: {len(data) - end} bytes left over")
+    made: M = _builder(cls)(iter(values))
+    return made
+
+
+# -- encoding ------------------------------------------------------------------------------------
+
+
+@per_class
+def _encoder(cls: type[Any]) -> Callable[[Any], bytes]:
+    leaves = flat_leaves(cls)
+    if leaves is None:
+        return _encode_nested
+    kinds = [leaf.kind for leaf in leaves]
+    getter = operator.attrgetter(*(leaf.path for leaf in leaves))
+    read = getter if len(leaves) > 1 else lambda msg: (getter(msg),)
+    sized = [i for i, kind in enumerate(kinds) if isinstance(kind, Text | Blob)]
+    arrays = [(i, k.count) for i, k in enumerate(kinds) if isinstance(k, Array)][::-1]
+    layouts: dict[tuple[int, ...], Callable[..., bytes]] = {}
+
+    def encode_flat(msg: Any) -> bytes:
+        args = list(read(msg))
+        for i in sized:
+            args[i] = _prefixed(args[i])
+        lengths = tuple([len(args[i]) for i in sized])
+        for i, count in arrays:
+            args[i : i + 1] = _checked(args[i], count)
+        pack = layouts.get(lengths)
+        if pack is None:
+            if len(layouts) >= _MAX_LAYOUTS:
+                layouts.clear()
+            remaining = iter(lengths)
+            pack = _layout([t for kind in kinds for t in _tokens(kind, remaining)]).pack
+            layouts[lengths] = pack
+        return pack(_HEADER, *args)
+
+    return encode_flat
+
+
+@functools.lru_cache(maxsize=1024)
+def _prefixed(value: str | bytes) -> bytes:
+    raw = value if isinstance(value, bytes) else value.encode() + b"\x00"
+    return _LENGTH.pack(len(raw)) + raw
+
+
+def _checked(items: tuple[float, ...], count: int) -> tuple[float, ...]:
+    if len(items) != count:
+        raise TypeError(f"array of {len(items)} where {count} belong")
+    return items
+
+
+_Token = tuple[int, int, str]  # alignment, size, struct code
+
+
+def _tokens(kind: Kind, lengths: Iterator[int]) -> list[_Token]:
+    match kind:
+        case Scalar():
+            return [(kind.size, kind.size, kind.code)]
+        case Array():
+            return [(kind.item.size, kind.item.size, kind.item.code)] * kind.count
+        case _:
+            size = next(lengths)
+            return [(_LENGTH.size, size, f"{size}s")]
+
+
+def _layout(tokens: list[_Token]) -> struct.Struct:
+    offset, parts = 0, [f"<{len(_HEADER)}s"]
+    for align, size, code in tokens:
+        pad = -offset % align
+        parts.append("x" * pad + code)
+        offset += pad + size
+    return struct.Struct("".join(parts))
+
+
+def _encode_nested(msg: Any) -> bytes:
+    tokens: list[_Token] = []
+    args: list[Any] = []
+    _collect(msg, tokens, args)
+    return _layout(tokens).pack(_HEADER, *args)
+
+
+def _collect(msg: Any, tokens: list[_Token], args: list[Any]) -> None:
+    for field in message_fields(type(msg)):
+        value = getattr(msg, field.name)
+        match field.kind:
+            case Nested(many=False):
+                _collect(value, tokens, args)
+            case Nested():
+                tokens.append((_LENGTH.size, _LENGTH.size, "I"))
+                args.append(len(value))
+                for item in value:
+                    _collect(item, tokens, args)
+            case Text() | Blob():
+                blob = _prefixed(value)
+                tokens += _tokens(field.kind, iter([len(blob)]))
+                args.append(blob)
+            case _:
+                tokens += _tokens(field.kind, iter(()))
+                args += (
+                    _checked(value, field.kind.count) if isinstance(field.kind, Array) else (value,)
+                )
+
+
+# -- decoding ------------------------------------------------------------------------------------
+
+_Step = tuple[struct.Struct, ...] | Text | Blob | type[Any]
+
+
+@per_class
+def _steps(cls: type[Any]) -> tuple[_Step, ...]:
+    """Give what to read in order: runs of primitives (one layout per phase), texts, sequences."""
+    steps: list[_Step] = []
+    run: list[_Token] = []
+    for kind in _kinds(cls):
+        if isinstance(kind, Scalar | Array):
+            run += _tokens(kind, iter(()))
+            continue
+        if run:
+            steps.append(_phases(run))
+            run = []
+        steps.append(kind.cls if isinstance(kind, Nested) else kind)
+    return (*steps, _phases(run)) if run else tuple(steps)
+
+
+def _kinds(cls: type[Any]) -> Iterator[Kind]:
+    for field in message_fields(cls):
+        if isinstance(field.kind, Nested) and not field.kind.many:
+            yield from _kinds(field.kind.cls)
+        else:
+            yield field.kind
+
+
+def _phases(run: list[_Token]) -> tuple[struct.Struct, ...]:
+    layouts = []
+    for phase in range(8):
+        offset, parts = phase, ["<"]
+        for align, size, code in run:
+            pad = -offset % align
+            parts.append("x" * pad + code)
+            offset += pad + size
+        layouts.append(struct.Struct("".join(parts)))
+    return tuple(layouts)
+
+
+def _read(steps: tuple[_Step, ...], data: bytes, pos: int, values: list[Any]) -> int:
+    for step in steps:
+        if isinstance(step, tuple):
+            layout = step[(pos - 4) % 8]
+            values += layout.unpack_from(data, pos)
+            pos += layout.size
+            continue
+        pos += -pos % 4
+        (count,) = _LENGTH.unpack_from(data, pos)
+        pos += 4
+        if count > len(data) - pos:
+            raise CodecError(f"length {count} at byte {pos - 4} exceeds the data")
+        if isinstance(step, Text):
+            values.append(_text(data[pos : pos + count]))
+            pos += count
+        elif isinstance(step, Blob):
+            values.append(bytes(data[pos : pos + count]))
+            pos += count
+        else:
+            items, pos = _read_items(step, data, pos, count)
+            values.append(items)
+    return pos
+
+
+def _read_items(cls: type[Any], data: bytes, pos: int, count: int) -> tuple[tuple[Any, ...], int]:
+    steps, build = _steps(cls), _builder(cls)
+    items = []
+    for _ in range(count):
+        values: list[Any] = []
+        pos = _read(steps, data, pos, values)
+        items.append(build(iter(values)))
+    return tuple(items), pos
+
+
+def _text(raw: bytes) -> str:
+    # A few DDS vendors write an empty string with length 0.
+    if raw[-1:] not in (b"", b"\x00"):
+        raise CodecError("string without its NUL")
+    return raw[:-1].decode()
+
+
+@per_class
+def _builder(cls: type[Any]) -> Callable[[Iterator[Any]], Any]:
+    parts = [_part(field.kind) for field in message_fields(cls)]
+    return lambda values: cls(*[part(values) for part in parts])
+
+
+def _part(kind: Kind) -> Callable[[Iterator[Any]], Any]:
+    if isinstance(kind, Nested) and not kind.many:
+        return _builder(kind.cls)
+    if isinstance(kind, Array):
+        return lambda values: tuple(islice(values, kind.count))
+    return next

@@ -1,0 +1,268 @@
+"""steerd's own messages, one flat record each: header, integers, floats, then texts and bytes.
+
+``header.stamp`` is UNIX time at the recorder's epoch, so that any viewer can place the message;
+every ``*_ns`` field is CLOCK_MONOTONIC of the control core. A float that is absent is NaN, an
+absent integer -1. The world frame is :data:`WORLD` (z up), the body frame :data:`BODY` (at the
+CoG, x forward, y left); yaw and steer are positive to the left.
+"""
+
+from enum import IntEnum
+
+from steer_bus.fields import (
+    Ampere,
+    Bytes,
+    Celsius,
+    Int32,
+    Int64,
+    Metre,
+    MetrePerSecond,
+    MetrePerSecond2,
+    Millisecond,
+    Nanosecond,
+    PerMetre,
+    Radian,
+    RadianPerSecond,
+    String,
+    UInt8,
+    UInt16,
+    UInt32,
+    UInt64,
+    Unitless,
+    Volt,
+    message,
+)
+from steer_bus.standard import Header, make_header, make_time, stamp_ns
+
+__all__ = [
+    "BODY", "OWN_MESSAGES", "WORLD", "Actuation", "ActuationMode", "ClockSample", "DriveCommand",
+    "Header", "MocapPose", "OperatorRequest", "RequestKind", "State", "Tick", "Transition",
+    "VescImu", "VescTelemetry", "make_header", "make_time", "stamp_ns",
+]  # fmt: skip
+
+WORLD = "map"
+BODY = "base_link"
+
+
+class ActuationMode(IntEnum):
+    """What a tick put on the serial wire."""
+
+    SILENT = 0
+    SPEED = 1
+    BRAKE = 2
+    RELEASE = 3
+
+
+class RequestKind(IntEnum):
+    """What an operator asks for. Zero is nothing, so that cleared memory never arms a car."""
+
+    ARM = 1
+    START = 2
+    STOP = 3
+    DISARM = 4
+    CLEAR = 5
+    ESTOP = 6
+    KEEPALIVE = 7
+
+
+@message("steerd_msgs/msg/Tick")
+class Tick:
+    """Timing of one control tick; ``work_ns`` is the work of the tick before it."""
+
+    header: Header
+    due_ns: Nanosecond
+    woke_ns: Nanosecond
+    work_ns: Nanosecond
+    seq: UInt32
+    flags: UInt32
+
+
+@message("steerd_msgs/msg/MocapPose")
+class MocapPose:
+    """One mocap sample: as it came (``*_raw``, quaternion) and as the estimator may use it.
+
+    ``t_valid_ns`` is mid-exposure on the host's clock, ``t_arrival_ns`` the kernel's receive
+    stamp, ``source_ticks`` the source's own time. ``x``, ``y``, ``yaw`` are the CoG's planar pose;
+    ``tilt`` is the angle of body z to world z. ``reject`` names the gate that refused the sample
+    and is empty for an accepted one.
+    """
+
+    header: Header
+    t_valid_ns: Nanosecond
+    t_arrival_ns: Nanosecond
+    source_ticks: UInt64
+    frame: Int64
+    clock_kind: UInt8
+    tracking_valid: UInt8
+    x_raw: Metre
+    y_raw: Metre
+    z_raw: Metre
+    qw: Unitless
+    qx: Unitless
+    qy: Unitless
+    qz: Unitless
+    mean_error: Metre
+    x: Metre
+    y: Metre
+    yaw: Radian
+    height: Metre
+    tilt: Radian
+    reject: String
+
+
+@message("steerd_msgs/msg/VescTelemetry")
+class VescTelemetry:
+    """One reply of the VESC: motor, battery and temperatures, with send and receive stamps.
+
+    ``erpm`` is electrical rpm; the tachometers count sixths of an electrical revolution;
+    ``fault_code`` and ``status`` are the firmware's; ``uptime_ms`` is the VESC's own clock.
+    """
+
+    header: Header
+    t_sent_ns: Nanosecond
+    t_received_ns: Nanosecond
+    uptime_ms: Millisecond
+    erpm: Int32
+    tachometer: Int32
+    tachometer_abs: Int32
+    fault_code: Int32
+    status: Int32
+    v_in: Volt
+    current_motor: Ampere
+    current_in: Ampere
+    duty: Unitless
+    temp_fet: Celsius
+    temp_motor: Celsius
+    id: Ampere
+    iq: Ampere
+    vd: Volt
+    vq: Volt
+
+
+@message("steerd_msgs/msg/VescImu")
+class VescImu:
+    """One IMU reply of the VESC in the board's frame; the quaternion is the firmware's own."""
+
+    header: Header
+    t_sent_ns: Nanosecond
+    t_received_ns: Nanosecond
+    accel_x: MetrePerSecond2
+    accel_y: MetrePerSecond2
+    accel_z: MetrePerSecond2
+    gyro_x: RadianPerSecond
+    gyro_y: RadianPerSecond
+    gyro_z: RadianPerSecond
+    qw: Unitless
+    qx: Unitless
+    qy: Unitless
+    qz: Unitless
+
+
+@message("steerd_msgs/msg/Actuation")
+class Actuation:
+    """What went to the serial wire in this tick: the intent and the exact bytes (``wire``).
+
+    ``mode`` is an :class:`ActuationMode`; ``steer`` and ``speed`` are the commands after every
+    limit, ``brake_current_a`` the brake current of a stop.
+    """
+
+    header: Header
+    seq: UInt32
+    mode: UInt8
+    steer: Radian
+    speed: MetrePerSecond
+    brake_current_a: Ampere
+    wire: Bytes
+
+
+@message("steerd_msgs/msg/State")
+class State:
+    """The tick's aggregate: estimate with standard deviations, lane errors, references.
+
+    ``mode`` is the supervisor's state; ``slip_angle`` is the CoG's; ``e1`` is the CoG's lateral
+    offset from the path (left positive), ``e2`` the heading error in (-pi, pi]; ``nis_pose`` is the
+    normalised innovation squared of the last pose (3 degrees of freedom).
+    """
+
+    header: Header
+    mono_ns: Nanosecond
+    seq: UInt32
+    flags: UInt32
+    mode: UInt8
+    x: Metre
+    y: Metre
+    yaw: Radian
+    speed: MetrePerSecond
+    yaw_rate: RadianPerSecond
+    slip_angle: Radian
+    steer: Radian
+    x_sd: Metre
+    y_sd: Metre
+    yaw_sd: Radian
+    speed_sd: MetrePerSecond
+    yaw_rate_sd: RadianPerSecond
+    slip_angle_sd: Radian
+    steer_sd: Radian
+    e1: Metre
+    e2: Radian
+    curvature: PerMetre
+    path_s: Metre
+    steer_ref: Radian
+    speed_ref: MetrePerSecond
+    nis_pose: Unitless
+
+
+@message("steerd_msgs/msg/DriveCommand")
+class DriveCommand:
+    """An external controller's command, good for ``valid_ms`` after it arrives.
+
+    ``boot_id`` and ``lease_id`` name the daemon's run and the lease under which it may drive;
+    ``t_source_ns`` is the sender's own monotonic time and is compared only with itself.
+    """
+
+    header: Header
+    boot_id: UInt64
+    lease_id: UInt64
+    t_source_ns: Nanosecond
+    seq: UInt32
+    valid_ms: UInt16
+    steer: Radian
+    speed: MetrePerSecond
+
+
+@message("steerd_msgs/msg/OperatorRequest")
+class OperatorRequest:
+    """A person's request (``kind`` is a :class:`RequestKind`) under a lease."""
+
+    header: Header
+    boot_id: UInt64
+    lease_id: UInt64
+    seq: UInt32
+    kind: UInt8
+    operator: String
+
+
+@message("steerd_msgs/msg/Transition")
+class Transition:
+    """A change of the supervisor's state: a stable ``code`` and a sentence for people."""
+
+    header: Header
+    from_state: UInt8
+    to_state: UInt8
+    code: String
+    text: String
+
+
+@message("steerd_msgs/msg/ClockSample")
+class ClockSample:
+    """Once a second: the host's two clocks read together, and mocap time minus host time."""
+
+    header: Header
+    realtime_ns: Nanosecond
+    monotonic_ns: Nanosecond
+    mocap_offset_ns: Nanosecond
+
+
+OWN_MESSAGES = (
+    Tick, MocapPose, VescTelemetry, VescImu, Actuation, State, DriveCommand, OperatorRequest,
+    Transition, ClockSample,
+)  # fmt: skip

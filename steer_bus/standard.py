@@ -1,0 +1,249 @@
+"""The ROS 2 messages that tools already understand, in their exact layout.
+
+Sources: common_interfaces, rcl_interfaces, ackermann_msgs and the ROS 2 branch of f1tenth/vesc.
+Units are those of the ROS definitions; ``VescState.speed`` is in electrical rpm, as there.
+"""
+
+from steer_bus.fields import (
+    Bool,
+    Byte,
+    Float32,
+    Float64,
+    Float64x36,
+    Int32,
+    String,
+    UInt8,
+    UInt32,
+    message,
+)
+
+NS = 1_000_000_000
+
+
+@message("builtin_interfaces/msg/Time")
+class Time:
+    """A time since the UNIX epoch: whole seconds and nanoseconds below one second."""
+
+    sec: Int32
+    nanosec: UInt32
+
+
+@message("std_msgs/msg/Header")
+class Header:
+    """Stamp and coordinate frame of what follows."""
+
+    stamp: Time
+    frame_id: String
+
+
+@message("geometry_msgs/msg/Point")
+class Point:
+    """A position [m]."""
+
+    x: Float64
+    y: Float64
+    z: Float64
+
+
+@message("geometry_msgs/msg/Vector3")
+class Vector3:
+    """A free vector in the unit of its context."""
+
+    x: Float64
+    y: Float64
+    z: Float64
+
+
+@message("geometry_msgs/msg/Quaternion")
+class Quaternion:
+    """A rotation, scalar last."""
+
+    x: Float64
+    y: Float64
+    z: Float64
+    w: Float64
+
+
+@message("geometry_msgs/msg/Pose")
+class Pose:
+    """Position and orientation."""
+
+    position: Point
+    orientation: Quaternion
+
+
+@message("geometry_msgs/msg/PoseStamped")
+class PoseStamped:
+    """A pose in a frame at a time."""
+
+    header: Header
+    pose: Pose
+
+
+@message("geometry_msgs/msg/PoseWithCovariance")
+class PoseWithCovariance:
+    """A pose with its 6×6 row-major covariance over (x, y, z, roll, pitch, yaw)."""
+
+    pose: Pose
+    covariance: Float64x36
+
+
+@message("geometry_msgs/msg/PoseWithCovarianceStamped")
+class PoseWithCovarianceStamped:
+    """An uncertain pose in a frame at a time."""
+
+    header: Header
+    pose: PoseWithCovariance
+
+
+@message("geometry_msgs/msg/Twist")
+class Twist:
+    """Linear [m/s] and angular [rad/s] velocity."""
+
+    linear: Vector3
+    angular: Vector3
+
+
+@message("geometry_msgs/msg/TwistWithCovariance")
+class TwistWithCovariance:
+    """A twist with its 6×6 row-major covariance."""
+
+    twist: Twist
+    covariance: Float64x36
+
+
+@message("nav_msgs/msg/Odometry")
+class Odometry:
+    """Pose in ``header.frame_id``, twist in ``child_frame_id``."""
+
+    header: Header
+    child_frame_id: String
+    pose: PoseWithCovariance
+    twist: TwistWithCovariance
+
+
+@message("ackermann_msgs/msg/AckermannDrive")
+class AckermannDrive:
+    """Steering [rad], its rate [rad/s], speed [m/s], acceleration [m/s²] and jerk [m/s³]."""
+
+    steering_angle: Float32
+    steering_angle_velocity: Float32
+    speed: Float32
+    acceleration: Float32
+    jerk: Float32
+
+
+@message("ackermann_msgs/msg/AckermannDriveStamped")
+class AckermannDriveStamped:
+    """A drive command at a time."""
+
+    header: Header
+    drive: AckermannDrive
+
+
+@message("vesc_msgs/msg/VescState")
+class VescState:
+    """The VESC's telemetry as f1tenth's driver publishes it (ROS 2 layout)."""
+
+    temp_fet: Float64
+    temp_motor: Float64
+    current_motor: Float64
+    current_input: Float64
+    avg_id: Float64
+    avg_iq: Float64
+    duty_cycle: Float64
+    speed: Float64
+    voltage_input: Float64
+    charge_drawn: Float64
+    charge_regen: Float64
+    energy_drawn: Float64
+    energy_regen: Float64
+    displacement: Int32
+    distance_traveled: Int32
+    fault_code: Int32
+    pid_pos_now: Float64
+    controller_id: Int32
+    ntc_temp_mos1: Float64
+    ntc_temp_mos2: Float64
+    ntc_temp_mos3: Float64
+    avg_vd: Float64
+    avg_vq: Float64
+
+
+@message("vesc_msgs/msg/VescStateStamped")
+class VescStateStamped:
+    """VESC telemetry at a time."""
+
+    header: Header
+    state: VescState
+
+
+@message("diagnostic_msgs/msg/KeyValue")
+class KeyValue:
+    """One named reading."""
+
+    key: String
+    value: String
+
+
+@message("diagnostic_msgs/msg/DiagnosticStatus")
+class DiagnosticStatus:
+    """Health of one part; level 0 ok, 1 warn, 2 error, 3 stale."""
+
+    level: Byte
+    name: String
+    message: String
+    hardware_id: String
+    values: tuple[KeyValue, ...]
+
+
+@message("diagnostic_msgs/msg/DiagnosticArray")
+class DiagnosticArray:
+    """Health of all parts at a time."""
+
+    header: Header
+    status: tuple[DiagnosticStatus, ...]
+
+
+@message("rcl_interfaces/msg/Log")
+class Log:
+    """A log line; level 10 debug, 20 info, 30 warn, 40 error, 50 fatal."""
+
+    stamp: Time
+    level: UInt8
+    name: String
+    msg: String
+    file: String
+    function: String
+    line: UInt32
+
+
+@message("std_msgs/msg/Bool")
+class BoolMessage:
+    """A flag, for bridges to plain ROS topics."""
+
+    data: Bool
+
+
+STANDARD_MESSAGES = (
+    Time, Header, Point, Vector3, Quaternion, Pose, PoseStamped, PoseWithCovariance,
+    PoseWithCovarianceStamped, Twist, TwistWithCovariance, Odometry, AckermannDrive,
+    AckermannDriveStamped, VescState, VescStateStamped, KeyValue, DiagnosticStatus,
+    DiagnosticArray, Log, BoolMessage,
+)  # fmt: skip
+
+
+def make_time(stamp_ns: int) -> Time:
+    """Make a ROS time of nanoseconds since the UNIX epoch."""
+    sec, nanosec = divmod(stamp_ns, NS)
+    return Time(sec, nanosec)
+
+
+def make_header(stamp_ns: int, frame_id: str) -> Header:
+    """Make a header of nanoseconds since the UNIX epoch and a frame."""
+    return Header(make_time(stamp_ns), frame_id)
+
+
+def stamp_ns(header: Header) -> int:
+    """Give a header's stamp in nanoseconds since the UNIX epoch."""
+    return header.stamp.sec * NS + header.stamp.nanosec
