@@ -121,9 +121,10 @@ def per_class(derive: Callable[[type[Any]], R]) -> Callable[[type[Any]], R]:
 
     @functools.wraps(derive)
     def derive_once(cls: type[Any]) -> R:
-        if cls not in known:
-            known[cls] = derive(cls)
-        return known[cls]
+        try:
+            return known[cls]
+        except KeyError:
+            return known.setdefault(cls, derive(cls))
 
     return derive_once
 

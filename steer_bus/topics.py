@@ -1,0 +1,167 @@
+"""One table of what travels on the bus: key, message, direction, priority, recording, rate.
+
+A key is ``steerd/<car>/<name>``; the same topic in a session file is ``/`` + key, so that tools see
+a valid ROS name. Beside the topics a car serves ``param/**``, ``srv/*`` and ``schema/<type>`` and
+holds the liveliness token ``alive``.
+"""
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from steer_bus.codec import schema_text, type_name
+from steer_bus.messages import (
+    Actuation,
+    ClockSample,
+    DriveCommand,
+    MocapPose,
+    OperatorRequest,
+    State,
+    Tick,
+    Transition,
+    VescImu,
+    VescTelemetry,
+)
+from steer_bus.standard import (
+    DiagnosticArray,
+    Log,
+    Odometry,
+    PoseStamped,
+    VescStateStamped,
+)
+
+ROOT = "steerd"
+_CAR_NAME = re.compile(r"[a-z0-9_]{1,64}")
+
+
+class Direction(Enum):
+    """Who publishes a topic: the car (``OUT``) or somebody who commands it (``IN``)."""
+
+    IN = "in"
+    OUT = "out"
+
+
+class Priority(Enum):
+    """How urgent a topic is on the network; names are zenoh's."""
+
+    REAL_TIME = "REAL_TIME"
+    DATA = "DATA"
+    DATA_LOW = "DATA_LOW"
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One topic of a car.
+
+    Attributes:
+        name: the key below ``steerd/<car>/``.
+        message: the message class.
+        direction: who publishes it.
+        priority: network priority.
+        logged: whether the recorder writes it.
+        on_bus: whether the gateway carries it (raw inputs stay in the session file).
+        rate_hz: nominal rate; 0 for events.
+    """
+
+    name: str
+    message: type[Any]
+    direction: Direction = Direction.OUT
+    priority: Priority = Priority.DATA
+    logged: bool = True
+    on_bus: bool = True
+    rate_hz: float = 0.0
+
+
+TICK = Topic("tick", Tick, on_bus=False, rate_hz=200.0)
+MOCAP = Topic("mocap", MocapPose, rate_hz=200.0)
+VESC = Topic("vesc", VescTelemetry, rate_hz=200.0)
+IMU = Topic("imu", VescImu, on_bus=False, rate_hz=200.0)
+ACTUATION = Topic("actuation", Actuation, rate_hz=200.0)
+STATE = Topic("state", State, priority=Priority.REAL_TIME, rate_hz=200.0)
+TRANSITION = Topic("transition", Transition)
+CLOCK = Topic("clock", ClockSample, on_bus=False, rate_hz=1.0)
+DRIVE = Topic("cmd/drive", DriveCommand, Direction.IN, Priority.REAL_TIME, rate_hz=100.0)
+OPERATOR = Topic("cmd/operator", OperatorRequest, Direction.IN, Priority.REAL_TIME)
+ODOM = Topic("odom", Odometry, logged=False, rate_hz=50.0)
+POSE = Topic("pose", PoseStamped, logged=False, rate_hz=50.0)
+EXTERNAL_POSE = Topic("in/pose", PoseStamped, Direction.IN, Priority.REAL_TIME, rate_hz=200.0)
+VESC_STATE = Topic("vesc_state", VescStateStamped, logged=False, rate_hz=50.0)
+DIAGNOSTICS = Topic("diagnostics", DiagnosticArray, priority=Priority.DATA_LOW, rate_hz=1.0)
+LOG = Topic("rosout", Log, priority=Priority.DATA_LOW)
+
+TOPICS = (
+    TICK, MOCAP, VESC, IMU, ACTUATION, STATE, TRANSITION, CLOCK, DRIVE, OPERATOR, ODOM, POSE,
+    EXTERNAL_POSE, VESC_STATE, DIAGNOSTICS, LOG,
+)  # fmt: skip
+
+
+def check_car_name(car: str) -> str:
+    """Give the car's name back if it may stand in a key.
+
+    Raises:
+        ValueError: unless it is 1 to 64 of ``a-z 0-9 _``; zenoh itself would take ``*``.
+    """
+    if not _CAR_NAME.fullmatch(car):
+        raise ValueError(f"car name {car!r}: use 1 to 64 of a-z, 0-9 and _")
+    return car
+
+
+def make_key(car: str, topic: Topic | str) -> str:
+    """Make the bus key of a car's topic (or of a name such as ``"alive"``).
+
+    Raises:
+        ValueError: on a bad car name.
+    """
+    name = topic.name if isinstance(topic, Topic) else topic
+    return f"{ROOT}/{check_car_name(car)}/{name}"
+
+
+def make_session_topic(car: str, topic: Topic) -> str:
+    """Make the topic's name in a session file.
+
+    Raises:
+        ValueError: on a bad car name.
+    """
+    return f"/{make_key(car, topic)}"
+
+
+def split_key(key: str) -> tuple[str, str] | None:
+    """Give (car, name) of a bus key or a session topic, or None if it is not steerd's."""
+    root, _, rest = key.removeprefix("/").partition("/")
+    car, _, name = rest.partition("/")
+    return (car, name) if root == ROOT and name and _CAR_NAME.fullmatch(car) else None
+
+
+def find_topic(key: str) -> Topic | None:
+    """Give the table's row for a bus key or a session topic, or None."""
+    parts = split_key(key)
+    return next((t for t in TOPICS if parts and t.name == parts[1]), None)
+
+
+def alive_key(car: str) -> str:
+    """Make the key of a car's liveliness token.
+
+    Raises:
+        ValueError: on a bad car name.
+    """
+    return make_key(car, "alive")
+
+
+def schema_key(car: str, message: type[Any]) -> str:
+    """Make the key under which a car serves a message's ``ros2msg`` text.
+
+    Raises:
+        ValueError: on a bad car name.
+    """
+    return make_key(car, f"schema/{type_name(message)}")
+
+
+def schema_replies(car: str) -> dict[str, bytes]:
+    """Give every schema a car serves, by key, so that any recorder can be generic.
+
+    Raises:
+        ValueError: on a bad car name.
+    """
+    classes = {topic.message for topic in TOPICS if topic.on_bus}
+    return {schema_key(car, cls): schema_text(cls).encode() for cls in classes}
