@@ -1,0 +1,220 @@
+"""The last gate before the wire: no order leaves the car's limits, whoever wrote it.
+
+A pure function over a small frozen state, in this order: finite? -> absolute -> lateral
+acceleration -> rate, first for the steering, then for the speed. The rate comes last because it
+must hold for every sequence of orders: where the tyre's limit falls faster than the servo may turn,
+the order moves towards it at full rate and the speed is taken back instead. A number that is not
+finite is never clipped, it is a verdict: the caller brakes.
+
+Source: ``spec/safety.md`` section 4; lateral acceleration as ISO 11270, rates as F1TENTH's throttle
+interpolator.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from enum import IntEnum, IntFlag
+from math import atan, isfinite, sqrt, tan
+from typing import NamedTuple
+
+from car_model.state import Command
+
+
+class LimitError(ValueError):
+    """A car file asks for more than the compiled-in ceilings allow."""
+
+
+class Bound(NamedTuple):
+    """Closed range that a configured number must stay in, and its unit for people."""
+
+    low: float
+    high: float
+    unit: str
+
+
+def find_out_of_bounds(values: Mapping[str, float], bounds: Mapping[str, Bound]) -> tuple[str, ...]:
+    """Name every value outside its bound, one sentence each; NaN is outside every bound."""
+    return tuple(
+        f"{name} = {values[name]:g} {bound.unit} is outside {bound.low:g}..{bound.high:g}"
+        f" {bound.unit}: the car file may tighten this limit, never exceed it"
+        for name, bound in bounds.items()
+        if not bound.low <= values[name] <= bound.high
+    )
+
+
+# 6 m/s is where the shortest mocap timeout (50 ms) still means 0.30 m of blind driving.
+CEILINGS: Mapping[str, Bound] = {
+    "wheelbase": Bound(0.05, 1.0, "m"),
+    "steer_left_max": Bound(0.01, 0.6, "rad"),
+    "steer_right_max": Bound(0.01, 0.6, "rad"),
+    "steer_rate_max": Bound(0.1, 3.2, "rad/s"),
+    "speed_max": Bound(0.1, 6.0, "m/s"),
+    "accel_max": Bound(0.1, 2.5, "m/s2"),
+    "decel_max": Bound(1.5, 6.0, "m/s2"),
+    "lateral_accel_max": Bound(0.1, 3.0, "m/s2"),
+    "step_max": Bound(0.001, 0.025, "s"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What an order may be; cannot be made beyond the compiled-in ceilings.
+
+    Attributes:
+        wheelbase: distance between the axles [m].
+        steer_left_max: largest steering angle to the left [rad], positive.
+        steer_right_max: largest steering angle to the right [rad], positive.
+        steer_rate_max: servo rate [rad/s].
+        speed_max: largest speed [m/s]; the smallest is 0, there is no reverse in automatic driving.
+        accel_max: growth of the ordered speed [m/s2].
+        decel_max: fall of the ordered speed [m/s2]; at least the 1.5 m/s2 of a soft stop.
+        lateral_accel_max: v^2 tan(steer) / wheelbase [m/s2].
+        step_max: longest time that a rate is granted for [s], so a pause does not allow a jump.
+
+    Raises:
+        LimitError: with one line for each value outside ``CEILINGS``.
+    """
+
+    wheelbase: float
+    steer_left_max: float = 0.34
+    steer_right_max: float = 0.34
+    steer_rate_max: float = 3.2
+    speed_max: float = 3.0
+    accel_max: float = 2.5
+    decel_max: float = 4.0
+    lateral_accel_max: float = 3.0
+    step_max: float = 0.025
+
+    def __post_init__(self) -> None:
+        """Refuse what the ceilings do not allow."""
+        problems = find_out_of_bounds(asdict(self), CEILINGS)
+        if problems:
+            raise LimitError("\n".join(problems))
+
+
+class GateState(NamedTuple):
+    """The last order that left the gate, and when [ns]."""
+
+    order: Command[float]
+    t_ns: int
+
+
+class Verdict(IntEnum):
+    """What the gate thinks of an order; ``NOT_FINITE`` is a hard fault."""
+
+    PASSED = 0
+    CLIPPED = 1
+    NOT_FINITE = 2
+
+
+class Clip(IntFlag):
+    """Which limits held an order back (``Gated.clips``)."""
+
+    STEER = 1
+    STEER_LATERAL = 2
+    STEER_RATE = 4
+    SPEED = 8
+    SPEED_LATERAL = 16
+    SPEED_RATE = 32
+
+
+# Plain integers: an IntFlag "or" costs a microsecond, and this runs on every tick.
+_STEER, _STEER_LATERAL, _STEER_RATE, _SPEED, _SPEED_LATERAL, _SPEED_RATE = (int(c) for c in Clip)
+
+
+class Gated(NamedTuple):
+    """Result of the gate; ``order`` is finite and within the limits whatever the verdict."""
+
+    state: GateState
+    order: Command[float]
+    verdict: Verdict
+    clips: int
+
+
+def make_gate_state(limits: Limits, order: Command[float], t_ns: int) -> GateState:
+    """Return the state from which rates are counted, such as centred wheels and the measured speed.
+
+    Raises:
+        ValueError: ``order`` is not finite.
+    """
+    if not (isfinite(order.steer) and isfinite(order.speed)):
+        raise ValueError(f"the gate cannot start from {order}")
+    steer = min(max(order.steer, -limits.steer_right_max), limits.steer_left_max)
+    return GateState(Command(steer, min(max(order.speed, 0.0), limits.speed_max)), t_ns)
+
+
+def steer_bound(limits: Limits, speed: float) -> float:
+    """Largest steering angle [rad] at ``speed`` [m/s]: v^2 tan(steer) / L <= lateral_accel_max."""
+    grip = limits.lateral_accel_max * limits.wheelbase
+    square = speed * speed
+    return atan(grip / square) if square > grip * 1e-6 else 1.6
+
+
+def speed_bound(limits: Limits, steer: float) -> float:
+    """Largest speed [m/s] at ``steer`` [rad]: v^2 tan(steer) / L <= lateral_accel_max."""
+    slope = tan(abs(steer))
+    grip = limits.lateral_accel_max * limits.wheelbase
+    square = limits.speed_max * limits.speed_max
+    return sqrt(grip / slope) if slope * square > grip else limits.speed_max
+
+
+def _gate_steer(
+    limits: Limits, wish: float, last: float, speed: float, dt: float
+) -> tuple[float, int]:
+    out, clips = wish, 0
+    if not -limits.steer_right_max <= out <= limits.steer_left_max:
+        out, clips = (limits.steer_left_max if out > 0.0 else -limits.steer_right_max), _STEER
+    bound = steer_bound(limits, speed)
+    if not -bound <= out <= bound:
+        out, clips = (bound if out > 0.0 else -bound), clips | _STEER_LATERAL
+    step = limits.steer_rate_max * dt
+    if not last - step <= out <= last + step:
+        out, clips = (last + step if out > last else last - step), clips | _STEER_RATE
+    return out, clips
+
+
+def _gate_speed(
+    limits: Limits, wish: float, last: float, cap: float, bound: float, dt: float
+) -> tuple[float, int]:
+    out, clips = wish, 0
+    high = min(cap, limits.speed_max)
+    if not 0.0 <= out <= high:
+        out, clips = (high if out > high else 0.0), _SPEED
+    if out > bound:
+        out, clips = bound, clips | _SPEED_LATERAL
+    low, high = last - limits.decel_max * dt, last + limits.accel_max * dt
+    if not low <= out <= high:
+        out, clips = (high if out > high else low), clips | _SPEED_RATE
+    return out, clips
+
+
+def gate(
+    limits: Limits, state: GateState, wish: Command[float], speed: float, cap: float, t_ns: int
+) -> Gated:
+    """Return the order that may go on the wire.
+
+    Applied twice at one instant it changes nothing more; its rates hold for any sequence.
+
+    Args:
+        limits: of this car.
+        state: what left the gate last.
+        wish: what the controller wants.
+        speed: measured speed of the car [m/s]; grip is judged at the real speed.
+        cap: speed that the supervisor allows now [m/s], ``inf`` where it has no opinion; NaN and
+            negative values get the verdict ``NOT_FINITE``.
+        t_ns: now, monotonic.
+
+    Returns:
+        The order with its verdict. ``NOT_FINITE`` repeats the last order; the caller must brake.
+    """
+    last = state.order
+    if not (isfinite(wish.steer) and isfinite(wish.speed) and isfinite(speed)) or not cap >= 0.0:
+        return Gated(state, last, Verdict.NOT_FINITE, 0)
+    dt = min(max((t_ns - state.t_ns) * 1e-9, 0.0), limits.step_max)
+    steer, steer_clips = _gate_steer(limits, wish.steer, last.steer, speed, dt)
+    out, speed_clips = _gate_speed(
+        limits, wish.speed, last.speed, cap, speed_bound(limits, steer), dt
+    )
+    clips = steer_clips | speed_clips
+    order = Command(steer, out)
+    verdict = Verdict.CLIPPED if clips else Verdict.PASSED
+    return Gated(GateState(order, max(t_ns, state.t_ns)), order, verdict, clips)
