@@ -1,1 +1,1 @@
-"""daemon."""
+"""The daemon and its command line: processes, runners, states, and what people type."""

@@ -1,0 +1,92 @@
+"""The `steerd` command: finds the subcommand and loads only that one.
+
+Nothing here imports numpy, let alone torch: `steerd --help` answers at once.
+"""
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from daemon.errors import ExitCode, SteerdError
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "run": ("run", "drive: the control loop on a car or on simulated hardware"),
+    "sim": ("sim", "simulated hardware alone: a VESC on a pty, a mocap server"),
+    "control": ("control", "the lane keeper as a process of its own, over zenoh"),
+    "arm": ("operate", "ask a running daemon to arm"),
+    "start": ("operate", "ask an armed daemon to drive; holding the terminal keeps it driving"),
+    "stop": ("operate", "ask a driving daemon to stop"),
+    "disarm": ("operate", "ask a daemon to disarm"),
+    "clear": ("operate", "acknowledge a latched fault"),
+    "estop": ("operate", "emergency stop"),
+    "status": ("status", "what a running daemon does and what it waits for"),
+    "replay": ("replay", "feed a recorded session through the loop and compare its commands"),
+    "info": ("info", "what is in a session"),
+    "recover": ("recover", "rebuild the session of a recorder that was killed"),
+    "import": ("import_", "turn a lab's own log (csv, ROS bag) into a session"),
+    "effects": ("effects", "the unmodelled effects that can be simulated and diagnosed"),
+}
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The top level: a list of commands, no command's own options."""
+    parser = argparse.ArgumentParser(
+        prog="steerd",
+        description="Control, identification and sim-to-real diagnosis for Ackermann cars.",
+        epilog="commands:\n"
+        + "\n".join(f"  {name:<10}{text}" for name, (_, text) in COMMANDS.items())
+        + "\n\n`steerd COMMAND --help` explains one of them.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        usage="steerd COMMAND ...",
+    )
+    parser.add_argument("command", choices=list(COMMANDS), metavar="COMMAND", help=argparse.SUPPRESS)
+    return parser
+
+
+def parse_command(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
+    """Split the command's name from its arguments; exits with the help text where there is none."""
+    if argv and argv[0] == "--version":
+        from importlib.metadata import version
+
+        print(f"steerd {version('steerd')}")
+        raise SystemExit(0)
+    args = make_parser().parse_args(argv[:1] or ["--help"])
+    return str(args.command), argv[1:]
+
+
+def dispatch(argv: Sequence[str]) -> int:
+    """Run one command line and give its exit code; errors pass through."""
+    name, rest = parse_command(argv)
+    module_name, text = COMMANDS[name]
+    module = importlib.import_module(f"daemon.commands.{module_name}")
+    parser = argparse.ArgumentParser(
+        prog=f"steerd {name}",
+        description=module.__doc__ or text,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(parser)
+    parser.set_defaults(command=name)
+    code: int = module.run(parser.parse_args(rest))
+    return code
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of the console script."""
+    try:
+        return dispatch(sys.argv[1:] if argv is None else argv)
+    except SteerdError as error:
+        print(f"steerd: {error.what}", file=sys.stderr)
+        if error.hint:
+            print(f"   try: {error.hint}", file=sys.stderr)
+        return error.code
+    except KeyboardInterrupt:
+        return ExitCode.INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return ExitCode.OK
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

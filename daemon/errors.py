@@ -1,0 +1,44 @@
+"""What can go wrong, as one sentence that says what happened and one that says what to try."""
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """Exit codes of the `steerd` command; documented in docs/troubleshooting.md."""
+
+    OK = 0
+    USAGE = 2
+    """The command line makes no sense."""
+    UNREADABLE = 3
+    """A device or file cannot be opened or read."""
+    INVALID = 4
+    """A car file, map or session was read but its content is wrong."""
+    STOPPED = 5
+    """A safety stop ended the run, or a result would not be trustworthy."""
+    UNREACHABLE = 6
+    """No running daemon answered."""
+    DIFFERS = 7
+    """A replay gave other commands than were recorded."""
+    INTERNAL = 70
+    """A bug in steerd."""
+    INTERRUPTED = 130
+    """Ctrl-C before there was anything to stop."""
+
+
+class SteerdError(Exception):
+    """A failure that a person can act on.
+
+    Attributes:
+        what: what happened, one sentence.
+        hint: what to try, one sentence; may be empty.
+        code: the exit code.
+    """
+
+    def __init__(self, what: str, hint: str = "", code: ExitCode = ExitCode.INVALID) -> None:
+        super().__init__(what)
+        self.what = what
+        self.hint = hint
+        self.code = code
+
+    def __str__(self) -> str:
+        return f"{self.what} — try: {self.hint}" if self.hint else self.what

@@ -1,0 +1,46 @@
+"""The core's way out for messages: encode once, number per topic, hand to every sink at tick end."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from daemon.records import Record
+from steer_bus.codec import encode
+from steer_bus.topics import Topic
+
+Sink = Callable[[list[Record], int], None]
+"""Takes the records of one tick and the monotonic time [ns]; must not block."""
+
+
+@dataclass(slots=True)
+class Outbox:
+    """Messages of the current tick, encoded.
+
+    Attributes:
+        epoch_ns: UNIX time minus monotonic time, fixed for the session [ns].
+        sinks: who gets the records at `flush`.
+    """
+
+    epoch_ns: int
+    sinks: tuple[Sink, ...]
+    _pending: list[Record] = field(default_factory=list)
+    _counts: dict[str, int] = field(default_factory=dict)
+    _last_ns: int = 0
+
+    def post(self, topic: Topic, message: Any, t_ns: int, valid_ns: int | None = None) -> None:
+        """Queue a message handed out at `t_ns` whose content is valid at `valid_ns` (monotonic)."""
+        count = self._counts.get(topic.name, 0)
+        self._counts[topic.name] = count + 1
+        # A session file is in the order of the loop: log times never go back (mcap doctor warns).
+        self._last_ns = max(self._last_ns, t_ns)
+        publish_ns = (t_ns if valid_ns is None else valid_ns) + self.epoch_ns
+        self._pending.append(
+            Record(topic, count, self._last_ns + self.epoch_ns, publish_ns, encode(message))
+        )
+
+    def flush(self, t_ns: int) -> None:
+        """Hand everything queued to the sinks."""
+        if self._pending:
+            records, self._pending = self._pending, []
+            for sink in self.sinks:
+                sink(records, t_ns)
