@@ -1,0 +1,239 @@
+"""Map a mocap server's clock onto the host's CLOCK_MONOTONIC.
+
+No epoch is assumed: ticks count from boot (Motive), from 1970 or from power-up, at any frequency.
+Ticks stay integers and are subtracted before anything is divided. Methods and figures:
+`docs/mocap.md`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Protocol
+
+NS = 1_000_000_000
+SKEW_MAX = 200e-6
+"""No two quartz clocks differ by more; a fit that says so is noise."""
+
+WINDOW_NS = 60 * NS
+
+
+class ClockMap(Protocol):
+    """A map from source ticks to host nanoseconds."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether `to_host_ns` can be trusted."""
+        ...
+
+    @property
+    def sigma_ns(self) -> int:
+        """One-sigma error bound [ns], constant part of one-way delay excluded."""
+        ...
+
+    def to_host_ns(self, source_ticks: int) -> int:
+        """Map a source time to CLOCK_MONOTONIC [ns]."""
+        ...
+
+
+class _Line:
+    """`host = source_ns + offset + skew * (source_ns - x_ref)`, all relative to one origin."""
+
+    def __init__(self, frequency_hz: int) -> None:
+        if frequency_hz <= 0:
+            raise ValueError(f"clock frequency {frequency_hz} Hz")
+        self.frequency_hz = frequency_hz
+        self.set_origin(0, 0)
+
+    def set_origin(self, ticks: int, host_ns: int) -> None:
+        self.ticks0, self.host0 = ticks, host_ns
+        self.x_ref = self.offset = self.skew = 0.0
+
+    def source_ns(self, ticks: int) -> int:
+        return (ticks - self.ticks0) * NS // self.frequency_hz
+
+    def residual(self, x: int, host_ns: int) -> float:
+        """Return what the map leaves of a point `x` [source ns], `host_ns`."""
+        return host_ns - self.host0 - x - self.offset - self.skew * (x - self.x_ref)
+
+    def to_host_ns(self, ticks: int) -> int:
+        x = self.source_ns(ticks)
+        return self.host0 + x + round(self.offset + self.skew * (x - self.x_ref))
+
+
+class EchoClock:
+    """Two-way clock map from echo exchanges (Cristian's algorithm with a fitted skew).
+
+    The server stamped between our sending and receiving, so each exchange bounds the offset to
+    half its round trip. Exchanges within `rtt_slack_ns` of the best round trip enter a line fit
+    whose slope has a prior of 0 +- 50 ppm: a burst of 100 ms says nothing about skew.
+    """
+
+    min_samples = 5
+    rtt_slack_ns = 150_000
+    step_slack_ns = 2_000_000
+    _skew_prior = 50e-6
+    _jitter_floor_ns = 20_000.0
+
+    def __init__(self, frequency_hz: int) -> None:
+        self._line = _Line(frequency_hz)
+        self._samples: deque[tuple[int, int, int]] = deque()  # source ns, host mid ns, rtt ns
+        self._rtt_min = 0
+        self.resets = 0
+
+    @property
+    def ready(self) -> bool:
+        """Whether enough exchanges were made."""
+        return len(self._samples) >= self.min_samples
+
+    @property
+    def sigma_ns(self) -> int:
+        """Half the best round trip [ns]."""
+        return self._rtt_min // 2
+
+    @property
+    def skew(self) -> float:
+        """Fitted rate of the host's clock against the source's, minus 1."""
+        return self._line.skew
+
+    def reset(self) -> None:
+        """Forget everything: the server restarted or its clock stepped."""
+        self._samples.clear()
+        self.resets += 1
+
+    def add(self, t_sent_ns: int, t_received_ns: int, server_ticks: int) -> None:
+        """Take in one exchange; a stepped clock resets the map to this exchange."""
+        rtt = t_received_ns - t_sent_ns
+        if rtt < 0:
+            return
+        middle = t_sent_ns + rtt // 2
+        if self._samples:
+            off = self._line.residual(self._line.source_ns(server_ticks), middle)
+            if abs(off) > rtt / 2 + self.step_slack_ns:
+                self.reset()
+        if not self._samples:
+            self._line.set_origin(server_ticks, middle)
+        self._samples.append((self._line.source_ns(server_ticks), middle, rtt))
+        while self._samples[-1][1] - self._samples[0][1] > WINDOW_NS:
+            self._samples.popleft()
+        self._fit()
+
+    def _fit(self) -> None:
+        self._rtt_min = min(rtt for _, _, rtt in self._samples)
+        limit = self._rtt_min + self.rtt_slack_ns
+        good = [(x, m - self._line.host0 - x) for x, m, rtt in self._samples if rtt <= limit]
+        n = len(good)
+        x_mean = sum(x for x, _ in good) / n
+        y_mean = sum(y for _, y in good) / n
+        sxx = sum((x - x_mean) ** 2 for x, _ in good)
+        sxy = sum((x - x_mean) * (y - y_mean) for x, y in good)
+        jitter = max(self._jitter_floor_ns, self._rtt_min / 2)
+        slope = sxy / (sxx + (jitter / self._skew_prior) ** 2)
+        self._line.x_ref, self._line.offset = x_mean, y_mean
+        self._line.skew = max(-SKEW_MAX, min(SKEW_MAX, slope))
+
+    def to_host_ns(self, source_ticks: int) -> int:
+        """Map a source time to CLOCK_MONOTONIC [ns]."""
+        return self._line.to_host_ns(source_ticks)
+
+
+class HullClock:
+    """One-way clock map: the lower hull of arrival minus source time.
+
+    The fastest datagrams lie on a line whose slope is the skew; the rest lies above it. Minima of
+    0.1 s buckets over 60 s are kept; once a second the hull edge above the mean time becomes the
+    map. Below 10 s of data the slope is taken as 0, for a short hull's slope is noise. What
+    remains is the smallest delay, a constant that `extra_latency_ns` stands for.
+    """
+
+    bucket_ns = NS // 10
+    refit_ns = NS
+    warm_ns = 2 * NS
+    skew_from_ns = 10 * NS
+
+    def __init__(self, frequency_hz: int) -> None:
+        self._line = _Line(frequency_hz)
+        self._buckets: deque[tuple[int, int]] = deque()  # source ns, host - source [ns]
+        self._bucket_end = self._next_fit = self._warm_at = 0
+        self._last_ticks: int | None = None
+        self._fitted = False
+        self.resets = 0
+
+    @property
+    def ready(self) -> bool:
+        """Whether 2 s of data were seen."""
+        return self._fitted
+
+    @property
+    def sigma_ns(self) -> int:
+        """Spread of the bucket minima above the line [ns], mean."""
+        if not self._fitted:
+            return NS
+        line = self._line
+        above = [y - line.offset - line.skew * (x - line.x_ref) for x, y in self._buckets]
+        return round(sum(above) / len(above))
+
+    @property
+    def skew(self) -> float:
+        """Fitted rate of the host's clock against the source's, minus 1."""
+        return self._line.skew
+
+    def reset(self) -> None:
+        """Forget everything: the server restarted or its clock stepped."""
+        self._buckets.clear()
+        self._last_ticks = None
+        self._fitted = False
+        self.resets += 1
+
+    def add(self, source_ticks: int, t_arrival_ns: int) -> None:
+        """Take in one datagram; a source time that goes back resets the map."""
+        if self._last_ticks is not None and source_ticks < self._last_ticks:
+            self.reset()
+        if self._last_ticks is None:
+            self._line.set_origin(source_ticks, t_arrival_ns)
+            self._bucket_end = t_arrival_ns
+            self._warm_at = self._next_fit = t_arrival_ns + self.warm_ns
+        self._last_ticks = source_ticks
+        x = self._line.source_ns(source_ticks)
+        y = t_arrival_ns - self._line.host0 - x
+        if t_arrival_ns >= self._bucket_end:
+            self._buckets.append((x, y))
+            self._bucket_end = t_arrival_ns + self.bucket_ns
+        elif y < self._buckets[-1][1]:
+            self._buckets[-1] = (x, y)
+        if t_arrival_ns >= self._next_fit:
+            self._next_fit = t_arrival_ns + self.refit_ns
+            self._fit(x)
+
+    def _fit(self, now: int) -> None:
+        while now - self._buckets[0][0] > WINDOW_NS:
+            self._buckets.popleft()
+        line, points = self._line, self._buckets
+        line.x_ref = sum(x for x, _ in points) / len(points)
+        span = points[-1][0] - points[0][0]
+        slope = _hull_slope(list(points), line.x_ref) if span >= self.skew_from_ns else 0.0
+        line.skew = max(-SKEW_MAX, min(SKEW_MAX, slope))
+        line.offset = min(y - line.skew * (x - line.x_ref) for x, y in points)
+        self._fitted = True
+
+    def to_host_ns(self, source_ticks: int) -> int:
+        """Map a source time to CLOCK_MONOTONIC [ns], late by the smallest one-way delay."""
+        return self._line.to_host_ns(source_ticks)
+
+
+def _hull_slope(points: list[tuple[int, int]], x: float) -> float:
+    """Slope of the lower convex hull's edge over `x` (Andrew's monotone chain)."""
+    hull: list[tuple[int, int]] = []
+    for p in points:
+        while len(hull) > 1:
+            (ax, ay), (bx, by) = hull[-2], hull[-1]
+            if (bx - ax) * (p[1] - ay) - (by - ay) * (p[0] - ax) > 0:
+                break
+            hull.pop()
+        if hull and hull[-1][0] == p[0]:
+            hull[-1] = min(hull[-1], p)
+        else:
+            hull.append(p)
+    for (ax, ay), (bx, by) in zip(hull, hull[1:], strict=False):
+        if x <= bx:
+            return (by - ay) / (bx - ax)
+    return 0.0

@@ -1,0 +1,220 @@
+"""Reject garbage before the filter sees it: a planar car makes that cheap.
+
+`step_gates` is pure: a state and an observation in, a state and a verdict out. Gates run in the
+order of their cost to a wrong pose; the innovation gate is the estimator's. Thresholds follow
+`docs/mocap.md`; each rejection has a reason from `REASONS`, counted by the caller.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import hypot, isfinite, pi, radians
+
+from mocap_link.frame import PlanarPose, wrap_angle
+from mocap_link.source import RawPose
+
+REASONS: dict[str, str] = {
+    "not_live": "the server replays a recording (edit mode)",
+    "duplicate": "the frame number of the frame before",
+    "out_of_order": "an older frame number",
+    "not_finite": "NaN or infinity in the pose",
+    "zero_pose": "position exactly (0, 0, 0): how some servers say 'not seen'",
+    "quaternion": "quaternion length off 1",
+    "invalid": "the server says: not tracked",
+    "mean_error": "marker residual too large",
+    "units": "more than 100 m from the origin: millimetres?",
+    "tilt": "the body leans as a car on a flat floor cannot",
+    "height": "the body left its height above the floor",
+    "jump": "further than the car can have driven",
+    "yaw_jump": "turned further than the car can have turned",
+    "relocated": "steadily somewhere else: body swapped or carried; stop the car to take it in",
+    "frozen": "bit-identical poses while the wheels turn",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class GateConfig:
+    """Thresholds.
+
+    Attributes:
+        quaternion_tolerance: allowed deviation of the quaternion's length from 1.
+        mean_error_max: largest marker residual [m] (a real room shows 0.5 mm).
+        position_max: largest distance from the mocap origin [m].
+        tilt_max: largest tilt [rad].
+        height: calibrated height of the body [m]; None takes the first accepted pose's.
+        height_band: allowed deviation from it [m].
+        speed_max: fastest the car can drive, with margin [m/s].
+        jump_slack: position allowance at zero time [m].
+        yaw_rate_max: fastest the car can turn [rad/s].
+        yaw_slack: yaw allowance at zero time [rad].
+        gap_max: longest gap [s] for which the allowances keep growing.
+        frozen_count: bit-identical poses in a row that count as frozen.
+        frozen_speed: wheel speed [m/s] above which a still pose cannot be.
+        reacquire_count: mutually consistent poses that make a new place credible.
+    """
+
+    quaternion_tolerance: float = 0.01
+    mean_error_max: float = 5e-3
+    position_max: float = 100.0
+    tilt_max: float = radians(10.0)
+    height: float | None = None
+    height_band: float = 0.03
+    speed_max: float = 6.0
+    jump_slack: float = 0.02
+    yaw_rate_max: float = 8.0
+    yaw_slack: float = radians(5.0)
+    gap_max: float = 0.5
+    frozen_count: int = 5
+    frozen_speed: float = 0.15
+    reacquire_count: int = 15
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """A planar pose and body height with their time of validity."""
+
+    t_ns: int
+    x: float
+    y: float
+    yaw: float
+    height: float
+
+
+@dataclass(frozen=True, slots=True)
+class GateState:
+    """What the gates remember.
+
+    Attributes:
+        frame: last frame number.
+        last: last accepted pose; None until the first.
+        height: reference height [m].
+        pose: last raw position and quaternion, and how often it came in a row.
+        repeats: see `pose`.
+        candidate: last pose of a run at another place.
+        candidate_run: its length.
+    """
+
+    frame: int | None = None
+    last: Fix | None = None
+    height: float | None = None
+    pose: tuple[float, ...] = ()
+    repeats: int = 0
+    candidate: Fix | None = None
+    candidate_run: int = 0
+
+
+def check_raw(config: GateConfig, raw: RawPose, metres_per_unit: float = 1.0) -> str | None:
+    """Gates on the pose as sent: is it live, a number, a rotation, and believed by the server?"""
+    if not raw.live:
+        return "not_live"
+    p, q = raw.position, raw.quaternion
+    norm = hypot(*q)
+    distance = hypot(*p)
+    # hypot of finite f64s can itself overflow; both overflow and NaN end here
+    if not (isfinite(norm) and isfinite(distance)):
+        return "not_finite"
+    if not raw.tracking_valid:
+        return "invalid"
+    if distance == 0.0:
+        return "zero_pose"
+    if abs(norm - 1.0) > config.quaternion_tolerance:
+        return "quaternion"
+    error = raw.mean_error
+    if error is not None and not abs(error) * metres_per_unit <= config.mean_error_max:
+        return "mean_error"
+    if distance * metres_per_unit > config.position_max:
+        return "units"
+    return None
+
+
+def step_gates(
+    config: GateConfig,
+    state: GateState,
+    raw: RawPose,
+    pose: PlanarPose | None,
+    t_valid_ns: int,
+    *,
+    wheel_speed: float | None = None,
+    stationary: bool = False,
+    metres_per_unit: float = 1.0,
+) -> tuple[GateState, str | None]:
+    """Judge one pose.
+
+    Args:
+        config: thresholds.
+        state: memory before.
+        raw: the pose as sent.
+        pose: its planar form; None where it has none (the raw gates then reject it).
+        t_valid_ns: its time of validity.
+        wheel_speed: speed [m/s] of the wheels, None if unknown (a frozen pose then passes).
+        stationary: the car is stopped and disarmed, so a new place may be taken in.
+        metres_per_unit: the vendor's length unit.
+
+    Returns:
+        The memory after, and None or the reason for rejection.
+    """
+    order = _check_order(state, raw)
+    if order is not None:
+        return state, order
+    key = (*raw.position, *raw.quaternion)
+    repeats = state.repeats + 1 if key == state.pose else 1
+    state = replace(state, frame=raw.frame, pose=key, repeats=repeats)
+    reason = check_raw(config, raw, metres_per_unit)
+    if reason is None and pose is None:
+        reason = "not_finite"
+    if reason is not None or pose is None:
+        return state, reason
+    if pose.tilt > config.tilt_max:
+        return state, "tilt"
+    moving = wheel_speed is not None and abs(wheel_speed) > config.frozen_speed
+    if moving and repeats >= config.frozen_count:
+        return state, "frozen"
+    fix = Fix(t_valid_ns, pose.x, pose.y, pose.yaw, pose.height)
+    return _check_place(config, state, fix, stationary)
+
+
+def _check_order(state: GateState, raw: RawPose) -> str | None:
+    if raw.frame is None or state.frame is None or raw.frame > state.frame:
+        return None
+    return "duplicate" if raw.frame == state.frame else "out_of_order"
+
+
+def _check_place(
+    config: GateConfig, state: GateState, fix: Fix, stationary: bool
+) -> tuple[GateState, str | None]:
+    if config.height is not None and abs(fix.height - config.height) > config.height_band:
+        return state, "height"
+    reason = None
+    if state.height is not None and abs(fix.height - state.height) > config.height_band:
+        reason = "height"
+    elif state.last is not None:
+        reason = find_jump(config, state.last, fix)
+    if reason is None:
+        height = fix.height if state.height is None else state.height
+        return replace(state, last=fix, height=height, candidate=None, candidate_run=0), None
+    run = state.candidate_run + 1 if _is_steady(config, state.candidate, fix) else 1
+    if run < config.reacquire_count:
+        return replace(state, candidate=fix, candidate_run=run), reason
+    if stationary:
+        return replace(state, last=fix, height=fix.height, candidate=None, candidate_run=0), None
+    return replace(state, candidate=fix, candidate_run=run), "relocated"
+
+
+def _is_steady(config: GateConfig, a: Fix | None, b: Fix) -> bool:
+    if a is None or abs(a.height - b.height) > config.height_band:
+        return False
+    return find_jump(config, a, b) is None
+
+
+def find_jump(config: GateConfig, a: Fix, b: Fix) -> str | None:
+    """Say whether the car cannot have gone from `a` to `b`: `jump`, `yaw_jump` or None.
+
+    |dp| <= v_max dt + slack and |dyaw| <= r_max dt + slack.
+    """
+    dt = min(max(0.0, (b.t_ns - a.t_ns) * 1e-9), config.gap_max)
+    if hypot(b.x - a.x, b.y - a.y) > config.speed_max * dt + config.jump_slack:
+        return "jump"
+    turn = abs(wrap_angle(b.yaw - a.yaw))
+    if turn > min(config.yaw_rate_max * dt + config.yaw_slack, pi):
+        return "yaw_jump"
+    return None

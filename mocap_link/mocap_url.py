@@ -1,0 +1,102 @@
+"""The one string that names a mocap source: `natnet://...`, `vrpn://...` or `zenoh:KEY`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+DEFAULT_PORTS = {"natnet": 1510, "vrpn": 3883}
+_FORMS = "natnet://HOST[:PORT]/BODY?up=y, vrpn://HOST[:PORT]/BODY or zenoh:KEY"
+
+
+@dataclass(frozen=True, slots=True)
+class MocapUrl:
+    """A parsed source address.
+
+    Attributes:
+        scheme: `natnet`, `vrpn` or `zenoh`.
+        host: server name or address; empty for zenoh.
+        port: command port (NatNet) or TCP port (VRPN); 0 for zenoh.
+        body: body name, or `id:42` (NatNet); empty for zenoh.
+        key: key expression (zenoh only).
+        up: the vendor's up axis, `y` or `z`; None leaves it to the configuration.
+        unicast: True or False forces it; None follows what the server says (NatNet).
+        interface: local address that joins the multicast group; None derives it.
+    """
+
+    scheme: str
+    host: str = ""
+    port: int = 0
+    body: str = ""
+    key: str = ""
+    up: str | None = None
+    unicast: bool | None = None
+    interface: str | None = None
+
+
+def parse_mocap_url(text: str) -> MocapUrl:
+    """Parse a mocap address.
+
+    Raises:
+        ValueError: the text does not name a source; the message says what is wrong with it.
+    """
+    scheme, colon, rest = text.partition(":")
+    if colon and scheme == "zenoh":
+        return _parse_key(text, rest)
+    if scheme not in DEFAULT_PORTS or not rest.startswith("//"):
+        raise ValueError(f"mocap address {text!r}: expected {_FORMS}")
+    parts = urlsplit(text)
+    try:
+        port = parts.port
+    except ValueError:
+        raise ValueError(f"mocap address {text!r}: the port must be a number to 65535") from None
+    body = unquote(parts.path.removeprefix("/"))
+    if not parts.hostname:
+        raise ValueError(f"mocap address {text!r}: no host")
+    if not body:
+        raise ValueError(f"mocap address {text!r}: no body; name it as in {scheme}://HOST/car")
+    if body.startswith("id:"):
+        _check_id(text, scheme, body)
+    options = _parse_options(text, scheme, parts.query)
+    up, unicast = options.get("up"), options.get("unicast")
+    return MocapUrl(
+        scheme,
+        parts.hostname,
+        DEFAULT_PORTS[scheme] if port is None else port,
+        body,
+        up=up,
+        unicast=None if unicast is None else unicast == "1",
+        interface=options.get("interface"),
+    )
+
+
+def _parse_key(text: str, key: str) -> MocapUrl:
+    if not key or key.startswith("/") or key.endswith("/") or "//" in key:
+        raise ValueError(
+            f"mocap address {text!r}: a zenoh key is like zenoh:lab/pose/car, without outer slashes"
+        )
+    return MocapUrl("zenoh", key=key)
+
+
+def _check_id(text: str, scheme: str, body: str) -> None:
+    if scheme != "natnet":
+        raise ValueError(f"mocap address {text!r}: only NatNet bodies have ids; give the name")
+    if not body[3:].isdecimal():
+        raise ValueError(f"mocap address {text!r}: {body!r} is not an id; expected id:NUMBER")
+
+
+def _parse_options(text: str, scheme: str, query: str) -> dict[str, str]:
+    allowed: dict[str, tuple[str, ...]] = {"up": ("y", "z")}
+    if scheme == "natnet":
+        allowed |= {"unicast": ("0", "1"), "interface": ()}
+    options = dict(parse_qsl(query, keep_blank_values=True))
+    for name, value in options.items():
+        if name not in allowed:
+            names = ", ".join(sorted(allowed))
+            raise ValueError(f"mocap address {text!r}: unknown option {name!r}; known: {names}")
+        if allowed[name] and value not in allowed[name]:
+            choices = " or ".join(allowed[name])
+            raise ValueError(f"mocap address {text!r}: {name} must be {choices}, not {value!r}")
+        if not value:
+            raise ValueError(f"mocap address {text!r}: option {name!r} has no value")
+    return options

@@ -1,0 +1,221 @@
+"""What every mocap source gives: raw poses, processed samples, and its own state.
+
+The state machine (`step_monitor`) goes CONNECTING -> SYNCING -> OK -> STALE -> LOST. Liveness is
+good frames, never the socket: a silent server keeps its TCP connection for minutes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from mocap_link.mocap_url import MocapUrl, parse_mocap_url
+
+__all__ = [
+    "ClockKind",
+    "MocapUrl",
+    "MonitorConfig",
+    "MonitorState",
+    "PoseSample",
+    "RawPose",
+    "SourceState",
+    "SourceStatus",
+    "parse_mocap_url",
+    "step_monitor",
+]
+
+
+class ClockKind(StrEnum):
+    """How a pose's time of validity was found."""
+
+    ECHO = "echo"  # two-way exchange with the server's clock
+    HULL = "hull"  # one-way: lower hull of arrival minus source time
+    ARRIVAL = "arrival"  # time of arrival minus the configured latency
+
+
+@dataclass(frozen=True, slots=True)
+class RawPose:
+    """One body in one frame as the source sent it: vendor axes, vendor units, source ticks.
+
+    Attributes:
+        body: name of the body.
+        frame: the source's frame or sequence number; None where it has none.
+        source_ticks: mid-exposure (or sample) time on the source's clock; None if not sent.
+        transmit_ticks: time of sending on the same clock; None if not sent.
+        t_arrival_ns: time of reception, host CLOCK_MONOTONIC.
+        position: (x, y, z).
+        quaternion: (w, x, y, z).
+        mean_error: the server's marker residual in its length unit; None if not sent.
+        tracking_valid: the server's own verdict.
+        live: False while the server replays a recording.
+    """
+
+    body: str
+    frame: int | None
+    source_ticks: int | None
+    transmit_ticks: int | None
+    t_arrival_ns: int
+    position: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+    mean_error: float | None = None
+    tracking_valid: bool = True
+    live: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSample:
+    """A planar pose of the CoG at its time of validity, with the raw pose it came from.
+
+    Attributes:
+        t_valid_ns: when the car was there, host CLOCK_MONOTONIC; never after `t_arrival_ns`.
+        t_arrival_ns: when the host received it, same clock.
+        raw: the pose as sent, for the session file.
+        x, y: CoG in the world frame [m].
+        yaw: heading, counter-clockwise [rad], in (-pi, pi].
+        height: the mocap body's height [m].
+        tilt: angle between the body's up axis and the world's [rad].
+        rejected: None, or the reason (see `gates.REASONS`) why it must not be fused.
+        clock: how `t_valid_ns` was found.
+    """
+
+    t_valid_ns: int
+    t_arrival_ns: int
+    raw: RawPose
+    x: float
+    y: float
+    yaw: float
+    height: float
+    tilt: float
+    rejected: str | None
+    clock: ClockKind
+
+
+class SourceState(StrEnum):
+    """State of a mocap source."""
+
+    CONNECTING = "connecting"
+    SYNCING = "syncing"
+    OK = "ok"
+    STALE = "stale"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorConfig:
+    """Thresholds of the source state machine.
+
+    Attributes:
+        period_ns: expected time between frames.
+        stale_frames: missed frames after which the source is STALE.
+        lost_ns: silence after which it is LOST; 2 m/s x 0.15 s = 30 cm blind.
+        recover_frames: good frames in a row before OK, at start and after LOST.
+    """
+
+    period_ns: int = 10_000_000
+    stale_frames: int = 3
+    lost_ns: int = 150_000_000
+    recover_frames: int = 10
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorState:
+    """Where the machine is, the last good frame's arrival, and good frames in a row."""
+
+    state: SourceState = SourceState.CONNECTING
+    last_good_ns: int | None = None
+    good_run: int = 0
+
+
+def step_monitor(
+    config: MonitorConfig,
+    s: MonitorState,
+    t_ns: int,
+    *,
+    connected: bool,
+    clock_ready: bool,
+    good: bool | None = None,
+) -> MonitorState:
+    """Advance the machine by one frame or one tick of time.
+
+    A single good frame ends STALE (its poses are fused anyway); LOST asks for `recover_frames`
+    good frames in a row and a ready clock, as the first OK does.
+
+    Args:
+        config: thresholds.
+        s: state before.
+        t_ns: arrival of the frame, or now.
+        connected: whether the session with the server stands.
+        clock_ready: whether source times can be mapped.
+        good: a frame came and passed the gates (True) or failed them (False); None for no frame.
+    """
+    if good is not None:
+        s = _count(config, s, t_ns, good)
+    age = None if s.last_good_ns is None else t_ns - s.last_good_ns
+    ready = clock_ready and s.good_run >= config.recover_frames
+    return replace(s, state=_next_state(config, s.state, age, connected, ready))
+
+
+def _count(config: MonitorConfig, s: MonitorState, t_ns: int, good: bool) -> MonitorState:
+    if not good:
+        return replace(s, good_run=0)
+    gap = s.last_good_ns is not None and t_ns - s.last_good_ns > config.lost_ns
+    return replace(s, last_good_ns=t_ns, good_run=1 if gap else s.good_run + 1)
+
+
+def _next_state(
+    config: MonitorConfig, state: SourceState, age: int | None, connected: bool, ready: bool
+) -> SourceState:
+    fresh = age is not None and age <= config.stale_frames * config.period_ns
+    match state:
+        case SourceState.CONNECTING:
+            return SourceState.SYNCING if connected else state
+        case SourceState.SYNCING:
+            if ready and fresh:
+                return SourceState.OK
+            return state if connected else SourceState.CONNECTING
+        case SourceState.LOST:
+            return SourceState.OK if ready and fresh else state
+    if age is None or age > config.lost_ns:
+        return SourceState.LOST
+    return SourceState.OK if fresh else SourceState.STALE
+
+
+@dataclass(frozen=True, slots=True)
+class SourceStatus:
+    """A source's health for the supervisor, the log and the terminal.
+
+    Attributes:
+        state: the state machine's state.
+        connected: whether the session with the server stands.
+        detail: the latest thing worth telling a person.
+        server: the server's name and version, as far as known.
+        bodies: names of the bodies that the server offers, as far as known.
+        clock: how the last sample was timed; None before the first.
+        clock_sigma_ns: one-sigma bound of the clock map, None where there is none.
+        rate_hz: measured frame rate over the last second.
+        expected_rate_hz: the server's own figure, None if it has not told.
+        last_good_ns: arrival of the last accepted pose.
+        refused: the source cannot be used as configured (`detail` says why).
+        relocated: the body is somewhere else for good; needs a stopped car to be taken in.
+        counts: events by name: accepted, each rejection reason, malformed, foreign, ...
+    """
+
+    state: SourceState
+    connected: bool
+    detail: str = ""
+    server: str = ""
+    bodies: tuple[str, ...] = ()
+    clock: ClockKind | None = None
+    clock_sigma_ns: int | None = None
+    rate_hz: float = 0.0
+    expected_rate_hz: float | None = None
+    last_good_ns: int | None = None
+    refused: bool = False
+    relocated: bool = False
+    counts: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def rate_low(self) -> bool:
+        """Whether frames come at less than 0.8 of the server's stated rate."""
+        return self.expected_rate_hz is not None and self.rate_hz < 0.8 * self.expected_rate_hz

@@ -1,0 +1,111 @@
+"""Time of validity of each pose: the best clock map that passes its own sanity check."""
+
+from __future__ import annotations
+
+from mocap_link.clock_sync import NS, EchoClock, HullClock
+from mocap_link.source import ClockKind, RawPose
+
+DEFAULT_EXTRA_LATENCY_NS = {
+    "natnet": 0,  # mid-exposure is on the wire and the echo is two-way
+    "natnet2": 6_000_000,  # before 3.0: exposure to arrival, as measured on a wired 3.0 system
+    "vrpn": 8_000_000,
+    "zenoh": 0,
+}
+
+
+class SourceTiming:
+    """Chooses between echo, hull and arrival for one source.
+
+    A mapped sending time must lie at most 1 ms after and less than 50 ms before the arrival, or
+    the map is suspect: the pose falls back to the next map, and 10 suspect poses in a row reset
+    the map (`suspect_resets` counts; the session should then measure echoes again).
+
+    Args:
+        frequency_hz: ticks per second of the source's clock.
+        extra_latency_ns: what the maps cannot see, subtracted from every time of validity.
+        two_way: the source answers echoes.
+    """
+
+    early_ns = 1_000_000
+    late_ns = 50_000_000
+    suspects_to_reset = 10
+
+    def __init__(self, frequency_hz: int, extra_latency_ns: int = 0, two_way: bool = False) -> None:
+        self.frequency_hz = frequency_hz
+        self.extra_latency_ns = extra_latency_ns
+        self.echo = EchoClock(frequency_hz) if two_way else None
+        self.hull = HullClock(frequency_hz)
+        self.suspect_resets = 0
+        self._echo_suspects = self._hull_suspects = 0
+        self._first_arrival_ns: int | None = None
+        self._settled = False
+
+    @property
+    def ready(self) -> bool:
+        """Whether poses are timed as well as this source ever will be.
+
+        That is a ready map, or 2 s after which the source's stamps turned out to be useless.
+        """
+        return self._settled or self.hull.ready or (self.echo is not None and self.echo.ready)
+
+    @property
+    def sigma_ns(self) -> int | None:
+        """Error bound of the best ready map [ns]; None while on arrival times."""
+        if self.echo is not None and self.echo.ready:
+            return self.echo.sigma_ns
+        return self.hull.sigma_ns if self.hull.ready else None
+
+    def reset(self) -> None:
+        """Forget both maps: reconnect, restart, or a stepped clock."""
+        if self.echo is not None:
+            self.echo.reset()
+        self.hull.reset()
+        self._echo_suspects = self._hull_suspects = 0
+
+    def add_echo(self, t_sent_ns: int, t_received_ns: int, server_ticks: int) -> None:
+        """Take in one two-way exchange."""
+        if self.echo is not None:
+            self.echo.add(t_sent_ns, t_received_ns, server_ticks)
+
+    def time_pose(self, raw: RawPose) -> tuple[int, ClockKind]:
+        """Return the pose's time of validity [ns, CLOCK_MONOTONIC] and how it was found."""
+        if self._first_arrival_ns is None:
+            self._first_arrival_ns = raw.t_arrival_ns
+        self._settled = raw.t_arrival_ns - self._first_arrival_ns >= HullClock.warm_ns
+        sent = raw.source_ticks if raw.transmit_ticks is None else raw.transmit_ticks
+        if sent is None:
+            return raw.t_arrival_ns - self.extra_latency_ns, ClockKind.ARRIVAL
+        measured = sent if raw.source_ticks is None else raw.source_ticks
+        # a server's own pipeline delay is known in ticks, whatever map is in force
+        pipeline_ns = max(0, (sent - measured) * NS // self.frequency_hz)
+        sent_ns, kind = self._map_sent(sent, raw.t_arrival_ns)
+        t_valid_ns = min(sent_ns, raw.t_arrival_ns) - pipeline_ns - self.extra_latency_ns
+        return t_valid_ns, kind
+
+    def _map_sent(self, ticks: int, t_arrival_ns: int) -> tuple[int, ClockKind]:
+        self.hull.add(ticks, t_arrival_ns)
+        result = t_arrival_ns, ClockKind.ARRIVAL
+        if self.hull.ready:
+            t_ns = self.hull.to_host_ns(ticks)
+            if self._is_sane(t_ns, t_arrival_ns):
+                self._hull_suspects = 0
+                result = t_ns, ClockKind.HULL
+            else:
+                self._hull_suspects += 1
+                if self._hull_suspects >= self.suspects_to_reset:
+                    self._hull_suspects = 0
+                    self.hull.reset()
+        if self.echo is not None and self.echo.ready:
+            t_ns = self.echo.to_host_ns(ticks)
+            if self._is_sane(t_ns, t_arrival_ns):
+                self._echo_suspects = 0
+                return t_ns, ClockKind.ECHO
+            self._echo_suspects += 1
+            if self._echo_suspects >= self.suspects_to_reset:
+                self._echo_suspects = 0
+                self.echo.reset()
+                self.suspect_resets += 1
+        return result
+
+    def _is_sane(self, t_sent_ns: int, t_arrival_ns: int) -> bool:
+        return -self.early_ns <= t_arrival_ns - t_sent_ns < self.late_ns
