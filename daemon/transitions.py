@@ -1,0 +1,180 @@
+"""The state machine as one table: states, requests, facts, and the rows that join them.
+
+This is ``spec/safety.md`` section 3. ``choose`` is all the logic there is; ``supervisor`` derives
+the facts and says what the wire must carry in each state.
+"""
+
+from enum import IntEnum, IntFlag
+from typing import NamedTuple
+
+
+class State(IntEnum):
+    """Where the car is between switched on and driving; the order carries no meaning."""
+
+    INIT = 0
+    DISARMED = 1
+    READY = 2
+    SELF_TEST = 3
+    ARMED = 4
+    RUNNING = 5
+    STOPPING = 6
+    FAULT_STOP = 7
+    FAULT_LATCHED = 8
+    ESTOP = 9
+
+
+class Request(IntFlag):
+    """What operators and signals ask for in one tick; bits that nobody knows count as UNKNOWN."""
+
+    NONE = 0
+    ARM = 1
+    START = 2
+    STOP = 4
+    DISARM = 8
+    CLEAR = 16
+    ESTOP = 32
+    RESET = 64  # leaves ESTOP
+    ABORT = 128  # a second signal: stop hard
+    UNKNOWN = 256
+    KEEPALIVE = 512  # feeds the deadman (W25), moves nothing here
+
+
+class Motor(IntEnum):
+    """What the motor bytes of this tick must be."""
+
+    SILENT = 0  # telemetry polls only
+    SOFT_BRAKE = 1  # SET_CURRENT_BRAKE(I_soft)
+    HOLD_BRAKE = 2  # SET_CURRENT_BRAKE(I_hold)
+    DRIVE = 3  # the controller's order through the gate
+    RAMP_STOP = 4  # the same, under a speed cap that falls
+    BRAKE = 5  # SET_CURRENT_BRAKE(I_brake)
+    DUTY_ZERO = 6  # SET_DUTY 0, because the brake current does not slow the car
+    RELEASE_ONCE = 7  # SET_CURRENT 0
+    ESTOP_BRAKE = 8  # SET_CURRENT_BRAKE(I_max)
+
+
+class Steering(IntEnum):
+    """What the servo bytes of this tick must be; every angle goes through the gate."""
+
+    NONE = 0
+    CENTRE = 1
+    LIVE = 2  # the controller's angle
+    HOLD = 3  # the last accepted angle, as far as the gate's lateral acceleration allows it
+
+
+class Is(IntFlag):
+    """Facts that guards look at: the loop gives the first twelve, ``derive`` adds the others."""
+
+    LINKED = 1 << 0  # port open
+    IDENTIFIED = 1 << 1  # firmware, UUID and appconf prefix match, and mocap has been seen
+    GREEN = 1 << 2  # every pre-arm check passes now
+    FW_TIMEOUT = 1 << 3  # status bit 0 of a fresh GET_VALUES
+    LEASED = 1 << 4  # a valid lease, and the deadman where one is required
+    SOFT = 1 << 5  # a watchdog asks for STOPPING
+    HARD = 1 << 6  # a watchdog asks for FAULT_STOP
+    KILLED = 1 << 7  # a watchdog asks for ESTOP
+    ENDED = 1 << 8  # the run is over
+    LAUNCHED = 1 << 9  # the launch checks have passed
+    ESTIMATED = 1 << 10  # the estimator is healthy
+    SLOWING = 1 << 11  # the stop works, as far as W24 can tell
+    GREEN_HELD = 1 << 12  # GREEN for 1 s
+    STILL = 1 << 13  # |v| < 0.05 m/s for 0.3 s
+    MEASURED = 1 << 14  # the speed is known, from any source
+    PROVEN = 1 << 15  # FW_TIMEOUT through 210 ms of silence
+    ELAPSED = 1 << 16  # the state has lasted as long as it may
+    REARM = 1 << 17  # this stop was an operator's and nothing else came up
+    ARM = 1 << 18  # from here on Request, in its order
+    START = 1 << 19
+    STOP = 1 << 20
+    DISARM = 1 << 21
+    CLEAR = 1 << 22
+    CALL_ESTOP = 1 << 23
+    RESET = 1 << 24
+    ABORT = 1 << 25
+    UNKNOWN = 1 << 26
+
+
+class Row(NamedTuple):
+    """One transition: all of ``needs``, at least one of ``one_of`` (if any), none of ``unless``."""
+
+    sources: tuple[State, ...]
+    needs: int
+    one_of: int
+    unless: int
+    to: State
+    reason: str
+    """Empty: the watchdog's own words."""
+
+
+_ANY = tuple(State)
+INIT, DISARMED, READY, SELF_TEST, ARMED, RUNNING, STOPPING, FAULT_STOP, FAULT_LATCHED, ESTOP = _ANY
+_QUIET = (DISARMED, READY, SELF_TEST)
+_DRIVEN = (ARMED, RUNNING, STOPPING)
+_RED = Is.SOFT | Is.HARD
+_LEAVE = Is.DISARM | Is.UNKNOWN
+_HALT = Is.STOP | Is.DISARM | Is.ABORT | Is.UNKNOWN
+STOP_REASON = "stop asked for"
+UNPROVEN = (
+    "the VESC's timeout did not show: status bit 0 must stay set while nobody sends commands."
+    " Close VESC Tool and its apps, and set App Settings > General > Timeout to 100-200 ms"
+)
+_0 = Is(0)
+
+# The first row that matches wins. A fault of a car that is not armed is a red check: it keeps it
+# silent and disarmed. Faults of an armed car latch.
+TABLE: tuple[Row, ...] = tuple(
+    Row(sources, int(needs), int(one_of), int(unless), to, reason)
+    for sources, needs, one_of, unless, to, reason in (
+        (_ANY, Is.CALL_ESTOP, _0, _0, ESTOP, "emergency stop called"),
+        (_ANY, Is.KILLED, _0, _0, ESTOP, ""),
+        (_DRIVEN, Is.HARD, _0, _0, FAULT_STOP, ""),
+        (_DRIVEN, _0, _0, Is.LINKED, FAULT_STOP, "serial link lost"),
+        (_DRIVEN, Is.ABORT, _0, _0, FAULT_STOP, "second signal: stopping hard"),
+        (_QUIET, _0, _0, Is.LINKED, INIT, "serial link lost"),
+        (_QUIET, _0, _0, Is.IDENTIFIED, INIT, "VESC or mocap is not what the car file names"),
+        ((INIT,), Is.LINKED | Is.IDENTIFIED, _0, _0, DISARMED, "VESC identified, mocap seen"),
+        ((DISARMED,), Is.GREEN_HELD, _0, _RED, READY, "all checks green"),
+        ((READY, SELF_TEST), _0, _RED, _0, DISARMED, ""),
+        ((READY, SELF_TEST), _0, _0, Is.GREEN, DISARMED, "a pre-arm check turned red"),
+        ((READY,), Is.ARM | Is.LEASED, _0, _HALT, SELF_TEST, "proving the VESC's timeout"),
+        ((SELF_TEST,), _0, _0, Is.LEASED, DISARMED, "lease or deadman lost"),
+        ((SELF_TEST,), _0, _HALT, _0, DISARMED, "arming called off"),
+        ((SELF_TEST,), Is.PROVEN, _0, _0, ARMED, "VESC's timeout proven"),
+        ((SELF_TEST,), Is.ELAPSED, _0, Is.FW_TIMEOUT, DISARMED, UNPROVEN),
+        ((ARMED,), Is.SOFT, _0, _0, DISARMED, ""),
+        ((ARMED,), _0, _0, Is.LEASED, DISARMED, "lease or deadman lost"),
+        ((ARMED,), _0, _LEAVE, _0, DISARMED, "disarm asked for"),
+        ((ARMED,), Is.START | Is.GREEN, _0, _HALT, RUNNING, "start asked for"),
+        ((ARMED,), Is.ELAPSED, _0, _0, DISARMED, "armed for 30 s without a start"),
+        ((RUNNING,), Is.SOFT, _0, _0, STOPPING, ""),
+        ((RUNNING,), _0, _0, Is.LEASED, STOPPING, "lease or deadman lost"),
+        ((RUNNING,), _0, _LEAVE, _0, STOPPING, "disarm asked for"),
+        ((RUNNING,), Is.STOP, _0, _0, STOPPING, STOP_REASON),
+        ((RUNNING,), Is.ENDED, _0, _0, STOPPING, "end of the run"),
+        ((STOPPING,), Is.STILL | Is.REARM, _0, _0, ARMED, "stopped"),
+        ((STOPPING,), Is.STILL, _0, _0, DISARMED, "stopped"),
+        ((STOPPING,), Is.ELAPSED, _0, _0, FAULT_STOP, "not stopped after 4 s: braking hard"),
+        ((FAULT_STOP,), Is.STILL, _0, _0, FAULT_LATCHED, ""),
+        ((FAULT_STOP,), Is.ELAPSED, _0, Is.MEASURED, FAULT_LATCHED, ""),
+        ((FAULT_LATCHED,), Is.CLEAR | Is.STILL, _0, _RED, DISARMED, "fault cleared"),
+        ((ESTOP,), Is.RESET | Is.STILL | Is.ELAPSED, _0, _RED, DISARMED, "emergency stop reset"),
+    )
+)
+ROWS = tuple(tuple(row for row in TABLE if state in row.sources) for state in State)
+
+
+def is_engaged(state: State) -> bool:
+    """Whether motor bytes flow in this state, so that the guardian must brake if the core dies."""
+    return state in (ARMED, RUNNING, STOPPING, FAULT_STOP, ESTOP)
+
+
+def choose(state: State, bits: int) -> Row | None:
+    """Return the first row of ``TABLE`` that matches, or None to stay."""
+    for row in ROWS[state]:
+        if (
+            bits & row.needs == row.needs
+            and not bits & row.unless
+            and (not row.one_of or bits & row.one_of)
+        ):
+            return row
+    return None
