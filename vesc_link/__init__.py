@@ -1,1 +1,1 @@
-"""vesc_link."""
+"""The VESC motor controller on its serial link: framing, packets, units, port and client."""

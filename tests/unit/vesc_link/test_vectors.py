@@ -1,0 +1,225 @@
+"""Frames that the real firmware's own C code confirmed byte for byte, decoded and built again."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vesc_link import commands as c
+from vesc_link import identity as i
+from vesc_link import telemetry as t
+from vesc_link.frames import FrameParser, encode_frame
+from vesc_link.ids import FW_3_00, FW_7_01, Firmware
+from vesc_link.packets import decode_command, decode_reply, encode_command, encode_reply
+
+HERE = Path(__file__).parent
+SPEC: dict[str, Any] = json.loads((HERE / "vesc_vectors.json").read_text())
+VECTORS: dict[str, dict[str, Any]] = {vector["name"]: vector for vector in SPEC["vectors"]}
+REQUESTS = [name for name, vector in VECTORS.items() if vector["dir"] == "host->vesc"]
+REPLIES = [name for name, vector in VECTORS.items() if vector["dir"] == "vesc->host"]
+
+COMMANDS: dict[str, c.Command] = {
+    "get_fw_version_req": c.GetFwVersion(),
+    "get_values_req": c.GetValues(),
+    "get_values_selective_req_drive": c.GetValuesSelective(0x0020A18F),
+    "get_values_selective_req_sysid": c.GetValuesSelective(t.FAST_MASK),
+    "get_values_selective_req_min": c.GetValuesSelective(0x180),
+    "get_values_setup_req": c.GetValuesSetup(),
+    "get_values_setup_selective_req": c.GetValuesSetupSelective(0x00202040),
+    "set_duty_0.1": c.SetDuty(0.1),
+    "set_duty_neg0.25": c.SetDuty(-0.25),
+    "set_duty_1eneg05": c.SetDuty(1e-5),
+    "set_current_5.5": c.SetCurrent(5.5),
+    "set_current_neg12.345": c.SetCurrent(-12.345),
+    "set_current_0.0": c.SetCurrent(0.0),
+    "set_rpm_4614": c.SetErpm(4614),
+    "set_rpm_neg2307": c.SetErpm(-2307),
+    "set_rpm_0": c.SetErpm(0),
+    "set_pos_180.0": c.SetPos(180.0),
+    "set_handbrake_6.25": c.SetHandbrake(6.25),
+    "set_servo_0.5": c.SetServoPos(0.5),
+    "set_servo_0.15": c.SetServoPos(0.15),
+    "set_servo_0.85": c.SetServoPos(0.85),
+    "set_servo_0.0": c.SetServoPos(0.0),
+    "set_servo_1.0": c.SetServoPos(1.0),
+    "alive": c.Alive(),
+    "reboot": c.Reboot(),
+    "terminal_cmd_faults": c.TerminalCommand("faults"),
+    "ping_can": c.PingCan(),
+    "get_decoded_ppm_req": c.GetDecodedPpm(),
+    "get_imu_data_req_all": c.GetImuData(t.IMU_ALL_MASK),
+    "get_imu_data_req_acc_gyro": c.GetImuData(t.IMU_ACCEL_GYRO_MASK),
+    "get_stats_req_all": c.GetStats(0x07FF),
+    "forward_can_7_get_values": c.ForwardCan(7, b"\x04"),
+    "forward_can_7_set_rpm_neg": c.ForwardCan(7, encode_command(c.SetErpm(-2307))),
+    "app_disable_output_1s": c.AppDisableOutput(1000),
+    "motor_estop_2s": c.MotorEstop(2000),
+    "set_mcconf_temp_halfscale": c.SetMcConfTemp(
+        0.5, 0.5, -9228, 9228, 0.004999999888241291, 0.949999988079071, -500, 500, -20, 40
+    ),
+}
+NAMES = {
+    "current_motor": "motor_current",
+    "current_in": "input_current",
+    "current_tot": "motor_current",
+    "current_in_tot": "input_current",
+    "id": "d_current",
+    "iq": "q_current",
+    "v_in": "input_voltage",
+    "tacho": "tachometer",
+    "tacho_abs": "tachometer_abs",
+    "pid_pos": "pid_pos_deg",
+    "vd": "v_d",
+    "vq": "v_q",
+    "temp_fet": "temp_fet_c",
+    "temp_motor": "temp_motor_c",
+    "temp_pcb": "temp_pcb_c",
+    "batt_level": "battery_level",
+    "num_vescs": "vesc_count",
+    "cur_min_scale": "current_min_scale",
+    "cur_max_scale": "current_max_scale",
+    "min_erpm": "erpm_min",
+    "max_erpm": "erpm_max",
+    "min_duty": "duty_min",
+    "max_duty": "duty_max",
+    "in_cur_min": "input_current_min",
+    "in_cur_max": "input_current_max",
+    "wheel_diameter_m": "wheel_diameter",
+    "start_v": "start_voltage",
+    "end_v": "end_voltage",
+    "hw": "hw_name",
+    **{f"temp_mos{n}": f"temp_mos{n}_c" for n in range(1, 7)},
+}
+UNITS = {"acc_": ("accel_", t.STANDARD_GRAVITY), "gyro_": ("gyro_", 3.141592653589793 / 180)}
+
+
+def expected_fields(decoded: dict[str, Any]) -> dict[str, Any]:
+    fields: dict[str, Any] = {}
+    for name, value in decoded.items():
+        if name == "temp_mos123":
+            fields |= {f"temp_mos{n}_c": v for n, v in enumerate(value, 1)}
+        elif name == "mask":
+            fields["mask"] = int(value, 16)
+        elif name == "uuid":
+            fields["uuid"] = bytes.fromhex(value)
+        elif name[:-1] in UNITS:
+            prefix, unit = UNITS[name[:-1]]
+            fields[prefix + name[-1]] = value * unit
+        elif name not in ("cmd", "text_len"):
+            fields[NAMES.get(name, name)] = value
+    return fields
+
+
+def firmware_of(name: str) -> Firmware:
+    vector = VECTORS[name]
+    if name.startswith("fw_version"):
+        return Firmware(vector["decoded"]["major"], vector["decoded"]["minor"])
+    marks = {"2.18": FW_3_00, "3.40": (3, 40), "3.55": (3, 55), "5.02": (5, 2)}
+    return next((Firmware(*v) for mark, v in marks.items() if name.endswith(mark)), FW_7_01)
+
+
+def frame_of(name: str) -> bytes:
+    return bytes.fromhex(VECTORS[name]["frame"])
+
+
+def payload_of(name: str) -> bytes:
+    return bytes.fromhex(VECTORS[name]["payload"])
+
+
+def test_copy_of_vectors_is_the_spec() -> None:
+    original = HERE.parents[3] / "shared" / "spec" / "vesc-vectors.json"
+    if not original.is_file():
+        pytest.skip("the project's shared spec pages are not beside this checkout")
+    assert json.loads(original.read_text()) == SPEC
+
+
+def test_every_request_vector_has_a_command() -> None:
+    assert sorted(COMMANDS) == sorted(REQUESTS)
+
+
+@pytest.mark.parametrize("name", REQUESTS)
+def test_command_encodes_to_the_frame_and_back(name: str) -> None:
+    assert encode_frame(encode_command(COMMANDS[name])) == frame_of(name)
+    assert decode_command(payload_of(name)) == COMMANDS[name]
+
+
+@pytest.mark.parametrize("name", REPLIES)
+def test_reply_decodes_to_the_numbers_and_back(name: str) -> None:
+    reply = decode_reply(payload_of(name))
+    assert reply is not None
+    got = dataclasses.asdict(reply)
+    for field, value in expected_fields(VECTORS[name]["decoded"]).items():
+        number = isinstance(value, float | int)
+        assert got[field] == (pytest.approx(value, rel=1e-12) if number else value), field
+    assert got.get("extra_bytes", 0) == 0
+    again = encode_reply(reply, firmware_of(name))
+    assert encode_frame(again).hex() in (frame_of(name).hex(), short_form(name))
+
+
+def short_form(name: str) -> str:
+    """255 bytes are legal behind 0x03 too, though every sender writes the short header."""
+    payload = payload_of(name)
+    return encode_frame(payload).hex() if len(payload) == 255 else ""
+
+
+@pytest.mark.parametrize("name", [n for n in REPLIES if n.startswith(("get_values", "imu"))])
+def test_absent_fields_are_none(name: str) -> None:
+    reply = decode_reply(payload_of(name))
+    assert isinstance(reply, t.Values | t.ValuesSetup | t.Imu)
+    told = {*expected_fields(VECTORS[name]["decoded"]), "extra_bytes"}
+    rest = {k: v for k, v in dataclasses.asdict(reply).items() if k not in told}
+    assert set(rest.values()) <= {None}
+
+
+@pytest.mark.parametrize("strict", [True, False])
+@pytest.mark.parametrize("name", [*REQUESTS, *REPLIES])
+def test_vector_frame_whole_bytewise_and_with_a_tail(name: str, strict: bool) -> None:
+    frame, payload = frame_of(name), payload_of(name)
+    assert FrameParser(strict=strict).feed(frame, 0) == [payload]
+    parser = FrameParser(strict=strict)
+    for at, byte in enumerate(frame):
+        assert parser.feed(bytes((byte,)), at) == ([payload] if at == len(frame) - 1 else [])
+    assert (parser.frames, parser.crc_errors, parser.dropped_bytes) == (1, 0, 0)
+    parser = FrameParser(strict=strict)
+    assert parser.feed(frame + frame[:-1], 0) == [payload]
+    assert parser.buffered == len(frame) - 1
+    assert parser.feed(frame[-1:], 0) == [payload]
+
+
+@pytest.mark.parametrize("stream", SPEC["streams"], ids=lambda s: s["name"])
+def test_stream_completes_at_the_firmware_byte(stream: dict[str, Any]) -> None:
+    data = bytes.fromhex(stream["bytes"])
+    strict = FrameParser(strict=True)
+    got = [(p.hex(), n) for n, b in enumerate(data, 1) for p in strict.feed(bytes((b,)), 0)]
+    assert got == list(zip(stream["payloads"], stream["completed_at_byte"], strict=True))
+
+
+@pytest.mark.parametrize("stream", SPEC["streams"], ids=lambda s: s["name"])
+def test_stream_whole_gives_the_same_payloads_and_the_host_is_never_later(
+    stream: dict[str, Any],
+) -> None:
+    data = bytes.fromhex(stream["bytes"])
+    for strict in (True, False):
+        whole = FrameParser(strict=strict).feed(data, 0)
+        assert [payload.hex() for payload in whole] == stream["payloads"]
+    host = FrameParser()
+    got = [(p.hex(), n) for n, b in enumerate(data, 1) for p in host.feed(bytes((b,)), 0)]
+    assert [payload for payload, _ in got] == stream["payloads"]
+    assert all(n <= late for (_, n), late in zip(got, stream["completed_at_byte"], strict=True))
+
+
+def test_first_good_frame_behind_a_false_long_header_reaches_the_host_at_once() -> None:
+    stream = next(s for s in SPEC["streams"] if s["name"] == "false_long_header_512")
+    host = FrameParser()
+    first = bytes.fromhex(stream["bytes"])[:11]
+    assert [p.hex() for p in host.feed(first, 0)] == ["0c01f4"]
+
+
+def test_reply_types() -> None:
+    kinds = {type(decode_reply(payload_of(name))) for name in REPLIES}
+    assert kinds == {
+        t.Values, t.ValuesSetup, t.Imu, i.FwVersion, i.McConfTemp, i.BatteryCut, i.DecodedPpm,
+        i.Print,
+    }  # fmt: skip

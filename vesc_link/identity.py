@@ -1,0 +1,247 @@
+"""What a VESC is and how it is set: version and UUID, limits, timeout, and the small replies.
+
+Source: spec page ``vesc-serial.md``, sections 2 and 2.4; ``safety.md`` fact 3 for GET_APPCONF.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from vesc_link.ids import CommandId, Firmware
+from vesc_link.wire import Field, device_number, pack_fields, unpack_fields
+
+
+@dataclass(frozen=True, slots=True)
+class FwVersion:
+    """FW_VERSION reply; what the firmware did not send is None.
+
+    The UUID is the only identity: USB serial numbers are the same on every VESC.
+    """
+
+    major: int
+    minor: int
+    hw_name: str | None = None
+    uuid: bytes | None = None
+    paired: int | None = None
+    test_build: int | None = None
+    hw_type: int | None = None
+    custom_config_count: int | None = None
+    phase_filters: int | None = None
+    qml_hw: int | None = None
+    qml_app: int | None = None
+    nrf_flags: int | None = None
+    fw_name: str | None = None
+    hw_config_crc: int | None = None
+    extra_bytes: int = 0
+
+    @property
+    def firmware(self) -> Firmware:
+        """Version to compare layouts with."""
+        return Firmware(self.major, self.minor)
+
+
+_VERSION_FIELDS = (
+    Field("hw_name", "text", None, Firmware(3, 7)),
+    Field("uuid", "12s", None, Firmware(3, 7)),
+    Field("paired", "B", None, Firmware(3, 48)),
+    Field("test_build", "B", None, Firmware(5, 0)),
+    Field("hw_type", "B", None, Firmware(5, 2)),
+    Field("custom_config_count", "B", None, Firmware(5, 2)),
+    Field("phase_filters", "B", None, Firmware(5, 3)),
+    Field("qml_hw", "B", None, Firmware(5, 3)),
+    Field("qml_app", "B", None, Firmware(5, 3)),
+    Field("nrf_flags", "B", None, Firmware(6, 0)),
+    Field("fw_name", "text", None, Firmware(6, 0)),
+    Field("hw_config_crc", "I", None, Firmware(6, 5)),
+)
+
+
+def decode_fw_version(payload: bytes) -> FwVersion | None:
+    """Decode while bytes remain; None if not even the version is there."""
+    if len(payload) < 3:
+        return None
+    values: dict[str, Any] = {}
+    at = 3
+    for field in _VERSION_FIELDS:
+        size = payload.find(b"\0", at) + 1 - at if field.code == "text" else field.size
+        if size < 1 or at + size > len(payload):
+            break
+        values[field.name] = _version_value(field.code, payload[at : at + size])
+        at += size
+    return FwVersion(payload[1], payload[2], **values, extra_bytes=len(payload) - at)
+
+
+def _version_value(code: str, raw: bytes) -> str | bytes | int:
+    if code == "text":
+        return raw[:-1].decode("latin-1")
+    return raw if code == "12s" else int.from_bytes(raw, "big")
+
+
+def encode_fw_version(reply: FwVersion, firmware: Firmware) -> bytes:
+    """FW_VERSION reply as this firmware sends it; absent text is empty, absent numbers zero.
+
+    Raises:
+        ValueError: the UUID is not 12 bytes long.
+    """
+    parts = [bytes((CommandId.FW_VERSION, reply.major, reply.minor))]
+    for field in _VERSION_FIELDS:
+        if firmware < field.since:
+            break
+        value = getattr(reply, field.name)
+        if field.code == "text":
+            parts.append((value or "").encode("latin-1") + b"\0")
+        elif field.code == "12s":
+            parts.append(_checked_uuid(value))
+        else:
+            parts.append((value or 0).to_bytes(field.size, "big"))
+    return b"".join(parts)
+
+
+def _checked_uuid(uuid: bytes | None) -> bytes:
+    if uuid is None or len(uuid) != 12:
+        raise ValueError("a VESC UUID has 12 bytes")
+    return uuid
+
+
+@dataclass(frozen=True, slots=True)
+class AppConf:
+    """GET_APPCONF reply: the head, the same in every firmware from 3.55 to 7.01, and the rest raw.
+
+    ``timeout_ms`` 0 switches the VESC's own command timeout off; ``timeout_brake_current`` [A] is
+    what it applies afterwards, 0 being coasting.
+    """
+
+    signature: int
+    controller_id: int
+    timeout_ms: int
+    timeout_brake_current: float
+    tail: bytes = b""
+
+
+_APPCONF_FIELDS = (
+    Field("signature", "I"),
+    Field("controller_id", "B"),
+    Field("timeout_ms", "I"),
+    Field("timeout_brake_current", "f"),
+)
+_APPCONF_HEAD = 1 + sum(field.size for field in _APPCONF_FIELDS)
+
+
+def decode_appconf(payload: bytes) -> AppConf | None:
+    """Decode the head of an app configuration; None if it is cut or its brake current no number."""
+    if len(payload) < _APPCONF_HEAD:
+        return None
+    values, _ = unpack_fields(_APPCONF_FIELDS, payload, 1)
+    if not math.isfinite(values["timeout_brake_current"]):
+        return None
+    return AppConf(**values, tail=payload[_APPCONF_HEAD:])
+
+
+def encode_appconf(reply: AppConf) -> bytes:
+    """GET_APPCONF reply."""
+    numbers = {field.name: getattr(reply, field.name) for field in _APPCONF_FIELDS}
+    head = bytes((CommandId.GET_APPCONF,)) + pack_fields(_APPCONF_FIELDS, numbers, device_number)
+    return head + reply.tail
+
+
+@dataclass(frozen=True, slots=True)
+class McConfTemp:
+    """GET_MCCONF_TEMP reply: limits in force [ERPM, duty, W, A] and the drive train."""
+
+    current_min_scale: float
+    current_max_scale: float
+    erpm_min: float
+    erpm_max: float
+    duty_min: float
+    duty_max: float
+    watt_min: float
+    watt_max: float
+    input_current_min: float
+    input_current_max: float
+    motor_poles: int
+    gear_ratio: float
+    wheel_diameter: float
+
+    @property
+    def erpm_gain(self) -> float:
+        """ERPM per m/s that these settings imply: ``60 * pole pairs * gear / (pi * D)``."""
+        return 30 * self.motor_poles * self.gear_ratio / (math.pi * self.wheel_diameter)
+
+
+LIMIT_FIELDS = tuple(
+    Field(name, "f")
+    for name in (
+        "current_min_scale", "current_max_scale", "erpm_min", "erpm_max", "duty_min", "duty_max",
+        "watt_min", "watt_max", "input_current_min", "input_current_max",
+    )
+)  # fmt: skip
+"""The ten limits, in the order of GET_MCCONF_TEMP and SET_MCCONF_TEMP."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryCut:
+    """GET_BATTERY_CUT reply [V]: where the current limit begins to fall, and where it ends."""
+
+    start_voltage: float
+    end_voltage: float
+
+
+@dataclass(frozen=True, slots=True)
+class DecodedPpm:
+    """GET_DECODED_PPM reply: receiver level -1 to 1 and pulse length."""
+
+    level: float
+    pulse_ms: float
+
+
+@dataclass(frozen=True, slots=True)
+class RotorPosition:
+    """Unsolicited rotor position, every 10 ms while a display mode is on."""
+
+    angle_deg: float
+
+
+SMALL_REPLIES: dict[
+    CommandId, tuple[type[McConfTemp | BatteryCut | DecodedPpm | RotorPosition], tuple[Field, ...]]
+] = {
+    CommandId.GET_MCCONF_TEMP: (
+        McConfTemp,
+        (
+            *LIMIT_FIELDS,
+            Field("motor_poles", "B"),
+            Field("gear_ratio", "f"),
+            Field("wheel_diameter", "f"),
+        ),
+    ),
+    CommandId.GET_BATTERY_CUT: (
+        BatteryCut,
+        (Field("start_voltage", "i", 1e3), Field("end_voltage", "i", 1e3)),
+    ),
+    CommandId.GET_DECODED_PPM: (
+        DecodedPpm,
+        (Field("level", "i", 1e6), Field("pulse_ms", "i", 1e6)),
+    ),
+    CommandId.ROTOR_POSITION: (RotorPosition, (Field("angle_deg", "i", 1e5),)),
+}
+"""Replies of fixed layout: what they become and their fields; a shorter one is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Print:
+    """Text that the VESC prints, in answer to a terminal command or by itself."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class CanIds:
+    """PING_CAN reply: the ids that answered."""
+
+    ids: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """A bare id sent back: the command was carried out."""
+
+    command: CommandId

@@ -1,0 +1,380 @@
+"""What a VESC measures: telemetry, set-up telemetry, IMU and statistics replies.
+
+A field that the firmware did not send is None, never zero. Fields are read in order until the
+payload ends, so one rule serves every firmware from 2.18 to 7.01 and masks with bits that an old
+firmware does not know. Source: spec page ``vesc-serial.md``, sections 2.1 to 2.3 and GET_STATS.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+from vesc_link.ids import FW_3_00, FW_6_05, CommandId, Firmware, fault_name
+from vesc_link.wire import Field, all_finite, device_number, pack_fields, unpack_fields
+
+STANDARD_GRAVITY = 9.80665
+"""[m/s^2], the firmware's g."""
+FAST_MASK = 0x0038E1FF
+"""GET_VALUES_SELECTIVE bits 0-8, 13-15 and 19-21: all that a controller or a motor fit needs."""
+UPTIME_MASK = 0x00200000
+"""GET_VALUES_SETUP_SELECTIVE bit 21."""
+IMU_ACCEL_GYRO_MASK = 0x01F8
+IMU_ALL_MASK = 0xFFFF
+
+
+@dataclass(frozen=True, slots=True)
+class Values:
+    """GET_VALUES or GET_VALUES_SELECTIVE reply [A, V, °C, Ah, Wh].
+
+    Currents and ``v_d``, ``v_q`` are means since the last read by anyone. The tachometer counts six
+    steps per electrical revolution. ``mask`` is the echoed mask, None for a full reply.
+    ``extra_bytes`` counts trailing bytes that are no field we know.
+    """
+
+    temp_fet_c: float | None = None
+    temp_motor_c: float | None = None
+    motor_current: float | None = None
+    input_current: float | None = None
+    d_current: float | None = None
+    q_current: float | None = None
+    duty: float | None = None
+    erpm: float | None = None
+    input_voltage: float | None = None
+    ah: float | None = None
+    ah_charged: float | None = None
+    wh: float | None = None
+    wh_charged: float | None = None
+    tachometer: int | None = None
+    tachometer_abs: int | None = None
+    fault: int | None = None
+    pid_pos_deg: float | None = None
+    controller_id: int | None = None
+    temp_mos1_c: float | None = None
+    temp_mos2_c: float | None = None
+    temp_mos3_c: float | None = None
+    v_d: float | None = None
+    v_q: float | None = None
+    status: int | None = None
+    temp_mos4_c: float | None = None
+    temp_mos5_c: float | None = None
+    temp_mos6_c: float | None = None
+    temp_pcb_c: float | None = None
+    mask: int | None = None
+    extra_bytes: int = 0
+
+    @property
+    def timeout_active(self) -> bool | None:
+        """Whether the VESC's own command timeout has struck; None before firmware 5.03."""
+        return None if self.status is None else bool(self.status & 1)
+
+    @property
+    def kill_switch(self) -> bool | None:
+        """Whether the VESC's kill switch holds the motor; None before firmware 5.03."""
+        return None if self.status is None else bool(self.status & 2)
+
+    @property
+    def fault_name(self) -> str | None:
+        """Name of the fault code."""
+        return None if self.fault is None else fault_name(self.fault)
+
+
+_VALUES_BITS: tuple[tuple[Field, ...], ...] = (
+    (Field("temp_fet_c", "h", 1e1),),
+    (Field("temp_motor_c", "h", 1e1),),
+    (Field("motor_current", "i", 1e2),),
+    (Field("input_current", "i", 1e2),),
+    (Field("d_current", "i", 1e2),),
+    (Field("q_current", "i", 1e2),),
+    (Field("duty", "h", 1e3),),
+    (Field("erpm", "i", 1e0),),
+    (Field("input_voltage", "h", 1e1),),
+    (Field("ah", "i", 1e4),),
+    (Field("ah_charged", "i", 1e4),),
+    (Field("wh", "i", 1e4),),
+    (Field("wh_charged", "i", 1e4),),
+    (Field("tachometer", "i"),),
+    (Field("tachometer_abs", "i"),),
+    (Field("fault", "B"),),
+    (Field("pid_pos_deg", "i", 1e6, Firmware(3, 34)),),
+    (Field("controller_id", "B", None, Firmware(3, 40)),),
+    tuple(Field(f"temp_mos{n}_c", "h", 1e1, Firmware(3, 48)) for n in (1, 2, 3)),
+    (Field("v_d", "i", 1e3, Firmware(3, 60)),),
+    (Field("v_q", "i", 1e3, Firmware(3, 60)),),
+    (Field("status", "B", None, Firmware(5, 3)),),
+)
+_OLD_VALUES: tuple[Field, ...] = (
+    *(Field(f"temp_mos{n}_c", "h", 1e1) for n in range(1, 7)),
+    Field("temp_pcb_c", "h", 1e1),
+    Field("motor_current", "i", 1e2),
+    Field("input_current", "i", 1e2),
+    Field("duty", "h", 1e3),
+    Field("erpm", "i", 1e0),
+    Field("input_voltage", "h", 1e1),
+    Field("ah", "i", 1e4),
+    Field("ah_charged", "i", 1e4),
+    Field("wh", "i", 1e4),
+    Field("wh_charged", "i", 1e4),
+    Field("tachometer", "i"),
+    Field("tachometer_abs", "i"),
+    Field("fault", "B"),
+)
+_OLD_VALUES_SIZE = 56
+"""Reply length that tells the table of firmware 3.00 and older from all later ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class ValuesSetup:
+    """GET_VALUES_SETUP or its selective reply [A, V, °C, m/s, m, Ah, Wh].
+
+    ``speed`` and ``distance`` follow the VESC's own gear and wheel settings, which are wrong on
+    almost every car; currents are summed over the CAN bus.
+    """
+
+    temp_fet_c: float | None = None
+    temp_motor_c: float | None = None
+    motor_current: float | None = None
+    input_current: float | None = None
+    duty: float | None = None
+    erpm: float | None = None
+    speed: float | None = None
+    input_voltage: float | None = None
+    battery_level: float | None = None
+    ah: float | None = None
+    ah_charged: float | None = None
+    wh: float | None = None
+    wh_charged: float | None = None
+    distance: float | None = None
+    distance_abs: float | None = None
+    pid_pos_deg: float | None = None
+    fault: int | None = None
+    controller_id: int | None = None
+    vesc_count: int | None = None
+    wh_left: float | None = None
+    odometer_m: int | None = None
+    uptime_ms: int | None = None
+    mask: int | None = None
+    extra_bytes: int = 0
+
+
+_SETUP_BITS: tuple[tuple[Field, ...], ...] = (
+    (Field("temp_fet_c", "h", 1e1),),
+    (Field("temp_motor_c", "h", 1e1),),
+    (Field("motor_current", "i", 1e2),),
+    (Field("input_current", "i", 1e2),),
+    (Field("duty", "h", 1e3),),
+    (Field("erpm", "i", 1e0),),
+    (Field("speed", "i", 1e3),),
+    (Field("input_voltage", "h", 1e1),),
+    (Field("battery_level", "h", 1e3),),
+    (Field("ah", "i", 1e4),),
+    (Field("ah_charged", "i", 1e4),),
+    (Field("wh", "i", 1e4),),
+    (Field("wh_charged", "i", 1e4),),
+    (Field("distance", "i", 1e3),),
+    (Field("distance_abs", "i", 1e3),),
+    (Field("pid_pos_deg", "i", 1e6),),
+    (Field("fault", "B"),),
+    (Field("controller_id", "B"),),
+    (Field("vesc_count", "B"),),
+    (Field("wh_left", "i", 1e3),),
+    (Field("odometer_m", "I", None, Firmware(5, 2)),),
+    (Field("uptime_ms", "I", None, Firmware(5, 3)),),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Imu:
+    """GET_IMU_DATA reply in SI units: rad, m/s², rad/s; the magnetometer as the board scales it.
+
+    Take the attitude from the quaternion: the firmware's roll and yaw have the opposite sign of the
+    standard ones. ``controller_id`` is sent since firmware 6.05.
+    """
+
+    mask: int
+    roll: float | None = None
+    pitch: float | None = None
+    yaw: float | None = None
+    accel_x: float | None = None
+    accel_y: float | None = None
+    accel_z: float | None = None
+    gyro_x: float | None = None
+    gyro_y: float | None = None
+    gyro_z: float | None = None
+    mag_x: float | None = None
+    mag_y: float | None = None
+    mag_z: float | None = None
+    q_w: float | None = None
+    q_x: float | None = None
+    q_y: float | None = None
+    q_z: float | None = None
+    controller_id: int | None = None
+    extra_bytes: int = 0
+
+    @property
+    def has_chip(self) -> bool | None:
+        """False if the board has no IMU: it answers with zeros all the same.
+
+        A real accelerometer at rest reads 1 g; below 0.1 g there is none (section 2.3). None when
+        the reply holds no complete acceleration.
+        """
+        if self.accel_x is None or self.accel_y is None or self.accel_z is None:
+            return None
+        return math.hypot(self.accel_x, self.accel_y, self.accel_z) >= 0.1 * STANDARD_GRAVITY
+
+
+_IMU_UNIT = {
+    **dict.fromkeys(("accel_x", "accel_y", "accel_z"), STANDARD_GRAVITY),
+    **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), math.pi / 180),
+}
+_IMU_BITS: tuple[tuple[Field, ...], ...] = tuple(
+    (Field(name, "f"),)
+    for name in (
+        "roll", "pitch", "yaw", "accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z",
+        "mag_x", "mag_y", "mag_z", "q_w", "q_x", "q_y", "q_z",
+    )
+)  # fmt: skip
+_IMU_ID = Field("controller_id", "B", None, FW_6_05)
+
+
+@dataclass(frozen=True, slots=True)
+class Stats:
+    """GET_STATS reply [m/s, W, A, °C, s]; the mask is 16 bits in the request and 32 here."""
+
+    mask: int
+    speed_avg: float | None = None
+    speed_max: float | None = None
+    power_avg: float | None = None
+    power_max: float | None = None
+    current_avg: float | None = None
+    current_max: float | None = None
+    temp_mos_avg_c: float | None = None
+    temp_mos_max_c: float | None = None
+    temp_motor_avg_c: float | None = None
+    temp_motor_max_c: float | None = None
+    time: float | None = None
+    extra_bytes: int = 0
+
+
+_STATS_BITS: tuple[tuple[Field, ...], ...] = tuple(
+    (Field(name, "f"),)
+    for name in (
+        "speed_avg", "speed_max", "power_avg", "power_max", "current_avg", "current_max",
+        "temp_mos_avg_c", "temp_mos_max_c", "temp_motor_avg_c", "temp_motor_max_c", "time",
+    )
+)  # fmt: skip
+
+
+@lru_cache(maxsize=64)
+def _selected(
+    bits: tuple[tuple[Field, ...], ...], mask: int | None, firmware: Firmware | None
+) -> tuple[Field, ...]:
+    """Fields in bit order; a mask of None selects all, a firmware of None knows all."""
+    return tuple(
+        field
+        for bit, fields in enumerate(bits)
+        for field in fields
+        if (mask is None or mask >> bit & 1) and (firmware is None or firmware >= field.since)
+    )
+
+
+def decode_values(payload: bytes) -> Values:
+    """Decode a full telemetry reply; its length tells the firmware's table."""
+    old = len(payload) == _OLD_VALUES_SIZE
+    fields = _OLD_VALUES if old else _selected(_VALUES_BITS, None, None)
+    values, extra = unpack_fields(fields, payload, 1)
+    return Values(**values, extra_bytes=extra)
+
+
+def decode_values_selective(payload: bytes) -> Values | None:
+    """Decode a selective telemetry reply; None if the mask itself is cut."""
+    if len(payload) < 5:
+        return None
+    mask = int.from_bytes(payload[1:5], "big")
+    values, extra = unpack_fields(_selected(_VALUES_BITS, mask, None), payload, 5)
+    return Values(**values, mask=mask, extra_bytes=extra)
+
+
+def decode_setup(payload: bytes) -> ValuesSetup:
+    """Decode a full set-up telemetry reply."""
+    values, extra = unpack_fields(_selected(_SETUP_BITS, None, None), payload, 1)
+    return ValuesSetup(**values, extra_bytes=extra)
+
+
+def decode_setup_selective(payload: bytes) -> ValuesSetup | None:
+    """Decode a selective set-up reply; None if the mask itself is cut."""
+    if len(payload) < 5:
+        return None
+    mask = int.from_bytes(payload[1:5], "big")
+    values, extra = unpack_fields(_selected(_SETUP_BITS, mask, None), payload, 5)
+    return ValuesSetup(**values, mask=mask, extra_bytes=extra)
+
+
+def decode_imu(payload: bytes) -> Imu | None:
+    """Decode an IMU reply into SI units; None if the mask is cut or a number not finite."""
+    if len(payload) < 3:
+        return None
+    mask = int.from_bytes(payload[1:3], "big")
+    fields = (*_selected(_IMU_BITS, mask, None), _IMU_ID)
+    values, extra = unpack_fields(fields, payload, 3)
+    if not all_finite(values):
+        return None
+    for name in _IMU_UNIT.keys() & values.keys():
+        values[name] *= _IMU_UNIT[name]
+    return Imu(mask, **values, extra_bytes=extra)
+
+
+def decode_stats(payload: bytes) -> Stats | None:
+    """Decode a statistics reply; None if the mask is cut or a number not finite."""
+    if len(payload) < 5:
+        return None
+    mask = int.from_bytes(payload[1:5], "big")
+    values, extra = unpack_fields(_selected(_STATS_BITS, mask, None), payload, 5)
+    return Stats(mask, **values, extra_bytes=extra) if all_finite(values) else None
+
+
+def values_size(mask: int | None, firmware: Firmware) -> int:
+    """Payload length of the telemetry reply that this firmware sends [bytes]."""
+    if mask is None and firmware <= FW_3_00:
+        return _OLD_VALUES_SIZE
+    head = 1 if mask is None else 5
+    return head + sum(field.size for field in _selected(_VALUES_BITS, mask, firmware))
+
+
+def _device_bytes(reply: Values | ValuesSetup | Imu | Stats, fields: tuple[Field, ...]) -> bytes:
+    numbers = {field.name: getattr(reply, field.name) or 0 for field in fields}
+    if isinstance(reply, Imu):
+        numbers = {name: value / _IMU_UNIT.get(name, 1.0) for name, value in numbers.items()}
+    return pack_fields(fields, numbers, device_number)
+
+
+def encode_values(reply: Values, firmware: Firmware) -> bytes:
+    """Telemetry reply as this firmware sends it; what is None goes out as zero."""
+    if reply.mask is None:
+        old = firmware <= FW_3_00
+        fields = _OLD_VALUES if old else _selected(_VALUES_BITS, None, firmware)
+        return bytes((CommandId.GET_VALUES,)) + _device_bytes(reply, fields)
+    head = bytes((CommandId.GET_VALUES_SELECTIVE,)) + reply.mask.to_bytes(4, "big")
+    return head + _device_bytes(reply, _selected(_VALUES_BITS, reply.mask, firmware))
+
+
+def encode_setup(reply: ValuesSetup, firmware: Firmware) -> bytes:
+    """Set-up telemetry reply as this firmware sends it; what is None goes out as zero."""
+    fields = _selected(_SETUP_BITS, reply.mask, firmware)
+    if reply.mask is None:
+        return bytes((CommandId.GET_VALUES_SETUP,)) + _device_bytes(reply, fields)
+    head = bytes((CommandId.GET_VALUES_SETUP_SELECTIVE,)) + reply.mask.to_bytes(4, "big")
+    return head + _device_bytes(reply, fields)
+
+
+def encode_imu(reply: Imu, firmware: Firmware) -> bytes:
+    """IMU reply as this firmware sends it, converted back to g and deg/s."""
+    head = bytes((CommandId.GET_IMU_DATA,)) + reply.mask.to_bytes(2, "big")
+    body = _device_bytes(reply, _selected(_IMU_BITS, reply.mask, None))
+    trailer = bytes((reply.controller_id or 0,)) if firmware >= FW_6_05 else b""
+    return head + body + trailer
+
+
+def encode_stats(reply: Stats, firmware: Firmware) -> bytes:
+    """Statistics reply as this firmware sends it."""
+    head = bytes((CommandId.GET_STATS,)) + reply.mask.to_bytes(4, "big")
+    return head + _device_bytes(reply, _selected(_STATS_BITS, reply.mask, firmware))

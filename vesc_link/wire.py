@@ -1,0 +1,152 @@
+"""Numbers as the VESC writes them: big-endian integers times a scale, and binary32.
+
+The host rounds half away from zero, as VESC Tool does. The device multiplies in single precision
+and truncates toward zero, and its numbers are reproduced bit for bit.
+Source: spec page ``vesc-serial.md``, section 1.2.
+"""
+
+import math
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from vesc_link.ids import ALWAYS, Firmware
+
+_RANGES = {
+    "?": (0, 1),
+    "b": (-(1 << 7), (1 << 7) - 1),
+    "B": (0, (1 << 8) - 1),
+    "h": (-(1 << 15), (1 << 15) - 1),
+    "H": (0, (1 << 16) - 1),
+    "i": (-(1 << 31), (1 << 31) - 1),
+    "I": (0, (1 << 32) - 1),
+}
+_SMALLEST_F32 = 1.5e-38
+"""Below this the firmware's float32_auto writes zero."""
+
+Number = float | int
+Rounder = Callable[[str, float | None, Number], Number]
+"""`host_number` or `device_number`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One number on the wire.
+
+    Attributes:
+        name: field of the dataclass that holds it.
+        code: its struct code; ``f`` is the firmware's float32_auto, ``?`` a flag byte.
+        scale: wire counts per unit; None for a plain integer.
+        since: first firmware that sends it.
+    """
+
+    name: str
+    code: str
+    scale: float | None = None
+    since: Firmware = ALWAYS
+
+    @property
+    def size(self) -> int:
+        """Bytes on the wire."""
+        return struct.calcsize(">" + self.code)
+
+
+def to_f32(value: float) -> float:
+    """Round to single precision.
+
+    Raises:
+        ValueError: not finite in single precision.
+    """
+    if not math.isfinite(value) or abs(value) >= 3.4028235677973366e38:
+        raise ValueError(f"{value} cannot be sent: the VESC's floats are finite single precision")
+    single: float = struct.unpack(">f", struct.pack(">f", value))[0]
+    return single
+
+
+def host_number(code: str, scale: float | None, value: Number) -> Number:
+    """Wire number as the host sends it: rounded half away from zero, refused if out of range.
+
+    Raises:
+        ValueError: NaN, infinity, or outside what the field holds.
+    """
+    if code == "f":
+        return _auto_f32(value)
+    if not math.isfinite(value):
+        raise ValueError(f"{value} cannot be sent to a VESC")
+    scaled = value * (1 if scale is None else scale)
+    count = int(math.copysign(math.floor(abs(scaled) + 0.5), scaled))
+    low, high = _RANGES[code]
+    if not low <= count <= high:
+        raise ValueError(f"{value} does not fit its field ({low} to {high} counts)")
+    return count
+
+
+def device_number(code: str, scale: float | None, value: Number) -> Number:
+    """Wire number as the firmware sends it: single precision product, truncated, saturated.
+
+    Raises:
+        ValueError: NaN or infinity (a simulated device must not have one).
+    """
+    if code == "f":
+        return _auto_f32(value)
+    low, high = _RANGES[code]
+    count = int(value) if scale is None else math.trunc(to_f32(to_f32(value) * scale))
+    return min(max(count, low), high)
+
+
+def _auto_f32(value: float) -> float:
+    single = to_f32(value)
+    return 0.0 if abs(single) < _SMALLEST_F32 else single
+
+
+def pack_fields(
+    fields: Sequence[Field], values: Mapping[str, Number | None], rounder: Rounder
+) -> bytes:
+    """Write fields in order.
+
+    Raises:
+        ValueError: a value is missing, not finite or does not fit.
+    """
+    numbers = []
+    for field in fields:
+        value = values[field.name]
+        if value is None:
+            raise ValueError(f"{field.name} has no value; a packet is sent whole or not at all")
+        numbers.append(rounder(field.code, field.scale, value))
+    return struct.pack(">" + "".join(f.code for f in fields), *numbers)
+
+
+@lru_cache(maxsize=64)
+def _layout(fields: tuple[Field, ...], size: int) -> tuple[struct.Struct, tuple[Field, ...]]:
+    """Compile the fields that lie whole within ``size`` bytes."""
+    present: list[Field] = []
+    left = size
+    for field in fields:
+        left -= field.size
+        if left < 0:
+            break
+        present.append(field)
+    return struct.Struct(">" + "".join(f.code for f in present)), tuple(present)
+
+
+def unpack_fields(
+    fields: tuple[Field, ...], payload: bytes, offset: int
+) -> tuple[dict[str, Any], int]:
+    """Read fields in order until the payload ends.
+
+    Returns:
+        The values by name (fields beyond the end are absent) and the number of bytes left over.
+    """
+    layout, present = _layout(fields, len(payload) - offset)
+    numbers = layout.unpack_from(payload, offset)
+    values = {
+        f.name: n if f.scale is None else n / f.scale for f, n in zip(present, numbers, strict=True)
+    }
+    return values, len(payload) - offset - layout.size
+
+
+def all_finite(values: Mapping[str, Number | None]) -> bool:
+    """Whether no value is NaN or infinite; a firmware sends neither, so such a packet is wrong."""
+    return all(value is None or math.isfinite(value) for value in values.values())
