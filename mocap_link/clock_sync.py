@@ -8,6 +8,7 @@ Ticks stay integers and are subtracted before anything is divided. Methods and f
 from __future__ import annotations
 
 from collections import deque
+from itertools import pairwise
 from typing import Protocol
 
 NS = 1_000_000_000
@@ -233,7 +234,7 @@ def _hull_slope(points: list[tuple[int, int]], x: float) -> float:
             hull[-1] = min(hull[-1], p)
         else:
             hull.append(p)
-    for (ax, ay), (bx, by) in zip(hull, hull[1:], strict=False):
+    for (ax, ay), (bx, by) in pairwise(hull):
         if x <= bx:
             return (by - ay) / (bx - ax)
     return 0.0

@@ -153,7 +153,7 @@ def step_gates(
     Returns:
         The memory after, and None or the reason for rejection.
     """
-    order = _check_order(state, raw)
+    order = find_disorder(state, raw)
     if order is not None:
         return state, order
     key = (*raw.position, *raw.quaternion)
@@ -173,7 +173,8 @@ def step_gates(
     return _check_place(config, state, fix, stationary)
 
 
-def _check_order(state: GateState, raw: RawPose) -> str | None:
+def find_disorder(state: GateState, raw: RawPose) -> str | None:
+    """Say whether the frame number does not rise: `duplicate`, `out_of_order` or None."""
     if raw.frame is None or state.frame is None or raw.frame > state.frame:
         return None
     return "duplicate" if raw.frame == state.frame else "out_of_order"

@@ -36,7 +36,7 @@ class SourceTiming:
         self.echo = EchoClock(frequency_hz) if two_way else None
         self.hull = HullClock(frequency_hz)
         self.suspect_resets = 0
-        self._echo_suspects = self._hull_suspects = 0
+        self._suspects: dict[EchoClock | HullClock, int] = {}
         self._first_arrival_ns: int | None = None
         self._settled = False
 
@@ -60,15 +60,18 @@ class SourceTiming:
         if self.echo is not None:
             self.echo.reset()
         self.hull.reset()
-        self._echo_suspects = self._hull_suspects = 0
+        self._suspects.clear()
 
     def add_echo(self, t_sent_ns: int, t_received_ns: int, server_ticks: int) -> None:
         """Take in one two-way exchange."""
         if self.echo is not None:
             self.echo.add(t_sent_ns, t_received_ns, server_ticks)
 
-    def time_pose(self, raw: RawPose) -> tuple[int, ClockKind]:
-        """Return the pose's time of validity [ns, CLOCK_MONOTONIC] and how it was found."""
+    def time_pose(self, raw: RawPose, *, learn: bool = True) -> tuple[int, ClockKind]:
+        """Return the pose's time of validity [ns, CLOCK_MONOTONIC] and how it was found.
+
+        `learn` False (a repeated or reordered frame) leaves the maps as they are.
+        """
         if self._first_arrival_ns is None:
             self._first_arrival_ns = raw.t_arrival_ns
         self._settled = raw.t_arrival_ns - self._first_arrival_ns >= HullClock.warm_ns
@@ -78,34 +81,33 @@ class SourceTiming:
         measured = sent if raw.source_ticks is None else raw.source_ticks
         # a server's own pipeline delay is known in ticks, whatever map is in force
         pipeline_ns = max(0, (sent - measured) * NS // self.frequency_hz)
-        sent_ns, kind = self._map_sent(sent, raw.t_arrival_ns)
+        sent_ns, kind = self._map_sent(sent, raw.t_arrival_ns, learn)
         t_valid_ns = min(sent_ns, raw.t_arrival_ns) - pipeline_ns - self.extra_latency_ns
         return t_valid_ns, kind
 
-    def _map_sent(self, ticks: int, t_arrival_ns: int) -> tuple[int, ClockKind]:
-        self.hull.add(ticks, t_arrival_ns)
-        result = t_arrival_ns, ClockKind.ARRIVAL
-        if self.hull.ready:
-            t_ns = self.hull.to_host_ns(ticks)
-            if self._is_sane(t_ns, t_arrival_ns):
-                self._hull_suspects = 0
-                result = t_ns, ClockKind.HULL
-            else:
-                self._hull_suspects += 1
-                if self._hull_suspects >= self.suspects_to_reset:
-                    self._hull_suspects = 0
-                    self.hull.reset()
-        if self.echo is not None and self.echo.ready:
-            t_ns = self.echo.to_host_ns(ticks)
-            if self._is_sane(t_ns, t_arrival_ns):
-                self._echo_suspects = 0
-                return t_ns, ClockKind.ECHO
-            self._echo_suspects += 1
-            if self._echo_suspects >= self.suspects_to_reset:
-                self._echo_suspects = 0
-                self.echo.reset()
-                self.suspect_resets += 1
-        return result
+    def _map_sent(self, ticks: int, t_arrival_ns: int, learn: bool) -> tuple[int, ClockKind]:
+        if learn:
+            self.hull.add(ticks, t_arrival_ns)
+        one_way = self._try(self.hull, ticks, t_arrival_ns, learn)
+        two_way = None if self.echo is None else self._try(self.echo, ticks, t_arrival_ns, learn)
+        if two_way is not None:
+            return two_way, ClockKind.ECHO
+        if one_way is not None:
+            return one_way, ClockKind.HULL
+        return t_arrival_ns, ClockKind.ARRIVAL
 
-    def _is_sane(self, t_sent_ns: int, t_arrival_ns: int) -> bool:
-        return -self.early_ns <= t_arrival_ns - t_sent_ns < self.late_ns
+    def _try(
+        self, clock: EchoClock | HullClock, ticks: int, t_arrival_ns: int, learn: bool
+    ) -> int | None:
+        if not clock.ready:
+            return None
+        t_ns = clock.to_host_ns(ticks)
+        sane = -self.early_ns <= t_arrival_ns - t_ns < self.late_ns
+        if learn:
+            suspects = 0 if sane else self._suspects.get(clock, 0) + 1
+            if suspects >= self.suspects_to_reset:
+                suspects = 0
+                clock.reset()
+                self.suspect_resets += clock is self.echo
+            self._suspects[clock] = suspects
+        return t_ns if sane else None

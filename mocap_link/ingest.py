@@ -1,0 +1,178 @@
+"""From raw poses to samples: time them, place them, gate them, and watch the source."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import nan
+
+from mocap_link.frame import FrameConfig, PlanarPose, make_planar_pose
+from mocap_link.gates import GateConfig, GateState, find_disorder, step_gates
+from mocap_link.source import (
+    ClockKind,
+    MonitorConfig,
+    MonitorState,
+    PoseSample,
+    RawPose,
+    SourceState,
+    SourceStatus,
+    step_monitor,
+)
+from mocap_link.timing import SourceTiming
+
+_NO_POSE = PlanarPose(nan, nan, nan, nan, nan)
+_RATE_WINDOW_NS = 1_000_000_000
+_RESTART_RUN = 10
+
+
+@dataclass(frozen=True, slots=True)
+class IngestConfig:
+    """Everything that turns a source's raw poses into samples."""
+
+    frame: FrameConfig = FrameConfig()
+    gates: GateConfig = GateConfig()
+    monitor: MonitorConfig = MonitorConfig()
+
+
+class PoseIngest:
+    """State of one source's pipeline; no I/O and no clock of its own.
+
+    Attributes:
+        timing: the source's clock maps; replace it when the server's clock becomes known.
+        wheel_speed: latest wheel speed [m/s] or None, for the frozen-pose gate.
+        stationary: the car is stopped and disarmed, so a new place may be taken in.
+        counts: accepted poses and each rejection reason.
+    """
+
+    def __init__(self, config: IngestConfig, timing: SourceTiming) -> None:
+        self.config = config
+        self.timing = timing
+        self.wheel_speed: float | None = None
+        self.stationary = False
+        self.counts: Counter[str] = Counter()
+        self._gates = GateState()
+        self._monitor = MonitorState()
+        self._monitor_config = config.monitor
+        self._arrivals: deque[int] = deque()
+        self._clock: ClockKind | None = None
+        self._disorder_run = 0
+        self._relocated = False
+        self._expected_hz: float | None = None
+        self._metres_per_unit = 1e-3 if config.frame.units == "mm" else 1.0
+
+    @property
+    def state(self) -> SourceState:
+        """State of the source."""
+        return self._monitor.state
+
+    def expect_rate(self, rate_hz: float) -> None:
+        """Take the server's own frame rate as the period of the stale rule."""
+        if 1.0 <= rate_hz <= 2000.0:
+            self._expected_hz = rate_hz
+            period_ns = round(1e9 / rate_hz)
+            self._monitor_config = replace(self._monitor_config, period_ns=period_ns)
+
+    def restart(self) -> None:
+        """The server started anew: its frame numbers and its clock begin again.
+
+        The last accepted pose stays, so a restart cannot carry the car away.
+        """
+        self.timing.reset()
+        self._gates = replace(self._gates, frame=None)
+        self._disorder_run = 0
+        self.counts["restart"] += 1
+
+    def push(self, raw: RawPose) -> PoseSample:
+        """Time, place and judge one raw pose."""
+        self._watch_order(raw)
+        learn = find_disorder(self._gates, raw) is None
+        t_valid_ns, self._clock = self.timing.time_pose(raw, learn=learn)
+        pose = _try_place(self.config.frame, raw)
+        self._gates, reason = step_gates(
+            self.config.gates,
+            self._gates,
+            raw,
+            pose,
+            t_valid_ns,
+            wheel_speed=self.wheel_speed,
+            stationary=self.stationary,
+            metres_per_unit=self._metres_per_unit,
+        )
+        self.counts[reason or "accepted"] += 1
+        self._relocated = reason == "relocated"
+        self._count_rate(raw.t_arrival_ns)
+        self._step(raw.t_arrival_ns, True, reason is None)
+        x, y, yaw, height, tilt = pose or _NO_POSE
+        return PoseSample(
+            t_valid_ns, raw.t_arrival_ns, raw, x, y, yaw, height, tilt, reason, self._clock
+        )
+
+    def on_timer(self, t_ns: int, *, connected: bool) -> None:
+        """Let time pass."""
+        self._drop_old(t_ns)
+        self._step(t_ns, connected, None)
+
+    def note_absent(self, t_ns: int) -> None:
+        """A frame came without the body in it."""
+        self.counts["absent"] += 1
+        self._step(t_ns, True, False)
+
+    def status(
+        self,
+        *,
+        connected: bool,
+        detail: str = "",
+        server: str = "",
+        bodies: tuple[str, ...] = (),
+        refused: bool = False,
+        more_counts: Callable[[], dict[str, int]] = dict,
+    ) -> SourceStatus:
+        """Describe the source now; the session adds what only it knows."""
+        return SourceStatus(
+            self.state,
+            connected,
+            detail,
+            server,
+            bodies,
+            self._clock,
+            self.timing.sigma_ns,
+            len(self._arrivals) * 1e9 / _RATE_WINDOW_NS,
+            self._expected_hz,
+            self._monitor.last_good_ns,
+            refused,
+            self._relocated,
+            {**self.counts, **more_counts()},
+        )
+
+    def _step(self, t_ns: int, connected: bool, good: bool | None) -> None:
+        self._monitor = step_monitor(
+            self._monitor_config,
+            self._monitor,
+            t_ns,
+            connected=connected,
+            clock_ready=self.timing.ready,
+            good=good,
+        )
+
+    def _watch_order(self, raw: RawPose) -> None:
+        # one late frame is the network, ten in a row are a server that counts from 1 again
+        late = find_disorder(self._gates, raw) == "out_of_order"
+        self._disorder_run = self._disorder_run + 1 if late else 0
+        if self._disorder_run >= _RESTART_RUN:
+            self.restart()
+
+    def _count_rate(self, t_ns: int) -> None:
+        self._arrivals.append(t_ns)
+        self._drop_old(t_ns)
+
+    def _drop_old(self, t_ns: int) -> None:
+        while self._arrivals and t_ns - self._arrivals[0] >= _RATE_WINDOW_NS:
+            self._arrivals.popleft()
+
+
+def _try_place(config: FrameConfig, raw: RawPose) -> PlanarPose | None:
+    try:
+        return make_planar_pose(config, raw.position, raw.quaternion)
+    except (ValueError, OverflowError):
+        return None

@@ -1,0 +1,310 @@
+"""NatNet session without I/O: datagrams and time in, events and datagrams out.
+
+Connects with backoff, follows the model list, measures the server's clock (20 echoes 5 ms apart,
+then 2 Hz), keeps a unicast session alive, and starts over when frames stop.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Literal
+
+from mocap_link import natnet
+from mocap_link.natnet_frame import (
+    BITSTREAM_CHANGED,
+    EDIT_MODE,
+    MODEL_CHANGED,
+    Frame,
+    RigidBody,
+)
+from mocap_link.natnet_model import ModelDef
+from mocap_link.source import RawPose
+
+MS = 1_000_000
+SECOND = 1000 * MS
+
+Socket = Literal["command", "data"]
+
+
+@dataclass(frozen=True, slots=True)
+class Connected:
+    """The server answered: a new session, perhaps a new clock."""
+
+    info: natnet.ServerInfo
+
+
+@dataclass(frozen=True, slots=True)
+class EchoMeasured:
+    """One clock exchange."""
+
+    t_sent_ns: int
+    t_received_ns: int
+    server_ticks: int
+
+
+@dataclass(frozen=True, slots=True)
+class RateKnown:
+    """The server's frame rate [Hz]."""
+
+    rate_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class BodyAbsent:
+    """A frame came without our body."""
+
+    t_arrival_ns: int
+
+
+Event = Connected | EchoMeasured | RateKnown | BodyAbsent | RawPose
+
+
+class NatNetClient:
+    """One session with one server for one body.
+
+    Args:
+        body: name of the rigid body, or `id:42`.
+        unicast: force unicast (True) or multicast (False); None follows the server.
+
+    Attributes:
+        info: the server, once it answered.
+        detail: the latest thing worth telling a person.
+        refused: why the configured body cannot be used, or None.
+        counts: datagrams by fate: malformed, length, unrecognized, ...
+    """
+
+    retry_first_ns = SECOND // 2
+    retry_last_ns = 5 * SECOND
+    silence_ns = SECOND
+    burst_echoes = 20
+    burst_period_ns = 5 * MS
+    echo_period_ns = SECOND // 2
+    keepalive_period_ns = SECOND
+    model_period_ns = SECOND
+    malformed_to_reconnect = 10
+
+    def __init__(self, body: str, *, unicast: bool | None = None) -> None:
+        self.body = body
+        self.info: natnet.ServerInfo | None = None
+        self.detail = "waiting for the server to answer"
+        self.refused: str | None = None
+        self.counts: Counter[str] = Counter()
+        self.bodies: tuple[str, ...] = ()
+        self._by_name = not body.startswith("id:")
+        self._id = None if self._by_name else int(body[3:])
+        self._known_ids: frozenset[int] = frozenset()
+        self._unicast = unicast
+        self._connecting = True
+        self._retry_ns = self.retry_first_ns
+        self._connect_due = self._echo_due = self._keepalive_due = self._model_due = 0
+        self._model_wanted = False
+        self._rate_wanted = False
+        self._burst_left = 0
+        self._echoes: dict[int, None] = {}
+        self._frame_seen_ns: int | None = None
+        self._malformed_run = 0
+
+    @property
+    def connected(self) -> bool:
+        """Whether the server answered and frames have not stopped since."""
+        return self.info is not None and not self._connecting
+
+    @property
+    def unicast(self) -> bool:
+        """Whether frames come to us alone."""
+        if self._unicast is not None:
+            return self._unicast
+        return self.info is not None and not self.info.multicast
+
+    def request_sync(self) -> None:
+        """Measure the clock anew with a burst of echoes."""
+        self._burst_left = self.burst_echoes
+        self._echo_due = 0
+
+    def on_datagram(self, data: bytes, t_arrival_ns: int, which: Socket = "command") -> list[Event]:
+        """Take in one datagram from the server; never raises.
+
+        Args:
+            data: the datagram. The caller has checked that the server's address sent it.
+            t_arrival_ns: time of reception, CLOCK_MONOTONIC.
+            which: the socket that it came to; sessions are spoken on the command socket only.
+        """
+        version = natnet.NEWEST_VERSION if self.info is None else self.info.version
+        if not natnet.has_exact_length(data):
+            self.counts["length"] += 1
+        try:
+            message = natnet.decode(data, version, detail=False)
+        except natnet.NatNetError as error:
+            return self._on_malformed(str(error), t_arrival_ns)
+        self._malformed_run = 0
+        if isinstance(message, Frame):
+            return self._on_frame(message, t_arrival_ns)
+        if which != "command":
+            self.counts["unexpected"] += 1
+            return []
+        return self._on_command(message, t_arrival_ns)
+
+    def _on_command(self, message: natnet.Message, t_ns: int) -> list[Event]:
+        match message:
+            case natnet.ServerInfo():
+                return self._on_server_info(message, t_ns)
+            case natnet.EchoResponse() if message.client_stamp in self._echoes:
+                del self._echoes[message.client_stamp]
+                return [EchoMeasured(message.client_stamp, t_ns, message.server_ticks)]
+            case ModelDef():
+                self._on_model(message)
+            case natnet.Response() if message.number is not None and self._rate_wanted:
+                self._rate_wanted = False
+                return [RateKnown(message.number)]
+            case natnet.Disconnect() | natnet.DisconnectByTimeout():
+                self._reconnect("the server ended the session")
+            case natnet.MessageString():
+                self.detail = f"server: {message.text[:200]}"
+            case _:
+                self.counts["unexpected"] += 1
+        return []
+
+    def _on_malformed(self, why: str, t_ns: int) -> list[Event]:
+        self.counts["malformed"] += 1
+        self._malformed_run += 1
+        if self._malformed_run == self.malformed_to_reconnect:
+            # the stream may have changed its version: ask the server who it is
+            self._malformed_run = 0
+            self._connect_due = min(self._connect_due, t_ns + SECOND)
+            self._reconnect(f"frames do not decode: {why}")
+        return []
+
+    def _on_server_info(self, info: natnet.ServerInfo, t_ns: int) -> list[Event]:
+        if not natnet.OLDEST_VERSION <= info.version < (5, 0):
+            self.refused = self.detail = (
+                f"{info.name} speaks NatNet {info.version[0]}.{info.version[1]}; "
+                "steerd reads 2.9 to 4.x"
+            )
+            return []
+        if self.info == info and not self._connecting:
+            return []
+        self.info, self.refused = info, None
+        self._connecting = False
+        self._retry_ns = self.retry_first_ns
+        self._frame_seen_ns = t_ns
+        self._known_ids = frozenset()
+        self._model_wanted = self._rate_wanted = True
+        self._model_due = self._keepalive_due = 0
+        self._echoes.clear()
+        self.request_sync()
+        self.detail = f"connected to {info.name}"
+        return [Connected(info)]
+
+    def _on_model(self, model: ModelDef) -> None:
+        bodies = model.rigid_bodies
+        self._model_wanted = False
+        self.bodies = tuple(b.name for b in bodies)
+        self._known_ids = frozenset(b.id for b in bodies)
+        if self._by_name:
+            ids = [b.id for b in bodies if b.name == self.body]
+            self._id = ids[0] if ids else None
+        else:
+            ids = [b.id for b in bodies if b.id == self._id][:1]
+        same_id = [b.name for b in bodies if b.id == self._id]
+        self.refused = None
+        if not ids:
+            offered = ", ".join(self.bodies) or "none"
+            self.detail = f"no body {self.body!r} on the server; it offers: {offered}"
+        elif len(ids) > 1:
+            self.refused = f"{len(ids)} bodies are named {self.body!r}: rename one in the server"
+        elif len(same_id) > 1:
+            names = ", ".join(same_id)
+            self.refused = f"bodies {names} share streaming id {self._id}: give each its own"
+        else:
+            self.detail = f"following {self.body!r} (id {self._id})"
+        self.detail = self.refused or self.detail
+
+    def _on_frame(self, frame: Frame, t_ns: int) -> list[Event]:
+        if self.info is None:
+            self.counts["before_connect"] += 1
+            return []
+        self._frame_seen_ns = t_ns
+        self.counts["frames"] += 1
+        if frame.params & MODEL_CHANGED or any(
+            b.id not in self._known_ids for b in frame.rigid_bodies
+        ):
+            self._model_wanted = True
+        if frame.params & BITSTREAM_CHANGED:
+            self._reconnect("the server changed its stream version")
+        mine = [b for b in frame.rigid_bodies if b.id == self._id]
+        if len(mine) > 1:
+            self.refused = self.detail = f"{len(mine)} bodies stream with id {self._id}"
+        if self.refused is not None or len(mine) != 1:
+            return [BodyAbsent(t_ns)]
+        return [self._make_raw(frame, mine[0], t_ns)]
+
+    def _make_raw(self, frame: Frame, body: RigidBody, t_ns: int) -> RawPose:
+        x, y, z, w = body.quaternion
+        transmit: int | None = frame.transmit_ticks or None
+        source: int | None = frame.mid_exposure_ticks or transmit
+        if self.info is not None and not self.info.clock_hz:
+            # before 3.0 there are no ticks: seconds since start, taken as microseconds
+            micros = frame.timestamp * 1e6
+            source = round(micros) if 0.0 < micros < 2**63 else None
+        return RawPose(
+            self.body,
+            frame.number,
+            source,
+            transmit,
+            t_ns,
+            body.position,
+            (w, x, y, z),
+            body.mean_error,
+            body.tracking_valid,
+            not frame.params & EDIT_MODE,
+        )
+
+    def _reconnect(self, why: str) -> None:
+        self._connecting = True
+        self.detail = why
+
+    def on_timer(self, t_ns: int) -> list[bytes]:
+        """Return the datagrams to send to the server's command port now.
+
+        `t_ns` also stamps the echo, so pass the time of sending.
+        """
+        out: list[bytes] = []
+        seen = self._frame_seen_ns
+        if self.connected and seen is not None and t_ns - seen > self.silence_ns:
+            self._reconnect(self._explain_silence())
+        if self._connecting and t_ns >= self._connect_due:
+            out.append(natnet.encode(natnet.Connect()))
+            self._connect_due = t_ns + self._retry_ns
+            self._retry_ns = min(2 * self._retry_ns, self.retry_last_ns)
+        if self.info is not None:
+            self._maintain(self.info, t_ns, out)
+        return out
+
+    def _maintain(self, info: natnet.ServerInfo, t_ns: int, out: list[bytes]) -> None:
+        if self._model_wanted and t_ns >= self._model_due:
+            out.append(natnet.encode(natnet.RequestModelDef()))
+            self._model_due = t_ns + self.model_period_ns
+            if self._rate_wanted:
+                out.append(natnet.encode(natnet.Request("FrameRate")))
+        if self.unicast and t_ns >= self._keepalive_due:
+            out.append(natnet.encode(natnet.KeepAlive()))
+            self._keepalive_due = t_ns + self.keepalive_period_ns
+        if info.clock_hz and t_ns >= self._echo_due:
+            out.append(natnet.encode(natnet.EchoRequest(t_ns)))
+            self._echoes[t_ns] = None
+            while len(self._echoes) > 2 * self.burst_echoes:
+                del self._echoes[next(iter(self._echoes))]
+            burst = self._burst_left > 0
+            self._burst_left = max(0, self._burst_left - 1)
+            self._echo_due = t_ns + (self.burst_period_ns if burst else self.echo_period_ns)
+
+    def _explain_silence(self) -> str:
+        if self.counts["frames"]:
+            return "frames stopped; connecting anew"
+        if self.unicast:
+            return "the server answers but sends no frame: a firewall between, or streaming is off"
+        return (
+            "the server answers but no frame comes: multicast joined on the wrong interface "
+            "(set interface=), a firewall, or streaming is off"
+        )
