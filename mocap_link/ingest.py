@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import nan
 
 from mocap_link.frame import FrameConfig, PlanarPose, make_planar_pose
@@ -30,9 +30,9 @@ _RESTART_RUN = 10
 class IngestConfig:
     """Everything that turns a source's raw poses into samples."""
 
-    frame: FrameConfig = FrameConfig()
-    gates: GateConfig = GateConfig()
-    monitor: MonitorConfig = MonitorConfig()
+    frame: FrameConfig = field(default_factory=FrameConfig)
+    gates: GateConfig = field(default_factory=GateConfig)
+    monitor: MonitorConfig = field(default_factory=MonitorConfig)
 
 
 class PoseIngest:

@@ -19,6 +19,7 @@ from mocap_link.natnet_frame import (
     RigidBody,
 )
 from mocap_link.natnet_model import ModelDef
+from mocap_link.natnet_wire import NatNetError
 from mocap_link.source import RawPose
 
 MS = 1_000_000
@@ -135,7 +136,7 @@ class NatNetClient:
             self.counts["length"] += 1
         try:
             message = natnet.decode(data, version, detail=False)
-        except natnet.NatNetError as error:
+        except NatNetError as error:
             return self._on_malformed(str(error), t_arrival_ns)
         self._malformed_run = 0
         if isinstance(message, Frame):

@@ -1,0 +1,176 @@
+"""VRPN wire: cookie, framed messages, descriptions, poses; encode and decode.
+
+All numbers are big-endian. A message is a header of six i32 (length, sec, usec, sender, type,
+sequence), a payload, and zeros up to a multiple of 8. The length field counts header and payload
+WITHOUT the padding (the protocol's own text says otherwise; its code does not). Wire facts:
+`docs/mocap.md`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from struct import Struct
+
+PORT = 3883
+COOKIE_SIZE = 24
+MAX_MESSAGE = 65_536
+
+SENDER_DESCRIPTION = -1
+TYPE_DESCRIPTION = -2
+UDP_DESCRIPTION = -3
+LOG_DESCRIPTION = -4
+DISCONNECT = -5
+
+POSE_TYPE = "vrpn_Tracker Pos_Quat"
+PING_TYPE = "vrpn_Base ping_message"
+PONG_TYPE = "vrpn_Base pong_message"
+CONTROL_SENDER = "VRPN Control"
+
+_COOKIE_HEAD = b"vrpn: ver. 07."
+_HEADER = Struct(">6i")
+_I32 = Struct(">i")
+_POSE = Struct(">ii7d")
+
+
+class VrpnError(ValueError):
+    """Bytes that are not VRPN; a TCP stream cannot be resumed behind them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message; `sender` and `type` are ids of the side that sent it.
+
+    For the descriptions (type < 0) `sender` holds the described id.
+    """
+
+    type: int
+    sender: int
+    sec: int = 0
+    usec: int = 0
+    payload: bytes = b""
+    sequence: int = 0
+
+    @property
+    def stamp_us(self) -> int:
+        """The sender's stamp [us] on its own, unknown epoch."""
+        return self.sec * 1_000_000 + self.usec
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Tracker pose [m]; `quaternion` is (x, y, z, w)."""
+
+    sensor: int
+    position: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+
+
+def encode_cookie(version: str = "07.38") -> bytes:
+    """Encode the 24 bytes that each side sends first."""
+    return f"vrpn: ver. {version}  0".encode().ljust(COOKIE_SIZE, b"\0")
+
+
+def check_cookie(data: bytes) -> str:
+    """Return the peer's version.
+
+    Raises:
+        VrpnError: not a VRPN 7 peer; a different minor version is fine.
+    """
+    if len(data) < COOKIE_SIZE or not data.startswith(_COOKIE_HEAD):
+        raise VrpnError(f"not a VRPN 7 server: it began with {data[:COOKIE_SIZE]!r}")
+    return data[11:16].decode("ascii", "replace")
+
+
+def encode(message: Message) -> bytes:
+    """Encode one message with its padding.
+
+    Raises:
+        struct.error: a field does not fit 32 bits.
+    """
+    payload = message.payload
+    head = _HEADER.pack(
+        _HEADER.size + len(payload),
+        message.sec,
+        message.usec,
+        message.sender,
+        message.type,
+        message.sequence,
+    )
+    return head + payload + bytes(-len(payload) % 8)
+
+
+def decode_stream(buffer: bytes | bytearray) -> tuple[list[Message], int]:
+    """Decode all whole messages at the front of a stream.
+
+    Returns:
+        The messages and the number of bytes that they took.
+
+    Raises:
+        VrpnError: a length that no message has.
+    """
+    messages, at, total = [], 0, len(buffer)
+    while total - at >= _HEADER.size:
+        length, sec, usec, sender, kind, sequence = _HEADER.unpack_from(buffer, at)
+        if not _HEADER.size <= length <= MAX_MESSAGE:
+            raise VrpnError(f"message of {length} bytes")
+        end = at + length + -length % 8
+        if end > total:
+            break
+        payload = bytes(buffer[at + _HEADER.size : at + length])
+        messages.append(Message(kind, sender, sec, usec, payload, sequence))
+        at = end
+    return messages, at
+
+
+def make_description(kind: int, described_id: int, name: str) -> Message:
+    """Build the message that gives an id its name (`SENDER_` or `TYPE_DESCRIPTION`)."""
+    text = name.encode() + b"\0"
+    return Message(kind, described_id, payload=_I32.pack(len(text)) + text)
+
+
+def read_description(payload: bytes) -> str:
+    """Read the name out of a description.
+
+    Raises:
+        VrpnError: shorter than it says.
+    """
+    if len(payload) < 4:
+        raise VrpnError("description without a length")
+    (size,) = _I32.unpack_from(payload)
+    if not 0 <= size <= len(payload) - 4:
+        raise VrpnError(f"description of {size} bytes in {len(payload)}")
+    return payload[4 : 4 + size].split(b"\0", 1)[0].decode("utf-8", "replace")
+
+
+def write_pose(pose: Pose) -> bytes:
+    """Encode the payload of a pose."""
+    return _POSE.pack(pose.sensor, 0, *pose.position, *pose.quaternion)
+
+
+def read_pose(payload: bytes) -> Pose:
+    """Decode the payload of a pose.
+
+    Raises:
+        VrpnError: not 64 bytes.
+    """
+    if len(payload) != _POSE.size:
+        raise VrpnError(f"pose of {len(payload)} bytes")
+    sensor, _, x, y, z, qx, qy, qz, qw = _POSE.unpack(payload)
+    return Pose(sensor, (x, y, z), (qx, qy, qz, qw))
+
+
+def encode_lob(ip: str, port: int) -> bytes:
+    """Encode the UDP datagram by which library clients ask a server to dial back."""
+    return f"{ip} {port}".encode() + b"\0"
+
+
+def decode_lob(data: bytes) -> tuple[str, int]:
+    """Decode it.
+
+    Raises:
+        VrpnError: not `IP PORT`.
+    """
+    parts = data.split(b"\0", 1)[0].decode("ascii", "replace").split()
+    if len(parts) != 2 or not parts[1].isdecimal() or not 0 < int(parts[1]) < 65_536:
+        raise VrpnError(f"not a connection request: {data[:40]!r}")
+    return parts[0], int(parts[1])

@@ -1,0 +1,160 @@
+"""VRPN session without I/O: bytes and time in, poses and bytes out, over one TCP connection.
+
+Plain TCP only: the reverse connection of library clients breaks behind firewalls and containers,
+and brings nothing. No subscription is needed, a server sends poses at once.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from mocap_link import vrpn
+from mocap_link.source import RawPose
+
+SECOND = 1_000_000_000
+TICKS_HZ = 1_000_000
+"""VRPN stamps are microseconds, on whatever clock the server has."""
+
+_PING_ID, _PONG_ID = 0, 1
+
+
+class VrpnClient:
+    """One connection's client for one body; make a new one for each connection.
+
+    Args:
+        body: name of the tracker.
+
+    Attributes:
+        greeted: the server's cookie came and is good.
+        dead: why the connection must be closed, or None.
+        detail: the latest thing worth telling a person.
+        counts: messages by fate.
+    """
+
+    ping_period_ns = SECOND
+    half_open_ns = 3 * SECOND
+
+    def __init__(self, body: str) -> None:
+        self.body = body
+        self.greeted = False
+        self.dead: str | None = None
+        self.detail = "waiting for the server's greeting"
+        self.counts: Counter[str] = Counter()
+        self._buffer = bytearray()
+        self._senders: dict[int, str] = {}
+        self._types: dict[int, str] = {}
+        self._heard_ns: int | None = None
+        self._ping_due = 0
+        self._sequence = 0
+        self._hello = vrpn.encode_cookie() + b"".join(
+            vrpn.encode(vrpn.make_description(kind, i, name))
+            for kind, i, name in (
+                (vrpn.SENDER_DESCRIPTION, 0, body),
+                (vrpn.TYPE_DESCRIPTION, _PING_ID, vrpn.PING_TYPE),
+                (vrpn.TYPE_DESCRIPTION, _PONG_ID, vrpn.PONG_TYPE),
+            )
+        )
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names that the server gave its senders."""
+        return tuple(name for name in self._senders.values() if name != vrpn.CONTROL_SENDER)
+
+    def hello(self) -> bytes:
+        """Return what to send as soon as the connection stands."""
+        return self._hello
+
+    def on_bytes(self, data: bytes, t_arrival_ns: int) -> list[RawPose]:
+        """Take in bytes from the server; never raises.
+
+        Args:
+            data: any piece of the stream.
+            t_arrival_ns: time of reception of its last byte, CLOCK_MONOTONIC.
+
+        Returns:
+            Our body's poses in order, with the server's stamps in microseconds as ticks.
+        """
+        if self.dead is not None:
+            return []
+        self._heard_ns = t_arrival_ns
+        self._buffer += data
+        try:
+            if not self.greeted and not self._greet():
+                return []
+            messages, used = vrpn.decode_stream(self._buffer)
+        except vrpn.VrpnError as error:
+            self._die(str(error))
+            return []
+        del self._buffer[:used]
+        poses = (self._on_message(message, t_arrival_ns) for message in messages)
+        return [pose for pose in poses if pose is not None]
+
+    def _greet(self) -> bool:
+        if len(self._buffer) < vrpn.COOKIE_SIZE:
+            return False
+        version = vrpn.check_cookie(bytes(self._buffer[: vrpn.COOKIE_SIZE]))
+        del self._buffer[: vrpn.COOKIE_SIZE]
+        self.greeted = True
+        self.detail = f"connected to VRPN {version}; waiting for {self.body!r}"
+        return True
+
+    def _on_message(self, message: vrpn.Message, t_ns: int) -> RawPose | None:
+        try:
+            if message.type < 0:
+                self._on_system(message)
+                return None
+            if self._types.get(message.type) != vrpn.POSE_TYPE:
+                return None
+            if self._senders.get(message.sender) != self.body:
+                return None
+            pose = vrpn.read_pose(message.payload)
+        except vrpn.VrpnError as error:
+            self.counts["malformed"] += 1
+            self.detail = str(error)
+            return None
+        if pose.sensor != 0:
+            self.counts["other_sensor"] += 1
+            return None
+        self.counts["frames"] += 1
+        x, y, z, w = pose.quaternion
+        return RawPose(
+            self.body, None, message.stamp_us, None, t_ns, pose.position, (w, x, y, z)
+        )  # fmt: skip
+
+    def _on_system(self, message: vrpn.Message) -> None:
+        if message.type == vrpn.DISCONNECT:
+            self._die("the server ended the session")
+        elif message.type == vrpn.TYPE_DESCRIPTION:
+            self._name(self._types, message)
+        elif message.type == vrpn.SENDER_DESCRIPTION:
+            self._name(self._senders, message)
+            offered = ", ".join(self.bodies) or "none"
+            if self.body in self._senders.values():
+                self.detail = f"following {self.body!r}"
+            else:
+                self.detail = f"no body {self.body!r} on the server yet; it offers: {offered}"
+
+    def _name(self, names: dict[int, str], message: vrpn.Message) -> None:
+        if len(names) < 10_000:
+            names[message.sender] = vrpn.read_description(message.payload)
+
+    def _die(self, why: str) -> None:
+        self.counts["broken"] += 1
+        self.dead = self.detail = why
+
+    def on_timer(self, t_ns: int) -> bytes:
+        """Return bytes to send now: a ping a second once the server greeted.
+
+        A server that is silent for 3 s in spite of pings is gone although TCP says nothing (a
+        PC that lost power); `dead` is then set.
+        """
+        if self._heard_ns is None:
+            self._heard_ns = t_ns
+        if self.dead is None and t_ns - self._heard_ns > self.half_open_ns:
+            self._die("the server has been silent for 3 s")
+        if self.dead is not None or not self.greeted or t_ns < self._ping_due:
+            return b""
+        self._ping_due = t_ns + self.ping_period_ns
+        self._sequence += 1
+        sec, ns = divmod(t_ns, SECOND)
+        return vrpn.encode(vrpn.Message(_PING_ID, 0, sec, ns // 1000, b"", self._sequence))

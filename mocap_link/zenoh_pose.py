@@ -1,0 +1,73 @@
+"""External pose topic, schema v1: anything that can publish JSON can be the mocap system.
+
+One JSON object per pose::
+
+    {"v": 1, "body": "car", "t_src_ns": 123 | null, "seq": 7,
+     "p": [x, y, z], "q": [w, x, y, z], "valid": true, "err": 0.0005 | null}
+
+`p` and `q` are in the publisher's units and axes, `t_src_ns` on the publisher's own clock. The
+bus is not this module's business: bytes in, `RawPose` out.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from mocap_link.source import RawPose
+
+TICKS_HZ = 1_000_000_000
+MAX_PAYLOAD = 4096
+
+
+class PoseError(ValueError):
+    """A payload that is not a pose of schema v1."""
+
+
+class _Pose(msgspec.Struct, frozen=True):
+    v: int
+    body: str
+    seq: int
+    p: tuple[float, float, float]
+    q: tuple[float, float, float, float]
+    t_src_ns: int | None = None
+    valid: bool = True
+    err: float | None = None
+
+
+_DECODER = msgspec.json.Decoder(_Pose)
+_ENCODER = msgspec.json.Encoder()
+
+
+def decode_pose(payload: bytes, t_arrival_ns: int) -> RawPose:
+    """Decode one payload.
+
+    Raises:
+        PoseError: not JSON, not schema v1, or larger than 4 kB.
+    """
+    if len(payload) > MAX_PAYLOAD:
+        raise PoseError(f"pose of {len(payload)} bytes")
+    try:
+        pose = _DECODER.decode(payload)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise PoseError(str(error)) from error
+    if pose.v != 1:
+        raise PoseError(f"schema version {pose.v}, expected 1")
+    return RawPose(
+        pose.body, pose.seq, pose.t_src_ns, None, t_arrival_ns, pose.p, pose.q, pose.err, pose.valid
+    )
+
+
+def encode_pose(raw: RawPose) -> bytes:
+    """Encode one payload; NaN and infinity become null and will not decode."""
+    return _ENCODER.encode(
+        _Pose(
+            1,
+            raw.body,
+            raw.frame or 0,
+            raw.position,
+            raw.quaternion,
+            raw.source_ticks,
+            raw.tracking_valid,
+            raw.mean_error,
+        )
+    )
