@@ -1,0 +1,88 @@
+"""What a simulated device is: bytes in at a time, bytes out with their times, a time to be woken.
+
+The split is tickit's: a device holds behaviour, `mocap_link` and `vesc_link` hold the wire formats,
+and `links` alone holds sockets. Times are int nanoseconds on whatever monotonic clock the caller
+keeps; a device never asks for the time.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
+
+class Chunk(NamedTuple):
+    """Bytes and the time at which they reach the other end [ns]."""
+
+    t_ns: int
+    data: bytes
+
+
+class Device(Protocol):
+    """A byte-stream device."""
+
+    @property
+    def next_wake_ns(self) -> int | None:
+        """When `advance` has something to do at the latest; None if nothing is pending."""
+
+    def on_bytes(self, t_ns: int, data: bytes) -> None:
+        """Take bytes that arrive at ``t_ns``."""
+
+    def advance(self, t_ns: int) -> list[Chunk]:
+        """Live until ``t_ns`` and give the bytes that are due by then, in order."""
+
+
+class Outbox:
+    """Bytes on their way, in order: none overtakes another."""
+
+    def __init__(self) -> None:
+        self._chunks: deque[Chunk] = deque()
+        self.last_ns = 0
+
+    def __len__(self) -> int:
+        return len(self._chunks)
+
+    @property
+    def next_ns(self) -> int | None:
+        """When the next bytes are due."""
+        return self._chunks[0].t_ns if self._chunks else None
+
+    def put(self, t_ns: int, data: bytes) -> int:
+        """Queue bytes for ``t_ns``, or for when those before them are out; gives that time."""
+        self.last_ns = max(t_ns, self.last_ns)
+        self._chunks.append(Chunk(self.last_ns, data))
+        return self.last_ns
+
+    def due(self, t_ns: int) -> Iterator[Chunk]:
+        """Take out what is due by ``t_ns``."""
+        chunks = self._chunks
+        while chunks and chunks[0].t_ns <= t_ns:
+            yield chunks.popleft()
+
+    def clear(self) -> None:
+        """Lose everything that is still on its way."""
+        self._chunks.clear()
+
+
+class Logged(NamedTuple):
+    """One entry of a byte log: ``to`` is ``vesc`` or ``host``."""
+
+    t_ns: int
+    to: str
+    data: bytes
+
+
+class ByteLog:
+    """Every byte on a link with its time, for judges of what went over the wire.
+
+    Args:
+        enabled: False keeps nothing (long soaks).
+    """
+
+    def __init__(self, enabled: bool = True) -> None:
+        self.enabled = enabled
+        self.entries: list[Logged] = []
+
+    def add(self, t_ns: int, to: str, data: bytes) -> None:
+        """Note bytes that reached ``to``."""
+        if self.enabled:
+            self.entries.append(Logged(t_ns, to, data))
