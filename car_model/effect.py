@@ -38,6 +38,8 @@ class EffectParameter(NamedTuple):
     scale: float
     """Prior standard deviation about the null: what is ordinary on a car of this class."""
     meaning: str
+    scan: tuple[float, ...] = ()
+    """Values worth trying where the gradient at the null says nothing."""
 
 
 class DelayHook(Protocol):
@@ -176,6 +178,10 @@ class Effect:
     rates: RateHook | None = None
     remember: RememberHook | None = None
     observe: ObserveHook | None = None
+    smooth: bool = True
+    """Whether the gradient at the null says in which direction to go (a limit's does not)."""
+    aliases: tuple[str, ...] = ()
+    """Other names that people use for it."""
 
     @property
     def nulls(self) -> tuple[float, ...]:

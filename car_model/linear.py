@@ -1,0 +1,227 @@
+"""The car near an operating point: steady turns, linear models, Rajamani's lane errors.
+
+Everything comes from the exact Jacobian of the one set of equations, so a controller designed here
+is designed for the car that is simulated.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from car_model.jacobian_generated import Jacobian, rates_and_jacobian
+from car_model.params import GRAVITY, Car, wheelbase
+from car_model.state import ORIGIN, State
+
+Matrix = NDArray[np.float64]
+
+NAMES: tuple[str, ...] = (*State._fields[:6], "wheel", "accel")
+"""What the columns of the Jacobian belong to."""
+_YAW_RATE, _SLIP, _WHEEL = 4, 5, 6
+_NEWTON_STEPS = 50
+_NEWTON_TOLERANCE = 1e-11
+
+
+class Turn(NamedTuple):
+    """A steady turn: nothing but place and heading changes."""
+
+    state: State[float]
+    wheel: float
+    """Road-wheel angle [rad]."""
+
+    @property
+    def curvature(self) -> float:
+        """Curvature of the CoG's path [1/m]."""
+        return self.state.yaw_rate / self.state.speed
+
+
+class LaneErrors(NamedTuple):
+    """`d/dt (e1, e1', e2, e2') = a e + b_steer wheel + b_curvature curvature`."""
+
+    a: Matrix
+    """4 x 4."""
+    b_steer: Matrix
+    """4, per rad of road-wheel angle."""
+    b_curvature: Matrix
+    """4, per 1/m of path curvature: Rajamani's B2 (per desired yaw rate) times the speed."""
+
+
+class Sampled(NamedTuple):
+    """`x[k+1] = a x[k] + b u[k - whole] + b_late u[k - whole - 1]`."""
+
+    a: Matrix
+    b: Matrix
+    b_late: Matrix
+    whole: int
+    """Full periods of dead time."""
+
+
+def steady_turn(car: Car[float], speed: float, curvature: float) -> Turn:
+    """The steady turn of a given path curvature [1/m] at a speed [m/s].
+
+    Raises:
+        ValueError: The speed is not positive, or the car cannot turn so.
+    """
+    guess = math.atan(wheelbase(car) * curvature)
+    return _settled(car, speed, speed * curvature, guess, (_SLIP, _WHEEL))
+
+
+def steady_steer(car: Car[float], speed: float, wheel: float) -> Turn:
+    """The steady turn under a given road-wheel angle [rad] at a speed [m/s].
+
+    Raises:
+        ValueError: The speed is not positive, or there is no such turn (an oversteering car at its
+            critical speed).
+    """
+    guess = speed * math.tan(wheel) / wheelbase(car)
+    return _settled(car, speed, guess, wheel, (_YAW_RATE, _SLIP))
+
+
+def _settled(
+    car: Car[float], speed: float, yaw_rate: float, wheel: float, free: tuple[int, int]
+) -> Turn:
+    """Newton's method on yaw and slip rate over two of (yaw rate, slip, wheel)."""
+    if not speed > 0.0:
+        raise ValueError(f"a steady turn needs a positive speed, not {speed}")
+    point = {_YAW_RATE: yaw_rate, _SLIP: 0.0, _WHEEL: wheel}
+    for _ in range(_NEWTON_STEPS):
+        state = ORIGIN._replace(speed=speed, yaw_rate=point[_YAW_RATE], slip_angle=point[_SLIP])
+        rates, jacobian = rates_and_jacobian(car, state, point[_WHEEL], 0.0)
+        (a, b), (c, d) = ([jacobian[row][col] for col in free] for row in (_YAW_RATE, _SLIP))
+        determinant = a * d - b * c
+        if abs(determinant) <= 1e-12 * (abs(a * d) + abs(b * c)):
+            break
+        first = (d * rates[_YAW_RATE] - b * rates[_SLIP]) / determinant
+        second = (a * rates[_SLIP] - c * rates[_YAW_RATE]) / determinant
+        point[free[0]] -= first
+        point[free[1]] -= second
+        if abs(first) + abs(second) < _NEWTON_TOLERANCE * (1.0 + abs(point[free[0]])):
+            turned = state._replace(yaw_rate=point[_YAW_RATE], slip_angle=point[_SLIP])
+            return Turn(turned._replace(steer=point[_WHEEL]), point[_WHEEL])
+    raise ValueError(f"no steady turn at {speed} m/s with yaw rate {yaw_rate} or wheel {wheel} rad")
+
+
+def linearise(
+    car: Car[float],
+    at: Turn,
+    states: tuple[str, ...] = ("slip_angle", "yaw_rate"),
+    inputs: tuple[str, ...] = ("wheel",),
+) -> tuple[Matrix, Matrix]:
+    """Continuous `(A, B)` of the named states and inputs about a steady turn.
+
+    Args:
+        car: The car's parameters.
+        at: The operating point.
+        states: Names out of `NAMES[:6]`, in the order wanted.
+        inputs: Names out of `NAMES`, in the order wanted.
+    """
+    jacobian = rates_and_jacobian(car, at.state, at.wheel, 0.0)[1]
+    return _part(jacobian, states, states), _part(jacobian, states, inputs)
+
+
+def _part(jacobian: Jacobian, rows: tuple[str, ...], columns: tuple[str, ...]) -> Matrix:
+    """The named rows and columns of the Jacobian."""
+    return np.array([[jacobian[NAMES.index(r)][NAMES.index(c)] for c in columns] for r in rows])
+
+
+def lane_errors(car: Car[float], speed: float, curvature: float = 0.0) -> LaneErrors:
+    """Rajamani's error dynamics of the CoG against a path, at constant speed.
+
+    With `e1' = v (slip + e2)` and `e2' = yaw_rate - v curvature`, the lateral Jacobian gives
+    Rajamani, Vehicle Dynamics and Control, eq. 2.45 (there C is per tyre: 2 C is ours per axle).
+
+    Raises:
+        ValueError: The speed is not positive.
+    """
+    lateral, steer = linearise(car, steady_turn(car, speed, curvature))
+    (slip_slip, slip_yaw), (yaw_slip, yaw_yaw) = lateral.tolist()
+    slip_steer, yaw_steer = steer[:, 0].tolist()
+    v = speed
+    return LaneErrors(
+        a=np.array(
+            [
+                [0.0, 1.0, 0.0, 0.0],
+                [0.0, slip_slip, -v * slip_slip, v * (slip_yaw + 1.0)],
+                [0.0, 0.0, 0.0, 1.0],
+                [0.0, yaw_slip / v, -yaw_slip, yaw_yaw],
+            ]
+        ),
+        b_steer=np.array([0.0, v * slip_steer, 0.0, yaw_steer]),
+        b_curvature=np.array([0.0, v * v * slip_yaw, 0.0, v * yaw_yaw]),
+    )
+
+
+def understeer_gradient(car: Car[float]) -> float:
+    """Extra road-wheel angle per lateral acceleration [rad s^2/m]; negative oversteers.
+
+    `(m / L) (lr / cf - lf / cr)` with per-axle stiffness; mass and load cancel.
+    """
+    return (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
+
+
+def feedforward_steer(car: Car[float], speed: float, curvature: float) -> float:
+    """Road-wheel angle [rad] that holds a path curvature [1/m]: `L k + K_us v^2 k`."""
+    return (wheelbase(car) + understeer_gradient(car) * speed * speed) * curvature
+
+
+def steady_slip(car: Car[float], speed: float, curvature: float) -> float:
+    """Slip angle [rad] of the steady turn; the heading error settles at its negative.
+
+    `lr k - v^2 k / (mu g C_Sr)`: the rear axle's slip carries its share of the lateral force.
+    """
+    return (car.lr - speed * speed / (car.mu * GRAVITY * car.c_sr)) * curvature
+
+
+def sample(a: Matrix, b: Matrix, period: float, delay: float = 0.0) -> Sampled:
+    """Zero-order hold over `period` seconds, its input arriving `delay` seconds late.
+
+    Astrom and Wittenmark, Computer-Controlled Systems, section 2.3.
+
+    Args:
+        a: n x n, continuous.
+        b: n x m, continuous.
+        period: Sampling period [s].
+        delay: Dead time of the input [s], any number of periods.
+
+    Raises:
+        ValueError: The period is not positive or the delay is negative.
+    """
+    if not (period > 0.0 and delay >= 0.0):
+        raise ValueError(f"cannot sample every {period} s with a delay of {delay} s")
+    whole = math.floor(delay / period)
+    late = delay - whole * period
+    first, held_late = _held(a, b, late)
+    rest, held = _held(a, b, period - late)
+    return Sampled(rest @ first, held, rest @ held_late, whole)
+
+
+def _held(a: Matrix, b: Matrix, span: float) -> tuple[Matrix, Matrix]:
+    """`exp(a span)` and the integral of `exp(a s) b` over the span (Van Loan)."""
+    n, m = b.shape
+    block = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:] = a, b
+    grown = expm(block * span)
+    return grown[:n, :n], grown[:n, n:]
+
+
+def augmented(sampled: Sampled) -> tuple[Matrix, Matrix]:
+    """The sampled system with its past inputs as states: `(a, b)` of `x, u[k-1], u[k-2], ...`.
+
+    Nothing is added when there is no dead time.
+    """
+    n, m = sampled.b.shape
+    pasts = sampled.whole + (1 if np.any(sampled.b_late) else 0)
+    a = np.zeros((n + pasts * m, n + pasts * m))
+    b = np.zeros((n + pasts * m, m))
+    a[:n, :n] = sampled.a
+    for age, effect in ((sampled.whole, sampled.b), (sampled.whole + 1, sampled.b_late)):
+        if age == 0:
+            b[:n] = effect
+        elif age <= pasts:
+            a[:n, n + (age - 1) * m : n + age * m] = effect
+    if pasts:
+        b[n : n + m] = np.eye(m)
+        a[n + m :, n : n + (pasts - 1) * m] = np.eye((pasts - 1) * m)
+    return a, b
