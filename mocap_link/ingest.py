@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import nan
 
@@ -126,7 +126,7 @@ class PoseIngest:
         server: str = "",
         bodies: tuple[str, ...] = (),
         refused: bool = False,
-        more_counts: Callable[[], dict[str, int]] = dict,
+        more_counts: Mapping[str, int] | None = None,
     ) -> SourceStatus:
         """Describe the source now; the session adds what only it knows."""
         return SourceStatus(
@@ -142,7 +142,7 @@ class PoseIngest:
             self._monitor.last_good_ns,
             refused,
             self._relocated,
-            {**self.counts, **more_counts()},
+            {**self.counts, **(more_counts or {})},
         )
 
     def _step(self, t_ns: int, connected: bool, good: bool | None) -> None:
