@@ -30,7 +30,16 @@ from steer_bus.fields import (
 )
 from steer_bus.schema import schema_text, type_hash
 
-__all__ = ["MAX_BYTES", "CodecError", "decode", "encode", "schema_text", "type_hash", "type_name"]
+__all__ = [
+    "MAX_BYTES",
+    "CodecError",
+    "decode",
+    "encode",
+    "read_text",
+    "schema_text",
+    "type_hash",
+    "type_name",
+]
 
 MAX_BYTES = 65536
 """Largest encoded message; the bus drops anything above it (``rx/max_message_size``)."""
@@ -263,7 +272,7 @@ def _read(steps: tuple[_Step, ...], data: bytes, pos: int, values: list[Any]) ->
         if count > len(data) - pos:
             raise CodecError(f"length {count} at byte {pos - 4} exceeds the data")
         if isinstance(step, Text):
-            values.append(_text(data[pos : pos + count]))
+            values.append(read_text(data[pos : pos + count]))
             pos += count
         elif isinstance(step, Blob):
             values.append(bytes(data[pos : pos + count]))
@@ -284,7 +293,13 @@ def _read_items(cls: type[Any], data: bytes, pos: int, count: int) -> tuple[tupl
     return tuple(items), pos
 
 
-def _text(raw: bytes) -> str:
+def read_text(raw: bytes) -> str:
+    """Decode a string's bytes, its NUL included.
+
+    Raises:
+        CodecError: if the NUL is missing.
+        UnicodeDecodeError: if it is not UTF-8.
+    """
     # A few DDS vendors write an empty string with length 0.
     if raw[-1:] not in (b"", b"\x00"):
         raise CodecError("string without its NUL")

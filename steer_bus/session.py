@@ -1,0 +1,306 @@
+"""Session files: one MCAP per drive, written so that a crash loses a quarter of a second.
+
+A session is written as ``NAME.mcap.partial`` and gets its name when it is finished; its absence
+means a crash, and :func:`recover` (or reading the partial file directly) gets the rest back. The
+only file that knows the mcap library; reading is :mod:`steer_bus.session_read`.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from mcap.writer import CompressionType, Writer  # noqa: TID251
+
+from steer_bus.codec import schema_text, type_name
+from steer_bus.container import SessionWarning
+from steer_bus.session_read import (
+    Record,
+    Session,
+    SessionError,
+    SessionInfo,
+    TopicInfo,
+    open_session,
+)
+
+__all__ = [
+    "FLUSH_NS", "SYNC_NS", "AttachedFile", "Record", "RecoverReport", "Session", "SessionError",
+    "SessionInfo", "SessionWarning", "SessionWriter", "TopicInfo", "open_session", "recover",
+]  # fmt: skip
+
+CHUNK_BYTES = 1 << 20
+FLUSH_NS = 250_000_000
+"""How often a chunk is closed and handed to the kernel: the most a SIGKILL can lose [ns]."""
+SYNC_NS = 1_000_000_000
+"""How often the disk itself should have everything: the most a power cut can lose [ns]."""
+SCHEMA_VERSION = "1"
+_LIBRARY = "steerd"
+_MAX_TIME_NS = (1 << 63) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class AttachedFile:
+    """A file to keep inside the session, such as the exact configuration."""
+
+    name: str
+    media_type: str
+    data: bytes
+
+
+class SessionWriter:
+    """Writes one session; owned by one thread, except :meth:`sync`.
+
+    Metadata and attachments are on disk before the first message, so they survive any crash.
+    ``log_ns`` is UNIX time when a sample was taken and never goes back within a file; a stamp that
+    would (the host's clock was set) is raised to the last one.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        topics: Mapping[str, type[Any]],
+        metadata: Mapping[str, Mapping[str, str]],
+        attachments: Sequence[AttachedFile] = (),
+        start_ns: int = 0,
+    ) -> None:
+        """Create ``path`` + ``.partial`` and write what is known at the start.
+
+        Args:
+            path: the final name, ending in ``.mcap``.
+            topics: session topic to message class.
+            metadata: records such as ``steerd.session`` and ``steerd.vehicle``.
+            attachments: files to keep inside.
+            start_ns: UNIX time of the attachments [ns].
+
+        Raises:
+            SessionError: if a file of this name exists or cannot be created.
+        """
+        self.path = path
+        self.partial = path.with_name(path.name + ".partial")
+        self._file = _create(self.path, self.partial)
+        self._writer = Writer(
+            self._file,
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+        self._writer.start(profile="ros2", library=_LIBRARY)
+        for name, values in metadata.items():
+            version = {"schema_version": SCHEMA_VERSION} if name == "steerd.session" else {}
+            self._writer.add_metadata(name, {**version, **values})
+        for item in attachments:
+            self._writer.add_attachment(start_ns, start_ns, item.name, item.media_type, item.data)
+        self._channels = {topic: self._add_topic(topic, cls) for topic, cls in topics.items()}
+        self._sequences = dict.fromkeys(self._channels, 0)
+        self._last_log_ns = 0
+        self._flushed_ns = self._synced_ns = -(1 << 62)
+        self._file.flush()
+        _sync_folder(path)
+
+    @property
+    def count(self) -> int:
+        """Number of messages written."""
+        return sum(self._sequences.values())
+
+    def write(self, topic: str, data: bytes, log_ns: int, publish_ns: int | None = None) -> None:
+        """Append one encoded message.
+
+        Args:
+            topic: one of the topics given at the start.
+            data: the encoded message.
+            log_ns: UNIX time when it was taken [ns].
+            publish_ns: UNIX time at its source [ns]; ``log_ns`` if left out.
+
+        Raises:
+            KeyError: on a topic that was not declared.
+            SessionError: if the disk does not take it.
+        """
+        channel = self._channels[topic]
+        log_ns = self._last_log_ns = min(max(log_ns, self._last_log_ns), _MAX_TIME_NS)
+        published = log_ns if publish_ns is None else min(max(publish_ns, 0), _MAX_TIME_NS)
+        sequence = self._sequences[topic] = self._sequences[topic] + 1
+        try:
+            self._writer.add_message(channel, log_ns, data, published, sequence & 0xFFFFFFFF)
+        except OSError as error:
+            raise _disk_error(self.partial, error) from error
+
+    def flush(self) -> None:
+        """Close the chunk and hand everything to the kernel (survives SIGKILL, not power loss).
+
+        Raises:
+            SessionError: if the disk does not take it.
+        """
+        try:
+            self._writer.flush()  # type: ignore[no-untyped-call]
+        except OSError as error:
+            raise _disk_error(self.partial, error) from error
+
+    def tick(self, t_ns: int) -> bool:
+        """Flush if a quarter of a second has passed; say whether :meth:`sync` is due.
+
+        Args:
+            t_ns: monotonic time now [ns].
+
+        Raises:
+            SessionError: if the disk does not take it.
+        """
+        if t_ns - self._flushed_ns >= FLUSH_NS:
+            self.flush()
+            self._flushed_ns = t_ns
+        if t_ns - self._synced_ns < SYNC_NS:
+            return False
+        self._synced_ns = t_ns
+        return True
+
+    def sync(self) -> None:
+        """Wait until the disk has what was flushed; a second thread may, until ``finish``.
+
+        Raises:
+            SessionError: if the disk reports an error.
+        """
+        try:
+            os.fdatasync(self._file.fileno())
+        except OSError as error:
+            raise _disk_error(self.partial, error) from error
+
+    def finish(self, end: Mapping[str, str]) -> Path:
+        """Write ``steerd.end`` and the summary, sync, and give the file its name.
+
+        Args:
+            end: why the session ended (``reason``, ``dropped``, ...).
+
+        Returns:
+            The finished file.
+
+        Raises:
+            SessionError: if the disk does not take it; what was flushed stays in ``.partial``.
+        """
+        try:
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._writer.add_metadata("steerd.end", dict(end))
+            _finish(self._writer, self._file, self.partial, self.path)
+        except OSError as error:
+            raise _disk_error(self.partial, error) from error
+        return self.path
+
+    def abandon(self) -> None:
+        """Close without finishing; the ``.partial`` file stays and can be recovered."""
+        self._file.close()
+
+    def _add_topic(self, topic: str, cls: type[Any]) -> int:
+        schema = self._writer.register_schema(type_name(cls), "ros2msg", schema_text(cls).encode())
+        return self._writer.register_channel(topic, "cdr", schema)
+
+
+@dataclass(frozen=True, slots=True)
+class RecoverReport:
+    """What a recovery saved, and what it could not.
+
+    Attributes:
+        path: the new, finished file.
+        messages: how many were saved.
+        lost_bytes: how much of the old file made no sense.
+        longest_gap_s: the longest time without any message: where something is missing.
+        warnings: what was wrong with the old file.
+    """
+
+    path: Path
+    messages: int
+    lost_bytes: int
+    longest_gap_s: float
+    warnings: tuple[SessionWarning, ...]
+
+
+def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
+    """Copy everything readable of an unfinished or damaged file into a new, finished one.
+
+    ``steerd.end`` is copied only if it is there, so the result still says that the drive crashed;
+    ``steerd.recovered`` says where it comes from. The result is read back before it is reported.
+
+    Raises:
+        SessionError: if the input cannot be opened, the output exists, or the disk fails.
+    """
+    path_in, path_out = Path(path_in), Path(path_out)
+    session = open_session(path_in)
+    partial = path_out.with_name(path_out.name + ".partial")
+    file = _create(path_out, partial)
+    try:
+        writer = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
+        gap_ns = _copy(session, writer)
+        lost = sum(warning.lost for warning in session.warnings)
+        writer.add_metadata("steerd.recovered", {"source": path_in.name, "lost_bytes": str(lost)})
+        _finish(writer, file, partial, path_out)
+    except (OSError, SessionError) as error:
+        file.close()
+        partial.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise _disk_error(partial, error) from error
+        raise
+    written = open_session(path_out).info()
+    if written.count != session.info().count or written.warnings:
+        raise SessionError("recover_failed", f"{path_out} does not read back as written")
+    return RecoverReport(path_out, written.count, lost, gap_ns * 1e-9, session.warnings)
+
+
+def _copy(session: Session, writer: Writer) -> int:
+    """Copy definitions, texts and messages; give the longest gap between messages [ns]."""
+    contents = session.contents
+    writer.start(profile=contents.profile, library=_LIBRARY)
+    for name, values in contents.metadata.items():
+        writer.add_metadata(name, values)
+    for item in contents.attachments:
+        data = session.attachment(item.name)
+        writer.add_attachment(item.create_ns, item.log_ns, item.name, item.media_type, data)
+    schemas = {
+        key: writer.register_schema(schema.name, schema.encoding, schema.text)
+        for key, schema in contents.schemas.items()
+    }
+    channels = {
+        key: writer.register_channel(c.topic, c.encoding, schemas.get(c.schema_id, 0), c.metadata)
+        for key, c in contents.channels.items()
+    }
+    gap_ns, last_ns = 0, None
+    for key, record in session.raw_messages():
+        writer.add_message(
+            channels[key], record.log_ns, record.data, record.publish_ns, record.sequence
+        )
+        gap_ns = max(gap_ns, record.log_ns - (record.log_ns if last_ns is None else last_ns))
+        last_ns = record.log_ns
+    return gap_ns
+
+
+def _create(path: Path, partial: Path) -> BinaryIO:
+    try:
+        if path.exists():
+            raise FileExistsError
+        return partial.open("xb")
+    except FileExistsError:
+        text = f"{path if path.exists() else partial} exists and is never overwritten"
+        raise SessionError("exists", text, "choose another name") from None
+    except OSError as error:
+        text = f"{partial} cannot be created: {error.strerror}"
+        raise SessionError("disk", text) from error
+
+
+def _finish(writer: Writer, file: BinaryIO, partial: Path, path: Path) -> None:
+    writer.finish()  # type: ignore[no-untyped-call]
+    file.flush()
+    os.fsync(file.fileno())
+    file.close()
+    if path.exists():
+        raise FileExistsError(0, f"{path.name} has appeared meanwhile")
+    partial.rename(path)
+    _sync_folder(path)
+
+
+def _sync_folder(path: Path) -> None:
+    folder = os.open(path.absolute().parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _disk_error(path: Path, error: OSError) -> SessionError:
+    return SessionError("disk", f"{path} cannot be written: {error.strerror}", "is the disk full?")

@@ -1,0 +1,333 @@
+"""Sessions from disk: what a recording holds, as messages in recorded order or as columns.
+
+:func:`open_session` checks the whole file once (CRCs, caps) and opens unfinished and damaged
+files too, with warnings; the :class:`Session` it gives is a value that reads its parts on demand.
+"""
+
+import stat
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
+
+from steer_bus.codec import CodecError, decode, schema_text, type_name
+from steer_bus.columns import ColumnBuilder, Columns
+from steer_bus.container import Contents, SessionWarning, read_contents, read_span
+from steer_bus.messages import OWN_MESSAGES
+from steer_bus.records import (
+    MAGIC,
+    MESSAGE_FIELDS,
+    Attachment,
+    Channel,
+    DamageError,
+    Schema,
+    iter_messages,
+    scan_messages,
+)
+from steer_bus.standard import STANDARD_MESSAGES
+
+M = TypeVar("M")
+
+MESSAGE_TYPES: dict[str, type[Any]] = {
+    type_name(cls): cls for cls in (*OWN_MESSAGES, *STANDARD_MESSAGES)
+}
+
+UNREADABLE, WRONG_CONTENT = 3, 4
+
+
+class SessionError(Exception):
+    """A session that cannot be used, in one line, with what to do about it.
+
+    Attributes:
+        code: a stable word for programs.
+        hint: what the user can do; may be empty.
+        exit_code: 3 if the file cannot be read, 4 if it holds the wrong content.
+    """
+
+    def __init__(self, code: str, message: str, hint: str = "", exit_code: int = UNREADABLE):
+        super().__init__(f"{message} ({hint})" if hint else message)
+        self.code, self.hint, self.exit_code = code, hint, exit_code
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One channel of a session; times are UNIX ns, ``rate_hz`` the mean over the topic's span."""
+
+    name: str
+    type_name: str
+    encoding: str
+    count: int
+    first_ns: int
+    last_ns: int
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate [Hz]; 0 for fewer than two messages."""
+        span_ns = self.last_ns - self.first_ns
+        return (self.count - 1) * 1e9 / span_ns if self.count > 1 and span_ns > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SessionInfo:
+    """What a session holds.
+
+    Attributes:
+        finished: the container's end is whole.
+        clean: the recorder also said why it ended (``steerd.end``); its absence means a crash.
+    """
+
+    path: Path
+    size: int
+    start_ns: int
+    end_ns: int
+    topics: tuple[TopicInfo, ...]
+    metadata: Mapping[str, Mapping[str, str]]
+    attachments: tuple[str, ...]
+    warnings: tuple[SessionWarning, ...]
+    finished: bool
+    clean: bool
+
+    @property
+    def count(self) -> int:
+        """Number of messages."""
+        return sum(topic.count for topic in self.topics)
+
+    @property
+    def duration_s(self) -> float:
+        """First to last message [s]."""
+        return (self.end_ns - self.start_ns) * 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One recorded message; decoding waits until it is asked for."""
+
+    topic: str
+    type_name: str
+    sequence: int
+    log_ns: int
+    publish_ns: int
+    data: bytes
+
+    def decode(self) -> Any:
+        """Decode the message by its recorded type.
+
+        Raises:
+            CodecError: if the type is none of ours or the bytes are not it.
+        """
+        cls = MESSAGE_TYPES.get(self.type_name)
+        if cls is None:
+            raise CodecError(f"{self.topic}: {self.type_name!r} is not a type steerd knows")
+        return decode(cls, self.data)
+
+
+class Session:
+    """A recorded drive. Made by :func:`open_session`."""
+
+    def __init__(self, path: Path, size: int, contents: Contents) -> None:
+        self._path, self.contents = path, contents
+        self._info = _make_info(path, size, contents)
+
+    def info(self) -> SessionInfo:
+        """Give topics, counts, times, metadata and warnings."""
+        return self._info
+
+    @property
+    def warnings(self) -> tuple[SessionWarning, ...]:
+        """What was wrong with the file; empty for a whole one."""
+        return self._info.warnings
+
+    def messages(self, *topics: str) -> Iterator[Record]:
+        """Yield messages of these topics (all if none is named) in recorded order.
+
+        Raises:
+            SessionError: if the file has changed since it was opened.
+        """
+        for _, record in self.raw_messages():
+            if not topics or record.topic in topics:
+                yield record
+
+    def raw_messages(self) -> Iterator[tuple[int, Record]]:
+        """Yield (channel id, message) of everything in recorded order; raises as messages()."""
+        known = {
+            key: (channel.topic, _schema(self.contents, channel).name)
+            for key, channel in self.contents.channels.items()
+        }
+        for data in self._spans():
+            for key, start, end in iter_messages(data):
+                if key not in known:
+                    continue
+                topic, name = known[key]
+                sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(data, start)
+                payload = data[start + MESSAGE_FIELDS.size : end]
+                yield key, Record(topic, name, sequence, log_ns, publish_ns, payload)
+
+    def columns(self, cls: type[Any], topic: str | None = None) -> Columns:
+        """Read one topic as columns (see :data:`steer_bus.columns.Columns`), in recorded order.
+
+        Args:
+            cls: the message class.
+            topic: the topic; may be left out if exactly one has this type.
+
+        Raises:
+            SessionError: if the topic is missing, ambiguous, of another type or layout, or holds a
+                message that is not what its schema says.
+            TypeError: if the class holds a sequence of messages.
+        """
+        name = topic if topic is not None else self.find_topic(cls)
+        return self.tables({name: cls})[name]
+
+    def tables(self, wanted: Mapping[str, type[Any]]) -> dict[str, Columns]:
+        """Read several topics as columns in one pass over the file; raises as :meth:`columns`."""
+        builders: dict[str, ColumnBuilder] = {}
+        by_channel: dict[int, str] = {}
+        for topic, cls in wanted.items():
+            builders[topic] = ColumnBuilder(cls)
+            by_channel |= dict.fromkeys(self._channels(topic, cls), topic)
+        try:
+            for data in self._spans():
+                for key, places in scan_messages(data)[0].items():
+                    if key in by_channel:
+                        builders[by_channel[key]].add([data[a:b] for a, b in places])
+            return {topic: builder.finish() for topic, builder in builders.items()}
+        except CodecError as error:
+            text = f"{self._path.name}: a recorded message is not what its schema says: {error}"
+            raise SessionError("bad_message", text, exit_code=WRONG_CONTENT) from error
+
+    def find_topic(self, cls: type[Any]) -> str:
+        """Give the one topic of a message type.
+
+        Raises:
+            SessionError: if there is none or more than one.
+        """
+        name = type_name(cls)
+        found = sorted({t.name for t in self._info.topics if t.type_name == name})
+        if len(found) == 1:
+            return found[0]
+        have = ", ".join(found or sorted(t.name for t in self._info.topics)) or "nothing"
+        problem = "several topics hold" if found else "no topic holds"
+        text = f"{self._path.name}: {problem} {name}; it has {have}"
+        code = "ambiguous_topic" if found else "missing_topic"
+        raise SessionError(code, text, exit_code=WRONG_CONTENT)
+
+    def attachment(self, name: str) -> bytes:
+        """Read an attached file.
+
+        Raises:
+            SessionError: if there is none of this name.
+        """
+        for item in self.contents.attachments:
+            if item.name == name:
+                return _read_attachment(self._path, item)
+        text = f"{self._path.name} has no attachment {name!r}"
+        raise SessionError("missing_attachment", text, exit_code=WRONG_CONTENT)
+
+    def _channels(self, topic: str, cls: type[Any]) -> list[int]:
+        found = [k for k, c in self.contents.channels.items() if c.topic == topic]
+        if not found:
+            have = ", ".join(sorted(t.name for t in self._info.topics)) or "nothing"
+            text = f"{self._path.name} has no topic {topic}; it has {have}"
+            raise SessionError("missing_topic", text, exit_code=WRONG_CONTENT)
+        for key in found:
+            problem = _mismatch(self.contents, self.contents.channels[key], cls)
+            if problem:
+                text = f"{self._path.name}: {topic} {problem}"
+                hint = "it was recorded by another version"
+                raise SessionError("other_schema", text, hint, WRONG_CONTENT)
+        return found
+
+    def _spans(self) -> Iterator[bytes]:
+        try:
+            with self._path.open("rb") as file:
+                for span in self.contents.spans:
+                    yield read_span(file, span)
+        except (OSError, DamageError) as error:
+            text = f"{self._path.name} has changed since it was opened: {error}"
+            raise SessionError("changed", text) from error
+
+
+def open_session(path: Path | str) -> Session:
+    """Open a session file, unfinished (``*.partial``) and damaged ones too, with warnings.
+
+    Raises:
+        SessionError: if it is no readable file, is empty, is no MCAP, or holds no message.
+    """
+    path = Path(path)
+    try:
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode):
+            kind = "a directory" if stat.S_ISDIR(mode) else "not a regular file"
+            raise SessionError("not_a_file", f"{path} is {kind}", "name a session .mcap file")
+        with path.open("rb") as file:
+            size = file.seek(0, 2)
+            _check_magic(path, file)
+            contents = read_contents(file, size)
+    except FileNotFoundError as error:
+        raise SessionError("not_found", f"{path} does not exist") from error
+    except OSError as error:
+        raise SessionError("unreadable", f"{path} cannot be read: {error.strerror}") from error
+    return Session(path, size, contents)
+
+
+def _check_magic(path: Path, file: BinaryIO) -> None:
+    file.seek(0)
+    start = file.read(len(MAGIC))
+    if not start:
+        raise SessionError("empty", f"{path} is empty")
+    if start != MAGIC:
+        hint = ""
+        if start.startswith(b"SQLite"):
+            hint = "a rosbag2 .db3: convert it with `ros2 bag convert`"
+        raise SessionError("not_mcap", f"{path} is not an MCAP file", hint)
+
+
+def _make_info(path: Path, size: int, contents: Contents) -> SessionInfo:
+    topics = []
+    for key, channel in sorted(contents.channels.items()):
+        count = contents.counts.get(key)
+        name = _schema(contents, channel).name
+        times = (count.count, count.first_ns, count.last_ns) if count else (0, 0, 0)
+        topics.append(TopicInfo(channel.topic, name, channel.encoding, *times))
+    used = [topic for topic in topics if topic.count]
+    return SessionInfo(
+        path=path,
+        size=size,
+        start_ns=min((t.first_ns for t in used), default=0),
+        end_ns=max((t.last_ns for t in used), default=0),
+        topics=tuple(topics),
+        metadata=contents.metadata,
+        attachments=tuple(item.name for item in contents.attachments),
+        warnings=tuple(contents.warnings),
+        finished=contents.finished,
+        clean=contents.finished and "steerd.end" in contents.metadata,
+    )
+
+
+def _schema(contents: Contents, channel: Channel) -> Schema:
+    return contents.schemas.get(channel.schema_id, Schema("", "", b""))
+
+
+def _mismatch(contents: Contents, channel: Channel, cls: type[Any]) -> str:
+    schema = _schema(contents, channel)
+    if channel.encoding != "cdr" or schema.encoding != "ros2msg":
+        return f"is encoded as {channel.encoding!r} with {schema.encoding!r}, not cdr with ros2msg"
+    if schema.name != type_name(cls):
+        return f"holds {schema.name or 'no type'}, not {type_name(cls)}"
+    recorded = _field_lines(schema.text.decode(errors="replace"))
+    expected = _field_lines(schema_text(cls))
+    if recorded == expected:
+        return ""
+    lost = [line for line in expected if line not in recorded]
+    extra = [line for line in recorded if line not in expected]
+    return f"has other fields: lacks {lost or 'none'}, adds {extra or 'none'}"
+
+
+def _field_lines(text: str) -> list[str]:
+    lines = (" ".join(line.split("#")[0].split()) for line in text.splitlines())
+    return [line for line in lines if line and "=" not in line]
+
+
+def _read_attachment(path: Path, item: Attachment) -> bytes:
+    with path.open("rb") as file:
+        file.seek(item.offset)
+        return file.read(item.size)
