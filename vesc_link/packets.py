@@ -71,6 +71,24 @@ FEEDS_TIMEOUT: tuple[type[Command], ...] = (
     c.SetCurrentRel, c.Alive,
 )  # fmt: skip
 """Commands that restart the VESC's motor timeout; SET_SERVO_POS and polls do not."""
+_ANSWERED = (
+    c.GetFwVersion, c.GetValues, c.GetMcConf, c.GetMcConfDefault, c.GetAppConf,
+    c.GetAppConfDefault, c.GetDecodedPpm, c.GetValuesSetup, c.GetValuesSelective,
+    c.GetValuesSetupSelective, c.PingCan, c.GetImuData, c.GetMcConfTemp, c.GetBatteryCut,
+    c.GetStats,
+)  # fmt: skip
+
+
+def command_number(command: Command) -> CommandId:
+    """Id of a command, which is also the id of its reply."""
+    return _LAYOUTS[type(command)][0]
+
+
+def expects_reply(command: Command) -> bool:
+    """Whether the VESC answers with a frame of the same id."""
+    if isinstance(command, c.SetMcConfTemp | c.ResetStats):
+        return command.ack
+    return isinstance(command, _ANSWERED)
 
 
 def encode_command(command: Command, firmware: Firmware = FW_7_01) -> bytes:

@@ -1,0 +1,177 @@
+"""What goes into and comes out of `vesc_link.vesc.VescLink`: drive orders and events.
+
+Times are monotonic nanoseconds: ``t_sent_ns`` is when the request was written and ``t_received_ns``
+when the reply's first byte was read. The measurement lies between the two.
+"""
+
+from dataclasses import dataclass
+
+from vesc_link.commands import Command
+from vesc_link.identity import AppConf, FwVersion, McConfTemp
+from vesc_link.ids import CommandId
+from vesc_link.packets import Reply
+from vesc_link.telemetry import Imu, Values
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSpeed:
+    """Go at ``speed`` [m/s] with road-wheel angle ``steer`` [rad, left positive]."""
+
+    steer: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class DriveBrake:
+    """Brake with ``current`` [A]; must be repeated. ``steer`` None leaves the servo alone."""
+
+    steer: float | None
+    current: float
+
+
+@dataclass(frozen=True, slots=True)
+class DriveShort:
+    """Duty cycle zero: shorts the motor. The second means when brake current has no effect."""
+
+    steer: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class DriveRelease:
+    """Motor current zero: the car coasts."""
+
+    steer: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSilent:
+    """No motor command at all, so that the VESC's own timeout can strike."""
+
+    steer: float | None = None
+
+
+Drive = DriveSpeed | DriveBrake | DriveShort | DriveRelease | DriveSilent
+
+
+@dataclass(frozen=True, slots=True)
+class Stamped:
+    """When a reply was asked for and when it began to arrive [ns, monotonic]."""
+
+    t_sent_ns: int
+    t_received_ns: int
+
+    @property
+    def stamp_ns(self) -> int:
+        """Best guess of the time of measurement: the middle."""
+        return (self.t_sent_ns + self.t_received_ns) // 2
+
+    @property
+    def half_width_ns(self) -> int:
+        """How far the true time can be from `stamp_ns`."""
+        return (self.t_received_ns - self.t_sent_ns + 1) // 2
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry:
+    """Motor telemetry, asked for once per tick."""
+
+    values: Values
+    when: Stamped
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """IMU reading in SI units."""
+
+    imu: Imu
+    when: Stamped
+
+
+@dataclass(frozen=True, slots=True)
+class Uptime:
+    """The VESC's own clock [ms since boot], asked for once per second."""
+
+    uptime_ms: int
+    when: Stamped
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who answered; ``expected`` is False when the UUID is not the one that was demanded."""
+
+    version: FwVersion
+    expected: bool
+    when: Stamped
+
+
+@dataclass(frozen=True, slots=True)
+class AppConfRead:
+    """The VESC's timeout and timeout brake current."""
+
+    appconf: AppConf
+    when: Stamped
+
+
+@dataclass(frozen=True, slots=True)
+class LimitsRead:
+    """The limits in force in the VESC and its idea of the drive train."""
+
+    limits: McConfTemp
+    when: Stamped
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Any other reply to a request made through `VescLink.request`, acknowledgements included."""
+
+    reply: Reply
+    when: Stamped
+
+
+@dataclass(frozen=True, slots=True)
+class Expired:
+    """A request that nobody answered in time."""
+
+    command: Command
+    t_sent_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class FaultSeen:
+    """A fault code appeared; it clears by itself in the VESC and stays latched in the link."""
+
+    code: int
+    name: str
+    t_received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Rebooted:
+    """The VESC restarted: session limits are gone and its tachometer began anew."""
+
+    reason: str
+    t_received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Printed:
+    """Text from the VESC."""
+
+    text: str
+    t_received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """A valid frame that is no answer to an open request; ``reason`` says why."""
+
+    payload: bytes
+    command: CommandId | None
+    reason: str
+    t_received_ns: int
+
+
+Event = (
+    Telemetry | ImuSample | Uptime | Identity | AppConfRead | LimitsRead | Answer | Expired
+    | FaultSeen | Rebooted | Printed | Unknown
+)  # fmt: skip

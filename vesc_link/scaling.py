@@ -1,0 +1,115 @@
+"""Between SI and the VESC's units: speed and ERPM, road-wheel steer angle and servo position.
+
+``erpm = erpm_gain * v + erpm_offset`` and ``servo_pos = servo_gain * steer + servo_offset``
+(f1tenth/vesc ``vesc_ackermann``; spec page ``vesc-serial.md``, section 5).
+"""
+
+import math
+from dataclasses import dataclass
+
+_ERPM_PER_COUNT_RATE = 10.0
+"""60 s/min over 6 tachometer counts per electrical revolution."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scaling:
+    """Calibration of one car's drive train and steering.
+
+    The defaults are those of the F1TENTH stack's ``vesc.yaml`` (f1tenth_system, humble-devel).
+
+    Attributes:
+        erpm_gain: ERPM per m/s (``speed_to_erpm_gain``).
+        erpm_offset: ERPM at standstill (``speed_to_erpm_offset``).
+        servo_gain: servo position per rad of road-wheel angle; negative, because the servo turns
+            right for growing pulses and steer is positive left (``steering_angle_to_servo_gain``).
+        servo_offset: servo position straight ahead (``steering_angle_to_servo_offset``).
+        servo_min: lowest servo position, full left (``servo_min``).
+        servo_max: highest servo position, full right (``servo_max``).
+        erpm_max: largest ERPM commanded in either direction (``speed_max``).
+    """
+
+    erpm_gain: float = 4614.0
+    erpm_offset: float = 0.0
+    servo_gain: float = -1.2135
+    servo_offset: float = 0.5304
+    servo_min: float = 0.15
+    servo_max: float = 0.85
+    erpm_max: float = 23250.0
+
+    def __post_init__(self) -> None:
+        """Refuse a calibration that cannot be inverted or leaves the servo no room."""
+        values = (self.erpm_gain, self.erpm_offset, self.servo_gain, self.servo_offset)
+        if not all(map(math.isfinite, (*values, self.servo_min, self.servo_max, self.erpm_max))):
+            raise ValueError("scaling holds a number that is not finite")
+        if self.erpm_gain == 0 or self.servo_gain == 0:
+            raise ValueError("erpm_gain and servo_gain must not be zero")
+        if not 0 <= self.servo_min < self.servo_max <= 1:
+            raise ValueError("servo limits must satisfy 0 <= servo_min < servo_max <= 1")
+        if self.erpm_max <= 0:
+            raise ValueError("erpm_max must be positive")
+
+
+F1TENTH = Scaling()
+
+
+def speed_to_erpm(scaling: Scaling, speed: float) -> float:
+    """ERPM for a speed [m/s], clamped to ``erpm_max``.
+
+    Raises:
+        ValueError: the speed is NaN or infinite.
+    """
+    if not math.isfinite(speed):
+        raise ValueError(f"speed {speed} is no command")
+    erpm = scaling.erpm_gain * speed + scaling.erpm_offset
+    return min(max(erpm, -scaling.erpm_max), scaling.erpm_max)
+
+
+def erpm_to_speed(scaling: Scaling, erpm: float) -> float:
+    """Speed [m/s] at an ERPM."""
+    return (erpm - scaling.erpm_offset) / scaling.erpm_gain
+
+
+def steer_to_servo_pos(scaling: Scaling, steer: float) -> float:
+    """Servo position for a road-wheel angle [rad, left positive], clamped to the servo's limits.
+
+    Raises:
+        ValueError: the angle is NaN or infinite.
+    """
+    if not math.isfinite(steer):
+        raise ValueError(f"steer {steer} is no command")
+    servo_pos = scaling.servo_gain * steer + scaling.servo_offset
+    return min(max(servo_pos, scaling.servo_min), scaling.servo_max)
+
+
+def servo_pos_to_steer(scaling: Scaling, servo_pos: float) -> float:
+    """Road-wheel angle [rad, left positive] at a servo position."""
+    return (servo_pos - scaling.servo_offset) / scaling.servo_gain
+
+
+def steer_limits(scaling: Scaling) -> tuple[float, float]:
+    """Rightmost (negative) and leftmost (positive) road-wheel angle [rad].
+
+    They differ in size unless the servo's centre is in the middle of its range: with the F1TENTH
+    numbers 15.09° right and 17.96° left.
+    """
+    ends = (
+        servo_pos_to_steer(scaling, scaling.servo_min),
+        servo_pos_to_steer(scaling, scaling.servo_max),
+    )
+    return min(ends), max(ends)
+
+
+def metres_per_count(scaling: Scaling) -> float:
+    """Distance per tachometer count [m]: six counts make one electrical revolution."""
+    return _ERPM_PER_COUNT_RATE / scaling.erpm_gain
+
+
+def tachometer_to_distance(scaling: Scaling, before: int, after: int) -> float:
+    """Signed distance [m] between two tachometer readings, across a wrap of the 32-bit counter."""
+    counts = (after - before + (1 << 31)) % (1 << 32) - (1 << 31)
+    return counts * metres_per_count(scaling)
+
+
+def wheel_erpm_gain(pole_pairs: float, gear_ratio: float, wheel_diameter: float) -> float:
+    """ERPM per m/s of a drive train: ``60 * pole_pairs * gear_ratio / (pi * wheel_diameter)``."""
+    return 60 * pole_pairs * gear_ratio / (math.pi * wheel_diameter)

@@ -1,0 +1,278 @@
+"""The serial port: opened and configured by pyserial, read and written on its file descriptor.
+
+pyserial's ``write`` spins for ever once the transmit buffer is full (``safety.md`` fact 6), so
+nothing here calls it: bytes go through ``os.read`` and ``os.write`` on a non-blocking descriptor,
+and a write that cannot be done whole and at once is a fault of the link.
+"""
+
+import errno
+import fcntl
+import os
+import struct
+import tempfile
+import termios
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import serial  # noqa: TID251
+
+from vesc_link.frames import FLUSH
+
+READ_LIMIT = 4096
+"""Most bytes one `Port.read` returns; the rest waits for the next tick."""
+_UDEV_RULE = (
+    'ATTRS{idVendor}=="0483", ATTRS{idProduct}=="5740", ENV{ID_MM_DEVICE_IGNORE}="1", '
+    'MODE="0660", GROUP="dialout", SYMLINK+="vesc"'
+)
+_UDEV_HINT = f"put this line in /etc/udev/rules.d/99-vesc.rules and replug:\n  {_UDEV_RULE}"
+
+
+class PortError(OSError):
+    """A serial port that cannot be used; ``hint`` tells a person what to try next."""
+
+    def __init__(self, url: str, what: str, hint: str) -> None:
+        super().__init__(f"{url}: {what}")
+        self.url = url
+        self.hint = hint
+
+
+class NotFound(PortError):  # noqa: N818
+    """No such port, or not one that a VESC can be on."""
+
+
+class PermissionDenied(PortError):  # noqa: N818
+    """The user may not open the port."""
+
+
+class Busy(PortError):  # noqa: N818
+    """Another program holds the port."""
+
+
+class LinkDown(PortError):  # noqa: N818
+    """The port was open and does not take or give bytes any more."""
+
+
+def _not_found(url: str, what: str) -> NotFound:
+    return NotFound(
+        url,
+        what,
+        "is the VESC powered and its USB cable in? `ls -l /dev/ttyACM* /dev/serial/by-id` shows the"
+        f" ports there are; for a stable name {_UDEV_HINT}",
+    )
+
+
+def _denied(url: str, what: str) -> PermissionDenied:
+    return PermissionDenied(
+        url,
+        what,
+        f"`sudo usermod -aG dialout $USER`, then log out and in again; or {_UDEV_HINT}",
+    )
+
+
+def _busy(url: str, what: str) -> Busy:
+    return Busy(
+        url,
+        what,
+        "close VESC Tool, another steerd or a ROS driver on this port (`fuser -v PORT` names it); "
+        f"if ModemManager probes it, {_UDEV_HINT}",
+    )
+
+
+def _link_down(url: str, what: str) -> LinkDown:
+    return LinkDown(
+        url, what, "check the USB cable and the VESC's power; the motor's state is unknown"
+    )
+
+
+_ON_OPEN = {
+    errno.EACCES: _denied,
+    errno.EPERM: _denied,
+    errno.EBUSY: _busy,
+    errno.EAGAIN: _busy,
+    errno.EIO: _link_down,
+    errno.ENODEV: _link_down,
+    errno.ENXIO: _link_down,
+}
+
+
+class Port:
+    """An open serial port. Made by `open_port`.
+
+    Attributes:
+        fd: non-blocking file descriptor, for ``poll`` and for a guardian's duplicate.
+        url: what the port was opened as.
+    """
+
+    def __init__(self, url: str, device: serial.Serial, lock_fd: int | None) -> None:
+        self.url = url
+        self.fd: int = device.fileno()
+        self._device: serial.Serial | None = device
+        self._lock_fd = lock_fd
+        self._spy: Any = getattr(device, "formatter", None)
+
+    def read(self, limit: int = READ_LIMIT) -> bytes:
+        """Everything that has arrived, up to ``limit`` bytes; empty when nothing has.
+
+        Raises:
+            LinkDown: the other end is gone.
+        """
+        chunks: list[bytes] = []
+        left = limit
+        while left > 0:
+            try:
+                chunk = os.read(self.fd, left)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                if chunks:
+                    break  # what came before the end is still good; the next read reports it
+                raise _link_down(self.url, f"read failed: {error.strerror}") from error
+            if not chunk:
+                if chunks:
+                    break
+                raise _link_down(self.url, "hung up")
+            chunks.append(chunk)
+            left -= len(chunk)
+        data = b"".join(chunks)
+        if self._spy is not None and data:
+            self._spy.rx(data)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Hand all bytes to the kernel at once.
+
+        Raises:
+            LinkDown: not all of them were taken, or the device is gone.
+        """
+        try:
+            count = os.write(self.fd, data)
+        except BlockingIOError as error:
+            raise _link_down(self.url, "transmit buffer full, nothing sent") from error
+        except OSError as error:
+            raise _link_down(self.url, f"write failed: {error.strerror}") from error
+        if self._spy is not None:
+            self._spy.tx(data[:count])
+        if count != len(data):
+            raise _link_down(self.url, f"short write: {count} of {len(data)} bytes")
+
+    def out_queue(self) -> int:
+        """Bytes the kernel has not sent yet; a growing number means the device does not read.
+
+        Raises:
+            LinkDown: the device is gone.
+        """
+        try:
+            raw = fcntl.ioctl(self.fd, termios.TIOCOUTQ, b"\0\0\0\0")
+        except OSError as error:
+            raise _link_down(self.url, f"status failed: {error.strerror}") from error
+        return int(struct.unpack("i", raw)[0])
+
+    def close(self) -> None:
+        """Close the port and give up its locks; closing again does nothing."""
+        if self._device is None:
+            return
+        device, self._device, self.fd = self._device, None, -1
+        # On a pty the flag outlives this end, and would lock out the next one.
+        _try_ioctl(device.fileno(), termios.TIOCNXCL)
+        device.close()
+        if self._spy is not None and self._spy.output.fileno() > 2:
+            self._spy.output.close()
+        if self._lock_fd is not None:
+            os.close(self._lock_fd)
+            self._lock_fd = None
+
+
+def open_port(url: str, flush: bool = True, lock_dir: Path | None = None) -> Port:
+    """Open a serial device for this process alone.
+
+    Three locks, because each stops a different neighbour: ``flock`` on the device (pyserial's
+    ``exclusive``), TIOCEXCL (programs that lock nothing) and a lock file (another steerd started
+    through another name of the same device).
+
+    Args:
+        url: a device path, or ``spy:///dev/ttyACM0?file=trace.txt`` to log all traffic.
+        flush: write 520 zeros first, which frees the VESC's parser from a frame that a dead
+            predecessor left half sent (``vesc-serial.md`` section 1.1).
+        lock_dir: where lock files live; default the system's directory for temporary files.
+
+    Raises:
+        NotFound: there is no such device, or it is no serial port.
+        PermissionDenied: the user may not use it.
+        Busy: someone else has it open.
+        LinkDown: it went away while it was opened.
+    """
+    lock_fd = _take_lock(url, _device_path(url), lock_dir or Path(tempfile.gettempdir()))
+    device = None
+    try:
+        device = _open_device(url)
+        port = Port(url, device, lock_fd)
+        _configure(port)
+        if flush:
+            port.write(FLUSH)
+    except BaseException:
+        if device is not None:
+            device.close()
+        if lock_fd is not None:
+            os.close(lock_fd)
+        raise
+    return port
+
+
+def _device_path(url: str) -> Path:
+    if "://" not in url:
+        return Path(url)
+    parts = urlsplit(url)
+    if parts.scheme != "spy":
+        raise _not_found(url, f"{parts.scheme}:// has no file descriptor to drive a car through")
+    return Path(parts.netloc + parts.path)
+
+
+def _take_lock(url: str, device: Path, lock_dir: Path) -> int | None:
+    """Lock a file named after the real device; None where no such file can be made."""
+    name = str(device.resolve()).strip("/").replace("/", "_")
+    try:
+        fd = os.open(lock_dir / f"steerd-{name}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    except OSError:
+        return None  # another user's file in a sticky directory: the device's own locks remain
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(fd)
+        raise _busy(url, "another steerd holds it") from error
+    return fd
+
+
+def _open_device(url: str) -> serial.Serial:
+    try:
+        return serial.serial_for_url(url, exclusive=True, timeout=0, write_timeout=0)
+    except serial.SerialException as error:
+        number = error.errno if error.errno is not None else _cause(error)
+        make = _ON_OPEN.get(number, _not_found)
+        raise make(url, os.strerror(number) if number else "no serial port") from error
+
+
+def _cause(error: serial.SerialException) -> int:
+    """Pyserial keeps the number of a failed configuration only in the exception's context."""
+    args = error.__context__.args if error.__context__ is not None else ()
+    return args[0] if args and isinstance(args[0], int) else 0
+
+
+def _configure(port: Port) -> None:
+    """Non-blocking, exclusive, and reads that tell an empty port from a closed one."""
+    os.set_blocking(port.fd, False)
+    _try_ioctl(port.fd, termios.TIOCEXCL)
+    try:
+        settings = termios.tcgetattr(port.fd)
+        # With VMIN 0, as pyserial sets it, both an empty and a hung-up port read as b"".
+        settings[6][termios.VMIN] = 1
+        termios.tcsetattr(port.fd, termios.TCSANOW, settings)
+    except termios.error as error:
+        raise _link_down(port.url, f"configuration failed: {error}") from error
+
+
+def _try_ioctl(fd: int, request: int) -> None:
+    try:
+        fcntl.ioctl(fd, request)
+    except OSError:
+        return

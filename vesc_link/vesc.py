@@ -1,0 +1,360 @@
+"""Client of one VESC without I/O: bytes in, events out; drive orders in, bytes out.
+
+The owner calls `VescLink.make_connect` until `VescLink.ready`, then `VescLink.make_tick` once per
+tick, writes what it returns in one write, and hands whatever it reads to `VescLink.on_bytes`
+(once per tick even when nothing arrived, so that expiry is noticed). ALIVE is never sent: it would
+keep the last motor command running although this program hangs.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+from vesc_link import commands as c
+from vesc_link import events as e
+from vesc_link.commands import Command
+from vesc_link.frames import MAX_PAYLOAD, RUNNING_CEILING, Frame, FrameParser, encode_frame
+from vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
+from vesc_link.ids import (
+    FAULT_WATCHDOG_BOOT,
+    FW_3_00,
+    FW_7_01,
+    CommandId,
+    Firmware,
+    command_id,
+    fault_name,
+    knows,
+)
+from vesc_link.packets import (
+    FEEDS_TIMEOUT,
+    Reply,
+    command_number,
+    decode_reply,
+    encode_command,
+    expects_reply,
+)
+from vesc_link.scaling import Scaling, speed_to_erpm, steer_to_servo_pos
+from vesc_link.telemetry import FAST_MASK, UPTIME_MASK, Imu, Stats, Values, ValuesSetup, values_size
+
+WRITE_LIMIT = 64
+"""One write per tick fits one USB packet [bytes]."""
+EXPIRY_NS = 80_000_000
+UPTIME_PERIOD_NS = 1_000_000_000
+CONNECT_TRIES = 5
+"""How often a configuration is asked for before the link goes on without it."""
+
+FIRST_KNOWN_APPCONF = Firmware(3, 55)
+"""Older app configurations may begin with other fields (``safety.md`` fact 3)."""
+
+_NOT_BY_REQUEST = (
+    *FEEDS_TIMEOUT, c.SetServoPos, c.SetDetect, c.ForwardCan, c.Reboot, c.GetMcConf,
+    c.GetMcConfDefault, c.GetAppConfDefault,
+)  # fmt: skip
+_UNASKED = frozenset((CommandId.PRINT, CommandId.ROTOR_POSITION, CommandId.CUSTOM_APP_DATA))
+
+
+@dataclass(slots=True)
+class Counters:
+    """What went wrong on the link so far; the parser counts checksum errors and lost bytes."""
+
+    expired: int = 0
+    unknown_ids: int = 0
+    unasked: int = 0
+    odd_lengths: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Request:
+    command: Command
+    t_sent_ns: int
+    t_earliest_ns: int
+
+
+class VescLink:
+    """Protocol state of one VESC.
+
+    Args:
+        scaling: calibration of the car.
+        expected_uuid: the 12 bytes that must answer; None takes any VESC.
+        telemetry_mask: fields polled each tick (firmware before 3.48 is polled for all).
+        imu_mask: IMU fields polled each tick; None polls no IMU.
+        expiry_ns: how long a request may stay open.
+
+    Attributes:
+        version, appconf, limits: what the VESC said; None until it did.
+        latched_fault: first fault code since `clear_fault`; 0 is none.
+        counters, parser: link quality.
+    """
+
+    def __init__(
+        self,
+        scaling: Scaling,
+        expected_uuid: bytes | None = None,
+        telemetry_mask: int = FAST_MASK,
+        imu_mask: int | None = None,
+        expiry_ns: int = EXPIRY_NS,
+    ) -> None:
+        self._scaling = scaling
+        self._expected_uuid = expected_uuid
+        self._telemetry_mask = telemetry_mask
+        self._imu_mask = imu_mask
+        self._expiry_ns = expiry_ns
+        self.counters = Counters()
+        self.latched_fault = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the device, as after a reopen; the latched fault and the counters stay."""
+        self.parser = FrameParser()
+        self.version: FwVersion | None = None
+        self.appconf: AppConf | None = None
+        self.limits: McConfTemp | None = None
+        self._open: dict[CommandId, _Request] = {}
+        self._just_expired: dict[CommandId, int] = {}
+        self._expired_events: list[e.Event] = []
+        self._tries: dict[CommandId, int] = {}
+        self._queue: deque[Command] = deque()
+        self._uptime_due_ns: int | None = None
+        self._fault = 0
+        self._uptime_ms = 0
+        self._tachometer_abs = 0
+
+    @property
+    def firmware(self) -> Firmware | None:
+        """Firmware of the VESC; None until it said."""
+        return self.version.firmware if self.version else None
+
+    @property
+    def ready(self) -> bool:
+        """Whether the connect sequence is over (`appconf` may be None: it did not answer)."""
+        return self._connect_step() is None
+
+    def clear_fault(self) -> None:
+        """Let go of the latched fault; a fault that persists latches again."""
+        self.latched_fault = self._fault = 0
+
+    def request(self, command: Command) -> None:
+        """Send a one-off command with one of the next ticks that has room for it.
+
+        SET_MCCONF_TEMP (50 bytes) has room only in a tick without motor command.
+
+        Raises:
+            ValueError: a command that drives, steers or keeps driving (ticks alone do that), or one
+                whose reply only VESC Tool understands.
+        """
+        if isinstance(command, _NOT_BY_REQUEST):
+            raise ValueError(f"{type(command).__name__} is not sent on request")
+        encode_command(command, self.firmware or FW_7_01)
+        self._queue.append(command)
+
+    # --- host to VESC ---------------------------------------------------------------------------
+
+    def make_connect(self, t_ns: int) -> bytes:
+        """Next request of the connect sequence; empty while one is open or when all is known."""
+        self._expire(t_ns)
+        step = self._connect_step()
+        if step is None or command_number(step) in self._open:
+            return b""
+        number = command_number(step)
+        self._tries[number] = self._tries.get(number, 0) + 1
+        return self._send(step, t_ns)
+
+    def _connect_step(self) -> Command | None:
+        firmware = self.firmware
+        if firmware is None:
+            return c.GetFwVersion()
+        if (
+            self.appconf is None
+            and firmware >= FIRST_KNOWN_APPCONF
+            and self._may_try(CommandId.GET_APPCONF)
+        ):
+            return c.GetAppConf()
+        if (
+            self.limits is None
+            and knows(firmware, CommandId.GET_MCCONF_TEMP)
+            and self._may_try(CommandId.GET_MCCONF_TEMP)
+        ):
+            return c.GetMcConfTemp()
+        return None
+
+    def _may_try(self, number: CommandId) -> bool:
+        return number in self._open or self._tries.get(number, 0) < CONNECT_TRIES
+
+    def make_tick(self, drive: e.Drive, t_ns: int) -> bytes:
+        """All bytes of one tick: motor, servo, then as many polls as fit into 64 bytes.
+
+        Raises:
+            ValueError: the drive order holds NaN or infinity. Nothing was sent; brake.
+        """
+        self._expire(t_ns)
+        parts = [self._frame(command) for command in self._motion(drive)]
+        room = WRITE_LIMIT - sum(map(len, parts))
+        for command in self._polls(t_ns):
+            if len(self._frame(command)) > room or command_number(command) in self._open:
+                continue
+            if self._queue and command is self._queue[0]:
+                self._queue.popleft()
+            parts.append(self._send(command, t_ns))
+            room -= len(parts[-1])
+        return b"".join(parts)
+
+    def _motion(self, drive: e.Drive) -> list[Command]:
+        commands: list[Command] = []
+        match drive:
+            case e.DriveSpeed(speed=speed):
+                commands.append(c.SetErpm(speed_to_erpm(self._scaling, speed)))
+            case e.DriveBrake(current=current):
+                commands.append(c.SetCurrentBrake(current))
+            case e.DriveShort():
+                commands.append(c.SetDuty(0.0))
+            case e.DriveRelease():
+                commands.append(c.SetCurrent(0.0))
+            case e.DriveSilent():
+                pass
+        if drive.steer is not None:
+            commands.append(c.SetServoPos(steer_to_servo_pos(self._scaling, drive.steer)))
+        return commands
+
+    def _polls(self, t_ns: int) -> list[Command]:
+        """Requests that are due, the most important first."""
+        firmware = self.firmware
+        if firmware is None:
+            return []
+        due: list[Command] = [self._queue[0]] if self._queue else []
+        if knows(firmware, CommandId.GET_VALUES_SELECTIVE):
+            due.append(c.GetValuesSelective(self._telemetry_mask))
+        else:
+            due.append(c.GetValues())
+        if self._imu_mask is not None and knows(firmware, CommandId.GET_IMU_DATA):
+            due.append(c.GetImuData(self._imu_mask))
+        if firmware >= Firmware(5, 3) and t_ns >= (self._uptime_due_ns or t_ns):
+            due.append(c.GetValuesSetupSelective(UPTIME_MASK))
+        return due
+
+    def _frame(self, command: Command) -> bytes:
+        return encode_frame(encode_command(command, self.firmware or FW_7_01))
+
+    def _send(self, command: Command, t_ns: int) -> bytes:
+        if expects_reply(command):
+            number = command_number(command)
+            earliest = self._just_expired.pop(number, t_ns)
+            still_possible = t_ns - earliest <= 2 * self._expiry_ns
+            self._open[number] = _Request(command, t_ns, earliest if still_possible else t_ns)
+        if isinstance(command, c.GetValuesSetupSelective):
+            self._uptime_due_ns = t_ns + UPTIME_PERIOD_NS
+        return self._frame(command)
+
+    def _expire(self, t_ns: int) -> None:
+        for number, request in list(self._open.items()):
+            if t_ns - request.t_sent_ns > self._expiry_ns:
+                del self._open[number]
+                self.counters.expired += 1
+                # The answer may still come, and then looks like that to the next request.
+                self._just_expired[number] = request.t_sent_ns
+                self._expired_events.append(e.Expired(request.command, request.t_sent_ns))
+
+    # --- VESC to host ---------------------------------------------------------------------------
+
+    def on_bytes(self, t_ns: int, data: bytes) -> list[e.Event]:
+        """Take bytes read at ``t_ns`` (or none) and return what they mean, in order."""
+        self.parser.ceiling = self._ceiling()
+        events: list[e.Event] = []
+        for frame in self.parser.feed_stamped(data, t_ns):
+            events += self._on_frame(frame)
+        self._expire(t_ns)
+        events += self._expired_events
+        self._expired_events = []
+        return events
+
+    def _ceiling(self) -> int:
+        return (
+            RUNNING_CEILING
+            if self.ready and CommandId.GET_APPCONF not in self._open
+            else MAX_PAYLOAD
+        )
+
+    def _on_frame(self, frame: Frame) -> list[e.Event]:
+        firmware = self.firmware or FW_7_01
+        number = command_id(frame.payload[0], firmware)
+        reply = decode_reply(frame.payload, firmware)
+        if isinstance(reply, Print):
+            return [e.Printed(reply.text, frame.t_first_ns)]
+        if number is None or number in _UNASKED:
+            self.counters.unknown_ids += number is None
+            return [self._unknown(frame, number, "unknown id" if number is None else "unsolicited")]
+        if reply is None or self._is_odd(reply, len(frame.payload)):
+            self.counters.odd_lengths += 1
+            return [self._unknown(frame, number, "wrong length for this firmware")]
+        request = self._open.get(number)
+        if request is None or not _answers(reply, request.command):
+            self.counters.unasked += 1
+            return [self._unknown(frame, number, "nobody asked")]
+        del self._open[number]
+        return self._on_reply(reply, e.Stamped(request.t_earliest_ns, frame.t_first_ns))
+
+    def _unknown(self, frame: Frame, number: CommandId | None, reason: str) -> e.Unknown:
+        return e.Unknown(frame.payload, number, reason, frame.t_first_ns)
+
+    def _is_odd(self, reply: Reply, size: int) -> bool:
+        """Whether a measurement is shorter than this firmware's; a newer one may send more."""
+        if isinstance(reply, Imu):
+            return size < 3 + 4 * reply.mask.bit_count()
+        if not isinstance(reply, Values) or self.firmware is None:
+            return False
+        expected = values_size(reply.mask, self.firmware)
+        return size != expected if self.firmware <= FW_3_00 else size < expected
+
+    def _on_reply(self, reply: Reply, when: e.Stamped) -> list[e.Event]:
+        match reply:
+            case Values():
+                return [e.Telemetry(reply, when), *self._watch(reply, when.t_received_ns)]
+            case Imu():
+                return [e.ImuSample(reply, when)]
+            case ValuesSetup(uptime_ms=int(uptime_ms)):
+                return [e.Uptime(uptime_ms, when), *self._watch_uptime(uptime_ms, when)]
+            case FwVersion():
+                self.version = reply
+                expected = self._expected_uuid in (None, reply.uuid)
+                return [e.Identity(reply, expected, when)]
+            case AppConf():
+                self.appconf = reply
+                return [e.AppConfRead(reply, when)]
+            case McConfTemp():
+                self.limits = reply
+                return [e.LimitsRead(reply, when)]
+            case _:
+                return [e.Answer(reply, when)]
+
+    def _watch(self, values: Values, t_ns: int) -> list[e.Event]:
+        """Faults and restarts that telemetry gives away."""
+        events: list[e.Event] = []
+        fault = values.fault or 0
+        if fault and fault != self._fault:
+            events.append(e.FaultSeen(fault, fault_name(fault), t_ns))
+            if fault == FAULT_WATCHDOG_BOOT:
+                events.append(self._rebooted("its watchdog restarted it", t_ns))
+        self._fault = fault
+        self.latched_fault = self.latched_fault or fault
+        if values.tachometer_abs is not None:
+            if values.tachometer_abs < self._tachometer_abs:
+                events.append(self._rebooted("its tachometer went back", t_ns))
+            self._tachometer_abs = values.tachometer_abs
+        return events
+
+    def _watch_uptime(self, uptime_ms: int, when: e.Stamped) -> list[e.Event]:
+        went_back = uptime_ms < self._uptime_ms
+        self._uptime_ms = uptime_ms
+        return [self._rebooted("its uptime went back", when.t_received_ns)] if went_back else []
+
+    def _rebooted(self, reason: str, t_ns: int) -> e.Rebooted:
+        self.limits = None
+        self._tries.clear()
+        return e.Rebooted(reason, t_ns)
+
+
+def _answers(reply: Reply, command: Command) -> bool:
+    """Whether the echoed mask is the one asked for; an id alone answers commands without one."""
+    if isinstance(reply, Ack):
+        return True
+    asked = getattr(command, "mask", None)
+    echoed = reply.mask if isinstance(reply, Values | ValuesSetup | Imu | Stats) else None
+    return bool(asked == echoed)
