@@ -1,0 +1,75 @@
+"""Projection against a brute-force search on a fine resampling."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from car_model.path import Path, interpolate, locate, project
+from car_model.path_shapes import make_figure_eight
+from car_model.path_spec import parse_path
+
+PATHS = {spec: parse_path(spec) for spec in ("circle:radius=1.3", "figure8", "line:length=5")}
+FINE_EIGHT = make_figure_eight()
+
+
+def point_beside(path: Path, s: float, offset: float) -> tuple[float, float]:
+    i = min(int(s / path.step), len(path.x) - 1)
+    yaw = path.yaw[i]
+    return path.x[i] - offset * math.sin(yaw), path.y[i] + offset * math.cos(yaw)
+
+
+def brute_distance(path: Path, x: float, y: float) -> float:
+    """Distance to the polygon through the samples (within k step^2 / 8 of the curve)."""
+    points = np.column_stack([path.x, path.y])
+    ends = np.roll(points, -1, axis=0) if path.closed else points[1:]
+    points = points[: len(ends)]
+    along = ends - points
+    share = np.einsum("ij,ij->i", np.array([x, y]) - points, along) / np.sum(along**2, axis=1)
+    nearest = points + np.clip(share, 0.0, 1.0)[:, None] * along
+    return float(np.linalg.norm(np.array([x, y]) - nearest, axis=1).min())
+
+
+@pytest.mark.parametrize("spec", PATHS)
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(share=st.floats(0.0, 0.999), offset=st.floats(-0.5, 0.5))
+def test_offset_equals_brute_force(spec: str, share: float, offset: float) -> None:
+    path = PATHS[spec]
+    x, y = point_beside(path, share * path.length, offset)
+    seen = locate(path, x, y)
+    assert seen.distance == pytest.approx(brute_distance(path, x, y), abs=6e-5)
+    assert abs(seen.e1) == pytest.approx(seen.distance, abs=1e-12)
+
+
+@pytest.mark.parametrize("spec", PATHS)
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    share=st.floats(0.05, 0.95),
+    offset=st.floats(-0.5, 0.5),
+    behind=st.integers(-12, 12),
+)
+def test_the_hint_does_not_matter(spec: str, share: float, offset: float, behind: int) -> None:
+    path = PATHS[spec]
+    x, y = point_beside(path, share * path.length, offset)
+    index = int(share * path.length / path.step)
+    near = project(path, x, y, index)
+    far = project(path, x, y, (index + behind) % len(path.x))
+    assert far.e1 == pytest.approx(near.e1, abs=1e-6)
+    assert (far.s - near.s + 1.0) % path.length == pytest.approx(1.0, abs=1e-4)
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(share=st.floats(0.0, 0.999), offset=st.floats(-0.4, 0.4))
+def test_the_foot_and_offset_give_the_point_back(share: float, offset: float) -> None:
+    path = FINE_EIGHT
+    x, y = point_beside(path, share * path.length, offset)
+    seen = project(path, x, y, int(share * path.length / path.step))
+    unclosed = path.x[seen.hint], path.y[seen.hint]
+    along = (seen.s - seen.hint * path.step + 1.0) % path.length - 1.0
+    mean_yaw = 0.5 * (path.yaw[seen.hint] + seen.yaw_path)
+    foot = unclosed[0] + along * math.cos(mean_yaw), unclosed[1] + along * math.sin(mean_yaw)
+    assert foot[0] - seen.e1 * math.sin(seen.yaw_path) == pytest.approx(x, abs=1e-5)
+    assert foot[1] + seen.e1 * math.cos(seen.yaw_path) == pytest.approx(y, abs=1e-5)
+    assert seen.curvature == pytest.approx(interpolate(path, path.curvature, seen.s), abs=1e-9)
