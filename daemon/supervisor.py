@@ -164,7 +164,7 @@ def _choose_motor(s: SupervisorState, old: SupervisorState, bits: int) -> Motor:
     """Motor bytes that follow from the state alone; the table of section 3, second column."""
     match s.state:
         case State.INIT:
-            return Motor.SOFT_BRAKE if s.frames < old.frames else Motor.SILENT
+            return Motor.SOFT_BRAKE if s.frames and bits & _LINKED else Motor.SILENT
         case State.ARMED:
             return Motor.HOLD_BRAKE
         case State.RUNNING:
@@ -200,8 +200,6 @@ def _choose_steering(s: SupervisorState, bits: int, motor: Motor) -> Steering:
 
 def _count_frames(s: SupervisorState, bits: int) -> int:
     """Brake frames still owed to a port that was just opened."""
-    if s.state != State.INIT:
-        return s.frames
     return max(0, s.frames - 1) if bits & _LINKED else OPEN_FRAMES
 
 
@@ -246,8 +244,9 @@ def step(
     braking = s.state == State.STOPPING and (
         s.braking or cap < SOFT_BRAKE_SPEED or not abs(conditions.speed) >= SOFT_BRAKE_SPEED
     )
-    frames = _count_frames(s, bits)
-    s = s._replace(cap=cap, braking=braking, frames=frames)
+    s = s._replace(cap=cap, braking=braking)
     motor = _choose_motor(s, old, bits)
     steering = _choose_steering(s, bits, motor)
+    if s.state == State.INIT:
+        s = s._replace(frames=_count_frames(s, bits))
     return s, Action(motor, steering, cap, s.reason, _WAITING[s.state])
