@@ -1,0 +1,138 @@
+"""How well the filter is: what watchdogs W5 (innovations) and W6 (covariance) need to know.
+
+Every fused measurement carries running totals up to itself. The statistics of a window are the
+difference of two totals, so they cost the same however many measurements the window holds, and
+follow the measurements when a late one changes the decisions after it.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.kalman import Array, Belief
+from estimator.sensors import Kind
+
+SECONDS = 1e-9
+
+
+class Count(NamedTuple):
+    """Running totals of one instrument."""
+
+    seen: int = 0
+    refused: int = 0
+    streak: int = 0
+    """Refused in a row, up to now."""
+    nis: float = math.nan
+    """Normalised innovation squared of the last one, believed or not."""
+    nis_sum: float = 0.0
+    """Over those believed."""
+    believed_ns: int = 0
+    """Time of validity of the last one believed [ns]."""
+
+
+class Tally(NamedTuple):
+    """Running totals of all instruments, in the order of `Kind`."""
+
+    pose: Count = Count()
+    wheel_speed: Count = Count()
+    gyro: Count = Count()
+
+
+@dataclass(frozen=True)
+class SensorHealth:
+    """One instrument over the last `HEALTH_WINDOW_S`, and since the filter started."""
+
+    age_s: float
+    """Since the last reading that was believed [s]: how long the filter has coasted without it."""
+    nis: float
+    """Of the last reading; NaN before the first."""
+    nis_mean: float
+    """Of the readings believed in the window (about the number of values when consistent)."""
+    refused_in_row: int
+    refused_share: float
+    """Refused among all in the window (0 when there were none)."""
+    refused: int
+    seen: int
+
+
+@dataclass(frozen=True)
+class FilterHealth:
+    """The filter's own view of itself at one instant."""
+
+    sound: bool
+    """Mean and covariance are finite, the covariance symmetric positive definite."""
+    position_sd: float
+    """Along the worst direction [m]; NaN when not sound."""
+    yaw_sd: float
+    """[rad]; NaN when not sound."""
+    pose: SensorHealth
+    wheel_speed: SensorHealth
+    gyro: SensorHealth
+    untimely: int
+    """Measurements that came too late to be fused, or from the future."""
+
+
+def counted(tally: Tally, kind: Kind, t_ns: int, nis: float, believed: bool) -> Tally:
+    """The totals after one more measurement."""
+    old = tally[kind]
+    new = Count(
+        seen=old.seen + 1,
+        refused=old.refused + (not believed),
+        streak=0 if believed else old.streak + 1,
+        nis=nis,
+        nis_sum=old.nis_sum + (nis if believed else 0.0),
+        believed_ns=t_ns if believed else old.believed_ns,
+    )
+    return Tally(*(new if index == kind else count for index, count in enumerate(tally)))
+
+
+def make_health(
+    belief: Belief, t_ns: int, before: Tally, now: Tally, untimely: int
+) -> FilterHealth:
+    """Health at `t_ns`, with the totals at the beginning of the window and now."""
+    sound = is_sound(belief)
+    covariance = belief.covariance
+    return FilterHealth(
+        sound=sound,
+        position_sd=worst_sd(covariance[:2, :2]) if sound else math.nan,
+        yaw_sd=math.sqrt(covariance[2, 2]) if sound else math.nan,
+        pose=_sensor_health(before.pose, now.pose, t_ns),
+        wheel_speed=_sensor_health(before.wheel_speed, now.wheel_speed, t_ns),
+        gyro=_sensor_health(before.gyro, now.gyro, t_ns),
+        untimely=untimely,
+    )
+
+
+def is_sound(belief: Belief) -> bool:
+    """Whether the belief is finite and its covariance positive definite (Cholesky's test)."""
+    mean, covariance = belief
+    if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+        return False
+    try:
+        np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        return False
+    return bool(np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0))
+
+
+def worst_sd(block: Array) -> float:
+    """Standard deviation along the worst direction of a (2, 2) covariance."""
+    a, b, c = float(block[0, 0]), float(block[0, 1]), float(block[1, 1])
+    return math.sqrt(0.5 * (a + c) + math.hypot(0.5 * (a - c), b))
+
+
+def _sensor_health(before: Count, now: Count, t_ns: int) -> SensorHealth:
+    seen, refused = now.seen - before.seen, now.refused - before.refused
+    believed = seen - refused
+    ever = now.believed_ns > 0
+    return SensorHealth(
+        age_s=(t_ns - now.believed_ns) * SECONDS if ever else math.inf,
+        nis=now.nis,
+        nis_mean=(now.nis_sum - before.nis_sum) / believed if believed else math.nan,
+        refused_in_row=now.streak,
+        refused_share=refused / seen if seen else 0.0,
+        refused=now.refused,
+        seen=now.seen,
+    )

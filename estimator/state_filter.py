@@ -1,0 +1,248 @@
+"""The car's state, filtered: measurements fused where they belong in time, however late they come.
+
+A `FilterState` holds the measurements of the last `history_s` in order of validity, each with the
+belief after it. A new one is put in its place and the later ones are fused again. The belief at any
+instant therefore depends on which measurements arrived, never on the order in which they did.
+"""
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from car_model.ops import FLOAT
+from car_model.params import Car
+from car_model.single_track import references
+from car_model.state import Command, State
+from estimator.actuation import NO_HISTORY, NS, History, dead_times, forgotten, held, remembered
+from estimator.config import HEALTH_WINDOW_S, FilterConfig
+from estimator.health import Count, FilterHealth, Tally, counted, make_health
+from estimator.initial import LONGEST_S, initial_belief
+from estimator.kalman import Array, Belief, Kalman
+from estimator.motion import SIZE, predicted
+from estimator.sensors import Kind, Measurement, Sensor, make_sensors, residual
+
+FUTURE_NS = 2_000_000
+"""A measurement from further ahead than this has a broken clock behind it."""
+
+
+class Node(NamedTuple):
+    """A measurement in its place, and the belief after it."""
+
+    measurement: Measurement
+    belief: Belief
+    innovation: Array
+    """Measurement minus prediction; empty for the first node."""
+    nis: float
+    believed: bool
+    tally: Tally
+
+
+@dataclass(frozen=True, slots=True)
+class FilterState:
+    """All that the filter knows. A value: every function returns a new one."""
+
+    nodes: tuple[Node, ...] = ()
+    """In order of validity; empty until the first belief."""
+    history: History = NO_HISTORY
+    first_poses: tuple[Measurement, ...] = ()
+    untimely: int = 0
+
+
+@dataclass(frozen=True)
+class StateFilter:
+    """What does not change while it runs."""
+
+    car: Car[float]
+    config: FilterConfig
+    kalman: Kalman
+    sensors: Mapping[Kind, Sensor]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The car at one instant."""
+
+    t_ns: int
+    state: State[float]
+    """Yaw is continuous, not wrapped."""
+    sd: State[float]
+    """Standard deviation of each state."""
+    covariance: Array
+    """(7, 7)."""
+    health: FilterHealth
+
+
+_time = attrgetter("measurement.t_ns")
+_measurement = attrgetter("measurement")
+
+
+def make_state_filter(car: Car[float], config: FilterConfig | None = None) -> StateFilter:
+    """A filter for a car."""
+    config = config or FilterConfig()
+    return StateFilter(car, config, Kalman(SIZE), make_sensors(car, config))
+
+
+def step(
+    flt: StateFilter,
+    state: FilterState,
+    now_ns: int,
+    measurements: Sequence[Measurement] = (),
+    commands: Sequence[tuple[int, Command[float] | None]] = (),
+) -> FilterState:
+    """Take in what arrived until `now_ns`: measurements of any age, commands with their times.
+
+    One call with all that a tick brought costs one pass over the recent past; several calls give
+    the same state for more work. Measurements older than the buffer or from the future are counted
+    as untimely and not fused.
+
+    Raises:
+        ValueError: if a command is not finite.
+    """
+    history = state.history
+    redo_ns = now_ns + FUTURE_NS
+    for sent_ns, command in commands:
+        history = remembered(history, sent_ns, command)
+        redo_ns = min(redo_ns, sent_ns + min(dead_times(flt.car)))
+    oldest_ns = now_ns - round(flt.config.history_s * NS)
+    reach_ns = max(dead_times(flt.car))
+    timely = sorted(
+        m
+        for m in (_shifted(flt.car, m) for m in measurements)
+        if oldest_ns <= m.t_ns <= now_ns + FUTURE_NS
+    )
+    if not state.nodes:
+        lost = len(measurements) - len(timely)
+        recent = forgotten(history, oldest_ns - reach_ns)
+        return _started(
+            flt, FilterState((), recent, state.first_poses, state.untimely + lost), timely
+        )
+    known = [m for m in timely if m.t_ns >= _time(state.nodes[0])]
+    untimely = state.untimely + len(measurements) - len(known)
+    nodes = _fused(flt, history, state.nodes, known, redo_ns)
+    first = max(bisect_right(nodes, oldest_ns, key=_time) - 1, 0)
+    recent = forgotten(history, _time(nodes[first]) - reach_ns)
+    return FilterState(nodes[first:], recent, (), untimely)
+
+
+def on_command(
+    flt: StateFilter, state: FilterState, t_ns: int, command: Command[float] | None
+) -> FilterState:
+    """A command was sent at `t_ns`; None when nothing is driven any more."""
+    return step(flt, state, t_ns, (), ((t_ns, command),))
+
+
+def on_measurement(
+    flt: StateFilter, state: FilterState, now_ns: int, measurement: Measurement
+) -> FilterState:
+    """A measurement arrived at `now_ns` (see `sensors.make_pose` and its like)."""
+    return step(flt, state, now_ns, (measurement,))
+
+
+def restarted(state: FilterState) -> FilterState:
+    """Forget where the car is and begin again from the next poses.
+
+    For the caller to allow, with the car at rest: a swapped body looks exactly like a filter that
+    went astray, and only one of the two should be followed.
+    """
+    return FilterState(history=state.history, untimely=state.untimely)
+
+
+def predict_to(flt: StateFilter, state: FilterState, t_ns: int) -> Estimate | None:
+    """The estimate at `t_ns` from the measurements valid until then; None before the first belief.
+
+    Nothing is kept: a look ahead is not a measurement.
+    """
+    nodes = state.nodes
+    last = bisect_right(nodes, t_ns, key=_time) - 1
+    if last < 0:
+        return None
+    node = nodes[last]
+    belief = _moved(flt, state.history, node.belief, _time(node), t_ns)
+    begin = max(bisect_right(nodes, t_ns - round(HEALTH_WINDOW_S * NS), key=_time) - 1, 0)
+    health = make_health(belief, t_ns, nodes[begin].tally, node.tally, state.untimely)
+    variance = np.diagonal(belief.covariance)
+    sds = [math.sqrt(v) if v >= 0.0 else math.nan for v in variance.tolist()]
+    return Estimate(t_ns, State(*belief.mean.tolist()), State(*sds), belief.covariance, health)
+
+
+def _shifted(car: Car[float], measurement: Measurement) -> Measurement:
+    """A pose moved back by the latency that its stamp does not hold."""
+    if measurement.kind is not Kind.POSE or not car.pose_delay:
+        return measurement
+    return measurement._replace(t_ns=measurement.t_ns - round(car.pose_delay * NS))
+
+
+def _moved(
+    flt: StateFilter, history: History, belief: Belief, start_ns: int, end_ns: int
+) -> Belief:
+    return predicted(flt.kalman, flt.car, flt.config, history, belief, start_ns, end_ns)
+
+
+def _fused(
+    flt: StateFilter,
+    history: History,
+    nodes: tuple[Node, ...],
+    fresh: list[Measurement],
+    redo_ns: int,
+) -> tuple[Node, ...]:
+    """The nodes with fresh measurements in their places, fused again from the first change on.
+
+    A measurement that is there already is not fused twice.
+    """
+    keep = bisect_right(nodes, redo_ns, key=_time)
+    if fresh:
+        keep = min(keep, bisect_left(nodes, fresh[0], key=_measurement))
+    keep = max(keep, 1)
+    chain = list(nodes[:keep])
+    for measurement in sorted([*fresh, *(node.measurement for node in nodes[keep:])]):
+        if measurement != chain[-1].measurement:
+            chain.append(_next(flt, history, chain[-1], measurement))
+    return tuple(chain)
+
+
+def _next(flt: StateFilter, history: History, node: Node, measurement: Measurement) -> Node:
+    """The node after `node`: predict to the measurement, look at its innovation, fuse or refuse."""
+    sensor = flt.sensors[measurement.kind]
+    prior = _moved(flt, history, node.belief, _time(node), measurement.t_ns)
+    measured = np.array(measurement.values)
+    if np.isfinite(measured).all():
+        fused = flt.kalman.update(
+            prior, measured, sensor.matrix, sensor.noise, lambda z, hx: residual(sensor, z, hx)
+        )
+        belief, innovation, nis = fused
+    else:
+        belief, innovation, nis = prior, measured, math.inf
+    believed = nis <= sensor.gate
+    tally = counted(node.tally, measurement.kind, measurement.t_ns, nis, believed)
+    return Node(measurement, belief if believed else prior, innovation, nis, believed, tally)
+
+
+def _started(flt: StateFilter, state: FilterState, fresh: list[Measurement]) -> FilterState:
+    """Gather poses until they give a first belief; what is later than it is fused at once."""
+    poses = [m for m in fresh if m.kind is Kind.POSE and all(map(math.isfinite, m.values))]
+    gathered = sorted([*state.first_poses, *poses])
+    count = flt.config.initial_poses
+    for stop in range(count, len(gathered) + 1):
+        some = gathered[stop - count : stop]
+        t_ns = some[-1].t_ns
+        belief = initial_belief(flt.config, some, _asked_steer(flt.car, state.history, t_ns))
+        if belief is not None:
+            tally = Tally(pose=Count(seen=count, believed_ns=t_ns))
+            root = Node(some[-1], belief, np.empty(0), math.nan, True, tally)
+            later = [m for m in fresh if m > some[-1]]
+            nodes = _fused(flt, state.history, (root,), later, t_ns)
+            return FilterState(nodes, state.history, (), state.untimely)
+    since = gathered[-1].t_ns - round(LONGEST_S * NS) if gathered else 0
+    recent = tuple(m for m in gathered[1 - count :] if m.t_ns >= since)
+    return replace(state, first_poses=recent)
+
+
+def _asked_steer(car: Car[float], history: History, t_ns: int) -> float | None:
+    """Where the steering was last sent [rad]."""
+    command = held(history, t_ns - dead_times(car)[0])
+    return references(FLOAT, car, command).steer if command else None

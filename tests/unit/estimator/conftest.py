@@ -1,0 +1,155 @@
+"""A car that obeys the filter's own assumptions, and its instruments: what consistency is shown on.
+
+The plant is `car_model`'s RK4 at 2.5 ms with white noise of the configured densities; commands at
+200 Hz, wheel speed at 200 Hz, poses at 100 Hz that arrive 6 ms after their exposure.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from car_model.model import Model, Moment
+from car_model.ops import FLOAT
+from car_model.params import DEFAULT_CAR, Car
+from car_model.rollout import start, step as plant_step
+from car_model.state import ORIGIN, Command, State
+from estimator import state_filter
+from estimator.config import FilterConfig
+from estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
+
+H_NS = 2_500_000
+TICK_NS = 5_000_000
+EPOCH_NS = 1_000_000_000_000
+POSE_LATENCY_NS = 6_000_000
+
+Plan = Callable[[float], Command[float]]
+
+
+def slalom(t: float) -> Command[float]:
+    """Weaving between 1.2 and 2.8 m/s, with steps in both channels."""
+    steer = 0.15 * math.sin(2.0 * math.pi * 0.7 * t) + (0.08 if t % 2.0 < 0.6 else -0.02)
+    return Command(steer, 2.0 + 0.8 * math.sin(2.0 * math.pi * 0.3 * t))
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Ground truth and what the instruments said."""
+
+    truth: dict[int, State[float]]
+    """By time [ns], every tick."""
+    commands: list[tuple[int, Command[float] | None]]
+    arrivals: list[tuple[int, Measurement]]
+    """(time of arrival, measurement) in order of arrival."""
+
+
+def disturbed(
+    moment: Moment[float], config: FilterConfig, h: float, noise: np.ndarray
+) -> Moment[float]:
+    """White noise of `h` seconds. Half before and half after each step keeps second order."""
+    state = moment.state
+    root = math.sqrt(h)
+    densities = np.array(
+        [
+            config.position_density,
+            config.position_density,
+            config.yaw_density,
+            config.longitudinal_accel_density,
+            config.yaw_accel_density,
+            config.lateral_accel_density / max(abs(state.speed), 0.5),
+            config.steer_rate_density,
+        ]
+    )
+    return Moment(State(*(np.array(state) + root * densities * noise).tolist()), moment.memory)
+
+
+def simulated_drive(
+    seed: int,
+    seconds: float,
+    plan: Plan = slalom,
+    car: Car[float] = DEFAULT_CAR,
+    config: FilterConfig | None = None,
+    *,
+    first: State[float] | None = None,
+    pose_loss: float = 0.05,
+    gyro: bool = False,
+    disturb: bool = True,
+) -> Drive:
+    config = config or FilterConfig()
+    rng = np.random.default_rng(seed)
+    model = Model(car)
+    moment = start(model, first or ORIGIN._replace(speed=2.0), 0.0)
+    truth: dict[int, State[float]] = {}
+    commands: list[tuple[int, Command[float] | None]] = []
+    arrivals: list[tuple[int, Measurement]] = []
+    count = round(seconds * 1e9) // H_NS
+    late_steer, late_drive = round(car.steer_delay * 1e9), round(car.drive_delay * 1e9)
+    for k in range(count + 1):
+        t_ns = EPOCH_NS + k * H_NS
+        if (t_ns - EPOCH_NS) % TICK_NS == 0:
+            truth[t_ns] = moment.state
+            commands.append((t_ns, plan((t_ns - EPOCH_NS) * 1e-9)))
+            arrivals += _readings(rng, car, config, t_ns, moment.state, pose_loss, gyro)
+        steering = _sent(plan, t_ns - late_steer)
+        driving = _sent(plan, t_ns - late_drive)
+        h = H_NS * 1e-9
+        if disturb:
+            moment = disturbed(moment, config, 0.5 * h, rng.standard_normal(7))
+        command = Command(steering.steer, driving.speed)
+        moment = plant_step(FLOAT, model, moment, command, k * h, h)
+        if disturb:
+            moment = disturbed(moment, config, 0.5 * h, rng.standard_normal(7))
+    return Drive(truth, commands, sorted(arrivals, key=lambda pair: pair[0]))
+
+
+def _sent(plan: Plan, t_ns: int) -> Command[float]:
+    """The command in force: of the last tick, of the first one before the first."""
+    tick = max((t_ns - EPOCH_NS) // TICK_NS, 0)
+    return plan(tick * TICK_NS * 1e-9)
+
+
+def _readings(
+    rng: np.random.Generator,
+    car: Car[float],
+    config: FilterConfig,
+    t_ns: int,
+    state: State[float],
+    pose_loss: float,
+    gyro: bool,
+) -> Iterator[tuple[int, Measurement]]:
+    n = rng.standard_normal(6)
+    wheel = state.speed / car.speed_gain + config.wheel_speed_sd * n[0]
+    yield t_ns, make_wheel_speed(t_ns, wheel)
+    if gyro:
+        yield t_ns, make_gyro(t_ns, state.yaw_rate + config.gyro_sd * n[4])
+    if (t_ns - EPOCH_NS) % (2 * TICK_NS) == 0 and rng.random() >= pose_loss:
+        pose = make_pose(
+            t_ns - round(car.pose_delay * 1e9),
+            state.x + config.pose_position_sd * n[1],
+            state.y + config.pose_position_sd * n[2],
+            math.remainder(state.yaw + config.pose_yaw_sd * n[3], math.tau),
+        )
+        yield t_ns + POSE_LATENCY_NS, pose
+
+
+def filtered(
+    flt: state_filter.StateFilter, drive: Drive, begin: state_filter.FilterState | None = None
+) -> Iterator[tuple[int, state_filter.FilterState]]:
+    """The filter's state at every tick, fed as the daemon feeds it."""
+    state = begin or state_filter.FilterState()
+    waiting = iter(drive.arrivals)
+    arrival = next(waiting, None)
+    for t_ns, command in drive.commands:
+        batch = []
+        while arrival is not None and arrival[0] <= t_ns:
+            batch.append(arrival[1])
+            arrival = next(waiting, None)
+        state = state_filter.step(flt, state, t_ns, batch, ((t_ns, command),))
+        yield t_ns, state
+
+
+@pytest.fixture(scope="session")
+def drive_of_seed() -> Callable[..., Drive]:
+    return simulated_drive
