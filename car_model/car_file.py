@@ -1,0 +1,340 @@
+"""Car files: one TOML file that says everything about one car.
+
+`[car]` and `[effects]` belong to this room and are checked to the last key; every other section is
+handed on as it stands, for the room that it configures. Writing keeps comments, order and sections.
+"""
+
+import contextlib
+import os
+import re
+import tempfile
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import msgspec
+import tomlkit
+
+from car_model.effect import Effect, EffectParameter
+from car_model.effects import find_effect
+from car_model.model import Model
+from car_model.params import PARAMETERS, Car, Parameter
+
+SIZE_MAX = 1_000_000
+"""A car file is a page; what is larger than this is something else [bytes]."""
+MESSAGE_MAX = 200
+"""A parser's message may quote the file; no more than this is repeated [characters]."""
+_OWN = ("car", "effects")
+
+
+class CarFileError(ValueError):
+    """A car file that cannot be used.
+
+    Attributes:
+        path: the file.
+        where: the key or line in it, empty for the whole file.
+        what: what is wrong there.
+        hint: what to try.
+    """
+
+    def __init__(self, path: Path, where: str, what: str, hint: str) -> None:
+        place = f"{path}: {where}" if where else str(path)
+        super().__init__(f"{place}: {what}; try: {hint}")
+        self.path = path
+        self.where = where
+        self.what = what
+        self.hint = hint
+
+
+class Learned(NamedTuple):
+    """A new value for one number of a car file."""
+
+    value: float
+    sd: float | None = None
+    """Standard error, where it is known."""
+    source: str = ""
+    """Where it comes from: a session, a data sheet."""
+
+
+@dataclass(frozen=True)
+class CarFile:
+    """A car file that was read and found right."""
+
+    path: Path
+    name: str
+    car: Car[float]
+    effects: tuple[Effect, ...] = ()
+    values: tuple[tuple[float, ...], ...] = ()
+    sd: Mapping[str, float] = field(default_factory=dict)
+    """Standard errors by `parameter` or `effect.parameter`."""
+    source: Mapping[str, str] = field(default_factory=dict)
+    """Where values come from, by `parameter` or `effect.parameter`."""
+    sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """All other sections, unchecked."""
+    text: str = field(default="", repr=False)
+
+    @property
+    def model(self) -> Model[float]:
+        """The car with its effects switched on."""
+        return Model(self.car, self.effects, self.values)
+
+
+def default_car_path() -> Path:
+    """The official F1TENTH car: `config/` of a checkout, or the copy inside an installation."""
+    root = Path(__file__).resolve().parent.parent
+    checkout = root / "config" / "f1tenth.toml"
+    return checkout if checkout.is_file() else root / "daemon" / "data" / "f1tenth.toml"
+
+
+def load_car(path: Path | str) -> CarFile:
+    """Read and check a car file.
+
+    Raises:
+        CarFileError: It cannot be read, is no TOML, or says something impossible.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            raw = file.read(SIZE_MAX + 1)
+    except OSError as error:
+        hint = "check the path; `steerd config` prints a complete car file"
+        raise CarFileError(path, "", f"cannot be read ({error.strerror})", hint) from error
+    if len(raw) > SIZE_MAX:
+        raise CarFileError(path, "", "is larger than 1 MB", "name a car file (TOML)")
+    try:
+        return parse_car(raw.decode("utf-8"), path)
+    except UnicodeDecodeError as error:
+        what = f"byte {error.start} is not UTF-8"
+        raise CarFileError(path, "", what, "save it as UTF-8 text") from error
+
+
+def parse_car(text: str, path: Path) -> CarFile:
+    """Check the text of a car file; `path` is for messages and is not opened.
+
+    Raises:
+        CarFileError: It is no TOML, or says something impossible.
+    """
+    try:
+        tables = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
+        what = (
+            "nested too deeply" if isinstance(error, RecursionError) else str(error)[:MESSAGE_MAX]
+        )
+        where = re.search(r"line \d+", what)
+        hint = "write `key = value` lines under `[section]` heads"
+        raise CarFileError(path, where[0] if where else "", what, hint) from error
+    for name, table in tables.items():
+        if not isinstance(table, dict):
+            raise CarFileError(path, name, "is not a section", "put keys under a [section] head")
+    if "car" not in tables:
+        raise CarFileError(path, "[car]", "is missing", "copy it from `steerd config`")
+    own = _checked(path, "car", _car_table(), tables["car"])
+    car = Car(*(getattr(own, p.name) for p in PARAMETERS))
+    sd, source = dict(own.sd), dict(own.source)
+    _check_names(path, "car.sd", [*sd, *source], Car._fields)
+    settings = [
+        _read_effect(path, name, table, sd, source)
+        for name, table in tables.get("effects", {}).items()
+    ]
+    _check_once(path, [effect.name for effect, _ in settings])
+    return CarFile(
+        path=path,
+        name=own.name or path.stem,
+        car=car,
+        effects=tuple(effect for effect, _ in settings),
+        values=tuple(values for _, values in settings),
+        sd=sd,
+        source=source,
+        sections={name: table for name, table in tables.items() if name not in _OWN},
+        text=text,
+    )
+
+
+def save_car(path: Path | str, base: CarFile | Path, updates: Mapping[str, Learned]) -> CarFile:
+    """Write `base` with new numbers, keeping its comments and every other section.
+
+    Args:
+        path: Where to; replaced in one move, so a reader never sees half a file.
+        base: The car file to start from.
+        updates: New values by `parameter` or `effect.parameter`; an effect that the base does not
+            have is added, its other parameters at their nulls.
+
+    Raises:
+        CarFileError: The result would not be a right car file, or cannot be written.
+    """
+    path = Path(path)
+    old = base if isinstance(base, CarFile) else load_car(base)
+    new = parse_car(updated_text(old, updates), path)
+    try:
+        _replace_file(path, new.text)
+    except OSError as error:
+        what = f"cannot be written ({error.strerror})"
+        raise CarFileError(path, "", what, "choose a folder that you may write to") from error
+    return new
+
+
+def updated_text(base: CarFile, updates: Mapping[str, Learned]) -> str:
+    """The text of `base` with new numbers, comments kept."""
+    document = tomlkit.parse(base.text)
+    for name, learned in updates.items():
+        owner, dot, parameter = name.rpartition(".")
+        if dot:
+            table = _effect_table(document, find_effect(owner))
+            if table.get("source") != learned.source and learned.source:
+                table["source"] = learned.source
+        else:
+            table = document["car"]
+            _note(table, "source", parameter, learned.source or None)
+        table[parameter] = float(learned.value)
+        _note(table, "sd", parameter, learned.sd)
+    return tomlkit.dumps(document)
+
+
+def _effect_table(document: Any, effect: Effect) -> Any:
+    """The effect's table in a TOML document, made where it is absent."""
+    effects = document.setdefault("effects", tomlkit.table())
+    named = next((n for n in (effect.name, *effect.aliases) if n in effects), effect.name)
+    if named not in effects:
+        fresh = tomlkit.table()
+        for parameter in effect.parameters:
+            fresh[parameter.name] = float(parameter.null)
+        effects[named] = fresh
+    return effects[named]
+
+
+def _note(table: Any, kind: str, parameter: str, value: float | str | None) -> None:
+    """Set or drop one entry of a table's `sd` or `source` sub-table."""
+    if value is not None:
+        if kind not in table:
+            table[kind] = tomlkit.table()
+        table[kind][parameter] = value
+    elif kind in table:
+        table[kind].pop(parameter, None)
+        if not table[kind]:
+            del table[kind]
+
+
+def _replace_file(path: Path, text: str) -> None:
+    """Write a new file beside the old one and move it into its place."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(name).chmod(0o644)
+        Path(name).replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            Path(name).unlink()
+        raise
+
+
+@lru_cache(maxsize=1)
+def _car_table() -> type[msgspec.Struct]:
+    """What `[car]` must hold: every parameter within its bounds."""
+    return msgspec.defstruct(
+        "CarTable",
+        [
+            *((p.name, _bounded(p)) for p in PARAMETERS),
+            ("name", str, ""),
+            ("sd", dict[str, Annotated[float, msgspec.Meta(ge=0.0)]], msgspec.field(default={})),
+            ("source", dict[str, str], msgspec.field(default={})),
+        ],
+        forbid_unknown_fields=True,
+        kw_only=True,
+    )
+
+
+@lru_cache(maxsize=256)
+def _effect_struct(effect: Effect) -> type[msgspec.Struct]:
+    """What an effect's table may hold: parameters within bounds, absent ones at their null."""
+    return msgspec.defstruct(
+        "EffectTable",
+        [
+            *((p.name, _bounded(p), float(p.null)) for p in effect.parameters),
+            ("sd", dict[str, Annotated[float, msgspec.Meta(ge=0.0)]], msgspec.field(default={})),
+            ("source", str, ""),
+        ],
+        forbid_unknown_fields=True,
+        kw_only=True,
+    )
+
+
+def _bounded(parameter: Parameter | EffectParameter) -> Any:
+    """A float within the parameter's bounds, for msgspec."""
+    return Annotated[float, msgspec.Meta(ge=float(parameter.low), le=float(parameter.high))]
+
+
+def _checked(path: Path, where: str, struct: type[msgspec.Struct], table: object) -> Any:
+    """The table as the struct.
+
+    Raises:
+        CarFileError: It is not one; the message names the key and, where known, its meaning.
+    """
+    try:
+        return msgspec.convert(table, struct)
+    except (msgspec.ValidationError, OverflowError) as error:
+        what, _, at = str(error).partition(" - at `$")
+        key = f"{where}{at.rstrip('`')}"
+        missing = re.search(r"field `(\w+)`", what)
+        if missing:
+            key = f"{where}.{missing[1]}"
+        raise CarFileError(path, key, _plain(what), _hint(key)) from error
+
+
+def _plain(what: str) -> str:
+    """A validation message in a user's words."""
+    what = what.replace("`float`", "a number").replace("`object`", "a table")
+    what = (
+        what.replace("`str`", "text")
+        .replace("`bool`", "true/false")
+        .replace("`int`", "a whole number")
+    )
+    what = re.sub(r"Object missing required field `\w+`", "is missing", what)
+    what = re.sub(r"Object contains unknown field `\w+`", "is not known", what)
+    return what[:1].lower() + what[1:]
+
+
+def _hint(key: str) -> str:
+    """What to write at a key."""
+    name = key.removeprefix("car.")
+    for p in PARAMETERS:
+        if p.name == name:
+            return f"{p.name} = {p.default:g}  # {p.unit}, {p.meaning}; {p.low:g} to {p.high:g}"
+    return "compare with `steerd config`" if key.startswith("car") else "see `steerd effects`"
+
+
+def _read_effect(
+    path: Path, name: str, table: object, sd: dict[str, float], source: dict[str, str]
+) -> tuple[Effect, tuple[float, ...]]:
+    """One table of `[effects]`; what is known about its values goes into `sd` and `source`."""
+    where = f"effects.{name}"
+    try:
+        effect = find_effect(name)
+    except ValueError as error:
+        raise CarFileError(path, where, str(error), "see `steerd effects`") from error
+    own = _checked(path, where, _effect_struct(effect), table)
+    names = [p.name for p in effect.parameters]
+    _check_names(path, f"{where}.sd", list(own.sd), names)
+    sd.update({f"{effect.name}.{key}": value for key, value in own.sd.items()})
+    if own.source:
+        source.update({f"{effect.name}.{key}": own.source for key in names})
+    return effect, tuple(getattr(own, key) for key in names)
+
+
+def _check_names(path: Path, where: str, names: list[str], known: Any) -> None:
+    """Refuse notes about parameters that do not exist."""
+    for name in names:
+        if name not in known:
+            raise CarFileError(path, where, f"no parameter {name!r}", f"one of {', '.join(known)}")
+
+
+def _check_once(path: Path, names: list[str]) -> None:
+    """Refuse an effect that is given twice (under an alias)."""
+    for name in names:
+        if names.count(name) > 1:
+            raise CarFileError(path, f"effects.{name}", "is given twice", "keep one of the two")
