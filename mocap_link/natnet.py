@@ -192,14 +192,15 @@ def has_exact_length(data: bytes) -> bool:
 def decode(data: bytes, version: Version, *, detail: bool = True) -> Message:
     """Decode one datagram of a stream of `version`.
 
-    Bytes beyond the header's length are ignored; `detail` as in `natnet_frame.read_frame`.
+    Bytes beyond the header's length are ignored, missing ones refused; `detail` as in `natnet_frame.read_frame`.
 
     Raises:
         NatNetError: anything that the layout does not allow.
     """
     try:
         message_id, size = HEADER.unpack_from(data)
-        if len(data) > size + 4:
+        if len(data) != size + 4:
+            need(data, 4, size)
             data = data[: size + 4]
         if message_id == FRAME_ID:
             return read_frame(data, 4, version, detail=detail)

@@ -294,11 +294,15 @@ def _read_suffix(data: bytes, at: int) -> tuple[int, int, int]:
     # trust the version read the "models changed" bit from the stamp.
     left = len(data) - at
     if left == _SUFFIX_PTP.size:
-        secs, frac, params, _ = _SUFFIX_PTP.unpack_from(data, at)
-        return secs, frac, params
-    if left == _SUFFIX.size:
-        return 0, 0, _SUFFIX.unpack_from(data, at)[0]
-    raise NatNetError(f"{left} bytes behind the stamps, expected 6 or 14")
+        secs, frac, params, end = _SUFFIX_PTP.unpack_from(data, at)
+    elif left == _SUFFIX.size:
+        secs = frac = 0
+        params, end = _SUFFIX.unpack_from(data, at)
+    else:
+        raise NatNetError(f"{left} bytes behind the stamps, expected 6 or 14")
+    if end:
+        raise NatNetError(f"end of data is {end}, expected 0")
+    return secs, frac, params
 
 
 def write_frame(frame: Frame, version: Version) -> bytes:

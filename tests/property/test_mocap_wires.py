@@ -1,0 +1,199 @@
+"""NatNet and VRPN against random content, every truncation and thousands of corruptions."""
+
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocap_link import natnet, vrpn
+from mocap_link.natnet_client import NatNetClient
+from mocap_link.natnet_frame import (
+    Analog,
+    Asset,
+    Frame,
+    LabeledMarker,
+    MarkerSet,
+    RigidBody,
+    Skeleton,
+)
+from mocap_link.natnet_model import ModelDef, RigidBodyDesc, SkeletonDesc
+from mocap_link.natnet_wire import NatNetError
+from mocap_link.vrpn_client import VrpnClient
+from mocap_link.vrpn_server import VrpnServer
+
+VERSIONS = [(2, 9), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2)]
+FIXED = settings(derandomize=True, deadline=None, database=None, max_examples=60)
+
+f32 = st.floats(width=32, allow_nan=False)
+f64 = st.floats(allow_nan=False)
+i32 = st.integers(-(2**31), 2**31 - 1)
+u32 = st.integers(0, 2**32 - 1)
+u64 = st.integers(0, 2**64 - 1)
+i16 = st.integers(-(2**15), 2**15 - 1)
+text = st.text(max_size=8).filter(lambda s: "\0" not in s and s.isprintable())
+vec3 = st.tuples(f32, f32, f32)
+vec4 = st.tuples(f32, f32, f32, f32)
+few: dict[str, Any] = {"max_size": 3}
+
+
+def tuples_of(strategy: st.SearchStrategy[Any]) -> st.SearchStrategy[tuple[Any, ...]]:
+    return st.lists(strategy, **few).map(tuple)
+
+
+bodies = tuples_of(st.builds(RigidBody, i32, vec3, vec4, f32, i16))
+labeled = tuples_of(st.builds(LabeledMarker, i32, f32, f32, f32, f32, i16, f32))
+analogs = tuples_of(st.builds(Analog, i32, tuples_of(tuples_of(f32))))
+frames = st.builds(
+    Frame, i32, bodies, tuples_of(st.builds(MarkerSet, text, tuples_of(vec3))), tuples_of(vec3),
+    tuples_of(st.builds(Skeleton, i32, bodies)), tuples_of(st.builds(Asset, i32, bodies, labeled)),
+    labeled, analogs, analogs, f32, u32, u32, f64, u64, u64, u64, u32, u32, i16,
+)  # fmt: skip
+
+
+def keep(frame: Frame, version: tuple[int, int]) -> Frame:
+    """Return what `version` can carry of a frame."""
+    from dataclasses import replace
+
+    if version < (4, 1):
+        frame = replace(frame, assets=(), precision_secs=0, precision_frac=0)
+    if version >= (3, 0):
+        return replace(frame, software_latency=0.0)
+    return replace(
+        frame,
+        devices=(),
+        mid_exposure_ticks=0,
+        data_received_ticks=0,
+        transmit_ticks=0,
+        labeled_markers=tuple(m._replace(residual=0.0) for m in frame.labeled_markers),
+    )
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_frames_survive_a_round_trip(version: tuple[int, int]) -> None:
+    @FIXED
+    @given(frames)
+    def check(frame: Frame) -> None:
+        data = natnet.encode(frame, version)
+        assert natnet.has_exact_length(data)
+        assert natnet.decode(data, version) == keep(frame, version)
+        lean = natnet.decode(data, version, detail=False)
+        assert isinstance(lean, Frame)
+        assert lean.rigid_bodies == frame.rigid_bodies
+        assert (lean.number, lean.params) == (frame.number, frame.params)
+
+    check()
+
+
+def make_rich_frame() -> Frame:
+    body = RigidBody(1, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0))
+    marker = LabeledMarker(65_537, 1.0, 2.0, 3.0, 0.01, 10, 0.001)
+    return Frame(
+        5, (body, body), (MarkerSet("car", ((1.0, 2.0, 3.0),)),), ((1.0, 1.0, 1.0),),
+        (Skeleton(3, (body,)),), (Asset(4, (body,), (marker,)),), (marker,),
+        (Analog(1, ((1.0, 2.0),)),), (Analog(2, ((3.0,), ())),), 0.5, 1, 2, 3.0, 4, 5, 6, 7, 8, 2,
+    )  # fmt: skip
+
+
+def make_model() -> ModelDef:
+    bone = RigidBodyDesc("hip", 1, marker_positions=((1.0, 1.0, 1.0),), marker_labels=(1,))
+    return ModelDef((bone, SkeletonDesc("man", 2, (bone,))))
+
+
+def make_datagrams(version: tuple[int, int]) -> list[bytes]:
+    major, minor = version
+    return [
+        natnet.encode(make_rich_frame(), version),
+        natnet.encode(make_model(), version),
+        natnet.encode(natnet.ServerInfo("S", (1, 0, 0, 0), (major, minor, 0, 0), 1000), version),
+        natnet.encode(natnet.EchoResponse(1, 2), version),
+    ]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_every_truncation_is_refused_or_read(version: tuple[int, int]) -> None:
+    for data in make_datagrams(version):
+        whole = natnet.decode(data, version)
+        for size in range(len(data)):
+            for cut in (data[:size], data[:2] + struct.pack("<H", max(0, size - 4)) + data[4:size]):
+                try:
+                    message = natnet.decode(cut, version)
+                except NatNetError:
+                    continue
+                # an empty string or a shorter list is a message too; a frame never is
+                assert not isinstance(message, Frame)
+                assert message != whole
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_random_corruption_never_raises_out_of_the_client(version: tuple[int, int]) -> None:
+    rng = np.random.default_rng(7)
+    client = NatNetClient("car")
+    for data in make_datagrams(version):
+        client.on_datagram(make_datagrams(version)[2], 0)
+        for i in range(1500):
+            bad = bytearray(data)
+            for at in rng.integers(2, len(data), 3):
+                bad[at] = rng.integers(256)
+            client.on_datagram(bytes(bad), i)
+    assert client.counts["malformed"] > 1000
+
+
+@FIXED
+@given(st.binary(max_size=200))
+def test_byte_soup_never_raises(data: bytes) -> None:
+    for version in VERSIONS:
+        client = NatNetClient("car")
+        client.on_datagram(make_datagrams(version)[2], 0)
+        client.on_datagram(data, 1, "command")
+        client.on_datagram(data, 2, "data")
+        client.on_timer(3)
+
+
+def make_stream() -> bytes:
+    server = VrpnServer(("car", "b2"))
+    stream = server.hello()
+    for i in range(20):
+        name = ("car", "b2")[i % 2]
+        stream += server.pose(name, 1_000_000 + i, (i * 0.1, 0.0, 0.2), (1.0, 0.0, 0.0, 0.0))
+    return stream
+
+
+@FIXED
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=200))
+def test_any_chunking_gives_the_same_poses(sizes: list[int]) -> None:
+    stream = make_stream()
+    whole = VrpnClient("car").on_bytes(stream, 0)
+    client, at, got = VrpnClient("car"), 0, []
+    for size in (*sizes, len(stream)):
+        got += client.on_bytes(stream[at : at + size], 0)
+        at += size
+    assert got == whole
+    assert [round(p.position[0], 6) for p in got] == [round(0.2 * i, 6) for i in range(10)]
+
+
+def test_corrupted_streams_never_raise() -> None:
+    rng = np.random.default_rng(3)
+    stream = make_stream()
+    dead = 0
+    for _ in range(2000):
+        bad = bytearray(stream)
+        for at in rng.integers(0, len(bad), 3):
+            bad[at] = rng.integers(256)
+        client = VrpnClient("car")
+        client.on_bytes(bytes(bad), 0)
+        client.on_timer(1)
+        dead += client.dead is not None
+    assert dead > 20
+
+
+@FIXED
+@given(st.integers(-10, 10), st.binary(max_size=64), i32, i32)
+def test_vrpn_messages_survive(kind: int, payload: bytes, sec: int, usec: int) -> None:
+    message = vrpn.Message(kind, 3, sec, usec, payload, 9)
+    data = vrpn.encode(message)
+    assert len(data) % 8 == 0
+    assert vrpn.decode_stream(data) == ([message], len(data))
+    assert vrpn.decode_stream(data[:-1])[0] == []

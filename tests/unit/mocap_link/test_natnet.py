@@ -1,0 +1,193 @@
+"""Golden vectors, single captured packets, and the whole captured session."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mocap_link import natnet
+from mocap_link.natnet_frame import MODEL_CHANGED, Frame, RigidBody
+from mocap_link.natnet_model import (
+    CameraDesc,
+    MarkerSetDesc,
+    ModelDef,
+    OpaqueDesc,
+    RigidBodyDesc,
+    SkeletonDesc,
+)
+from mocap_link.natnet_wire import NatNetError
+
+VECTORS = {
+    (3, 0): (
+        "07007400070000000000000000000000010000002a0000000000803f0000004000004040cdcccc3dcdcc4c3e"
+        "9a99993e6666663f6f12033a0100000000000000000000000000000000000000000000000000000000000000"
+        "f43f6f00000000000000de000000000000004d01000000000000020000000000"
+    ),
+    (4, 1): (
+        "0700a000070000000000000000000000000000000000000001000000260000002a0000000000803f00000040"
+        "00004040cdcccc3dcdcc4c3e9a99993e6666663f6f12033a0100000000000000000000000000000000000000"
+        "000000000000000000000000000000000000000000000000000000000000000000000000f43f6f0000000000"
+        "0000de000000000000004d010000000000000500000006000000020000000000"
+    ),
+}
+VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2)]
+
+
+@pytest.mark.parametrize("version", VECTORS)
+@pytest.mark.parametrize("detail", [True, False])
+def test_golden_frame(version: tuple[int, int], detail: bool) -> None:
+    data = bytes.fromhex(VECTORS[version])
+    frame = natnet.decode(data, version, detail=detail)
+    assert isinstance(frame, Frame)
+    (body,) = frame.rigid_bodies
+    assert (frame.number, body.id, body.position) == (7, 42, (1.0, 2.0, 3.0))
+    assert body.quaternion == pytest.approx((0.1, 0.2, 0.3, 0.9))
+    assert body.mean_error == pytest.approx(5e-4)
+    assert body.tracking_valid
+    assert frame.timestamp == 1.25
+    ticks = (frame.mid_exposure_ticks, frame.data_received_ticks, frame.transmit_ticks)
+    assert ticks == (111, 222, 333)
+    assert frame.params == MODEL_CHANGED
+    expected = (5, 6) if version >= (4, 1) else (0, 0)
+    assert (frame.precision_secs, frame.precision_frac) == expected
+    assert natnet.encode(frame, version) == data
+
+
+def test_captured_packets_survive_a_round_trip(capture_dir: Path) -> None:
+    for path in sorted(capture_dir.glob("*.bin")):
+        data = path.read_bytes()
+        message = natnet.decode(data, (3, 0))
+        if not path.name.startswith("serverinfo"):  # Motive leaves garbage behind the name
+            assert natnet.encode(message, (3, 0)) == data, path.name
+
+
+def test_server_info_has_garbage_behind_its_name(capture_dir: Path) -> None:
+    info = natnet.decode((capture_dir / "serverinfo_packet_v3.bin").read_bytes(), (3, 0))
+    assert info == natnet.ServerInfo(
+        "Motive", (2, 1, 0, 0), (3, 0, 0, 0), 3_312_787, 1511, True, "239.255.42.99"
+    )
+
+
+def test_the_captured_session_decodes_completely(capture: list[Any]) -> None:
+    frames = [d for d in capture if natnet.peek_id(d.data) == natnet.FRAME_ID]
+    decoded = [natnet.decode(d.data, (3, 0)) for d in frames]
+    assert len(decoded) == 518
+    numbers = [f.number for f in decoded if isinstance(f, Frame)]
+    assert numbers == list(range(numbers[0], numbers[0] + 518))
+    # the strict suffix check accepts 6 bytes: params, and the 4 of end-of-data
+    assert all(f.data[-4:] == bytes(4) and natnet.has_exact_length(f.data) for f in frames)
+    others = [natnet.decode(d.data, (3, 0)) for d in capture if d not in frames]
+    kinds = {type(m) for m in others}
+    assert {natnet.ServerInfo, ModelDef, natnet.EchoRequest, natnet.EchoResponse} <= kinds
+
+
+def test_two_bodies_at_4_2() -> None:
+    frame = Frame(1, (RigidBody(1, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)),) * 2)
+    assert natnet.decode(natnet.encode(frame, (4, 2)), (4, 2)) == frame
+    model = ModelDef((RigidBodyDesc("a", 1), RigidBodyDesc("b", 2)))
+    assert natnet.decode(natnet.encode(model, (4, 2)), (4, 2)) == model
+
+
+def test_2_9_bodies_carry_their_markers() -> None:
+    plain = natnet.encode(Frame(3, (RigidBody(9, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0)),)), (2, 9))
+    at = 4 + 4 + 4 + 4 + 4 + 32  # header, number, two empty sections, body count, body head
+    assert plain[at : at + 4] == bytes(4)
+    marked = bytearray(plain[:at] + b"\x02\0\0\0" + bytes(40) + plain[at + 4 :])
+    marked[2:4] = (len(marked) - 4).to_bytes(2, "little")
+    assert natnet.decode(bytes(marked), (2, 9)) == natnet.decode(plain, (2, 9))
+
+
+def test_an_unknown_kind_ends_the_list_before_4_1_only() -> None:
+    model = ModelDef((RigidBodyDesc("a", 1), OpaqueDesc(3, b"plate"), RigidBodyDesc("b", 2)))
+    old = natnet.decode(natnet.encode(model, (4, 0)), (4, 0))
+    assert old == ModelDef((RigidBodyDesc("a", 1),), complete=False)
+    assert natnet.decode(natnet.encode(model, (4, 1)), (4, 1)) == model
+
+
+@pytest.mark.parametrize("version", [(2, 9), *VERSIONS])
+def test_every_description_survives(version: tuple[int, int]) -> None:
+    bone = RigidBodyDesc("hip", 1, 0, (1.0, 2.0, 3.0))
+    if version >= (3, 0):
+        names = ("m",) if version >= (4, 0) else ()
+        bone = RigidBodyDesc(
+            "hip", 1, 0, (1.0, 2.0, 3.0), marker_positions=((0.5, 0.5, 0.5),), marker_labels=(4,),
+            marker_names=names,
+        )  # fmt: skip
+    model = ModelDef(
+        (
+            MarkerSetDesc("all", ("m1", "m2")),
+            bone,
+            SkeletonDesc("man", 5, (bone, bone)),
+            CameraDesc("cam", (0.0, 1.0, 2.0), (0.0, 0.0, 0.0, 1.0)),
+        )
+    )
+    assert natnet.decode(natnet.encode(model, version), version) == model
+
+
+MESSAGES: list[natnet.Message] = [
+    natnet.Connect("steerd", (1, 2, 3, 4), (3, 0, 0, 0)),
+    natnet.Connect("steerd", bitstream=(4, 1, 0, 0)),
+    natnet.Discovery(),
+    natnet.ServerInfo("S", (1, 0, 0, 0), (4, 1, 0, 0), 10_000_000, 1511, False, "0.0.0.0"),
+    natnet.ServerInfo("S", (1, 0, 0, 0), (2, 9, 0, 0)),
+    natnet.Request("FrameRate"),
+    natnet.Response(b"\0\0\xf0\x42"),
+    natnet.RequestModelDef(),
+    natnet.RequestFrame(),
+    natnet.MessageString("hello"),
+    natnet.Disconnect(),
+    natnet.KeepAlive(),
+    natnet.DisconnectByTimeout(),
+    natnet.EchoRequest(2**63),
+    natnet.EchoResponse(1, 2**64 - 1),
+    natnet.Unrecognized(100),
+]
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
+def test_every_message_survives(message: natnet.Message) -> None:
+    assert natnet.decode(natnet.encode(message), (4, 2)) == message
+
+
+def test_response_number() -> None:
+    assert natnet.Response(b"\0\0\xf0\x42").number == 120.0
+    assert natnet.Response(b"text\0").number is None
+
+
+def test_a_short_connect_is_a_connect() -> None:
+    assert isinstance(natnet.decode(b"\0\0\x05\0Ping\0", (3, 0)), natnet.Connect)
+    assert isinstance(natnet.decode(bytes(4), (3, 0)), natnet.Connect)
+
+
+def test_bytes_behind_the_stated_length_are_ignored() -> None:
+    data = bytes.fromhex(VECTORS[3, 0])
+    assert natnet.decode(data + b"junk", (3, 0)) == natnet.decode(data, (3, 0))
+    assert not natnet.has_exact_length(data + b"junk")
+
+
+@pytest.mark.parametrize("n", [-1, 10_001, 2**31 - 1])
+def test_absurd_counts_are_refused(n: int) -> None:
+    data = bytearray.fromhex(VECTORS[3, 0])
+    data[8:12] = n.to_bytes(4, "little", signed=True)
+    with pytest.raises(NatNetError, match="count"):
+        natnet.decode(bytes(data), (3, 0))
+
+
+def test_a_body_section_of_the_wrong_size_is_refused() -> None:
+    data = bytearray.fromhex(VECTORS[4, 1])
+    data[28:32] = (37).to_bytes(4, "little")
+    with pytest.raises(NatNetError, match="size"):
+        natnet.decode(bytes(data), (4, 1))
+
+
+def test_a_stopped_server_clock_is_refused() -> None:
+    data = natnet.encode(natnet.ServerInfo("S", (1, 0, 0, 0), (3, 0, 0, 0), 0))
+    with pytest.raises(NatNetError, match="0 Hz"):
+        natnet.decode(data, (3, 0))
+
+
+def test_values_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(NatNetError):
+        natnet.encode(natnet.EchoRequest(-1))
+    with pytest.raises(NatNetError):
+        natnet.encode(natnet.Response(bytes(70_000)))
