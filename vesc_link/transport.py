@@ -164,8 +164,8 @@ class Port:
         """
         try:
             raw = fcntl.ioctl(self.fd, termios.TIOCOUTQ, b"\0\0\0\0")
-        except OSError as error:
-            raise _link_down(self.url, f"status failed: {error.strerror}") from error
+        except (OSError, ValueError) as error:
+            raise _link_down(self.url, f"status failed: {error}") from error
         return int(struct.unpack("i", raw)[0])
 
     def close(self) -> None:

@@ -1,0 +1,301 @@
+"""The port against a real tty: a pty, whose other end plays the VESC."""
+
+import errno
+import os
+import pty
+import select
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from vesc_link import transport
+from vesc_link.frames import FLUSH, FrameParser, encode_frame
+from vesc_link.transport import (
+    Busy,
+    LinkDown,
+    NotFound,
+    PermissionDenied,
+    Port,
+    PortError,
+    open_port,
+)
+
+pytestmark = pytest.mark.realtime
+FRAME = encode_frame(b"\x08\x00\x00\x12\x06")
+
+
+class Device:
+    """The VESC's end of a pty."""
+
+    def __init__(self) -> None:
+        self.fd, slave = pty.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self.fd, False)
+        self.path = os.ttyname(slave)
+        self._slave = slave
+
+    def release(self) -> None:
+        """Let go of the car's end, so that only the port holds it."""
+        if self._slave >= 0:
+            os.close(self._slave)
+            self._slave = -1
+
+    def unplug(self) -> None:
+        self.release()
+        if self.fd >= 0:
+            os.close(self.fd)
+            self.fd = -1
+
+    def read(self, count: int) -> bytes:
+        got = b""
+        while len(got) < count and select.select([self.fd], [], [], 2.0)[0]:
+            got += os.read(self.fd, count - len(got))
+        return got
+
+
+@pytest.fixture
+def device() -> Iterator[Device]:
+    made = Device()
+    yield made
+    made.unplug()
+
+
+@pytest.fixture
+def port(device: Device, tmp_path: Path) -> Iterator[Port]:
+    opened = open_port(device.path, lock_dir=tmp_path)
+    assert device.read(len(FLUSH)) == FLUSH
+    device.release()
+    yield opened
+    opened.close()
+
+
+def wait_readable(port: Port) -> None:
+    assert select.select([port.fd], [], [], 2.0)[0], "nothing to read within two seconds"
+
+
+def read_exactly(port: Port, count: int) -> bytes:
+    got = b""
+    while len(got) < count:
+        wait_readable(port)
+        got += port.read()
+    return got
+
+
+def test_open_writes_the_zero_flush_which_frees_a_blocked_parser(
+    device: Device, tmp_path: Path
+) -> None:
+    firmware = FrameParser(strict=True)
+    assert firmware.feed(b"\x03\x02\x00", 0) == []
+    port = open_port(device.path, lock_dir=tmp_path)
+    port.write(FRAME)
+    assert firmware.feed(device.read(len(FLUSH) + len(FRAME)), 1) == [FRAME[2:-3]]
+    port.close()
+
+
+def test_flush_can_be_left_out(device: Device, tmp_path: Path) -> None:
+    port = open_port(device.path, flush=False, lock_dir=tmp_path)
+    port.write(FRAME)
+    assert device.read(len(FRAME)) == FRAME
+    port.close()
+
+
+def test_bytes_pass_unchanged_both_ways(device: Device, port: Port) -> None:
+    everything = bytes(range(256))
+    port.write(everything)
+    assert device.read(256) == everything
+    os.write(device.fd, everything)
+    assert read_exactly(port, 256) == everything
+
+
+def test_read_of_an_idle_port_is_empty_and_returns_at_once(port: Port) -> None:
+    assert port.read() == b""
+    assert not os.get_blocking(port.fd)
+
+
+def test_read_drains_and_is_bounded(device: Device, port: Port) -> None:
+    os.write(device.fd, bytes(600))
+    wait_readable(port)
+    assert port.read(limit=500) == bytes(500)
+    assert read_exactly(port, 100) == bytes(100)
+    assert port.read() == b""
+
+
+def test_unread_device_fills_the_buffer_and_write_says_so_at_once(port: Port) -> None:
+    def write_on() -> None:
+        for _ in range(100_000):
+            port.write(FRAME)
+
+    with pytest.raises(LinkDown, match=r"full|short write"):
+        write_on()
+    with pytest.raises(LinkDown):
+        port.write(bytes(4096))
+
+
+def test_out_queue_of_an_idle_port_is_empty_and_of_a_closed_one_a_fault(port: Port) -> None:
+    assert port.out_queue() == 0
+    port.close()
+    with pytest.raises(LinkDown):
+        port.out_queue()
+    with pytest.raises(LinkDown):
+        port.write(FRAME)
+    with pytest.raises(LinkDown):
+        port.read()
+
+
+def test_short_write_is_a_fault(port: Port, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "write", lambda fd, data: 2)
+    with pytest.raises(LinkDown, match="short write: 2 of 10 bytes"):
+        port.write(FRAME)
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF])
+def test_errors_of_the_device_are_link_down(
+    port: Port, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def fail(*_: object) -> int:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "write", fail)
+    monkeypatch.setattr(os, "read", fail)
+    with pytest.raises(LinkDown, match="write failed"):
+        port.write(FRAME)
+    with pytest.raises(LinkDown, match="read failed"):
+        port.read()
+
+
+def test_bytes_before_a_failure_are_still_delivered(
+    port: Port, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers: list[bytes | int] = [FRAME, errno.EIO, FRAME, 0]
+
+    def scripted(*_: object) -> bytes:
+        answer = answers.pop(0)
+        if answer == 0:
+            return b""
+        if isinstance(answer, int):
+            raise OSError(answer, os.strerror(answer))
+        return answer
+
+    monkeypatch.setattr(os, "read", scripted)
+    assert port.read() == FRAME
+    assert port.read() == FRAME
+    assert answers == []
+
+
+def test_unplug_is_seen_by_read_and_write(device: Device, port: Port) -> None:
+    device.unplug()
+    with pytest.raises(LinkDown) as read_error:
+        port.read()
+    with pytest.raises(LinkDown):
+        port.write(FRAME)
+    assert "cable" in read_error.value.hint
+
+
+def test_second_open_is_refused_and_names_the_holder(
+    device: Device, port: Port, tmp_path: Path
+) -> None:
+    with pytest.raises(Busy) as error:
+        open_port(device.path, lock_dir=tmp_path)
+    assert "VESC Tool" in error.value.hint
+    other = tmp_path / "other"
+    other.mkdir()
+    with pytest.raises(Busy):  # the device's own lock, where no lock file tells
+        open_port(device.path, lock_dir=other)
+
+
+def test_another_name_of_the_same_device_is_the_same_lock(
+    device: Device, port: Port, tmp_path: Path
+) -> None:
+    link = tmp_path / "vesc"
+    link.symlink_to(device.path)
+    with pytest.raises(Busy, match="another steerd"):
+        open_port(str(link), lock_dir=tmp_path)
+
+
+def test_missing_lock_directory_leaves_the_device_locks(device: Device, tmp_path: Path) -> None:
+    port = open_port(device.path, lock_dir=tmp_path / "absent")
+    with pytest.raises(Busy):
+        open_port(device.path, lock_dir=tmp_path / "absent")
+    port.close()
+
+
+def test_close_frees_everything_and_can_be_repeated(device: Device, tmp_path: Path) -> None:
+    for _ in range(3):
+        port = open_port(device.path, lock_dir=tmp_path)
+        port.close()
+        port.close()
+        assert port.fd == -1
+
+
+def test_failed_open_frees_the_lock(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(transport, "FLUSH", bytes(1 << 20))
+        with pytest.raises(LinkDown, match="short write"):
+            open_port(device.path, lock_dir=tmp_path)
+    device.read(1 << 16)
+    open_port(device.path, lock_dir=tmp_path).close()
+
+
+def test_no_such_port(tmp_path: Path) -> None:
+    with pytest.raises(NotFound) as error:
+        open_port(str(tmp_path / "ttyACM9"), lock_dir=tmp_path)
+    assert 'idVendor}=="0483"' in error.value.hint
+    assert isinstance(error.value, PortError)
+    assert isinstance(error.value, OSError)
+
+
+def test_a_file_is_no_port(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("hello")
+    with pytest.raises(NotFound, match=r"notes\.txt"):
+        open_port(str(path), lock_dir=tmp_path)
+
+
+@pytest.mark.parametrize("url", ["socket://127.0.0.1:5000", "loop://", "rfc2217://host:1"])
+def test_urls_without_a_descriptor_are_refused(url: str, tmp_path: Path) -> None:
+    with pytest.raises(NotFound, match="no file descriptor"):
+        open_port(url, lock_dir=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("number", "kind", "hint"),
+    [
+        (errno.EACCES, PermissionDenied, "dialout"),
+        (errno.EBUSY, Busy, "fuser"),
+        (errno.EIO, LinkDown, "cable"),
+        (errno.ENOENT, NotFound, "powered"),
+    ],
+)
+def test_errors_of_open_become_types_with_a_hint(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    number: int,
+    kind: type[PortError],
+    hint: str,
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise transport.serial.SerialException(number, "no")
+
+    monkeypatch.setattr(transport.serial, "serial_for_url", refuse)
+    with pytest.raises(kind) as error:
+        open_port("/dev/ttyACM7", lock_dir=tmp_path)
+    assert hint in error.value.hint
+    assert os.strerror(number) in str(error.value)
+
+
+def test_spy_url_logs_what_passes(device: Device, tmp_path: Path) -> None:
+    log = tmp_path / "trace.txt"
+    port = open_port(f"spy://{device.path}?file={log}", flush=False, lock_dir=tmp_path)
+    port.write(FRAME)
+    assert device.read(len(FRAME)) == FRAME
+    os.write(device.fd, b"\x02")
+    assert read_exactly(port, 1) == b"\x02"
+    port.close()
+    text = log.read_text()
+    assert "TX" in text
+    assert "02 05 08 00 00 12 06 07" in text
+    assert "RX" in text

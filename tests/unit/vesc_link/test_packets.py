@@ -1,0 +1,339 @@
+import dataclasses
+import math
+import struct
+from typing import get_args
+
+import pytest
+
+from vesc_link import commands as c
+from vesc_link import identity as i
+from vesc_link import telemetry as t
+from vesc_link.commands import Command
+from vesc_link.frames import encode_frame
+from vesc_link.ids import FW_3_00, FW_7_01, PROFILES, CommandId, Firmware, fault_name, knows
+from vesc_link.packets import (
+    FEEDS_TIMEOUT,
+    Reply,
+    command_number,
+    decode_command,
+    decode_reply,
+    encode_command,
+    encode_reply,
+    expects_reply,
+)
+from vesc_link.wire import device_number, host_number
+
+EXAMPLES: tuple[Command, ...] = (
+    c.GetFwVersion(), c.GetValues(), c.SetDuty(-0.5), c.SetCurrent(1.25), c.SetCurrentBrake(8.0),
+    c.SetErpm(1234.0), c.SetPos(90.0), c.SetHandbrake(2.0), c.SetDetect(4), c.SetServoPos(0.25),
+    c.GetMcConf(), c.GetMcConfDefault(), c.GetAppConf(), c.GetAppConfDefault(),
+    c.TerminalCommand("faults"), c.Reboot(), c.Alive(), c.GetDecodedPpm(),
+    c.ForwardCan(7, b"\x04"), c.GetValuesSetup(), c.GetValuesSelective(0x180),
+    c.SetMcConfTemp(0.5, 0.5, -9228.0, 9228.0, 0.25, 0.75, -500.0, 500.0, -20.0, 40.0, ack=False),
+    c.GetValuesSetupSelective(t.UPTIME_MASK), c.PingCan(), c.AppDisableOutput(-1, True),
+    c.GetImuData(0x1F8), c.SetCurrentRel(-0.125), c.GetMcConfTemp(), c.GetBatteryCut(),
+    c.GetStats(3), c.ResetStats(True), c.MotorEstop(500),
+)  # fmt: skip
+OLD_AND_NEW = (Firmware(2, 18), FW_3_00, Firmware(3, 27), Firmware(3, 55), *PROFILES)
+ALL_VALUES = t.Values(
+    temp_fet_c=31.5, temp_motor_c=-12.5, motor_current=-3.25, input_current=1.25, d_current=0.25,
+    q_current=-3.5, duty=-0.125, erpm=-2307.0, input_voltage=11.5, ah=0.25, ah_charged=0.125,
+    wh=1.5, wh_charged=0.0625, tachometer=-123456, tachometer_abs=223344, fault=2,
+    pid_pos_deg=11.25, controller_id=107, temp_mos1_c=31.0, temp_mos2_c=31.5, temp_mos3_c=30.5,
+    v_d=-0.25, v_q=-1.75, status=3, temp_mos4_c=28.5, temp_mos5_c=28.0, temp_mos6_c=27.5,
+    temp_pcb_c=29.5,
+)  # fmt: skip
+FULL_SIZE = {
+    (2, 18): 56, (3, 0): 56, (3, 27): 54, (3, 34): 58, (3, 40): 59, (3, 55): 65, (3, 60): 73,
+    (5, 2): 73, (5, 3): 74, (6, 0): 74, (6, 5): 74, (7, 1): 74,
+}  # fmt: skip
+
+
+def present(values: object) -> dict[str, object]:
+    assert dataclasses.is_dataclass(values)
+    assert not isinstance(values, type)
+    return {k: v for k, v in dataclasses.asdict(values).items() if v is not None}
+
+
+def test_examples_hold_every_command_once() -> None:
+    assert {type(example) for example in EXAMPLES} == set(get_args(Command))
+
+
+@pytest.mark.parametrize("firmware", OLD_AND_NEW, ids=str)
+@pytest.mark.parametrize("command", EXAMPLES, ids=lambda command: type(command).__name__)
+def test_command_round_trip_on_every_firmware(command: Command, firmware: Firmware) -> None:
+    if not knows(firmware, command_number(command)):
+        with pytest.raises(ValueError, match="needs firmware"):
+            encode_command(command, firmware)
+        assert decode_command(encode_command(command), firmware) in (None, *OTHER_MEANING)
+        return
+    assert decode_command(encode_command(command, firmware), firmware) == command
+
+
+OTHER_MEANING = (c.SetDetect(0),)
+"""What an id unknown to an old firmware may mean there: SET_HANDBRAKE's 10 was SET_DETECT."""
+
+
+@pytest.mark.parametrize("command", EXAMPLES, ids=lambda command: type(command).__name__)
+def test_command_cut_at_any_byte_is_no_command_or_legally_shorter(command: Command) -> None:
+    payload = encode_command(command)
+    for length in range(len(payload)):
+        short = decode_command(payload[:length])
+        if short is None:
+            continue
+        assert isinstance(short, c.SetMcConfTemp | c.TerminalCommand | c.ResetStats)
+
+
+def test_temporary_limits_may_come_without_input_currents_but_never_go_out_so() -> None:
+    limits = EXAMPLES[21]
+    assert isinstance(limits, c.SetMcConfTemp)
+    short = decode_command(encode_command(limits)[:-8])
+    assert isinstance(short, c.SetMcConfTemp)
+    assert short.input_current_min is None
+    with pytest.raises(ValueError, match="no value"):
+        encode_command(short)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e12, -1e12])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        c.SetDuty, c.SetCurrent, c.SetCurrentBrake, c.SetErpm, c.SetPos, c.SetHandbrake,
+        c.SetServoPos, c.SetCurrentRel,
+    ],
+)  # fmt: skip
+def test_setpoint_that_is_no_number_is_refused(kind: type[c.SetDuty], value: float) -> None:
+    with pytest.raises(ValueError, match=r"cannot be sent|does not fit"):
+        encode_command(kind(value))
+
+
+def test_limits_that_are_no_number_are_refused_both_ways() -> None:
+    limits = dataclasses.replace(EXAMPLES[21], watt_max=math.nan)  # type: ignore[type-var]
+    with pytest.raises(ValueError, match="finite"):
+        encode_command(limits)
+    payload = bytearray(encode_command(EXAMPLES[21]))
+    payload[5:9] = struct.pack(">f", math.nan)
+    assert decode_command(bytes(payload)) is None
+
+
+def test_text_and_forwarding_refuse_what_the_wire_cannot_hold() -> None:
+    with pytest.raises(ValueError, match="NUL"):
+        encode_command(c.TerminalCommand("a\0b"))
+    with pytest.raises(ValueError, match="ascii"):
+        encode_command(c.TerminalCommand("µ"))
+    with pytest.raises(ValueError, match="at least its id"):
+        encode_command(c.ForwardCan(1, b""))
+
+
+def test_what_feeds_the_motor_timeout() -> None:
+    fed = {command_number(example) for example in EXAMPLES if isinstance(example, FEEDS_TIMEOUT)}
+    assert fed == {5, 6, 7, 8, 9, 10, 30, 84}
+
+
+def test_what_is_answered() -> None:
+    answered = {command_number(example) for example in EXAMPLES if expects_reply(example)}
+    assert answered == {0, 4, 14, 15, 17, 18, 31, 47, 50, 51, 62, 65, 91, 115, 128, 129}
+    assert expects_reply(dataclasses.replace(EXAMPLES[21], ack=True))  # type: ignore[type-var]
+
+
+def test_old_firmware_shifts_ids_and_knows_no_handbrake() -> None:
+    assert encode_command(c.SetServoPos(0.5), FW_3_00)[0] == 11
+    assert encode_command(c.Alive(), FW_3_00)[0] == 29
+    assert encode_command(c.Alive(), Firmware(3, 7))[0] == 30
+    assert decode_command(b"\x1d", FW_3_00) == c.Alive()
+    assert decode_command(b"\x1d", FW_7_01) == c.Reboot()
+    with pytest.raises(ValueError, match=r"SET_HANDBRAKE needs firmware 3\.07"):
+        encode_command(c.SetHandbrake(1.0), FW_3_00)
+
+
+@pytest.mark.parametrize(
+    ("code", "scale", "value", "host", "device"),
+    [
+        ("i", 1e3, 0.0005, 1, 0),
+        ("i", 1e3, -0.0005, -1, 0),
+        ("i", 1e3, 12.3459, 12346, 12345),
+        ("i", 1e0, -0.5, -1, 0),
+        ("h", 1e1, 31.4, 314, 314),
+        ("i", 1e6, 359.123456, 359123456, 359123456),
+        ("i", None, 16777217, 16777217, 16777217),
+        ("i", 1e0, 16777217.0, 16777217, 16777216),  # the firmware's floats have 24 bits
+    ],
+)
+def test_host_rounds_and_device_truncates_in_single_precision(
+    code: str, scale: float | None, value: float, host: int, device: int
+) -> None:
+    assert host_number(code, scale, value) == host
+    assert device_number(code, scale, value) == device
+
+
+def test_device_saturates_and_float_auto_has_no_denormals() -> None:
+    assert device_number("h", 1e1, 1e9) == 32767
+    assert device_number("B", None, -4) == 0
+    assert host_number("f", None, 1e-39) == 0
+    assert math.copysign(1, host_number("f", None, -0.0)) == 1
+    with pytest.raises(ValueError, match="finite"):
+        device_number("f", None, 3.5e38)
+
+
+@pytest.mark.parametrize(("version", "size"), FULL_SIZE.items())
+def test_full_telemetry_of_every_firmware(version: tuple[int, int], size: int) -> None:
+    firmware = Firmware(*version)
+    payload = encode_reply(ALL_VALUES, firmware)
+    assert len(payload) == size == t.values_size(None, firmware)
+    values = decode_reply(payload, firmware)
+    assert isinstance(values, t.Values)
+    told = present(values)
+    assert {k: v for k, v in present(ALL_VALUES).items() if k in told} == told
+    assert (values.status is None) == (firmware < (5, 3))
+    assert (values.q_current is None) == (firmware <= FW_3_00)
+    assert (values.temp_pcb_c is None) == (firmware > FW_3_00)
+    assert values.extra_bytes == 0
+
+
+@pytest.mark.parametrize("firmware", PROFILES, ids=str)
+@pytest.mark.parametrize("mask", [t.FAST_MASK, 0x180, 0x3FFFFF, 0, 1 << 18, 0xFFFFFFFF])
+def test_selective_telemetry_of_every_profile(mask: int, firmware: Firmware) -> None:
+    if not knows(firmware, CommandId.GET_VALUES_SELECTIVE):
+        with pytest.raises(ValueError, match="needs firmware"):
+            encode_reply(dataclasses.replace(ALL_VALUES, mask=mask), firmware)
+        return
+    payload = encode_reply(dataclasses.replace(ALL_VALUES, mask=mask), firmware)
+    assert len(payload) == t.values_size(mask, firmware)
+    values = decode_reply(payload, firmware)
+    assert isinstance(values, t.Values)
+    assert values.mask == mask
+    told = present(values)
+    assert {**present(ALL_VALUES), "mask": mask, "extra_bytes": 0}.items() >= told.items()
+    if mask == 0x3FFFFF and firmware >= (5, 3):
+        assert len(told) == 24 + 2
+
+
+def test_fast_reply_fits_one_usb_packet() -> None:
+    fast = encode_reply(dataclasses.replace(ALL_VALUES, mask=t.FAST_MASK))
+    assert len(encode_frame(fast)) == 56
+
+
+def test_telemetry_cut_at_any_byte_has_no_invented_field() -> None:
+    payload = encode_reply(ALL_VALUES)
+    for length in range(1, len(payload) + 20):
+        if length == 56:
+            continue  # that length is the old firmware's table
+        values = decode_reply((payload + bytes(20))[:length])
+        assert isinstance(values, t.Values)
+        told = present(values)
+        extra = told.pop("extra_bytes")
+        assert {k: v for k, v in present(ALL_VALUES).items() if k in told} == told
+        assert isinstance(extra, int)
+        assert 0 <= extra < max(6, length - 73)
+
+
+def test_flags_and_fault_names() -> None:
+    assert t.Values(status=1).timeout_active is True
+    assert t.Values(status=1).kill_switch is False
+    assert t.Values(status=2).kill_switch is True
+    assert t.Values().timeout_active is None
+    assert t.Values().kill_switch is None
+    assert t.Values(fault=10).fault_name == "BOOTING_FROM_WATCHDOG_RESET"
+    assert t.Values().fault_name is None
+    assert fault_name(33) == "ABS_OVERSPEED"
+    assert fault_name(34) == "FAULT_34"
+
+
+IMU = t.Imu(
+    t.IMU_ALL_MASK, 0.1, -0.2, 0.3, 0.5, -1.0, 9.75, 0.25, -0.5, 2.0, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0,
+    0.0, controller_id=9,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("firmware", "size"), [((6, 0), 67), ((6, 5), 68), ((7, 1), 68)])
+def test_imu_round_trip_in_si_units(firmware: tuple[int, int], size: int) -> None:
+    payload = encode_reply(IMU, Firmware(*firmware))
+    assert len(payload) == size
+    got = decode_reply(payload)
+    assert isinstance(got, t.Imu)
+    assert got.controller_id == (9 if size == 68 else None)
+    wire_accel_z, wire_gyro_z = (
+        struct.unpack_from(">f", payload, 3 + 4 * bit)[0] for bit in (5, 8)
+    )
+    assert wire_accel_z == pytest.approx(9.75 / 9.80665)
+    assert wire_gyro_z == pytest.approx(math.degrees(2.0))
+    for name, value in present(got).items():
+        assert value == pytest.approx(getattr(IMU, name), rel=1e-6), name
+
+
+def test_board_without_imu_answers_zeros_and_is_recognised() -> None:
+    nothing = decode_reply(encode_reply(t.Imu(t.IMU_ACCEL_GYRO_MASK)))
+    assert isinstance(nothing, t.Imu)
+    assert nothing.has_chip is False
+    assert IMU.has_chip is True
+    assert t.Imu(0x1C0).has_chip is None
+
+
+SETUP = t.ValuesSetup(
+    31.5, -12.5, -3.25, 1.25, -0.125, -2307.0, -0.5, 11.5, 0.75, 0.25, 0.125, 1.5, 0.0625, -267.5,
+    484.0, 11.25, 0, 107, 1, 12.5, 123456, 4294967295,
+)  # fmt: skip
+LIMITS = i.McConfTemp(1, 1, -23250, 23250, 0.25, 0.75, -1500, 1500, -20, 40, 4, 11.75, 0.125)
+OTHERS: tuple[Reply, ...] = (
+    SETUP,
+    dataclasses.replace(SETUP, mask=(1 << 22) - 1),
+    t.Stats(0x7FF, *(float(n) for n in range(11))),
+    LIMITS,
+    i.BatteryCut(10.25, 9.0),
+    i.DecodedPpm(-0.5, 1.75),
+    i.RotorPosition(-90.25),
+    i.Print("fault: NONE ✓"),
+    i.CanIds((3, 7)),
+    i.CanIds(()),
+    i.Ack(CommandId.SET_MCCONF_TEMP),
+    i.AppConf(0xDEADBEEF, 12, 1000, 8.5, bytes(range(200))),
+    i.FwVersion(7, 1, "60_MK6", bytes(range(12)), 1, 1, 0, 0, 0, 0, 0, 0, "mine", 0xDEADBEEF),
+)
+
+
+@pytest.mark.parametrize("reply", OTHERS, ids=lambda reply: type(reply).__name__)
+def test_reply_round_trip(reply: Reply) -> None:
+    assert decode_reply(encode_reply(reply)) == reply
+
+
+@pytest.mark.parametrize("reply", OTHERS, ids=lambda reply: type(reply).__name__)
+def test_reply_cut_at_any_byte_never_raises(reply: Reply) -> None:
+    payload = encode_reply(reply)
+    fixed = isinstance(reply, i.McConfTemp | i.BatteryCut | i.DecodedPpm | i.RotorPosition)
+    for length in range(len(payload)):
+        short = decode_reply(payload[:length])
+        assert not (fixed and short is not None)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "size"),
+    [((2, 18), 3), ((3, 40), 22), ((3, 60), 23), ((5, 2), 26), ((5, 3), 29), ((6, 0), 31),
+     ((6, 5), 35), ((7, 1), 35)],
+)  # fmt: skip
+def test_version_reply_of_every_firmware(firmware: tuple[int, int], size: int) -> None:
+    reply = i.FwVersion(*firmware, "60_MK6", bytes(12), 1, 0, 0, 0, 0, 0, 0, 0, "", 5)
+    payload = encode_reply(reply, Firmware(*firmware))
+    assert len(payload) == size
+    got = decode_reply(payload)
+    assert isinstance(got, i.FwVersion)
+    assert got.firmware == firmware
+    assert got.extra_bytes == 0
+    assert {**present(reply)}.items() >= present(got).items()
+    with pytest.raises(ValueError, match="12 bytes"):
+        encode_reply(dataclasses.replace(reply, uuid=b"short"), FW_7_01)
+
+
+def test_limits_imply_the_erpm_gain() -> None:
+    assert LIMITS.erpm_gain == pytest.approx(60 * 2 * 11.75 / (math.pi * 0.125))
+
+
+@pytest.mark.parametrize("reply", [LIMITS, IMU, OTHERS[2], OTHERS[11]], ids=lambda r: str(type(r)))
+def test_reply_with_a_number_that_is_none_is_refused(reply: Reply) -> None:
+    payload = encode_reply(reply)
+    at = {t.Imu: 3, t.Stats: 5, i.AppConf: 10}.get(type(reply), 1)
+    assert decode_reply(payload[:at] + struct.pack(">f", math.nan) + payload[at + 4 :]) is None
+
+
+@pytest.mark.parametrize("payload", [b"", b"\xc8", b"\x00", b"\x11abc", b"\x22", b"\x32\0", b"A"])
+def test_payload_that_is_no_reply(payload: bytes) -> None:
+    assert decode_reply(payload) is None

@@ -1,0 +1,96 @@
+import math
+
+import pytest
+
+from vesc_link.scaling import (
+    F1TENTH,
+    Scaling,
+    erpm_to_speed,
+    metres_per_count,
+    servo_pos_to_steer,
+    speed_to_erpm,
+    steer_limits,
+    steer_to_servo_pos,
+    tachometer_to_distance,
+    wheel_erpm_gain,
+)
+
+
+def test_f1tenth_numbers_of_the_spec_page() -> None:
+    assert speed_to_erpm(F1TENTH, 1.0) == 4614.0
+    assert erpm_to_speed(F1TENTH, 23250.0) == pytest.approx(5.04, abs=0.002)
+    assert steer_to_servo_pos(F1TENTH, 0.0) == 0.5304
+    right, left = steer_limits(F1TENTH)
+    assert math.degrees(left) == pytest.approx(17.96, abs=0.01)
+    assert math.degrees(right) == pytest.approx(-15.09, abs=0.01)
+    assert metres_per_count(F1TENTH) == pytest.approx(2.167e-3, abs=1e-6)
+
+
+def test_left_is_positive_and_turns_the_servo_down() -> None:
+    assert steer_to_servo_pos(F1TENTH, 0.1) < steer_to_servo_pos(F1TENTH, -0.1)
+
+
+@pytest.mark.parametrize("steer", [-0.26, -0.1, 0.0, 0.05, 0.31])
+def test_steer_round_trip(steer: float) -> None:
+    assert servo_pos_to_steer(F1TENTH, steer_to_servo_pos(F1TENTH, steer)) == pytest.approx(steer)
+
+
+@pytest.mark.parametrize("speed", [-5.0, -0.3, 0.0, 1.7, 5.0])
+def test_speed_round_trip_with_offset(speed: float) -> None:
+    scaling = Scaling(erpm_offset=35.0)
+    assert erpm_to_speed(scaling, speed_to_erpm(scaling, speed)) == pytest.approx(speed)
+
+
+@pytest.mark.parametrize(("asked", "sent"), [(99.0, 0.15), (-99.0, 0.85)])
+def test_steer_is_clamped(asked: float, sent: float) -> None:
+    assert steer_to_servo_pos(F1TENTH, asked) == sent
+
+
+def test_speed_is_clamped_both_ways() -> None:
+    assert speed_to_erpm(F1TENTH, 1e6) == 23250.0
+    assert speed_to_erpm(F1TENTH, -1e6) == -23250.0
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_is_never_clamped_into_a_command(value: float) -> None:
+    with pytest.raises(ValueError, match="no command"):
+        speed_to_erpm(F1TENTH, value)
+    with pytest.raises(ValueError, match="no command"):
+        steer_to_servo_pos(F1TENTH, value)
+
+
+def test_positive_servo_gain_keeps_limits_in_order() -> None:
+    right, left = steer_limits(Scaling(servo_gain=1.2135))
+    assert right < 0 < left
+    assert math.degrees(left) == pytest.approx(15.09, abs=0.01)
+
+
+def test_tachometer_distance_is_signed_and_survives_the_wrap() -> None:
+    step = metres_per_count(F1TENTH)
+    assert tachometer_to_distance(F1TENTH, 100, 70) == pytest.approx(-30 * step)
+    assert tachometer_to_distance(F1TENTH, 2**31 - 2, -(2**31) + 3) == pytest.approx(5 * step)
+    assert tachometer_to_distance(F1TENTH, -(2**31), 2**31 - 1) == pytest.approx(-step)
+
+
+def test_gain_follows_from_the_drive_train() -> None:
+    # One wheel turn is pi * D metres and pole_pairs * gear electrical turns.
+    gain = wheel_erpm_gain(2, 11.8, 0.1)
+    assert gain * math.pi * 0.1 / 60 == pytest.approx(2 * 11.8)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"erpm_gain": 0.0},
+        {"servo_gain": 0.0},
+        {"erpm_gain": math.nan},
+        {"servo_min": 0.9},
+        {"servo_min": -0.1},
+        {"servo_max": 1.1},
+        {"erpm_max": 0.0},
+        {"erpm_max": math.inf},
+    ],
+)
+def test_unusable_calibration_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=r"must|finite"):
+        Scaling(**wrong)
