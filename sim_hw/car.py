@@ -159,9 +159,7 @@ class SimCar:
             return max(-self._grip(), min(self._grip(), value))
         return -math.copysign(min(value + drag, self._grip()), speed) if speed else 0.0
 
-    def _held_back(
-        self, before: State[float], after: State[float], demand: Demand
-    ) -> State[float]:
+    def _held_back(self, before: State[float], after: State[float], demand: Demand) -> State[float]:
         """Friction ends at standstill and holds the car there against what is weaker."""
         drag = self.setup.coast_decel + (demand.value if demand.drive is Drive.BRAKE else 0.0)
         stopped = before.speed * after.speed < 0.0

@@ -34,7 +34,6 @@ class _Recorded:
     """A number that exists only as the name of a local variable."""
 
     __slots__ = ("name", "tape")
-    __hash__ = None  # type: ignore[assignment]
 
     def __init__(self, tape: "_Tape", name: str) -> None:
         self.tape = tape
@@ -74,7 +73,7 @@ class _Recorded:
         raise TypeError("a recorded number has no value to branch on")
 
     __bool__ = __float__ = __int__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse
-    __eq__ = __ne__ = _refuse  # type: ignore[assignment]
+    __eq__ = __ne__ = _refuse
 
 
 def text(value: Any) -> str:
@@ -144,15 +143,15 @@ def make_steps(model: Model[float]) -> Steps:
 
     def actuate(ops: Ops[Any], numbers: Sequence[Any]) -> Sequence[Any]:
         state, _, (steer, speed, t, h) = _split(numbers, count)
-        car = car_now(ops, cast(Model[Any], model), state, t)
-        ref = aim(ops, cast(Model[Any], model), car, Command(steer, speed), t)
-        return drive_actuators(ops, cast(Model[Any], model), car, state, ref, h)
+        car = car_now(ops, cast("Model[Any]", model), state, t)
+        ref = aim(ops, cast("Model[Any]", model), car, Command(steer, speed), t)
+        return drive_actuators(ops, cast("Model[Any]", model), car, state, ref, h)
 
     def move(ops: Ops[Any], numbers: Sequence[Any]) -> Sequence[Any]:
         state, memory, (steer, accel, t, h) = _split(numbers, count)
-        car = car_now(ops, cast(Model[Any], model), state, t)
+        car = car_now(ops, cast("Model[Any]", model), state, t)
         moment = Moment(state, memory)
-        after = glide(ops, cast(Model[Any], model), car, moment, steer, accel, h)
+        after = glide(ops, cast("Model[Any]", model), car, moment, steer, accel, h)
         return (*after.state, *after.memory)
 
     names = [*_STATE, *(f"m{i}" for i in range(count))]
@@ -184,9 +183,9 @@ def _compiled(
         TypeError: the function needs a number's value.
     """
     tape = _Tape()
-    ops = cast(Ops[Any], _RecordingOps(tape))
+    ops = cast("Ops[Any]", _RecordingOps(tape))
     results = function(ops, [_Recorded(tape, name) for name in names])
     body = "\n    ".join([*tape.lines, f"return ({', '.join(map(text, results))},)"])
     scope: dict[str, Any] = dict(_GLOBALS)
     exec(compile(f"def step({', '.join(names)}):\n    {body}\n", "<unrolled>", "exec"), scope)
-    return cast(Callable[..., Numbers], scope["step"])
+    return cast("Callable[..., Numbers]", scope["step"])
