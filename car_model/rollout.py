@@ -18,7 +18,14 @@ from car_model.model import (
 )
 from car_model.ops import Ops, T
 from car_model.params import GRAVITY, Car
-from car_model.single_track import SPEED_KINEMATIC, Rates, slip_angles
+from car_model.single_track import (
+    SPEED_KINEMATIC,
+    Rates,
+    axle_loads,
+    chassis_rates,
+    lateral_forces,
+    slip_angles,
+)
 from car_model.state import Command, State
 
 RatesAt = Callable[[State[T], float], Rates[T]]
@@ -51,7 +58,12 @@ def rk4(rates_at: RatesAt[T], state: State[T], h: float) -> State[T]:
     k3 = rates_at(advance(state, k2, 0.5 * h), 0.5)
     k4 = rates_at(advance(state, k3, h), 1.0)
     mean = Rates(
-        *((a + 2.0 * (b + c) + d) / 6.0 for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
+        (k1.x + 2.0 * (k2.x + k3.x) + k4.x) / 6.0,
+        (k1.y + 2.0 * (k2.y + k3.y) + k4.y) / 6.0,
+        (k1.yaw + 2.0 * (k2.yaw + k3.yaw) + k4.yaw) / 6.0,
+        (k1.speed + 2.0 * (k2.speed + k3.speed) + k4.speed) / 6.0,
+        (k1.yaw_rate + 2.0 * (k2.yaw_rate + k3.yaw_rate) + k4.yaw_rate) / 6.0,
+        (k1.slip_angle + 2.0 * (k2.slip_angle + k3.slip_angle) + k4.slip_angle) / 6.0,
     )
     return advance(state, mean, h)
 
@@ -93,6 +105,8 @@ def glide(
     following a speed.
     """
     state = moment.state
+    if not model.effects:
+        return _glide_base(ops, car, state, steer, accel, h, integrate)
     wheel_start, memory = link(ops, model, moment.memory, state.steer)
     wheel_end, memory = link(ops, model, memory, steer)
     wheel_move = wheel_end - wheel_start
@@ -108,6 +122,28 @@ def glide(
         )
         memory = remember(ops, model, memory, after.speed, ends, h)
     return Moment(after, memory)
+
+
+def _glide_base(
+    ops: Ops[T],
+    car: Car[T],
+    state: State[T],
+    steer: T,
+    accel: T,
+    h: float,
+    integrate: Integrator[T],
+) -> Moment[T]:
+    """`glide` without effects: the wheels are the actuator's, and loads hold for the whole step."""
+    loads = axle_loads(car, accel)
+    wheel_start = state.steer
+    wheel_move = steer - wheel_start
+
+    def rates_at(at: State[T], share: float) -> Rates[T]:
+        wheel = wheel_start + share * wheel_move
+        forces = lateral_forces(car, slip_angles(ops, car, at, wheel), loads)
+        return chassis_rates(ops, car, at, wheel, accel, forces)
+
+    return Moment(State(*integrate(rates_at, state, h)[:6], steer))
 
 
 def stiffness_rate(car: Car[float], speed: float) -> float:

@@ -52,8 +52,8 @@ def references(ops: Ops[T], car: Car[T], command: Command[T]) -> Command[T]:
     """What the actuators aim at: the command through the car's gains, bias and end stops."""
     steer = car.steer_gain * command.steer + car.steer_bias
     return Command(
-        steer=ops.clip(steer, car.steer_min, car.steer_max),
-        speed=car.speed_gain * command.speed,
+        ops.clip(steer, car.steer_min, car.steer_max),
+        car.speed_gain * command.speed,
     )
 
 
@@ -69,36 +69,30 @@ def actuate(ops: Ops[T], car: Car[T], state: State[T], ref: Command[T], h: float
     accel = speed_gap * (1.0 - ops.exp(-h / ops.maximum(car.speed_lag, LAG_FLOOR))) / h
     limit = car.steer_rate * h
     return Actuated(
-        steer=state.steer + ops.clip(steer_move, -limit, limit),
-        accel=ops.clip(accel, -car.decel_max, car.accel_max),
+        state.steer + ops.clip(steer_move, -limit, limit),
+        ops.clip(accel, -car.decel_max, car.accel_max),
     )
 
 
 def slip_angles(ops: Ops[T], car: Car[T], state: State[T], wheel: T) -> Axles[T]:
     """Slip angle of each axle [rad], small-angle form; `wheel` is the road-wheel angle [rad]."""
     spin = state.yaw_rate / ops.maximum(state.speed, SPEED_KINEMATIC)
-    return Axles(
-        front=wheel - state.slip_angle - car.lf * spin,
-        rear=car.lr * spin - state.slip_angle,
-    )
+    slip = state.slip_angle
+    return Axles(wheel - slip - car.lf * spin, car.lr * spin - slip)
 
 
 def axle_loads(car: Car[T], accel: T) -> Axles[T]:
     """Vertical load of each axle [N] at longitudinal acceleration `accel` [m/s^2]."""
-    per_metre = car.mass / (car.lf + car.lr)
+    lf, lr = car.lf, car.lr
+    per_metre = car.mass / (lf + lr)
     shift = accel * car.cog_height
-    return Axles(
-        front=per_metre * (GRAVITY * car.lr - shift),
-        rear=per_metre * (GRAVITY * car.lf + shift),
-    )
+    return Axles(per_metre * (GRAVITY * lr - shift), per_metre * (GRAVITY * lf + shift))
 
 
 def lateral_forces(car: Car[T], slips: Axles[T], loads: Axles[T]) -> Axles[T]:
     """Linear tyres: force of each axle [N], positive to the left."""
-    return Axles(
-        front=car.mu * car.c_sf * loads.front * slips.front,
-        rear=car.mu * car.c_sr * loads.rear * slips.rear,
-    )
+    mu = car.mu
+    return Axles(mu * car.c_sf * loads.front * slips.front, mu * car.c_sr * loads.rear * slips.rear)
 
 
 def dynamic_share(ops: Ops[T], speed: T) -> T:
@@ -112,22 +106,24 @@ def chassis_rates(
     ops: Ops[T], car: Car[T], state: State[T], wheel: T, accel: T, forces: Axles[T]
 ) -> Rates[T]:
     """Newton and Euler for the planar body, blended into the kinematic car at crawling speed."""
-    share = dynamic_share(ops, state.speed)
-    heavy = car.mass * ops.maximum(state.speed, SPEED_KINEMATIC)
+    speed, yaw_rate, slip = state.speed, state.yaw_rate, state.slip_angle
+    base = car.lf + car.lr
+    share = dynamic_share(ops, speed)
+    heavy = car.mass * ops.maximum(speed, SPEED_KINEMATIC)
     yaw_accel = (car.lf * forces.front - car.lr * forces.rear) / car.inertia_z
-    slip_rate = (forces.front + forces.rear) / heavy - state.yaw_rate
+    slip_rate = (forces.front + forces.rear) / heavy - yaw_rate
     tangent = ops.tan(wheel)
-    slip_rolling = ops.atan(car.lr * tangent / (car.lf + car.lr))
-    yaw_rate_rolling = state.speed * ops.cos(slip_rolling) * tangent / (car.lf + car.lr)
+    slip_rolling = ops.atan(car.lr * tangent / base)
+    yaw_rate_rolling = speed * ops.cos(slip_rolling) * tangent / base
     crawl = (1.0 - share) * KINEMATIC_RATE
-    course = state.yaw + state.slip_angle
+    course = state.yaw + slip
     return Rates(
-        x=state.speed * ops.cos(course),
-        y=state.speed * ops.sin(course),
-        yaw=state.yaw_rate,
-        speed=accel,
-        yaw_rate=share * yaw_accel + crawl * (yaw_rate_rolling - state.yaw_rate),
-        slip_angle=share * slip_rate + crawl * (slip_rolling - state.slip_angle),
+        speed * ops.cos(course),
+        speed * ops.sin(course),
+        yaw_rate,
+        accel,
+        share * yaw_accel + crawl * (yaw_rate_rolling - yaw_rate),
+        share * slip_rate + crawl * (slip_rolling - slip),
     )
 
 
