@@ -150,6 +150,7 @@ class HullClock:
     refit_ns = NS
     warm_ns = 2 * NS
     skew_from_ns = 10 * NS
+    step_ns = NS // 50
 
     def __init__(self, frequency_hz: int) -> None:
         self._line = _Line(frequency_hz)
@@ -186,9 +187,17 @@ class HullClock:
         self.resets += 1
 
     def add(self, source_ticks: int, t_arrival_ns: int) -> None:
-        """Take in one datagram; a source time that goes back resets the map."""
+        """Take in one datagram.
+
+        A source time that goes back, or a delay 20 ms below the smallest ever seen, is a stepped
+        clock and resets the map.
+        """
         if self._last_ticks is not None and source_ticks < self._last_ticks:
             self.reset()
+        elif self._fitted:
+            x = self._line.source_ns(source_ticks)
+            if self._line.residual(x, t_arrival_ns) < -self.step_ns:
+                self.reset()
         if self._last_ticks is None:
             self._line.set_origin(source_ticks, t_arrival_ns)
             self._bucket_end = t_arrival_ns

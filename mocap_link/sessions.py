@@ -53,7 +53,7 @@ class NatNetSource:
         self._foreign_ip = ""
         self._extra_latency_ns = extra_latency_ns
         self._info: ServerInfo | None = None
-        self._suspects_seen = 0
+        self._echo_resets = 0
 
     def on_datagram(
         self, data: bytes, t_arrival_ns: int, from_ip: str, which: Socket = "command"
@@ -94,13 +94,13 @@ class NatNetSource:
             extra = DEFAULT_EXTRA_LATENCY_NS["natnet" if info.clock_hz else "natnet2"]
         hz = info.clock_hz or _LEGACY_TICKS_HZ
         self.ingest.timing = SourceTiming(hz, extra, two_way=bool(info.clock_hz))
-        self._suspects_seen = 0
+        self._echo_resets = 0
 
     def on_timer(self, t_ns: int) -> list[bytes]:
         """Let time pass; returns the datagrams for the server's command port."""
-        timing = self.ingest.timing
-        if timing.suspect_resets != self._suspects_seen:
-            self._suspects_seen = timing.suspect_resets
+        resets = self.ingest.timing.echo_resets
+        if resets != self._echo_resets:
+            self._echo_resets = resets
             self.client.request_sync()
         self.ingest.on_timer(t_ns, connected=self.client.connected)
         return self.client.on_timer(t_ns)

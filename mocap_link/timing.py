@@ -18,7 +18,7 @@ class SourceTiming:
 
     A mapped sending time must lie at most 1 ms after and less than 50 ms before the arrival, or
     the map is suspect: the pose falls back to the next map, and 10 suspect poses in a row reset
-    the map (`suspect_resets` counts; the session should then measure echoes again).
+    the map. When `echo_resets` rises, the session should measure echoes anew.
 
     Args:
         frequency_hz: ticks per second of the source's clock.
@@ -35,7 +35,6 @@ class SourceTiming:
         self.extra_latency_ns = extra_latency_ns
         self.echo = EchoClock(frequency_hz) if two_way else None
         self.hull = HullClock(frequency_hz)
-        self.suspect_resets = 0
         self._suspects: dict[EchoClock | HullClock, int] = {}
         self._first_arrival_ns: int | None = None
         self._settled = False
@@ -47,6 +46,11 @@ class SourceTiming:
         That is a ready map, or 2 s after which the source's stamps turned out to be useless.
         """
         return self._settled or self.hull.ready or (self.echo is not None and self.echo.ready)
+
+    @property
+    def echo_resets(self) -> int:
+        """How often the two-way map was lost."""
+        return 0 if self.echo is None else self.echo.resets
 
     @property
     def sigma_ns(self) -> int | None:
@@ -108,6 +112,5 @@ class SourceTiming:
             if suspects >= self.suspects_to_reset:
                 suspects = 0
                 clock.reset()
-                self.suspect_resets += clock is self.echo
             self._suspects[clock] = suspects
         return t_ns if sane else None
