@@ -73,9 +73,9 @@ def host_number(code: str, scale: float | None, value: Number) -> Number:
     """
     if code == "f":
         return _auto_f32(value)
-    if not math.isfinite(value):
-        raise ValueError(f"{value} cannot be sent to a VESC")
     scaled = value * (1 if scale is None else scale)
+    if not math.isfinite(scaled):
+        raise ValueError(f"{value} cannot be sent to a VESC")
     count = int(math.copysign(math.floor(abs(scaled) + 0.5), scaled))
     low, high = _RANGES[code]
     if not low <= count <= high:

@@ -94,7 +94,7 @@ def test_temporary_limits_may_come_without_input_currents_but_never_go_out_so() 
         encode_command(short)
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e12, -1e12])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e12, -1e12, 1e305])
 @pytest.mark.parametrize(
     "kind",
     [

@@ -1,0 +1,146 @@
+"""Properties of the VESC framing: any bytes, any chunks, any damage."""
+
+import binascii
+import itertools
+
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from vesc_link.frames import FrameParser, encode_frame
+
+CHECKED = settings(derandomize=True, deadline=None, database=None, max_examples=150)
+PAYLOADS = st.binary(min_size=1, max_size=60) | st.binary(min_size=250, max_size=512)
+SOUP = st.lists(
+    st.sampled_from([b"\x02", b"\x03", b"\x02\x01", b"\x03\x01\xff", b"\x03\x02\x00", b"\0"])
+    | st.binary(max_size=40)
+    | PAYLOADS.map(encode_frame)
+    | PAYLOADS.map(lambda payload: encode_frame(payload)[:-2]),
+    max_size=12,
+).map(b"".join)
+CUTS = st.lists(st.integers(0, 2000), max_size=20)
+
+
+def chunks(data: bytes, cuts: list[int]) -> list[bytes]:
+    edges = [0, *sorted(cut % (len(data) + 1) for cut in cuts), len(data)]
+    return [data[a:b] for a, b in itertools.pairwise(edges)]
+
+
+def firmware_reference(data: bytes) -> list[tuple[int, bytes]]:
+    """The firmware's receiver as the spec page words it: (bytes read so far, payload)."""
+    found: list[tuple[int, bytes]] = []
+    buffer = b""
+    for count, byte in enumerate(data, 1):
+        buffer += bytes((byte,))
+        while buffer:
+            step, payload = firmware_step(buffer)
+            if step == 0:
+                break
+            if payload is not None:
+                found.append((count, payload))
+            buffer = buffer[step:]
+    return found
+
+
+def firmware_step(buffer: bytes) -> tuple[int, bytes | None]:
+    kind = buffer[0]
+    if kind not in (2, 3):
+        return 1, None
+    if len(buffer) < kind:
+        return 0, None
+    size = buffer[1] if kind == 2 else 256 * buffer[1] + buffer[2]
+    if size < (1 if kind == 2 else 255) or size > 512:
+        return 1, None
+    total = kind + size + 3
+    if len(buffer) < total:
+        return 0, None
+    payload, tail = buffer[kind : kind + size], buffer[kind + size : total]
+    if tail[2] != 3 or tail[:2] != binascii.crc_hqx(payload, 0).to_bytes(2, "big"):
+        return 1, None
+    return total, payload
+
+
+@given(SOUP)
+@CHECKED
+@example(b"\x02\x05\x08\x00\x00\x12\x02\x03\x0c\x01\xf4\xe9\xcb\x03")
+def test_strict_parser_is_the_firmware_byte_for_byte(data: bytes) -> None:
+    parser = FrameParser(strict=True)
+    got = [(n, p) for n, byte in enumerate(data, 1) for p in parser.feed(bytes((byte,)), 0)]
+    assert got == firmware_reference(data)
+
+
+@given(SOUP, CUTS)
+@CHECKED
+def test_strict_parser_does_not_care_about_chunks(data: bytes, cuts: list[int]) -> None:
+    whole = FrameParser(strict=True).feed(data, 0)
+    parser = FrameParser(strict=True)
+    assert [p for chunk in chunks(data, cuts) for p in parser.feed(chunk, 0)] == whole
+
+
+@given(st.lists(PAYLOADS, max_size=6), CUTS)
+@CHECKED
+def test_host_parser_gives_the_same_packets_for_any_chunks(
+    payloads: list[bytes], cuts: list[int]
+) -> None:
+    parser = FrameParser()
+    data = b"".join(map(encode_frame, payloads))
+    assert [p for chunk in chunks(data, cuts) for p in parser.feed(chunk, 0)] == payloads
+    assert (parser.dropped_bytes, parser.crc_errors, parser.buffered) == (0, 0, 0)
+
+
+@given(SOUP, CUTS, st.booleans(), st.lists(st.integers(0, 40_000_000), min_size=21, max_size=21))
+@CHECKED
+def test_soup_never_raises_nor_yields_a_bad_packet_nor_grows(
+    data: bytes, cuts: list[int], strict: bool, waits: list[int]
+) -> None:
+    parser = FrameParser(strict=strict)
+    t_ns = frame_bytes = 0
+    for chunk, wait in zip(chunks(data, cuts), waits, strict=False):
+        t_ns += wait
+        for payload in parser.feed(chunk, t_ns):
+            assert any(frame in data for frame in frames_of(payload))
+            frame_bytes += len(next(frame for frame in frames_of(payload) if frame in data))
+        assert parser.buffered <= 518
+    assert 0 <= parser.dropped_bytes <= len(data)
+    assert parser.dropped_bytes + frame_bytes <= len(data)
+
+
+def frames_of(payload: bytes) -> list[bytes]:
+    """Both legal frames of a payload: 255 bytes may stand behind either header."""
+    short = encode_frame(payload)
+    return [short, b"\x03\x00\xff" + short[2:]] if len(payload) == 255 else [short]
+
+
+@given(SOUP, PAYLOADS)
+@CHECKED
+def test_good_frame_behind_any_garbage_is_found_at_once_by_the_host(
+    garbage: bytes, payload: bytes
+) -> None:
+    """At once but for one case: the garbage is a frame's beginning and eats this one's start."""
+    parser = FrameParser()
+    parser.feed(garbage, 0)
+    frame = encode_frame(payload)
+    assert payload in parser.feed(frame, 1) or payload in parser.feed(frame, 2)
+
+
+@given(SOUP, PAYLOADS)
+@CHECKED
+def test_firmware_finds_a_good_frame_behind_any_garbage_and_the_zero_flush(
+    garbage: bytes, payload: bytes
+) -> None:
+    parser = FrameParser(strict=True)
+    parser.feed(garbage + bytes(520), 0)
+    assert parser.feed(encode_frame(payload), 1) == [payload]
+
+
+@given(PAYLOADS, st.data())
+@CHECKED
+def test_any_truncation_delivers_nothing_and_any_flip_is_noticed(
+    payload: bytes, data: st.DataObject
+) -> None:
+    frame = encode_frame(payload)
+    cut = data.draw(st.integers(0, len(frame) - 1))
+    assert payload not in FrameParser().feed(frame[:cut], 0)
+    bit = data.draw(st.integers(0, 8 * len(frame) - 1))
+    broken = bytearray(frame)
+    broken[bit // 8] ^= 1 << bit % 8
+    assert payload not in FrameParser(strict=True).feed(bytes(broken), 0)
