@@ -12,6 +12,7 @@ class VescKnobs:
 
     Attributes:
         plugged: whether the cable is in.
+        outage_ns: how long the cable is out before the condition begins.
         port_suffix: appended to the port's name while the device is there.
         uuid: identity instead of its own.
         mute: takes commands, answers nothing.
@@ -41,6 +42,7 @@ class VescKnobs:
     """
 
     plugged: bool = True
+    outage_ns: int = 0
     port_suffix: str = ""
     uuid: bytes | None = None
     mute: bool = False

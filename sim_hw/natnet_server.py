@@ -1,7 +1,5 @@
 """The simulated NatNet server: sessions, model list, echoes, and frames (wire: `mocap_link`)."""
 
-import math
-
 from mocap_link import natnet
 from mocap_link.natnet_frame import EDIT_MODE, MODEL_CHANGED, TRACKING_VALID, Frame, RigidBody
 from mocap_link.natnet_model import Description, MarkerSetDesc, ModelDef, RigidBodyDesc
@@ -170,8 +168,3 @@ def _answer_request(text: str, config: MocapConfig) -> natnet.Response | natnet.
     if name == "Bitstream":
         return natnet.Response("{}.{}".format(*config.version).encode() + b"\0")
     return natnet.Unrecognized(100)
-
-
-def ticks_to_ns(config: MocapConfig, ticks: int) -> int:
-    """Server time since its epoch [ns], without skew."""
-    return math.floor((ticks - config.epoch_ticks) * _NS / config.clock_hz)

@@ -84,6 +84,7 @@ class SimVesc:
         self.motor = Motor(config, t_ns - uptime_ns)
         self.motor.knobs = self.knobs
         self.power = Power(config)
+        self.power.heat_c = self.knobs.heat_c
         self.stats = Statistics()
         self.stats.reset(t_ns)
         self.imu = ImuChip(config, self.car, self._noise)
@@ -103,6 +104,7 @@ class SimVesc:
         """From ``t_ns`` on, be in this condition."""
         before, self.knobs = self.knobs, knobs
         self.motor.knobs = self._wire.knobs = knobs
+        self.power.heat_c = knobs.heat_c
         if knobs.plugged != before.plugged:
             self._wire.mend()
             self._held.clear()
@@ -166,7 +168,7 @@ class SimVesc:
             self.motor.hold_fault(t_ns, knobs.fault_code)
         if self.power.voltage < self.config.voltage_min:
             self.motor.hold_fault(t_ns, _UNDER_VOLTAGE)
-        if self.power.temp_c + knobs.heat_c > self.config.temp_limit_c:
+        if self.power.temp_c > self.config.temp_limit_c:
             self.motor.hold_fault(t_ns, _OVER_TEMP)
 
     def _act(self, act: Act, erpm: float) -> tuple[Demand, float]:

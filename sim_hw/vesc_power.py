@@ -26,6 +26,7 @@ class Power:
         voltage: battery voltage under load [V].
         duty: duty cycle.
         revolutions, travel: electrical revolutions, signed and unsigned.
+        warmth, heat_c: above ambient by the motor's own current, and by a fault [K].
         ah, ah_charged, wh, wh_charged: as telemetry sends them.
     """
 
@@ -35,7 +36,7 @@ class Power:
         self.voltage = config.battery_voltage
         self.revolutions = self.travel = 0.0
         self.ah = self.ah_charged = self.wh = self.wh_charged = 0.0
-        self.warmth = 0.0
+        self.warmth = self.heat_c = 0.0
         self.input_current = 0.0
         self._sums = dict.fromkeys(MEANS, 0.0)
         self._count = 0
@@ -44,7 +45,7 @@ class Power:
     @property
     def temp_c(self) -> float:
         """Temperature of switches and motor."""
-        return _AMBIENT_C + self.warmth
+        return _AMBIENT_C + self.warmth + self.heat_c
 
     def step(self, current: float, erpm: float, h: float, sag: float) -> None:
         """Account for ``h`` seconds at a motor current [A] and ERPM, on a battery ``sag`` V low."""

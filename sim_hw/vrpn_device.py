@@ -1,4 +1,4 @@
-"""The simulated VRPN server: one `mocap_link` server side per TCP connection, fed by the cameras."""
+"""The simulated VRPN server: one `mocap_link` session per connection, fed by the cameras."""
 
 from mocap_link.vrpn import VrpnError
 from mocap_link.vrpn_server import VrpnServer

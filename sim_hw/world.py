@@ -1,0 +1,235 @@
+"""The world in virtual time: one car, its VESC and its mocap system, joined by bytes alone.
+
+A caller moves time on (`World.advance`), writes and reads the serial link, and writes and reads
+mocap datagrams; that is all that a driver of real hardware can do. `World.truth` is for judges.
+Same configuration, faults and calls give the same bytes.
+"""
+
+import errno
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from car_model.effect import Effect
+from car_model.model import Model
+from car_model.params import DEFAULT_CAR, Car
+from car_model.state import ORIGIN, State
+from sim_hw.cameras import Cameras
+from sim_hw.car import CarSetup, SimCar
+from sim_hw.device import ByteLog
+from sim_hw.faults import Fault, in_world_time, make_condition
+from sim_hw.mocap_config import MocapConfig
+from sim_hw.natnet_server import NatNetServer
+from sim_hw.network import COMMAND, DATA, Datagram, Network, Peer
+from sim_hw.noise import make_noise
+from sim_hw.vesc_config import VescConfig
+from sim_hw.vesc_device import SimVesc
+from sim_hw.vrpn_device import VrpnDevice
+from vesc_link.scaling import F1TENTH, Scaling
+
+TX_BUFFER = 4096
+"""Bytes that the host's kernel takes for a device that does not read."""
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """Everything that a simulated run depends on, besides what is done to it.
+
+    Attributes:
+        seed: root of all randomness.
+        car: true parameters of the car.
+        effects, effect_values: unmodelled effects that are on, and their parameters.
+        scaling: how the car's servo and motor are really geared.
+        vesc, mocap: the devices.
+        start: true state at the beginning.
+        step_ns: physics step.
+        coast_decel: drag of the released drive train [m/s^2].
+        process_noise: see `CarSetup.noise`.
+        keep_bytes: whether every serial byte is logged.
+    """
+
+    seed: int = 0
+    car: Car[float] = DEFAULT_CAR
+    effects: tuple[Effect, ...] = ()
+    effect_values: tuple[tuple[float, ...], ...] = ()
+    scaling: Scaling = F1TENTH
+    vesc: VescConfig = field(default_factory=VescConfig)
+    mocap: MocapConfig = field(default_factory=MocapConfig)
+    start: State[float] = ORIGIN
+    step_ns: int = 2_000_000
+    coast_decel: float = 0.6
+    process_noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    keep_bytes: bool = True
+
+
+class Truth(NamedTuple):
+    """What no instrument tells."""
+
+    t_ns: int
+    state: State[float]
+    accel_x: float
+    accel_y: float
+
+
+class World:
+    """Simulated hardware from ``t_start_ns`` on.
+
+    Args:
+        config: what it is.
+        faults: what goes wrong; their windows count from ``t_start_ns``.
+        t_start_ns: the caller's clock now.
+
+    Attributes:
+        car, vesc: the parts, for judges and tests.
+        log: every serial byte with its time, if the configuration keeps them.
+        t_ns: how far time has come.
+    """
+
+    def __init__(
+        self, config: WorldConfig, faults: Sequence[Fault] = (), t_start_ns: int = 0
+    ) -> None:
+        self.config = config
+        self.t_ns = t_start_ns
+        self._t_start_ns = t_start_ns
+        setup = CarSetup(
+            config.step_ns,
+            config.coast_decel,
+            config.vesc.servo_wait if config.vesc.servo_out else 0.0,
+            config.process_noise,
+            config.start,
+        )
+        model = Model(config.car, config.effects, config.effect_values)
+        self.car = SimCar(model, setup, make_noise(config.seed, "car"), t_start_ns)
+        self.log = ByteLog(config.keep_bytes)
+        self.vesc = SimVesc(
+            config.vesc, config.scaling, self.car, make_noise(config.seed, "vesc"), self.log
+        )
+        self.network = Network(make_noise(config.seed, "network"))
+        noise = make_noise(config.seed, "server")
+        kind = VrpnDevice if config.mocap.kind == "vrpn" else NatNetServer
+        self.mocap: VrpnDevice | NatNetServer = kind(config.mocap, self.network, noise, t_start_ns)
+        self._cameras = Cameras(config.mocap, make_noise(config.seed, "cameras"), t_start_ns)
+        self._h = config.step_ns / 1e9
+        self._faults = tuple(in_world_time(fault, t_start_ns) for fault in faults)
+        self._rx = bytearray()
+        self._stuck = 0
+        self._port_suffix = ""
+        self._turn_knobs(t_start_ns)
+
+    def add_fault(self, fault: Fault) -> None:
+        """Plan another fault (its window counts from the world's start)."""
+        self._faults = (*self._faults, in_world_time(fault, self._t_start_ns))
+        self._turn_knobs(self.car.t_ns)
+
+    def _turn_knobs(self, t_ns: int) -> None:
+        condition = make_condition(self._faults, t_ns)
+        self._edge_ns = condition.until_ns
+        if not condition.vesc.stalled:
+            self._stuck = 0
+        if not condition.vesc.plugged:
+            self._rx.clear()
+        self.vesc.set_knobs(t_ns, condition.vesc)
+        if condition.mocap.restart and not self._cameras.knobs.restart:
+            self._cameras.restart()
+        self._cameras.knobs = self.network.knobs = condition.mocap
+        self.mocap.set_knobs(t_ns, condition.mocap)
+
+    # --- time
+
+    def advance(self, t_ns: int) -> None:
+        """Let time pass until ``t_ns``; earlier times change nothing."""
+        car, vesc, h, step_ns = self.car, self.vesc, self._h, self.config.step_ns
+        while car.t_ns + step_ns <= t_ns:
+            if car.t_ns >= self._edge_ns:
+                self._turn_knobs(car.t_ns)
+            steer, demand = vesc.step(car.t_ns, h)
+            car.step(steer, demand)
+            if self._cameras.next_ns <= car.t_ns:
+                for capture in self._cameras.captures(car):
+                    self.mocap.publish(capture)
+        if t_ns >= self._edge_ns:
+            self._turn_knobs(t_ns)
+        self.t_ns = max(self.t_ns, t_ns)
+
+    @property
+    def next_wake_ns(self) -> int:
+        """When something may be due to be read, at the latest the next physics step."""
+        wakes = (self.vesc.next_wake_ns, self.network.next_ns, self.car.t_ns + self.config.step_ns)
+        return min(wake for wake in wakes if wake is not None)
+
+    def truth(self) -> Truth:
+        """The true state at the latest physics step."""
+        car = self.car
+        return Truth(car.t_ns, car.state, car.accel_x, car.accel_y)
+
+    # --- serial
+
+    @property
+    def serial_name(self) -> str | None:
+        """The serial port's name as the host sees it; None while there is no device."""
+        return f"vesc{self.vesc.knobs.port_suffix}" if self.vesc.connected else None
+
+    def serial_write(self, t_ns: int, data: bytes) -> int:
+        """Write to the VESC at ``t_ns``, as ``os.write`` on a non-blocking descriptor.
+
+        Returns:
+            How many bytes the kernel took.
+
+        Raises:
+            BlockingIOError: its buffer is full.
+            OSError: the device is gone (EIO).
+        """
+        self.advance(t_ns)
+        if not self.vesc.connected:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        if not self.vesc.knobs.stalled:
+            self.vesc.on_bytes(t_ns, data)
+            return len(data)
+        taken = min(len(data), TX_BUFFER - self._stuck)
+        if not taken:
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        self._stuck += taken
+        return taken
+
+    def serial_read(self, t_ns: int) -> bytes:
+        """Read all that the VESC has sent by ``t_ns``; empty when there is nothing.
+
+        Raises:
+            OSError: the device is gone (EIO).
+        """
+        self.advance(t_ns)
+        if not self.vesc.connected:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        data = b"".join(chunk.data for chunk in self.vesc.advance(t_ns))
+        if data:
+            self.vesc.on_read(len(data))
+        return data
+
+    # --- mocap
+
+    def mocap_connect(self, t_ns: int, peer: Peer = 0) -> None:
+        """A VRPN client connects (NatNet has no connections)."""
+        self.advance(t_ns)
+        if isinstance(self.mocap, VrpnDevice):
+            self.mocap.on_connect(t_ns, peer)
+
+    def mocap_disconnect(self, t_ns: int, peer: Peer = 0) -> None:
+        """A VRPN client hangs up."""
+        self.advance(t_ns)
+        if isinstance(self.mocap, VrpnDevice):
+            self.mocap.on_disconnect(peer)
+
+    def mocap_write(self, t_ns: int, data: bytes, channel: str = COMMAND, peer: Peer = 0) -> None:
+        """Send to the server: to NatNet's command socket, or on a VRPN connection.
+
+        On NatNet's data channel nobody listens.
+        """
+        self.advance(t_ns)
+        if channel != DATA:
+            self.mocap.on_message(t_ns, data, peer)
+
+    def mocap_read(self, t_ns: int) -> list[Datagram]:
+        """Messages that have reached the host by ``t_ns``, in order of arrival."""
+        self.advance(t_ns)
+        return self.network.due(t_ns)
