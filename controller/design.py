@@ -1,0 +1,140 @@
+"""The check before driving: eigenvalues of the discrete closed loop, for the real rate and delay.
+
+A state feedback that is fine on paper can be unstable in a sampled loop: the paper's own poles have
+a spectral radius of 0.98 at 100 Hz and 1 m/s, and 1.18 once a single tick of delay is there.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from car_model.params import Car
+from controller.gain_table import N_LANE, GainTable, look_up
+from controller.loop_model import Matrix, Timing, sampled_loop
+
+SPEEDS_BELOW = (0.2, 0.5, 0.8)
+"""Shares of the lowest design speed at which the held gains are checked too."""
+MARGIN_STEP_S = 0.005
+"""Resolution of the delay margin [s]."""
+MARGIN_MAX_S = 0.2
+"""Delay margins beyond this are not told apart [s]."""
+MODE_FLOOR = 1e-6
+"""Modes that decay to this share within a tick count as gone."""
+
+
+class DesignRefused(ValueError):  # noqa: N818
+    """No controller that may drive: says at which speed, rate and delay, and what to try."""
+
+
+class Stability(NamedTuple):
+    """How the closed loop behaves at one speed."""
+
+    speed: float
+    """[m/s]."""
+    radius: float
+    """Largest magnitude of an eigenvalue: below 1 is stable."""
+    damping: float
+    """Smallest damping ratio of a mode: negative is unstable, 1 does not oscillate."""
+
+
+class DesignReport(NamedTuple):
+    """What was designed and how the closed loop will behave."""
+
+    design: str
+    timing: Timing
+    stabilities: tuple[Stability, ...]
+    delay_margin_s: float
+    """Dead time that may be added before a speed becomes unstable [s], up to MARGIN_MAX_S."""
+
+    @property
+    def worst(self) -> Stability:
+        """The speed nearest to instability."""
+        return min(self.stabilities, key=lambda at: (at.damping, -at.radius))
+
+    def describe(self) -> str:
+        """One line for people."""
+        low, high = self.stabilities[0].speed, self.stabilities[-1].speed
+        return (
+            f"{self.design}, {describe_timing(self.timing)}, {low:.2f} to {high:.2f} m/s: spectral "
+            f"radius up to {max(at.radius for at in self.stabilities):.4f}, damping at least "
+            f"{self.worst.damping:.2f}, bears {1e3 * self.delay_margin_s:.0f} ms more delay"
+        )
+
+
+def describe_timing(timing: Timing) -> str:
+    """Rate, dead time and lag for people."""
+    return (
+        f"{timing.rate_hz:g} Hz, {1e3 * timing.delay_s:.1f} ms dead time, "
+        f"{1e3 * timing.lag_s:.0f} ms servo lag"
+    )
+
+
+def closed_loop(
+    car: Car[float], row: Sequence[float], pasts: int, speed: float, timing: Timing
+) -> Matrix:
+    """The closed loop's state matrix over one tick.
+
+    Args:
+        car: the car as it is.
+        row: a row of the gain table.
+        pasts: how many past references the row feeds back; the real dead time may differ.
+        speed: [m/s].
+        timing: the loop as it is.
+    """
+    open_a, open_b = sampled_loop(car, speed, timing)
+    lane = N_LANE if timing.lagging else 4
+    known = len(open_a)
+    size = max(known, lane + pasts)
+    a, b = np.zeros((size, size)), np.zeros((size, 1))
+    a[:known, :known], b[:known] = open_a, open_b
+    for i in range(known, size):
+        if i == lane:
+            b[i] = 1.0
+        else:
+            a[i, i - 1] = 1.0
+    gains = np.zeros((1, size))
+    gains[0, :lane] = row[:lane]
+    gains[0, lane : lane + pasts] = row[N_LANE : N_LANE + pasts]
+    closed: Matrix = a - b @ gains
+    return closed
+
+
+def stability(closed: Matrix, speed: float) -> Stability:
+    """Radius and damping of a closed loop's state matrix."""
+    modes = np.linalg.eigvals(closed).astype(np.complex128)
+    alive = modes[np.abs(modes) > MODE_FLOOR]
+    decay = -np.log(alive)
+    damping = np.real(decay) / np.maximum(np.abs(decay), 1e-300)
+    return Stability(speed, float(np.abs(alive).max()), float(damping.min()))
+
+
+def assess(car: Car[float], table: GainTable, timing: Timing) -> tuple[Stability, ...]:
+    """Stability at each design speed, between them, and below the lowest."""
+    grid = table.speeds
+    between = [0.5 * (low + high) for low, high in pairwise(grid)]
+    below = [share * grid[0] for share in SPEEDS_BELOW]
+    return tuple(
+        stability(closed_loop(car, look_up(table, speed), table.pasts, speed, timing), speed)
+        for speed in sorted([*below, *grid, *between])
+    )
+
+
+def delay_margin(car: Car[float], table: GainTable, timing: Timing) -> float:
+    """Dead time that can be added with every grid speed still stable [s]."""
+    for step in range(1, round(MARGIN_MAX_S / MARGIN_STEP_S) + 1):
+        later = timing._replace(delay_s=timing.delay_s + step * MARGIN_STEP_S)
+        for speed in table.speeds:
+            closed = closed_loop(car, look_up(table, speed), table.pasts, speed, later)
+            if stability(closed, speed).radius >= 1.0:
+                return (step - 1) * MARGIN_STEP_S
+    return MARGIN_MAX_S
+
+
+def find_fault(stabilities: Sequence[Stability], damping_min: float) -> Stability | None:
+    """The first speed, from below, that is unstable or less damped than asked."""
+    for at in stabilities:
+        if at.radius >= 1.0 or at.damping < damping_min:
+            return at
+    return None

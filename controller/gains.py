@@ -1,0 +1,82 @@
+"""The two designs, through python-control, over a grid of speeds. Runs at start, never per tick.
+
+`pole_placement` is the paper's: continuous state feedback on Rajamani's error dynamics, blind to
+the servo, the dead time and the loop's rate. `lqr` (default) minimises a quadratic cost of the
+sampled loop with the servo's lag and every reference still under way among its states, so it knows
+what is already on its way to the wheel.
+"""
+
+import math
+
+import control  # noqa: TID251
+import numpy as np
+
+from car_model.linear import lane_errors
+from car_model.params import Car
+from controller.config import ControllerConfig, LqrWeights
+from controller.design import DesignRefused
+from controller.gain_table import GainTable
+from controller.loop_model import Matrix, Timing, pack_gains, sampled_loop, turn_response
+
+
+def pole_placement_gains(car: Car[float], speed: float, poles: tuple[complex, ...]) -> Matrix:
+    """Gains (1, 4) on `(e1, e1', e2, e2')` that give the continuous loop these poles [1/s].
+
+    Raises:
+        DesignRefused: the poles cannot be placed.
+    """
+    errors = lane_errors(car, speed)
+    try:
+        gains: Matrix = np.asarray(control.place(errors.a, errors.b_steer[:, None], poles))
+    except ValueError as error:
+        raise DesignRefused(
+            f"pole_placement at {speed:.2f} m/s: {error}; try other poles, a higher grid_speed_min "
+            "or design = 'lqr'"
+        ) from None
+    return gains
+
+
+def lqr_gains(car: Car[float], speed: float, timing: Timing, weights: LqrWeights) -> Matrix:
+    """Gains (1, 5 + n) of the sampled chain with n references under way (4 + n without a lag).
+
+    Raises:
+        DesignRefused: the Riccati equation has no solution.
+    """
+    a, b = sampled_loop(car, speed, timing)
+    lane = 5 if timing.lagging else 4
+    cost = np.zeros(len(a))
+    cost[:lane] = weights[:lane]
+    try:
+        gains: Matrix = np.asarray(control.dlqr(a, b, np.diag(cost), [[weights.effort]])[0])
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise DesignRefused(
+            f"lqr at {speed:.2f} m/s, {timing.rate_hz:g} Hz: {error}; try other weights"
+        ) from None
+    return gains
+
+
+def design_table(
+    car: Car[float], config: ControllerConfig, timing: Timing, speed_max: float
+) -> GainTable:
+    """Gains of the configured design from `config.grid_speed_min` up to `speed_max` [m/s].
+
+    Raises:
+        DesignRefused: a speed has no design.
+    """
+    span = max(speed_max - config.grid_speed_min, 0.0)
+    steps = max(1, math.ceil(span / config.grid_spacing))
+    spacing = span / steps if span > 0.0 else config.grid_spacing
+    count = steps + 1 if span > 0.0 else 1
+    speeds = [config.grid_speed_min + i * spacing for i in range(count)]
+    rows = tuple(_row(car, config, timing, speed) for speed in speeds)
+    return GainTable(config.grid_speed_min, spacing, rows)
+
+
+def _row(
+    car: Car[float], config: ControllerConfig, timing: Timing, speed: float
+) -> tuple[float, ...]:
+    if config.design == "lqr":
+        gains = pack_gains(lqr_gains(car, speed, timing, config.weights), timing.lagging)
+    else:
+        gains = pack_gains(pole_placement_gains(car, speed, config.poles), chained=False)
+    return (*gains, *turn_response(car, speed))

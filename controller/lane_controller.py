@@ -1,0 +1,167 @@
+"""The controller's tick: an estimate in, a command and a report out, pure and in plain floats."""
+
+import math
+from typing import NamedTuple
+
+from car_model.params import Car
+from car_model.path import Projection, locate, project
+from car_model.state import Command, State
+from controller import lane_keeper
+from controller.config import ControllerConfig
+from controller.design import DesignReport
+from controller.gain_table import GainTable, look_up
+from controller.lane_keeper import LaneKeeper, Steering, lane_errors
+from controller.speed import SpeedProfile, profile_speed, step_speed
+
+STEP_MAX_S = 0.1
+"""Longest time that one tick's speed ramp is granted for [s]: a pause is no leap."""
+
+
+class LaneController(NamedTuple):
+    """Everything a tick needs, made once by `controller.build.make_controller`."""
+
+    car: Car[float]
+    config: ControllerConfig
+    table: GainTable
+    keeper: LaneKeeper
+    profile: SpeedProfile
+    report: DesignReport
+    """What was designed and how stable it is."""
+
+
+class ControllerState(NamedTuple):
+    """What one tick leaves to the next."""
+
+    hint: int
+    """Path sample next to the car."""
+    past: tuple[float, ...]
+    """References under way less their feed-forward [rad], newest first."""
+    feedforward: float
+    """Of the last tick [rad]."""
+    speed: float
+    """Speed reference [m/s]."""
+    t_ns: int
+    """Of the last tick [ns]."""
+
+
+class ControlReport(NamedTuple):
+    """What a tick saw and decided."""
+
+    e1: float
+    """Lateral offset [m]."""
+    e1_rate: float
+    """[m/s]."""
+    e2: float
+    """Heading error [rad]."""
+    e2_rate: float
+    """[rad/s]."""
+    s: float
+    """Arc length of the car's place on the path [m]."""
+    curvature: float
+    """Of the path there [1/m]."""
+    distance: float
+    """To the path [m]; exceeds `|e1|` beyond an open path's ends."""
+    wheel: float
+    """Road-wheel angle asked for [rad]."""
+    feedforward: float
+    """Its part from the path's curvature [rad]."""
+    speed: float
+    """Speed reference [m/s]."""
+    speed_target: float
+    """What the profile asks here [m/s]."""
+
+
+def start_controller(
+    controller: LaneController, estimate: State[float], t_ns: int
+) -> ControllerState:
+    """The state before the first tick, also for a restart: searches the whole path.
+
+    The speed reference starts from the car's own speed.
+    """
+    found = locate(controller.keeper.path, estimate.x, estimate.y, estimate.yaw)
+    past = (0.0,) * controller.table.pasts
+    return ControllerState(found.hint, past, 0.0, max(estimate.speed, 0.0), t_ns)
+
+
+def control(
+    controller: LaneController,
+    state: ControllerState,
+    estimate: State[float],
+    t_ns: int,
+    *,
+    issued: Command[float] | None = None,
+    stop: bool = False,
+) -> tuple[Command[float], ControlReport, ControllerState]:
+    """One tick.
+
+    Args:
+        controller: from `make_controller`.
+        state: from `start_controller` or the last tick.
+        estimate: the car at `t_ns`.
+        t_ns: now, CLOCK_MONOTONIC [ns].
+        issued: what the last tick's command had become when it left, after the gate; without it
+            the design believes that the command left unchanged.
+        stop: ramps the speed reference down to rest, lane keeping on.
+
+    Raises:
+        ValueError: the estimate is not finite.
+    """
+    if not math.isfinite(sum(estimate)):
+        raise ValueError(f"the estimate is not finite: {estimate}")
+    past = state.past if issued is None else _corrected(controller.car, state, issued)
+    at = project(controller.keeper.path, estimate.x, estimate.y, state.hint)
+    errors = lane_errors(estimate, at)
+    row = look_up(controller.table, estimate.speed)
+    steering = lane_keeper.step(controller.keeper, row, errors, at, estimate, past)
+    target = profile_speed(controller.profile, at.s, estimate.speed)
+    dt = min(max((t_ns - state.t_ns) * 1e-9, 0.0), STEP_MAX_S)
+    speed = step_speed(state.speed, target, dt, controller.config, stop)
+    command = to_command(controller.car, steering.wheel, speed)
+    report = _report(errors, at, steering, speed, target)
+    return command, report, _next(at, past, steering, speed, t_ns)
+
+
+def to_command(car: Car[float], wheel: float, speed: float) -> Command[float]:
+    """The command that makes the car's actuators aim at a wheel angle [rad] and a speed [m/s].
+
+    Inverse of `car_model.single_track.references` within the end stops.
+    """
+    return Command((wheel - car.steer_bias) / car.steer_gain, speed / car.speed_gain)
+
+
+def _corrected(
+    car: Car[float], state: ControllerState, issued: Command[float]
+) -> tuple[float, ...]:
+    """The references under way with the newest as it really left."""
+    if not state.past:
+        return state.past
+    wheel = car.steer_gain * issued.steer + car.steer_bias
+    wheel = max(car.steer_min, min(car.steer_max, wheel))
+    return (wheel - state.feedforward, *state.past[1:])
+
+
+def _next(
+    at: Projection, past: tuple[float, ...], steering: Steering, speed: float, t_ns: int
+) -> ControllerState:
+    newest = steering.wheel - steering.feedforward
+    shifted = (newest, *past[:-1]) if past else past
+    return ControllerState(at.hint, shifted, steering.feedforward, speed, t_ns)
+
+
+def _report(
+    errors: lane_keeper.LaneErrors,
+    at: Projection,
+    steering: Steering,
+    speed: float,
+    target: float,
+) -> ControlReport:
+    return ControlReport(
+        *errors,
+        at.s,
+        at.curvature,
+        at.distance,
+        steering.wheel,
+        steering.feedforward,
+        speed,
+        target,
+    )

@@ -1,0 +1,111 @@
+"""Steering: lane errors from an estimate and its projection, and the feedback law upon them.
+
+The law is `wheel_ref = turn(s ahead) - K (errors - errors of the turn)`. The turn is the car's own
+(`Turning`), so an understeering car is asked for more, the heading error that every turn's slip
+brings is not fought, and a changing curvature is followed without offset. `s ahead` is where the
+car will be when the reference has reached the wheel. See `docs/controller.md`.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from car_model.path import Path, Projection, interpolate, wrap_angle
+from car_model.state import State
+from controller.gain_table import N_LANE, N_TURNING
+
+SQUEEZE_MIN = 0.1
+"""Least 1 - curvature e1: the errors' rates mean nothing at the turn's centre."""
+
+REACH_MIN = 0.05
+"""Shortest distance over which the change of curvature is taken [m]."""
+
+
+class LaneErrors(NamedTuple):
+    """Where the car is against the lane."""
+
+    e1: float
+    """Lateral offset of the CoG [m], positive to the left."""
+    e1_rate: float
+    """[m/s]."""
+    e2: float
+    """Heading error, yaw minus the path's direction [rad], in (-pi, pi]."""
+    e2_rate: float
+    """[rad/s]."""
+
+
+class Steering(NamedTuple):
+    """What a tick asks of the wheel."""
+
+    wheel: float
+    """Road-wheel angle asked for [rad], within the car's end stops."""
+    feedforward: float
+    """Its part from the path's curvature [rad]."""
+
+
+class LaneKeeper(NamedTuple):
+    """The constants of the steering law."""
+
+    path: Path
+    preview_s: float
+    """Time from an order to the wheel having followed: dead time and lag [s]."""
+    wheel_min: float
+    """[rad]."""
+    wheel_max: float
+    """[rad]."""
+
+
+def lane_errors(estimate: State[float], at: Projection) -> LaneErrors:
+    """Errors of the CoG against the path at its projection.
+
+    `e1' = v sin(e2 + slip)`; `e2' = yaw rate - k s'` with `s' = v cos(e2 + slip) / (1 - k e1)`.
+    """
+    e2 = wrap_angle(estimate.yaw - at.yaw_path)
+    course = e2 + estimate.slip_angle
+    squeeze = max(1.0 - at.curvature * at.e1, SQUEEZE_MIN)
+    along = estimate.speed * math.cos(course) / squeeze
+    return LaneErrors(
+        e1=at.e1,
+        e1_rate=estimate.speed * math.sin(course),
+        e2=e2,
+        e2_rate=estimate.yaw_rate - at.curvature * along,
+    )
+
+
+def step(
+    keeper: LaneKeeper,
+    row: Sequence[float],
+    errors: LaneErrors,
+    at: Projection,
+    estimate: State[float],
+    past: Sequence[float],
+) -> Steering:
+    """One tick of the steering law.
+
+    Args:
+        keeper: the law's constants.
+        row: of the gain table, at the estimate's speed.
+        errors: where the car is.
+        at: its projection.
+        estimate: its state; speed and wheel angle are used.
+        past: references under way less their feed-forward [rad], newest first.
+    """
+    wheel, wheel_change, heading, heading_change = row[-N_TURNING:]
+    speed = max(estimate.speed, 0.0)
+    preview = speed * keeper.preview_s
+    reach = max(preview, REACH_MIN)
+    slope = (interpolate(keeper.path, keeper.path.curvature, at.s + reach) - at.curvature) / reach
+    change = speed * slope
+    turn_wheel = wheel * at.curvature + wheel_change * change
+    feedforward = turn_wheel + wheel * slope * preview
+    feedback = (
+        row[0] * errors.e1
+        + row[1] * errors.e1_rate
+        + row[2] * (errors.e2 - heading * at.curvature - heading_change * change)
+        + row[3] * (errors.e2_rate - heading * change)
+        + row[4] * (estimate.steer - turn_wheel)
+    )
+    for gain, deviation in zip(row[N_LANE:-N_TURNING], past, strict=True):
+        feedback += gain * deviation
+    asked = max(keeper.wheel_min, min(keeper.wheel_max, feedforward - feedback))
+    return Steering(asked, feedforward)
