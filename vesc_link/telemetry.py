@@ -332,6 +332,7 @@ def decode_stats(payload: bytes) -> Stats | None:
     return Stats(mask, **values, extra_bytes=extra) if all_finite(values) else None
 
 
+@lru_cache(maxsize=64)
 def values_size(mask: int | None, firmware: Firmware) -> int:
     """Payload length of the telemetry reply that this firmware sends [bytes]."""
     if mask is None and firmware <= FW_3_00:

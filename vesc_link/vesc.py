@@ -8,6 +8,7 @@ keep the last motor command running although this program hangs.
 
 from collections import deque
 from dataclasses import dataclass
+from functools import lru_cache
 
 from vesc_link import commands as c
 from vesc_link import events as e
@@ -80,7 +81,7 @@ class VescLink:
         expiry_ns: how long a request may stay open.
 
     Attributes:
-        version, appconf, limits: what the VESC said; None until it did.
+        version, firmware, appconf, limits: what the VESC said; None until it did.
         latched_fault: first fault code since `clear_fault`; 0 is none.
         counters, parser: link quality.
     """
@@ -106,6 +107,7 @@ class VescLink:
         """Forget the device, as after a reopen; the latched fault and the counters stay."""
         self.parser = FrameParser()
         self.version: FwVersion | None = None
+        self.firmware: Firmware | None = None
         self.appconf: AppConf | None = None
         self.limits: McConfTemp | None = None
         self._open: dict[CommandId, _Request] = {}
@@ -117,11 +119,6 @@ class VescLink:
         self._fault = 0
         self._uptime_ms = 0
         self._tachometer_abs = 0
-
-    @property
-    def firmware(self) -> Firmware | None:
-        """Firmware of the VESC; None until it said."""
-        return self.version.firmware if self.version else None
 
     @property
     def ready(self) -> bool:
@@ -189,7 +186,7 @@ class VescLink:
         parts = [self._frame(command) for command in self._motion(drive)]
         room = WRITE_LIMIT - sum(map(len, parts))
         for command in self._polls(t_ns):
-            if len(self._frame(command)) > room or command_number(command) in self._open:
+            if command_number(command) in self._open or len(self._frame(command)) > room:
                 continue
             if self._queue and command is self._queue[0]:
                 self._queue.popleft()
@@ -231,7 +228,7 @@ class VescLink:
         return due
 
     def _frame(self, command: Command) -> bytes:
-        return encode_frame(encode_command(command, self.firmware or FW_7_01))
+        return _frame_of(command, self.firmware or FW_7_01)
 
     def _send(self, command: Command, t_ns: int) -> bytes:
         if expects_reply(command):
@@ -312,7 +309,7 @@ class VescLink:
             case ValuesSetup(uptime_ms=int(uptime_ms)):
                 return [e.Uptime(uptime_ms, when), *self._watch_uptime(uptime_ms, when)]
             case FwVersion():
-                self.version = reply
+                self.version, self.firmware = reply, reply.firmware
                 expected = self._expected_uuid in (None, reply.uuid)
                 return [e.Identity(reply, expected, when)]
             case AppConf():
@@ -349,6 +346,12 @@ class VescLink:
         self.limits = None
         self._tries.clear()
         return e.Rebooted(reason, t_ns)
+
+
+@lru_cache(maxsize=64)
+def _frame_of(command: Command, firmware: Firmware) -> bytes:
+    """Frame of a command; polls and held setpoints repeat, so the last ones are kept."""
+    return encode_frame(encode_command(command, firmware))
 
 
 def _answers(reply: Reply, command: Command) -> bool:

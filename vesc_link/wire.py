@@ -31,9 +31,9 @@ Rounder = Callable[[str, float | None, Number], Number]
 """`host_number` or `device_number`."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Field:
-    """One number on the wire.
+    """One number on the wire; compared by identity, which makes looking up a layout fast.
 
     Attributes:
         name: field of the dataclass that holds it.
