@@ -16,11 +16,14 @@ _FIELDS = State._fields
 
 
 class Kind(IntEnum):
-    """Which instrument spoke. Measurements of one instant are fused in this order."""
+    """Which instrument spoke. Measurements of one instant are fused in this order.
 
-    POSE = 0
-    WHEEL_SPEED = 1
-    GYRO = 2
+    Poses come last because they arrive last: the others need not be fused again.
+    """
+
+    WHEEL_SPEED = 0
+    GYRO = 1
+    POSE = 2
 
 
 class Measurement(NamedTuple):

@@ -210,7 +210,7 @@ def _next(flt: StateFilter, history: History, node: Node, measurement: Measureme
     sensor = flt.sensors[measurement.kind]
     prior = _moved(flt, history, node.belief, _time(node), measurement.t_ns)
     measured = np.array(measurement.values)
-    if np.isfinite(measured).all():
+    if all(map(math.isfinite, measurement.values)):
         fused = flt.kalman.update(
             prior, measured, sensor.matrix, sensor.noise, lambda z, hx: residual(sensor, z, hx)
         )
