@@ -63,7 +63,7 @@ class GateConfig:
     jump_slack: float = 0.02
     yaw_rate_max: float = 8.0
     yaw_slack: float = radians(5.0)
-    gap_max: float = 0.5
+    gap_max: float = 0.15
     frozen_count: int = 5
     frozen_speed: float = 0.15
     reacquire_count: int = 15
@@ -185,11 +185,7 @@ def _check_place(
 ) -> tuple[GateState, str | None]:
     if config.height is not None and abs(fix.height - config.height) > config.height_band:
         return state, "height"
-    reason = None
-    if state.height is not None and abs(fix.height - state.height) > config.height_band:
-        reason = "height"
-    elif state.last is not None:
-        reason = find_jump(config, state.last, fix)
+    reason = _compare(config, state, fix)
     if reason is None:
         height = fix.height if state.height is None else state.height
         return replace(state, last=fix, height=height, candidate=None, candidate_run=0), None
@@ -199,6 +195,26 @@ def _check_place(
     if stationary:
         return replace(state, last=fix, height=fix.height, candidate=None, candidate_run=0), None
     return replace(state, candidate=fix, candidate_run=run), "relocated"
+
+
+def _compare(config: GateConfig, state: GateState, fix: Fix) -> str | None:
+    if state.height is not None and abs(fix.height - state.height) > config.height_band:
+        return "height"
+    if state.last is None:
+        return None
+    reason = find_jump(config, state.last, fix)
+    if reason is None and state.candidate is not None and _is_steady(config, state.candidate, fix):
+        # The allowance grows while poses are rejected, and would in the end admit the very body
+        # that was rejected first: what goes on where it began stays out.
+        from_last = _distance(state.last, fix)
+        if from_last > 0.5 * _distance(state.last, state.candidate):
+            return "jump"
+    return reason
+
+
+def _distance(a: Fix, b: Fix) -> float:
+    # a radian counts as a metre
+    return hypot(b.x - a.x, b.y - a.y) + abs(wrap_angle(b.yaw - a.yaw))
 
 
 def _is_steady(config: GateConfig, a: Fix | None, b: Fix) -> bool:

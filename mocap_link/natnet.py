@@ -192,7 +192,8 @@ def has_exact_length(data: bytes) -> bool:
 def decode(data: bytes, version: Version, *, detail: bool = True) -> Message:
     """Decode one datagram of a stream of `version`.
 
-    Bytes beyond the header's length are ignored, missing ones refused; `detail` as in `natnet_frame.read_frame`.
+    Bytes beyond the header's length are ignored, missing ones refused; `detail` as in
+    `natnet_frame.read_frame`.
 
     Raises:
         NatNetError: anything that the layout does not allow.

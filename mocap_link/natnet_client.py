@@ -70,7 +70,6 @@ class NatNetClient:
 
     Attributes:
         info: the server, once it answered.
-        detail: the latest thing worth telling a person.
         refused: why the configured body cannot be used, or None.
         counts: datagrams by fate: malformed, length, unrecognized, ...
     """
@@ -82,13 +81,14 @@ class NatNetClient:
     burst_period_ns = 5 * MS
     echo_period_ns = SECOND // 2
     keepalive_period_ns = SECOND
-    model_period_ns = SECOND
+    model_period_ns = SECOND // 4
     malformed_to_reconnect = 10
 
     def __init__(self, body: str, *, unicast: bool | None = None) -> None:
         self.body = body
         self.info: natnet.ServerInfo | None = None
-        self.detail = "waiting for the server to answer"
+        self._note = "waiting for the server to answer"
+        self._silence = ""
         self.refused: str | None = None
         self.counts: Counter[str] = Counter()
         self.bodies: tuple[str, ...] = ()
@@ -105,6 +105,11 @@ class NatNetClient:
         self._echoes: dict[int, None] = {}
         self._frame_seen_ns: int | None = None
         self._malformed_run = 0
+
+    @property
+    def detail(self) -> str:
+        """The latest thing worth telling a person."""
+        return self.refused or self._silence or self._note
 
     @property
     def connected(self) -> bool:
@@ -131,6 +136,9 @@ class NatNetClient:
             t_arrival_ns: time of reception, CLOCK_MONOTONIC.
             which: the socket that it came to; sessions are spoken on the command socket only.
         """
+        if self.info is None and natnet.peek_id(data) == natnet.FRAME_ID:
+            self.counts["before_connect"] += 1  # of what version, we cannot know yet
+            return []
         version = natnet.NEWEST_VERSION if self.info is None else self.info.version
         if not natnet.has_exact_length(data):
             self.counts["length"] += 1
@@ -161,7 +169,7 @@ class NatNetClient:
             case natnet.Disconnect() | natnet.DisconnectByTimeout():
                 self._reconnect("the server ended the session")
             case natnet.MessageString():
-                self.detail = f"server: {message.text[:200]}"
+                self._note = f"server: {message.text[:200]}"
             case _:
                 self.counts["unexpected"] += 1
         return []
@@ -178,7 +186,7 @@ class NatNetClient:
 
     def _on_server_info(self, info: natnet.ServerInfo, t_ns: int) -> list[Event]:
         if not natnet.OLDEST_VERSION <= info.version < (5, 0):
-            self.refused = self.detail = (
+            self.refused = (
                 f"{info.name} speaks NatNet {info.version[0]}.{info.version[1]}; "
                 "steerd reads 2.9 to 4.x"
             )
@@ -194,7 +202,7 @@ class NatNetClient:
         self._model_due = self._keepalive_due = 0
         self._echoes.clear()
         self.request_sync()
-        self.detail = f"connected to {info.name}"
+        self._note = f"connected to {info.name}"
         return [Connected(info)]
 
     def _on_model(self, model: ModelDef) -> None:
@@ -211,21 +219,18 @@ class NatNetClient:
         self.refused = None
         if not ids:
             offered = ", ".join(self.bodies) or "none"
-            self.detail = f"no body {self.body!r} on the server; it offers: {offered}"
+            self._note = f"no body {self.body!r} on the server; it offers: {offered}"
         elif len(ids) > 1:
             self.refused = f"{len(ids)} bodies are named {self.body!r}: rename one in the server"
         elif len(same_id) > 1:
             names = ", ".join(same_id)
             self.refused = f"bodies {names} share streaming id {self._id}: give each its own"
         else:
-            self.detail = f"following {self.body!r} (id {self._id})"
-        self.detail = self.refused or self.detail
+            self._note = f"following {self.body!r} (id {self._id})"
 
     def _on_frame(self, frame: Frame, t_ns: int) -> list[Event]:
-        if self.info is None:
-            self.counts["before_connect"] += 1
-            return []
         self._frame_seen_ns = t_ns
+        self._silence = ""
         self.counts["frames"] += 1
         if frame.params & MODEL_CHANGED or any(
             b.id not in self._known_ids for b in frame.rigid_bodies
@@ -235,7 +240,7 @@ class NatNetClient:
             self._reconnect("the server changed its stream version")
         mine = [b for b in frame.rigid_bodies if b.id == self._id]
         if len(mine) > 1:
-            self.refused = self.detail = f"{len(mine)} bodies stream with id {self._id}"
+            self.refused = f"{len(mine)} bodies stream with id {self._id}"
         if self.refused is not None or len(mine) != 1:
             return [BodyAbsent(t_ns)]
         return [self._make_raw(frame, mine[0], t_ns)]
@@ -263,7 +268,7 @@ class NatNetClient:
 
     def _reconnect(self, why: str) -> None:
         self._connecting = True
-        self.detail = why
+        self._note = why
 
     def on_timer(self, t_ns: int) -> list[bytes]:
         """Return the datagrams to send to the server's command port now.
@@ -273,7 +278,8 @@ class NatNetClient:
         out: list[bytes] = []
         seen = self._frame_seen_ns
         if self.connected and seen is not None and t_ns - seen > self.silence_ns:
-            self._reconnect(self._explain_silence())
+            self._silence = self._explain_silence()
+            self._reconnect(self._silence)
         if self._connecting and t_ns >= self._connect_due:
             out.append(natnet.encode(natnet.Connect()))
             self._connect_due = t_ns + self._retry_ns

@@ -1,0 +1,569 @@
+"""Every fault of a mocap room, over the real datagrams, in virtual time.
+
+Each fault must end in its counter and its state, and no accepted pose may be further from the
+truth than the gates allow.
+"""
+
+import heapq
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from math import atan2, cos, hypot, pi, sin
+from typing import Any
+
+import pytest
+
+from mocap_link import natnet
+from mocap_link.frame import FrameConfig, make_body_pose
+from mocap_link.gates import REASONS
+from mocap_link.ingest import IngestConfig
+from mocap_link.natnet_frame import EDIT_MODE, MODEL_CHANGED, RigidBody
+from mocap_link.natnet_model import RigidBodyDesc
+from mocap_link.sessions import BusPoseSource, NatNetSource, VrpnSource
+from mocap_link.source import ClockKind, PoseSample, RawPose, SourceState
+from mocap_link.vrpn_server import VrpnServer
+from mocap_link.zenoh_pose import encode_pose
+
+MS = 1_000_000
+SECOND = 1000 * MS
+T0 = 77 * SECOND
+FRAME = FrameConfig(
+    up="y", body_forward="+z", marker_rear_x=0.2, cog_ahead_of_rear=0.17, mount_yaw=0.05
+)
+CONFIG = IngestConfig(frame=FRAME)
+SPEED, RADIUS = 1.0, 2.0
+
+Mutate = Callable[[int, tuple[RigidBody, ...]], tuple[RigidBody, ...]]
+
+
+def truth(t_ns: int) -> tuple[float, float, float]:
+    """The car on a circle: x, y, yaw at a time."""
+    a = SPEED * (t_ns - T0) * 1e-9 / RADIUS
+    return RADIUS * sin(a), RADIUS * (1 - cos(a)), a
+
+
+def make_body(t_ns: int, body_id: int = 1, shift: float = 0.0) -> RigidBody:
+    x, y, yaw = truth(t_ns)
+    position, (w, qx, qy, qz) = make_body_pose(FRAME, x + shift, y, yaw, 0.12)
+    return RigidBody(body_id, position, (qx, qy, qz, w), 5e-4)
+
+
+def find_error(sample: PoseSample) -> float:
+    x, y, _ = truth(sample.t_valid_ns)
+    return hypot(sample.x - x, sample.y - y)
+
+
+@dataclass
+class Room:
+    """A server, a network and a source in one virtual time."""
+
+    server: Any
+    source: NatNetSource
+    mutate: Mutate = lambda i, bodies: bodies
+    params: int = 0
+    drop: Callable[[int], bool] = lambda i: False
+    silent: bool = False
+    deaf: bool = False
+    repeat: int = 1
+    from_ip: str = "10.0.0.1"
+    now: int = T0
+    samples: list[PoseSample] = field(default_factory=list)
+    _queue: list[tuple[int, int, bytes]] = field(default_factory=list)
+    _count: int = 0
+
+    def run(self, seconds: float) -> list[PoseSample]:
+        """Advance in 5 ms ticks, a frame every second one; return the new samples."""
+        first = len(self.samples)
+        for _ in range(round(seconds * 200)):
+            for datagram in self.source.on_timer(self.now):
+                if not self.deaf:
+                    for reply in self.server.answer(datagram, self.now + MS // 2):
+                        self.send(self.now + MS, reply)
+            if (self.now - T0) % (10 * MS) == 0:
+                self.expose()
+            self.now += 5 * MS
+            self.deliver()
+        return self.samples[first:]
+
+    def expose(self) -> None:
+        self._count += 1
+        i = self._count
+        bodies = self.mutate(i, (make_body(self.now), make_body(self.now, 2, 1.5)))
+        data = self.server.frame(self.now, bodies, params=self.params)
+        if not self.silent and not self.drop(i):
+            for _ in range(self.repeat):
+                self.send(self.now + 5_400_000, data)
+
+    def send(self, t_ns: int, data: bytes) -> None:
+        heapq.heappush(self._queue, (t_ns, len(self._queue), data))
+
+    def deliver(self) -> None:
+        while self._queue and self._queue[0][0] < self.now:
+            t, _, data = heapq.heappop(self._queue)
+            which: Any = "data" if natnet.peek_id(data) == natnet.FRAME_ID else "command"
+            self.samples += self.source.on_datagram(data, t, self.from_ip, which)
+
+    @property
+    def state(self) -> SourceState:
+        return self.source.ingest.state
+
+    def count(self, name: str) -> int:
+        return self.source.status().counts.get(name, 0)
+
+
+@pytest.fixture
+def make_room(make_server: Any) -> Callable[..., Room]:
+    def make(body: str = "car", config: IngestConfig = CONFIG, **server: Any) -> Room:
+        room = Room(make_server(**server), NatNetSource(body, "10.0.0.1", config))
+        room.source.ingest.wheel_speed = SPEED
+        return room
+
+    return make
+
+
+@pytest.fixture
+def room(make_room: Callable[..., Room]) -> Room:
+    """A room that has been up and well for a second."""
+    room = make_room()
+    room.run(1.0)
+    assert room.state is SourceState.OK
+    room.samples.clear()
+    return room
+
+
+def assert_no_jump(samples: Iterable[PoseSample]) -> None:
+    accepted = [s for s in samples if s.rejected is None]
+    assert all(find_error(s) < 0.03 for s in accepted)
+
+
+@pytest.mark.parametrize("version", [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2)])
+@pytest.mark.parametrize("skew", [-40e-6, 40e-6])
+def test_a_good_drive(make_room: Any, version: tuple[int, int], skew: float) -> None:
+    room = make_room(version=version, skew=skew)
+    samples = room.run(5.0)
+    late = [s for s in samples if s.t_arrival_ns > T0 + SECOND]
+    assert len(late) > 390
+    for s in late:
+        assert (s.rejected, s.clock) == (None, ClockKind.ECHO)
+        assert find_error(s) < 5e-4  # half a millisecond of time at 1 m/s
+        yaw = truth(s.t_valid_ns)[2]
+        assert abs((s.yaw - yaw + pi) % (2 * pi) - pi) < 1e-3
+        assert s.height == pytest.approx(0.12, abs=1e-6)
+    status = room.source.status()
+    assert (status.state, status.rate_hz, status.expected_rate_hz) == (SourceState.OK, 100.0, 100.0)
+    assert status.bodies == ("car", "b2")
+    assert not status.rate_low
+
+
+def test_2_9_is_timed_one_way(make_room: Any) -> None:
+    room = make_room(version=(2, 9))
+    samples = room.run(4.0)
+    assert room.state is SourceState.OK
+    late = [s for s in samples if s.t_arrival_ns > T0 + 3 * SECOND]
+    assert {s.clock for s in late} == {ClockKind.HULL}
+    # 5.4 ms real delay against the 6 ms that are assumed
+    assert all(find_error(s) < 2e-3 for s in late)
+
+
+def change(room: Room, index: int, **fields: Any) -> Mutate:
+    return lambda i, b: (replace(b[0], **fields), b[1]) if i >= index else b
+
+
+NAN = float("nan")
+FAULTS: dict[str, tuple[str, Mutate]] = {
+    "invalid with a stale pose": ("invalid", lambda i, b: (replace(b[0], params=0), b[1])),
+    "invalid with a zero pose": (
+        "invalid",
+        lambda i, b: (replace(b[0], params=0, position=(0.0,) * 3), b[1]),
+    ),
+    "zero pose that is called valid": (
+        "zero_pose",
+        lambda i, b: (replace(b[0], position=(0.0,) * 3, quaternion=(0.0,) * 4), b[1]),
+    ),
+    "zero quaternion": ("quaternion", lambda i, b: (replace(b[0], quaternion=(0.0,) * 4), b[1])),
+    "NaN position": ("not_finite", lambda i, b: (replace(b[0], position=(NAN,) * 3), b[1])),
+    "NaN quaternion": ("not_finite", lambda i, b: (replace(b[0], quaternion=(NAN,) * 4), b[1])),
+    "infinite": ("not_finite", lambda i, b: (replace(b[0], position=(float("inf"),) * 3), b[1])),
+    "millimetres": (
+        "units",
+        lambda i, b: (
+            replace(b[0], position=(1000 * b[0].position[0] + 1e5, 0.1, 0.0)),
+            b[1],
+        ),
+    ),
+    "mean error": ("mean_error", lambda i, b: (replace(b[0], mean_error=0.006), b[1])),
+    "NaN mean error": ("mean_error", lambda i, b: (replace(b[0], mean_error=NAN), b[1])),
+    "body removed": ("absent", lambda i, b: b[1:]),
+    "rolled over": (
+        "tilt",
+        lambda i, b: (replace(b[0], quaternion=(sin(0.1), 0.0, 0.0, cos(0.1))), b[1]),
+    ),
+    "lifted": (
+        "height",
+        lambda i, b: (replace(b[0], position=(b[0].position[0], 0.16, b[0].position[2])), b[1]),
+    ),
+    "swapped": ("jump", lambda i, b: (replace(b[1], id=1), replace(b[0], id=2))),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_fault_ends_in_its_counter_and_in_lost(room: Room, name: str) -> None:
+    reason, room.mutate = FAULTS[name]
+    last = room.source.status().last_good_ns
+    assert last is not None
+    room.run(0.1)
+    assert room.count(reason) >= 9
+    assert room.state is SourceState.STALE
+    room.run(0.1)
+    assert room.state is SourceState.LOST
+    assert all(s.rejected is not None for s in room.samples if s.t_arrival_ns > last)
+    assert_no_jump(room.samples)
+    room.mutate = lambda i, b: b
+    room.run(0.2)
+    assert room.state is SourceState.OK
+    assert_no_jump(room.samples)
+
+
+def test_flip_by_180_degrees(room: Room) -> None:
+    def flip(i: int, b: tuple[RigidBody, ...]) -> tuple[RigidBody, ...]:
+        x, y, z, w = b[0].quaternion
+        return (replace(b[0], quaternion=(z, w, -x, -y)), b[1])  # q * (0, 0, 1, 0)
+
+    room.mutate = flip
+    room.run(0.1)
+    assert room.count("yaw_jump") >= 9
+    assert_no_jump(room.samples)
+    headings = [atan2(sin(s.yaw), cos(s.yaw)) for s in room.samples if s.rejected is None]
+    assert all(abs(h - truth(room.now)[2]) < 0.2 for h in headings)
+
+
+def test_the_sign_of_q_is_no_fault(room: Room) -> None:
+    def flip_sign(i: int, b: tuple[RigidBody, ...]) -> tuple[RigidBody, ...]:
+        x, y, z, w = b[0].quaternion
+        return (replace(b[0], quaternion=(-x, -y, -z, -w)), b[1]) if i % 2 else b
+
+    room.mutate = flip_sign
+    assert all(s.rejected is None for s in room.run(0.5))
+
+
+def test_frozen_pose_while_the_wheels_turn(room: Room) -> None:
+    still = make_body(room.now)
+    room.mutate = lambda i, b: (still, b[1])
+    samples = room.run(0.1)
+    # the first still pose may be the truth; the fifth of its kind cannot
+    assert [s.rejected for s in samples].count(None) <= 5
+    assert room.count("frozen") >= 5
+    room.source.ingest.wheel_speed = 0.0
+    assert room.run(0.05)[-1].rejected is None
+
+
+def test_swapped_for_good_needs_a_stopped_car(room: Room) -> None:
+    room.mutate = FAULTS["swapped"][1]
+    room.run(3.0)
+    assert room.count("relocated") >= 250
+    assert room.source.status().relocated
+    assert_no_jump(room.samples)
+    room.source.ingest.stationary = True
+    assert room.run(0.05)[-1].rejected is None
+    assert not room.source.status().relocated
+
+
+def test_edit_mode_is_not_live(room: Room) -> None:
+    room.params = EDIT_MODE
+    room.run(0.2)
+    assert room.count("not_live") >= 18
+    assert room.state is SourceState.LOST
+
+
+def test_five_percent_loss_and_a_50_ms_gap_are_no_fault(room: Room) -> None:
+    room.drop = lambda i: i % 20 == 0 or 200 <= i < 203
+    states = set()
+    for _ in range(200):
+        room.run(0.01)
+        states.add(room.state)
+    assert SourceState.LOST not in states
+    assert room.state is SourceState.OK
+    assert all(s.rejected is None for s in room.samples)
+
+
+def test_silence_is_lost_after_150_ms_and_comes_back(room: Room) -> None:
+    room.silent = True
+    room.run(0.04)
+    assert room.state is SourceState.STALE
+    last = room.source.status().last_good_ns
+    assert last is not None
+    while room.state is not SourceState.LOST:
+        room.run(0.005)
+    assert room.now - last <= 165 * MS
+    room.silent = False
+    room.run(0.12)
+    assert room.state is SourceState.OK
+    assert_no_jump(room.samples)
+
+
+def test_duplicates_are_counted_and_harmless(room: Room) -> None:
+    room.repeat = 2
+    room.run(0.2)
+    assert room.count("duplicate") >= 19
+    assert room.state is SourceState.OK
+    assert_no_jump(room.samples)
+
+
+def test_reordered_frames_are_counted(room: Room) -> None:
+    frames = [room.server.frame(room.now + i, (make_body(room.now),)) for i in range(4)]
+    for k in (0, 3, 1, 2):
+        room.samples += room.source.on_datagram(frames[k], room.now + 6 * MS, "10.0.0.1", "data")
+    assert [s.rejected for s in room.samples[-4:]] == [None, None, "out_of_order", "out_of_order"]
+
+
+def test_strangers_are_not_heard(room: Room) -> None:
+    room.from_ip = "10.0.0.66"
+    assert room.run(0.1) == []
+    assert room.count("foreign") >= 10
+
+
+def test_garbage_is_counted(room: Room) -> None:
+    for i in range(1, 60):
+        data = room.server.frame(room.now, (make_body(room.now),))[:i]
+        assert room.source.on_datagram(data, room.now, "10.0.0.1", "data") == []
+    assert room.count("malformed") == 59
+    room.run(1.5)
+    assert room.state is SourceState.OK
+
+
+@pytest.mark.parametrize("multicast", [True, False])
+def test_server_restart_with_a_new_epoch(make_room: Any, multicast: bool) -> None:
+    room = make_room(multicast=multicast)
+    room.run(2.0)
+    room.silent = room.deaf = True
+    room.run(3.0)
+    assert room.state is SourceState.LOST
+    assert not room.source.status().connected
+    room.server.number, room.server.epoch_ticks = 0, 42
+    room.silent = room.deaf = False
+    room.samples.clear()
+    room.run(6.0)  # the backoff is 5 s at most
+    assert (
+        room.state is SourceState.LOST
+    )  # 3 m further on: nobody's word for it but a stopped car's
+    assert room.source.status().relocated
+    room.source.ingest.stationary = True
+    room.run(2.0)
+    assert room.state is SourceState.OK
+    recovered = [s for s in room.samples if s.t_arrival_ns > room.now - SECOND]
+    assert all(s.rejected is None and s.clock is ClockKind.ECHO for s in recovered)
+    assert_no_jump(room.samples)
+
+
+def test_restart_without_a_gap(room: Room) -> None:
+    room.server.number, room.server.epoch_ticks = 0, 42
+    room.run(2.0)
+    assert room.state is SourceState.OK
+    assert room.count("restart") == 1
+    assert room.samples[-1].clock is ClockKind.ECHO
+    assert_no_jump(room.samples)
+
+
+def test_source_clock_steps_by_a_second(room: Room) -> None:
+    room.server.epoch_ticks += room.server.clock_hz
+    room.run(0.2)
+    assert {s.clock for s in room.samples[-5:]} <= {ClockKind.ARRIVAL, ClockKind.ECHO}
+    room.run(2.0)
+    assert room.samples[-1].clock is ClockKind.ECHO
+    assert find_error(room.samples[-1]) < 1e-3
+    assert_no_jump(room.samples)
+
+
+def test_model_change_is_followed(room: Room) -> None:
+    room.server.received.clear()
+    room.params = MODEL_CHANGED
+    room.run(0.02)
+    room.params = 0
+    room.server.bodies = (RigidBodyDesc("car", 7), RigidBodyDesc("b2", 2))
+    room.mutate = lambda i, b: (replace(b[0], id=7), b[1])
+    room.source.ingest.stationary = True
+    room.run(1.5)
+    asked = [m for m in room.server.received if isinstance(m, natnet.RequestModelDef)]
+    assert 1 <= len(asked) <= 4
+    assert room.state is SourceState.OK
+
+
+def test_body_by_id_needs_no_name(make_room: Any) -> None:
+    room = make_room(body="id:1")
+    room.run(1.0)
+    assert room.state is SourceState.OK
+
+
+def test_unknown_body_lists_what_there_is(make_room: Any) -> None:
+    room = make_room(body="cra")
+    room.run(0.5)
+    status = room.source.status()
+    assert "'cra'" in status.detail
+    assert "car, b2" in status.detail
+    assert not status.refused
+
+
+@pytest.mark.parametrize(
+    ("bodies", "words"),
+    [
+        ((RigidBodyDesc("car", 1), RigidBodyDesc("b2", 1)), "share streaming id 1"),
+        ((RigidBodyDesc("car", 1), RigidBodyDesc("car", 2)), "named 'car'"),
+    ],
+)
+def test_ambiguous_bodies_are_refused(make_room: Any, bodies: Any, words: str) -> None:
+    room = make_room(bodies=bodies)
+    samples = room.run(0.5)
+    status = room.source.status()
+    assert status.refused
+    assert words in status.detail
+    assert all(s.rejected for s in samples[3:]) or not samples
+
+
+def test_a_server_of_another_age_is_refused(make_room: Any) -> None:
+    room = make_room(version=(2, 7))
+    room.run(0.3)
+    assert "NatNet 2.7" in room.source.status().detail
+
+
+def test_answers_but_no_frames_explains_itself(make_room: Any) -> None:
+    room = make_room()
+    room.silent = True
+    room.run(1.5)
+    assert "wrong interface" in room.source.status().detail
+
+
+def test_connect_backs_off(make_room: Any) -> None:
+    room = make_room()
+    room.deaf = True
+    sent = []
+    for _ in range(4000):
+        sent += [(room.now - T0) / SECOND for _ in room.source.on_timer(room.now)]
+        room.now += 5 * MS
+    gaps = [round(b - a, 3) for a, b in pairwise(sent)]
+    assert gaps[:5] == [0.5, 1.0, 2.0, 4.0, 5.0]
+
+
+def test_echoes_and_keepalives_keep_their_pace(make_room: Any) -> None:
+    room = make_room(multicast=False)
+    room.run(10.0)
+    kinds = [type(m) for m in room.server.received]
+    assert 20 + 19 <= kinds.count(natnet.EchoRequest) <= 20 + 21
+    assert 10 <= kinds.count(natnet.KeepAlive) <= 11
+    assert kinds.count(natnet.Connect) == 1
+
+
+def test_the_height_of_a_lifted_car_is_taken_anew_when_stopped(room: Room) -> None:
+    room.mutate = FAULTS["lifted"][1]
+    room.source.ingest.stationary = True
+    samples = room.run(0.3)
+    assert [s.rejected for s in samples][-1] is None
+    assert room.count("height") == 14
+
+
+def test_every_reason_is_explained() -> None:
+    reasons = {reason for reason, _ in FAULTS.values()} - {"absent"}
+    assert reasons < set(REASONS)
+    assert all(len(text) > 10 for text in REASONS.values())
+
+
+def drive_vrpn(
+    source: VrpnSource, server: VrpnServer, start: int, n: int, still: bool = False
+) -> list[PoseSample]:
+    samples = []
+    for i in range(n):
+        t = start + i * 10 * MS
+        source.on_timer(t)
+        x, y, yaw = truth(start if still else t)
+        position, q = make_body_pose(FRAME, x, y, yaw, 0.1)
+        data = server.pose("car", 10**15 + t // 1000, position, q)
+        samples += source.on_bytes(data, t + 8 * MS)
+    return samples
+
+
+def test_vrpn_drive_freeze_and_reconnect() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("VRPN Control", "car"))
+    source.ingest.wheel_speed = SPEED
+    source.on_timer(T0)
+    assert source.ingest.state is SourceState.CONNECTING
+    server.receive(source.on_connect(), 0)
+    source.on_bytes(server.hello(), T0)
+    samples = drive_vrpn(source, server, T0, 400)
+    assert source.status().bodies == ("car",)
+    assert source.ingest.state is SourceState.OK
+    assert {s.clock for s in samples[210:]} == {ClockKind.HULL}
+    assert_no_jump(samples)
+    frozen = drive_vrpn(source, server, T0 + 4 * SECOND, 20, still=True)
+    assert [s.rejected for s in frozen].count("frozen") >= 15
+    source.on_disconnect("gone")
+    source.on_timer(T0 + 6 * SECOND)
+    assert source.status().detail == "gone"
+    assert source.ingest.state is SourceState.LOST
+    server = VrpnServer(("car",))
+    server.receive(source.on_connect(), 0)
+    source.on_bytes(server.hello(), T0 + 7 * SECOND)
+    source.ingest.stationary = True
+    again = drive_vrpn(source, server, T0 + 7 * SECOND, 250)
+    assert source.ingest.state is SourceState.OK
+    assert_no_jump(again)
+
+
+def test_vrpn_half_open_and_ping() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("car",))
+    server.receive(source.on_connect(), 0)
+    source.on_bytes(server.hello(), T0)
+    pings = 0
+    for i in range(290):
+        out = source.on_timer(T0 + i * 10 * MS)
+        pings += bool(out)
+        assert source.dead is None
+    assert pings == 3
+    source.on_timer(T0 + 3001 * MS)
+    assert source.dead is not None
+    assert "silent" in source.dead
+
+
+def test_vrpn_pong_keeps_the_session_alive() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("car",))
+    server.receive(source.on_connect(), 0)
+    source.on_bytes(server.hello(), T0)
+    for i in range(1000):
+        t = T0 + i * 10 * MS
+        pong = server.receive(source.on_timer(t), t // 1000)
+        source.on_bytes(pong, t) if pong else None
+    assert source.dead is None
+
+
+def test_vrpn_body_that_is_enabled_later() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("b2",))
+    source.on_connect()
+    source.on_bytes(server.hello(), T0)
+    assert "it offers: b2" in source.status().detail
+    source.on_bytes(server.add_body("car"), T0)
+    assert len(drive_vrpn(source, server, T0, 3)) == 3
+
+
+def test_not_a_vrpn_server() -> None:
+    source = VrpnSource("car", CONFIG)
+    source.on_connect()
+    source.on_bytes(b"HTTP/1.1 400 Bad Request\r\n\r\n", T0)
+    assert source.dead is not None
+    assert "not a VRPN 7 server" in source.dead
+
+
+def test_bus_poses() -> None:
+    source = BusPoseSource(IngestConfig())
+    good = None
+    for i in range(300):
+        raw = RawPose(
+            "car", i, i * 10 * MS, None, 0, (0.001 * i, 0.5, 0.1), (1.0, 0.0, 0.0, 0.0), 1e-4
+        )
+        good = source.on_message(encode_pose(raw), T0 + i * 10 * MS + 3 * MS)
+        source.on_timer(T0 + i * 10 * MS + 4 * MS)
+    assert good is not None
+    assert (good.rejected, good.clock) == (None, ClockKind.HULL)
+    assert source.status().state is SourceState.OK
+    for bad in (b"", b"{}", b"\xff", b'{"v":2,"body":"c","seq":1,"p":[0,0,0],"q":[1,0,0,0]}'):
+        assert source.on_message(bad, T0) is None
+    assert source.status().counts["malformed"] == 4
+    assert source.on_message(b"[" * 5000, T0) is None
+    assert source.on_message(b"[" * 4000, T0) is None
