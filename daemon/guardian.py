@@ -122,12 +122,8 @@ def guardian_main(
 ) -> None:
     """Guard until the core has ended or the car was braked.
 
-    Args:
-        serial_fd: non-blocking duplicate of the core's serial fd.
-        page_fd: see ``make_page_fd``.
-        core_pidfd: becomes readable when the core ends.
-        frame: one whole brake frame, written as it is.
-        stale_ns: age of a heartbeat that means frozen.
+    ``serial_fd`` is a non-blocking duplicate of the core's, ``page_fd`` from ``make_page_fd``,
+    ``frame`` one whole brake frame, ``stale_ns`` the age of a heartbeat that means frozen.
     """
     for quiet in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(quiet, signal.SIG_IGN)  # they reach the whole group; the core stops the car
@@ -140,7 +136,7 @@ def guardian_main(
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Process entry: ``python -m daemon.guardian SERIAL_FD PAGE_FD CORE_PIDFD FRAME_HEX STALE_NS``."""
+    """Process entry: ``python -m daemon.guardian SERIAL_FD PAGE_FD PIDFD FRAME_HEX STALE_NS``."""
     parser = argparse.ArgumentParser(prog="steerd-guardian", description=__doc__)
     for name in ("serial_fd", "page_fd", "core_pidfd"):
         parser.add_argument(name, type=int)

@@ -84,8 +84,8 @@ def step_launch(s: LaunchState, i: LaunchInput, wheelbase: float) -> tuple[Launc
         wheelbase: [m].
 
     Returns:
-        The new state (``done`` sets ``Is.LAUNCHED``), and what is wrong in words, else "": report it
-        as the finding ``launch``.
+        The new state (``done`` sets ``Is.LAUNCHED``), and what is wrong in words or "", to be
+        reported as the finding ``launch``.
     """
     if s.done:
         return s, ""

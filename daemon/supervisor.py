@@ -22,6 +22,7 @@ PROOF_NS = 210_000_000  # longer than the 200 ms between the ALIVEs of a forgott
 PROOF_SLACK_NS = 50_000_000
 CENTRE_NS = 500_000_000  # full lock to centre takes 0.1 s; the rest is for lost frames
 GAP_NS = 100_000_000  # nobody looked for so long: what held before proves nothing
+NEVER = -1
 DURATIONS = {
     State.ARMED: 30 * 10**9,
     State.STOPPING: 4 * 10**9,
@@ -54,7 +55,7 @@ class SupervisorState(NamedTuple):
     since_ns: int
     reason: str
     still_ns: int
-    """Standing since; as ``green_ns`` and ``proof_ns``, renewed while it does not hold."""
+    """Seen standing since, or ``NEVER``; likewise ``green_ns`` and ``proof_ns``."""
     green_ns: int
     proof_ns: int
     cap: float
@@ -96,21 +97,32 @@ _SPOILS_REARM = int(Is.SOFT | Is.DISARM | Is.UNKNOWN)
 def make_supervisor_state(t_ns: int) -> SupervisorState:
     """Return the state of a process that has just started: INIT, nothing proven."""
     return SupervisorState(
-        State.INIT, t_ns, t_ns, "started", t_ns, t_ns, t_ns, 0.0, False, False, OPEN_FRAMES
+        State.INIT, t_ns, t_ns, "started", NEVER, NEVER, NEVER, 0.0, False, False, OPEN_FRAMES
     )
+
+
+def _since(holds: object, began: int, t_ns: int) -> int:
+    """When a condition was first seen to hold, ``NEVER`` while it does not."""
+    if not holds:
+        return NEVER
+    return t_ns if began == NEVER else began
 
 
 def _renew_timers(s: SupervisorState, c: Conditions, t_ns: int) -> tuple[int, int, int]:
     """Return since when the car stands, the checks are green, the timeout shows."""
-    watched = 0 <= t_ns - s.t_ns <= GAP_NS
-    facts = c.facts
-    still = watched and -STILL_SPEED < c.speed < STILL_SPEED
-    proof = watched and facts & _FW_TIMEOUT and s.state == State.SELF_TEST
+    if not 0 <= t_ns - s.t_ns <= GAP_NS:
+        return NEVER, NEVER, NEVER
+    still = -STILL_SPEED < c.speed < STILL_SPEED
+    proof = c.facts & _FW_TIMEOUT and s.state == State.SELF_TEST
     return (
-        s.still_ns if still else t_ns,
-        s.green_ns if watched and facts & _GREEN else t_ns,
-        s.proof_ns if proof else t_ns,
+        _since(still, s.still_ns, t_ns),
+        _since(c.facts & _GREEN, s.green_ns, t_ns),
+        _since(proof, s.proof_ns, t_ns),
     )
+
+
+def _held(began: int, t_ns: int, duration_ns: int) -> bool:
+    return began != NEVER and t_ns - began >= duration_ns
 
 
 def derive(s: SupervisorState, c: Conditions, requests: int, t_ns: int) -> int:
@@ -119,13 +131,13 @@ def derive(s: SupervisorState, c: Conditions, requests: int, t_ns: int) -> int:
     bits = (int(c.facts) & _GIVEN) | (asked & _REQUESTS) << _SHIFT
     if asked & ~_KNOWN:
         bits |= _UNKNOWN
-    if t_ns - s.green_ns >= GREEN_NS:
+    if _held(s.green_ns, t_ns, GREEN_NS):
         bits |= _GREEN_HELD
-    if t_ns - s.still_ns >= STILL_NS:
+    if _held(s.still_ns, t_ns, STILL_NS):
         bits |= _STILL
     if isfinite(c.speed):
         bits |= _MEASURED
-    if t_ns - s.proof_ns >= PROOF_NS:
+    if _held(s.proof_ns, t_ns, PROOF_NS):
         bits |= _PROVEN
     allowed = (
         c.timeout_ns + PROOF_SLACK_NS if s.state == State.SELF_TEST else DURATIONS.get(s.state)
@@ -145,7 +157,7 @@ def _enter(s: SupervisorState, row: Row, c: Conditions, t_ns: int) -> Supervisor
     frames = OPEN_FRAMES if row.to == State.INIT else s.frames
     rearm = row.reason == STOP_REASON
     return SupervisorState(
-        row.to, t_ns, t_ns, reason, s.still_ns, t_ns, t_ns, s.cap, rearm, False, frames
+        row.to, t_ns, t_ns, reason, s.still_ns, NEVER, NEVER, s.cap, rearm, False, frames
     )
 
 

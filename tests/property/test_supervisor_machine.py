@@ -1,0 +1,105 @@
+"""Random lives of a car: whatever happens in whatever order, the invariants hold."""
+
+from math import inf, nan
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from daemon.supervisor import Conditions, make_supervisor_state, step
+from daemon.transitions import Is, Motor, Request, State
+
+GOOD = int(Is.LINKED | Is.IDENTIFIED | Is.GREEN | Is.FW_TIMEOUT | Is.LEASED | Is.SLOWING)
+TRIPS = int(Is.SOFT | Is.HARD | Is.KILLED)
+
+
+class CarLife(RuleBasedStateMachine):
+    """Ticks with random facts, requests, speeds and clocks; remembers what a person would ask."""
+
+    def __init__(self):
+        super().__init__()
+        self.t_ns, self.facts, self.speed = 0, GOOD, 0.0
+        self.memory = make_supervisor_state(0)
+        self.action = None
+        self.proven = self.asked_start = False
+
+    def tick(self, requests, dt_ns=10_000_000):
+        self.t_ns += dt_ns
+        before = self.memory
+        conditions = Conditions(self.facts, self.speed, 150_000_000, "words")
+        self.memory, self.action = step(before, conditions, requests, self.t_ns)
+        self.check(before, requests)
+
+    def check(self, before, requests):
+        now = self.memory.state
+        if before.state == State.SELF_TEST and now == State.ARMED:
+            self.proven = True
+        if now in (State.DISARMED, State.INIT, State.FAULT_STOP, State.FAULT_LATCHED, State.ESTOP):
+            self.proven = False
+        if now == State.RUNNING:
+            assert self.proven
+            assert before.state == State.RUNNING or requests & Request.START
+        if requests & Request.ESTOP or self.facts & Is.KILLED:
+            assert now == State.ESTOP
+        if before.state == State.RUNNING and self.facts & Is.HARD:
+            assert now in (State.FAULT_STOP, State.ESTOP)
+        if before.state == now == State.STOPPING:
+            assert self.memory.cap <= before.cap
+            assert self.memory.braking >= before.braking
+        if before.state == State.FAULT_LATCHED and now != before.state:
+            assert now == State.ESTOP or requests & Request.CLEAR
+
+    @rule(requests=st.integers(0, 1023), dt_ns=st.integers(-(10**9), 10**11))
+    def anything_asked_at_any_time(self, requests, dt_ns):
+        self.tick(requests, dt_ns)
+
+    @rule(request=st.sampled_from(list(Request)), count=st.integers(1, 5))
+    def one_request(self, request, count):
+        for _ in range(count):
+            self.tick(int(request))
+
+    @rule(facts=st.integers(0, (1 << 12) - 1))
+    def any_facts(self, facts):
+        self.facts = facts
+        self.tick(0)
+
+    @rule(speed=st.one_of(st.just(nan), st.floats(-1, 5), st.just(0.0)))
+    def another_speed(self, speed):
+        self.speed = speed
+        self.tick(0)
+
+    @rule(seconds=st.sampled_from([0.1, 0.3, 1.1, 2.1]))
+    def all_well_for_a_while(self, seconds):
+        self.facts, self.speed = GOOD, 0.0
+        for _ in range(round(seconds * 100)):
+            self.tick(0)
+
+    @precondition(lambda self: self.memory.state == State.READY)
+    @rule()
+    def arm(self):
+        self.tick(int(Request.ARM))
+
+    @precondition(lambda self: self.memory.state == State.ARMED)
+    @rule(speed=st.floats(0, 3))
+    def start(self, speed):
+        self.tick(int(Request.START))
+        self.speed = speed
+        self.tick(0)
+
+    @invariant()
+    def motion_bytes_only_where_allowed(self):
+        if self.action is None:
+            return
+        state, motor = self.memory.state, self.action.motor
+        assert (motor == Motor.DRIVE) == (state == State.RUNNING)
+        assert motor != Motor.RAMP_STOP or state == State.STOPPING
+        assert 0.0 <= self.action.cap <= inf
+        assert state in (State.RUNNING, State.STOPPING) or self.action.cap == 0.0
+        assert self.action.reason
+        assert self.action.waiting
+
+
+TestCarLife = CarLife.TestCase
+TestCarLife.settings = settings(
+    derandomize=True, deadline=None, max_examples=60, stateful_step_count=60
+)

@@ -1,0 +1,219 @@
+"""The gate at its bounds: dense around each limit, NaN never clipped, ceilings not to be lifted."""
+
+from dataclasses import asdict
+from math import atan, inf, isfinite, nan, nextafter, tan
+
+import pytest
+
+from car_model.state import Command
+from controller.limits import (
+    CEILINGS,
+    Clip,
+    LimitError,
+    Limits,
+    Verdict,
+    gate,
+    make_gate_state,
+    speed_bound,
+    steer_bound,
+)
+
+# Exactly representable, so that every bound can be met exactly.
+LIMITS = Limits(
+    wheelbase=0.25,
+    steer_left_max=0.375,
+    steer_right_max=0.25,
+    steer_rate_max=2.0,
+    speed_max=3.0,
+    accel_max=2.0,
+    decel_max=4.0,
+    lateral_accel_max=3.0,
+    step_max=0.015625,
+)
+STEP_NS = 15_625_000  # the longest step, 1/64 s
+STEER_STEP, ACCEL_STEP, DECEL_STEP = 0.03125, 0.03125, 0.0625
+EPS = 1e-12
+
+
+def near(bound):
+    return [bound + k * EPS for k in (-1000, -3, -1, 0, 1, 3, 1000)]
+
+
+def pass_gate(steer, speed, last=(0.0, 0.0), v=0.0, cap=inf, dt_ns=STEP_NS, limits=LIMITS):
+    state = make_gate_state(limits, Command(*last), 0)
+    return gate(limits, state, Command(steer, speed), v, cap, dt_ns)
+
+
+@pytest.mark.parametrize("wish", near(0.375))
+def test_left_limit(wish):
+    out = pass_gate(wish, 0.0, last=(0.375, 0.0))
+    assert out.order.steer == min(wish, 0.375)
+    assert out.clips == (Clip.STEER if wish > 0.375 else 0)
+    assert out.verdict == (Verdict.CLIPPED if wish > 0.375 else Verdict.PASSED)
+
+
+@pytest.mark.parametrize("wish", near(-0.25))
+def test_right_limit_is_its_own(wish):
+    out = pass_gate(wish, 0.0, last=(-0.25, 0.0))
+    assert out.order.steer == max(wish, -0.25)
+    assert out.clips == (Clip.STEER if wish < -0.25 else 0)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("wish", near(STEER_STEP))
+def test_servo_rate(wish, sign):
+    out = pass_gate(sign * wish, 0.0)
+    assert out.order.steer == sign * min(wish, STEER_STEP)
+    assert out.clips == (Clip.STEER_RATE if wish > STEER_STEP else 0)
+
+
+@pytest.mark.parametrize("wish", near(1.0 + ACCEL_STEP))
+def test_acceleration(wish):
+    out = pass_gate(0.0, wish, last=(0.0, 1.0))
+    assert out.order.speed == min(wish, 1.0 + ACCEL_STEP)
+    assert out.clips == (Clip.SPEED_RATE if wish > 1.0 + ACCEL_STEP else 0)
+
+
+@pytest.mark.parametrize("wish", near(1.0 - DECEL_STEP))
+def test_deceleration_has_its_own_limit(wish):
+    out = pass_gate(0.0, wish, last=(0.0, 1.0))
+    assert out.order.speed == max(wish, 1.0 - DECEL_STEP)
+    assert out.clips == (Clip.SPEED_RATE if wish < 1.0 - DECEL_STEP else 0)
+
+
+@pytest.mark.parametrize("wish", near(3.0))
+def test_speed_limit(wish):
+    out = pass_gate(0.0, wish, last=(0.0, 3.0))
+    assert out.order.speed == min(wish, 3.0)
+    assert out.clips == (Clip.SPEED if wish > 3.0 else 0)
+
+
+@pytest.mark.parametrize("wish", near(0.0))
+def test_no_reverse(wish):
+    out = pass_gate(0.0, wish)
+    assert out.order.speed == max(wish, 0.0)
+    assert out.clips == (Clip.SPEED if wish < 0.0 else 0)
+
+
+@pytest.mark.parametrize("wish", near(0.5))
+def test_cap_of_the_supervisor(wish):
+    out = pass_gate(0.0, wish, last=(0.0, 0.5), cap=0.5)
+    assert out.order.speed == min(wish, 0.5)
+    assert out.clips == (Clip.SPEED if wish > 0.5 else 0)
+
+
+def test_cap_below_the_last_order_is_reached_at_the_deceleration_limit():
+    out = pass_gate(0.0, 2.0, last=(0.0, 2.0), cap=0.0)
+    assert out.order.speed == 2.0 - DECEL_STEP
+    assert out.clips == Clip.SPEED | Clip.SPEED_RATE
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("wish", near(atan(3.0 * 0.25 / 4.0)))
+def test_lateral_acceleration_at_the_real_speed(wish, sign):
+    bound = atan(3.0 * 0.25 / 4.0)  # v = 2 m/s
+    out = pass_gate(sign * wish, 0.0, last=(sign * bound, 0.0), v=2.0)
+    assert out.order.steer == sign * min(wish, bound)
+    assert out.clips == (Clip.STEER_LATERAL if wish > bound else 0)
+    assert 4.0 * tan(abs(out.order.steer)) / 0.25 <= 3.0 * (1 + 1e-15)
+
+
+def test_backwards_rolling_counts_as_speed():
+    assert pass_gate(0.25, 0.0, last=(0.25, 0.0), v=-2.0).clips & Clip.STEER_LATERAL
+
+
+@pytest.mark.parametrize("delta", near(0.0))
+def test_ordered_speed_is_held_to_the_grip_of_the_ordered_angle(delta):
+    bound = (3.0 * 0.25 / tan(0.25)) ** 0.5
+    out = pass_gate(0.25, bound + delta, last=(0.25, bound))
+    assert out.order.speed == min(bound + delta, bound)
+    assert out.clips == (Clip.SPEED_LATERAL if delta > 0 else 0)
+
+
+def test_where_grip_falls_faster_than_the_servo_turns_the_rate_wins_and_the_speed_gives():
+    out = pass_gate(0.375, 3.0, last=(0.375, 3.0), v=3.0)
+    assert out.order.steer == 0.375 - STEER_STEP
+    assert out.clips & Clip.STEER_RATE
+    assert out.order.speed == 3.0 - DECEL_STEP
+    assert out.clips & Clip.SPEED_LATERAL
+
+
+@pytest.mark.parametrize("bad", [nan, inf, -inf])
+@pytest.mark.parametrize("place", ["steer", "speed", "measured"])
+def test_not_finite_is_a_verdict_and_never_clipped(bad, place):
+    steer, speed, measured = (
+        bad if place == name else 0.25 for name in ("steer", "speed", "measured")
+    )
+    out = pass_gate(steer, speed, last=(0.125, 1.0), v=measured)
+    assert out.verdict == Verdict.NOT_FINITE
+    assert out.order == Command(0.125, 1.0)
+    assert out.state.t_ns == 0
+
+
+@pytest.mark.parametrize("cap", [nan, -1e-300, -inf])
+def test_cap_that_is_no_speed_is_refused(cap):
+    assert pass_gate(0.0, 0.0, cap=cap).verdict == Verdict.NOT_FINITE
+
+
+def test_cap_of_zero_is_a_speed():
+    assert pass_gate(0.0, 0.0, cap=0.0).verdict == Verdict.PASSED
+
+
+def test_a_pause_does_not_allow_a_jump():
+    out = pass_gate(0.25, 3.0, dt_ns=3_600 * 10**9)
+    assert out.order == Command(STEER_STEP, ACCEL_STEP)
+
+
+def test_time_running_backwards_allows_nothing():
+    state = make_gate_state(LIMITS, Command(0.0, 1.0), 10**9)
+    out = gate(LIMITS, state, Command(0.25, 3.0), 0.0, inf, 0)
+    assert out.order == Command(0.0, 1.0)
+    assert out.state.t_ns == 10**9
+
+
+def test_steer_bound_is_wide_open_at_rest_and_closes_with_speed():
+    assert steer_bound(LIMITS, 0.0) > 1.5
+    assert steer_bound(LIMITS, 1e200) == 0.0
+    assert steer_bound(LIMITS, 2.0) == atan(0.75 / 4.0)
+
+
+def test_speed_bound_is_the_speed_limit_when_straight():
+    assert speed_bound(LIMITS, 0.0) == 3.0
+    assert speed_bound(LIMITS, -0.375) == (0.75 / tan(0.375)) ** 0.5
+
+
+def test_start_state_is_brought_inside_the_limits():
+    assert make_gate_state(LIMITS, Command(9.0, 9.0), 7).order == Command(0.375, 3.0)
+    assert make_gate_state(LIMITS, Command(-9.0, -9.0), 7).order == Command(-0.25, 0.0)
+    assert make_gate_state(LIMITS, Command(0.1, 0.2), 7).t_ns == 7
+
+
+@pytest.mark.parametrize("order", [Command(nan, 0.0), Command(0.0, inf)])
+def test_start_state_must_be_finite(order):
+    with pytest.raises(ValueError, match="cannot start"):
+        make_gate_state(LIMITS, order, 0)
+
+
+@pytest.mark.parametrize("name", CEILINGS)
+def test_every_ceiling_holds_exactly(name):
+    values = asdict(Limits(wheelbase=0.33))
+    bound = CEILINGS[name]
+    for value in (bound.low, bound.high):
+        assert getattr(Limits(**{**values, name: value}), name) == value
+    for value in (nextafter(bound.low, -inf), nextafter(bound.high, inf), nan, inf):
+        with pytest.raises(LimitError, match=f"^{name} = "):
+            Limits(**{**values, name: value})
+
+
+def test_every_field_has_a_ceiling_and_the_message_says_which():
+    assert set(asdict(Limits(wheelbase=0.33))) == set(CEILINGS)
+    with pytest.raises(LimitError) as caught:
+        Limits(wheelbase=0.33, steer_rate_max=3.3, lateral_accel_max=3.5)
+    first, second = str(caught.value).splitlines()
+    assert first.startswith("steer_rate_max = 3.3 rad/s is outside 0.1..3.2 rad/s")
+    assert second.startswith("lateral_accel_max = 3.5 m/s2")
+
+
+def test_output_is_finite_for_huge_wishes():
+    out = pass_gate(1e308, -1e308, v=1e200)
+    assert all(isfinite(value) for value in out.order)
