@@ -1,0 +1,324 @@
+"""The equations as straight-line programs: `Ops` over nodes of a graph, with exact derivatives.
+
+Running the generic equations over `Node`s records every operation once (equal operations share a
+node). From the record come the source of compiled kernels and, by the chain rule over the record
+in reverse, exact Jacobians: no derivative is written by hand and none is approximated. Compared
+with a computer-algebra system the formulas are never expanded, so the printed code costs what the
+equations cost, and a derivative about three times that.
+
+Source of the method: Griewank and Walther, Evaluating Derivatives (reverse accumulation).
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from car_model.ops import FLOAT, Ops
+
+
+class Entry(NamedTuple):
+    """One operation: its name and the places of its arguments, or a constant's value."""
+
+    op: str
+    args: tuple[int, ...]
+    value: float = 0.0
+    name: str = ""
+
+
+@dataclass
+class Tape:
+    """A record of operations; a node is a place in it."""
+
+    entries: list[Entry] = field(default_factory=list)
+    _places: dict[Entry, int] = field(default_factory=dict)
+
+    def place(self, entry: Entry) -> int:
+        """The place of this operation, recorded if it is new."""
+        found = self._places.get(entry)
+        if found is None:
+            found = self._places[entry] = len(self.entries)
+            self.entries.append(entry)
+        return found
+
+    def constant(self, value: float) -> "Node":
+        """A number."""
+        return Node(self, self.place(Entry("const", (), float(value))))
+
+    def symbol(self, name: str) -> "Node":
+        """An input of the program."""
+        return Node(self, self.place(Entry("input", (), name=name)))
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A number that will be computed; arithmetic on it is recorded."""
+
+    tape: Tape
+    place: int
+
+    def __add__(self, other: Any, /) -> "Node":
+        return apply("add", self, other)
+
+    def __radd__(self, other: Any, /) -> "Node":
+        return apply("add", self, other)
+
+    def __sub__(self, other: Any, /) -> "Node":
+        return apply("sub", self, other)
+
+    def __rsub__(self, other: Any, /) -> "Node":
+        return apply("sub", _node(self.tape, other), self)
+
+    def __mul__(self, other: Any, /) -> "Node":
+        return apply("mul", self, other)
+
+    def __rmul__(self, other: Any, /) -> "Node":
+        return apply("mul", self, other)
+
+    def __truediv__(self, other: Any, /) -> "Node":
+        # Division as a product with the inverse: inverses are shared, and hoisted out of loops.
+        return self * apply("inverse", _node(self.tape, other))
+
+    def __rtruediv__(self, other: Any, /) -> "Node":
+        return _node(self.tape, other) * apply("inverse", self)
+
+    def __neg__(self) -> "Node":
+        return apply("neg", self)
+
+    def __pow__(self, power: int, /) -> "Node":
+        result = self
+        for _ in range(power - 1):
+            result = result * self
+        return result
+
+    @property
+    def entry(self) -> Entry:
+        """The recorded operation."""
+        return self.tape.entries[self.place]
+
+
+def _node(tape: Tape, value: Any) -> Node:
+    return value if isinstance(value, Node) else tape.constant(value)
+
+
+_FOLD: dict[str, Any] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "inverse": lambda a: 1.0 / a if a else math.inf,
+    "neg": lambda a: -a,
+    "min": FLOAT.minimum,
+    "max": FLOAT.maximum,
+    "select": FLOAT.where_positive,
+    "abs": math.fabs,
+    **{n: getattr(math, n) for n in ("sin", "cos", "tan", "atan", "tanh", "exp", "sqrt")},
+}
+
+
+def apply(op: str, first: Node, *others: Any) -> Node:
+    """Record an operation, or its result where that is plain (constants, zeros, ones)."""
+    tape = first.tape
+    nodes = (first, *(_node(tape, other) for other in others))
+    entries = [node.entry for node in nodes]
+    if all(entry.op == "const" for entry in entries):
+        return tape.constant(_FOLD[op](*(entry.value for entry in entries)))
+    plain = _plain(op, nodes, entries)
+    if plain is not None:
+        return plain
+    places = tuple(node.place for node in nodes)
+    if op in ("add", "mul"):
+        places = tuple(sorted(places))
+    return Node(tape, tape.place(Entry(op, places)))
+
+
+def _is(entry: Entry, value: float) -> bool:
+    return entry.op == "const" and entry.value == value
+
+
+def _plain(op: str, nodes: Sequence[Node], entries: Sequence[Entry]) -> Node | None:
+    """The result of an operation that need not be computed, or None."""
+    if op in ("add", "mul"):
+        return _plain_commutative(op, nodes, entries)
+    if op == "sub":
+        if nodes[0].place == nodes[1].place:
+            return nodes[0].tape.constant(0.0)
+        if _is(entries[0], 0.0):
+            return -nodes[1]
+        return nodes[0] if _is(entries[1], 0.0) else None
+    if op == "neg" and entries[0].op == "neg":
+        return Node(nodes[0].tape, entries[0].args[0])
+    if op == "select" and nodes[1].place == nodes[2].place:
+        return nodes[1]
+    return None
+
+
+def _plain_commutative(op: str, nodes: Sequence[Node], entries: Sequence[Entry]) -> Node | None:
+    neutral = 0.0 if op == "add" else 1.0
+    for one, other in ((0, 1), (1, 0)):
+        if _is(entries[one], neutral):
+            return nodes[other]
+        if op == "mul" and _is(entries[one], 0.0):
+            return nodes[one]
+        if op == "mul" and _is(entries[one], -1.0):
+            return -nodes[other]
+    return None
+
+
+class TapeOps:
+    """`Ops` over recorded numbers."""
+
+    def sin(self, a: Node, /) -> Node:
+        """Record a sine."""
+        return apply("sin", a)
+
+    def cos(self, a: Node, /) -> Node:
+        """Record a cosine."""
+        return apply("cos", a)
+
+    def tan(self, a: Node, /) -> Node:
+        """Record a tangent."""
+        return apply("tan", a)
+
+    def atan(self, a: Node, /) -> Node:
+        """Record an arc tangent."""
+        return apply("atan", a)
+
+    def tanh(self, a: Node, /) -> Node:
+        """Record a hyperbolic tangent."""
+        return apply("tanh", a)
+
+    def exp(self, a: Node, /) -> Node:
+        """Record an exponential."""
+        return apply("exp", a)
+
+    def sqrt(self, a: Node, /) -> Node:
+        """Record a square root."""
+        return apply("sqrt", a)
+
+    def absolute(self, a: Node, /) -> Node:
+        """Record a magnitude."""
+        return apply("abs", a)
+
+    def minimum(self, a: Node, b: Node | float, /) -> Node:
+        """Record the smaller of the two."""
+        return apply("min", a, b)
+
+    def maximum(self, a: Node, b: Node | float, /) -> Node:
+        """Record the larger of the two."""
+        return apply("max", a, b)
+
+    def clip(self, a: Node, low: Node | float, high: Node | float, /) -> Node:
+        """Record `a` kept within [low, high]."""
+        return apply("min", apply("max", a, low), high)
+
+    def where_positive(
+        self, condition: Node, then: Node | float, otherwise: Node | float, /
+    ) -> Node:
+        """Record a choice by the sign of `condition`."""
+        return apply("select", condition, then, otherwise)
+
+
+TAPE: Ops[Node] = TapeOps()
+
+
+def contributions(node: Node, bar: Node) -> tuple[Node | None, ...]:
+    """What a node with derivative `bar` adds to the derivative of each of its arguments."""
+    entry = node.entry
+    a, *rest = (Node(node.tape, place) for place in entry.args)
+    b = rest[0] if rest else a
+    match entry.op:
+        case "add":
+            return bar, bar
+        case "sub":
+            return bar, -bar
+        case "mul":
+            return bar * b, bar * a
+        case "min":
+            return _chosen(b - a, bar)
+        case "max":
+            return _chosen(a - b, bar)
+        case "select":
+            return (None, *_chosen(a, bar))
+    return (_through_function(node, a, bar),)
+
+
+def _chosen(condition: Node, bar: Node) -> tuple[Node, Node]:
+    zero = bar.tape.constant(0.0)
+    return apply("select", condition, bar, zero), apply("select", condition, zero, bar)
+
+
+def _through_function(node: Node, a: Node, bar: Node) -> Node:
+    match node.entry.op:
+        case "neg":
+            return -bar
+        case "inverse":
+            return -(bar * (node * node))
+        case "abs":
+            return apply("select", a, bar, -bar)
+        case "sin":
+            return bar * apply("cos", a)
+        case "cos":
+            return -(bar * apply("sin", a))
+        case "tan":
+            return bar * (node * node + 1.0)
+        case "atan":
+            return bar / (a * a + 1.0)
+        case "tanh":
+            return bar * (1.0 - node * node)
+        case "exp":
+            return bar * node
+        case "sqrt":
+            return bar * (0.5 / node)
+    raise ValueError(f"no derivative for {node.entry.op}")
+
+
+def gradient(seeds: Iterable[tuple[Node, Node | float]], by: Sequence[Node]) -> list[Node]:
+    """Sum of the outputs' derivatives, each weighted by its seed, with respect to `by`."""
+    pairs = list(seeds)
+    tape = by[0].tape
+    bars: dict[int, Node] = {}
+    for output, seed in pairs:
+        weight = _node(tape, seed)
+        bars[output.place] = bars[output.place] + weight if output.place in bars else weight
+    for place in range(max((output.place for output, _ in pairs), default=-1), -1, -1):
+        bar = bars.get(place)
+        if bar is None or not tape.entries[place].args:
+            continue
+        node = Node(tape, place)
+        for argument, term in zip(node.entry.args, contributions(node, bar), strict=True):
+            if term is None:
+                continue
+            bars[argument] = bars[argument] + term if argument in bars else term
+    return [bars.get(node.place, tape.constant(0.0)) for node in by]
+
+
+def needed(targets: Iterable[Node]) -> list[int]:
+    """Places that the targets depend on, in the order of computation."""
+    seen: set[int] = set()
+    stack = list(targets)
+    tape = stack[0].tape if stack else Tape()
+    todo = [node.place for node in stack]
+    while todo:
+        place = todo.pop()
+        if place not in seen:
+            seen.add(place)
+            todo.extend(tape.entries[place].args)
+    return sorted(seen)
+
+
+_INFIX = {"add": "+", "sub": "-", "mul": "*"}
+
+
+def source_of(entry: Entry, names: Mapping[int, str]) -> str:
+    """Source of one operation, choices as calls of `min`, `max` and `select`."""
+    args = [names[place] for place in entry.args]
+    match entry.op:
+        case "const":
+            return repr(entry.value)
+        case "add" | "sub" | "mul":
+            return f"{args[0]} {_INFIX[entry.op]} {args[1]}"
+        case "neg":
+            return f"-{args[0]}"
+        case "inverse":
+            return f"1.0 / {args[0]}"
+    return f"{entry.op}({', '.join(args)})"
