@@ -1,0 +1,389 @@
+"""Real sockets on loopback: one receiver shape, NatNet multicast and unicast, VRPN over TCP.
+
+Server and receiver take turns in one thread and wait on descriptors, so nothing sleeps and
+nothing races. The server is built from the package's own encoders.
+"""
+
+import select
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+
+import pytest
+
+from mocap_link import natnet
+from mocap_link.frame import FrameConfig
+from mocap_link.ingest import IngestConfig
+from mocap_link.mocap_url import parse_mocap_url
+from mocap_link.natnet_frame import Frame, RigidBody
+from mocap_link.natnet_model import ModelDef, RigidBodyDesc
+from mocap_link.sockets import (
+    HostClock,
+    MocapReceiver,
+    NatNetReceiver,
+    VrpnReceiver,
+    derive_interface,
+    make_receiver,
+    map_stamp,
+)
+from mocap_link.source import ClockKind, PoseSample, SourceState
+from mocap_link.vrpn_server import VrpnServer
+
+MS = 1_000_000
+SECOND = 1000 * MS
+LOOPBACK = "127.0.0.1"
+GROUP = "239.255.42.98"
+CONFIG = IngestConfig(frame=FrameConfig())
+
+Pump = Callable[[], None]
+
+
+def drive(
+    receiver: MocapReceiver,
+    pump: Pump,
+    done: Callable[[], bool],
+    samples: list[PoseSample],
+) -> None:
+    """Alternate server and receiver until `done`, at most 10 s."""
+    end = time.monotonic_ns() + 10 * SECOND
+    while not done():
+        assert time.monotonic_ns() < end, receiver.status()
+        pump()
+        samples += receiver.on_timer(time.monotonic_ns())
+        ready, _, _ = select.select(receiver.fds(), [], [], 0.005)
+        for fd in ready:
+            samples += receiver.read_ready(fd)
+
+
+class UdpServer:
+    """A NatNet server on loopback: answers commands, sends a frame whenever it is pumped."""
+
+    def __init__(self, mode: str, port: int = 0) -> None:
+        self.mode = mode
+        self.command = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.command.bind((LOOPBACK, port))
+        self.command.setblocking(False)
+        self.port = self.command.getsockname()[1]
+        self.data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.data.bind((LOOPBACK, 0))
+        loopback = socket.inet_aton(LOOPBACK)
+        self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+        self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind((LOOPBACK, 0))
+            self.data_port = probe.getsockname()[1]
+        self.client: tuple[str, int] | None = None
+        self.number = 0
+        self.asked = self.sent = 0
+
+    def pump(self) -> None:
+        while True:
+            try:
+                datagram, sender = self.command.recvfrom(65_535)
+            except BlockingIOError:
+                break
+            self.asked += 1
+            self.answer(datagram, sender)
+        if self.client is not None:
+            self.send_frame()
+
+    def answer(self, datagram: bytes, sender: tuple[str, int]) -> None:
+        reply: natnet.Message
+        match natnet.decode(datagram, (4, 1)):
+            case natnet.Connect():
+                self.client = sender
+                multicast = self.mode == "multicast"
+                reply = natnet.ServerInfo(
+                    "Loop", (3, 1, 0, 0), (4, 1, 0, 0), SECOND, self.data_port, multicast, GROUP
+                )
+            case natnet.RequestModelDef():
+                reply = ModelDef((RigidBodyDesc("car", 4),))
+            case natnet.EchoRequest(client_stamp=stamp):
+                reply = natnet.EchoResponse(stamp, self.ticks())
+            case natnet.Request():
+                reply = natnet.Response(struct.pack("<f", 100.0))
+            case _:
+                return
+        self.command.sendto(natnet.encode(reply, (4, 1)), sender)
+
+    def ticks(self) -> int:
+        return time.monotonic_ns() + 10**15
+
+    def send_frame(self) -> None:
+        self.number += 1
+        ticks = self.ticks()
+        body = RigidBody(4, (0.5 + 1e-5 * self.number, 0.25, 0.1), (0.0, 0.0, 0.0, 1.0), 4e-4)
+        frame = Frame(self.number, (body,), mid_exposure_ticks=ticks - 2 * MS, transmit_ticks=ticks)
+        data = natnet.encode(frame, (4, 1))
+        if self.mode == "multicast":
+            self.data.sendto(data, (GROUP, self.data_port))
+        elif self.mode == "unicast-data":
+            self.data.sendto(data, (LOOPBACK, self.data_port))
+        elif self.client is not None:
+            self.command.sendto(data, self.client)
+        self.sent += 1
+
+    def close(self) -> None:
+        self.command.close()
+        self.data.close()
+
+
+@pytest.fixture(params=["multicast", "unicast-data", "unicast-command"])
+def udp_server(request: pytest.FixtureRequest) -> Iterator[UdpServer]:
+    server = UdpServer(request.param)
+    yield server
+    server.close()
+
+
+def make_natnet(server: UdpServer) -> NatNetReceiver:
+    receiver = make_receiver(parse_mocap_url(f"natnet://localhost:{server.port}/car"), CONFIG)
+    assert isinstance(receiver, NatNetReceiver)
+    return receiver
+
+
+@pytest.mark.realtime
+def test_natnet_poses_arrive_with_their_exposure_time(udp_server: UdpServer) -> None:
+    receiver, samples = make_natnet(udp_server), list[PoseSample]()
+    try:
+        assert receiver.interface == LOOPBACK
+        drive(
+            receiver, udp_server.pump,
+            lambda: receiver.status().state is SourceState.OK and len(samples) > 60, samples,
+        )  # fmt: skip
+        assert all(s.rejected is None for s in samples)
+        assert samples[-1].clock is ClockKind.ECHO
+        last = samples[-1]
+        ticks = last.raw.source_ticks
+        assert ticks is not None
+        # the server's clock is this host's plus 10^15: the map must find that within the echo's
+        # half round trip, itself bounded by this thread's turn-taking
+        sigma = receiver.status().clock_sigma_ns
+        assert sigma is not None
+        assert abs(last.t_valid_ns - (ticks - 10**15)) < sigma + 2 * MS
+        assert last.t_valid_ns <= last.t_arrival_ns <= time.monotonic_ns()
+        assert last.x == pytest.approx(last.raw.position[0])
+        status = receiver.status()
+        assert (status.server, status.bodies) == ("Loop NatNet 4.1", ("car",))
+        assert len(receiver.fds()) == 2
+    finally:
+        receiver.close()
+
+
+@pytest.mark.realtime
+def test_natnet_ignores_a_stranger(udp_server: UdpServer) -> None:
+    receiver, samples = make_natnet(udp_server), list[PoseSample]()
+    stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        stranger.bind(("127.0.0.2", 0))
+        drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
+        forged = Frame(10**6, (RigidBody(4, (9.0, 9.0, 9.0), (0.0, 0.0, 0.0, 1.0)),))
+        command = receiver._command.getsockname()
+        stranger.sendto(natnet.encode(forged, (4, 1)), command)
+        drive(receiver, udp_server.pump, lambda: receiver.status().counts["foreign"] > 0, samples)
+        assert all(s.x < 1.0 for s in samples)
+    finally:
+        stranger.close()
+        receiver.close()
+
+
+@pytest.mark.realtime
+def test_natnet_backlog_keeps_the_newest_five() -> None:
+    server = UdpServer("unicast-command")
+    receiver, samples = make_natnet(server), list[PoseSample]()
+    try:
+        drive(receiver, server.pump, lambda: len(samples) > 5, samples)
+        for _ in range(40):
+            server.send_frame()
+        select.select(receiver.fds(), [], [], 1.0)
+        late = receiver.read_ready(receiver.fds()[0])
+        assert 1 <= len(late) <= 5
+        assert late[-1].raw.frame == server.number
+        assert receiver.status().counts["backlog_dropped"] >= 30
+    finally:
+        receiver.close()
+        server.close()
+
+
+@pytest.mark.realtime
+def test_natnet_without_a_server_neither_blocks_nor_raises() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
+        closed.bind((LOOPBACK, 0))
+        port = closed.getsockname()[1]
+    receiver = make_receiver(parse_mocap_url(f"natnet://{LOOPBACK}:{port}/car"), CONFIG)
+    try:
+        for i in range(3):
+            receiver.on_timer(i * 10 * SECOND)
+            for fd in select.select(receiver.fds(), [], [], 0.05)[0]:
+                receiver.read_ready(fd)
+        assert receiver.status().state is SourceState.CONNECTING
+        assert receiver.read_ready(-1) == []
+    finally:
+        receiver.close()
+
+
+class TcpServer:
+    """A VRPN server on loopback with one client at a time."""
+
+    def __init__(self) -> None:
+        self.listener = socket.create_server((LOOPBACK, 0))
+        self.listener.setblocking(False)
+        self.port = self.listener.getsockname()[1]
+        self.peer: socket.socket | None = None
+        self.session = VrpnServer(("car",))
+        self.count = self.accepted = 0
+        self.mute = False
+
+    def pump(self) -> None:
+        if self.peer is None:
+            try:
+                self.peer, _ = self.listener.accept()
+            except BlockingIOError:
+                return
+            self.accepted += 1
+            self.peer.setblocking(False)
+            self.session = VrpnServer(("car",))
+            self.peer.sendall(self.session.hello())
+        try:
+            data = self.peer.recv(4096)
+            self.peer.sendall(self.session.receive(data, 0))
+        except BlockingIOError:
+            pass
+        if self.mute:
+            return
+        self.count += 1
+        stamp = time.monotonic_ns() // 1000
+        position = (0.5 + 1e-5 * self.count, 0.25, 0.1)
+        self.peer.sendall(self.session.pose("car", stamp, position, (1.0, 0.0, 0.0, 0.0)))
+
+    def hang_up(self) -> None:
+        if self.peer is not None:
+            self.peer.close()
+            self.peer = None
+
+    def close(self) -> None:
+        self.hang_up()
+        self.listener.close()
+
+
+@pytest.fixture
+def tcp_server() -> Iterator[TcpServer]:
+    server = TcpServer()
+    yield server
+    server.close()
+
+
+@pytest.mark.realtime
+def test_vrpn_poses_and_reconnect(tcp_server: TcpServer) -> None:
+    receiver = make_receiver(parse_mocap_url(f"vrpn://localhost:{tcp_server.port}/car"), CONFIG)
+    samples: list[PoseSample] = []
+    try:
+        drive(receiver, tcp_server.pump, lambda: len(samples) > 50, samples)
+        assert all(s.rejected is None for s in samples)
+        assert [round((s.x - 0.5) * 1e5) for s in samples] == list(range(1, len(samples) + 1))
+        assert receiver.status().connected
+        tcp_server.hang_up()
+        drive(receiver, lambda: None, lambda: not receiver.status().connected, samples)
+        assert receiver.fds() == [] or not receiver.status().connected
+        samples.clear()
+        drive(receiver, tcp_server.pump, lambda: len(samples) > 5, samples)
+        assert tcp_server.accepted == 2
+        assert receiver.status().counts["connects"] == 2
+    finally:
+        receiver.close()
+
+
+@pytest.mark.realtime
+def test_vrpn_half_open_is_closed_and_tried_again(tcp_server: TcpServer) -> None:
+    receiver = make_receiver(parse_mocap_url(f"vrpn://{LOOPBACK}:{tcp_server.port}/car"), CONFIG)
+    samples: list[PoseSample] = []
+    try:
+        drive(receiver, tcp_server.pump, lambda: len(samples) > 5, samples)
+        silent_since = time.monotonic_ns()
+        for ms in range(0, 3200, 100):  # virtual time: the server says nothing any more
+            receiver.on_timer(silent_since + ms * MS)
+        assert not receiver.status().connected
+        assert "silent" in receiver.status().detail
+    finally:
+        receiver.close()
+
+
+@pytest.mark.realtime
+def test_vrpn_without_a_server_backs_off() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as closed:
+        closed.bind((LOOPBACK, 0))
+        port = closed.getsockname()[1]
+    receiver = make_receiver(parse_mocap_url(f"vrpn://{LOOPBACK}:{port}/car"), CONFIG)
+    try:
+        assert isinstance(receiver, VrpnReceiver)
+        attempts = []
+        for i in range(2000):
+            t = i * 10 * MS
+            before = receiver._due
+            receiver.on_timer(t)
+            if receiver._due != before:
+                attempts.append(t // MS)
+        gaps = [b - a for a, b in pairwise(attempts)]
+        assert gaps[:5] == [500, 1000, 2000, 4000, 5000]
+        assert "refused" in receiver.status().detail
+    finally:
+        receiver.close()
+
+
+@pytest.mark.realtime
+def test_the_kernel_stamps_udp_and_tcp(udp_server: UdpServer, tcp_server: TcpServer) -> None:
+    """A receiver that reads late must still know when the datagram came."""
+    offset = [0]
+    clock = HostClock(lambda: time.monotonic_ns() + offset[0], lambda: time.time_ns() + offset[0])
+    urls = (
+        f"natnet://{LOOPBACK}:{udp_server.port}/car",
+        f"vrpn://{LOOPBACK}:{tcp_server.port}/car",
+    )
+    for url, pump in zip(urls, (udp_server.pump, tcp_server.pump), strict=True):
+        offset[0] = 0
+        receiver = make_receiver(parse_mocap_url(url), CONFIG, clock=clock)
+        samples: list[PoseSample] = []
+        try:
+            drive(receiver, pump, lambda got=samples: len(got) > 5, samples)  # type: ignore[misc]
+            pump()
+            sent_by = time.monotonic_ns()
+            ready, _, _ = select.select(receiver.fds(), [], [], 1.0)
+            offset[0] = 100 * MS  # as if the interpreter had been busy for 100 ms
+            late = [s for fd in ready for s in receiver.read_ready(fd)]
+            assert late
+            assert all(s.t_arrival_ns < sent_by + 5 * MS for s in late)
+        finally:
+            receiver.close()
+
+
+def make_ancillary(stamp_ns: int) -> list[tuple[int, int, bytes]]:
+    return [(socket.SOL_SOCKET, 35, struct.pack("qq", *divmod(stamp_ns, SECOND)))]
+
+
+def test_map_stamp() -> None:
+    real = 1_700_000_000 * SECOND
+    assert map_stamp(make_ancillary(real - 3 * MS), 50 * SECOND, real) == 50 * SECOND - 3 * MS
+    assert map_stamp(make_ancillary(real + 1), 50 * SECOND, real) is None  # clock stepped back
+    assert map_stamp(make_ancillary(real - 201 * MS), 50 * SECOND, real) is None
+    assert map_stamp([], 50 * SECOND, real) is None
+
+
+def fail_to_resolve(*_: object) -> None:
+    raise socket.gaierror(-2, "Name or service not known")
+
+
+def test_addresses_that_make_no_receiver(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ValueError, match="over the bus"):
+        make_receiver(parse_mocap_url("zenoh:lab/pose"), CONFIG)
+    monkeypatch.setattr(socket, "getaddrinfo", fail_to_resolve)
+    with pytest.raises(OSError, match=r"'no.such.host' does not resolve"):
+        make_receiver(parse_mocap_url("vrpn://no.such.host/car"), CONFIG)
+    z_forward = IngestConfig(frame=FrameConfig(up="y", body_forward="+z"))
+    monkeypatch.undo()
+    with pytest.raises(ValueError, match="up axis"):
+        make_receiver(parse_mocap_url("vrpn://127.0.0.1/car?up=z"), z_forward)
+
+
+def test_derive_interface() -> None:
+    assert derive_interface(LOOPBACK, 1510) == LOOPBACK
