@@ -161,16 +161,24 @@ def substeps(car: Car[float], speed: float, h: float) -> int:
     return max(1, math.ceil(h * stiffness_rate(car, speed) / 2.0))
 
 
+def _plain(value: T) -> float:
+    """The number alone: a tensor's without its gradient."""
+    return float(value.detach() if hasattr(value, "detach") else value)  # type: ignore[arg-type]
+
+
 def channel_delayed(values: Sequence[T], k: int, delay: T, h: float) -> T:
     """Mean of a held signal over grid step `k` when it arrives `delay` seconds late.
 
-    `values[i]` is held over step `i` (zero-order hold); before the first the first holds. The mean
-    over a step is linear in the delay, so its gradient is exact.
+    `values[i]` is held over step `i` (zero-order hold); before the first the first holds, after the
+    last (a fit may try a negative delay) the last. The mean over a step is linear in the delay, so
+    its gradient is exact.
     """
     steps = delay / h
-    whole = math.floor(float(steps))
+    whole = math.floor(_plain(steps))
     part = steps - whole
-    newer, older = values[max(k - whole, 0)], values[max(k - whole - 1, 0)]
+    last = len(values) - 1
+    newer = values[min(max(k - whole, 0), last)]
+    older = values[min(max(k - whole - 1, 0), last)]
     mixed: T = newer + part * (older - newer)
     return mixed
 

@@ -1,0 +1,188 @@
+"""Every effect: nothing at its null, something beyond it, bounds and gradients to fit with."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from car_model.effect import Effect
+from car_model.effects import EFFECTS
+from car_model.model import Model, delays, observe
+from car_model.ops import FLOAT
+from car_model.params import DEFAULT_CAR, Car
+from car_model.rollout import simulate, start
+from car_model.state import Command, State
+
+CONTRACT = set(
+    """
+    steer_delay steer_lag steer_rate_limit steer_bias steer_gain steer_nonlinearity steer_asymmetry
+    steer_clip steer_backlash drive_delay drive_lag accel_limit speed_scale rolling_drag battery_sag
+    tyre_saturation tyre_friction cornering_stiffness tyre_balance tyre_relaxation friction_ellipse
+    lateral_load_transfer longitudinal_load_transfer grip_drift grip_patch scrub mass cog_offset
+    yaw_inertia floor_slope mocap_latency marker_offset mocap_yaw
+    """.split()  # noqa: SIM905
+)
+STEP = 0.01
+SHORT = 15
+"""Steps of a run over scalar tensors, which are slow one by one."""
+EVERY = [pytest.param(effect, id=name) for name, effect in EFFECTS.items()]
+
+
+def make_drive(seed: int, steps: int) -> tuple[State[float], list[Command[float]]]:
+    """A lively start state near (2, 2), and commands that change often, down to standstill."""
+    rng = np.random.default_rng(seed)
+    spread = (0.3, 0.3, 1.0, 0.0, 0.5, 0.05, 0.1)
+    first = State(*rng.normal((2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0), spread).tolist())
+    first = first._replace(speed=float(rng.uniform(0.0, 4.0)))
+    held = rng.integers(3, 12)
+    commands = [
+        Command(float(rng.uniform(-0.45, 0.45)), float(rng.uniform(-0.2, 4.0)))
+        for _ in range(steps // held + 1)
+        for _ in range(held)
+    ]
+    return first, commands[:steps]
+
+
+def drive(ops: Any, model: Model[Any], seed: int, number: Any, steps: int = 60) -> list[Any]:
+    """Every number that a run shows: states, observations, delays."""
+    first, commands = make_drive(seed, steps)
+    zero = number(0.0)
+    moments = simulate(
+        ops,
+        model,
+        start(model, State(*map(number, first)), zero),
+        [Command(*map(number, c)) for c in commands],
+        STEP,
+    )
+    seen = [observe(ops, model, m.state) for m in moments]
+    return [
+        *(value for m in moments for value in m.state),
+        *(value for o in seen for value in o),
+        *delays(model),
+    ]
+
+
+def tensor(value: float) -> torch.Tensor:
+    return torch.tensor(value, dtype=torch.float64)
+
+
+def ordinary(effect: Effect) -> tuple[float, ...]:
+    """A severity that is ordinary on such a car, within bounds."""
+    return tuple(
+        p.scan[len(p.scan) // 2] if p.scan else min(p.null + p.scale, 0.5 * (p.null + p.high))
+        for p in effect.parameters
+    )
+
+
+def test_the_contract_names_are_all_there() -> None:
+    assert set(EFFECTS) >= CONTRACT
+
+
+@pytest.mark.parametrize("effect", EVERY)
+@pytest.mark.parametrize("seed", range(6))
+def test_null_is_bit_identical_with_floats(effect: Effect, seed: int) -> None:
+    model = Model(DEFAULT_CAR, (effect,), (effect.nulls,))
+    assert drive(FLOAT, model, seed, float) == drive(FLOAT, Model(DEFAULT_CAR), seed, float)
+
+
+def test_all_nulls_together_are_bit_identical() -> None:
+    effects = tuple(EFFECTS.values())
+    model = Model(DEFAULT_CAR, effects, tuple(e.nulls for e in effects))
+    assert drive(FLOAT, model, 7, float) == drive(FLOAT, Model(DEFAULT_CAR), 7, float)
+
+
+@pytest.fixture(scope="module")
+def base_run(torch_ops: Any) -> list[torch.Tensor]:
+    return drive(torch_ops, Model(Car(*map(tensor, DEFAULT_CAR))), 1, tensor, SHORT)
+
+
+@pytest.mark.parametrize("effect", EVERY)
+def test_null_is_bit_identical_with_tensors(
+    effect: Effect, torch_ops: Any, base_run: list[torch.Tensor]
+) -> None:
+    values = tuple(map(tensor, effect.nulls))
+    model = Model(Car(*map(tensor, DEFAULT_CAR)), (effect,), (values,))
+    run = drive(torch_ops, model, 1, tensor, SHORT)
+    assert all(torch.equal(a, b) for a, b in zip(run, base_run, strict=True))
+
+
+@pytest.mark.parametrize("effect", EVERY)
+def test_an_ordinary_severity_changes_the_run_and_keeps_it_finite(effect: Effect) -> None:
+    for seed in range(4):
+        run = drive(FLOAT, Model(DEFAULT_CAR, (effect,), (ordinary(effect),)), seed, float)
+        assert run != drive(FLOAT, Model(DEFAULT_CAR), seed, float)
+        assert all(map(math.isfinite, run))
+
+
+@pytest.mark.parametrize("effect", EVERY)
+def test_bounds_are_finite_and_hold_the_null(effect: Effect) -> None:
+    assert effect.parameters
+    for p in effect.parameters:
+        assert all(map(math.isfinite, (p.null, p.low, p.high, p.scale)))
+        assert p.low <= p.null <= p.high
+        assert p.low < p.high
+        assert p.scale > 0.0
+        assert all(p.low <= value <= p.high for value in p.scan)
+        assert p.unit
+        assert p.meaning
+
+
+@pytest.mark.parametrize("effect", EVERY)
+def test_both_ends_of_the_bounds_keep_a_run_finite(effect: Effect) -> None:
+    for values in (
+        tuple(p.low for p in effect.parameters),
+        tuple(p.high for p in effect.parameters),
+    ):
+        run = drive(FLOAT, Model(DEFAULT_CAR, (effect,), (values,)), 3, float)
+        assert all(map(math.isfinite, run))
+
+
+def score(run: list[Any]) -> Any:
+    """One number that every state, observation and delay moves."""
+    weights = [math.sin(0.1 + 1.7 * i) for i in range(len(run))]
+    return sum(w * value for w, value in zip(weights, run, strict=True))
+
+
+def gradient(ops: Any, effect: Effect, at: tuple[float, ...], seed: int) -> list[float]:
+    """Gradient of the score by torch."""
+    values = tuple(tensor(v).requires_grad_() for v in at)
+    model = Model(Car(*map(tensor, DEFAULT_CAR)), (effect,), (values,))
+    total = score(drive(ops, model, seed, tensor, SHORT))
+    return [float(g) for g in torch.autograd.grad(total, values)]
+
+
+def differences(effect: Effect, at: tuple[float, ...], seed: int) -> list[float]:
+    """The same by central differences with floats."""
+
+    def moved(index: int, by: float) -> float:
+        values = tuple(v + by * (i == index) for i, v in enumerate(at))
+        total: float = score(
+            drive(FLOAT, Model(DEFAULT_CAR, (effect,), (values,)), seed, float, SHORT)
+        )
+        return total
+
+    widths = [1e-6 * p.scale for p in effect.parameters]
+    return [(moved(i, w) - moved(i, -w)) / (2.0 * w) for i, w in enumerate(widths)]
+
+
+@pytest.mark.parametrize("effect", EVERY)
+def test_gradients_at_and_beside_the_null_are_finite(effect: Effect, torch_ops: Any) -> None:
+    for share in (-1e-4, 0.0, 1e-4):
+        at = tuple(p.null + share * p.scale for p in effect.parameters)
+        found = gradient(torch_ops, effect, at, 2)
+        assert all(map(math.isfinite, found))
+        if effect.smooth:
+            assert all(found), "a smooth effect's gradient at the null must say where to go"
+
+
+@pytest.mark.parametrize("effect", EVERY)
+def test_gradients_are_those_of_the_floats(effect: Effect, torch_ops: Any) -> None:
+    # Off the grid: at a whole number of steps a delay's gradient has two sides.
+    at = tuple(
+        p.null + 0.87 * (v - p.null)
+        for p, v in zip(effect.parameters, ordinary(effect), strict=True)
+    )
+    expected = differences(effect, at, 5)
+    assert gradient(torch_ops, effect, at, 5) == pytest.approx(expected, rel=2e-4, abs=2e-4)
