@@ -223,6 +223,44 @@ def test_natnet_without_a_server_neither_blocks_nor_raises() -> None:
         receiver.close()
 
 
+@pytest.mark.realtime
+def test_natnet_data_port_that_is_taken_is_tried_again() -> None:
+    server = UdpServer("unicast-command")
+    taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    taken.bind((LOOPBACK, server.data_port))
+    receiver, samples = make_natnet(server), list[PoseSample]()
+    try:
+        # unicast frames may come to the command socket, so this is no reason to stop
+        drive(receiver, server.pump, lambda: len(samples) > 5, samples)
+        assert f"data port {server.data_port}" in receiver.status().detail
+        assert len(receiver.fds()) == 1
+        taken.close()
+        receiver.on_timer(time.monotonic_ns() + 2 * SECOND)
+        assert len(receiver.fds()) == 2
+        assert "data port" not in receiver.status().detail
+    finally:
+        taken.close()
+        receiver.close()
+        server.close()
+
+
+@pytest.mark.realtime
+def test_natnet_server_comes_back_on_another_data_port() -> None:
+    server = UdpServer("unicast-data")
+    receiver, samples = make_natnet(server), list[PoseSample]()
+    try:
+        drive(receiver, server.pump, lambda: len(samples) > 5, samples)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind((LOOPBACK, 0))
+            server.data_port = probe.getsockname()[1]
+        samples.clear()
+        drive(receiver, server.pump, lambda: len(samples) > 5, samples)
+        assert len(receiver.fds()) == 2
+    finally:
+        receiver.close()
+        server.close()
+
+
 class TcpServer:
     """A VRPN server on loopback with one client at a time."""
 
@@ -292,6 +330,22 @@ def test_vrpn_poses_and_reconnect(tcp_server: TcpServer) -> None:
         assert receiver.status().counts["connects"] == 2
     finally:
         receiver.close()
+
+
+@pytest.mark.realtime
+def test_vrpn_client_leaves_a_server_of_another_kind() -> None:
+    with socket.create_server((LOOPBACK, 0)) as listener:
+        port = listener.getsockname()[1]
+        receiver = make_receiver(parse_mocap_url(f"vrpn://{LOOPBACK}:{port}/car"), CONFIG)
+        try:
+            receiver.on_timer(0)
+            peer, _ = listener.accept()
+            with peer:
+                peer.sendall(b"220 mail.example ESMTP ready, go ahead\r\n")
+                drive(receiver, lambda: None, lambda: not receiver.fds(), [])
+                assert "not a VRPN 7 server" in receiver.status().detail
+        finally:
+            receiver.close()
 
 
 @pytest.mark.realtime

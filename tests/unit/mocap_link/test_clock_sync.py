@@ -234,3 +234,21 @@ def test_real_capture_is_about_six_milliseconds_old_on_arrival(capture: list[Any
     spacing = np.diff(stamps) / MS
     assert float(np.std(spacing)) < 0.02
     assert float(np.std(np.diff([r.t_arrival_ns for r in raws]) / MS)) > 0.2
+
+
+def test_hull_slope_survives_two_points_at_one_time() -> None:
+    clock = HullClock(1_000_000)
+    for i in range(1500):
+        # the source's clock stands still for a while: frames 1000 to 1020 carry one stamp
+        stamp = 10_000 * (1000 if 1000 <= i < 1020 else i)
+        clock.add(stamp, T0 + i * 10 * MS)
+    assert abs(clock.to_host_ns(10_000 * 1499) - T0 - 1499 * 10 * MS) < 1 * MS
+
+
+def test_unready_maps_say_so() -> None:
+    assert not HullClock(1000).ready
+    assert HullClock(1000).sigma_ns == SECOND
+    timing = SourceTiming(1000)
+    timing.add_echo(0, 1, 2)  # a one-way source has no use for it
+    assert timing.sigma_ns is None
+    assert timing.echo_resets == 0

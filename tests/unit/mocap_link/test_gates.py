@@ -1,0 +1,153 @@
+"""The gates one by one, on poses made by hand."""
+
+from collections.abc import Callable
+from math import pi, radians
+
+import pytest
+
+from mocap_link.frame import PlanarPose
+from mocap_link.gates import GateConfig, GateState, step_gates
+from mocap_link.source import RawPose
+
+MS = 1_000_000
+CONFIG = GateConfig()
+
+
+def make_raw(frame: int | None, pose: PlanarPose) -> RawPose:
+    q = (1.0, 0.0, 0.0, 0.0)
+    return RawPose("car", frame, None, None, 0, (pose.x, pose.y, pose.height), q)
+
+
+def run(
+    place: Callable[[int], PlanarPose],
+    n: int,
+    state: GateState | None = None,
+    *,
+    first: int = 0,
+    config: GateConfig = CONFIG,
+    stationary: bool = False,
+    wheel_speed: float | None = 1.0,
+) -> tuple[GateState, list[str | None]]:
+    """Feed frames `first` .. `first + n - 1` at 100 Hz."""
+    state, reasons = state or GateState(), []
+    for i in range(first, first + n):
+        pose = place(i)
+        state, reason = step_gates(
+            config, state, make_raw(i, pose), pose, i * 10 * MS,
+            wheel_speed=wheel_speed, stationary=stationary,
+        )  # fmt: skip
+        reasons.append(reason)
+    return state, reasons
+
+
+def drive(i: int) -> PlanarPose:
+    """1 m/s along x."""
+    return PlanarPose(0.5 + 0.01 * i, 0.0, 0.0, 0.1, 0.0)
+
+
+def shifted(dx: float, dyaw: float = 0.0) -> Callable[[int], PlanarPose]:
+    return lambda i: drive(i)._replace(x=drive(i).x + dx, yaw=dyaw)
+
+
+def test_a_clean_drive_passes() -> None:
+    assert run(drive, 100)[1] == [None] * 100
+
+
+@pytest.mark.parametrize("dx", [0.1, 0.3, 0.5, 1.5, 20.0])
+def test_a_swapped_body_stays_out_however_long(dx: float) -> None:
+    state, _ = run(drive, 20)
+    state, reasons = run(shifted(dx), 300, state, first=20)
+    assert reasons[:14] == ["jump"] * 14
+    assert reasons[14:] == ["relocated"] * 286
+    assert state.last is not None
+    assert state.last.x == pytest.approx(drive(19).x)
+
+
+@pytest.mark.parametrize("dyaw", [radians(30), pi / 2, pi])
+def test_a_flip_stays_out_however_long(dyaw: float) -> None:
+    state, _ = run(drive, 20)
+    _, reasons = run(shifted(0.0, dyaw), 300, state, first=20)
+    assert None not in reasons
+    assert reasons[0] == "yaw_jump"
+
+
+def test_alternating_yaw_lets_the_true_half_pass() -> None:
+    state, _ = run(drive, 20)
+    _, reasons = run(lambda i: shifted(0.0, pi * (i % 2))(i), 40, state, first=20)
+    assert reasons == [None, "yaw_jump"] * 20
+
+
+@pytest.mark.parametrize("bad", [1, 2, 5, 14])
+def test_the_true_pose_returns_at_once_after_a_jump(bad: int) -> None:
+    state, _ = run(drive, 20)
+    state, _ = run(shifted(0.5), bad, state, first=20)
+    _, reasons = run(drive, 10, state, first=20 + bad)
+    assert reasons == [None] * 10
+
+
+def test_a_gap_widens_the_gate_by_what_the_car_can_drive() -> None:
+    state, _ = run(drive, 20)
+    allowed = CONFIG.speed_max * 0.06 + CONFIG.jump_slack
+    for dx, reason in ((allowed - 0.001, None), (allowed + 0.001, "jump")):
+        pose = drive(19)._replace(x=drive(19).x + dx)
+        raw = make_raw(25, pose)
+        assert step_gates(CONFIG, state, raw, pose, 250 * MS)[1] == reason
+
+
+def test_a_stopped_car_is_taken_in_elsewhere_after_fifteen_poses() -> None:
+    state, _ = run(drive, 20)
+    _, reasons = run(shifted(2.0), 20, state, first=20, stationary=True)
+    assert reasons == ["jump"] * 14 + [None] * 6
+
+
+def test_places_that_disagree_are_never_taken_in() -> None:
+    state, _ = run(drive, 20)
+    _, reasons = run(
+        lambda i: shifted(2.0 + i % 3)(i), 60, state, first=20, stationary=True, wheel_speed=0.0
+    )
+    assert None not in reasons
+
+
+def test_calibrated_height_is_never_relearned() -> None:
+    config = GateConfig(height=0.1)
+    high = 0.14
+    _, reasons = run(lambda i: drive(i)._replace(height=high), 60, config=config, stationary=True)
+    assert reasons == ["height"] * 60
+
+
+def test_heights_that_disagree_are_never_taken_in() -> None:
+    state, _ = run(drive, 20)
+    _, reasons = run(
+        lambda i: drive(i)._replace(height=0.2 + 0.05 * (i % 2)), 60, state, first=20,
+        stationary=True,
+    )  # fmt: skip
+    assert reasons == ["height"] * 60
+
+
+@pytest.mark.parametrize(("wheel_speed", "rejected"), [(1.0, 6), (-1.0, 6), (0.1, 0), (None, 0)])
+def test_frozen_needs_turning_wheels(wheel_speed: float | None, rejected: int) -> None:
+    still = drive(0)
+    _, reasons = run(lambda i: still, 10, wheel_speed=wheel_speed)
+    assert reasons.count("frozen") == rejected
+    assert reasons[:4] == [None] * 4
+
+
+def test_frame_order() -> None:
+    state, _ = run(drive, 5)
+    for number, reason in ((4, "duplicate"), (2, "out_of_order"), (None, None), (7, None)):
+        pose = drive(5)
+        assert step_gates(CONFIG, state, make_raw(number, pose), pose, 50 * MS)[1] == reason
+
+
+def test_no_planar_pose_is_rejected() -> None:
+    raw = make_raw(1, drive(1))
+    assert step_gates(CONFIG, GateState(), raw, None, 0)[1] == "not_finite"
+
+
+def test_mean_error_is_in_the_servers_unit() -> None:
+    pose = drive(0)
+    raw = RawPose(
+        "car", 1, None, None, 0, (500.0, 1.0, 100.0), (1.0, 0.0, 0.0, 0.0), mean_error=0.5
+    )
+    assert step_gates(CONFIG, GateState(), raw, pose, 0, metres_per_unit=1e-3)[1] is None
+    assert step_gates(CONFIG, GateState(), raw, pose, 0)[1] == "mean_error"

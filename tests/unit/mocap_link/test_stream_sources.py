@@ -1,0 +1,134 @@
+"""VRPN and bus sources in virtual time: drive, freeze, reconnect, half-open, bad payloads."""
+
+from math import cos, hypot, sin
+
+from mocap_link.frame import FrameConfig, make_body_pose
+from mocap_link.ingest import IngestConfig
+from mocap_link.sessions import BusPoseSource, VrpnSource
+from mocap_link.source import ClockKind, PoseSample, RawPose, SourceState
+from mocap_link.vrpn_server import VrpnServer
+from mocap_link.zenoh_pose import encode_pose
+
+MS = 1_000_000
+SECOND = 1000 * MS
+T0 = 77 * SECOND
+FRAME = FrameConfig(up="y", body_forward="-z", marker_rear_x=0.2, cog_ahead_of_rear=0.17)
+CONFIG = IngestConfig(frame=FRAME)
+SPEED, RADIUS = 1.0, 2.0
+
+
+def truth(t_ns: int) -> tuple[float, float, float]:
+    """The car on a circle: x, y, yaw at a time."""
+    a = SPEED * (t_ns - T0) * 1e-9 / RADIUS
+    return RADIUS * sin(a), RADIUS * (1 - cos(a)), a
+
+
+def assert_no_jump(samples: list[PoseSample]) -> None:
+    accepted = [s for s in samples if s.rejected is None]
+    assert accepted
+    for s in accepted:
+        x, y, _ = truth(s.t_valid_ns)
+        assert hypot(s.x - x, s.y - y) < 0.03
+
+
+def drive_vrpn(
+    source: VrpnSource, server: VrpnServer, start: int, n: int, still: bool = False
+) -> list[PoseSample]:
+    samples = []
+    for i in range(n):
+        t = start + i * 10 * MS
+        source.on_timer(t)
+        x, y, yaw = truth(start if still else t)
+        position, q = make_body_pose(FRAME, x, y, yaw, 0.1)
+        data = server.pose("car", 10**15 + t // 1000, position, q)
+        samples += source.on_bytes(data, t + 8 * MS)
+    return samples
+
+
+def test_vrpn_drive_freeze_and_reconnect() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("VRPN Control", "car"))
+    source.ingest.wheel_speed = SPEED
+    source.on_timer(T0)
+    assert source.ingest.state is SourceState.CONNECTING
+    server.receive(source.on_connect(), 0)
+    source.on_bytes(server.hello(), T0)
+    samples = drive_vrpn(source, server, T0, 400)
+    assert source.status().bodies == ("car",)
+    assert source.ingest.state is SourceState.OK
+    assert {s.clock for s in samples[210:]} == {ClockKind.HULL}
+    assert_no_jump(samples)
+    frozen = drive_vrpn(source, server, T0 + 4 * SECOND, 20, still=True)
+    assert [s.rejected for s in frozen].count("frozen") >= 15
+    source.on_disconnect("gone")
+    source.on_timer(T0 + 6 * SECOND)
+    assert source.status().detail == "gone"
+    assert source.ingest.state is SourceState.LOST
+    server = VrpnServer(("car",))
+    server.receive(source.on_connect(), 0)
+    source.on_bytes(server.hello(), T0 + 7 * SECOND)
+    source.ingest.stationary = True
+    again = drive_vrpn(source, server, T0 + 7 * SECOND, 250)
+    assert source.ingest.state is SourceState.OK
+    assert_no_jump(again)
+
+
+def test_vrpn_half_open_and_ping() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("car",))
+    server.receive(source.on_connect(), 0)
+    source.on_bytes(server.hello(), T0)
+    pings = 0
+    for i in range(290):
+        out = source.on_timer(T0 + i * 10 * MS)
+        pings += bool(out)
+        assert source.dead is None
+    assert pings == 3
+    source.on_timer(T0 + 3001 * MS)
+    assert source.dead is not None
+    assert "silent" in source.dead
+
+
+def test_vrpn_pong_keeps_the_session_alive() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("car",))
+    server.receive(source.on_connect(), 0)
+    source.on_bytes(server.hello(), T0)
+    for i in range(1000):
+        t = T0 + i * 10 * MS
+        pong = server.receive(source.on_timer(t), t // 1000)
+        source.on_bytes(pong, t) if pong else None
+    assert source.dead is None
+
+
+def test_vrpn_body_that_is_enabled_later() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("b2",))
+    source.on_connect()
+    source.on_bytes(server.hello(), T0)
+    assert "it offers: b2" in source.status().detail
+    source.on_bytes(server.add_body("car"), T0)
+    assert len(drive_vrpn(source, server, T0, 3)) == 3
+
+
+def test_not_a_vrpn_server() -> None:
+    source = VrpnSource("car", CONFIG)
+    source.on_connect()
+    source.on_bytes(b"HTTP/1.1 400 Bad Request\r\n\r\n", T0)
+    assert source.dead is not None
+    assert "not a VRPN 7 server" in source.dead
+
+
+def test_bus_poses() -> None:
+    source = BusPoseSource(IngestConfig())
+    good = None
+    for i in range(300):
+        raw = RawPose(
+            "car", i, i * 10 * MS, None, 0, (0.001 * i, 0.5, 0.1), (1.0, 0.0, 0.0, 0.0), 1e-4
+        )
+        good = source.on_message(encode_pose(raw), T0 + i * 10 * MS + 3 * MS)
+        source.on_timer(T0 + i * 10 * MS + 4 * MS)
+    assert good is not None
+    assert (good.rejected, good.clock) == (None, ClockKind.HULL)
+    assert source.status().state is SourceState.OK
+    for bad in (b"", b"{}", b"\xff", b'{"v":2,"body":"c","seq":1,"p":[0,0,0],"q":[1,0,0,0]}'):
+        assert source.on_message(bad, T0) is None
+    assert source.status().counts["malformed"] == 4
+    assert source.on_message(b"[" * 5000, T0) is None
+    assert source.on_message(b"[" * 4000, T0) is None
