@@ -41,8 +41,8 @@ __all__ = [
     "type_name",
 ]
 
-MAX_BYTES = 65536
-"""Largest encoded message; the bus drops anything above it (``rx/max_message_size``)."""
+MAX_BYTES = 63 << 10
+"""Largest encoded message; the bus drops 64 KiB and more, its own framing included."""
 
 _HEADER = b"\x00\x01\x00\x00"
 _MAX_TRAILING = 3  # DDS pads a payload to a multiple of four

@@ -36,7 +36,7 @@ from steer_bus.standard import Header, make_header, make_time, stamp_ns
 __all__ = [
     "BODY", "OWN_MESSAGES", "WORLD", "Actuation", "ActuationMode", "ClockSample", "DriveCommand",
     "Header", "MocapPose", "OperatorRequest", "RequestKind", "State", "Tick", "Transition",
-    "VescImu", "VescTelemetry", "make_header", "make_time", "stamp_ns",
+    "VescIdentity", "VescImu", "VescTelemetry", "make_header", "make_time", "stamp_ns",
 ]  # fmt: skip
 
 WORLD = "map"
@@ -136,6 +136,24 @@ class VescTelemetry:
     iq: Ampere
     vd: Volt
     vq: Volt
+
+
+@message("steerd_msgs/msg/VescIdentity")
+class VescIdentity:
+    """Who the VESC is and how it stops by itself; sent whenever more of it becomes known.
+
+    ``expected`` is 0 when its UUID is not the one of the car file; ``timeout_ms`` is -1 and
+    ``timeout_brake_current`` NaN until GET_APPCONF was answered.
+    """
+
+    header: Header
+    t_received_ns: Nanosecond
+    timeout_ms: Int32
+    expected: UInt8
+    fw_major: UInt8
+    fw_minor: UInt8
+    timeout_brake_current: Ampere
+    uuid: String
 
 
 @message("steerd_msgs/msg/VescImu")
@@ -263,6 +281,6 @@ class ClockSample:
 
 
 OWN_MESSAGES = (
-    Tick, MocapPose, VescTelemetry, VescImu, Actuation, State, DriveCommand, OperatorRequest,
+    Tick, MocapPose, VescTelemetry, VescIdentity, VescImu, Actuation, State, DriveCommand, OperatorRequest,
     Transition, ClockSample,
 )  # fmt: skip

@@ -20,6 +20,7 @@ from steer_bus.messages import (
     State,
     Tick,
     Transition,
+    VescIdentity,
     VescImu,
     VescTelemetry,
 )
@@ -73,14 +74,15 @@ class Topic:
     rate_hz: float = 0.0
 
 
-TICK = Topic("tick", Tick, on_bus=False, rate_hz=200.0)
+TICK = Topic("tick", Tick, rate_hz=200.0)
 MOCAP = Topic("mocap", MocapPose, rate_hz=200.0)
 VESC = Topic("vesc", VescTelemetry, rate_hz=200.0)
-IMU = Topic("imu", VescImu, on_bus=False, rate_hz=200.0)
+IDENTITY = Topic("vesc_identity", VescIdentity)
+IMU = Topic("imu", VescImu, rate_hz=200.0)
 ACTUATION = Topic("actuation", Actuation, rate_hz=200.0)
 STATE = Topic("state", State, priority=Priority.REAL_TIME, rate_hz=200.0)
 TRANSITION = Topic("transition", Transition)
-CLOCK = Topic("clock", ClockSample, on_bus=False, rate_hz=1.0)
+CLOCK = Topic("clock", ClockSample, rate_hz=1.0)
 DRIVE = Topic("cmd/drive", DriveCommand, Direction.IN, Priority.REAL_TIME, rate_hz=100.0)
 OPERATOR = Topic("cmd/operator", OperatorRequest, Direction.IN, Priority.REAL_TIME)
 ODOM = Topic("odom", Odometry, logged=False, rate_hz=50.0)
@@ -91,7 +93,7 @@ DIAGNOSTICS = Topic("diagnostics", DiagnosticArray, priority=Priority.DATA_LOW, 
 LOG = Topic("rosout", Log, priority=Priority.DATA_LOW)
 
 TOPICS = (
-    TICK, MOCAP, VESC, IMU, ACTUATION, STATE, TRANSITION, CLOCK, DRIVE, OPERATOR, ODOM, POSE,
+    TICK, MOCAP, VESC, IDENTITY, IMU, ACTUATION, STATE, TRANSITION, CLOCK, DRIVE, OPERATOR, ODOM, POSE,
     EXTERNAL_POSE, VESC_STATE, DIAGNOSTICS, LOG,
 )  # fmt: skip
 
