@@ -2,6 +2,7 @@
 
 import os
 import pty
+import runpy
 import select
 import signal
 import subprocess
@@ -163,6 +164,13 @@ def test_main_ignores_signals_asks_for_priority_and_guards(page, monkeypatch, en
     os.close(fd)
     os.close(read_end)
     assert callable(guardian_main)
+
+
+def test_run_as_a_program_it_wants_its_five_words(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["guardian"])
+    with pytest.raises(SystemExit, match="2"):
+        runpy.run_path(guardian.__file__, run_name="__main__")
+    assert "serial_fd" in capsys.readouterr().err
 
 
 def test_guardian_is_small_and_stands_alone():
