@@ -1,0 +1,68 @@
+"""What `steerd run` was asked to do, as one value that travels to its processes as JSON."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import msgspec
+
+
+class ControllerKind(StrEnum):
+    """Who steers: the built-in lane keeper, or whoever publishes commands on the bus."""
+
+    LANE = "lane"
+    ZENOH = "zenoh"
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """One drive.
+
+    Attributes:
+        car_file: path of the TOML car file.
+        car: the car's name in keys and file names.
+        port: serial device or pyserial URL; None in virtual time.
+        mocap: mocap address as `--mocap` takes it; None in virtual time.
+        path: path description as `--path` takes it.
+        speed: speed asked for on straights [m/s].
+        duration_s: how long to drive once running; None until stopped.
+        record: session file, or None for a name made from date and car.
+        seed: of everything random in simulated hardware.
+        rate_hz: control rate.
+        controller: who steers.
+        simulated: whether the hardware is simulated.
+        auto_arm: arm and start without an operator (simulated hardware only).
+        effects: unmodelled effects of the simulated car, as `--effect` takes them.
+        listen: zenoh endpoint of the gateway, or "" for none.
+        insecure_lan: whether a plain listener beyond loopback is allowed.
+    """
+
+    car_file: str
+    car: str = "car1"
+    port: str | None = None
+    mocap: str | None = None
+    path: str = "figure8"
+    speed: float = 1.0
+    duration_s: float | None = None
+    record: str | None = None
+    seed: int = 0
+    rate_hz: float = 100.0
+    controller: ControllerKind = ControllerKind.LANE
+    simulated: bool = False
+    auto_arm: bool = False
+    effects: tuple[str, ...] = ()
+    listen: str = "tcp/127.0.0.1:7447"
+    insecure_lan: bool = False
+
+
+def encode_options(options: RunOptions) -> str:
+    """The options as JSON text."""
+    return msgspec.json.encode(options).decode()
+
+
+def decode_options(text: str) -> RunOptions:
+    """The options of `encode_options`.
+
+    Raises:
+        msgspec.ValidationError: if the text is not such options.
+    """
+    return msgspec.json.decode(text, type=RunOptions)
