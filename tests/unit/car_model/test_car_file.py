@@ -1,0 +1,219 @@
+"""Car files: read strictly, told plainly what is wrong, written with care."""
+
+import re
+import stat
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from car_model.car_file import (
+    CarFileError,
+    Learned,
+    default_car_path,
+    load_car,
+    parse_car,
+    save_car,
+    updated_text,
+)
+from car_model.effects import EFFECTS
+from car_model.model import Model
+from car_model.params import DEFAULT_CAR, PARAMETERS
+
+HERE = Path("car.toml")
+TEXT = default_car_path().read_text(encoding="utf-8")
+
+
+def edited(old: str, new: str) -> str:
+    """The default file with the first line that starts with `old` replaced."""
+    text, count = re.subn(rf"(?m)^{re.escape(old)}.*$", lambda _: new, TEXT, count=1)
+    assert count == 1
+    return text
+
+
+def error(text: str) -> CarFileError:
+    with pytest.raises(CarFileError) as caught:
+        parse_car(text, HERE)
+    said = str(caught.value)
+    assert said.startswith("car.toml: ")
+    assert "; try: " in said
+    assert "\n" not in said
+    assert len(said) < 700
+    return caught.value
+
+
+def test_the_shipped_file_is_the_default_car_with_every_section() -> None:
+    file = load_car(default_car_path())
+    assert file.car == DEFAULT_CAR
+    assert file.model == Model(DEFAULT_CAR)
+    assert set(file.sections) == {
+        "vesc", "mocap", "limits", "controller", "estimator", "record", "safety",
+    }  # fmt: skip
+    assert file.name == "F1TENTH, published figures"
+
+
+def test_the_shipped_file_holds_the_official_figures() -> None:
+    vesc = load_car(default_car_path()).sections["vesc"]
+    assert (vesc["erpm_gain"], vesc["erpm_offset"], vesc["erpm_max"]) == (4614.0, 0.0, 23250.0)
+    assert (vesc["servo_gain"], vesc["servo_offset"]) == (-1.2135, 0.5304)
+    assert (vesc["servo_min"], vesc["servo_max"]) == (0.15, 0.85)
+
+
+def test_every_key_of_the_shipped_file_has_a_comment() -> None:
+    keys = [line for line in TEXT.splitlines() if re.match(r"\w+ = ", line)]
+    bare = [line for line in keys if "#" not in line and not line.startswith("name")]
+    assert len(keys) > 50
+    assert bare == []
+
+
+def test_effects_and_notes_are_read() -> None:
+    text = TEXT + (
+        '\n[car.sd]\nlf = 0.001\n[car.source]\nlf = "tape"\n'
+        '[effects.backlash]\nplay = 0.02\nsd = { play = 0.003 }\nsource = "diagnose"\n'
+        "[effects.floor_slope]\ny = 0.01\n"
+    )
+    file = parse_car(text, HERE)
+    assert file.effects == (EFFECTS["steer_backlash"], EFFECTS["floor_slope"])
+    assert file.values == ((0.02,), (0.0, 0.01))
+    assert file.sd == {"lf": 0.001, "steer_backlash.play": 0.003}
+    assert file.source == {"lf": "tape", "steer_backlash.play": "diagnose"}
+
+
+def test_whole_numbers_are_numbers() -> None:
+    lf = parse_car(edited("lf ", "lf = 1"), HERE).car.lf
+    assert (lf, type(lf)) == (1.0, float)
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.name)
+def test_every_parameter_must_be_there_within_bounds(parameter: object) -> None:
+    p = next(q for q in PARAMETERS if q is parameter)
+    assert error(edited(f"{p.name} ", "")).where == f"car.{p.name}"
+    for value in (p.high * 1.01 + 0.01, p.low - 0.01 - abs(p.low), float("nan"), float("inf")):
+        found = error(edited(f"{p.name} ", f"{p.name} = {value}"))
+        assert found.where == f"car.{p.name}"
+        assert p.meaning in found.hint
+    for ok in (p.low, p.high):
+        assert getattr(parse_car(edited(f"{p.name} ", f"{p.name} = {ok}"), HERE).car, p.name) == ok
+
+
+@pytest.mark.parametrize(
+    ("text", "where", "what"),
+    [
+        ("", "[car]", "is missing"),
+        ("[vesc]\nerpm_gain = 1\n", "[car]", "is missing"),
+        ("[car]\n", "car.lf", "is missing"),
+        ("car = 3\n", "car", "is not a section"),
+        ("x = 3\n" + TEXT, "x", "is not a section"),
+        ("[[car]]\n", "car", "is not a section"),
+        ("[car\n", "line 1", "Expected"),
+        (TEXT + "[car]\n", "line", "Cannot declare"),
+        (edited("lf ", "lf = true"), "car.lf", "expected a number, got true/false"),
+        (edited("lf ", "lf = 'wide'"), "car.lf", "expected a number, got text"),
+        (edited("lf ", "lf = []"), "car.lf", "expected a number"),
+        (edited("lf ", "lf = 1979-05-27"), "car.lf", "expected a number"),
+        (edited("lf ", "lf = " + "9" * 400), "car.lf", ""),
+        (edited("lf ", "lf = 0.1\nlz = 0.1"), "car.lz", "is not known"),
+        (edited("name ", "name = 3"), "car.name", "expected text"),
+        (TEXT + "[car.sd]\nlz = 1\n", "car.sd", "no parameter 'lz'"),
+        (TEXT + "[car.sd]\nlf = -1\n", "car.sd", "expected a number >= 0"),
+        (TEXT + "[effects]\nx = 1\n", "effects.x", "no effect 'x'"),
+        (TEXT + "[effects]\nmass = 1\n", "effects.mass", "expected a table"),
+        (TEXT + "[effects.mass]\npayload = 99\n", "effects.mass.payload", "expected a number <= 5"),
+        (TEXT + "[effects.mass]\nload = 1\n", "effects.mass.load", "is not known"),
+        (TEXT + "[effects.mass]\n[effects.payload]\n", "effects.mass", "is given twice"),
+        (TEXT + "[effects.mass.sd]\nload = 1\n", "effects.mass.sd", "no parameter"),
+        (TEXT + "\nx = " + "[" * 50_000, "", "nested too deeply"),
+        ("\0", "line 1", ""),
+    ],
+)
+def test_a_wrong_file_is_told_where_and_what(text: str, where: str, what: str) -> None:
+    found = error(text)
+    assert where in found.where
+    assert what in found.what
+
+
+def test_every_prefix_of_a_file_gives_a_car_or_one_line() -> None:
+    said = []
+    for end in range(0, len(TEXT), 37):
+        try:
+            parse_car(TEXT[:end], HERE)
+        except CarFileError as wrong:
+            said.append(str(wrong))
+    assert len(said) > 50
+    assert not any("\n" in line for line in said)
+
+
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        (None, "cannot be read"),
+        (b"\xff\xfe[car]", "not UTF-8"),
+        (b"#" * 1_000_001, "larger than 1 MB"),
+    ],
+)
+def test_unreadable_files(tmp_path: Path, content: bytes | None, what: str) -> None:
+    path = tmp_path / "car.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(CarFileError, match=what):
+        load_car(path)
+    with pytest.raises(CarFileError, match="cannot be read"):
+        load_car(tmp_path)
+
+
+def test_saving_keeps_comments_sections_and_order(tmp_path: Path) -> None:
+    base = load_car(default_car_path())
+    path = tmp_path / "learned.toml"
+    learned = {
+        "c_sf": Learned(5.1, 0.02, "session a"),
+        "steer_delay.delay": Learned(0.03, 0.001, "diagnose"),
+    }
+    new = save_car(path, base, learned)
+    assert new == load_car(path)
+    assert new.car == DEFAULT_CAR._replace(c_sf=5.1)
+    assert new.effects == (EFFECTS["steer_delay"],)
+    assert new.values == ((0.03,),)
+    assert new.sd == {"c_sf": 0.02, "steer_delay.delay": 0.001}
+    assert new.source == {"c_sf": "session a", "steer_delay.delay": "diagnose"}
+    assert new.sections == base.sections
+    comments = [line.partition("#")[2] for line in TEXT.splitlines() if "#" in line]
+    kept = path.read_text(encoding="utf-8")
+    assert [c for c in comments if c not in kept] == []
+    assert stat.S_IMODE(path.stat().st_mode) == 0o644
+    assert [p.name for p in tmp_path.iterdir()] == ["learned.toml"]
+
+
+def test_saving_again_replaces_notes_and_effects(tmp_path: Path) -> None:
+    path = tmp_path / "car.toml"
+    path.write_text(TEXT + "[effects.backlash]\nplay = 0.01\n", encoding="utf-8")
+    save_car(path, path, {"lf": Learned(0.16, 0.01, "tape"), "steer_backlash.play": Learned(0.02)})
+    last = save_car(path, path, {"lf": Learned(0.161)})
+    assert (last.car.lf, last.values, last.sd, last.source) == (0.161, ((0.02,),), {}, {})
+    assert tomllib.loads(path.read_text(encoding="utf-8"))["effects"] == {
+        "backlash": {"play": 0.02}
+    }
+
+
+def test_numbers_survive_to_the_last_digit(tmp_path: Path) -> None:
+    value = 0.1 + 0.2 / 3.0
+    new = save_car(tmp_path / "a.toml", default_car_path(), {"lf": Learned(value)})
+    assert load_car(new.path).car.lf == value
+
+
+def test_nothing_wrong_is_ever_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    for name, value in (("lf", 99.0), ("lf", float("nan")), ("lz", 1.0)):
+        with pytest.raises(CarFileError):
+            save_car(path, default_car_path(), {name: Learned(value)})
+    with pytest.raises(ValueError, match="no effect 'nothing'"):
+        save_car(path, default_car_path(), {"nothing.x": Learned(1.0)})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
+    with pytest.raises(CarFileError, match="cannot be written"):
+        save_car(tmp_path / "no" / "a.toml", default_car_path(), {"lf": Learned(0.16)})
+
+
+def test_no_updates_change_no_byte() -> None:
+    assert updated_text(load_car(default_car_path()), {}) == TEXT

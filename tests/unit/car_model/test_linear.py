@@ -1,0 +1,162 @@
+"""Steady turns and linear models against textbook formulas and the nonlinear car."""
+
+import math
+
+import numpy as np
+import pytest
+
+from car_model.linear import (
+    augmented,
+    feedforward_steer,
+    lane_errors,
+    linearise,
+    sample,
+    steady_slip,
+    steady_steer,
+    steady_turn,
+    understeer_gradient,
+)
+from car_model.ops import FLOAT
+from car_model.params import DEFAULT_CAR, Car, axle_stiffness, wheelbase
+from car_model.single_track import derivative
+
+CAR = DEFAULT_CAR
+OVERSTEERING = CAR._replace(c_sf=6.0, c_sr=4.0)
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.2, 0.3, 0.45, 0.7, 2.0, 5.0])
+@pytest.mark.parametrize("curvature", [-0.9, -0.1, 0.0, 0.4, 1.0])
+def test_a_steady_turn_stands_still_in_yaw_rate_and_slip(speed: float, curvature: float) -> None:
+    turn = steady_turn(CAR, speed, curvature)
+    rates = derivative(FLOAT, CAR, turn.state, turn.wheel, 0.0)
+    assert turn.curvature == pytest.approx(curvature, abs=1e-12)
+    assert (rates.yaw_rate, rates.slip_angle) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert steady_steer(CAR, speed, turn.wheel).curvature == pytest.approx(curvature, abs=1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.6, 1.5, 4.0])
+def test_above_walking_pace_the_steady_turn_is_the_understeer_relation(speed: float) -> None:
+    turn = steady_turn(CAR, speed, 0.8)
+    assert turn.wheel == pytest.approx(feedforward_steer(CAR, speed, 0.8), rel=1e-11)
+    assert turn.state.slip_angle == pytest.approx(steady_slip(CAR, speed, 0.8), rel=1e-10)
+
+
+def test_crawling_the_steady_turn_is_geometry() -> None:
+    wheel = 0.3
+    slip = math.atan(CAR.lr * math.tan(wheel) / wheelbase(CAR))
+    turn = steady_steer(CAR, 0.1, wheel)
+    assert turn.state.slip_angle == pytest.approx(slip, rel=1e-10)
+    assert turn.curvature == pytest.approx(math.cos(slip) * math.tan(wheel) / wheelbase(CAR))
+
+
+def test_understeer_gradient_is_the_textbooks_with_per_axle_stiffness() -> None:
+    cf, cr = axle_stiffness(CAR)
+    textbook = CAR.mass / wheelbase(CAR) * (CAR.lr / cf - CAR.lf / cr)
+    assert understeer_gradient(CAR) == pytest.approx(textbook, rel=1e-12)
+    assert understeer_gradient(OVERSTEERING) < 0.0 < understeer_gradient(CAR)
+
+
+def test_an_oversteering_car_has_no_turn_at_its_critical_speed() -> None:
+    critical = math.sqrt(-wheelbase(OVERSTEERING) / understeer_gradient(OVERSTEERING))
+    with pytest.raises(ValueError, match="no steady turn"):
+        steady_steer(OVERSTEERING, critical, 0.1)
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, math.nan])
+def test_a_steady_turn_needs_speed(speed: float) -> None:
+    with pytest.raises(ValueError, match="positive speed"):
+        steady_turn(CAR, speed, 0.5)
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 2.5, 5.0])
+@pytest.mark.parametrize("car", [CAR, OVERSTEERING], ids=["understeers", "oversteers"])
+def test_lane_errors_are_rajamanis_equation_2_45(car: Car[float], speed: float) -> None:
+    """Rajamani's C_af is per tyre and appears as 2 C_af, which is cf per axle here."""
+    cf, cr = axle_stiffness(car)
+    m, inertia, lf, lr, v = car.mass, car.inertia_z, car.lf, car.lr, speed
+    a = [
+        [0, 1, 0, 0],
+        [0, -(cf + cr) / (m * v), (cf + cr) / m, (-cf * lf + cr * lr) / (m * v)],
+        [0, 0, 0, 1],
+        [
+            0,
+            -(cf * lf - cr * lr) / (inertia * v),
+            (cf * lf - cr * lr) / inertia,
+            -(cf * lf**2 + cr * lr**2) / (inertia * v),
+        ],
+    ]
+    b1 = [0, cf / m, 0, cf * lf / inertia]
+    b2 = [
+        0,
+        -(cf * lf - cr * lr) / (m * v) - v,
+        0,
+        -(cf * lf**2 + cr * lr**2) / (inertia * v),
+    ]
+    found = lane_errors(car, speed)
+    np.testing.assert_allclose(found.a, a, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(found.b_steer, b1, rtol=1e-10)
+    np.testing.assert_allclose(found.b_curvature, np.multiply(b2, v), rtol=1e-10, atol=1e-10)
+
+
+def test_linear_tyres_give_the_same_errors_in_a_bend() -> None:
+    straight, bend = lane_errors(CAR, 2.0), lane_errors(CAR, 2.0, 0.6)
+    np.testing.assert_allclose(bend.a, straight.a, rtol=1e-9, atol=1e-9)
+
+
+def test_a_path_is_held_by_feed_forward_and_the_heading_error_it_leaves() -> None:
+    speed, curvature = 2.0, 0.5
+    errors = lane_errors(CAR, speed)
+    rest = np.array([0.0, 0.0, -steady_slip(CAR, speed, curvature), 0.0])
+    rate = (
+        errors.a @ rest
+        + errors.b_steer * feedforward_steer(CAR, speed, curvature)
+        + errors.b_curvature * curvature
+    )
+    np.testing.assert_allclose(rate, 0.0, atol=1e-9)
+
+
+def test_names_choose_rows_and_columns() -> None:
+    turn = steady_turn(CAR, 2.0, 0.3)
+    a, b = linearise(CAR, turn, ("yaw_rate", "speed"), ("accel", "wheel"))
+    full, steer = linearise(CAR, turn, ("slip_angle", "yaw_rate"), ("wheel",))
+    assert a.shape == b.shape == (2, 2)
+    assert a[0, 0] == full[1, 1]
+    assert b[0, 1] == steer[1, 0]
+    assert tuple(b[1]) == (1.0, 0.0)
+
+
+def test_sampling_a_double_integrator_is_exact() -> None:
+    a, b = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
+    h = 0.1
+    plain = sample(a, b, h)
+    np.testing.assert_allclose(plain.a, [[1, h], [0, 1]], atol=1e-15)
+    np.testing.assert_allclose(plain.b[:, 0], [h * h / 2, h], atol=1e-15)
+    np.testing.assert_array_equal(plain.b_late, 0.0)
+    late = sample(a, b, h, 0.03)
+    np.testing.assert_allclose(late.b[:, 0], [0.07**2 / 2, 0.07], atol=1e-15)
+    np.testing.assert_allclose(late.b_late[:, 0], [0.03 * (h - 0.015), 0.03], atol=1e-15)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.004, 0.01, 0.013, 0.025, 0.03])
+def test_the_augmented_system_is_the_delayed_car(delay: float) -> None:
+    period, fine = 0.01, 1000
+    errors = lane_errors(CAR, 1.5)
+    a, b = errors.a, errors.b_steer[:, None]
+    big_a, big_b = augmented(sample(a, b, period, delay))
+    rng = np.random.default_rng(3)
+    inputs = rng.normal(size=12)
+    wide, state = np.zeros(len(big_a)), np.zeros(4)
+    small = sample(a, b, period / fine)
+    for k, u in enumerate(inputs):
+        wide = big_a @ wide + big_b[:, 0] * u
+        for i in range(fine):
+            held = math.floor((k * fine + i - round(delay / period * fine)) / fine)
+            past = inputs[held] if held >= 0 else 0.0
+            state = small.a @ state + small.b[:, 0] * past
+    np.testing.assert_allclose(wide[:4], state, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize(("period", "delay"), [(0.0, 0.0), (-1.0, 0.0), (0.01, -0.001)])
+def test_sampling_refuses_nonsense(period: float, delay: float) -> None:
+    with pytest.raises(ValueError, match="cannot sample"):
+        sample(np.zeros((1, 1)), np.ones((1, 1)), period, delay)

@@ -1,0 +1,143 @@
+"""Runs of the plain car: rest, crawl, straight, circle, order of the integrator, delays."""
+
+import math
+from itertools import pairwise
+
+import pytest
+
+from car_model.linear import steady_turn
+from car_model.model import Model
+from car_model.ops import FLOAT
+from car_model.params import DEFAULT_CAR, PAPER_CAR, Car, wheelbase
+from car_model.rollout import (
+    Integrator,
+    channel_delayed,
+    euler,
+    rk4,
+    simulate,
+    start,
+    stiffness_rate,
+    substeps,
+)
+from car_model.state import ORIGIN, Command, State
+
+
+def run(
+    car: Car[float],
+    first: State[float],
+    command: Command[float],
+    seconds: float,
+    h: float = 0.005,
+    integrate: Integrator[float] = rk4,
+) -> list[State[float]]:
+    model = Model(car)
+    commands = [command] * round(seconds / h)
+    moments = simulate(FLOAT, model, start(model, first, 0.0), commands, h, integrate)
+    return [m.state for m in moments]
+
+
+def gap(a: State[float], b: State[float]) -> float:
+    return math.hypot(a.x - b.x, a.y - b.y)
+
+
+def test_rest_stays_at_rest() -> None:
+    assert set(run(DEFAULT_CAR, ORIGIN, Command(0.0, 0.0), 1.0)) == {ORIGIN}
+
+
+def test_steering_at_rest_moves_nothing_but_the_wheels() -> None:
+    last = run(DEFAULT_CAR, ORIGIN, Command(0.2, 0.0), 2.0)[-1]
+    assert (last.x, last.y, last.speed) == (0.0, 0.0, 0.0)
+    assert last.yaw == 0.0
+    assert last.steer == pytest.approx(0.2, abs=1e-9)
+
+
+def test_straight_stays_straight() -> None:
+    for state in run(DEFAULT_CAR, ORIGIN._replace(speed=1.0), Command(0.0, 3.0), 2.0):
+        assert (state.y, state.yaw, state.yaw_rate, state.slip_angle) == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_speed_follows_its_lag_and_then_its_limits() -> None:
+    car = DEFAULT_CAR._replace(accel_max=20.0)
+    reached = run(car, ORIGIN, Command(0.0, 1.0), car.speed_lag)[-1].speed
+    assert reached == pytest.approx(1.0 - math.exp(-1.0), rel=1e-12)
+    limited = run(DEFAULT_CAR, ORIGIN, Command(0.0, 4.0), 0.2)[-1].speed
+    assert limited == pytest.approx(0.2 * DEFAULT_CAR.accel_max, rel=1e-12)
+
+
+def test_steering_slews_then_settles_and_stops_at_its_ends() -> None:
+    states = run(DEFAULT_CAR, ORIGIN, Command(1.0, 0.0), 2.0)
+    speeds = [(b.steer - a.steer) / 0.005 for a, b in pairwise(states)]
+    assert max(speeds) == pytest.approx(DEFAULT_CAR.steer_rate, rel=1e-9)
+    assert states[-1].steer == pytest.approx(DEFAULT_CAR.steer_max, rel=1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.8, 2.0, 3.5])
+def test_a_held_wheel_ends_in_the_steady_turn(speed: float) -> None:
+    turn = steady_turn(DEFAULT_CAR, speed, 0.7)
+    first = ORIGIN._replace(speed=speed, steer=turn.wheel)
+    last = run(DEFAULT_CAR, first, Command(turn.wheel, speed), 3.0)[-1]
+    assert last.yaw_rate == pytest.approx(0.7 * speed, rel=1e-6)
+    assert last.slip_angle == pytest.approx(turn.state.slip_angle, rel=1e-5)
+
+
+def test_crawling_follows_the_wheels() -> None:
+    first = ORIGIN._replace(speed=0.15, steer=0.3)
+    last = run(DEFAULT_CAR, first, Command(0.3, 0.15), 1.0)[-1]
+    slip = math.atan(DEFAULT_CAR.lr * math.tan(0.3) / wheelbase(DEFAULT_CAR))
+    assert last.slip_angle == pytest.approx(slip, rel=1e-6)
+    assert last.yaw_rate == pytest.approx(0.15 * math.sin(slip) / DEFAULT_CAR.lr, rel=1e-6)
+
+
+def test_reverse_is_kinematic_and_stable() -> None:
+    last = run(DEFAULT_CAR, ORIGIN, Command(0.3, -1.0), 3.0)[-1]
+    assert last.speed == pytest.approx(-1.0, rel=1e-6)
+    assert last.yaw_rate < 0.0
+    assert abs(last.slip_angle) < 0.2
+
+
+def test_halving_the_step_divides_the_error_by_sixteen() -> None:
+    # Wheels that slew all the time: within a step they are taken to move evenly, and so they do.
+    car = DEFAULT_CAR._replace(steer_lag=0.0, steer_rate=0.1)
+    first = ORIGIN._replace(speed=2.0)
+    command = Command(0.3, 2.0)
+    truth = run(car, first, command, 0.32, 0.00025)[-1]
+    errors = [gap(run(car, first, command, 0.32, h)[-1], truth) for h in (0.02, 0.01, 0.005)]
+    for coarse, fine in pairwise(errors):
+        assert 10.0 < coarse / fine < 40.0
+
+
+def test_the_papers_euler_agrees_to_its_own_error() -> None:
+    """spec/identify.md section 2: Euler at 0.002 s is 2 mm off after 8 s on a 1 m/s circle."""
+    first = ORIGIN._replace(speed=1.0)
+    command = Command(0.34, 1.0)
+    exact = run(PAPER_CAR, first, command, 8.0, 0.002)
+    papers = run(PAPER_CAR, first, command, 8.0, 0.002, euler)
+    worst = max(gap(a, b) for a, b in zip(exact, papers, strict=True))
+    assert 1e-4 < worst < 5e-3
+
+
+def test_substeps_keep_a_slow_car_stable() -> None:
+    h = 0.02
+    assert substeps(DEFAULT_CAR, 0.5, h) > substeps(DEFAULT_CAR, 5.0, h) == 1
+    assert h / substeps(DEFAULT_CAR, 0.5, h) * stiffness_rate(DEFAULT_CAR, 0.5) <= 2.0
+    fine = h / substeps(DEFAULT_CAR, 0.5, h)
+    last = run(DEFAULT_CAR, ORIGIN._replace(speed=0.5), Command(0.3, 0.5), 2.0, fine)[-1]
+    assert abs(last.yaw_rate) < 2.0
+
+
+def test_a_delay_of_whole_and_half_steps() -> None:
+    values, h = [1.0, 2.0, 4.0, 8.0], 0.01
+    assert [channel_delayed(values, k, 0.0, h) for k in range(4)] == values
+    assert [channel_delayed(values, k, 0.02, h) for k in range(4)] == [1.0, 1.0, 1.0, 2.0]
+    halves = [channel_delayed(values, k, 0.015, h) for k in range(4)]
+    assert halves == pytest.approx([1.0, 1.0, 1.5, 3.0])
+    assert channel_delayed(values, 3, -0.02, h) == 8.0
+
+
+def test_a_delayed_command_moves_the_wheels_late() -> None:
+    late = DEFAULT_CAR._replace(steer_delay=0.1)
+    model = Model(late)
+    commands = [Command(0.0, 0.0)] + [Command(0.2, 0.0)] * 60
+    moments = simulate(FLOAT, model, start(model, ORIGIN, 0.0), commands, 0.005)
+    moving = [k for k, m in enumerate(moments) if m.state.steer > 0.0]
+    assert moving[0] == 1 + 20 + 1
