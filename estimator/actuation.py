@@ -42,6 +42,8 @@ class Driven(NamedTuple):
     steer_by_steer: float
     wheel_by_steer: float
     accel_by_speed: float
+    steered: bool = True
+    """False while nothing drives the servo, which then holds where it is."""
 
 
 def remembered(history: History, t_ns: int, command: Command[float] | None) -> History:
@@ -102,6 +104,7 @@ def drive(
         steer_by_steer=by_steer,
         wheel_by_steer=turned_by_steer / span,
         accel_by_speed=(by_speed - 1.0) / span,
+        steered=held(history, end_ns - 1 - late[0]) is not None,
     )
 
 

@@ -35,11 +35,11 @@ _MINUS_IDENTITY = np.diag([-1.0] * (SIZE - 1) + [0.0])
 Six = tuple[float, float, float, float, float, float]
 
 
-def noise_density(config: FilterConfig, speed: float) -> list[float]:
+def noise_density(config: FilterConfig, speed: float, *, steered: bool = True) -> list[float]:
     """Spectral densities of the states' unmodelled rates (7,), squared units per second.
 
     A lateral acceleration turns the velocity by `a / v`; below `SPEED_DYNAMIC` the tyres no longer
-    decide, and the divisor stays there.
+    decide, and the divisor stays there. A servo that nothing drives stays where it is.
     """
     slip = config.lateral_accel_density / max(abs(speed), SPEED_DYNAMIC)
     return [
@@ -49,7 +49,7 @@ def noise_density(config: FilterConfig, speed: float) -> list[float]:
         config.longitudinal_accel_density**2,
         config.yaw_accel_density**2,
         slip * slip,
-        config.steer_rate_density**2,
+        config.steer_rate_density**2 if steered else 0.0,
     ]
 
 
@@ -141,11 +141,17 @@ def _step(
     begin: int,
     end: int,
 ) -> Belief:
-    """One step; half of its noise comes before the motion and half after (second order)."""
+    """One step. Noise of density `D` enters all along it, carried on by an `F` that grows linearly.
+
+    `Q = integral of (I + s (F - I)) D (I + s (F - I))' h ds = h/3 (F D F' + D) + h/6 (F D + D F')`,
+    of which `F D F'` is had by adding `h/3 D` before the motion.
+    """
     h = (end - begin) * SECONDS
     state = State(*belief.mean.tolist())
     driven = drive(car, history, state.steer, state.speed, begin, end)
     after, transition = moved_mean(car, state, driven, h)
-    half = _IDENTITY * [0.5 * h * density for density in noise_density(config, state.speed)]
-    noisy = Belief(belief.mean, belief.covariance + half)
-    return kalman.predict(noisy, after, transition, half)
+    density = noise_density(config, state.speed, steered=driven.steered)
+    third = _IDENTITY * [h / 3.0 * value for value in density]
+    cross = 0.5 * (transition @ third)
+    noisy = Belief(belief.mean, belief.covariance + third)
+    return kalman.predict(noisy, after, transition, third + cross + cross.T)

@@ -29,6 +29,9 @@ from estimator.sensors import Kind, Measurement, Sensor, make_sensors, residual
 FUTURE_NS = 2_000_000
 """A measurement from further ahead than this has a broken clock behind it."""
 
+ABSURD = 1e6
+"""No reading of any instrument, in any SI unit, is this large."""
+
 
 class Node(NamedTuple):
     """A measurement in its place, and the belief after it."""
@@ -210,7 +213,7 @@ def _next(flt: StateFilter, history: History, node: Node, measurement: Measureme
     sensor = flt.sensors[measurement.kind]
     prior = _moved(flt, history, node.belief, _time(node), measurement.t_ns)
     measured = np.array(measurement.values)
-    if all(map(math.isfinite, measurement.values)):
+    if _plausible(measurement):
         fused = flt.kalman.update(
             prior, measured, sensor.matrix, sensor.noise, lambda z, hx: residual(sensor, z, hx)
         )
@@ -222,9 +225,14 @@ def _next(flt: StateFilter, history: History, node: Node, measurement: Measureme
     return Node(measurement, belief if believed else prior, innovation, nis, believed, tally)
 
 
+def _plausible(measurement: Measurement) -> bool:
+    """Finite, and small enough that squares of it stay numbers. Comparisons with NaN are false."""
+    return all(abs(value) < ABSURD for value in measurement.values)
+
+
 def _started(flt: StateFilter, state: FilterState, fresh: list[Measurement]) -> FilterState:
     """Gather poses until they give a first belief; what is later than it is fused at once."""
-    poses = [m for m in fresh if m.kind is Kind.POSE and all(map(math.isfinite, m.values))]
+    poses = [m for m in fresh if m.kind is Kind.POSE and _plausible(m)]
     gathered = sorted([*state.first_poses, *poses])
     count = flt.config.initial_poses
     for stop in range(count, len(gathered) + 1):

@@ -14,7 +14,8 @@ import pytest
 from car_model.model import Model, Moment
 from car_model.ops import FLOAT
 from car_model.params import DEFAULT_CAR, Car
-from car_model.rollout import start, step as plant_step
+from car_model.rollout import start
+from car_model.rollout import step as plant_step
 from car_model.state import ORIGIN, Command, State
 from estimator import state_filter
 from estimator.config import FilterConfig
@@ -151,5 +152,16 @@ def filtered(
 
 
 @pytest.fixture(scope="session")
-def drive_of_seed() -> Callable[..., Drive]:
+def simulate() -> Callable[..., Drive]:
     return simulated_drive
+
+
+@pytest.fixture(scope="session")
+def run_filter() -> Callable[..., Iterator[tuple[int, state_filter.FilterState]]]:
+    return filtered
+
+
+@pytest.fixture(scope="session")
+def drive() -> Drive:
+    """Three seconds of slalom."""
+    return simulated_drive(seed=7, seconds=3.0)

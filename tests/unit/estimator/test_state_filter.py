@@ -1,0 +1,377 @@
+import math
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from car_model.params import DEFAULT_CAR
+from car_model.state import ORIGIN, Command, State
+from estimator.config import FilterConfig
+from estimator.sensors import Kind, Measurement, make_gyro, make_pose, make_wheel_speed
+from estimator.state_filter import (
+    FilterState,
+    make_state_filter,
+    on_command,
+    on_measurement,
+    predict_to,
+    restarted,
+    step,
+)
+
+MS = 1_000_000
+T0 = 10**12
+FILTER = make_state_filter(DEFAULT_CAR)
+
+
+def standing(milliseconds: int = 300) -> tuple[int, FilterState]:
+    """A filter on a car at rest at (1, 2, 0.5)."""
+    state = FilterState()
+    for k in range(0, milliseconds, 5):
+        t = T0 + k * MS
+        pose = [make_pose(t - 6 * MS, 1.0, 2.0, 0.5)] if k % 10 == 0 else []
+        state = step(FILTER, state, t, [*pose, make_wheel_speed(t, 0.0)], ((t, Command(0.0, 0.0)),))
+    return T0 + milliseconds * MS, state
+
+
+def error(state: State[float], truth: State[float]) -> np.ndarray:
+    return np.array(state) - np.array(truth)
+
+
+def altered(drive: Any, change: Callable[[int, Measurement], Measurement | None]) -> Any:
+    """The drive with each pose changed or lost; `change` gets its number."""
+    arrivals, count = [], 0
+    for arrival, m in drive.arrivals:
+        out: Measurement | None = m
+        if m.kind is Kind.POSE:
+            out = change(count, m)
+            count += 1
+        if out is not None:
+            arrivals.append((arrival, out))
+    return replace(drive, arrivals=arrivals)
+
+
+def test_nothing_is_known_before_the_first_poses() -> None:
+    state = step(FILTER, FilterState(), T0, [make_wheel_speed(T0, 1.0), make_gyro(T0, 0.0)])
+    assert predict_to(FILTER, state, T0) is None
+    for k in range(9):
+        state = on_measurement(FILTER, state, T0 + k * MS, make_pose(T0 + k * MS, 0.0, 0.0, 0.0))
+    assert predict_to(FILTER, state, T0 + 9 * MS) is None
+    state = on_measurement(FILTER, state, T0 + 9 * MS, make_pose(T0 + 9 * MS, 0.0, 0.0, 0.0))
+    assert predict_to(FILTER, state, T0 + 8 * MS) is None
+    estimate = predict_to(FILTER, state, T0 + 9 * MS)
+    assert estimate is not None
+    assert estimate.health.sound
+    assert estimate.health.pose.seen == 10
+
+
+def test_it_starts_on_a_moving_car_and_follows(drive: Any, run_filter: Any) -> None:
+    for t, state in run_filter(FILTER, drive):
+        estimate = predict_to(FILTER, state, t)
+        if t < T0 + 130 * MS or estimate is None:
+            continue
+        off = error(estimate.state, drive.truth[t])
+        assert (np.abs(off) < 5.0 * np.array(estimate.sd)).all()
+        assert math.hypot(off[0], off[1]) < 0.006
+
+
+def test_one_call_a_tick_equals_one_call_an_event(drive: Any, run_filter: Any) -> None:
+    *_, (end, batched) = run_filter(FILTER, drive)
+    single = FilterState()
+    for t, command in drive.commands:
+        single = on_command(FILTER, single, t, command)
+        for arrival, measurement in drive.arrivals:
+            if t - 5 * MS < arrival <= t:
+                single = on_measurement(FILTER, single, t, measurement)
+    one, other = predict_to(FILTER, batched, end), predict_to(FILTER, single, end)
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(one.state, other.state, atol=1e-12)
+    assert one.health == other.health
+
+
+@pytest.mark.parametrize(
+    "shift", [(0.5, 0.0, 0.0), (0.0, -0.5, 0.0), (0.0, 0.0, math.pi), (0.0, 0.0, 0.3)]
+)
+def test_outliers_and_flips_are_refused_counted_and_harmless(
+    drive: Any, run_filter: Any, shift: tuple[float, float, float]
+) -> None:
+    def wrong(number: int, m: Measurement) -> Measurement:
+        if number % 20 != 15:
+            return m
+        return m._replace(values=tuple(a + b for a, b in zip(m.values, shift, strict=True)))
+
+    broken = altered(drive, wrong)
+    poses = sum(m.kind is Kind.POSE for _, m in broken.arrivals)
+    expected = len(range(15, poses, 20))
+    for t, state in run_filter(FILTER, broken):
+        estimate = predict_to(FILTER, state, t)
+        if estimate is not None and t > T0 + 130 * MS:
+            assert (np.abs(error(estimate.state, drive.truth[t])) < 5 * np.array(estimate.sd)).all()
+    assert estimate is not None
+    assert expected <= estimate.health.pose.refused <= expected + 2
+    assert estimate.health.pose.refused_in_row <= 1
+
+
+def test_a_body_swap_raises_streak_and_share_and_never_moves_the_estimate() -> None:
+    t, state = standing()
+    before = predict_to(FILTER, state, t)
+    assert before is not None
+    for k in range(20):
+        now = t + k * 10 * MS
+        state = on_measurement(FILTER, state, now, make_pose(now, 3.0, 2.0, 0.5))
+    after = predict_to(FILTER, state, now)
+    assert after is not None
+    assert after.health.pose.refused_in_row == 20
+    assert after.health.pose.refused == 20
+    assert after.health.pose.refused_share > 0.3
+    assert after.health.pose.nis > 1e3
+    assert after.health.pose.age_s == pytest.approx((now - t + 16 * MS) * 1e-9)
+    assert abs(after.state.x - before.state.x) < 0.001
+    again = restarted(state)
+    assert predict_to(FILTER, again, now) is None
+    for k in range(20, 30):
+        now = t + k * 10 * MS
+        again = on_measurement(FILTER, again, now, make_pose(now, 3.0, 2.0, 0.5))
+    fresh = predict_to(FILTER, again, now)
+    assert fresh is not None
+    assert fresh.state.x == pytest.approx(3.0, abs=1e-6)
+
+
+def test_share_forgets_after_the_window() -> None:
+    t, state = standing()
+    state = on_measurement(FILTER, state, t, make_pose(t, 3.0, 2.0, 0.5))
+    shares = []
+    for k in range(60):
+        now = t + 10 * MS * (k + 1)
+        state = on_measurement(FILTER, state, now, make_pose(now, 1.0, 2.0, 0.5))
+        estimate = predict_to(FILTER, state, now)
+        assert estimate is not None
+        shares.append(estimate.health.pose.refused_share)
+    assert 0.0 < shares[40] < 0.05
+    assert shares[-1] == 0.0
+    assert estimate.health.pose.refused == 1
+
+
+@pytest.mark.parametrize("begin", [60, 110, 161])
+def test_it_coasts_through_a_gap_of_150_ms(drive: Any, run_filter: Any, begin: int) -> None:
+    gap = altered(drive, lambda number, m: None if begin <= number < begin + 15 else m)
+    ages, worst = [], 0.0
+    for t, state in run_filter(FILTER, gap):
+        estimate = predict_to(FILTER, state, t)
+        if estimate is None or t < T0 + 130 * MS:
+            continue
+        off = error(estimate.state, drive.truth[t])
+        assert (np.abs(off) < 5.0 * np.array(estimate.sd)).all()
+        ages.append(estimate.health.pose.age_s)
+        worst = max(worst, math.hypot(off[0], off[1]))
+        assert estimate.health.position_sd < 0.05
+    assert 0.150 < max(ages) < 0.21
+    assert worst < 0.06
+    assert estimate is not None
+    assert ages[-1] < 0.03
+    assert estimate.health.pose.refused <= 2
+
+
+def test_without_any_measurement_uncertainty_grows_and_stays_cheap() -> None:
+    t, state = standing()
+    spread = []
+    for seconds in (0.0, 0.15, 1.0, 600.0):
+        estimate = predict_to(FILTER, state, t + round(seconds * 1e9))
+        assert estimate is not None
+        assert estimate.health.sound
+        spread.append((estimate.health.position_sd, estimate.health.yaw_sd))
+    assert spread == sorted(spread)
+    assert spread[-1][0] > 0.15
+
+
+def test_standing_for_minutes_stays_bounded() -> None:
+    t, state = standing()
+    rng = np.random.default_rng(3)
+    config = FILTER.config
+    errors = []
+    for k in range(2 * 60 * 20):
+        now = t + k * 50 * MS
+        n = rng.standard_normal(3)
+        pose = make_pose(
+            now - 6 * MS,
+            1.0 + config.pose_position_sd * n[0],
+            2.0 + config.pose_position_sd * n[1],
+            0.5 + config.pose_yaw_sd * n[2],
+        )
+        state = step(FILTER, state, now, [pose, make_wheel_speed(now, 0.0)], ((now, None),))
+        if k % 100 == 99:
+            estimate = predict_to(FILTER, state, now)
+            assert estimate is not None
+            assert estimate.health.sound
+            errors.append(error(estimate.state, State(1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.0)))
+            assert (np.array(estimate.sd)[:6] < [0.002, 0.002, 0.01, 0.1, 0.2, 0.15]).all()
+    assert len(state.nodes) < 40
+    assert len(state.history.times) < 40
+    assert np.abs(errors)[:, :2].max() < 0.006
+    assert np.abs(errors)[:, 3:6].max() < 0.2
+
+
+def test_slow_driving_through_zero(simulate: Any, run_filter: Any) -> None:
+    """Forward, through standstill, backwards, and again: where slip angles lose their meaning."""
+
+    def plan(t: float) -> Command[float]:
+        return Command(0.15 * math.sin(t), 0.7 * math.cos(1.5 * t))
+
+    drive = simulate(11, 5.0, plan, first=ORIGIN._replace(speed=0.7), config=FILTER.config)
+    speeds, nees = [], []
+    for t, state in run_filter(FILTER, drive):
+        estimate = predict_to(FILTER, state, t)
+        if estimate is None or t < T0 + 200 * MS:
+            continue
+        assert estimate.health.sound
+        off = error(estimate.state, drive.truth[t])
+        assert (np.abs(off) < 6.0 * np.array(estimate.sd)).all()
+        nees.append(off @ np.linalg.solve(estimate.covariance, off))
+        speeds.append(estimate.state.speed)
+    assert min(speeds) < -0.4
+    assert max(speeds) > 0.4
+    assert np.mean(nees) < 14.0
+    assert estimate is not None
+    assert estimate.health.pose.refused <= 5
+
+
+def test_a_car_seen_in_a_mirror_is_estimated_in_the_mirror(drive: Any, run_filter: Any) -> None:
+    def mirrored(m: Measurement) -> Measurement:
+        x, *rest = m.values
+        return m._replace(values=(x, *(-v for v in rest))) if m.kind is Kind.POSE else m
+
+    image = replace(
+        drive,
+        commands=[(t, Command(-c.steer, c.speed)) for t, c in drive.commands],
+        arrivals=[(t, mirrored(m)) for t, m in drive.arrivals],
+    )
+    signs = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0, -1.0])
+    pairs = zip(run_filter(FILTER, drive), run_filter(FILTER, image), strict=True)
+    for (t, left), (_, right) in pairs:
+        one, other = predict_to(FILTER, left, t), predict_to(FILTER, right, t)
+        if one is not None and other is not None:
+            np.testing.assert_allclose(np.array(one.state) * signs, other.state, atol=1e-9)
+            np.testing.assert_allclose(one.sd, other.sd, rtol=1e-9)
+
+
+def test_scaling_all_noise_scales_the_spread_and_not_the_estimate(
+    drive: Any, run_filter: Any
+) -> None:
+    """Gains depend on the ratios of the noises only; the first belief's slack fades."""
+    names = [f.name for f in fields(FilterConfig) if f.name.endswith(("_sd", "_density"))]
+    wide = FilterConfig(gate_probability=1.0 - 1e-9)
+    scaled = replace(wide, **{name: 3.0 * getattr(wide, name) for name in names})
+    one_filter, other_filter = (make_state_filter(DEFAULT_CAR, c) for c in (wide, scaled))
+    *_, (t, one_state) = run_filter(one_filter, drive)
+    *_, (t, other_state) = run_filter(other_filter, drive)
+    one = predict_to(one_filter, one_state, t)
+    other = predict_to(other_filter, other_state, t)
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(9.0 * one.covariance, other.covariance, rtol=1e-2, atol=1e-6)
+    assert (np.abs(error(one.state, other.state)) < 0.01 * np.array(one.sd)).all()
+
+
+def test_a_gyro_sharpens_the_yaw_rate(simulate: Any, run_filter: Any) -> None:
+    drive = simulate(5, 1.5, gyro=True)
+    without = replace(
+        drive, arrivals=[pair for pair in drive.arrivals if pair[1].kind is not Kind.GYRO]
+    )
+    *_, (t, with_gyro) = run_filter(FILTER, drive)
+    *_, (t, plain) = run_filter(FILTER, without)
+    one, other = predict_to(FILTER, with_gyro, t), predict_to(FILTER, plain, t)
+    assert one is not None
+    assert other is not None
+    assert one.sd.yaw_rate < 0.5 * other.sd.yaw_rate
+    assert one.health.gyro.seen > 200
+    assert other.health.gyro.age_s == math.inf
+
+
+def test_stamp_latency_and_speed_gain_of_the_car_are_honoured(
+    simulate: Any, run_filter: Any
+) -> None:
+    car = DEFAULT_CAR._replace(speed_gain=1.1)
+    late = car._replace(pose_delay=0.02)
+    drive = simulate(2, 1.5, car=car)
+    flt = make_state_filter(late)
+    shifted = replace(
+        drive,
+        arrivals=[
+            (t, m._replace(t_ns=m.t_ns + 20 * MS) if m.kind is Kind.POSE else m)
+            for t, m in drive.arrivals
+        ],
+    )
+    future = replace(
+        shifted,
+        arrivals=sorted(
+            ((max(t, m.t_ns), m) for t, m in shifted.arrivals), key=lambda pair: pair[0]
+        ),
+    )
+    *_, (t, state) = run_filter(flt, future)
+    estimate = predict_to(flt, state, t)
+    assert estimate is not None
+    assert (np.abs(error(estimate.state, drive.truth[t])) < 4.0 * np.array(estimate.sd)).all()
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e300])
+def test_nonsense_is_refused(bad: float) -> None:
+    t, state = standing()
+    for m in (make_pose(t, bad, 2.0, 0.5), make_wheel_speed(t, bad), make_gyro(t, bad)):
+        state = on_measurement(FILTER, state, t, m)
+    estimate = predict_to(FILTER, state, t)
+    assert estimate is not None
+    health = estimate.health
+    assert (health.pose.refused, health.wheel_speed.refused, health.gyro.refused) == (1, 1, 1)
+    assert health.sound
+    assert estimate.state.x == pytest.approx(1.0, abs=1e-6)
+
+
+def test_measurements_out_of_time_are_counted_and_not_fused() -> None:
+    t, state = standing()
+    before = predict_to(FILTER, state, t)
+    for wrong in (t - 700 * MS, t + 3 * MS, t + 10**10):
+        state = on_measurement(FILTER, state, t, make_pose(wrong, 1.0, 2.0, 0.5))
+    after = predict_to(FILTER, state, t)
+    assert before is not None
+    assert after is not None
+    assert after.state == before.state
+    assert after.health.untimely == before.health.untimely + 3
+
+
+def test_a_measurement_that_comes_twice_counts_once() -> None:
+    t, state = standing()
+    pose = make_pose(t - 8 * MS, 1.0005, 2.0, 0.5)
+    once = on_measurement(FILTER, state, t, pose)
+    twice = on_measurement(FILTER, once, t, pose)
+    one, two = predict_to(FILTER, once, t), predict_to(FILTER, twice, t)
+    assert one is not None
+    assert two is not None
+    assert one.state == two.state
+    assert one.health == two.health
+
+
+def test_an_unsound_belief_is_called_so() -> None:
+    _, state = standing()
+    node = state.nodes[-1]
+    for hurt in (-1.0, math.nan):
+        covariance = node.belief.covariance.copy()
+        covariance[3, 3] = hurt
+        broken = node._replace(belief=node.belief._replace(covariance=covariance))
+        estimate = predict_to(
+            FILTER, replace(state, nodes=(*state.nodes[:-1], broken)), node.measurement.t_ns
+        )
+        assert estimate is not None
+        assert not estimate.health.sound
+        assert math.isnan(estimate.health.position_sd)
+        assert math.isnan(estimate.sd.speed)
+
+
+def test_waiting_for_a_first_pose_keeps_nothing_that_grows() -> None:
+    state = FilterState()
+    for k in range(2000):
+        t = T0 + k * 5 * MS
+        state = step(FILTER, state, t, [make_wheel_speed(t, 0.0)], ((t, Command(0.0, 0.0)),))
+    assert len(state.history.times) < 150
+    assert state.first_poses == ()
