@@ -1,0 +1,202 @@
+"""The codec's known vectors and refusals."""
+
+import math
+import struct
+
+import pytest
+
+from steer_bus.codec import MAX_BYTES, CodecError, decode, encode, schema_text, type_hash, type_name
+from steer_bus.fields import Float64, Nested, flat_leaves, message, message_fields
+from steer_bus.messages import (
+    OWN_MESSAGES,
+    WORLD,
+    Actuation,
+    ActuationMode,
+    State,
+    Tick,
+    Transition,
+    make_header,
+    stamp_ns,
+)
+from steer_bus.standard import (
+    DiagnosticArray,
+    DiagnosticStatus,
+    Header,
+    KeyValue,
+    PoseWithCovariance,
+    Time,
+    make_time,
+)
+
+HEADER = make_header(1_700_000_000_123_456_789, WORLD)
+
+
+def test_header_vector():
+    expected = "0001000000f1536515cd5b07040000006d617000"
+    assert encode(HEADER).hex() == expected
+
+
+def test_tick_is_padded_to_eight():
+    data = encode(Tick(HEADER, -1, 2, 3, 4, 5))
+    assert data[4 + 16 :] == struct.pack("<qqqII", -1, 2, 3, 4, 5)
+    data = encode(Tick(make_header(0, "ab"), -1, 2, 3, 4, 5))
+    assert data[4:] == struct.pack("<iII3sxqqqII", 0, 0, 3, b"ab\0", -1, 2, 3, 4, 5)
+
+
+def test_state_follows_the_specs_pattern():
+    state = State(HEADER, 7, 8, 9, 1, *map(float, range(21)))
+    expected = struct.pack(
+        "<4siII4sqIIB7x21d", b"\0\1\0\0", 1_700_000_000, 123_456_789, 4, b"map\0", 7, 8, 9, 1,
+        *map(float, range(21)),
+    )  # fmt: skip
+    assert encode(state) == expected
+    assert decode(State, expected) == state
+
+
+def test_bytes_and_strings():
+    wire = bytes(range(256))
+    order = Actuation(HEADER, 1, ActuationMode.BRAKE, 0.1, 0.0, 12.0, wire)
+    assert decode(Actuation, encode(order)) == order
+    change = Transition(HEADER, 1, 2, "", "größer als µ")
+    assert decode(Transition, encode(change)) == change
+
+
+def test_sequences_of_messages():
+    status = DiagnosticStatus(1, "a", "bc", "", (KeyValue("k", "v"), KeyValue("", "longer")))
+    for statuses in ((), (status,), (status, status)):
+        array = DiagnosticArray(HEADER, statuses)
+        assert decode(DiagnosticArray, encode(array)) == array
+
+
+def test_times_before_the_epoch_keep_their_nanoseconds():
+    assert make_time(-1) == Time(-1, 999_999_999)
+    assert stamp_ns(Header(make_time(-1), "")) == -1
+
+
+def test_nan_and_infinity_pass():
+    values = [math.nan, math.inf, -math.inf, *[0.0] * 18]
+    state = decode(State, encode(State(HEADER, 0, 0, 0, 0, *values)))
+    assert math.isnan(state.x)
+    assert state.y == math.inf
+    assert state.yaw == -math.inf
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        Tick(HEADER, 0, 0, 0, -1, 0),
+        Tick(HEADER, 2**63, 0, 0, 0, 0),
+        Tick(HEADER, 0, 0, 0, "1", 0),
+        Tick(None, 0, 0, 0, 0, 0),
+        Transition(HEADER, 256, 0, "", ""),
+        Transition(HEADER, 0, 0, "\ud800", ""),
+        Transition(HEADER, 0, 0, "x" * MAX_BYTES, ""),
+        DiagnosticArray(HEADER, (KeyValue("a", "b"), 3)),
+    ],
+)
+def test_what_does_not_fit_is_refused(bad):
+    with pytest.raises(CodecError):
+        encode(bad)
+
+
+def test_arrays_have_their_length():
+    pose = decode(PoseWithCovariance, bytes([0, 1, 0, 0]) + bytes(8 * 43))
+    assert pose.covariance == (0.0,) * 36
+    with pytest.raises(CodecError, match="35"):
+        encode(PoseWithCovariance(pose.pose, pose.covariance[:35]))
+
+
+def test_things_that_are_no_message_are_refused():
+    with pytest.raises(CodecError):
+        encode(3)
+    with pytest.raises(TypeError):
+        type_name(int)
+
+    @message("a/msg/Empty")
+    class Empty:
+        pass
+
+    with pytest.raises(TypeError, match="no field"):
+        schema_text(Empty)
+
+    @message("a/msg/Untyped")
+    class Untyped:
+        x: float
+
+    with pytest.raises(TypeError, match=r"Untyped\.x"):
+        message_fields(Untyped)
+
+
+def test_one_field_messages():
+    @message("a/msg/One")
+    class One:
+        x: Float64
+
+    assert encode(One(1.5)) == b"\0\1\0\0" + struct.pack("<d", 1.5)
+    assert decode(One, encode(One(1.5))) == One(1.5)
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"", "missing"),
+        (b"\0", "CDR"),
+        (b"\0\0\0\0" + bytes(48), "CDR"),
+        (b"\0\1\0\0", "unpack"),
+        (b"\0\1\0\0" + bytes(8) + b"\xff\xff\xff\xff", "exceeds the data"),
+        (b"\0\1\0\0" + bytes(8) + b"\2\0\0\0ab" + bytes(60), "NUL"),
+        (b"\0\1\0\0" + bytes(8) + b"\2\0\0\0\xff\0" + bytes(60), "utf-8"),
+        (encode(Tick(HEADER, 1, 2, 3, 4, 5)) + bytes(4), "left over"),
+        (b"\0\1\0\0" + bytes(MAX_BYTES), "exceed"),
+    ],
+)
+def test_bad_bytes_are_refused(data, why):
+    with pytest.raises(CodecError, match=why):
+        decode(Tick, data)
+
+
+def test_dds_padding_and_empty_strings_of_length_zero_are_taken():
+    assert decode(Tick, encode(Tick(HEADER, 1, 2, 3, 4, 5)) + bytes(3)) == Tick(
+        HEADER, 1, 2, 3, 4, 5
+    )
+    data = b"\0\1\0\0" + struct.pack("<iII4xqqqII", 1, 2, 0, 3, 4, 5, 6, 7)
+    assert decode(Tick, data) == Tick(Header(Time(1, 2), ""), 3, 4, 5, 6, 7)
+
+
+def test_a_sequence_cannot_claim_more_than_its_data():
+    data = encode(Header(Time(0, 0), "")) + bytes(3) + struct.pack("<I", 2**32 - 1)
+    with pytest.raises(CodecError, match="exceeds"):
+        decode(DiagnosticArray, data)
+
+
+@pytest.mark.parametrize("cls", OWN_MESSAGES)
+def test_own_messages_are_flat_with_header_first_and_texts_last(cls):
+    leaves = flat_leaves(cls)
+    assert leaves is not None
+    first = message_fields(cls)[0]
+    assert first.name == "header"
+    assert first.kind == Nested(Header)
+    order = ["iIqQhHbB", "d", "s"]
+    ranks = [
+        next(r for r, codes in enumerate(order) if getattr(leaf.kind, "code", "s") in codes)
+        for leaf in leaves[3:]
+    ]
+    assert ranks == sorted(ranks)
+    floats = [f for f in message_fields(cls) if getattr(f.kind, "code", "") == "d"]
+    assert all(field.unit for field in floats)
+
+
+def test_schema_text_of_a_message_with_dependencies():
+    assert schema_text(Tick) == (
+        "std_msgs/Header header\n"
+        "int64 due_ns  # ns\nint64 woke_ns  # ns\nint64 work_ns  # ns\n"
+        "uint32 seq\nuint32 flags\n"
+        + "=" * 80 + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+        + "=" * 80 + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    )  # fmt: skip
+
+
+def test_type_hash_is_rosidls():
+    # The hash that a ROS 2 installation gives std_msgs/msg/Header (iron and later).
+    expected = "RIHS01_f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01"
+    assert type_hash(Header) == expected
