@@ -217,3 +217,27 @@ def test_every_field_has_a_ceiling_and_the_message_says_which():
 def test_output_is_finite_for_huge_wishes():
     out = pass_gate(1e308, -1e308, v=1e200)
     assert all(isfinite(value) for value in out.order)
+
+
+def test_ceilings_are_these_and_changing_one_is_a_decision():
+    assert {name: bound[:2] for name, bound in CEILINGS.items()} == {
+        "wheelbase": (0.05, 1.0),
+        "steer_left_max": (0.01, 0.6),
+        "steer_right_max": (0.01, 0.6),
+        "steer_rate_max": (0.1, 3.2),
+        "speed_max": (0.1, 6.0),
+        "accel_max": (0.1, 2.5),
+        "decel_max": (1.5, 6.0),
+        "lateral_accel_max": (0.1, 3.0),
+        "step_max": (0.001, 0.025),
+    }
+
+
+def test_rates_are_per_second():
+    out = pass_gate(0.25, 3.0, dt_ns=5_000_000)
+    assert out.order == Command(pytest.approx(2.0 * 0.005), pytest.approx(2.0 * 0.005))
+
+
+def test_steer_bound_at_walking_pace_is_already_finite():
+    assert steer_bound(LIMITS, 0.5) == atan(0.75 / 0.25)
+    assert pass_gate(nan, 0.0).clips == 0
