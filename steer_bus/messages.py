@@ -50,6 +50,7 @@ class ActuationMode(IntEnum):
     SPEED = 1
     BRAKE = 2
     RELEASE = 3
+    SHORT = 4
 
 
 class RequestKind(IntEnum):

@@ -1,0 +1,105 @@
+"""Who may command: one operator at a time, in order, and only while alive. Pure."""
+
+from dataclasses import dataclass, replace
+from math import inf
+
+from daemon.transitions import Request
+from steer_bus.messages import DriveCommand, OperatorRequest, RequestKind
+
+VALID_MAX_MS = 300
+"""No external command is good for longer."""
+
+_REQUESTS = {
+    RequestKind.ARM: Request.ARM,
+    RequestKind.START: Request.START,
+    RequestKind.STOP: Request.STOP,
+    RequestKind.DISARM: Request.DISARM,
+    RequestKind.CLEAR: Request.CLEAR | Request.RESET,
+    RequestKind.ESTOP: Request.ESTOP,
+    RequestKind.KEEPALIVE: Request.KEEPALIVE,
+}
+_FOR_ANYBODY = (RequestKind.STOP, RequestKind.ESTOP)
+
+
+@dataclass(frozen=True)
+class Lease:
+    """The operator who may arm and start.
+
+    Attributes:
+        boot_id: of this run; requests that name another are old or meant for somebody else.
+        holder: lease id of the operator, 0 for nobody.
+        seq: of the last accepted request.
+        renewed_ns: when the holder was last heard.
+        refused: requests turned away so far.
+    """
+
+    boot_id: int
+    holder: int = 0
+    seq: int = -1
+    renewed_ns: int = 0
+    refused: int = 0
+
+
+def accept(lease: Lease, asked: OperatorRequest, t_ns: int, idle: bool) -> tuple[Lease, Request]:
+    """Take a request or refuse it.
+
+    A stop is taken from anybody. All else needs this run's boot id, the lease (free while the car
+    is `idle`: disarmed, or its holder silent) and a rising sequence number.
+    """
+    try:
+        kind = RequestKind(asked.kind)
+    except ValueError:
+        return replace(lease, refused=lease.refused + 1), Request.UNKNOWN
+    own = asked.lease_id == lease.holder and asked.seq > lease.seq
+    takes = idle and asked.lease_id not in (0, lease.holder)
+    if asked.boot_id == lease.boot_id and (own or takes):
+        taken = replace(lease, holder=asked.lease_id, seq=asked.seq, renewed_ns=t_ns)
+        return taken, _REQUESTS[kind]
+    refused = replace(lease, refused=lease.refused + 1)
+    return refused, _REQUESTS[kind] if kind in _FOR_ANYBODY else Request.NONE
+
+
+def lease_age(lease: Lease, t_ns: int) -> float:
+    """Seconds since the holder was heard; infinite without one."""
+    return (t_ns - lease.renewed_ns) * 1e-9 if lease.holder else inf
+
+
+@dataclass(frozen=True)
+class Remote:
+    """An external controller's commands.
+
+    Attributes:
+        holder: lease id that the first good command brought; others are refused.
+        command: the newest, or None.
+        arrived_ns: when.
+        refused: commands turned away so far.
+    """
+
+    holder: int = 0
+    command: DriveCommand | None = None
+    arrived_ns: int = 0
+    refused: int = 0
+
+
+def take_command(remote: Remote, boot_id: int, command: DriveCommand, t_ns: int) -> Remote:
+    """Take a command of this run's controller if it is newer than the last."""
+    last = remote.command
+    newer = last is None or command.seq > last.seq
+    ours = command.lease_id == remote.holder or remote.holder == 0
+    timely = 0 < command.valid_ms <= VALID_MAX_MS
+    if not (command.boot_id == boot_id and command.lease_id and ours and newer and timely):
+        return replace(remote, refused=remote.refused + 1)
+    return Remote(command.lease_id, command, t_ns, remote.refused)
+
+
+def command_age(remote: Remote, t_ns: int) -> float:
+    """Seconds since the newest command arrived; infinite without one."""
+    return (t_ns - remote.arrived_ns) * 1e-9 if remote.command else inf
+
+
+def valid_command(remote: Remote, t_ns: int) -> DriveCommand | None:
+    """The newest command while it is valid."""
+    command = remote.command
+    if command is None or t_ns - remote.arrived_ns > command.valid_ms * 1_000_000:
+        return None
+    return command
