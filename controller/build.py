@@ -3,6 +3,9 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
+
+from car_model.linear import lane_errors as lane_error_dynamics
 from car_model.params import Car
 from car_model.path import Path
 from controller.config import ControllerConfig
@@ -13,7 +16,8 @@ from controller.design import (
     assess,
     delay_margin,
     describe_timing,
-    find_fault,
+    find_faults,
+    gravest,
 )
 from controller.gain_table import N_TURNING, GainTable, look_up
 from controller.gains import design_table
@@ -24,6 +28,10 @@ from controller.speed import SpeedProfile, make_speed_profile
 
 RATES_TRIED = (2.0, 4.0)
 """Multiples of the rate that a refusal tries before it advises."""
+RADIUS_PLAIN = 1.005
+"""Spectral radius that two decimals still tell from 1."""
+SPEED_TRIED = 0.9
+"""Share of the lowest faulty speed that a refusal tries as top speed."""
 
 
 def make_controller(
@@ -65,23 +73,20 @@ def _designed(
     """Gains that passed the check."""
     table = design_table(car, config, timing, speed_max)
     stabilities = assess(car, table, timing)
-    fault = find_fault(stabilities, config.damping_min)
-    if fault is not None:
-        advice = "; ".join(_advice(car, config, timing, speed_max, stabilities))
-        raise DesignRefused(f"{_complaint(config, timing, fault)}. Try {advice}")
+    faults = find_faults(stabilities, config.damping_min)
+    if faults:
+        advice = "; ".join(_advice(car, config, timing, speed_max, faults))
+        raise DesignRefused(f"{_complaint(config, timing, gravest(faults))}. Try {advice}")
     return table, stabilities
 
 
 def _complaint(config: ControllerConfig, timing: Timing, fault: Stability) -> str:
-    why = (
-        f"spectral radius {fault.radius:.2f} (unstable from 1 on)"
-        if fault.radius >= 1.0
-        else f"damping {fault.damping:.2f} (less than {config.damping_min:g}; spectral radius "
-        f"{fault.radius:.3f})"
-    )
+    radius = f"{fault.radius:.2f}" if fault.radius > RADIUS_PLAIN else f"{fault.radius:.4f}"
+    why = "is unstable" if fault.radius >= 1.0 else f"has damping {fault.damping:.2f}"
     return (
         f"design {config.design!r} refused at {fault.speed:.2f} m/s, {describe_timing(timing)}: "
-        f"the closed loop has {why}"
+        f"the closed loop {why} (spectral radius {radius}, must be below 1; damping must be at "
+        f"least {config.damping_min:g})"
     )
 
 
@@ -90,23 +95,42 @@ def _advice(
     config: ControllerConfig,
     timing: Timing,
     speed_max: float,
-    stabilities: tuple[Stability, ...],
+    faults: tuple[Stability, ...],
 ) -> Iterator[str]:
-    """Changes that were tried and pass the check, then those that only a person can make."""
-    if config.design != "lqr":
-        lqr = replace(config, design="lqr")
-        if _passes(car, lqr, timing, speed_max):
-            yield "design = 'lqr' (passes here)"
+    """Changes that were tried and pass the check, then one that only a person can weigh."""
+    by_poles = config.design == "pole_placement"
+    if by_poles and _passes(car, replace(config, design="lqr"), timing, speed_max):
+        yield "design = 'lqr' (passes)"
     for factor in RATES_TRIED:
         if _passes(car, config, timing._replace(rate_hz=factor * timing.rate_hz), speed_max):
             yield f"{factor * timing.rate_hz:g} Hz (passes)"
             break
-    slow = [at.speed for at in stabilities]
-    fault = find_fault(stabilities, config.damping_min)
-    if fault is not None and fault.speed > slow[0]:
-        below = slow[slow.index(fault.speed) - 1]
-        yield f"speed = {below:.2f} or less"
-    yield "slower poles" if config.design != "lqr" else "a larger weights.effort"
+    slower = SPEED_TRIED * faults[0].speed
+    if _passes(car, config, timing, slower):
+        yield f"speed = {slower:.2f} (passes)"
+    if by_poles:
+        gentle = _with_own_fast_poles(car, config, speed_max)
+        if _passes(car, gentle, timing, speed_max):
+            poles = ", ".join(f'"{pole:.4g}"' for pole in gentle.poles)
+            low = gentle.grid_speed_min
+            yield f"poles = [{poles}] with grid_speed_min = {low:.2f} (passes)"
+    yield "slower poles" if by_poles else "a larger weights.effort"
+
+
+def _with_own_fast_poles(
+    car: Car[float], config: ControllerConfig, speed: float
+) -> ControllerConfig:
+    """The slow half of the poles, with the car's own fast ones at the top speed.
+
+    Gains that move the fast yaw and slip modes are large, and a servo's lag turns them around.
+    """
+    slow = sorted(config.poles, key=lambda pole: (abs(pole), pole.imag))[:2]
+    own = np.linalg.eigvals(lane_error_dynamics(car, speed).a)
+    fast = sorted((complex(pole) for pole in own), key=abs)[2:]
+    try:
+        return replace(config, poles=(*slow, *fast), grid_speed_min=speed)
+    except ValueError:
+        return config
 
 
 def _passes(car: Car[float], config: ControllerConfig, timing: Timing, speed_max: float) -> bool:
@@ -114,7 +138,7 @@ def _passes(car: Car[float], config: ControllerConfig, timing: Timing, speed_max
         stabilities = assess(car, design_table(car, config, timing, speed_max), timing)
     except DesignRefused:
         return False
-    return find_fault(stabilities, config.damping_min) is None
+    return not find_faults(stabilities, config.damping_min)
 
 
 def _require_turnable(car: Car[float], path: Path, profile: SpeedProfile, table: GainTable) -> None:

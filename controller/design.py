@@ -20,8 +20,12 @@ MARGIN_STEP_S = 0.005
 """Resolution of the delay margin [s]."""
 MARGIN_MAX_S = 0.2
 """Delay margins beyond this are not told apart [s]."""
-MODE_FLOOR = 1e-6
-"""Modes that decay to this share within a tick count as gone."""
+TINY = 1e-300
+"""Keeps an eigenvalue of exactly one from dividing by zero."""
+LASTING_S, LASTING_SHARE = 0.1, 0.1
+"""A mode counts for the damping if this share of it is left after that time [s]. Faster ones, such
+as the dead time's own (n eigenvalues near zero, which the least change sends round a circle of
+radius eps^(1/n)), are gone before they show."""
 
 
 class DesignRefused(ValueError):  # noqa: N818
@@ -36,7 +40,7 @@ class Stability(NamedTuple):
     radius: float
     """Largest magnitude of an eigenvalue: below 1 is stable."""
     damping: float
-    """Smallest damping ratio of a mode: negative is unstable, 1 does not oscillate."""
+    """Smallest damping ratio of a lasting mode: negative is unstable, 1 does not oscillate."""
 
 
 class DesignReport(NamedTuple):
@@ -101,13 +105,20 @@ def closed_loop(
     return closed
 
 
-def stability(closed: Matrix, speed: float) -> Stability:
-    """Radius and damping of a closed loop's state matrix."""
+def stability(closed: Matrix, speed: float, period_s: float) -> Stability:
+    """Radius and damping of a closed loop's state matrix over one tick of `period_s`."""
     modes = np.linalg.eigvals(closed).astype(np.complex128)
-    alive = modes[np.abs(modes) > MODE_FLOOR]
-    decay = -np.log(alive)
-    damping = np.real(decay) / np.maximum(np.abs(decay), 1e-300)
-    return Stability(speed, float(np.abs(alive).max()), float(damping.min()))
+    sizes = np.abs(modes)
+    lasting = sizes >= min(LASTING_SHARE ** (period_s / LASTING_S), float(sizes.max()))
+    decay = -np.log(modes[lasting])
+    damping = np.real(decay) / np.maximum(np.abs(decay), TINY)
+    return Stability(speed, float(sizes.max()), float(damping.min()))
+
+
+def stability_at(car: Car[float], table: GainTable, speed: float, timing: Timing) -> Stability:
+    """Stability of the closed loop of a table's gains at one speed [m/s]."""
+    closed = closed_loop(car, look_up(table, speed), table.pasts, speed, timing)
+    return stability(closed, speed, timing.period_s)
 
 
 def assess(car: Car[float], table: GainTable, timing: Timing) -> tuple[Stability, ...]:
@@ -116,8 +127,7 @@ def assess(car: Car[float], table: GainTable, timing: Timing) -> tuple[Stability
     between = [0.5 * (low + high) for low, high in pairwise(grid)]
     below = [share * grid[0] for share in SPEEDS_BELOW]
     return tuple(
-        stability(closed_loop(car, look_up(table, speed), table.pasts, speed, timing), speed)
-        for speed in sorted([*below, *grid, *between])
+        stability_at(car, table, speed, timing) for speed in sorted([*below, *grid, *between])
     )
 
 
@@ -125,16 +135,16 @@ def delay_margin(car: Car[float], table: GainTable, timing: Timing) -> float:
     """Dead time that can be added with every grid speed still stable [s]."""
     for step in range(1, round(MARGIN_MAX_S / MARGIN_STEP_S) + 1):
         later = timing._replace(delay_s=timing.delay_s + step * MARGIN_STEP_S)
-        for speed in table.speeds:
-            closed = closed_loop(car, look_up(table, speed), table.pasts, speed, later)
-            if stability(closed, speed).radius >= 1.0:
-                return (step - 1) * MARGIN_STEP_S
+        if any(stability_at(car, table, v, later).radius >= 1.0 for v in table.speeds):
+            return (step - 1) * MARGIN_STEP_S
     return MARGIN_MAX_S
 
 
-def find_fault(stabilities: Sequence[Stability], damping_min: float) -> Stability | None:
-    """The first speed, from below, that is unstable or less damped than asked."""
-    for at in stabilities:
-        if at.radius >= 1.0 or at.damping < damping_min:
-            return at
-    return None
+def find_faults(stabilities: Sequence[Stability], damping_min: float) -> tuple[Stability, ...]:
+    """Speeds, from below, at which the loop is unstable or less damped than asked."""
+    return tuple(at for at in stabilities if at.radius >= 1.0 or at.damping < damping_min)
+
+
+def gravest(faults: Sequence[Stability]) -> Stability:
+    """The fault to speak of: the most unstable, or the least damped where all are stable."""
+    return max(faults, key=lambda at: (max(at.radius, 1.0), -at.damping))

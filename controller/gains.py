@@ -13,6 +13,7 @@ import numpy as np
 
 from car_model.linear import lane_errors
 from car_model.params import Car
+from car_model.single_track import SPEED_DYNAMIC
 from controller.config import ControllerConfig, LqrWeights
 from controller.design import DesignRefused
 from controller.gain_table import GainTable
@@ -58,18 +59,20 @@ def lqr_gains(car: Car[float], speed: float, timing: Timing, weights: LqrWeights
 def design_table(
     car: Car[float], config: ControllerConfig, timing: Timing, speed_max: float
 ) -> GainTable:
-    """Gains of the configured design from `config.grid_speed_min` up to `speed_max` [m/s].
+    """Gains of the configured design from its lowest speed up to `speed_max` [m/s].
 
     Raises:
         DesignRefused: a speed has no design.
     """
-    span = max(speed_max - config.grid_speed_min, 0.0)
+    lowest = config.grid_speed_min
+    if config.design == "pole_placement":
+        lowest = max(lowest, SPEED_DYNAMIC)
+    span = max(speed_max - lowest, 0.0)
     steps = max(1, math.ceil(span / config.grid_spacing))
     spacing = span / steps if span > 0.0 else config.grid_spacing
-    count = steps + 1 if span > 0.0 else 1
-    speeds = [config.grid_speed_min + i * spacing for i in range(count)]
+    speeds = [lowest + i * spacing for i in range(steps + 1 if span > 0.0 else 1)]
     rows = tuple(_row(car, config, timing, speed) for speed in speeds)
-    return GainTable(config.grid_speed_min, spacing, rows)
+    return GainTable(lowest, spacing, rows)
 
 
 def _row(
