@@ -282,6 +282,6 @@ class ClockSample:
 
 
 OWN_MESSAGES = (
-    Tick, MocapPose, VescTelemetry, VescIdentity, VescImu, Actuation, State, DriveCommand, OperatorRequest,
-    Transition, ClockSample,
+    Tick, MocapPose, VescTelemetry, VescIdentity, VescImu, Actuation, State, DriveCommand,
+    OperatorRequest, Transition, ClockSample,
 )  # fmt: skip

@@ -223,7 +223,7 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
     """
     path_in, path_out = Path(path_in), Path(path_out)
     session = open_session(path_in)
-    partial = path_out.with_name(path_out.name + ".partial")
+    partial = path_out.with_name(path_out.name + ".recovering")
     file = _create(path_out, partial)
     try:
         writer = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)

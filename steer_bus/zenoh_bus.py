@@ -93,6 +93,7 @@ class ZenohBus:
         self._session = _open(profile)
         self._zid = str(self._session.info.zid()).encode()
         self._publishers: dict[str, _Publisher] = {}
+        self._held: set[_Declared] = set()  # zenoh withdraws what nobody refers to
         self._closed = False
 
     def __enter__(self) -> "ZenohBus":
@@ -126,9 +127,8 @@ class ZenohBus:
 
     def declare_alive(self, key: str) -> Token:
         """See :meth:`steer_bus.bus.Bus.declare_alive`."""
-        return _Declared(
-            self._ask(lambda: self._session.liveliness().declare_token(check_key(key)))
-        )
+        handle = self._ask(lambda: self._session.liveliness().declare_token(check_key(key)))
+        return _Declared(handle, self._held)
 
     def alive(self, key: str) -> frozenset[str]:
         """See :meth:`steer_bus.bus.Bus.alive`; waits up to a second for the peers' answers."""
@@ -145,7 +145,8 @@ class ZenohBus:
                 if value is not None:
                     query.reply(asked, value)
 
-        return _Declared(self._ask(lambda: self._session.declare_queryable(key, reply)))
+        handle = self._ask(lambda: self._session.declare_queryable(key, reply))
+        return _Declared(handle, self._held)
 
     def query(self, key: str, timeout_s: float = 1.0) -> dict[str, bytes]:
         """See :meth:`steer_bus.bus.Bus.query`."""
@@ -201,10 +202,12 @@ class _Publisher:
 
 
 class _Declared:
-    def __init__(self, handle: Any) -> None:
-        self._handle = handle
+    def __init__(self, handle: Any, held: "set[_Declared]") -> None:
+        self._handle, self._held = handle, held
+        held.add(self)
 
     def close(self) -> None:
+        self._held.discard(self)
         self._handle.undeclare()
 
 

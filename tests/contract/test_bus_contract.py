@@ -1,0 +1,256 @@
+"""One suite for every bus: two participants that must not be able to tell which one it is."""
+
+import contextlib
+import select
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from steer_bus.bus import BusError, LocalBus, LocalHub, key_matches
+from steer_bus.codec import MAX_BYTES
+from steer_bus.zenoh_bus import Profile, ZenohBus, make_settings
+
+STATE = "steerd/car1/state"
+DEADLINE_S = 5.0
+
+
+def until(condition):
+    """Wait for something another thread brings about, at most five seconds."""
+    end = time.monotonic() + DEADLINE_S
+    while not (found := condition()) and time.monotonic() < end:
+        select.select([], [], [], 0.002)
+    return found
+
+
+def free_endpoint():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@contextlib.contextmanager
+def local_pair():
+    hub = LocalHub()
+    pair = LocalBus(hub), LocalBus(hub)
+    yield pair
+    for bus in pair:
+        bus.close()
+
+
+@contextlib.contextmanager
+def zenoh_hub_and_spoke():
+    endpoint = free_endpoint()
+    with (
+        ZenohBus(Profile(hub=True, endpoint=endpoint)) as hub,
+        ZenohBus(Profile(hub=False, endpoint=endpoint)) as spoke,
+    ):
+        yield hub, spoke
+
+
+@contextlib.contextmanager
+def zenoh_spokes():
+    endpoint = free_endpoint()
+    with (
+        ZenohBus(Profile(hub=True, endpoint=endpoint)),
+        ZenohBus(Profile(hub=False, endpoint=endpoint)) as a,
+        ZenohBus(Profile(hub=False, endpoint=endpoint)) as b,
+    ):
+        yield a, b
+
+
+@pytest.fixture(
+    params=[
+        local_pair,
+        pytest.param(zenoh_hub_and_spoke, marks=pytest.mark.realtime),
+        pytest.param(zenoh_spokes, marks=pytest.mark.realtime),
+    ]
+)
+def pair(request):
+    with request.param() as made:
+        yield made
+
+
+def collect(subscription, count):
+    taken = []
+    until(lambda: taken.extend(subscription.poll()) or len(taken) >= count)
+    return taken
+
+
+def test_a_message_arrives_once_in_order(pair):
+    sender, receiver = pair
+    subscription = receiver.subscribe(STATE, depth=10)
+    assert until(lambda: sender.has_subscriber(STATE))
+    for i in range(5):
+        sender.publish(STATE, bytes([i]))
+    taken = collect(subscription, 5)
+    assert [s.data for s in taken] == [bytes([i]) for i in range(5)]
+    assert [s.seq for s in taken] == [1, 2, 3, 4, 5]
+    assert {s.key for s in taken} == {STATE}
+    assert subscription.poll() == []
+
+
+def test_a_ring_keeps_the_newest(pair):
+    sender, receiver = pair
+    ring = receiver.subscribe(STATE)
+    marker = receiver.subscribe("steerd/car1/marker")
+    assert until(lambda: sender.has_subscriber(STATE))
+    assert until(lambda: sender.has_subscriber("steerd/car1/marker"))
+    for i in range(8):
+        sender.publish(STATE, bytes([i]))
+    sender.publish("steerd/car1/marker", b"")
+    collect(marker, 1)
+    assert [s.data for s in collect(ring, 1)][-1] == b"\7"
+    assert len(ring.poll()) == 0
+
+
+def test_wildcards_receive_and_never_send(pair):
+    sender, receiver = pair
+    every_car = receiver.subscribe("steerd/*/state", depth=4)
+    everything = receiver.subscribe("steerd/**", depth=4)
+    assert until(lambda: sender.has_subscriber(STATE))
+    assert until(lambda: sender.has_subscriber("steerd/car2/cmd/drive"))
+    sender.publish(STATE, b"a")
+    sender.publish("steerd/car2/cmd/drive", b"b")
+    assert {s.key for s in collect(everything, 2)} == {STATE, "steerd/car2/cmd/drive"}
+    assert [s.data for s in collect(every_car, 1)] == [b"a"]
+    for key in ("steerd/*/state", "steerd/**", "", "/a", "a/", "a//b", "a?b", "a#", "$*"):
+        with pytest.raises(BusError):
+            sender.publish(key, b"")
+
+
+def test_closing_a_subscription_ends_it(pair):
+    sender, receiver = pair
+    subscription = receiver.subscribe(STATE)
+    assert until(lambda: sender.has_subscriber(STATE))
+    subscription.close()
+    assert until(lambda: not sender.has_subscriber(STATE))
+    sender.publish(STATE, b"nobody hears")
+
+
+def test_a_message_at_the_limit_passes_and_a_longer_one_is_refused(pair):
+    sender, receiver = pair
+    subscription = receiver.subscribe(STATE)
+    assert until(lambda: sender.has_subscriber(STATE))
+    sender.publish(STATE, bytes(MAX_BYTES))
+    assert [len(s.data) for s in collect(subscription, 1)] == [MAX_BYTES]
+    with pytest.raises(BusError, match="exceeds"):
+        sender.publish(STATE, bytes(MAX_BYTES + 1))
+
+
+def test_liveliness_follows_the_token(pair):
+    car, viewer = pair
+    token = car.declare_alive("steerd/car1/alive")
+    assert until(lambda: viewer.alive("steerd/*/alive")) == {"steerd/car1/alive"}
+    assert viewer.alive("steerd/car2/alive") == frozenset()
+    token.close()
+    assert until(lambda: not viewer.alive("steerd/*/alive"))
+
+
+def test_liveliness_ends_with_the_bus(pair):
+    car, viewer = pair
+    car.declare_alive("steerd/car1/alive")
+    assert until(lambda: viewer.alive("steerd/*/alive"))
+    car.close()
+    assert until(lambda: not viewer.alive("steerd/*/alive"))
+
+
+def test_queries_are_answered_by_key(pair):
+    car, viewer = pair
+    known = {"steerd/car1/param/rate": b"200"}
+    served = car.serve("steerd/car1/param/**", known.get)
+    assert until(lambda: viewer.query("steerd/car1/param/rate")) == known
+    assert viewer.query("steerd/car1/param/none") == {}
+    assert viewer.query("steerd/car2/param/rate") == {}
+    served.close()
+    assert until(lambda: not viewer.query("steerd/car1/param/rate"))
+
+
+def test_a_closed_bus_says_so_and_closes_twice(pair):
+    bus = pair[1]
+    bus.close()
+    bus.close()
+    for call in (
+        lambda: bus.publish(STATE, b""),
+        lambda: bus.subscribe(STATE),
+        lambda: bus.declare_alive("a"),
+        lambda: bus.query("a"),
+    ):
+        with pytest.raises(BusError, match="closed"):
+            call()
+
+
+@pytest.mark.parametrize(
+    ("pattern", "key", "expected"),
+    [
+        ("a/b", "a/b", True), ("a/*", "a/b", True), ("a/*", "a/b/c", False), ("a/*", "a", False),
+        ("a/**", "a/b/c", True), ("a/**", "a", True), ("**", "a/b", True), ("a/**/d", "a/d", True),
+        ("a/**/d", "a/b/c/d", True), ("a/**/d", "a/b/c", False), ("a", "b", False),
+        ("*", "a", True),
+    ],
+)  # fmt: skip
+def test_key_patterns(pattern, key, expected):
+    assert key_matches(pattern, key) is expected
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "refused"),
+    [
+        ("tcp/127.0.0.1:7447", False), ("tcp/localhost:7447", False), ("tcp/[::1]:7447", False),
+        ("tcp/127.9.9.9:1", False), ("tls/10.0.0.5:7447", False),
+        ("unixsock-stream//run/z.sock", False), ("tcp/10.0.0.5:7447", True),
+        ("tcp/0.0.0.0:7447", True), ("tcp/[::]:7447", True), ("udp/host:7447", True),
+        ("tcp/example.org:1", True),
+    ],
+)  # fmt: skip
+def test_a_plain_hub_listens_on_loopback_only(endpoint, refused):
+    if refused:
+        with pytest.raises(BusError, match="insecure-lan"):
+            make_settings(Profile(hub=True, endpoint=endpoint))
+        profile = Profile(hub=True, endpoint=endpoint, insecure_lan=True)
+        assert make_settings(profile)["listen/endpoints"] == [endpoint]
+    else:
+        assert make_settings(Profile(hub=True, endpoint=endpoint))["listen/endpoints"] == [endpoint]
+
+
+def test_nothing_is_scouted_and_a_spoke_never_listens():
+    settings = make_settings(Profile(hub=False))
+    assert settings["listen/endpoints"] == []
+    assert settings["scouting/multicast/enabled"] is False
+    assert settings["scouting/gossip/enabled"] is False
+
+
+@pytest.mark.realtime
+def test_what_keeps_zenoh_from_starting_is_said():
+    endpoint = free_endpoint()
+    with pytest.raises(BusError, match="is steerd running"):
+        ZenohBus(Profile(hub=False, endpoint=endpoint))
+    with ZenohBus(Profile(hub=True, endpoint=endpoint)), pytest.raises(BusError, match="in use"):
+        ZenohBus(Profile(hub=True, endpoint=endpoint))
+    with pytest.raises(BusError, match="does not start"):
+        ZenohBus(Profile(hub=True, endpoint=endpoint, settings={"no/such": 1}))
+
+
+HOLDER = """
+import sys
+from steer_bus.zenoh_bus import Profile, ZenohBus
+bus = ZenohBus(Profile(hub=False, endpoint=sys.argv[1], lease_ms=300))
+token = bus.declare_alive("steerd/car1/alive")
+print("up", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.realtime
+def test_a_killed_process_is_soon_not_alive():
+    endpoint = free_endpoint()
+    with ZenohBus(Profile(hub=True, endpoint=endpoint, lease_ms=300)) as hub:
+        command = [sys.executable, "-c", HOLDER, endpoint]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            assert until(lambda: hub.alive("steerd/*/alive"))
+            process.kill()
+            assert until(lambda: not hub.alive("steerd/*/alive"))

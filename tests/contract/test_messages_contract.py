@@ -1,0 +1,113 @@
+"""Other people's tools open our sessions: rosbags and mcap-ros2-support see what was written."""
+
+import math
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader  # noqa: TID251
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from steer_bus.codec import encode, type_name
+from steer_bus.fields import Array, Blob, Nested, Scalar, Text, message_fields
+from steer_bus.messages import OWN_MESSAGES
+from steer_bus.session import SessionWriter
+from steer_bus.standard import STANDARD_MESSAGES
+
+ALL = (*OWN_MESSAGES, *STANDARD_MESSAGES)
+
+
+def make_value(kind, rng):
+    match kind:
+        case Text():
+            return "tyre µ"[: int(rng.integers(7))]
+        case Blob():
+            return rng.bytes(int(rng.integers(20)))
+        case Array():
+            return tuple(rng.normal(size=kind.count).tolist())
+        case Nested(many=True):
+            return tuple(make_message(kind.cls, rng) for _ in range(int(rng.integers(3))))
+        case Nested():
+            return make_message(kind.cls, rng)
+        case Scalar(code="?"):
+            return bool(rng.integers(2))
+        case Scalar(code="d" | "f"):
+            return float(np.float32(rng.normal()))
+    return int(rng.integers(100))
+
+
+def make_message(cls, rng):
+    return cls(*[make_value(field.kind, rng) for field in message_fields(cls)])
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    rng = np.random.default_rng(3)
+    path = tmp_path_factory.mktemp("contract") / "all.mcap"
+    topics = {f"/all/{type_name(cls).replace('/', '_').lower()}": cls for cls in ALL}
+    writer = SessionWriter(path, topics, {"steerd.session": {"car": "c"}})
+    written = []
+    for log_ns in range(5):
+        for topic, cls in topics.items():
+            message = make_message(cls, rng)
+            writer.write(topic, encode(message), log_ns)
+            written.append((topic, log_ns, message))
+    return writer.finish({"reason": "test"}), written
+
+
+def assert_same(theirs, ours):
+    for field in message_fields(type(ours)):
+        value, expected = getattr(theirs, field.name), getattr(ours, field.name)
+        match field.kind:
+            case Nested(many=True):
+                assert len(value) == len(expected)
+                for a, b in zip(value, expected, strict=True):
+                    assert_same(a, b)
+            case Nested():
+                assert_same(value, expected)
+            case Array() | Blob():
+                assert list(value) == list(expected)
+            case Scalar(ros="byte"):
+                assert ord(value) == expected if isinstance(value, bytes) else value == expected
+            case _:
+                assert value == expected
+                assert not (isinstance(value, float) and math.isnan(value))
+
+
+def test_rosbags_reads_every_message(recorded):
+    path, written = recorded
+    with AnyReader([path]) as reader:
+        found = [
+            (connection.topic, stamp, reader.deserialize(raw, connection.msgtype))
+            for connection, stamp, raw in reader.messages()
+        ]
+    assert len(found) == len(written)
+    order = {(topic, stamp): message for topic, stamp, message in written}
+    for topic, stamp, message in found:
+        assert_same(message, order[topic, stamp])
+
+
+def test_mcap_ros2_decodes_every_message(recorded):
+    path, written = recorded
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        found = [
+            (channel.topic, raw.log_time, message)
+            for _, channel, raw, message in reader.iter_decoded_messages(log_time_order=False)
+        ]
+    assert [(topic, stamp) for topic, stamp, _ in found] == [(t, s) for t, s, _ in written]
+    for (_, _, theirs), (_, _, ours) in zip(found, written, strict=True):
+        assert_same(theirs, ours)
+
+
+def test_the_summary_counts_what_was_written(recorded):
+    path, written = recorded
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert reader.get_header().profile == "ros2"
+        names = [item.name for item in reader.iter_metadata()]
+    assert summary is not None
+    assert summary.statistics.message_count == len(written)
+    assert names == ["steerd.session", "steerd.end"]
+    assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}

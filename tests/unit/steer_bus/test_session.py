@@ -1,0 +1,226 @@
+"""A session comes back as it was written: columns, recorded order, texts, names."""
+
+import errno
+
+import numpy as np
+import pytest
+
+from steer_bus.codec import CodecError, encode
+from steer_bus.fields import flat_leaves
+from steer_bus.messages import OWN_MESSAGES, WORLD, ClockSample, State, Tick, make_header
+from steer_bus.session import (
+    FLUSH_NS,
+    SYNC_NS,
+    SessionError,
+    SessionWriter,
+    open_session,
+    recover,
+)
+from steer_bus.standard import DiagnosticArray, Odometry
+
+
+def start(path, **topics):
+    return SessionWriter(path, {f"/{name}": cls for name, cls in topics.items()}, {})
+
+
+def clock(i, frame=WORLD):
+    return encode(ClockSample(make_header(i, frame), i, i, i))
+
+
+def test_info(drive):
+    info = open_session(drive.path).info()
+    assert info.count == len(drive.order)
+    assert info.warnings == ()
+    assert info.finished
+    assert info.clean
+    assert info.metadata["steerd.session"] == {"schema_version": "1", "car": "car1"}
+    assert info.metadata["steerd.end"] == {"reason": "test"}
+    assert info.attachments == ("car.toml",)
+    assert info.duration_s == pytest.approx(0.995)
+    assert all(topic.rate_hz == pytest.approx(200.0) for topic in info.topics)
+    assert not drive.path.with_name("drive.mcap.partial").exists()
+
+
+def test_messages_come_in_recorded_order(drive):
+    records = list(open_session(drive.path).messages())
+    assert [(r.topic, r.data) for r in records] == drive.order
+    assert all(r.publish_ns == r.log_ns - 1000 for r in records)
+    state = [r for r in records if r.topic.endswith("/state")]
+    assert [r.sequence for r in state] == list(range(1, len(state) + 1))
+    assert [r.decode() for r in state] == drive.messages[state[0].topic]
+
+
+def test_messages_of_one_topic(drive, topic_of):
+    records = open_session(drive.path).messages(topic_of[Tick])
+    assert {record.topic for record in records} == {topic_of[Tick]}
+
+
+@pytest.mark.parametrize("cls", OWN_MESSAGES)
+def test_columns_hold_every_value(drive, topic_of, cls):
+    columns = open_session(drive.path).columns(cls)
+    messages = drive.messages[topic_of[cls]]
+    assert len(columns["log_ns"]) == len(messages)
+    for leaf in flat_leaves(cls)[3:]:
+        assert columns[leaf.path].tolist() == [getattr(m, leaf.path) for m in messages]
+    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
+    assert columns["stamp_ns"].tolist() == stamps
+
+
+def test_columns_of_a_topic_without_messages(tmp_path):
+    writer = start(tmp_path / "a.mcap", state=State)
+    session = open_session(writer.finish({}))
+    columns = session.columns(State)
+    assert columns["x"].shape == (0,)
+    assert columns["x"].dtype == np.float64
+
+
+def test_columns_where_the_frame_name_changes(tmp_path):
+    writer = start(tmp_path / "a.mcap", clock=ClockSample)
+    for i, frame in enumerate(["map", "base_link", "map", ""]):
+        writer.write("/clock", clock(i, frame), i)
+    columns = open_session(writer.finish({})).columns(ClockSample)
+    assert columns["monotonic_ns"].tolist() == [0, 1, 2, 3]
+    assert columns["stamp_ns"].tolist() == [0, 1, 2, 3]
+
+
+def test_columns_of_nested_standard_messages(tmp_path, make_random_message):
+    rng = np.random.default_rng(1)
+    odometry = [make_random_message(Odometry, rng) for _ in range(5)]
+    writer = start(tmp_path / "a.mcap", odom=Odometry)
+    for i, message in enumerate(odometry):
+        writer.write("/odom", encode(message), i)
+    columns = open_session(writer.finish({})).columns(Odometry)
+    assert columns["pose.pose.position.x"].tolist() == [o.pose.pose.position.x for o in odometry]
+    assert columns["twist.covariance"].shape == (5, 36)
+
+
+def test_batches_join(tmp_path):
+    writer = start(tmp_path / "a.mcap", clock=ClockSample)
+    for i in range(20_000):
+        writer.write("/clock", clock(i), i)
+    columns = open_session(writer.finish({})).columns(ClockSample)
+    assert np.array_equal(columns["realtime_ns"], np.arange(20_000))
+
+
+def test_log_time_never_goes_back(tmp_path):
+    writer = start(tmp_path / "a.mcap", clock=ClockSample)
+    for log_ns in (5, 3, 9, -1, 1 << 70):
+        writer.write("/clock", clock(0), log_ns, log_ns)
+    columns = open_session(writer.finish({})).columns(ClockSample)
+    assert columns["log_ns"].tolist() == [5, 5, 9, 9, (1 << 63) - 1]
+    assert columns["publish_ns"].tolist() == [5, 3, 9, 0, (1 << 63) - 1]
+
+
+def test_the_flush_policy(tmp_path):
+    writer = start(tmp_path / "a.mcap", clock=ClockSample)
+    due = []
+    for i in range(9):
+        writer.write("/clock", clock(i), i)
+        due.append(writer.tick(i * FLUSH_NS // 2))
+        on_disk = open_session(writer.partial).info().count
+        assert on_disk == i + 1 - i % 2
+    writer.sync()
+    assert due == [t * FLUSH_NS // 2 % SYNC_NS == 0 for t in range(9)]
+    writer.abandon()
+
+
+def test_names_are_never_overwritten(tmp_path, drive):
+    path = tmp_path / "a.mcap"
+    writer = start(path)
+    with pytest.raises(SessionError, match="exists") as caught:
+        start(path)
+    assert caught.value.code == "exists"
+    path.write_bytes(b"somebody's")
+    with pytest.raises(SessionError, match="cannot be written"):
+        writer.finish({})
+    assert path.read_bytes() == b"somebody's"
+    with pytest.raises(SessionError, match="exists"):
+        start(path)
+    with pytest.raises(SessionError, match="exists"):
+        recover(drive.path, path)
+
+
+def test_a_folder_that_is_missing(tmp_path):
+    with pytest.raises(SessionError) as caught:
+        start(tmp_path / "none" / "a.mcap")
+    assert caught.value.code == "disk"
+
+
+def test_a_full_disk_is_said(tmp_path, monkeypatch):
+    writer = start(tmp_path / "a.mcap", clock=ClockSample)
+    writer.write("/clock", clock(0), 0)
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(writer._writer, "flush", full)
+    monkeypatch.setattr(writer._writer, "add_message", full)
+    for call in (writer.flush, lambda: writer.finish({}), lambda: writer.write("/clock", b"", 1)):
+        with pytest.raises(SessionError, match="No space left"):
+            call()
+    monkeypatch.undo()
+    writer.abandon()
+    assert writer.partial.exists()
+
+
+def test_undeclared_topics_are_a_mistake(tmp_path):
+    writer = start(tmp_path / "a.mcap")
+    with pytest.raises(KeyError):
+        writer.write("/nothing", b"", 0)
+    writer.abandon()
+
+
+def test_what_a_session_lacks_is_said(drive, topic_of, tmp_path):
+    session = open_session(drive.path)
+    cases = [
+        (lambda: session.columns(State, "/nothing"), "missing_topic"),
+        (lambda: session.columns(Odometry), "missing_topic"),
+        (lambda: session.columns(State, topic_of[Tick]), "other_schema"),
+        (lambda: session.attachment("x"), "missing_attachment"),
+    ]
+    for call, code in cases:
+        with pytest.raises(SessionError) as caught:
+            call()
+        assert (caught.value.code, caught.value.exit_code) == (code, 4)
+    assert session.attachment("car.toml") == b"mass_kg = 3.1\n"
+    with pytest.raises(TypeError, match="messages"):
+        session.columns(DiagnosticArray, "/x")
+    writer = start(tmp_path / "a.mcap", a=State, b=State)
+    two = open_session(writer.finish({}))
+    with pytest.raises(SessionError, match="several") as caught:
+        two.columns(State)
+    assert caught.value.code == "ambiguous_topic"
+
+
+def test_messages_that_are_not_their_schema(tmp_path):
+    writer = start(tmp_path / "a.mcap", clock=ClockSample, odd=Tick)
+    writer.write("/clock", clock(1), 1)
+    writer.write("/odd", b"\0\1\0\0", 2)
+    writer.write("/odd", b"", 3)
+    session = open_session(writer.finish({}))
+    with pytest.raises(SessionError) as caught:
+        session.columns(Tick)
+    assert caught.value.code == "bad_message"
+    assert session.columns(ClockSample)["realtime_ns"].tolist() == [1]
+    with pytest.raises(CodecError):
+        list(session.messages())[1].decode()
+
+
+def test_a_file_that_shrinks_while_it_is_read(tmp_path, make_drive):
+    drive = make_drive(tmp_path / "a.mcap", ticks=5)
+    session = open_session(drive.path)
+    drive.path.write_bytes(drive.path.read_bytes()[:200])
+    with pytest.raises(SessionError) as caught:
+        session.columns(State)
+    assert caught.value.code == "changed"
+
+
+def test_a_file_that_grows_while_it_is_read(tmp_path):
+    writer = start(tmp_path / "a.mcap", clock=ClockSample)
+    writer.write("/clock", clock(1), 1)
+    writer.flush()
+    session = open_session(writer.partial)
+    writer.write("/clock", clock(2), 2)
+    writer.finish({})
+    writer.path.rename(writer.partial)
+    assert session.columns(ClockSample)["realtime_ns"].tolist() == [1]

@@ -1,0 +1,315 @@
+"""Bad files: bounded, without a traceback, never silently wrong."""
+
+import io
+import os
+import struct
+import tracemalloc
+import zlib
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.writer import CompressionType, Writer  # noqa: TID251
+
+from steer_bus.codec import encode
+from steer_bus.messages import WORLD, ClockSample, State, make_header
+from steer_bus.records import MAGIC
+from steer_bus.session import SessionError, open_session, recover
+
+
+def read_all(path):
+    session = open_session(path)
+    return session, [(r.topic, r.log_ns, r.data) for r in session.messages()]
+
+
+def parts_of(session):
+    info = session.info()
+    return (info.metadata, [session.attachment(name) for name in info.attachments])
+
+
+@pytest.fixture(scope="module")
+def whole(drive):
+    session, records = read_all(drive.path)
+    return drive.path.read_bytes(), records, parts_of(session)
+
+
+def write(path, *chunks):
+    path.write_bytes(b"".join(chunks))
+    return path
+
+
+def record(opcode, body):
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def text(value):
+    raw = value if isinstance(value, bytes) else value.encode()
+    return struct.pack("<I", len(raw)) + raw
+
+
+def chunk(data, compression="zstd", raw=None, size=None, crc=None):
+    raw = zstandard.compress(data) if raw is None else raw
+    head = (0, 0, len(data) if size is None else size, zlib.crc32(data) if crc is None else crc)
+    return record(
+        6, struct.pack("<QQQI", *head) + text(compression) + struct.pack("<Q", len(raw)) + raw
+    )
+
+
+def channel(key=1, topic="/a", schema=1):
+    return record(4, struct.pack("<HH", key, schema) + text(topic) + text("cdr") + text(b""))
+
+
+def message(key=1, data=b"\0\1\0\0", log_ns=1):
+    return record(5, struct.pack("<HIQQ", key, 1, log_ns, log_ns) + data)
+
+
+def codes(path):
+    return [warning.code for warning in open_session(path).warnings]
+
+
+@pytest.mark.parametrize(
+    ("content", "code"),
+    [
+        (b"", "empty"),
+        (b"hello, world", "not_mcap"),
+        (MAGIC[:5], "not_mcap"),
+        (b"PK\3\4" + bytes(100), "not_mcap"),
+        (b"SQLite format 3\0", "not_mcap"),
+    ],
+)
+def test_what_is_no_session(tmp_path, content, code):
+    with pytest.raises(SessionError) as caught:
+        open_session(write(tmp_path / "a.mcap", content))
+    assert (caught.value.code, caught.value.exit_code) == (code, 3)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_file(tmp_path):
+    os.mkfifo(tmp_path / "fifo")
+    for name, code in [("", "not_a_file"), ("fifo", "not_a_file"), ("none", "not_found")]:
+        with pytest.raises(SessionError) as caught:
+            open_session(tmp_path / name)
+        assert caught.value.code == code
+
+
+def test_a_file_without_permission(tmp_path, monkeypatch):
+    path = write(tmp_path / "a.mcap", MAGIC)
+
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("pathlib.Path.open", refuse)
+    with pytest.raises(SessionError) as caught:
+        open_session(path)
+    assert caught.value.code == "unreadable"
+
+
+def test_magic_only(tmp_path):
+    assert codes(write(tmp_path / "a.mcap", MAGIC)) == ["unfinished"]
+
+
+def test_truncation_keeps_everything_before_it(whole, tmp_path):
+    data, records, _ = whole
+    kept = []
+    for percent in range(1, 100):
+        path = write(tmp_path / "a.mcap", data[: len(data) * percent // 100])
+        session, found = read_all(path)
+        assert found == records[: len(found)]
+        assert [w.code for w in session.warnings][-1] == "unfinished"
+        assert not session.info().clean
+        kept.append(len(found))
+    assert kept == sorted(kept)
+    assert kept[-1] == len(records)
+
+
+def test_truncation_inside_the_end_is_unfinished(whole, tmp_path):
+    data, records, _ = whole
+    for cut in range(1, 60):
+        session, found = read_all(write(tmp_path / "a.mcap", data[:-cut]))
+        assert found == records
+        assert not session.info().finished
+
+
+def test_bit_flips_are_detected_or_change_nothing(whole, tmp_path):
+    data, records, parts = whole
+    rng = np.random.default_rng(7)
+    detected = 0
+    for _ in range(300):
+        bad = bytearray(data)
+        bad[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+        try:
+            session, found = read_all(write(tmp_path / "a.mcap", bytes(bad)))
+        except SessionError:
+            detected += 1
+            continue
+        if session.warnings:
+            detected += 1
+            remaining = iter(records)
+            assert all(item in remaining for item in found)
+        else:
+            assert (found, parts_of(session)) == (records, parts)
+    assert detected > 200
+
+
+def test_a_zeroed_block_costs_only_itself(whole, tmp_path):
+    data, records, _ = whole
+    middle = len(data) // 2
+    bad = data[:middle] + bytes(2000) + data[middle + 2000 :]
+    session, found = read_all(write(tmp_path / "a.mcap", bad))
+    assert "damaged" in [w.code for w in session.warnings]
+    assert 0 < len(found) < len(records)
+    assert found[-1] == records[-1]
+
+
+def test_recovery_saves_what_reading_finds(whole, tmp_path):
+    data = whole[0]
+    bad = write(tmp_path / "bad.mcap", data[: len(data) * 7 // 10])
+    _, found = read_all(bad)
+    report = recover(bad, tmp_path / "good.mcap")
+    session, saved = read_all(report.path)
+    assert saved == found
+    assert report.messages == len(found)
+    assert report.lost_bytes > 0
+    assert report.longest_gap_s == pytest.approx(0.005)
+    info = session.info()
+    assert info.warnings == ()
+    assert info.finished
+    assert not info.clean
+    assert info.metadata["steerd.recovered"]["source"] == "bad.mcap"
+    assert session.attachment("car.toml") == b"mass_kg = 3.1\n"
+    assert session.columns(State)["x"].shape[0] == sum(t.endswith("/state") for t, _, _ in found)
+
+
+def test_a_failed_recovery_leaves_nothing(whole, tmp_path, monkeypatch):
+    bad = write(tmp_path / "bad.mcap", whole[0][:-50])
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(SessionError, match="No space"):
+        recover(bad, tmp_path / "good.mcap")
+    assert [p.name for p in tmp_path.iterdir()] == ["bad.mcap"]
+
+
+def test_a_bomb_is_refused_cheaply(tmp_path):
+    bomb = zstandard.compress(bytes(60 << 20), 3)
+    small = zstandard.compress(bytes(3 << 20), 3)
+    liar = chunk(b"", raw=zstandard.compress(bytes(60 << 20)), size=1000)
+    path = write(
+        tmp_path / "a.mcap",
+        MAGIC,
+        chunk(b"", raw=bomb, size=60 << 20),
+        chunk(b"", raw=small, size=3 << 20),
+        chunk(b"", raw=bomb, size=1 << 50),
+        liar,
+        chunk(channel() + message()),
+    )
+    tracemalloc.start()
+    session, found = read_all(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert [w.code for w in session.warnings] == ["damaged"] * 4 + ["unfinished"]
+    assert len(found) == 1
+    assert peak < 10 << 20
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        chunk(message(), crc=1),
+        chunk(message(), "brotli"),
+        chunk(message(), "lz4"),
+        chunk(message(), raw=b"\x28\xb5\x2f\xfd rubbish"),
+        chunk(message(), raw=zstandard.compress(message())[:-3]),
+        chunk(b"\5\xff\0"),
+        chunk(record(5, b"short")),
+        chunk(record(4, b"")),
+        chunk(record(4, struct.pack("<HH", 3, 1) + text(b"\xff\xfe") + text("") + text(b""))),
+        chunk(struct.pack("<BQH", 5, 1 << 62, 1) + bytes(40)),
+        record(7, b"no index at all"),
+        record(11, bytes(46)),
+        record(9, bytes(10)),
+        record(12, text("name") + text(b"odd")),
+        record(0, b""),
+        record(15, b"12345"),
+        struct.pack("<BQ", 6, 1 << 63),
+    ],
+)
+def test_a_bad_record_does_not_hide_the_next(tmp_path, bad):
+    good = chunk(channel() + message(data=b"abc"))
+    session, found = read_all(write(tmp_path / "a.mcap", MAGIC, bad, good))
+    assert [w.code for w in session.warnings] == ["damaged", "unfinished"]
+    assert [data for _, _, data in found] == [b"abc"]
+
+
+def test_unknown_records_are_passed_over_and_named(tmp_path):
+    path = write(tmp_path / "a.mcap", MAGIC, record(0x90, b"private"), chunk(channel() + message()))
+    assert codes(path) == ["unknown_record", "unfinished"]
+
+
+def test_messages_of_no_channel_and_channels_of_two_minds(tmp_path):
+    body = channel() + channel(topic="/b") + message() + message(key=9)
+    session, found = read_all(write(tmp_path / "a.mcap", MAGIC, chunk(body)))
+    assert [w.code for w in session.warnings] == ["conflict", "unfinished", "unknown_channel"]
+    assert [topic for topic, _, _ in found] == ["/a"]
+
+
+def test_too_many_channels_are_refused(tmp_path):
+    body = b"".join(channel(key, f"/t{key}") for key in range(5000))
+    session = open_session(write(tmp_path / "a.mcap", MAGIC, chunk(body)))
+    assert session.warnings[0].code == "damaged"
+    assert len(session.info().topics) <= 4096
+
+
+def test_a_sparse_giant_is_left_at_once(tmp_path):
+    path = write(tmp_path / "a.mcap", MAGIC, chunk(channel() + message()))
+    os.truncate(path, 50 << 30)
+    session, found = read_all(path)
+    assert [w.code for w in session.warnings] == ["unfinished"]
+    assert len(found) == 1
+
+
+def test_schemas_of_a_lost_first_chunk_come_from_the_summary(whole, tmp_path):
+    data, records, _ = whole
+    start = data.index(b"\x06", data.index(b"mass_kg = 3.1\n"))
+    bad = bytearray(data)
+    bad[start + 200] ^= 0xFF
+    session, found = read_all(write(tmp_path / "a.mcap", bytes(bad)))
+    assert session.warnings[0].code == "damaged"
+    assert found == records[-len(found) :]
+    assert session.columns(State)["x"].size > 0
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("chunked", [True, False])
+def test_other_writers_files_are_read(tmp_path, compression, chunked):
+    buffer = io.BytesIO()
+    writer = Writer(buffer, compression=compression, use_chunking=chunked)
+    writer.start()
+    schema = writer.register_schema("x/msg/Strange", "jsonschema", b"{}")
+    strange = writer.register_channel("/strange", "json", schema)
+    bare = writer.register_channel("/bare", "json", 0)
+    for i in range(100):
+        writer.add_message(strange if i % 2 else bare, 100 - i, b"{}", 0)
+    writer.finish()
+    session, found = read_all(write(tmp_path / "a.mcap", buffer.getvalue()))
+    assert session.warnings == ()
+    assert [log_ns for _, log_ns, _ in found] == list(range(100, 0, -1))
+    assert recover(session.info().path, tmp_path / "b.mcap").messages == 100
+    with pytest.raises(SessionError) as caught:
+        session.columns(ClockSample, "/strange")
+    assert caught.value.code == "other_schema"
+
+
+def test_a_drive_of_another_version_names_the_fields(tmp_path):
+    writer = Writer(buffer := io.BytesIO())
+    writer.start("ros2")
+    old = b"std_msgs/Header header\nint64 realtime_ns\nint64 monotonic_ns\nint64 drift\n"
+    schema = writer.register_schema("steerd_msgs/msg/ClockSample", "ros2msg", old)
+    data = encode(ClockSample(make_header(0, WORLD), 1, 2, 3))
+    writer.add_message(writer.register_channel("/c", "cdr", schema), 1, data, 1)
+    writer.finish()
+    session = open_session(write(tmp_path / "a.mcap", buffer.getvalue()))
+    with pytest.raises(SessionError, match=r"mocap_offset_ns.*drift"):
+        session.columns(ClockSample)
