@@ -141,10 +141,10 @@ class World:
         """Let time pass until ``t_ns``; earlier times change nothing."""
         car, vesc, h, step_ns = self.car, self.vesc, self._h, self.config.step_ns
         while car.t_ns + step_ns <= t_ns:
-            if car.t_ns >= self._edge_ns:
-                self._turn_knobs(car.t_ns)
             steer, demand = vesc.step(car.t_ns, h)
             car.step(steer, demand)
+            if car.t_ns >= self._edge_ns:
+                self._turn_knobs(car.t_ns)
             if self._cameras.next_ns <= car.t_ns:
                 for capture in self._cameras.captures(car):
                     self.mocap.publish(capture)

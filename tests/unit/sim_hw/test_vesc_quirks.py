@@ -162,7 +162,7 @@ def test_servo_commands_and_polls_do_not_feed_the_timeout_but_alive_does(
 def test_servo_holds_its_last_angle_for_ever(make_host: MakeHost) -> None:
     host = make_host()
     host.tell(c.SetServoPos(0.3))
-    host.run(60_000)
+    host.run(20_000)
     steer = servo_pos_to_steer(F1TENTH, 0.3)
     assert host.world.truth().state.steer == pytest.approx(steer, abs=1e-6)
 

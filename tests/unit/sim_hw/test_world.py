@@ -1,0 +1,216 @@
+"""The world as a whole: repeatable to the byte, drivable, and understood by the real clients."""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from car_model.effects import parse_effect
+from car_model.state import ORIGIN
+from mocap_link import natnet
+from mocap_link.frame import FrameConfig
+from mocap_link.ingest import IngestConfig
+from mocap_link.natnet_client import NatNetClient
+from mocap_link.sessions import NatNetSource, VrpnSource
+from mocap_link.source import PoseSample, SourceState
+from sim_hw.faults import Fault
+from sim_hw.mocap_config import MULTICAST, TO_COMMAND, TO_DATA, MocapConfig
+from sim_hw.network import COMMAND, STREAM
+from sim_hw.world import World, WorldConfig
+from vesc_link import commands as c
+from vesc_link.frames import encode_frame
+from vesc_link.packets import encode_command
+from vesc_link.telemetry import FAST_MASK
+
+MS = 1_000_000
+TICK = 10 * MS
+POLL = encode_frame(encode_command(c.GetValuesSelective(FAST_MASK)))
+
+
+def drive_bytes(config: WorldConfig, faults: list[Fault], step: int = TICK) -> str:
+    """SHA-256 of everything that came out of a drive."""
+    world = World(config, faults)
+    world.mocap_write(0, natnet.encode(natnet.Connect()))
+    digest = hashlib.sha256()
+    for t in range(0, 2000 * MS, TICK):
+        orders = encode_frame(encode_command(c.SetErpm(3000 + t // MS)))
+        orders += encode_frame(encode_command(c.SetServoPos(0.4 + (t // TICK) % 7 / 40)))
+        world.serial_write(t, orders + POLL)
+        for later in range(t + step, t + TICK, step):
+            world.advance(later)
+        digest.update(world.serial_read(t + TICK - 1))
+        for message in world.mocap_read(t + TICK - 1):
+            digest.update(repr(message).encode())
+    digest.update(repr(world.truth()).encode())
+    digest.update(repr(world.log.entries).encode())
+    return digest.hexdigest()
+
+
+NOISY = WorldConfig(seed=5, process_noise=(0.05, 0.2, 0.05))
+FAULTS = [Fault("M17", loss=0.1), Fault("V9", corrupt=0.1), Fault("M14", 500 * MS, 900 * MS)]
+
+
+def test_same_seed_same_bytes_other_seed_other_bytes() -> None:
+    first = drive_bytes(NOISY, FAULTS)
+    assert [drive_bytes(NOISY, FAULTS) for _ in range(2)] == [first, first]
+    assert drive_bytes(replace(NOISY, seed=6), FAULTS) != first
+
+
+def test_how_time_is_cut_up_changes_nothing() -> None:
+    assert drive_bytes(NOISY, []) == drive_bytes(NOISY, [], step=1 * MS)
+
+
+def test_a_device_that_draws_more_numbers_changes_nothing_for_the_others() -> None:
+    quiet = World(NOISY)
+    polled = World(NOISY)
+    for t in range(0, 500 * MS, TICK):
+        for world in (quiet, polled):
+            world.serial_write(t, encode_frame(encode_command(c.SetErpm(4614))))
+        polled.serial_write(t, POLL * 3)
+        polled.serial_read(t + 5 * MS)
+    quiet.advance(polled.t_ns)
+    assert quiet.truth() == polled.truth()
+
+
+def test_start_time_only_shifts_the_clock() -> None:
+    one, two = World(NOISY), World(NOISY, t_start_ns=123_456_789_000_000)
+    for world in (one, two):
+        start = world.t_ns
+        world.serial_write(start, encode_frame(encode_command(c.SetErpm(4614))))
+        world.advance(start + 1000 * MS)
+    assert one.truth().state == two.truth().state
+
+
+def test_a_small_p_controller_holds_speed_and_heading(make_host: Callable[..., Any]) -> None:
+    host = make_host()
+    source = NatNetSource("car", "10.0.0.1", IngestConfig())
+    yaw, speeds = 0.3, []
+    for k in range(1200):
+        for data in source.on_timer(host.t_ns):
+            host.world.mocap_write(host.t_ns, data)
+        for m in host.world.mocap_read(host.t_ns):
+            which = "command" if m.channel == COMMAND else "data"
+            for sample in source.on_datagram(m.data, m.t_ns, "10.0.0.1", which):
+                yaw = sample.yaw
+        steer = max(-0.3, min(0.3, 0.8 * (0.5 - yaw)))
+        host.tell(c.SetErpm(1.5 * 4614), c.SetServoPos(0.5304 - 1.2135 * steer), c.GetValues())
+        host.run(10)
+        values = next(v for v in host.heard() if v is not None)
+        if k > 300:
+            speeds.append(values.erpm / 4614)
+    assert sum(speeds) / len(speeds) == pytest.approx(1.5, abs=0.005)
+    assert host.world.truth().state.yaw == pytest.approx(0.5, abs=0.01)
+
+
+def track(world: World, seconds: float, source: NatNetSource) -> list[PoseSample]:
+    samples: list[PoseSample] = []
+    for t in range(0, round(seconds * 1e9), 2 * MS):
+        for data in source.on_timer(t):
+            world.mocap_write(t, data)
+        for m in world.mocap_read(t):
+            which = "command" if m.channel == COMMAND else "data"
+            samples += source.on_datagram(m.data, m.t_ns, "127.0.0.1", which)
+    return samples
+
+
+VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2)]
+
+
+@pytest.mark.parametrize("version", VERSIONS, ids=str)
+@pytest.mark.parametrize("transport", [MULTICAST, TO_COMMAND, TO_DATA])
+def test_natnet_client_gets_true_poses_at_their_true_time(
+    version: tuple[int, int], transport: str
+) -> None:
+    frame = FrameConfig(up="y", body_forward="+z", world_yaw=0.4, world_xy=(1.0, -2.0),
+                        marker_rear_x=0.2, marker_rear_y=-0.01, cog_ahead_of_rear=0.17)  # fmt: skip
+    mocap = MocapConfig(
+        version=version, transport=transport, frame=frame, clock_hz=3_312_787, skew_ppm=-40.0
+    )
+    world = World(WorldConfig(mocap=mocap, start=ORIGIN._replace(speed=2.0, yaw=1.0)))
+    source = NatNetSource("car", "127.0.0.1", IngestConfig(frame=frame))
+    world.vesc.motor.config = replace(world.vesc.motor.config, timeout_ms=0)  # coast on
+    samples = track(world, 2.5, source)
+    late = [s for s in samples if s.rejected is None][-30:]
+    assert len(late) == 30
+    assert source.status().state is SourceState.OK
+    for s in late:
+        true = world.car.state_at(s.t_valid_ns)
+        assert (s.x, s.y) == pytest.approx((true.x, true.y), abs=0.0015)
+        assert s.yaw == pytest.approx(true.yaw, abs=0.006)
+        assert 4 * MS < s.t_arrival_ns - s.t_valid_ns < 8 * MS
+
+
+def test_unicast_client_is_dropped_when_it_falls_silent() -> None:
+    world = World(WorldConfig(mocap=MocapConfig(keepalive_ns=500 * MS)))
+    assert world.mocap_read(100 * MS) == []  # nobody has asked yet
+    world.mocap_write(100 * MS, natnet.encode(natnet.Connect()))
+    assert len(world.mocap_read(500 * MS)) > 30
+    world.mocap_read(700 * MS)
+    assert world.mocap_read(1500 * MS) == []
+
+
+def test_natnet_answers_questions_and_survives_nonsense() -> None:
+    world = World(WorldConfig(mocap=MocapConfig(transport=MULTICAST, rate_hz=120)))
+    client = NatNetClient("car")
+    for junk in (b"", b"\x07", b"\x00\x00\xff\xff", bytes(300)):
+        world.mocap_write(0, junk)
+    world.mocap_write(0, natnet.encode(natnet.Request("FrameRate")), peer=3)
+    world.mocap_write(0, natnet.encode(natnet.Request("Nonsense")), peer=4)
+    answers = {m.peer: natnet.decode(m.data, (4, 1)) for m in world.mocap_read(MS)}
+    rate = answers[3]
+    assert isinstance(rate, natnet.Response)
+    assert rate.number == 120.0
+    assert isinstance(answers[4], natnet.Unrecognized)
+    assert client.info is None
+
+
+def test_vrpn_client_gets_the_pose_and_pongs() -> None:
+    world = World(WorldConfig(mocap=MocapConfig(kind="vrpn"), start=ORIGIN._replace(x=1.0)))
+    source = VrpnSource("car", IngestConfig())
+    world.mocap_connect(0)
+    world.mocap_write(0, source.on_connect(), STREAM)
+    samples: list[PoseSample] = []
+    for t in range(0, 3000 * MS, 2 * MS):
+        data = source.on_timer(t)
+        if data:
+            world.mocap_write(t, data, STREAM)
+        for m in world.mocap_read(t):
+            samples += source.on_bytes(m.data, m.t_ns)
+    assert len(samples) > 280
+    assert samples[-1].x == pytest.approx(1.0, abs=0.001)
+    assert source.dead is None
+    world.mocap_disconnect(3000 * MS)
+    assert world.mocap_read(3500 * MS) == []
+
+
+def test_vrpn_hangs_up_on_a_peer_that_speaks_something_else() -> None:
+    world = World(WorldConfig(mocap=MocapConfig(kind="vrpn")))
+    world.mocap_connect(0)
+    world.mocap_write(0, b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", STREAM)
+    assert world.mocap_read(MS)[-1].channel == "close"
+
+
+def test_effects_change_the_car_and_pose_latency_is_not_stamped() -> None:
+    def end(text: str | None) -> Any:
+        setting = [parse_effect(text)] if text else []
+        config = WorldConfig(
+            effects=tuple(e for e, _ in setting), effect_values=tuple(v for _, v in setting)
+        )
+        world = World(config)
+        for t in range(0, 1000 * MS, TICK):
+            world.serial_write(t, encode_frame(encode_command(c.SetErpm(2 * 4614))))
+        world.advance(1000 * MS)
+        return world.truth().state, world.car.pose_seen(1000 * MS)
+
+    plain, latency = end(None), end("mocap_latency=0.05")
+    assert plain[0] == latency[0]
+    assert plain[1].x - latency[1].x == pytest.approx(0.05 * 2.0, abs=0.01)
+    assert end("drive_delay=0.1")[0].x < plain[0].x - 0.1
+
+
+def test_bad_mocap_settings_are_refused() -> None:
+    for bad in ({"kind": "vicon"}, {"transport": "tcp"}, {"rate_hz": 0}):
+        with pytest.raises(ValueError, match=r"mocap|transport|rate"):
+            MocapConfig(**bad)  # type: ignore[arg-type]
