@@ -157,6 +157,8 @@ def _tail_columns(leaves: tuple[Leaf, ...], records: list[bytes], start: int) ->
                 columns[leaf.path][row] = read_text(raw)
             except (CodecError, UnicodeError):
                 return None
+        if leaves and len(record) - pos > _MAX_TRAILING:
+            return None
     return columns
 
 

@@ -1,5 +1,6 @@
 """A session comes back as it was written: columns, recorded order, texts, names."""
 
+import dataclasses
 import errno
 
 import numpy as np
@@ -7,7 +8,16 @@ import pytest
 
 from steer_bus.codec import CodecError, encode
 from steer_bus.fields import flat_leaves
-from steer_bus.messages import OWN_MESSAGES, WORLD, ClockSample, State, Tick, make_header
+from steer_bus.messages import (
+    OWN_MESSAGES,
+    WORLD,
+    Actuation,
+    ClockSample,
+    State,
+    Tick,
+    Transition,
+    make_header,
+)
 from steer_bus.session import (
     FLUSH_NS,
     SYNC_NS,
@@ -224,3 +234,43 @@ def test_a_file_that_grows_while_it_is_read(tmp_path):
     writer.finish({})
     writer.path.rename(writer.partial)
     assert session.columns(ClockSample)["realtime_ns"].tolist() == [1]
+
+
+@pytest.mark.parametrize("cls", [Odometry, Transition, Actuation])
+def test_both_ways_to_columns_agree(tmp_path, make_random_message, cls):
+    rng = np.random.default_rng(2)
+    same = [make_random_message(cls, rng) for _ in range(6)]
+    if cls is Odometry:
+        same = [dataclasses.replace(m, child_frame_id="base_link") for m in same]
+    odd = dataclasses.replace(same[0], header=make_header(0, "another_frame"))
+    tables = []
+    for name, messages in (("fast", same), ("slow", [*same, odd])):
+        writer = start(tmp_path / f"{name}.mcap", topic=cls)
+        for i, message in enumerate(messages):
+            writer.write("/topic", encode(message), i)
+        tables.append(open_session(writer.finish({})).columns(cls))
+    fast, slow = tables
+    assert fast.keys() == slow.keys()
+    for name, column in fast.items():
+        assert column.dtype == slow[name].dtype
+        assert column.tolist() == slow[name][:6].tolist()
+
+
+@pytest.mark.parametrize("tail", [b"\2\0\0\0ab", b"\2\0\0\0\xff\0", b"\xff\0\0\0", b"", bytes(64)])
+def test_a_bad_text_at_the_end_is_a_bad_message(tmp_path, tail):
+    good = encode(Transition(make_header(0, WORLD), 1, 2, "", ""))
+    writer = start(tmp_path / "a.mcap", topic=Transition)
+    writer.write("/topic", good, 0)
+    writer.write("/topic", good[:24] + tail, 1)
+    session = open_session(writer.finish({}))
+    with pytest.raises(SessionError) as caught:
+        session.columns(Transition)
+    assert caught.value.code == "bad_message"
+
+
+def test_big_endian_bytes_are_a_bad_message(tmp_path):
+    writer = start(tmp_path / "a.mcap", clock=ClockSample)
+    writer.write("/clock", clock(1), 1)
+    writer.write("/clock", b"\0\0" + clock(1)[2:], 2)
+    with pytest.raises(SessionError, match="little-endian"):
+        open_session(writer.finish({})).columns(ClockSample)
