@@ -5,6 +5,9 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -q
 
+# Small matrices: more BLAS threads than one only get in each other's way.
+export OPENBLAS_NUM_THREADS ?= 1
+
 .PHONY: help install demo test lint types layers unit bench clean
 help:            ## this list
 	@grep -hE '^[a-z]+: .*##|^[a-z]+:  +##' Makefile | sed 's/:.*##/\t/'

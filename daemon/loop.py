@@ -8,7 +8,7 @@ carries their states from tick to tick.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntFlag
-from math import inf, nan
+from math import nan
 from typing import NamedTuple
 
 from car_model.state import Command
@@ -22,7 +22,7 @@ from controller.lane_controller import (
 from controller.limits import Verdict, make_gate_state
 from daemon.checks import Lane, VescSelf, red_findings, red_lane, red_motion, red_vesc
 from daemon.config import Settings
-from daemon.findings import Finding, Severity, make_finding, summarise
+from daemon.findings import Finding, make_finding, summarise
 from daemon.lateness import Lateness, step_lateness
 from daemon.launch import LaunchInput, LaunchState, make_launch_state, step_launch
 from daemon.lease import (
@@ -72,14 +72,14 @@ class Flag(IntFlag):
     ABORT = 1024
 
 
-_REPORTS: tuple[tuple[Flag, str, str, Severity | None], ...] = (
-    (Flag.SERIAL_FAULT, "W8", "a write failed", None),
-    (Flag.GUARDIAN_LOST, "W16", "its heartbeat stopped", None),
-    (Flag.RECORDER_LOST, "W26", "it is gone, full or out of disk", None),
-    (Flag.GATEWAY_LOST, "W27", "it is gone", None),
-    (Flag.EXCEPTION, "W29", "in the control core", None),
-    (Flag.SUSPENDED, "W28", "the machine slept", None),
-    (Flag.REBOOTED, "W12", "its uptime went back", None),
+_REPORTS: tuple[tuple[Flag, str, str], ...] = (
+    (Flag.SERIAL_FAULT, "W8", "a write failed"),
+    (Flag.GUARDIAN_LOST, "W16", "its heartbeat stopped"),
+    (Flag.RECORDER_LOST, "W26", "it is gone, full or out of disk"),
+    (Flag.GATEWAY_LOST, "W27", "it is gone"),
+    (Flag.EXCEPTION, "W29", "in the control core"),
+    (Flag.SUSPENDED, "W28", "the machine slept"),
+    (Flag.REBOOTED, "W12", "its uptime went back"),
 )
 
 
@@ -256,7 +256,7 @@ class Loop:
         now_ns: int,
         flags: int,
     ) -> tuple[Finding, ...]:
-        reported = [make_finding(*row) for flag, *row in _REPORTS if flags & flag]  # type: ignore[misc]
+        reported = [make_finding(name, words) for flag, name, words in _REPORTS if flags & flag]
         self._lateness, late = step_lateness(self._lateness, due_ns, now_ns, self.setup.period_ns)
         reported += [late] if late else []
         reported += self._judge_launch(estimate, now_ns)

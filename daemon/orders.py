@@ -1,4 +1,4 @@
-"""From the supervisor's action and the controller's wish to what goes on the wire, through the gate."""
+"""From the supervisor's action and the controller's wish to the wire, through the gate."""
 
 from dataclasses import dataclass
 from math import isfinite

@@ -1,4 +1,4 @@
-"""The core's way out for messages: encode once, number per topic, hand to every sink at tick end."""
+"""The core's way out for messages: encode once, count per topic, hand to every sink."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

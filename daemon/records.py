@@ -3,6 +3,7 @@
 The core never waits: a pipe is non-blocking, a record is written whole or dropped and counted.
 """
 
+import contextlib
 import fcntl
 import os
 import struct
@@ -61,13 +62,11 @@ def unpack_records(buffer: bytearray) -> Iterator[Record]:
 
 
 def make_pipe() -> tuple[int, int]:
-    """A pipe (read end, write end) with a non-blocking write end and room for seconds of driving."""
+    """A pipe (read end, write end); the write end is non-blocking and has room for seconds."""
     read_fd, write_fd = os.pipe()
     os.set_blocking(write_fd, False)
-    try:
+    with contextlib.suppress(PermissionError):  # quota spent: the default 64 KiB counts too
         fcntl.fcntl(write_fd, _F_SETPIPE_SZ, PIPE_BYTES)
-    except PermissionError:
-        pass  # the user's pipe quota is spent: the default 64 KiB still drops and counts
     return read_fd, write_fd
 
 

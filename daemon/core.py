@@ -1,0 +1,262 @@
+"""The control core without I/O: serial bytes and samples in, serial bytes and messages out.
+
+Joins the VESC's protocol, the loop and the way out for messages. The real-time runner and virtual
+time drive the same object.
+"""
+
+from daemon.checks import VescSelf
+from daemon.loop import Flag, Loop, TickResult
+from daemon.outbox import Outbox
+from daemon.supervisor import Action
+from daemon.telling import (
+    make_actuation,
+    make_diagnostics,
+    make_imu,
+    make_mocap,
+    make_state,
+    make_telemetry,
+    make_transition,
+)
+from daemon.transitions import State
+from mocap_link.source import PoseSample, SourceStatus
+from steer_bus import messages as m
+from steer_bus import topics
+from steer_bus.codec import CodecError, decode
+from steer_bus.standard import Log, make_time
+from vesc_link import events as e
+from vesc_link.commands import GetMcConfTemp, SetMcConfTemp
+from vesc_link.events import DriveBrake, DriveSilent
+from vesc_link.identity import McConfTemp
+from vesc_link.session_limits import make_restored_limits, make_session_limits
+from vesc_link.vesc import VescLink
+
+DIAGNOSTICS_PERIOD_NS = 500_000_000
+_INFO, _WARN, _ERROR = 20, 30, 40
+_ALARM = (State.FAULT_STOP, State.FAULT_LATCHED, State.ESTOP)
+
+
+class Core:
+    """One car's control core.
+
+    Attributes:
+        loop: decides.
+        link: the VESC's protocol.
+        outbox: messages on their way out.
+        flags: what the runner reports; stays until it is taken back.
+        last: the latest tick's result, or None.
+        source: the mocap source's state as last told, for people.
+    """
+
+    def __init__(self, loop: Loop, link: VescLink, outbox: Outbox) -> None:
+        self.loop = loop
+        self.link = link
+        self.outbox = outbox
+        self.flags = Flag(0)
+        self.last: TickResult | None = None
+        self.source: SourceStatus | None = None
+        self._uptime_ms = -1
+        self._seq = 0
+        self._told_ns = -DIAGNOSTICS_PERIOD_NS
+        self._work_ns = 0
+        self._limits_before: McConfTemp | None = None
+        self._expected = True
+
+    # --- events
+
+    def on_serial(self, t_ns: int, data: bytes) -> None:
+        """Bytes from the VESC."""
+        epoch = self.outbox.epoch_ns
+        for event in self.link.on_bytes(t_ns, data):
+            match event:
+                case e.Telemetry():
+                    self.loop.on_telemetry(event)
+                    message = make_telemetry(event, self._uptime_ms, epoch)
+                    self.outbox.post(topics.VESC, message, t_ns, event.when.stamp_ns)
+                case e.ImuSample():
+                    self.loop.on_imu(event)
+                    self.outbox.post(topics.IMU, make_imu(event, epoch), t_ns, event.when.stamp_ns)
+                case e.Uptime():
+                    self._uptime_ms = event.uptime_ms
+                case e.Rebooted():
+                    self.flags |= Flag.REBOOTED
+                case e.Identity():
+                    self._expected = event.expected
+                    self._tell_identity(t_ns)
+                case e.AppConfRead():
+                    self._tell_identity(t_ns)
+                case e.LimitsRead():
+                    self._bound_session(event.limits)
+                case _:
+                    pass
+
+    def _tell_identity(self, t_ns: int) -> None:
+        version, appconf = self.link.version, self.link.appconf
+        if version is None:
+            return
+        vesc = VescSelf(
+            self._expected,
+            version.uuid.hex() if version.uuid else "",
+            (version.firmware.major, version.firmware.minor),
+            appconf.timeout_ms if appconf else None,
+            appconf.timeout_brake_current if appconf else None,
+        )
+        self.loop.on_vesc(vesc)
+        message = make_identity(vesc, t_ns, self.outbox.epoch_ns)
+        self.outbox.post(topics.IDENTITY, message, t_ns)
+
+    def _bound_session(self, limits: McConfTemp) -> None:
+        """Give the VESC this session's limits, in RAM only: it holds them whatever happens here."""
+        if self._limits_before is None:
+            self._limits_before = limits
+            scaling = self.loop.setup.settings.scaling
+            erpm_max = abs(scaling.erpm_gain) * self.loop.setup.settings.limits.speed_max * 1.2
+            bounds = make_session_limits(limits, min(erpm_max, scaling.erpm_max))
+            self.link.request(bounds)
+            self.link.request(GetMcConfTemp())
+
+    def restored_limits(self) -> SetMcConfTemp | None:
+        """The command that gives the VESC its own limits back, if they were changed."""
+        return make_restored_limits(self._limits_before) if self._limits_before else None
+
+    def on_poses(self, samples: list[PoseSample]) -> None:
+        """Mocap samples, in order of arrival."""
+        for sample in samples:
+            self.loop.on_pose(sample)
+            message = make_mocap(sample, self.outbox.epoch_ns)
+            self.outbox.post(topics.MOCAP, message, sample.t_arrival_ns, sample.t_valid_ns)
+
+    def on_request(self, name: str, data: bytes, t_ns: int) -> bool:
+        """A message for the car from outside; False if it is not one."""
+        try:
+            if name == topics.OPERATOR.name:
+                asked = decode(m.OperatorRequest, data)
+                self.loop.on_operator(asked, t_ns)
+                self.outbox.post(topics.OPERATOR, asked, t_ns)
+                return True
+            if name == topics.DRIVE.name:
+                command = decode(m.DriveCommand, data)
+                self.loop.on_drive(command, t_ns)
+                self.outbox.post(topics.DRIVE, command, t_ns)
+                return True
+        except CodecError:
+            return False
+        return False
+
+    # --- the tick
+
+    def tick(self, due_ns: int, now_ns: int, work_ns: int = 0) -> bytes:
+        """Decide, tell, and give the bytes of this tick's one write."""
+        flags, epoch = int(self.flags), self.outbox.epoch_ns
+        self.flags &= ~(Flag.REBOOTED | Flag.SUSPENDED)
+        self.on_serial(now_ns, b"")
+        self._seq += 1
+        header = m.make_header(now_ns + epoch, m.BODY)
+        tick = m.Tick(header, due_ns, now_ns, work_ns, self._seq & 0xFFFFFFFF, flags)
+        self.outbox.post(topics.TICK, tick, now_ns)
+        result = self.last = self.loop.tick(due_ns, now_ns, flags)
+        drive = result.order.drive
+        wire = self._wire(drive, now_ns)
+        stamp_ns = now_ns + epoch
+        self.outbox.post(topics.ACTUATION, make_actuation(drive, wire, self._seq, stamp_ns), now_ns)
+        state = make_state(
+            result.estimate,
+            result.report,
+            drive,
+            result.supervisor.state,
+            result.facts,
+            self._seq,
+            now_ns,
+            epoch,
+        )
+        self.outbox.post(topics.STATE, state, now_ns)
+        self._tell(result, now_ns)
+        return wire
+
+    def _wire(self, drive: e.Drive, now_ns: int) -> bytes:
+        """This tick's bytes: drive order and polls, and connecting where that is not done."""
+        if not self.flags & Flag.LINKED:
+            return b""
+        try:
+            wire = self.link.make_tick(drive, now_ns)
+        except ValueError:
+            brake = DriveBrake(None, self.loop.setup.settings.brakes.brake_current_a)
+            wire = self.link.make_tick(brake, now_ns)
+        if not self.link.ready and isinstance(drive, DriveSilent | DriveBrake):
+            wire += self.link.make_connect(now_ns)
+        return wire
+
+    def _tell(self, result: TickResult, now_ns: int) -> None:
+        stamp_ns = now_ns + self.outbox.epoch_ns
+        changed = result.supervisor.state is not result.old
+        if changed:
+            transition = make_transition(result.old, result.supervisor, stamp_ns)
+            self.outbox.post(topics.TRANSITION, transition, now_ns)
+            level = _ERROR if result.supervisor.state in _ALARM else _INFO
+            text = f"{result.supervisor.state.name}: {result.supervisor.reason}"
+            log = Log(make_time(stamp_ns), level, "steerd", text, "", "", 0)
+            self.outbox.post(topics.LOG, log, now_ns)
+        if changed or now_ns - self._told_ns >= DIAGNOSTICS_PERIOD_NS:
+            self._told_ns = now_ns
+            diagnostics = make_diagnostics(
+                result.supervisor,
+                result.action,
+                self._waiting(result.action, result.waiting),
+                result.findings,
+                self._extra(),
+                stamp_ns,
+            )
+            self.outbox.post(topics.DIAGNOSTICS, diagnostics, now_ns)
+
+    def _waiting(self, action: Action, waiting: str) -> str:
+        """What the loop waits for, made concrete where only the links know."""
+        if action.waiting != waiting or self.loop.supervisor.state is not State.INIT:
+            return waiting
+        if not self.flags & Flag.LINKED:
+            return "the serial port to open"
+        if self.loop.vesc is None:
+            return "the VESC to answer: is it powered, and is this its port?"
+        if self.loop.perception.accepted_ns is None:
+            detail = f" ({self.source.detail})" if self.source and self.source.detail else ""
+            return f"a first pose of the car from mocap{detail}"
+        return waiting
+
+    def _extra(self) -> dict[str, str]:
+        vesc, source = self.loop.vesc, self.source
+        telling = {"boot_id": str(self.loop.setup.boot_id), "holder": str(self.loop.lease.holder)}
+        telling["controller"] = "remote" if self.loop.setup.remote else "lane"
+        if vesc is not None:
+            telling["uuid"] = vesc.uuid
+            telling["firmware"] = f"{vesc.firmware[0]}.{vesc.firmware[1]:02d}"
+            telling["vesc_timeout_ms"] = str(vesc.timeout_ms)
+        if source is not None:
+            telling["mocap"] = source.state
+            telling["mocap_rate_hz"] = f"{source.rate_hz:.0f}"
+            telling["mocap_detail"] = source.detail
+        return telling
+
+
+def make_identity(vesc: VescSelf, t_ns: int, epoch_ns: int) -> m.VescIdentity:
+    """What the VESC told about itself, as a message."""
+    brake = vesc.timeout_brake_current
+    return m.VescIdentity(
+        m.make_header(t_ns + epoch_ns, m.BODY),
+        t_ns,
+        -1 if vesc.timeout_ms is None else vesc.timeout_ms,
+        int(vesc.expected),
+        vesc.firmware[0],
+        vesc.firmware[1],
+        float("nan") if brake is None else brake,
+        vesc.uuid,
+    )
+
+
+def read_identity(message: m.VescIdentity) -> VescSelf:
+    """The inverse of `make_identity`."""
+    known = message.timeout_ms >= 0
+    return VescSelf(
+        bool(message.expected),
+        message.uuid,
+        (message.fw_major, message.fw_minor),
+        message.timeout_ms if known else None,
+        message.timeout_brake_current if known else None,
+    )
