@@ -82,6 +82,8 @@ def test_core_may_write_only_fresh_ticks_and_never_after_a_trip(page):
     assert page.may_write(0, STALE_NS - 1)
     assert not page.may_write(0, STALE_NS)
     assert page.may_write(0, STALE_NS, stale_ns=STALE_NS + 1)
+    assert page.may_write(10**12, 10**12 + STALE_NS - 1)
+    assert not page.may_write(10**12, 10**12 + STALE_NS)
     page.trip(1)
     assert not page.may_write(0, 0)
 
@@ -92,6 +94,7 @@ def test_heartbeat_is_stale_strictly_beyond_its_limit(page, age, faulty):
     core = Core(1, page.say_clean)
     assert wait_for_fault(page, core, STALE_NS, Times(1000 + age)) is faulty
     assert page.guardian_ns == 1000 + age
+    assert (STALE_NS, guardian.STALE_NS_NO_RT) == (30 * MS, 60 * MS)
     assert core.waits == ([] if faulty else [1])
 
 
@@ -125,6 +128,19 @@ def test_brake_trips_first_and_repeats_for_two_seconds(page, monkeypatch):
     brake(page, 42, BRAKE, clock)
     assert seen == [(7, 42)] * (BRAKE_NS // PERIOD_NS) == [(7, 42)] * 200
     assert page.guardian_ns > 7
+
+
+@pytest.mark.parametrize(("step", "waits"), [(0, range(10, 2001, 10)), (BRAKE_NS, [0] * 200)])
+def test_brake_frames_are_10_ms_apart_and_late_ones_do_not_wait(page, monkeypatch, step, waits):
+    pauses = []
+
+    class Pause:
+        poll = staticmethod(pauses.append)
+
+    monkeypatch.setattr(guardian.select, "poll", Pause)
+    monkeypatch.setattr(guardian.os, "write", lambda fd, data: len(data))
+    brake(page, 42, BRAKE, Times(7, step=step))
+    assert pauses == list(waits)
 
 
 def test_brake_goes_on_when_the_device_refuses(page, monkeypatch):

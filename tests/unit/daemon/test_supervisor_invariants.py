@@ -6,7 +6,7 @@ from math import inf, isfinite, nan
 import pytest
 
 from daemon.supervisor import NEVER, Conditions, SupervisorState, derive, step
-from daemon.transitions import ROWS, TABLE, Is, Motor, Request, State, choose
+from daemon.transitions import ROWS, TABLE, Is, Motor, Request, State, choose, is_engaged
 
 T_NS, AGO_NS = 100 * 10**9, 50 * 10**9
 REQUEST_BITS = {getattr(Is, r.name if r != Request.ESTOP else "CALL_ESTOP"): r for r in Request
@@ -176,3 +176,17 @@ def test_requests_and_facts_line_up():
     values = sorted(int(fact) for fact in Is)
     assert all(b == 2 * a for a, b in pairwise(values))
     assert len(values) == 27
+
+
+def test_guardian_is_engaged_exactly_where_motor_bytes_flow():
+    engaged = (State.ARMED, State.RUNNING, State.STOPPING, State.FAULT_STOP, State.ESTOP)
+    assert tuple(state for state in State if is_engaged(state)) == engaged
+
+
+def test_derived_facts_cannot_be_given_and_every_unknown_bit_is_unknown():
+    old = realise(State.ARMED, 0)[0]
+    everything = Conditions((1 << 40) - 1, nan, 0)
+    assert derive(old, everything, 0, T_NS) == GIVEN
+    for bit in (*range(10, 14), 31, 63):
+        assert derive(old, everything._replace(facts=0), 1 << bit, T_NS) == Is.UNKNOWN
+    assert derive(old, everything._replace(facts=0), Request.KEEPALIVE, T_NS) == 0

@@ -452,3 +452,44 @@ def test_every_watchdog_of_the_page_exists_with_advice():
     assert all(row.advice and row.severity > WARN for row in WATCHDOGS.values())
     with pytest.raises(KeyError):
         make_finding("W99", "")
+
+
+def test_slanted_fences_and_diagonal_travel():
+    kite = ((0.0, -2.0), (3.0, 1.0), (0.0, 2.0), (-1.0, 1.0))
+    assert is_inside(kite, 1.0, 0.0)
+    assert not is_inside(kite, 2.0, -0.5)
+    assert is_inside(kite, 1.9, 0.0)
+    assert not is_inside(kite, 2.1, 0.0)
+    assert is_inside(kite, -0.3, 0.0)
+    assert not is_inside(kite, -0.7, 0.0)
+    th = replace(TH, fence=SQUARE)
+    for course, x, y in ((0.6, 1.0, 0.0), (0.6 + pi, -1.0, 0.0), (0.9, 0.0, 1.0)):
+        out = look(th, x=x, y=y, course=course, speed=2.0)  # needs 0.875 m: stays just inside
+        assert brief(out) == [("W19", WARN)]
+        out = look(th, x=1.5 * x, y=1.5 * y, course=course, speed=2.0)
+        assert brief(out) == [("W19", HARD)]
+    assert look(th, x=-1.0, course=0.6, speed=2.0) == ()
+
+
+def test_only_their_own_status_bits_count():
+    armed, _ = step_watchdogs(TH, WatchdogState(), CALM)
+    assert brief(look(memory=armed, status=2)) == [("W10", KILL)]
+    assert hold(1.0, status=2) == ([("W10", KILL)], [("W10", KILL)])
+    assert FED_S == 0.2
+
+
+def test_words_carry_the_measured_number():
+    words = [f.text for f in look(mocap_age=0.2, telemetry_age=0.11, lease_age=0.31)]
+    assert "no good frame for 200 ms (limit 125 ms)" in words[0]
+    assert "no reply for 110 ms" in words[1]
+    assert "not renewed for 310 ms" in words[2]
+
+
+def test_nothing_is_weak_before_and_after_a_stop():
+    assert is_slowing(WatchdogState())
+    weak = WatchdogState(stop=State.STOPPING, weak=3)
+    assert is_slowing(step_watchdogs(TH, weak, CALM)[0])
+
+
+def test_a_tachometer_of_zero_is_known():
+    assert step_watchdogs(TH, WatchdogState(), CALM._replace(tachometer=0))[0].tachometer == 0
