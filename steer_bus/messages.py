@@ -35,8 +35,9 @@ from steer_bus.standard import Header, make_header, make_time, stamp_ns
 
 __all__ = [
     "BODY", "OWN_MESSAGES", "WORLD", "Actuation", "ActuationMode", "ClockSample", "DriveCommand",
-    "Header", "MocapPose", "OperatorRequest", "RequestKind", "State", "Tick", "Transition",
-    "VescIdentity", "VescImu", "VescTelemetry", "make_header", "make_time", "stamp_ns",
+    "Header", "MocapPose", "OperatorRequest", "RequestKind", "State", "Throttle", "Tick",
+    "Transition", "VescIdentity", "VescImu", "VescTelemetry", "WheelSpeed", "make_header",
+    "make_time", "stamp_ns",
 ]  # fmt: skip
 
 WORLD = "map"
@@ -281,7 +282,25 @@ class ClockSample:
     mocap_offset_ns: Nanosecond
 
 
+@message("steerd_msgs/msg/WheelSpeed")
+class WheelSpeed:
+    """A wheel or motor encoder's speed, for cars and logs that have no VESC; forward positive."""
+
+    header: Header
+    t_ns: Nanosecond
+    speed: MetrePerSecond
+
+
+@message("steerd_msgs/msg/Throttle")
+class Throttle:
+    """An open-loop motor command in the unit of its car (-1 to 1, mostly); forward positive."""
+
+    header: Header
+    t_ns: Nanosecond
+    throttle: Unitless
+
+
 OWN_MESSAGES = (
     Tick, MocapPose, VescTelemetry, VescIdentity, VescImu, Actuation, State, DriveCommand,
-    OperatorRequest, Transition, ClockSample,
+    OperatorRequest, Transition, ClockSample, WheelSpeed, Throttle,
 )  # fmt: skip

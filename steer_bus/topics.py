@@ -18,11 +18,13 @@ from steer_bus.messages import (
     MocapPose,
     OperatorRequest,
     State,
+    Throttle,
     Tick,
     Transition,
     VescIdentity,
     VescImu,
     VescTelemetry,
+    WheelSpeed,
 )
 from steer_bus.standard import (
     DiagnosticArray,
@@ -90,11 +92,13 @@ POSE = Topic("pose", PoseStamped, logged=False, rate_hz=50.0)
 EXTERNAL_POSE = Topic("in/pose", PoseStamped, Direction.IN, Priority.REAL_TIME, rate_hz=200.0)
 VESC_STATE = Topic("vesc_state", VescStateStamped, logged=False, rate_hz=50.0)
 DIAGNOSTICS = Topic("diagnostics", DiagnosticArray, priority=Priority.DATA_LOW, rate_hz=1.0)
+WHEEL = Topic("wheel", WheelSpeed, on_bus=False, rate_hz=100.0)
+THROTTLE = Topic("throttle", Throttle, on_bus=False, rate_hz=100.0)
 LOG = Topic("rosout", Log, priority=Priority.DATA_LOW)
 
 TOPICS = (
     TICK, MOCAP, VESC, IDENTITY, IMU, ACTUATION, STATE, TRANSITION, CLOCK, DRIVE, OPERATOR, ODOM,
-    POSE, EXTERNAL_POSE, VESC_STATE, DIAGNOSTICS, LOG,
+    POSE, EXTERNAL_POSE, VESC_STATE, DIAGNOSTICS, LOG, WHEEL, THROTTLE,
 )  # fmt: skip
 
 
