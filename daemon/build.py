@@ -1,0 +1,126 @@
+"""Putting a run together: settings, path, design, loop and links."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from car_model.car_file import default_car_path
+from car_model.effects import parse_effects
+from car_model.path import Path
+from car_model.path_spec import parse_path
+from controller.build import make_controller
+from controller.design import DesignRefused
+from controller.lane_controller import LaneController
+from daemon.config import Settings, load_settings
+from daemon.core import Core
+from daemon.errors import ExitCode, SteerdError
+from daemon.loop import Loop, LoopSetup
+from daemon.options import ControllerKind, RunOptions
+from daemon.outbox import Outbox, Sink
+from sim_hw.mocap_config import MocapConfig
+from sim_hw.vesc_config import VescConfig
+from sim_hw.world import WorldConfig
+from vesc_link.telemetry import IMU_ACCEL_GYRO_MASK
+from vesc_link.vesc import VescLink
+
+NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A run that is ready to start: everything that could be refused has been accepted."""
+
+    options: RunOptions
+    settings: Settings
+    path: Path
+    controller: LaneController
+
+    @property
+    def period_ns(self) -> int:
+        """Of the control loop."""
+        return round(NS / self.options.rate_hz)
+
+
+def make_plan(options: RunOptions) -> Plan:
+    """Read the car file, the path and design the controller.
+
+    Raises:
+        SteerdError: any of them is refused, with the reason.
+    """
+    if not 20.0 <= options.rate_hz <= 1000.0:
+        raise SteerdError(f"--rate {options.rate_hz:g}: 20 to 1000 Hz", "", ExitCode.USAGE)
+    settings = load_settings(options.car_file or default_car_path(), options.speed)
+    try:
+        path = parse_path(options.path)
+    except OSError as error:
+        raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.UNREADABLE) from None
+    except ValueError as error:
+        raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.USAGE) from None
+    try:
+        controller = make_controller(settings.file.car, path, settings.controller, options.rate_hz)
+    except DesignRefused as error:
+        raise SteerdError(str(error), "", ExitCode.INVALID) from None
+    except ValueError as error:
+        raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.INVALID) from None
+    return Plan(options, settings, path, controller)
+
+
+def make_core(
+    plan: Plan, boot_id: int, t_ns: int, epoch_ns: int, sinks: Sequence[Sink], leased: bool
+) -> Core:
+    """The control core of a plan.
+
+    Args:
+        plan: what to run.
+        boot_id: random name of this run.
+        t_ns: now, monotonic.
+        epoch_ns: UNIX time minus monotonic time.
+        sinks: who gets the messages.
+        leased: whether an operator's lease is needed.
+    """
+    options, settings = plan.options, plan.settings
+    duration = options.duration_s
+    setup = LoopSetup(
+        settings=settings,
+        controller=plan.controller,
+        period_ns=plan.period_ns,
+        boot_id=boot_id,
+        remote=options.controller is ControllerKind.ZENOH,
+        auto_arm=options.auto_arm,
+        leased=leased,
+        duration_ns=None if duration is None else round(duration * NS),
+    )
+    uuid = settings.brakes.uuid
+    link = VescLink(
+        settings.scaling,
+        bytes.fromhex(uuid) if uuid else None,
+        imu_mask=IMU_ACCEL_GYRO_MASK,
+    )
+    return Core(Loop(setup, t_ns), link, Outbox(epoch_ns, tuple(sinks)))
+
+
+def make_world_config(
+    plan: Plan, mocap_kind: str = "natnet", keep_bytes: bool = False
+) -> WorldConfig:
+    """Simulated hardware that fits a plan: the car of the car file, with the effects asked for.
+
+    Raises:
+        SteerdError: an effect is unknown or its value cannot be.
+    """
+    settings, options = plan.settings, plan.options
+    try:
+        added = parse_effects(",".join(options.effects)) if options.effects else []
+    except ValueError as error:
+        raise SteerdError(
+            f"--effect: {error}", "`steerd effects` lists them", ExitCode.USAGE
+        ) from None
+    file = settings.file
+    return WorldConfig(
+        seed=options.seed,
+        car=file.car,
+        effects=(*file.effects, *(effect for effect, _ in added)),
+        effect_values=(*file.values, *(values for _, values in added)),
+        scaling=settings.scaling,
+        vesc=VescConfig(current_limit=settings.brakes.current_max_a),
+        mocap=MocapConfig(kind=mocap_kind, frame=settings.ingest.frame),
+        keep_bytes=keep_bytes,
+    )

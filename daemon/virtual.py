@@ -1,0 +1,129 @@
+"""Virtual time: the same core against the simulated world, as fast as the machine allows.
+
+Deterministic: the same plan and seed give the same bytes. Nothing waits; the clock jumps to
+whatever happens next.
+"""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from daemon.build import Plan, make_core, make_world_config
+from daemon.core import Core
+from daemon.loop import Flag
+from daemon.outbox import Sink
+from daemon.transitions import State
+from mocap_link.natnet_client import Socket
+from mocap_link.sessions import NatNetSource
+from sim_hw.network import COMMAND, DATA
+from sim_hw.world import World, WorldConfig
+
+EPOCH_NS = 1_700_000_000_000_000_000
+"""UNIX time of virtual time zero: sessions of the same seed are the same file."""
+_SERVER = "127.0.0.1"
+_TIMER_NS = 20_000_000
+_GRACE_NS = 30_000_000_000
+"""A run that has not begun to drive by then never will."""
+
+
+@dataclass
+class VirtualRun:
+    """One drive in virtual time.
+
+    Attributes:
+        core, world: the two sides of the wires.
+        t_ns: now.
+        wire: digest of every byte in both directions.
+    """
+
+    core: Core
+    world: World
+    source: NatNetSource
+    period_ns: int
+    t_ns: int = 0
+
+    def __post_init__(self) -> None:
+        self.wire = hashlib.sha256()
+        self._timer_ns = 0
+
+    def step(self) -> None:
+        """One period: a tick, then whatever arrives until the next."""
+        due = self.t_ns
+        self._feed_back()
+        data = self.core.tick(due, due)
+        if data and self.core.flags & Flag.LINKED:
+            self._write(due, data)
+        self.core.outbox.flush(due)
+        end = due + self.period_ns
+        while self.t_ns < end:
+            self.t_ns = min(max(self.world.next_wake_ns, self.t_ns + 1), end)
+            self._receive(self.t_ns)
+
+    def _feed_back(self) -> None:
+        """What the pipeline needs to know of the car."""
+        ingest, seen = self.source.ingest, self.core.loop.perception
+        ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
+        ingest.stationary = seen.may_rebase
+
+    def _write(self, t_ns: int, data: bytes) -> None:
+        self.wire.update(b">" + t_ns.to_bytes(8, "big") + data)
+        try:
+            taken = self.world.serial_write(t_ns, data)
+        except OSError:
+            taken = -1
+        if taken != len(data):
+            self._lose_link()
+
+    def _lose_link(self) -> None:
+        self.core.flags |= Flag.SERIAL_FAULT
+        self.core.flags &= ~Flag.LINKED
+        self.core.link.reset()
+        self.core.loop.on_vesc(None)
+
+    def _receive(self, t_ns: int) -> None:
+        if self.world.serial_name is None:
+            if self.core.flags & Flag.LINKED:
+                self._lose_link()
+        else:
+            self.core.flags |= Flag.LINKED
+            data = self.world.serial_read(t_ns)
+            if data:
+                self.wire.update(b"<" + t_ns.to_bytes(8, "big") + data)
+                self.core.on_serial(t_ns, data)
+        for message in self.world.mocap_read(t_ns):
+            if message.channel in (COMMAND, DATA):
+                which: Socket = "data" if message.channel == DATA else "command"
+                self.core.on_poses(
+                    self.source.on_datagram(message.data, message.t_ns, _SERVER, which)
+                )
+        if t_ns >= self._timer_ns:
+            self._timer_ns = t_ns + _TIMER_NS
+            for datagram in self.source.on_timer(t_ns):
+                self.world.mocap_write(t_ns, datagram)
+            self.core.source = self.source.status()
+
+
+def make_virtual_run(
+    plan: Plan, sinks: tuple[Sink, ...] = (), world: World | None = None
+) -> VirtualRun:
+    """A drive in virtual time; `world` replaces the one that the plan describes."""
+    config: WorldConfig = make_world_config(plan)
+    core = make_core(plan, plan.options.seed + 1, 0, EPOCH_NS, sinks, leased=False)
+    core.flags |= Flag.LINKED
+    source = NatNetSource(config.mocap.body, _SERVER, plan.settings.ingest)
+    return VirtualRun(core, world or World(config), source, plan.period_ns)
+
+
+def drive(run: VirtualRun, on_tick: Callable[[VirtualRun], None] | None = None) -> None:
+    """Drive until the car is parked again after its run, or latched."""
+    while True:
+        run.step()
+        if on_tick is not None:
+            on_tick(run)
+        loop = run.core.loop
+        if loop.ran and loop.parked:
+            return
+        if loop.faulted and loop.supervisor.state in (State.FAULT_LATCHED, State.ESTOP):
+            return
+        if run.t_ns > _GRACE_NS and not loop.ran and loop.parked:
+            return
