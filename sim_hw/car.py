@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
-from car_model.model import Model, delays, memory_size, observe
+from car_model.model import Model, delays, hooked, memory_size, observe
 from car_model.ops import FLOAT
 from car_model.params import GRAVITY
 from car_model.rollout import stiffness_rate
@@ -86,11 +86,15 @@ class SimCar:
         self.state = setup.start
         self.accel_x = self.accel_y = 0.0
         self._noise = noise
+        self._noisy = any(setup.noise)
+        self._step_ns = setup.step_ns
+        self._watched = "observe" in hooked(model.effects)
         self._steps = make_steps(model)
         self._memory: tuple[float, ...] = (0.0,) * memory_size(model.effects)
         late = delays(model)
         self._pose_delay_ns = round(late.pose * NS)
-        self._steer = DelayLine(round((late.steer - setup.servo_wait) * NS), setup.start.steer)
+        self._steer_delay_ns = max(0, round((late.steer - setup.servo_wait) * NS))
+        self._steer = DelayLine(self._steer_delay_ns, setup.start.steer)
         self._drive_delay_ns = round(late.drive * NS)
         self._value = DelayLine(self._drive_delay_ns, 0.0)
         self._mode = DelayLine(self._drive_delay_ns, float(Drive.BRAKE))
@@ -104,24 +108,28 @@ class SimCar:
 
     def step(self, steer: float, demand: Demand) -> None:
         """One physics step under a servo angle [rad] and a demand, both still without dead time."""
-        t0, t1 = self.t_ns, self.t_ns + self.setup.step_ns
+        t0, t1 = self.t_ns, self.t_ns + self._step_ns
         before, h = self.state, self._h
         t = (t0 - self._t_start_ns) / NS
-        self._steer.push(t0, steer)
-        asked = self._steer.mean(t0, t1)
+        if self._steer_delay_ns:
+            self._steer.push(t0, steer)
+            steer = self._steer.mean(t0, t1)
         if self._drive_delay_ns:
             demand = self._late(demand, t0, t1)
         drive, value = demand
         wanted = value if drive is Drive.SPEED else before.speed
-        steer_end, accel = self._steps.actuate(*before, *self._memory, asked, wanted, t, h)
+        steer_end, accel = self._steps.actuate(*before, *self._memory, steer, wanted, t, h)
         if drive is not Drive.SPEED:
             accel = self._driven(demand)
-        numbers = self._glide(before, steer_end, accel, t)
+        if abs(before.speed) >= self._substeps:
+            numbers = self._steps.glide(*before, *self._memory, steer_end, accel, t, h)
+        else:
+            numbers = self._glide_finely(before, steer_end, accel, t)
         self._memory = numbers[7:]
-        after = State(*numbers[:7])
+        after: State[float] = State._make(numbers[:7])
         if drive is not Drive.SPEED:
             after = self._held_back(before, after, demand)
-        if any(self.setup.noise) and after.speed:
+        if self._noisy and after.speed:
             after = self._shaken(after)
         self._finish(before, after, t1)
 
@@ -130,13 +138,11 @@ class SimCar:
         self._value.push(t0, demand.value)
         return Demand(Drive(int(self._mode.mean(t0, t0 + 1))), self._value.mean(t0, t1))
 
-    def _glide(
+    def _glide_finely(
         self, before: State[float], steer_end: float, accel: float, t: float
     ) -> tuple[float, ...]:
         """The chassis' step; more, shorter ones where the yaw mode is stiff."""
         count = max(1, math.ceil(self._substeps / max(abs(before.speed), SPEED_KINEMATIC)))
-        if count == 1:
-            return self._steps.glide(*before, *self._memory, steer_end, accel, t, self._h)
         numbers: tuple[float, ...] = (*before, *self._memory)
         part = self._h / count
         for i in range(count):
@@ -209,3 +215,9 @@ class SimCar:
     def motor_seen(self) -> Observation[float]:
         """What motor controller and gyro measure now."""
         return observe(FLOAT, self.model, self.state)
+
+    def wheel_speed(self) -> float:
+        """The speed that the motor controller measures now, without the rest [m/s]."""
+        if self._watched:
+            return self.motor_seen().wheel_speed
+        return self.state.speed / self.model.car.speed_gain

@@ -9,6 +9,7 @@ import multiprocessing as mp
 import os
 import select
 import signal
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -198,6 +199,7 @@ def spawn_sim(config: WorldConfig, options: SimOptions | None = None) -> Spawned
 
 def _child(config: WorldConfig, options: SimOptions | None, pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for our parent, who then closes us
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # by way of SimHardware.close
     with SimHardware(config, options) as hardware:
         pipe.send((hardware.port, hardware.mocap_url))
         hardware.run(pipe.fileno())

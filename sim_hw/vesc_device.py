@@ -190,7 +190,7 @@ class SimVesc:
 
     def _true_erpm(self) -> float:
         scaling = self._scaling
-        wheel = self.car.motor_seen().wheel_speed
+        wheel = self.car.wheel_speed()
         return self._sign * (scaling.erpm_gain * wheel + scaling.erpm_offset * (wheel != 0.0))
 
     def _servo(self, t_ns: int) -> float:

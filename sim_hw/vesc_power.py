@@ -15,6 +15,13 @@ _FIELD_VOLTAGE = 3**-0.5
 """Phase voltage per bus voltage at full duty (space-vector modulation)."""
 _FLAT = 0.1
 """Voltage below which no battery goes here, so that nothing divides by zero [V]."""
+_SUMS = {
+    "motor_current": "_motor_sum",
+    "input_current": "_input_sum",
+    "q_current": "_q_sum",
+    "v_q": "_vq_sum",
+}
+"""Where each mean is summed up; the others (the field-weakening axis) are zero."""
 MEANS = ("motor_current", "input_current", "d_current", "q_current", "v_d", "v_q")
 
 
@@ -38,7 +45,7 @@ class Power:
         self.ah = self.ah_charged = self.wh = self.wh_charged = 0.0
         self.warmth = self.heat_c = 0.0
         self.input_current = 0.0
-        self._sums = dict.fromkeys(MEANS, 0.0)
+        self._motor_sum = self._input_sum = self._q_sum = self._vq_sum = 0.0
         self._count = 0
         self._read: dict[str, tuple[float, int]] = dict.fromkeys(MEANS, (0.0, 0))
 
@@ -69,19 +76,20 @@ class Power:
             self.ah_charged -= charge
             self.wh_charged -= charge * self.voltage
         self.warmth += h * (_HEATING * current * current - self.warmth / _COOLING)
-        sums = self._sums
-        sums["motor_current"] += abs(current) if source >= 0.0 else -abs(current)
-        sums["input_current"] += source
-        sums["q_current"] += current
-        sums["v_q"] += duty * self.voltage * _FIELD_VOLTAGE
+        self._motor_sum += abs(current) if source >= 0.0 else -abs(current)
+        self._input_sum += source
+        self._q_sum += current
+        self._vq_sum += duty * self.voltage
         self._count += 1
 
     def read_mean(self, name: str) -> float:
         """Mean of a field since its last read, which this is now; 0 when read twice at once."""
         total, count = self._read[name]
-        self._read[name] = (self._sums[name], self._count)
+        now = getattr(self, _SUMS[name]) if name in _SUMS else 0.0
+        self._read[name] = (now, self._count)
         samples = self._count - count
-        return (self._sums[name] - total) / samples if samples else 0.0
+        mean = (now - total) / samples if samples else 0.0
+        return mean * _FIELD_VOLTAGE if name == "v_q" else mean
 
     @property
     def tachometer(self) -> int:

@@ -1,0 +1,241 @@
+"""The simulated hardware in its own process, met by other programs through the real wires."""
+
+import multiprocessing as mp
+import os
+import select
+import socket
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mocap_link import natnet
+from mocap_link.natnet_frame import Frame
+from mocap_link.source import parse_mocap_url
+from mocap_link.vrpn import check_cookie, encode_cookie
+from sim_hw.faults import Fault
+from sim_hw.links import SimHardware, SimOptions, SpawnedSim, fault_windows, serve, spawn_sim
+from sim_hw.mocap_config import MULTICAST, MocapConfig
+from sim_hw.vesc_config import VescConfig
+from sim_hw.world import WorldConfig
+from steer_bus.clock import VirtualClock
+from vesc_link import commands as c
+from vesc_link.frames import FrameParser, encode_frame
+from vesc_link.identity import FwVersion
+from vesc_link.packets import decode_reply, encode_command
+from vesc_link.transport import LinkDown, open_port
+
+pytestmark = pytest.mark.realtime
+VERSION_REQUEST = encode_frame(encode_command(c.GetFwVersion()))
+DEADLINE = 5.0
+
+
+def wait_for(fd: int, seconds: float = DEADLINE) -> bool:
+    return bool(select.select([fd], [], [], seconds)[0])
+
+
+def until(done: Callable[[], bool], fd: int, seconds: float = DEADLINE) -> None:
+    """Wait on a descriptor in short slices until something holds."""
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end, "deadline passed"
+        wait_for(fd, 0.01)
+
+
+def ask_version(fd: int) -> FwVersion:
+    os.write(fd, VERSION_REQUEST)
+    parser, payloads = FrameParser(), []
+    end = time.monotonic() + DEADLINE
+    while not payloads:
+        assert time.monotonic() < end
+        if wait_for(fd, 0.1):
+            payloads = parser.feed(os.read(fd, 4096), 0)
+    reply = decode_reply(payloads[0])
+    assert isinstance(reply, FwVersion)
+    return reply
+
+
+@pytest.fixture
+def idle() -> Iterator[int]:
+    """A descriptor on which nothing ever happens."""
+    read, write = os.pipe()
+    yield read
+    os.close(read)
+    os.close(write)
+
+
+@pytest.fixture
+def sim() -> Iterator[SpawnedSim]:
+    with spawn_sim(WorldConfig()) as spawned:
+        yield spawned
+
+
+def test_a_second_program_gets_the_firmware_version_again_and_again(sim: SpawnedSim) -> None:
+    for _ in range(3):
+        fd = os.open(sim.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            assert ask_version(fd).firmware == VescConfig().firmware
+        finally:
+            os.close(fd)
+
+
+def test_port_is_fresh_after_a_program_left_its_lock_and_bytes(sim: SpawnedSim, idle: int) -> None:
+    fd = os.open(sim.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    os.write(fd, VERSION_REQUEST)
+    assert wait_for(fd)  # the reply is left unread
+    link = Path(sim.port)
+    born = link.lstat().st_mtime_ns
+    os.close(fd)
+    until(lambda: link.is_symlink() and link.lstat().st_mtime_ns > born, idle)
+    port = open_port(sim.port)
+    try:
+        assert ask_version(port.fd).uuid == VescConfig().uuid
+    finally:
+        port.close()
+
+
+def test_process_ends_when_its_parent_lets_go_and_cleans_up() -> None:
+    sim = spawn_sim(WorldConfig())
+    assert Path(sim.port).exists()
+    sim.stop()
+    assert sim.process.exitcode == 0
+    assert not Path(sim.port).parent.exists()
+
+
+def test_natnet_frames_arrive_over_udp_unicast(sim: SpawnedSim) -> None:
+    url = parse_mocap_url(sim.mocap_url)
+    assert (url.scheme, url.body, url.unicast) == ("natnet", "car", True)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.sendto(natnet.encode(natnet.Connect()), (url.host, url.port))
+        messages = []
+        while len(messages) < 20:
+            assert wait_for(udp.fileno())
+            messages.append(natnet.decode(udp.recv(65_536), MocapConfig().version))
+    assert isinstance(messages[0], natnet.ServerInfo)
+    numbers = [m.number for m in messages if isinstance(m, Frame)]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+def test_natnet_frames_arrive_over_multicast_on_the_loopback() -> None:
+    with spawn_sim(WorldConfig(mocap=MocapConfig(transport=MULTICAST))) as sim:
+        url = parse_mocap_url(sim.mocap_url)
+        assert url.interface == "127.0.0.1"
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as command,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as data,
+        ):
+            command.sendto(natnet.encode(natnet.Connect()), (url.host, url.port))
+            assert wait_for(command.fileno())
+            info = natnet.decode(command.recv(2000), (4, 1))
+            assert isinstance(info, natnet.ServerInfo)
+            assert info.multicast
+            data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            data.bind((info.group, info.data_port))
+            group = socket.inet_aton(info.group) + socket.inet_aton("127.0.0.1")
+            data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+            for _ in range(5):
+                assert wait_for(data.fileno())
+                assert isinstance(natnet.decode(data.recv(65_536), info.version), Frame)
+
+
+def test_vrpn_client_reconnects() -> None:
+    with spawn_sim(WorldConfig(mocap=MocapConfig(kind="vrpn"))) as sim:
+        url = parse_mocap_url(sim.mocap_url)
+        for _ in range(2):
+            with socket.create_connection((url.host, url.port), timeout=DEADLINE) as tcp:
+                tcp.sendall(encode_cookie())
+                data = b""
+                while len(data) < 600:  # greeting, descriptions and some poses
+                    data += tcp.recv(600)
+                assert check_cookie(data)
+
+
+def test_foreign_frames_come_from_another_address() -> None:
+    options = SimOptions(faults=(Fault("M20"),))
+    with spawn_sim(WorldConfig(), options) as sim:
+        url = parse_mocap_url(sim.mocap_url)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+            udp.sendto(natnet.encode(natnet.Connect()), (url.host, url.port))
+            senders = set()
+            for _ in range(12):
+                assert wait_for(udp.fileno())
+                senders.add(udp.recvfrom(65_536)[1][0])
+    assert senders == {"127.0.0.1", "127.0.0.9"}
+
+
+def test_reboot_hangs_up_and_the_port_comes_back(idle: int) -> None:
+    config = WorldConfig(vesc=replace(VescConfig(), reboot_ns=150_000_000))
+    with spawn_sim(config) as sim:
+        port = open_port(sim.port)
+        try:
+            port.write(encode_frame(encode_command(c.Reboot())))
+            until(lambda: not Path(sim.port).exists(), idle)
+            with pytest.raises(LinkDown):
+                until(lambda: port.read() == b"never", idle, 1.0)
+        finally:
+            port.close()
+        until(lambda: Path(sim.port).exists(), idle)
+        again = open_port(sim.port)
+        try:
+            assert ask_version(again.fd).firmware == VescConfig().firmware
+        finally:
+            again.close()
+
+
+def fill(fd: int) -> None:
+    for _ in range(1000):
+        os.write(fd, bytes(1024))
+
+
+def test_stalled_reader_fills_the_kernel_buffer() -> None:
+    with spawn_sim(WorldConfig(), SimOptions(faults=(Fault("V6"),))) as sim:
+        fd = os.open(sim.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            with pytest.raises(BlockingIOError):
+                fill(fd)
+        finally:
+            os.close(fd)
+
+
+def test_hardware_in_this_process_stops_at_its_pipe_and_its_signal(tmp_path: Path) -> None:
+    read, write = os.pipe()
+    os.close(write)
+    with SimHardware(WorldConfig(), SimOptions(link_dir=tmp_path)) as hardware:
+        assert hardware.port == str(tmp_path / "vesc")
+        hardware.run(read)
+    os.close(read)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_serving_process_leaves_in_order_at_sigterm(tmp_path: Path, idle: int) -> None:
+    options = SimOptions(link_dir=tmp_path)
+    child = mp.get_context("spawn").Process(target=serve, args=(WorldConfig(), options))
+    child.start()
+    until(lambda: (tmp_path / "vesc").exists(), idle, 20.0)
+    child.terminate()
+    child.join(DEADLINE)
+    assert child.exitcode == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pumping_needs_no_real_clock(tmp_path: Path) -> None:
+    """A virtual clock drives the sockets too: what is due is there at once."""
+    clock = VirtualClock(t_ns=5)
+    with SimHardware(WorldConfig(), SimOptions(link_dir=tmp_path), clock) as hardware:
+        fd = os.open(hardware.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        os.write(fd, VERSION_REQUEST)
+        hardware.pump(5)
+        hardware.pump(5 + 10_000_000)
+        assert wait_for(fd)
+        os.close(fd)
+
+
+def test_fault_windows_as_people_write_them() -> None:
+    one, two, three = fault_windows(["M4", "jump@1.5", "V9@2-3"])
+    assert (one.t_from_ns, one.kind) == (0, two.kind)
+    assert two.t_from_ns == 1_500_000_000
+    assert (three.t_from_ns, three.t_to_ns) == (2_000_000_000, 3_000_000_000)
+    with pytest.raises(ValueError, match="no fault"):
+        fault_windows(["nonsense"])
