@@ -83,3 +83,26 @@ def test_done_stays_done_and_time_does_not_run_backwards():
     assert (back.travelled, wrong) == (0.0, "")
     done = state._replace(done=True)
     assert step_launch(done, start._replace(x=99.0), WHEELBASE) == (done, "")
+
+
+def shown(mocap, wheels, turned=0.0, expected=0.0, sideways=0.0):
+    """What one more, motionless tick says to a launch that has shown this, far from the origin."""
+    here = LaunchInput(0, 5.0 + mocap, -3.0, 0.0, 0.0, 0.0)
+    state = make_launch_state(here)._replace(
+        x0=5.0, travelled=wheels, turned=turned, expected_turn=expected, forward=mocap
+    )
+    return step_launch(state._replace(sideways=sideways), here, WHEELBASE)
+
+
+def test_every_bound_of_the_launch_exactly():
+    assert shown(0.0, 0.2499)[1] == ""
+    assert "units" in shown(0.0, 0.25)[1]
+    assert "units" in shown(0.25, 0.0)[1]
+    assert shown(0.5, 0.5) == (shown(0.5, 0.5)[0]._replace(done=True), "")
+    assert not shown(0.5, 0.4999)[0].done
+    assert "against" in shown(0.5, 0.5, turned=-0.03, expected=0.10)[1]
+    assert shown(0.5, 0.5, turned=-0.0299, expected=0.10)[1] == ""
+    assert shown(0.5, 0.5, turned=-0.03, expected=0.0999)[1] == ""
+    assert shown(0.5, 0.5, turned=0.03, expected=0.10)[1] == ""
+    assert "heading" in shown(0.5, 0.5, sideways=0.5 * tan(pi / 6) + 1e-9)[1]
+    assert shown(0.5, 0.5, sideways=0.5 * tan(pi / 6) - 1e-9)[1] == ""
