@@ -117,14 +117,14 @@ class SimCar:
         if self._drive_delay_ns:
             demand = self._late(demand, t0, t1)
         drive, value = demand
-        wanted = value if drive is Drive.SPEED else before.speed
-        steer_end, accel = self._steps.actuate(*before, *self._memory, steer, wanted, t, h)
-        if drive is not Drive.SPEED:
-            accel = self._driven(demand)
-        if abs(before.speed) >= self._substeps:
-            numbers = self._steps.glide(*before, *self._memory, steer_end, accel, t, h)
+        if drive is Drive.SPEED and abs(before.speed) >= self._substeps:
+            numbers = self._steps.follow(*before, *self._memory, steer, value, t, h)
         else:
-            numbers = self._glide_finely(before, steer_end, accel, t)
+            wanted = value if drive is Drive.SPEED else before.speed
+            end, accel = self._steps.actuate(*before, *self._memory, steer, wanted, t, h)
+            if drive is not Drive.SPEED:
+                accel = self._driven(demand)
+            numbers = self._glide(before, end, accel, t)
         self._memory = numbers[7:]
         after: State[float] = State._make(numbers[:7])
         if drive is not Drive.SPEED:
@@ -138,7 +138,7 @@ class SimCar:
         self._value.push(t0, demand.value)
         return Demand(Drive(int(self._mode.mean(t0, t0 + 1))), self._value.mean(t0, t1))
 
-    def _glide_finely(
+    def _glide(
         self, before: State[float], steer_end: float, accel: float, t: float
     ) -> tuple[float, ...]:
         """The chassis' step; more, shorter ones where the yaw mode is stiff."""

@@ -113,9 +113,12 @@ class NatNetServer:
         received = capture.t_ns + config.camera_ns
         sent = received + config.software_ns
         sent += max(0, round(config.jitter_ns * self._noise.normal()))
+        destinations = self._destinations(capture.t_ns)
+        if not destinations:
+            return
         data = natnet.encode(self._frame(capture, received, sent), config.version)
         arrival = sent + config.network_ns
-        for channel, peer in self._destinations(capture.t_ns):
+        for channel, peer in destinations:
             self._network.send_frame(Datagram(arrival, channel, data, peer))
             if self.knobs.foreign:
                 data = natnet.encode(self._frame(self._forged(capture), received, sent))

@@ -7,6 +7,7 @@ A model that a record cannot hold (one that branches on a value) runs as it is.
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, NoReturn, cast
 
@@ -16,17 +17,21 @@ from car_model.rollout import glide
 from car_model.state import Command, State
 
 Numbers = tuple[float, ...]
+_DEEPEST = 20
+"""Levels of parentheses; the compiler has a limit of its own."""
 
 
 class Steps(NamedTuple):
-    """The two halves of a step, over plain floats.
+    """A step and its two halves, over plain floats.
 
     ``actuate(*state, *memory, steer, speed, t, h)`` gives the steering angle at the step's end and
     the acceleration; ``glide(*state, *memory, steer_end, accel, t, h)`` gives state and memory.
+    ``follow(*state, *memory, steer, speed, t, h)`` is both.
     """
 
     actuate: Callable[..., Numbers]
     glide: Callable[..., Numbers]
+    follow: Callable[..., Numbers]
     unrolled: bool
 
 
@@ -40,34 +45,34 @@ class _Recorded:
         self.name = name
 
     def __add__(self, other: Any) -> "_Recorded":
-        return self.tape.note(f"{self.name} + {text(other)}")
+        return self.tape.note("{0} + {1}", self, other)
 
     def __radd__(self, other: Any) -> "_Recorded":
-        return self.tape.note(f"{text(other)} + {self.name}")
+        return self.tape.note("{0} + {1}", other, self)
 
     def __sub__(self, other: Any) -> "_Recorded":
-        return self.tape.note(f"{self.name} - {text(other)}")
+        return self.tape.note("{0} - {1}", self, other)
 
     def __rsub__(self, other: Any) -> "_Recorded":
-        return self.tape.note(f"{text(other)} - {self.name}")
+        return self.tape.note("{0} - {1}", other, self)
 
     def __mul__(self, other: Any) -> "_Recorded":
-        return self.tape.note(f"{self.name} * {text(other)}")
+        return self.tape.note("{0} * {1}", self, other)
 
     def __rmul__(self, other: Any) -> "_Recorded":
-        return self.tape.note(f"{text(other)} * {self.name}")
+        return self.tape.note("{0} * {1}", other, self)
 
     def __truediv__(self, other: Any) -> "_Recorded":
-        return self.tape.note(f"{self.name} / {text(other)}")
+        return self.tape.note("{0} / {1}", self, other)
 
     def __rtruediv__(self, other: Any) -> "_Recorded":
-        return self.tape.note(f"{text(other)} / {self.name}")
-
-    def __neg__(self) -> "_Recorded":
-        return self.tape.note(f"-{self.name}")
+        return self.tape.note("{0} / {1}", other, self)
 
     def __pow__(self, other: Any) -> "_Recorded":
-        return self.tape.note(f"{self.name} ** {text(other)}")
+        return self.tape.note("{0} ** {1}", self, other)
+
+    def __neg__(self) -> "_Recorded":
+        return self.tape.note("-{0}", self)
 
     def _refuse(self, *_: object) -> NoReturn:
         raise TypeError("a recorded number has no value to branch on")
@@ -84,20 +89,43 @@ def text(value: Any) -> str:
     return f"({number!r})"
 
 
+class _Entry(NamedTuple):
+    """One operation: its form and the texts of its operands."""
+
+    name: str
+    form: str
+    operands: tuple[str, ...]
+
+
 class _Tape:
-    """The record: one line per distinct operation."""
+    """The record: one entry per distinct operation."""
 
     def __init__(self) -> None:
-        self.lines: list[str] = []
-        self._names: dict[str, str] = {}
+        self._entries: dict[tuple[str, tuple[str, ...]], _Entry] = {}
 
-    def note(self, expression: str) -> _Recorded:
-        """The number that an expression of earlier numbers gives."""
-        name = self._names.get(expression)
-        if name is None:
-            name = self._names[expression] = f"v{len(self.lines)}"
-            self.lines.append(f"{name} = {expression}")
-        return _Recorded(self, name)
+    def note(self, form: str, *operands: Any) -> _Recorded:
+        """The number that an operation gives."""
+        key = form, tuple(map(text, operands))
+        if key not in self._entries:
+            self._entries[key] = _Entry(f"v{len(self._entries)}", *key)
+        return _Recorded(self, self._entries[key].name)
+
+    def lines(self, results: Sequence[str]) -> list[str]:
+        """The record as statements; what is used once is written where it is used."""
+        uses = Counter(results)
+        for entry in self._entries.values():
+            for at, operand in enumerate(entry.operands):
+                uses[operand] += entry.form.count(f"{{{at}}}")
+        lines, nested = [], dict[str, tuple[str, int]]()
+        for name, form, operands in self._entries.values():
+            inner = [nested.get(operand, (operand, 0)) for operand in operands]
+            depth = 1 + max((d for _, d in inner), default=0)
+            expression = form.format(*(t for t, _ in inner))
+            if uses[name] == 1 and name not in results and depth < _DEEPEST:
+                nested[name] = f"({expression})", depth
+            else:
+                lines.append(f"{name} = {expression}")
+        return lines
 
 
 class _RecordingOps:
@@ -113,7 +141,7 @@ class _RecordingOps:
         def record(*arguments: Any) -> Any:
             if not any(isinstance(a, _Recorded) for a in arguments):
                 return plain(*arguments)
-            return self._tape.note(form.format(*map(text, arguments)))
+            return self._tape.note(form, *arguments)
 
         return record
 
@@ -154,17 +182,23 @@ def make_steps(model: Model[float]) -> Steps:
         after = glide(ops, cast("Model[Any]", model), car, moment, steer, accel, h)
         return (*after.state, *after.memory)
 
+    def follow(ops: Ops[Any], numbers: Sequence[Any]) -> Sequence[Any]:
+        t, h = numbers[-2:]
+        return move(ops, [*numbers[:-4], *actuate(ops, numbers), t, h])
+
     names = [*_STATE, *(f"m{i}" for i in range(count))]
     try:
         return Steps(
             _compiled(actuate, [*names, "steer_ask", "speed_ask", "t", "h"]),
             _compiled(move, [*names, "steer_end", "accel", "t", "h"]),
+            _compiled(follow, [*names, "steer_ask", "speed_ask", "t", "h"]),
             True,
         )
     except TypeError:
         return Steps(
             lambda *numbers: tuple(actuate(FLOAT, numbers)),
             lambda *numbers: tuple(move(FLOAT, numbers)),
+            lambda *numbers: tuple(follow(FLOAT, numbers)),
             False,
         )
 
@@ -185,7 +219,8 @@ def _compiled(
     tape = _Tape()
     ops = cast("Ops[Any]", _RecordingOps(tape))
     results = function(ops, [_Recorded(tape, name) for name in names])
-    body = "\n    ".join([*tape.lines, f"return ({', '.join(map(text, results))},)"])
+    ends = [text(result) for result in results]
+    body = "\n    ".join([*tape.lines(ends), f"return ({', '.join(ends)},)"])
     scope: dict[str, Any] = dict(_GLOBALS)
     exec(compile(f"def step({', '.join(names)}):\n    {body}\n", "<unrolled>", "exec"), scope)
     return cast("Callable[..., Numbers]", scope["step"])

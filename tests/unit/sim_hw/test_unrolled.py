@@ -24,7 +24,9 @@ def drive(model: Model[float], seed: int, steps: int = 150) -> None:
         command = Command(*rng.uniform((-0.5, -1.0), (0.5, 4.0)).tolist())
         moment = step(FLOAT, model, moment, command, k * H, H)
         end = unrolled.actuate(*numbers, *command, k * H, H)
+        both = unrolled.follow(*numbers, *command, k * H, H)
         numbers = unrolled.glide(*numbers, *end, k * H, H)
+        assert both == numbers
         assert numbers == (*moment.state, *moment.memory)
 
 

@@ -214,3 +214,18 @@ def test_bad_mocap_settings_are_refused() -> None:
     for bad in ({"kind": "vicon"}, {"transport": "tcp"}, {"rate_hz": 0}):
         with pytest.raises(ValueError, match=r"mocap|transport|rate"):
             MocapConfig(**bad)  # type: ignore[arg-type]
+
+
+def test_physics_step_of_5_ms_drives_the_same_car_as_one_of_1_ms() -> None:
+    def end(step_ns: int) -> Any:
+        world = World(WorldConfig(step_ns=step_ns))
+        for t in range(0, 5000 * MS, TICK):
+            steer = 0.53 - 0.2 * ((t // (700 * MS)) % 2)
+            orders = encode_frame(encode_command(c.SetErpm(1.5 * 4614)))
+            world.serial_write(t, orders + encode_frame(encode_command(c.SetServoPos(steer))))
+        world.advance(5000 * MS)
+        return world.truth().state
+
+    fine, coarse = end(1 * MS), end(5 * MS)
+    assert fine.x**2 + fine.y**2 > 4.0
+    assert (coarse.x, coarse.y, coarse.yaw) == pytest.approx((fine.x, fine.y, fine.yaw), abs=0.02)
