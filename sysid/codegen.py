@@ -1,20 +1,22 @@
 """From recorded equations to Python source that Numba compiles.
 
 Two forms of each piece are printed. The *point* form works on one state and fills Jacobians; its
-callers vectorise over sensitivity columns. The *lane* form has the loop over windows innermost, so
+partner, the *push* form, carries sensitivity columns through it. The *lane* form has the loop over windows innermost, so
 that LLVM vectorises the equations themselves; it comes with its vector-Jacobian product. Whatever
 depends on parameters and step alone is computed once per call, in `constants`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from car_model.tape import Node, gradient, needed, source_of
+from car_model.tape import Entry, Node, gradient, needed, source_of
 from sysid.trace import Piece, Traced
 
 LANES = 16
 """Windows that one call of a lane piece works on."""
+COLUMNS = 72
+"""Most sensitivity columns; a row is 9 cache lines, so that rows do not share cache sets."""
 
 
 class Block(NamedTuple):
@@ -25,6 +27,14 @@ class Block(NamedTuple):
     loads: tuple[tuple[Node, str], ...]
     targets: tuple[tuple[str, Node], ...]
     lanes: bool
+
+
+class Slope(NamedTuple):
+    """A nonzero derivative: of output `output` by source `source` (inputs, then parameters)."""
+
+    output: int
+    source: int
+    formula: Node
 
 
 @dataclass
@@ -42,23 +52,52 @@ def _row(row: int) -> str:
     return f"w[{row * LANES} + lane]" if row else "w[lane]"
 
 
-def value_block(name: str, piece: Piece) -> Block:
-    """Outputs at one point: `out[i]`."""
-    loads = tuple((s, f"z[{i}]") for i, s in enumerate(piece.inputs))
-    targets = tuple((f"out[{i}]", e) for i, e in enumerate(piece.outputs))
-    return Block(name, "z, p, q, h, out", loads, targets, lanes=False)
+def _source(entry: Entry, names: Mapping[int, str]) -> str:
+    # Python's own min and max stay as they are for the loops that share the module.
+    own = {"min": "least", "max": "greatest"}.get(entry.op, entry.op)
+    return source_of(entry._replace(op=own), names)
 
 
-def jacobian_block(name: str, piece: Piece, traced: Traced) -> Block:
-    """Outputs and Jacobians at one point: `out[i]`, `jz[i, j]`, `jp[i, k]`; zeros are not written."""
+def _column(row: int) -> str:
+    return f"w[{row * COLUMNS} + lane]" if row else "w[lane]"
+
+
+def slopes_of(piece: Piece, traced: Traced) -> list[Slope]:
+    """The derivatives of a piece that are not zero everywhere; time has no sensitivity."""
+    sources = (*piece.inputs, *traced.symbols)
+    found = []
+    for i, output in enumerate(piece.outputs):
+        by = gradient([(output, 1.0)], sources)
+        found += [
+            Slope(i, j, e)
+            for j, (source, e) in enumerate(zip(sources, by, strict=True))
+            if not _zero(e) and source.place != traced.t.place
+        ]
+    return found
+
+
+def jacobian_block(name: str, piece: Piece, slopes: Sequence[Slope]) -> Block:
+    """Outputs and nonzero derivatives at one point: `out[i]`, and `j[s]` for slope `s`."""
     loads = tuple((s, f"z[{i}]") for i, s in enumerate(piece.inputs))
     targets = [(f"out[{i}]", e) for i, e in enumerate(piece.outputs)]
-    split = len(piece.inputs)
-    for i, output in enumerate(piece.outputs):
-        slopes = gradient([(output, 1.0)], (*piece.inputs, *traced.symbols))
-        targets += [(f"jz[{i}, {j}]", e) for j, e in enumerate(slopes[:split]) if not _zero(e)]
-        targets += [(f"jp[{i}, {k}]", e) for k, e in enumerate(slopes[split:]) if not _zero(e)]
-    return Block(name, "z, p, q, h, out, jz, jp", loads, tuple(targets), lanes=False)
+    targets += [(f"j[{k}]", slope.formula) for k, slope in enumerate(slopes)]
+    return Block(name, "z, p, q, h, out, j", loads, tuple(targets), lanes=False)
+
+
+def _print_push(name: str, piece: Piece, slopes: Sequence[Slope]) -> list[str]:
+    """Columns through the derivatives; rows: inputs, outputs (set), parameters (seeds)."""
+    split, outputs = len(piece.inputs), len(piece.outputs)
+    head = [f"j{k} = j[{k}]" for k in range(len(slopes))]
+    body = []
+    for i in range(outputs):
+        terms = [
+            f"j{k} * {_column(s.source if s.source < split else s.source + outputs)}"
+            for k, s in enumerate(slopes)
+            if s.output == i
+        ]
+        body.append(f"{_column(split + i)} = {' + '.join(terms) or '0.0'}")
+    block = Block(name, "j, w, n", (), (), lanes=True)
+    return _assemble(block, head, body)
 
 
 def _zero(node: Node) -> bool:
@@ -114,7 +153,7 @@ def _print_block(block: Block, traced: Traced, constants: _Constants) -> list[st
     head = [f"v{s.place} = p[{k}]" for k, s in enumerate(traced.symbols) if s.place in used]
     head += [f"v{p} = q[{constants.slot(p)}]" for p in sorted(hoisted & used)]
     body = [f"v{s.place} = {text}" for s, text in block.loads if s.place in used]
-    body += [f"v{p} = {source_of(entries[p], names)}" for p in body_places]
+    body += [f"v{p} = {_source(entries[p], names)}" for p in body_places]
     body += [
         f"{target}= {names[node.place]}"
         if target.endswith("+")
@@ -131,6 +170,7 @@ def _assemble(block: Block, head: list[str], body: list[str]) -> list[str]:
     if block.lanes:
         lines.append("    for lane in range(n):")
         indent = "        "
+    body = body or ["pass"]
     return [*lines, *(indent + line for line in body), "", ""]
 
 
@@ -140,40 +180,56 @@ def _print_constants(traced: Traced, constants: _Constants) -> list[str]:
     names = {p: f"v{p}" if entries[p].op != "const" else repr(entries[p].value) for p in places}
     names[traced.h.place] = "h"
     lines = [f"v{s.place} = p[{k}]" for k, s in enumerate(traced.symbols) if s.place in places]
-    lines += [f"v{p} = {source_of(entries[p], names)}" for p in places if entries[p].args]
+    lines += [f"v{p} = {_source(entries[p], names)}" for p in places if entries[p].args]
     lines += [f"q[{slot}] = v{place}" for place, slot in constants.slots.items()]
+    lines = lines or ["pass"]
     return ["@point", "def constants(p, h, q):", *(f"    {line}" for line in lines), "", ""]
 
 
-def _blocks(traced: Traced) -> list[Block]:
-    blocks = [jacobian_block("delays_jac", Piece((), traced.delays), traced)]
-    pieces = [("actuators", traced.actuators), ("rates", traced.rates), ("observe", traced.observe)]
-    if traced.remember is not None:
-        pieces.append(("remember", traced.remember))
-    for name, piece in pieces:
-        blocks += [
-            value_block(name, piece),
-            jacobian_block(f"{name}_jac", piece, traced),
+def _pieces(traced: Traced) -> dict[str, Piece]:
+    return {
+        "actuators": traced.actuators,
+        "rates": traced.rates,
+        "remember": traced.remember,
+        "observe": traced.observe,
+    }
+
+
+def _print_pieces(traced: Traced, constants: _Constants) -> list[str]:
+    printed: list[str] = []
+    for name, piece in {"delays": Piece((), traced.delays), **_pieces(traced)}.items():
+        slopes = slopes_of(piece, traced)
+        jacobian = jacobian_block(f"{name}_jac", piece, slopes)
+        printed += _print_block(jacobian, traced, constants)
+        printed += _print_push(f"{name}_push", piece, slopes)
+        printed += [f"{name.upper()}_SLOPES = {len(slopes)}", "", ""]
+    for name, piece in _pieces(traced).items():
+        for block in (
             lane_block(f"{name}_lanes", piece),
             lane_vjp_block(f"{name}_vjp", piece, traced),
-        ]
-    return blocks
+        ):
+            printed += _print_block(block, traced, constants)
+    return printed
 
 
 def generate(traced: Traced) -> str:
     """Source of a module with all pieces of one model in every form."""
     constants = _Constants()
-    printed = [line for block in _blocks(traced) for line in _print_block(block, traced, constants)]
+    printed = _print_pieces(traced, constants)
     header = [
         '"""Printed by sysid.codegen from the equations of car_model."""',
         "",
-        "from sysid.choice import greatest as max, least as min, select",
+        "from sysid.choice import greatest, least, select",
         "from sysid.compile import lanes, point",
         "from sysid.lane_math import abs, atan, cos, exp, sin, sqrt, tan, tanh",
         "",
         f"PARAMETERS = {traced.parameters!r}",
+        f"PARAMETER_COUNT = {len(traced.parameters)}",
         f"MEMORY = {traced.memory}",
+        f"REMEMBERS = {traced.remembers}",
         f"CONSTANTS = {len(constants.slots)}",
+        f"LANES = {LANES}",
+        f"COLUMNS = {COLUMNS}",
         "",
         "",
     ]

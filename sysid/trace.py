@@ -52,6 +52,7 @@ class Traced(NamedTuple):
             memory.
         rates: (6 chassis states, wheel, accel, memory) -> their rates.
         remember: (chassis before, wheel before, chassis after, wheel after, memory) -> memory.
+        remembers: whether `remember` does anything.
         observe: 7 states -> x, y, yaw, wheel speed, yaw rate.
         delays: dead times of steer, drive and pose, in the parameters.
         t: time into the run; h: the step.
@@ -62,7 +63,8 @@ class Traced(NamedTuple):
     memory: int
     actuators: Piece
     rates: Piece
-    remember: Piece | None
+    remember: Piece
+    remembers: bool
     observe: Piece
     delays: tuple[Node, ...]
     t: Node
@@ -117,9 +119,7 @@ def _trace_rates(s: _Setting) -> Piece:
     return Piece((*s.state[:6], wheel, accel, *s.memory, s.t), tuple(rates))
 
 
-def _trace_remember(s: _Setting) -> Piece | None:
-    if not bound_hooks(s.model.effects, "remember"):
-        return None
+def _trace_remember(s: _Setting) -> Piece:
     before: State[Node] = State(*_inputs(s.tape, *(f"{n}_before" for n in State._fields)))
     after: State[Node] = State(*_inputs(s.tape, *(f"{n}_after" for n in State._fields)))
     ends = tuple(slip_angles(TAPE, s.model.car, at, at.steer) for at in (before, after))
@@ -142,6 +142,7 @@ def trace(effects: tuple[Effect, ...] = ()) -> Traced:
         actuators=_trace_actuators(setting),
         rates=_trace_rates(setting),
         remember=_trace_remember(setting),
+        remembers=bool(bound_hooks(effects, "remember")),
         observe=Piece(tuple(state), tuple(observe(TAPE, model, state))),
         delays=tuple(delays(model)),
         t=t,

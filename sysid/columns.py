@@ -1,0 +1,396 @@
+"""Forward sensitivities: one window at a time, its derivatives as columns beside it.
+
+Appended, as `loops` is, to the pieces printed for a model. A state has a row of columns for each of
+its numbers; pieces push columns through their exact derivatives. Columns are whatever the caller
+seeds: free parameters and the first state. Every window may be sampled anywhere between its steps.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid.compile import point
+
+if TYPE_CHECKING:
+    from sysid.pieces import (
+        ACTUATORS_SLOPES,
+        COLUMNS,
+        DELAYS_SLOPES,
+        MEMORY,
+        OBSERVE_SLOPES,
+        PARAMETER_COUNT,
+        RATES_SLOPES,
+        REMEMBER_SLOPES,
+        REMEMBERS,
+        Array,
+        actuators_jac,
+        actuators_push,
+        delays_jac,
+        delays_push,
+        observe_jac,
+        observe_push,
+        rates_jac,
+        rates_push,
+        remember_jac,
+        remember_push,
+    )
+
+
+@point
+def copy_columns(to: "Array", first: int, source: "Array", start: int, rows: int, n: int) -> None:
+    """Copy rows of `n` columns."""
+    for row in range(rows):
+        a, b = (first + row) * COLUMNS, (start + row) * COLUMNS
+        for i in range(n):
+            to[a + i] = source[b + i]
+
+
+@point
+def seed(w: "Array", row: int, seeds: "Array", n: int) -> None:
+    """Put the parameters' seeds below a piece's rows."""
+    for parameter in range(PARAMETER_COUNT):
+        for i in range(n):
+            w[(row + parameter) * COLUMNS + i] = seeds[parameter, i]
+
+
+@point
+def delay_columns(
+    p: "Array", q: "Array", h: float, seeds: "Array", late: "Array", n: int
+) -> "Array":
+    """Dead times in steps, into `late`, and their columns: rows steer, drive, pose."""
+    j = np.zeros(max(DELAYS_SLOPES, 1))
+    w = np.zeros((3 + PARAMETER_COUNT) * COLUMNS)
+    seed(w, 3, seeds, n)
+    delays_jac(late, p, q, h, late, j)
+    delays_push(j, w, n)
+    for i in range(3 * COLUMNS):
+        w[i] /= h
+    for i in range(3):
+        late[i] /= h
+    return w
+
+
+@point
+def fetch_one(
+    z: "Array",
+    w: "Array",
+    row: int,
+    commands: "Array",
+    window: "Array",
+    k: int,
+    substeps: int,
+    late: "Array",
+    late_columns: "Array",
+    n: int,
+) -> None:
+    """Both delayed commands of fine step `k` with their columns; see `loops.fetch_commands`."""
+    low, high, start = window[0], window[1], window[2]
+    for channel in range(2):
+        whole = int(np.floor(late[channel]))
+        newer, older = (k - whole) // substeps, (k - whole - 1) // substeps
+        new = commands[min(max(start + newer, low), high - 1), channel]
+        old = commands[min(max(start + older, low), high - 1), channel]
+        z[row + channel] = new + (late[channel] - whole) * (old - new)
+        a, b = (row + channel) * COLUMNS, channel * COLUMNS
+        for i in range(n):
+            w[a + i] = (old - new) * late_columns[b + i]
+
+
+@point
+def stage_columns(w: "Array", before: "Array", after: "Array", step: float, n: int) -> None:
+    """Rates' input columns of the chassis: the start's, moved along the last slope's."""
+    for row in range(6):
+        a, b = row * COLUMNS, (9 + MEMORY + row) * COLUMNS
+        for i in range(n):
+            w[a + i] = before[a + i] + step * w[b + i]
+
+
+@point
+def gather_columns(w: "Array", after: "Array", share: float, n: int) -> None:
+    """Add a stage's slope columns to the step."""
+    for row in range(6):
+        a, b = row * COLUMNS, (9 + MEMORY + row) * COLUMNS
+        for i in range(n):
+            after[a + i] += share * w[b + i]
+
+
+@point
+def wheel_columns(w: "Array", wa: "Array", reach: float, n: int) -> None:
+    """Columns of the wheel on its way."""
+    start, end = (10 + MEMORY) * COLUMNS, (11 + MEMORY) * COLUMNS
+    for i in range(n):
+        w[6 * COLUMNS + i] = wa[start + i] + reach * (wa[end + i] - wa[start + i])
+
+
+@point
+def march_chassis(
+    p: "Array",
+    q: "Array",
+    h: float,
+    tableau: "Array",
+    out: "Array",
+    wa: "Array",
+    state: "Array",
+    ds: "Array",
+    after: "Array",
+    da: "Array",
+    z: "Array",
+    w: "Array",
+    slope: "Array",
+    j: "Array",
+    n: int,
+) -> None:
+    """Chassis and its columns over one step; `out`, `wa` are what the actuators do."""
+    for i in range(6):
+        after[i] = state[i]
+    for i in range(1 + MEMORY):
+        z[7 + i] = out[3 + i]
+    copy_columns(da, 0, ds, 0, 6, n)
+    copy_columns(w, 7, wa, 13 + MEMORY, 1 + MEMORY, n)
+    for stage in range(tableau.shape[1]):
+        reach, share = tableau[0, stage], h * tableau[1, stage]
+        for i in range(6):
+            z[i] = state[i] + h * reach * slope[i]
+        z[6] = out[0] + reach * (out[1] - out[0])
+        if stage == 0:
+            copy_columns(w, 0, ds, 0, 6, n)
+        else:
+            stage_columns(w, ds, da, h * reach, n)
+        wheel_columns(w, wa, reach, n)
+        rates_jac(z, p, q, h, slope, j)
+        rates_push(j, w, n)
+        for i in range(6):
+            after[i] += share * slope[i]
+        gather_columns(w, da, share, n)
+
+
+@point
+def march_memory(
+    p: "Array",
+    q: "Array",
+    h: float,
+    out: "Array",
+    wa: "Array",
+    state: "Array",
+    ds: "Array",
+    after: "Array",
+    da: "Array",
+    z: "Array",
+    w: "Array",
+    j: "Array",
+    n: int,
+) -> None:
+    """Memory after the step and its columns."""
+    if not REMEMBERS:
+        for i in range(MEMORY):
+            after[7 + i] = out[4 + i]
+        copy_columns(da, 7, wa, 14 + MEMORY, MEMORY, n)
+        return
+    for i in range(6):
+        z[i], z[7 + i] = state[i], after[i]
+    z[6], z[13] = out[0], out[1]
+    for i in range(MEMORY):
+        z[14 + i] = out[4 + i]
+    copy_columns(w, 0, ds, 0, 6, n)
+    copy_columns(w, 6, wa, 10 + MEMORY, 1, n)
+    copy_columns(w, 7, da, 0, 6, n)
+    copy_columns(w, 13, wa, 11 + MEMORY, 1, n)
+    copy_columns(w, 14, wa, 14 + MEMORY, MEMORY, n)
+    remember_jac(z, p, q, h, after[7:], j)
+    remember_push(j, w, n)
+    copy_columns(da, 7, w, 14 + MEMORY, MEMORY, n)
+
+
+@point
+def drive_one(
+    p: "Array",
+    q: "Array",
+    h: float,
+    state: "Array",
+    ds: "Array",
+    now: float,
+    z: "Array",
+    wa: "Array",
+    out: "Array",
+    j: "Array",
+    n: int,
+) -> None:
+    """Actuators with their columns; the commands are in place."""
+    for i in range(7 + MEMORY):
+        z[i] = state[i]
+    z[9 + MEMORY] = now
+    copy_columns(wa, 0, ds, 0, 7 + MEMORY, n)
+    actuators_jac(z, p, q, h, out, j)
+    actuators_push(j, wa, n)
+
+
+@point
+def sample(
+    p: "Array",
+    q: "Array",
+    h: float,
+    share: float,
+    rate: "Array",
+    state: "Array",
+    ds: "Array",
+    after: "Array",
+    da: "Array",
+    seen: "Array",
+    w: "Array",
+    j: "Array",
+    n: int,
+) -> None:
+    """What the instruments read `share` of a step after `state`, and its columns.
+
+    Args:
+        p: parameters; q: constants; h: step.
+        share: 0 to 1, straight between the steps' states; `rate`: its columns.
+        state: before the step, with columns `ds`; `after`, `da` after it.
+        seen: the five readings; their columns are rows 7 to 11 of `w`.
+        w: workspace.
+        j: workspace.
+        n: columns.
+    """
+    z = np.empty(7)
+    for row in range(7):
+        a, move = row * COLUMNS, after[row] - state[row]
+        z[row] = state[row] + share * move
+        for i in range(n):
+            w[a + i] = ds[a + i] + share * (da[a + i] - ds[a + i]) + move * rate[i]
+    observe_jac(z, p, q, h, seen, j)
+    observe_push(j, w, n)
+
+
+@point
+def march_window(
+    p: "Array",
+    q: "Array",
+    h: float,
+    tableau: "Array",
+    seeds: "Array",
+    late: "Array",
+    late_columns: "Array",
+    commands: "Array",
+    window: "Array",
+    t: float,
+    substeps: int,
+    first: "Array",
+    dfirst: "Array",
+    stations: "Array",
+    shares: "Array",
+    y: "Array",
+    jy: "Array",
+    n: int,
+) -> None:
+    """One window with its stations; see `sensitivities`."""
+    rows_a, rows_r = 14 + 2 * MEMORY, 15 + MEMORY
+    wa = np.zeros((rows_a + PARAMETER_COUNT) * COLUMNS)
+    wr = np.zeros((rows_r + PARAMETER_COUNT) * COLUMNS)
+    wm = np.zeros((14 + 2 * MEMORY + PARAMETER_COUNT) * COLUMNS)
+    wo = np.zeros((12 + PARAMETER_COUNT) * COLUMNS)
+    seed(wa, rows_a, seeds, n)
+    seed(wr, rows_r, seeds, n)
+    seed(wm, 14 + 2 * MEMORY, seeds, n)
+    seed(wo, 12, seeds, n)
+    ja, jr = np.zeros(ACTUATORS_SLOPES), np.zeros(RATES_SLOPES)
+    jm, jo = np.zeros(REMEMBER_SLOPES + 1), np.zeros(OBSERVE_SLOPES)
+    za, zr, zm = np.zeros(10 + MEMORY), np.zeros(9 + MEMORY), np.zeros(14 + MEMORY)
+    out, slope, seen = np.zeros(4 + MEMORY), np.zeros(6), np.zeros(5)
+    state, after = first.copy(), np.zeros(7 + MEMORY)
+    ds, da = np.zeros((7 + MEMORY) * COLUMNS), np.zeros((7 + MEMORY) * COLUMNS)
+    rate = np.zeros(COLUMNS)
+    for row in range(6):
+        ds[row * COLUMNS : row * COLUMNS + n] = dfirst[row, :n]
+    settle = window[4]
+    if settle > 0:
+        fetch_one(za, wa, 7 + MEMORY, commands, window, -settle, substeps, late, late_columns, n)
+        state[6] = za[7 + MEMORY]
+    for k in range(-settle, 0):
+        fetch_one(za, wa, 7 + MEMORY, commands, window, k, substeps, late, late_columns, n)
+        drive_one(p, q, h, state, ds, t + k * h, za, wa, out, ja, n)
+        state[6] = out[2]
+        copy_columns(ds, 6, wa, 12 + MEMORY, 1, n)
+        for i in range(MEMORY):
+            state[7 + i] = out[4 + i]
+        copy_columns(ds, 7, wa, 14 + MEMORY, MEMORY, n)
+    if settle > 0:
+        state[6] += first[6]
+    for i in range(n):
+        ds[6 * COLUMNS + i] += dfirst[6, i]
+    station = 0
+    for k in range(window[3]):
+        fetch_one(za, wa, 7 + MEMORY, commands, window, k, substeps, late, late_columns, n)
+        drive_one(p, q, h, state, ds, t + k * h, za, wa, out, ja, n)
+        zr[8 + MEMORY] = t + k * h
+        march_chassis(p, q, h, tableau, out, wa, state, ds, after, da, zr, wr, slope, jr, n)
+        after[6] = out[2]
+        copy_columns(da, 6, wa, 12 + MEMORY, 1, n)
+        march_memory(p, q, h, out, wa, state, ds, after, da, zm, wm, jm, n)
+        while station < stations.shape[0] and (
+            stations[station, 0] <= k or k == window[3] - 1
+        ):
+            late_kind = stations[station, 3]
+            share = shares[station] + (stations[station, 0] - k)
+            for i in range(n):
+                rate[i] = -late_columns[2 * COLUMNS + i] * late_kind
+            sample(p, q, h, share, rate, state, ds, after, da, seen, wo, jo, n)
+            channel, row = stations[station, 1], stations[station, 2]
+            for c in range(3 if late_kind == 1 else 1):
+                y[row + c] = seen[channel + c]
+                b = (7 + channel + c) * COLUMNS
+                for i in range(n):
+                    jy[row + c, i] = wo[b + i]
+            station += 1
+        state, after = after, state
+        ds, da = da, ds
+
+
+@point
+def sensitivities(
+    p: "Array",
+    q: "Array",
+    h: float,
+    tableau: "Array",
+    seeds: "Array",
+    commands: "Array",
+    windows: "Array",
+    t: "Array",
+    substeps: int,
+    first: "Array",
+    dfirst: "Array",
+    stations: "Array",
+    shares: "Array",
+    spans: "Array",
+    y: "Array",
+    jy: "Array",
+    n: int,
+) -> None:
+    """Readings of every window at its stations, and their derivatives by the columns.
+
+    Args:
+        p: parameters; q: their constants for step `h` [s].
+        h: step, `substeps` of which share one command.
+        tableau: (2, stages) reach and weight of each stage.
+        seeds: (parameters, >= n) derivative of each parameter by each column.
+        commands: (rows, 2) all runs one after the other.
+        windows: (W, 5) first row, row after the last, row of the first step, steps, and steps of
+            actuators alone before it (over known commands, to settle the steering).
+        t: (W,) time into the run [s].
+        substeps: steps to a command.
+        first: (W, 7 + MEMORY) first states; the steer is added to the settled one.
+        dfirst: (7, >= n) derivative of the first state by each column.
+        stations: (S, 4) step, first reading, row of `y`, and whether poses are late; sorted.
+        shares: (S,) place within the step, 0 to 1 (outside: extended).
+        spans: (W + 1,) which stations belong to which window.
+        y: readings, written; a pose writes three.
+        jy: (rows, >= n) their derivatives, written.
+        n: columns in use, a multiple of 8.
+    """
+    late = np.zeros(3)
+    late_columns = delay_columns(p, q, h, seeds, late, n)
+    for w in range(windows.shape[0]):
+        a, b = spans[w], spans[w + 1]
+        march_window(
+            p, q, h, tableau, seeds, late, late_columns, commands, windows[w], t[w], substeps,
+            first[w], dfirst, stations[a:b], shares[a:b], y, jy, n,
+        )  # fmt: skip

@@ -1,0 +1,283 @@
+"""The compiled car for NumPy callers: many windows at once, values and derivatives.
+
+`make_kernels(effects)` loads the compiled model; `march` and `march_back` are the simulator and its
+adjoint over windows side by side, `read` gives instrument readings with forward sensitivities.
+Parameters are one vector: the car's fields, then every effect's (see `trace.parameter_names`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from car_model.effect import Effect
+from car_model.model import Model, memory_size
+from car_model.params import Car
+from sysid.codegen import COLUMNS, LANES
+from sysid.modules import load_module
+from sysid.trace import parameter_names
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+TABLEAUS: dict[str, Array] = {
+    "euler": np.array([[0.0], [1.0]]),
+    "rk4": np.array([[0.0, 0.5, 0.5, 1.0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]]),
+}
+"""Reach and weight of each stage: a stage starts from the slope of the one before it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Kernels:
+    """A compiled car with effects.
+
+    Attributes:
+        effects: what was compiled in, in the order of the parameters.
+        names: of all parameters.
+        memory: numbers that the effects remember; a state has 7 + memory numbers.
+        module: the compiled functions.
+    """
+
+    effects: tuple[Effect, ...]
+    names: tuple[str, ...]
+    memory: int
+    module: ModuleType
+
+
+class Held(NamedTuple):
+    """Commands of several runs, one after the other, each held over a step.
+
+    Attributes:
+        rows: (rows, 2) steer [rad] and speed [m/s].
+        h: the grid's step [s].
+        substeps: integration steps to a command.
+        integrator: `rk4` or `euler`.
+    """
+
+    rows: Array
+    h: float
+    substeps: int = 1
+    integrator: str = "rk4"
+
+    @property
+    def fine(self) -> float:
+        """Integration step [s]."""
+        return self.h / self.substeps
+
+
+def make_kernels(effects: Sequence[Effect] = ()) -> Kernels:
+    """The compiled car with these effects (compiled the first time, then from the cache)."""
+    chosen = tuple(effects)
+    return Kernels(chosen, parameter_names(chosen), memory_size(chosen), load_module(chosen))
+
+
+def parameter_vector(model: Model[float]) -> Array:
+    """All parameters of a model in the kernels' order."""
+    return np.array([*model.car, *(value for values in model.values for value in values)])
+
+
+def model_of(kernels: Kernels, parameters: Array) -> Model[float]:
+    """The model that a vector of parameters describes."""
+    rest = iter(parameters[len(Car._fields) :].tolist())
+    values = tuple(tuple(next(rest) for _ in e.parameters) for e in kernels.effects)
+    return Model(Car(*parameters[: len(Car._fields)].tolist()), kernels.effects, values)
+
+
+def constants_of(kernels: Kernels, parameters: Array, h: float) -> Array:
+    """What depends on parameters and step alone, computed once."""
+    q = np.zeros(max(kernels.module.CONSTANTS, 1))
+    kernels.module.constants(parameters, h, q)
+    return q
+
+
+class Lanes(NamedTuple):
+    """Windows arranged side by side: blocks of 16, the last filled up with copies.
+
+    Attributes:
+        count: real windows.
+        runs: (blocks, 16, 3) rows of the commands: first, after the last, at the first step.
+        t: (blocks, 16) time into the run [s].
+    """
+
+    count: int
+    runs: Indices
+    t: Array
+
+
+def make_lanes(runs: Indices, t: Array) -> Lanes:
+    """Arrange windows `(W, 3)`, starting `t` seconds into their runs."""
+    count = len(t)
+    pick = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
+    return Lanes(count, runs[pick].reshape(-1, LANES, 3), t[pick].reshape(-1, LANES))
+
+
+def to_lanes(first: Array, blocks: int) -> Array:
+    """(W, states) to (blocks, states * 16); lanes without a window repeat the last."""
+    pick = np.minimum(np.arange(blocks * LANES), len(first) - 1)
+    packed = first[pick].reshape(blocks, LANES, -1).transpose(0, 2, 1)
+    return np.ascontiguousarray(packed).reshape(blocks, -1)
+
+
+def lane_view(path: Any, count: int) -> Any:
+    """(blocks, moments, states * 16) seen as (count, moments, states), without a copy."""
+    blocks, moments, width = path.shape
+    seen = path.reshape(blocks, moments, width // LANES, LANES)
+    seen = seen.transpose(0, 3, 1, 2) if isinstance(path, np.ndarray) else seen.permute(0, 3, 1, 2)
+    return seen.reshape(blocks * LANES, moments, -1)[:count] if blocks > 1 else seen[0, :count]
+
+
+def march(
+    kernels: Kernels, parameters: Array, first: Array, held: Held, lanes: Lanes, steps: int
+) -> Array:
+    """Simulate windows side by side.
+
+    Args:
+        kernels: the compiled car.
+        parameters: (P,).
+        first: (W, 7 + memory) states at the windows' starts.
+        held: the commands.
+        lanes: the windows.
+        steps: integration steps, the same for all.
+
+    Returns:
+        (blocks, steps + 1, (7 + memory) * 16); see `lane_view`.
+    """
+    blocks = len(lanes.runs)
+    path = np.empty((blocks, steps + 1, first.shape[1] * LANES))
+    path[:, 0] = to_lanes(first, blocks)
+    kernels.module.simulate_lanes(
+        parameters, constants_of(kernels, parameters, held.fine), held.fine,
+        TABLEAUS[held.integrator], path, held.rows, lanes.runs, lanes.t, held.substeps,
+    )  # fmt: skip
+    return path
+
+
+class Slopes(NamedTuple):
+    """Derivatives of a loss: by parameters (P,), first states (W, 7 + memory), commands (rows, 2)."""
+
+    parameters: Array
+    first: Array
+    commands: Array
+
+
+def march_back(
+    kernels: Kernels, parameters: Array, path: Array, bars: Array, held: Held, lanes: Lanes
+) -> Slopes:
+    """The adjoint of `march`: `bars` is the loss's derivative by `path`, in its layout."""
+    h = held.fine
+    q = constants_of(kernels, parameters, h)
+    into = np.zeros_like(held.rows)
+    slopes = np.zeros(len(parameters))
+    first = np.empty((len(path), path.shape[2]))
+    late = kernels.module.adjoint_lanes(
+        parameters, q, h, TABLEAUS[held.integrator], path, bars, held.rows, into,
+        lanes.runs, lanes.t, held.substeps, first, slopes,
+    )  # fmt: skip
+    slopes += delay_slopes(kernels, parameters, np.array([*late, 0.0]))
+    by_window = first.reshape(len(path), -1, LANES).transpose(0, 2, 1)
+    return Slopes(slopes, by_window.reshape(-1, by_window.shape[2])[: lanes.count], into)
+
+
+def delay_slopes(kernels: Kernels, parameters: Array, bars: Array) -> Array:
+    """Derivatives by the parameters, given those by the dead times (steer, drive, pose)."""
+    seeds = np.zeros((len(parameters), COLUMNS))
+    slopes = np.zeros(len(parameters))
+    q = constants_of(kernels, parameters, 1.0)
+    for start in range(0, len(parameters), COLUMNS):
+        part = np.arange(start, min(start + COLUMNS, len(parameters)))
+        seeds[:] = 0.0
+        seeds[part, part - start] = 1.0
+        columns = kernels.module.delay_columns(parameters, q, 1.0, seeds, np.zeros(3), COLUMNS)
+        slopes[part] = (bars @ columns[: 3 * COLUMNS].reshape(3, COLUMNS))[: len(part)]
+    return slopes
+
+
+def delays_of(kernels: Kernels, parameters: Array) -> Array:
+    """Dead times of steer, drive and pose [s]."""
+    q = constants_of(kernels, parameters, 1.0)
+    delays: Array = kernels.module.delays_at(parameters, q, 1.0)
+    return delays
+
+
+class Stations(NamedTuple):
+    """Where windows are read.
+
+    Attributes:
+        places: (S, 4) step within the window, first reading (0 x, 3 wheel speed, 4 yaw rate), row
+            of the result, and 1 for a pose (three readings, as late as poses are); sorted by
+            window and time.
+        shares: (S,) place within the step.
+        spans: (W + 1,) stations of each window.
+        rows: of the result.
+    """
+
+    places: Indices
+    shares: Array
+    spans: Indices
+    rows: int
+
+
+class Windows(NamedTuple):
+    """Windows to be read one by one.
+
+    Attributes:
+        spans: (W, 5) rows of the commands (first, after the last, at the first step), integration
+            steps, and steps of the actuators alone before the first.
+        t: (W,) time into the run at the first step [s].
+    """
+
+    spans: Indices
+    t: Array
+
+
+def read(
+    kernels: Kernels,
+    parameters: Array,
+    seeds: Array,
+    first: Array,
+    dfirst: Array,
+    held: Held,
+    windows: Windows,
+    stations: Stations,
+) -> tuple[Array, Array]:
+    """Instrument readings and their derivatives.
+
+    Args:
+        kernels: the compiled car.
+        parameters: (P,).
+        seeds: (P, columns) derivative of the parameters by the columns.
+        first: (W, 7) first states; the steer is what is added to the settled one.
+        dfirst: (7, columns) derivative of the first state by the columns.
+        held: the commands.
+        windows: the windows.
+        stations: where to read.
+
+    Returns:
+        Readings (rows,) and derivatives (rows, columns).
+
+    Raises:
+        ValueError: more columns than a kernel holds.
+    """
+    columns = seeds.shape[1]
+    if columns > COLUMNS:
+        raise ValueError(f"{columns} columns; a kernel holds {COLUMNS}")
+    padded = -(-columns // 8) * 8
+    state = np.zeros((len(first), 7 + kernels.memory))
+    state[:, :7] = first
+    y, jy = np.zeros(stations.rows), np.zeros((stations.rows, padded))
+    kernels.module.sensitivities(
+        parameters, constants_of(kernels, parameters, held.fine), held.fine,
+        TABLEAUS[held.integrator], _padded(seeds, padded), held.rows, windows.spans, windows.t,
+        held.substeps, state, _padded(dfirst, padded), stations.places, stations.shares,
+        stations.spans, y, jy, padded,
+    )  # fmt: skip
+    return y, jy[:, :columns]
+
+
+def _padded(matrix: Array, columns: int) -> Array:
+    wide = np.zeros((len(matrix), columns))
+    wide[:, : matrix.shape[1]] = matrix
+    return wide

@@ -1,0 +1,395 @@
+"""Marching many windows side by side, and back: the loops around the printed pieces.
+
+This file's text is appended to the pieces that `codegen` prints for a model (`pieces.pyi` declares
+them), so that Numba compiles and caches both as one module. The order within a step is that of
+`car_model.rollout`: actuators exact over the step, wheels moving linearly within it, memory at its
+end. Rows of 16 lanes are contiguous; a state is 7 + MEMORY rows.
+
+Euler and Runge-Kutta 4 are one loop: stage i starts at `state + h reach[i] slope[i-1]`, with the
+wheels `reach[i]` of the way; the step is the sum of `h weight[i] slope[i]`.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid.compile import point
+
+if TYPE_CHECKING:
+    from sysid.pieces import (
+        DELAYS_SLOPES,
+        LANES,
+        MEMORY,
+        PARAMETER_COUNT,
+        REMEMBERS,
+        Array,
+        actuators_lanes,
+        actuators_vjp,
+        delays_jac,
+        rates_lanes,
+        rates_vjp,
+        remember_lanes,
+        remember_vjp,
+    )
+
+
+@point
+def delays_at(p: "Array", q: "Array", h: float) -> "Array":
+    """Dead times of steer, drive and pose [s]."""
+    out, j = np.zeros(3), np.zeros(max(DELAYS_SLOPES, 1))
+    delays_jac(out, p, q, h, out, j)
+    return out
+
+
+@point
+def copy_rows(to: "Array", first: int, source: "Array", start: int, rows: int) -> None:
+    """Copy whole rows of lanes."""
+    a, b = first * LANES, start * LANES
+    for i in range(rows * LANES):
+        to[a + i] = source[b + i]
+
+
+@point
+def add_rows(
+    to: "Array", first: int, source: "Array", start: int, rows: int, scale: float
+) -> None:
+    """Add `scale` times whole rows of lanes."""
+    a, b = first * LANES, start * LANES
+    for i in range(rows * LANES):
+        to[a + i] += scale * source[b + i]
+
+
+@point
+def fetch_commands(
+    w: "Array", row: int, commands: "Array", runs: "Array", k: int, substeps: int, late: "Array"
+) -> None:
+    """Write both delayed commands of fine step `k` as rows; `runs` is (low, high, start) by lane.
+
+    The mean of a held signal over a step is linear in its delay (`rollout.channel_delayed`).
+    """
+    for channel in range(2):
+        whole = int(np.floor(late[channel]))
+        part = late[channel] - whole
+        newer, older = (k - whole) // substeps, (k - whole - 1) // substeps
+        for lane in range(LANES):
+            low, high, start = runs[lane, 0], runs[lane, 1], runs[lane, 2]
+            new = commands[min(max(start + newer, low), high - 1), channel]
+            old = commands[min(max(start + older, low), high - 1), channel]
+            w[(row + channel) * LANES + lane] = new + part * (old - new)
+
+
+@point
+def return_commands(
+    bars: "Array",
+    row: int,
+    commands: "Array",
+    into: "Array",
+    runs: "Array",
+    k: int,
+    substeps: int,
+    late: "Array",
+    late_bars: "Array",
+) -> None:
+    """The reverse of `fetch_commands`: derivatives to the commands and to the delays in steps."""
+    for channel in range(2):
+        whole = int(np.floor(late[channel]))
+        part = late[channel] - whole
+        newer, older = (k - whole) // substeps, (k - whole - 1) // substeps
+        for lane in range(LANES):
+            low, high, start = runs[lane, 0], runs[lane, 1], runs[lane, 2]
+            new = min(max(start + newer, low), high - 1)
+            old = min(max(start + older, low), high - 1)
+            bar = bars[(row + channel) * LANES + lane]
+            into[new, channel] += (1.0 - part) * bar
+            into[old, channel] += part * bar
+            late_bars[channel] += bar * (commands[old, channel] - commands[new, channel])
+
+
+@point
+def set_stage(
+    wr: "Array", stage: int, ends: "Array", state: "Array", step: float, reach: float
+) -> None:
+    """Inputs of one stage: state moved along the last slope, wheels on their way."""
+    n_in = (9 + MEMORY) * LANES
+    if stage == 0:
+        copy_rows(wr, 0, state, 0, 6)
+    else:
+        for i in range(6 * LANES):
+            wr[i] = state[i] + step * wr[n_in + i]
+    for lane in range(LANES):
+        start = ends[lane]
+        wr[6 * LANES + lane] = start + reach * (ends[LANES + lane] - start)
+
+
+@point
+def drive_lanes(
+    wa: "Array", state: "Array", t: "Array", k: int, p: "Array", q: "Array", h: float
+) -> None:
+    """Run the actuators; the delayed commands are in place."""
+    copy_rows(wa, 0, state, 0, 7 + MEMORY)
+    for lane in range(LANES):
+        wa[(9 + MEMORY) * LANES + lane] = t[lane] + k * h
+    actuators_lanes(wa, LANES, p, q, h)
+
+
+@point
+def ready_rates(wa: "Array", wr: "Array", ends: "Array") -> None:
+    """Hand what the actuators do to the rates: wheel at both ends, acceleration, memory, time."""
+    outputs = 10 + MEMORY
+    copy_rows(ends, 0, wa, outputs, 2)
+    copy_rows(wr, 7, wa, outputs + 3, 1 + MEMORY)
+    copy_rows(wr, 8 + MEMORY, wa, 9 + MEMORY, 1)
+
+
+@point
+def remember_step(
+    wm: "Array", ends: "Array", before: "Array", after: "Array", wr: "Array"
+) -> None:
+    """Inputs of the memory after a step: chassis and wheel before and after, memory within."""
+    copy_rows(wm, 0, before, 0, 6)
+    copy_rows(wm, 6, ends, 0, 1)
+    copy_rows(wm, 7, after, 0, 6)
+    copy_rows(wm, 13, ends, 1, 1)
+    copy_rows(wm, 14, wr, 8, MEMORY)
+
+
+@point
+def simulate_block(
+    p: "Array",
+    q: "Array",
+    h: float,
+    tableau: "Array",
+    path: "Array",
+    commands: "Array",
+    runs: "Array",
+    t: "Array",
+    substeps: int,
+    late: "Array",
+) -> None:
+    """March 16 windows: `path[k]` is the state before step k; `path[0]` is given."""
+    n, stages = 6 * LANES, tableau.shape[1]
+    wa = np.zeros((14 + 2 * MEMORY) * LANES)
+    wr = np.zeros((15 + MEMORY) * LANES)
+    wm = np.zeros((14 + 2 * MEMORY) * LANES)
+    ends = np.zeros(2 * LANES)
+    n_in = (9 + MEMORY) * LANES
+    for k in range(path.shape[0] - 1):
+        state, after = path[k], path[k + 1]
+        fetch_commands(wa, 7 + MEMORY, commands, runs, k, substeps, late)
+        drive_lanes(wa, state, t, k, p, q, h)
+        ready_rates(wa, wr, ends)
+        copy_rows(after, 0, state, 0, 6)
+        for stage in range(stages):
+            reach = tableau[0, stage]
+            set_stage(wr, stage, ends, state, h * reach, reach)
+            rates_lanes(wr, LANES, p, q, h)
+            share = h * tableau[1, stage]
+            for i in range(n):
+                after[i] += share * wr[n_in + i]
+        copy_rows(after, 6, wa, 12 + MEMORY, 1)
+        if REMEMBERS:
+            remember_step(wm, ends, state, after, wr)
+            remember_lanes(wm, LANES, p, q, h)
+            copy_rows(after, 7, wm, 14 + MEMORY, MEMORY)
+        else:
+            copy_rows(after, 7, wr, 8, MEMORY)
+
+
+@point
+def simulate_lanes(
+    p: "Array",
+    q: "Array",
+    h: float,
+    tableau: "Array",
+    path: "Array",
+    commands: "Array",
+    runs: "Array",
+    t: "Array",
+    substeps: int,
+) -> None:
+    """March every block of 16 windows.
+
+    Args:
+        p: parameters; q: their constants for step `h`.
+        h: step [s], `substeps` of which share one command.
+        tableau: (2, stages) reach and weight of each stage.
+        path: (blocks, steps + 1, (7 + MEMORY) * 16); `path[:, 0]` is given, the rest is written.
+        commands: (rows, 2) steer [rad] and speed [m/s], all runs one after the other.
+        runs: (blocks, 16, 3) first row, row after the last, and row of the first step, by lane.
+        t: (blocks, 16) time into the run at the first step [s].
+        substeps: steps to a command.
+    """
+    late = delays_at(p, q, h) / h
+    for block in range(path.shape[0]):
+        simulate_block(
+            p, q, h, tableau, path[block], commands, runs[block], t[block], substeps, late
+        )
+
+
+@point
+def redo_stages(
+    p: "Array",
+    q: "Array",
+    h: float,
+    tableau: "Array",
+    state: "Array",
+    ends: "Array",
+    wr: "Array",
+    inputs: "Array",
+) -> None:
+    """The stages' inputs again, for the way back."""
+    rows, stages = 9 + MEMORY, tableau.shape[1]
+    for stage in range(stages):
+        reach = tableau[0, stage]
+        set_stage(wr, stage, ends, state, h * reach, reach)
+        copy_rows(inputs, stage * rows, wr, 0, rows)
+        if stage < stages - 1:
+            rates_lanes(wr, LANES, p, q, h)
+
+
+@point
+def back_remember(
+    wm: "Array", bar: "Array", link_bars: "Array", p: "Array", q: "Array", h: float
+) -> None:
+    """Through the memory's update; its inputs are in place. `link_bars`: the actuators' outputs."""
+    inputs = 14 + MEMORY
+    slopes = inputs + MEMORY
+    copy_rows(wm, inputs, bar, 7, MEMORY)
+    remember_vjp(wm, LANES, p, q, h)
+    add_rows(link_bars, 0, wm, slopes + 6, 1, 1.0)
+    add_rows(link_bars, 1, wm, slopes + 13, 1, 1.0)
+    copy_rows(link_bars, 4, wm, slopes + 14, MEMORY)
+    add_rows(bar, 0, wm, slopes + 7, 6, 1.0)
+
+
+@point
+def back_stages(
+    p: "Array",
+    q: "Array",
+    h: float,
+    tableau: "Array",
+    inputs: "Array",
+    wv: "Array",
+    bar: "Array",
+    kept: "Array",
+    link_bars: "Array",
+) -> None:
+    """Through the stages in reverse; `kept` gathers the derivative to the state at the start."""
+    rows, stages = 9 + MEMORY, tableau.shape[1]
+    slopes = rows + 6
+    for stage in range(stages - 1, -1, -1):
+        share = h * tableau[1, stage]
+        for i in range(6 * LANES):
+            wv[rows * LANES + i] = share * bar[i]
+        if stage < stages - 1:
+            add_rows(wv, rows, wv, slopes, 6, h * tableau[0, stage + 1])
+        copy_rows(wv, 0, inputs, stage * rows, rows)
+        rates_vjp(wv, LANES, p, q, h)
+        add_rows(kept, 0, wv, slopes, 6, 1.0)
+        reach = tableau[0, stage]
+        add_rows(link_bars, 0, wv, slopes + 6, 1, 1.0 - reach)
+        add_rows(link_bars, 1, wv, slopes + 6, 1, reach)
+        add_rows(link_bars, 3, wv, slopes + 7, 1 + MEMORY, 1.0)
+
+
+@point
+def adjoint_block(
+    p: "Array",
+    q: "Array",
+    h: float,
+    tableau: "Array",
+    path: "Array",
+    bars: "Array",
+    commands: "Array",
+    into: "Array",
+    runs: "Array",
+    t: "Array",
+    substeps: int,
+    late: "Array",
+    bar: "Array",
+    slopes: "Array",
+    late_bars: "Array",
+) -> None:
+    """Back over 16 windows; `bar` ends as the derivative to the first state."""
+    rows_a, rows_r, states = 10 + MEMORY, 9 + MEMORY, 7 + MEMORY
+    wa = np.zeros((rows_a + 4 + MEMORY) * LANES)
+    wr = np.zeros((rows_r + 6) * LANES)
+    wva = np.zeros((2 * rows_a + 4 + MEMORY + PARAMETER_COUNT) * LANES)
+    wvr = np.zeros((2 * rows_r + 6 + PARAMETER_COUNT) * LANES)
+    wm = np.zeros((2 * (14 + MEMORY) + MEMORY + PARAMETER_COUNT) * LANES)
+    ends, kept = np.zeros(2 * LANES), np.zeros(6 * LANES)
+    link_bars = np.zeros((4 + MEMORY) * LANES)
+    inputs = np.zeros(tableau.shape[1] * rows_r * LANES)
+    back = rows_a + 4 + MEMORY
+    for k in range(path.shape[0] - 2, -1, -1):
+        state = path[k]
+        fetch_commands(wa, 7 + MEMORY, commands, runs, k, substeps, late)
+        drive_lanes(wa, state, t, k, p, q, h)
+        ready_rates(wa, wr, ends)
+        redo_stages(p, q, h, tableau, state, ends, wr, inputs)
+        link_bars[:] = 0.0
+        copy_rows(link_bars, 2, bar, 6, 1)
+        kept[:] = 0.0
+        if REMEMBERS:
+            remember_step(wm, ends, state, path[k + 1], wr)
+            back_remember(wm, bar, link_bars, p, q, h)
+            add_rows(kept, 0, wm, 14 + 2 * MEMORY, 6, 1.0)
+        else:
+            copy_rows(link_bars, 4, bar, 7, MEMORY)
+        add_rows(kept, 0, bar, 0, 6, 1.0)
+        back_stages(p, q, h, tableau, inputs, wvr, bar, kept, link_bars)
+        copy_rows(wva, 0, wa, 0, rows_a)
+        copy_rows(wva, rows_a, link_bars, 0, 4 + MEMORY)
+        actuators_vjp(wva, LANES, p, q, h)
+        copy_rows(bar, 0, bars[k], 0, states)
+        add_rows(bar, 0, kept, 0, 6, 1.0)
+        add_rows(bar, 0, wva, back, states, 1.0)
+        return_commands(
+            wva, back + states, commands, into, runs, k, substeps, late, late_bars
+        )
+    for parameter in range(PARAMETER_COUNT):
+        for lane in range(LANES):
+            slopes[parameter] += (
+                wva[(back + rows_a + parameter) * LANES + lane]
+                + wvr[(2 * rows_r + 6 + parameter) * LANES + lane]
+                + wm[(2 * (14 + MEMORY) + MEMORY + parameter) * LANES + lane]
+            )
+
+
+@point
+def adjoint_lanes(
+    p: "Array",
+    q: "Array",
+    h: float,
+    tableau: "Array",
+    path: "Array",
+    bars: "Array",
+    commands: "Array",
+    into: "Array",
+    runs: "Array",
+    t: "Array",
+    substeps: int,
+    first: "Array",
+    slopes: "Array",
+) -> "Array":
+    """Derivatives of a loss, given its derivatives `bars` by every state of `path`.
+
+    Args:
+        p: see `simulate_lanes`, as q, h, tableau, commands, runs, t and substeps.
+        path: what `simulate_lanes` wrote; `bars` has its shape.
+        into: (rows, 2) derivatives to the commands, added to.
+        first: (blocks, (7 + MEMORY) * 16) derivatives to the first states, written.
+        slopes: derivatives to the parameters other than through the delays, added to.
+
+    Returns:
+        Derivatives to the dead times of steer and drive [1/s].
+    """
+    late = delays_at(p, q, h) / h
+    late_bars = np.zeros(2)
+    for block in range(path.shape[0]):
+        copy_rows(first[block], 0, bars[block, path.shape[1] - 1], 0, 7 + MEMORY)
+        adjoint_block(
+            p, q, h, tableau, path[block], bars[block], commands, into, runs[block], t[block],
+            substeps, late, first[block], slopes, late_bars,
+        )  # fmt: skip
+    return late_bars / h
