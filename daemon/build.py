@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from car_model.car_file import default_car_path
 from car_model.effects import parse_effects
+from car_model.params import Car
 from car_model.path import Path
 from car_model.path_spec import parse_path
 from controller.build import make_controller
@@ -62,6 +63,15 @@ def make_plan(options: RunOptions) -> Plan:
     except ValueError as error:
         raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.INVALID) from None
     return Plan(options, settings, path, controller)
+
+
+def reachable(settings: Settings) -> Car[float]:
+    """The car with the end stops that the last gate enforces: what a design may count on."""
+    car, limits = settings.file.car, settings.limits
+    return car._replace(
+        steer_min=max(car.steer_min, -limits.steer_right_max),
+        steer_max=min(car.steer_max, limits.steer_left_max),
+    )
 
 
 def make_core(

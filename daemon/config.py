@@ -85,13 +85,11 @@ def load_settings(path: Path | str, speed: float | None = None) -> Settings:
     """
     try:
         car_file = load_car(path)
-    except FileNotFoundError:
-        hint = "give a car file with --car, such as config/f1tenth.toml"
-        raise SteerdError(f"no car file {path}", hint, ExitCode.UNREADABLE) from None
-    except OSError as error:
-        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
     except CarFileError as error:
-        raise SteerdError(str(error), "", ExitCode.INVALID) from None
+        unreadable = isinstance(error.__cause__, OSError)
+        code = ExitCode.UNREADABLE if unreadable else ExitCode.INVALID
+        place = f"{error.path}: {error.where}" if error.where else str(error.path)
+        raise SteerdError(f"{place}: {error.what}", error.hint, code) from None
     return make_settings(car_file, speed)
 
 

@@ -24,9 +24,11 @@ from steer_bus import topics
 from steer_bus.codec import CodecError, decode
 from steer_bus.standard import Log, make_time
 from vesc_link import events as e
-from vesc_link.commands import GetMcConfTemp, SetMcConfTemp
+from vesc_link.commands import GetMcConfTemp, SetCurrent, SetCurrentBrake
 from vesc_link.events import DriveBrake, DriveSilent
+from vesc_link.frames import encode_frame
 from vesc_link.identity import McConfTemp
+from vesc_link.packets import encode_command
 from vesc_link.session_limits import make_restored_limits, make_session_limits
 from vesc_link.vesc import VescLink
 
@@ -114,9 +116,17 @@ class Core:
             self.link.request(bounds)
             self.link.request(GetMcConfTemp())
 
-    def restored_limits(self) -> SetMcConfTemp | None:
-        """The command that gives the VESC its own limits back, if they were changed."""
-        return make_restored_limits(self._limits_before) if self._limits_before else None
+    def brake_frame(self) -> bytes:
+        """The frame with which a guardian stops the car."""
+        current = self.loop.setup.settings.brakes.brake_current_a
+        return encode_frame(encode_command(SetCurrentBrake(current)))
+
+    def make_farewell(self) -> bytes:
+        """Frames for a car at rest: let the motor go, give the VESC its own limits back."""
+        frames = encode_frame(encode_command(SetCurrent(0.0)))
+        if self._limits_before is not None:
+            frames += encode_frame(encode_command(make_restored_limits(self._limits_before)))
+        return frames
 
     def on_poses(self, samples: list[PoseSample]) -> None:
         """Mocap samples, in order of arrival."""

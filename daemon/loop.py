@@ -20,7 +20,15 @@ from controller.lane_controller import (
     start_controller,
 )
 from controller.limits import Verdict, make_gate_state
-from daemon.checks import Lane, VescSelf, red_findings, red_lane, red_motion, red_vesc
+from daemon.checks import (
+    STANDING_SPEED,
+    Lane,
+    VescSelf,
+    red_findings,
+    red_lane,
+    red_motion,
+    red_vesc,
+)
 from daemon.config import Settings
 from daemon.findings import Finding, make_finding, summarise
 from daemon.lateness import Lateness, step_lateness
@@ -38,6 +46,7 @@ from daemon.orders import Order, make_order
 from daemon.perception import Perception, best_speed, place
 from daemon.supervisor import (
     LAUNCH_SPEED,
+    NEVER,
     Action,
     Conditions,
     SupervisorState,
@@ -70,11 +79,13 @@ class Flag(IntFlag):
     MOCAP_REFUSED = 256
     QUIT = 512
     ABORT = 1024
+    GUARDIAN_TRIPPED = 2048
 
 
 _REPORTS: tuple[tuple[Flag, str, str], ...] = (
     (Flag.SERIAL_FAULT, "W8", "a write failed"),
     (Flag.GUARDIAN_LOST, "W16", "its heartbeat stopped"),
+    (Flag.GUARDIAN_TRIPPED, "W15", "the guardian braked the car: a tick was too late"),
     (Flag.RECORDER_LOST, "W26", "it is gone, full or out of disk"),
     (Flag.GATEWAY_LOST, "W27", "it is gone"),
     (Flag.EXCEPTION, "W29", "in the control core"),
@@ -410,7 +421,8 @@ class Loop:
         if old in _DRIVING and new not in _DRIVING:
             self.ran = True
         self.faulted = self.faulted or new in (State.FAULT_STOP, State.ESTOP)
-        self.perception.may_rebase = new in _PARKED
+        rolling = abs(self.perception.wheel_speed) > STANDING_SPEED
+        self.perception.may_rebase = new in _PARKED and not rolling
 
     def _leave(self, order: Order, now_ns: int) -> None:
         """Remember what left, for gate, filter and controller."""
@@ -424,6 +436,12 @@ class Loop:
     def parked(self) -> bool:
         """Whether the car needs nobody: silent and disarmed, or latched."""
         return self.supervisor.state in _PARKED
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether this process may end: parked, or stopped by an emergency stop and standing."""
+        stopped = self.supervisor.state is State.ESTOP and self.supervisor.still_ns != NEVER
+        return self.parked or stopped
 
 
 def _known(value: float | None) -> float:

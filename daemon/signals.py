@@ -33,6 +33,6 @@ def stop_signal_pipe() -> int:
 
 
 def ignore_terminal_signals() -> None:
-    """For a process that leaves when its pipe closes: Ctrl-C goes to the whole group, not for it."""
+    """For a process that leaves when its pipe closes: Ctrl-C reaches the whole group."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)

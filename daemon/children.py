@@ -1,0 +1,200 @@
+"""The processes of a run: started in order, told over standard input, ended by closing pipes."""
+
+import json
+import os
+import select
+import socket
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from daemon.build import Plan
+from daemon.errors import ExitCode, SteerdError
+from daemon.options import encode_options
+from daemon.records import make_pipe
+from daemon.session_meta import make_attachments, make_metadata
+from mocap_link.mocap_url import parse_mocap_url
+
+READY_S = 30.0
+END_S = 10.0
+
+
+@dataclass
+class Child:
+    """A process and the descriptor on which it says that it is ready."""
+
+    process: subprocess.Popen[bytes]
+    ready_fd: int
+
+    def wait_ready(self, name: str) -> str:
+        """Its first line.
+
+        Raises:
+            SteerdError: it ended or stayed silent instead.
+        """
+        poll = select.poll()
+        poll.register(self.ready_fd, select.POLLIN | select.POLLHUP)
+        heard = b""
+        while not heard.endswith(b"\n"):
+            if not poll.poll(int(READY_S * 1000)):
+                raise SteerdError(f"the {name} did not start", "", ExitCode.INTERNAL)
+            data = os.read(self.ready_fd, 4096)
+            if not data:
+                code = self.process.wait()
+                raise SteerdError(f"the {name} ended with code {code}", "", ExitCode.INTERNAL)
+            heard += data
+        return heard.decode().strip()
+
+
+def spawn(module: str, fds: Mapping[str, int], job: Mapping[str, Any], named: bool) -> Child:
+    """Start `python -m module` with these descriptors and the job as JSON on standard input.
+
+    It gets a process group of its own: Ctrl-C goes to us, and we say what it means.
+    """
+    ready, theirs = os.pipe()
+    every = {**fds, "ready": theirs}
+    arguments = [f"{name}={fd}" if named else str(fd) for name, fd in every.items()]
+    process = subprocess.Popen(
+        [sys.executable, "-m", module, *arguments],
+        stdin=subprocess.PIPE,
+        pass_fds=tuple(every.values()),
+        process_group=0,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+    )
+    os.close(theirs)
+    if process.stdin is not None:
+        process.stdin.write(json.dumps(job).encode())
+        process.stdin.close()
+    return Child(process, ready)
+
+
+@dataclass
+class Crew:
+    """All processes of a run.
+
+    Attributes:
+        core, recorder, gateway: the processes.
+        requests: our end of the socket on which the core takes requests from this terminal.
+        status_fd: records for this terminal.
+        session: where the recording goes.
+        told: what the core said when it was ready.
+    """
+
+    core: Child
+    recorder: Child
+    gateway: Child
+    requests: socket.socket
+    status_fd: int
+    session: Path
+    told: dict[str, Any]
+
+    def end(self) -> int:
+        """Wait for the core, then for the others, which leave when its pipes close."""
+        code = self.core.process.wait()
+        self.requests.close()
+        for child in (self.recorder, self.gateway):
+            try:
+                child.process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                child.process.kill()
+        return code
+
+
+def start_crew(plan: Plan, session: Path, boot_id: int, epoch_ns: int, leased: bool) -> Crew:
+    """Start recorder, gateway and core, in this order.
+
+    Raises:
+        SteerdError: one of them cannot do its work, in its own words.
+    """
+    pipes = {name: make_pipe() for name in ("recorder", "gateway", "status")}
+    asked, asking = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours, parent = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    started: list[Child] = []
+    try:
+        recorder = _start_recorder(plan, session, boot_id, epoch_ns, pipes["recorder"][0])
+        started.append(recorder)
+        _expect_ready(recorder, "recorder", ExitCode.UNREADABLE)
+        gateway = _start_gateway(plan, pipes["gateway"][0], asked.fileno())
+        started.append(gateway)
+        _expect_ready(gateway, "gateway", ExitCode.UNREACHABLE)
+        fds = {name: pipes[name][1] for name in pipes}
+        fds |= {"parent": parent.fileno(), "asking": asking.fileno()}
+        job = {
+            "options": encode_options(plan.options),
+            "boot_id": boot_id,
+            "epoch_ns": epoch_ns,
+            "leased": leased,
+        }
+        core = spawn("daemon.core_process", fds, job, named=True)
+        started.append(core)
+        told = json.loads(core.wait_ready("control core"))
+    except SteerdError:
+        _give_up(started, pipes, (asked, asking, ours, parent))
+        raise
+    if "what" in told:
+        _give_up(started, pipes, (asked, asking, ours, parent))
+        session.unlink(missing_ok=True)
+        raise SteerdError(told["what"], told["hint"], ExitCode(told["code"]))
+    for name in pipes:
+        os.close(pipes[name][1])
+        if name != "status":
+            os.close(pipes[name][0])
+    for end in (asked, asking, parent):
+        end.close()
+    return Crew(core, recorder, gateway, ours, pipes["status"][0], session, told)
+
+
+def _expect_ready(child: Child, name: str, code: ExitCode) -> None:
+    said = child.wait_ready(name)
+    if said != "ready":
+        raise SteerdError(said, "", code)
+
+
+def _give_up(
+    started: list[Child], pipes: Mapping[str, tuple[int, int]], ends: tuple[socket.socket, ...]
+) -> None:
+    """Close everything, so that what was started leaves by itself."""
+    for pair in pipes.values():
+        for fd in pair:
+            os.close(fd)
+    for end in ends:
+        end.close()
+    for child in started:
+        try:
+            child.process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            child.process.kill()
+
+
+def _start_recorder(plan: Plan, session: Path, boot_id: int, epoch_ns: int, pipe_fd: int) -> Child:
+    try:
+        session.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        hint = "choose another place with --record"
+        raise SteerdError(
+            f"{session.parent}: {error.strerror}", hint, ExitCode.UNREADABLE
+        ) from None
+    job = {
+        "path": str(session),
+        "car": plan.options.car,
+        "metadata": make_metadata(plan, boot_id, epoch_ns),
+        "attachments": make_attachments(plan),
+        "start_ns": epoch_ns,
+        "disk_free_min": plan.settings.record.disk_free_min_mb * 1_000_000,
+    }
+    return spawn("daemon.recorder", {"pipe": pipe_fd}, job, named=False)
+
+
+def _start_gateway(plan: Plan, pipe_fd: int, asked_fd: int) -> Child:
+    mocap = plan.options.mocap or ""
+    pose_key = parse_mocap_url(mocap).key if mocap.startswith("zenoh:") else None
+    job = {
+        "listen": plan.options.listen,
+        "insecure_lan": plan.options.insecure_lan,
+        "car": plan.options.car,
+        "pose_key": pose_key,
+    }
+    return spawn("daemon.gateway", {"pipe": pipe_fd, "asked": asked_fd}, job, named=False)

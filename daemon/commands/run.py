@@ -1,0 +1,161 @@
+"""Drive: the control loop on a car (--port, --mocap) or on simulated hardware (--sim).
+
+On a car it comes up disarmed. Arm and start it with the keys shown, or from another terminal with
+`steerd arm` and `steerd start`.
+"""
+
+import argparse
+import secrets
+import signal
+import sys
+from pathlib import Path
+
+from daemon.build import Plan, make_plan
+from daemon.errors import ExitCode, SteerdError
+from daemon.options import ControllerKind, RunOptions
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `steerd run`."""
+    where = parser.add_argument_group("hardware")
+    where.add_argument("--port", metavar="DEV", help="serial port of the VESC, e.g. /dev/ttyACM0")
+    where.add_argument(
+        "--mocap",
+        metavar="URL",
+        help="natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY or zenoh:KEY",
+    )
+    where.add_argument("--sim", action="store_true", help="simulated hardware on a pty and sockets")
+    where.add_argument("--fast", action="store_true", help="with --sim: virtual time, repeatable")
+    add_drive_arguments(parser)
+    run = parser.add_argument_group("run")
+    run.add_argument(
+        "--record", metavar="PATH", help="session file (default: dated, in the data folder)"
+    )
+    run.add_argument("--seed", type=int, default=0, help="of the simulated hardware's noise")
+    run.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE,…",
+        help="unmodelled effect of the simulated car (`steerd effects` lists them)",
+    )
+    run.add_argument("--auto-arm", action="store_true", help="simulation: arm and start by itself")
+    run.add_argument(
+        "--controller",
+        choices=[kind.value for kind in ControllerKind],
+        default="lane",
+        help="zenoh: apply the commands of `steerd control`",
+    )
+    run.add_argument("--listen", default="tcp/127.0.0.1:7447", help="zenoh endpoint")
+    run.add_argument(
+        "--insecure-lan", action="store_true", help="allow plain zenoh beyond loopback"
+    )
+
+
+def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to drive; shared with `steerd control`."""
+    drive = parser.add_argument_group("drive")
+    drive.add_argument("--car", metavar="FILE.toml", help="car file (default: F1TENTH's figures)")
+    drive.add_argument("--name", default="car1", help="the car's name on the bus and in files")
+    drive.add_argument(
+        "--path",
+        default="figure8",
+        help="line, circle:radius=2, figure8[:radius=…], csv:FILE (TUM or F1TENTH centreline)",
+    )
+    drive.add_argument("--speed", type=float, default=1.0, metavar="M/S", help="on straights")
+    drive.add_argument("--duration", type=float, metavar="S", help="end after so long a drive")
+    drive.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of the loop")
+
+
+def make_options(args: argparse.Namespace) -> RunOptions:
+    """Typed options from the command line.
+
+    Raises:
+        SteerdError: a combination makes no sense.
+    """
+    if args.fast and not args.sim:
+        raise SteerdError("--fast is virtual time", "add --sim", ExitCode.USAGE)
+    if args.sim and (args.port or args.mocap):
+        raise SteerdError("--sim brings its own port and mocap", "drop one side", ExitCode.USAGE)
+    if not args.sim and not (args.port and args.mocap):
+        hint = "steerd run --port /dev/ttyACM0 --mocap natnet://HOST/BODY, or steerd run --sim"
+        raise SteerdError("a car needs --port and --mocap", hint, ExitCode.USAGE)
+    if not args.sim and (args.auto_arm or args.effect):
+        raise SteerdError("--auto-arm and --effect are for --sim only", "", ExitCode.USAGE)
+    if args.duration is not None and not 0.0 < args.duration <= 86400.0:
+        raise SteerdError(f"--duration {args.duration:g}: more than 0 s", "", ExitCode.USAGE)
+    return RunOptions(
+        car_file=args.car or "",
+        car=args.name,
+        port=args.port,
+        mocap=args.mocap,
+        path=args.path,
+        speed=args.speed,
+        duration_s=args.duration,
+        record=args.record,
+        seed=args.seed,
+        rate_hz=args.rate,
+        controller=ControllerKind(args.controller),
+        simulated=args.sim,
+        auto_arm=args.auto_arm or args.fast,
+        effects=tuple(args.effect),
+        listen=args.listen,
+        insecure_lan=args.insecure_lan,
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command."""
+    options = make_options(args)
+    if args.fast:
+        from daemon.fast import run_fast
+
+        return run_fast(make_plan(options))
+    if options.simulated:
+        return _run_simulated(make_plan(options))
+    return _run_live(make_plan(options))
+
+
+def _run_simulated(plan: Plan) -> int:
+    from dataclasses import replace
+
+    from daemon.build import make_world_config
+    from sim_hw.links import spawn_sim
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with spawn_sim(make_world_config(plan)) as sim:
+        options = replace(plan.options, port=sim.port, mocap=sim.mocap_url)
+        return _run_live(replace(plan, options=options))
+
+
+def _run_live(plan: Plan) -> int:
+    from daemon.children import start_crew
+    from daemon.dashboard import Dashboard
+    from daemon.operator import Operator
+    from daemon.session_meta import default_session_path
+    from daemon.terminal import Terminal
+    from steer_bus.clock import MonotonicClock
+
+    clock, boot_id = MonotonicClock(), secrets.randbits(63)
+    epoch_ns = clock.realtime_ns() - clock.now_ns()
+    record = plan.options.record
+    session = (
+        Path(record)
+        if record
+        else default_session_path(plan.options.car, clock.realtime_ns(), boot_id)
+    )
+    leased = plan.settings.deadman and not plan.options.simulated
+    crew = start_crew(plan, session, boot_id, epoch_ns, leased)
+    for line in crew.told.get("realtime", ()):
+        print(f"note: {line}", file=sys.stderr)
+    where = "simulated hardware" if plan.options.simulated else str(plan.options.port)
+    board = Dashboard(f"steerd · {plan.options.car} on {where} · {plan.path.name}")
+    operator = Operator(boot_id, secrets.randbits(62) + 1, "terminal")
+    Terminal(crew, board, operator, clock).run()
+    code = crew.end()
+    print(board.tally.describe())
+    if board.status.get("state") in ("FAULT_LATCHED", "FAULT_STOP", "ESTOP"):
+        print(f"stopped: {board.status.get('reason', '')}")
+    print(f"session: {session}")
+    print(f"   next: steerd info {session}")
+    return code

@@ -1,0 +1,149 @@
+"""The control core as a process: no zenoh, no mcap, no torch, no thread but the one in sigwait."""
+
+import json
+import os
+import socket
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from daemon.build import Plan, make_core, make_plan
+from daemon.core import Core
+from daemon.errors import ExitCode, SteerdError
+from daemon.guard import ProcessGuard
+from daemon.options import decode_options
+from daemon.outbox import Sink
+from daemon.realtime import enter_realtime, settle_memory
+from daemon.records import PipeWriter, Record, pack_record
+from daemon.runner import Ends, Runner
+from daemon.signals import block_stop_signals, stop_signal_pipe
+from mocap_link.mocap_url import parse_mocap_url
+from mocap_link.sessions import BusPoseSource
+from mocap_link.sockets import MocapReceiver, make_receiver
+from steer_bus import topics
+from steer_bus.clock import MonotonicClock
+from vesc_link.transport import Port, PortError, open_port
+
+STATUS_PERIOD_NS = 100_000_000
+_SHOWN = (topics.STATE.name, topics.DIAGNOSTICS.name, topics.TRANSITION.name, topics.TICK.name)
+
+
+def pipe_sink(pipe: PipeWriter, wanted: Callable[[Record], bool]) -> Sink:
+    """A sink that writes the wanted records into a pipe."""
+
+    def sink(records: list[Record], t_ns: int) -> None:
+        pipe.write([pack_record(record) for record in records if wanted(record)], t_ns)
+
+    return sink
+
+
+def status_sink(pipe: PipeWriter) -> Sink:
+    """A sink for the terminal: transitions and diagnostics at once, the rest ten times a second."""
+    due = 0
+
+    def sink(records: list[Record], t_ns: int) -> None:
+        nonlocal due
+        ticks = t_ns >= due
+        due = t_ns + STATUS_PERIOD_NS if ticks else due
+        rare = (topics.DIAGNOSTICS.name, topics.TRANSITION.name)
+        chosen = [r for r in records if r.topic.name in (_SHOWN if ticks else rare)]
+        pipe.write([pack_record(record) for record in chosen], t_ns)
+
+    return sink
+
+
+def make_mocap(plan: Plan) -> MocapReceiver | BusPoseSource:
+    """The mocap source that the options name.
+
+    Raises:
+        SteerdError: the address makes no sense, or its host does not resolve.
+    """
+    text = plan.options.mocap or ""
+    try:
+        url = parse_mocap_url(text)
+        if url.scheme == "zenoh":
+            return BusPoseSource(plan.settings.ingest)
+        return make_receiver(url, plan.settings.ingest)
+    except ValueError as error:
+        raise SteerdError(f"--mocap {text}: {error}", "", ExitCode.USAGE) from None
+    except OSError as error:
+        hint = "check the address, and that this machine is on the mocap network"
+        raise SteerdError(str(error), hint, ExitCode.UNREADABLE) from None
+
+
+def first_port(url: str) -> Port:
+    """Open the port before anything else starts, so that a wrong one is said at once.
+
+    Raises:
+        SteerdError: it cannot be opened, with what to try.
+    """
+    try:
+        return open_port(url)
+    except PortError as error:
+        raise SteerdError(str(error), error.hint, ExitCode.UNREADABLE) from None
+
+
+def _opener(url: str, first: Port) -> Callable[[], Port]:
+    waiting = [first]
+
+    def open_it() -> Port:
+        return waiting.pop() if waiting else open_port(url)
+
+    return open_it
+
+
+def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
+    plan = make_plan(decode_options(job["options"]))
+    port = first_port(plan.options.port or "")
+    mocap = make_mocap(plan)
+    pipes = {name: PipeWriter(fds[name]) for name in ("recorder", "gateway", "status")}
+    sinks = [
+        pipe_sink(pipes["recorder"], lambda r: r.topic.logged),
+        pipe_sink(pipes["gateway"], lambda r: r.topic.on_bus),
+        status_sink(pipes["status"]),
+    ]
+    clock = MonotonicClock()
+    core = make_core(
+        plan,
+        int(job["boot_id"]),
+        clock.now_ns(),
+        int(job["epoch_ns"]),
+        sinks,
+        leased=bool(job["leased"]),
+    )
+    requests = tuple(socket.socket(fileno=fds[name]) for name in ("parent", "asking"))
+    for end in requests:
+        end.setblocking(False)
+    ends = Ends(pipes["recorder"], pipes["gateway"], requests, stop_signal_pipe())
+    report = enter_realtime()
+    _tell(fds["ready"], {"realtime": report.refused, "design": plan.controller.report.describe()})
+    runner = Runner(
+        core, clock, _opener(plan.options.port or "", port), mocap, ends, ProcessGuard(report.fifo)
+    )
+    settle_memory()
+    runner.run()
+    return core
+
+
+def _tell(fd: int, what: Mapping[str, Any]) -> None:
+    os.write(fd, json.dumps(what).encode() + b"\n")
+
+
+def main() -> int:
+    """Process entry: the job as JSON on standard input, descriptors as NAME=FD arguments."""
+    block_stop_signals()
+    fds = {name: int(fd) for name, fd in (text.split("=") for text in sys.argv[1:])}
+    job = json.loads(sys.stdin.read())
+    try:
+        core = _run(job, fds)
+    except SteerdError as error:
+        _tell(fds["ready"], {"what": error.what, "hint": error.hint, "code": int(error.code)})
+        return int(error.code)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    # Nothing is left to tidy up; interpreter shutdown would only hold the parent up.
+    os._exit(int(ExitCode.STOPPED if core.loop.faulted else ExitCode.OK))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,94 @@
+"""`steerd run --sim --fast`: virtual time, one process, the same session file for the same seed."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from daemon.build import Plan
+from daemon.dashboard import Dashboard
+from daemon.errors import ExitCode, SteerdError
+from daemon.recorder import Recording
+from daemon.records import Record
+from daemon.session_meta import default_session_path, make_attachments, make_metadata
+from daemon.transitions import State
+from daemon.virtual import EPOCH_NS, VirtualRun, drive, make_virtual_run
+from steer_bus.clock import MonotonicClock
+from steer_bus.session_read import SessionError
+
+
+def make_recording(plan: Plan, path: Path) -> Recording:
+    """A session file for a run in virtual time.
+
+    Raises:
+        SteerdError: it cannot be created.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    meta = {
+        "metadata": make_metadata(plan, plan.options.seed + 1, EPOCH_NS, reproducible=True),
+        "attachments": make_attachments(plan),
+        "start_ns": EPOCH_NS,
+    }
+    try:
+        return Recording(path, plan.options.car, meta)
+    except SessionError as error:
+        hint = error.hint or "choose another file with --record"
+        raise SteerdError(str(error), hint, ExitCode.UNREADABLE) from None
+
+
+def run_fast(plan: Plan) -> int:
+    """Drive in virtual time and print what came of it."""
+    if plan.options.duration_s is None:
+        raise SteerdError("--fast needs an end", "add --duration 30", ExitCode.USAGE)
+    clock = MonotonicClock()
+    began = clock.now_ns()
+    record = plan.options.record
+    path = (
+        Path(record)
+        if record
+        else default_session_path(plan.options.car, clock.realtime_ns(), began)
+    )
+    recording = make_recording(plan, path)
+    board = Dashboard("")
+
+    def sink(records: list[Record], t_ns: int) -> None:
+        for each in records:
+            recording.add(each)
+            line = board.take(each)
+            if line is not None:
+                print(f"{t_ns * 1e-9:8.2f} s  {line}")
+
+    run = make_virtual_run(plan, (sink,))
+    try:
+        with_progress(run, plan.options.duration_s, lambda tick: drive(run, tick))
+    finally:
+        recording.writer.finish({"reason": "end of the run", "written": str(recording.written)})
+    factor = run.t_ns / max(clock.now_ns() - began, 1)
+    print(board.tally.describe())
+    print(f"bytes on the wire: sha256 {run.wire.hexdigest()[:16]}; {factor:.0f} x real time")
+    print(f"session: {path}")
+    loop = run.core.loop
+    if loop.faulted:
+        print(f"stopped: {loop.supervisor.reason}")
+        return ExitCode.STOPPED
+    if not loop.ran:
+        waiting = run.core.last.waiting if run.core.last else ""
+        raise SteerdError(f"the car was never driven: waiting for {waiting}", "", ExitCode.STOPPED)
+    return ExitCode.OK
+
+
+def with_progress(
+    run: VirtualRun, duration_s: float, go: Callable[[Callable[[VirtualRun], None]], None]
+) -> None:
+    """Drive, with a progress bar if somebody watches."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, disable=not sys.stderr.isatty(), transient=True) as progress:
+        task = progress.add_task("driving", total=duration_s)
+
+        def tick(now: VirtualRun) -> None:
+            if now.core.loop.supervisor.state is State.RUNNING:
+                progress.advance(task, now.period_ns * 1e-9)
+
+        go(tick)

@@ -1,0 +1,15 @@
+"""How requests travel from gateway and terminal to the core: one packet each."""
+
+REQUEST_MAX = 4096
+"""Largest request that is passed on [bytes]."""
+
+
+def pack_request(name: str, data: bytes) -> bytes:
+    """A request as one packet: topic name, a zero, the message."""
+    return name.encode() + b"\0" + data
+
+
+def unpack_request(packet: bytes) -> tuple[str, bytes]:
+    """The inverse of `pack_request`; an empty name for what is none."""
+    name, mark, data = packet.partition(b"\0")
+    return (name.decode("ascii", "replace"), data) if mark else ("", b"")

@@ -1,0 +1,72 @@
+"""An operator's side of the lease: requests with rising numbers under one id."""
+
+from dataclasses import dataclass
+
+from daemon.errors import ExitCode, SteerdError
+from daemon.telling import read_diagnostics
+from steer_bus import topics
+from steer_bus.bus import Bus, BusError
+from steer_bus.clock import Clock
+from steer_bus.codec import decode, encode
+from steer_bus.messages import BODY, OperatorRequest, RequestKind, make_header
+from steer_bus.standard import DiagnosticArray
+from steer_bus.topics import make_key
+from steer_bus.zenoh_bus import Profile, ZenohBus
+
+KEEPALIVE_NS = 50_000_000
+"""Well within the deadman's 300 ms."""
+
+
+@dataclass
+class Operator:
+    """One person at one terminal.
+
+    Attributes:
+        boot_id: of the run that is addressed.
+        lease_id: random, not zero.
+        name: for the recording.
+        seq: of the last request.
+    """
+
+    boot_id: int
+    lease_id: int
+    name: str = "operator"
+    seq: int = 0
+
+    def make(self, kind: RequestKind, realtime_ns: int) -> bytes:
+        """The next request, encoded."""
+        self.seq += 1
+        header = make_header(realtime_ns, BODY)
+        request = OperatorRequest(
+            header, self.boot_id, self.lease_id, self.seq, int(kind), self.name
+        )
+        return encode(request)
+
+
+def connect(endpoint: str) -> ZenohBus:
+    """Join the bus of a running daemon.
+
+    Raises:
+        SteerdError: there is none.
+    """
+    try:
+        return ZenohBus(Profile(hub=False, endpoint=endpoint))
+    except BusError as error:
+        hint = "start `steerd run` first, or name its endpoint with --connect"
+        raise SteerdError(f"no steerd answers: {error}", hint, ExitCode.UNREACHABLE) from None
+
+
+def read_status(bus: Bus, car: str, clock: Clock, timeout_s: float = 2.0) -> dict[str, str]:
+    """The daemon's own account of itself, from the first diagnostics that arrives.
+
+    Raises:
+        SteerdError: nothing arrived in time.
+    """
+    subscription = bus.subscribe(make_key(car, topics.DIAGNOSTICS))
+    end = clock.now_ns() + round(timeout_s * 1e9)
+    while clock.now_ns() < end:
+        for sample in subscription.poll():
+            return read_diagnostics(decode(DiagnosticArray, sample.data))
+        clock.sleep_until_ns(clock.now_ns() + 10_000_000)
+    hint = f"is the car called {car!r}? name it with --name"
+    raise SteerdError(f"no car {car!r} on the bus", hint, ExitCode.UNREACHABLE)

@@ -1,0 +1,286 @@
+"""Real time: one thread, one select, absolute deadlines.
+
+Serial port, mocap sockets and requests are handled as they arrive; at each deadline the core ticks
+and one write goes out. A tick that comes late is skipped to the next, never caught up in a burst.
+"""
+
+import contextlib
+import os
+import select
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from daemon.core import Core
+from daemon.gateway_wire import REQUEST_MAX, unpack_request
+from daemon.guard import Guard, sleep_lag_ns
+from daemon.loop import Flag
+from daemon.records import PipeWriter
+from daemon.transitions import is_engaged
+from mocap_link.sessions import BusPoseSource
+from mocap_link.sockets import MocapReceiver
+from steer_bus import topics
+from steer_bus.clock import Clock
+from steer_bus.messages import BODY, ClockSample, make_header
+from vesc_link.transport import LinkDown, Port, PortError
+
+REOPEN_NS = 200_000_000
+MOCAP_TIMER_NS = 10_000_000
+CLOCK_NS = 1_000_000_000
+PIPE_FULL_NS = 1_000_000_000
+SUSPEND_NS = 50_000_000
+
+
+OpenPort = Callable[[], Port]
+"""Opens the serial port; raises PortError."""
+
+
+@dataclass(frozen=True)
+class Ends:
+    """The core's ends of what leads to the other processes.
+
+    Attributes:
+        recorder: pipe to the recorder, or None when nothing is recorded.
+        gateway: pipe to the gateway, or None.
+        requests: sockets on which requests arrive.
+        stop_fd: yields a byte for each stop signal.
+    """
+
+    recorder: PipeWriter | None
+    gateway: PipeWriter | None
+    requests: tuple[socket.socket, ...]
+    stop_fd: int
+
+
+class Runner:
+    """The control core in real time.
+
+    Attributes:
+        signals: stop signals so far.
+        error: why the port could not be opened, last.
+    """
+
+    def __init__(
+        self,
+        core: Core,
+        clock: Clock,
+        open_port: OpenPort,
+        mocap: MocapReceiver | BusPoseSource,
+        ends: Ends,
+        guard: Guard,
+    ) -> None:
+        self._core = core
+        self._clock = clock
+        self._open_port = open_port
+        self._mocap = mocap
+        self._ends = ends
+        self._guard = guard
+        self._port: Port | None = None
+        self._period_ns = core.loop.setup.period_ns
+        self._reopen_ns = self._mocap_ns = self._clock_ns = 0
+        self._slept_ns = sleep_lag_ns()
+        self.signals = 0
+        self.error: PortError | None = None
+
+    # --- the loop
+
+    def run(self) -> None:
+        """Run until asked to quit and parked, or until the planned drive is over."""
+        due = self._clock.now_ns()
+        work_ns = 0
+        while not self._done():
+            self._wait(due)
+            now = self._clock.now_ns()
+            self._housekeeping(now)
+            wire = self._core.tick(due, now, work_ns)
+            self._write(wire, now)
+            self._core.outbox.flush(now)
+            after = self._clock.now_ns()
+            work_ns = after - now
+            due += self._period_ns
+            if after > due:
+                due += (after - due) // self._period_ns * self._period_ns
+        self._leave()
+
+    def _done(self) -> bool:
+        """Whether nothing is left to do: the drive is over, or it was told to quit and is at rest.
+
+        A third signal leaves at once; the guardian brakes what still moves.
+        """
+        loop = self._core.loop
+        planned = loop.setup.duration_ns is not None and loop.ran
+        over = self.signals > 0 or planned
+        return self.signals > 2 or (over and loop.at_rest)
+
+    def _wait(self, due_ns: int) -> None:
+        """Handle what arrives until the deadline."""
+        while True:
+            left_ns = due_ns - self._clock.now_ns()
+            fds = [self._ends.stop_fd, *(s.fileno() for s in self._ends.requests)]
+            if self._port is not None:
+                fds.append(self._port.fd)
+            if not isinstance(self._mocap, BusPoseSource):
+                fds += self._mocap.fds()
+            ready, _, _ = select.select(fds, [], [], max(left_ns, 0) * 1e-9)
+            for fd in ready:
+                self._take(fd)
+            if left_ns <= 0:
+                return
+
+    def _take(self, fd: int) -> None:
+        if self._port is not None and fd == self._port.fd:
+            self._read_serial()
+        elif fd == self._ends.stop_fd:
+            with contextlib.suppress(BlockingIOError):
+                self.signals += len(os.read(fd, 16))
+        elif not isinstance(self._mocap, BusPoseSource) and fd in self._mocap.fds():
+            self._core.on_poses(self._mocap.read_ready(fd))
+        else:
+            self._read_requests(fd)
+
+    def _read_requests(self, fd: int) -> None:
+        for end in self._ends.requests:
+            if end.fileno() != fd:
+                continue
+            with contextlib.suppress(BlockingIOError):
+                for _ in range(32):
+                    packet = end.recv(REQUEST_MAX + 64)
+                    if not packet:
+                        self._hang_up(end)
+                        return
+                    self._on_request(packet)
+
+    def _on_request(self, packet: bytes) -> None:
+        name, data = unpack_request(packet)
+        now = self._clock.now_ns()
+        if name == topics.EXTERNAL_POSE.name and isinstance(self._mocap, BusPoseSource):
+            sample = self._mocap.on_message(data, now)
+            self._core.on_poses([sample] if sample else [])
+        else:
+            self._core.on_request(name, data, now)
+
+    def _hang_up(self, end: socket.socket) -> None:
+        """A process that could ask is gone: the gateway, or the parent, whose end means quit."""
+        rest = tuple(other for other in self._ends.requests if other is not end)
+        if end is self._ends.requests[0]:
+            self.signals += 1
+        else:
+            self._core.flags |= Flag.GATEWAY_LOST
+        end.close()
+        self._ends = Ends(self._ends.recorder, self._ends.gateway, rest, self._ends.stop_fd)
+
+    # --- what is not an arrival
+
+    def _housekeeping(self, now_ns: int) -> None:
+        if self._port is None and now_ns >= self._reopen_ns:
+            self._try_open(now_ns)
+        if now_ns >= self._mocap_ns:
+            self._mocap_ns = now_ns + MOCAP_TIMER_NS
+            self._tend_mocap(now_ns)
+        if now_ns >= self._clock_ns:
+            self._clock_ns = now_ns + CLOCK_NS
+            self._tell_clock(now_ns)
+        self._watch_processes(now_ns)
+        flags = self._core.flags
+        flags |= Flag.QUIT if self.signals else Flag(0)
+        flags |= Flag.ABORT if self.signals > 1 else Flag(0)
+        self._core.flags = flags
+
+    def _tend_mocap(self, now_ns: int) -> None:
+        seen = self._core.loop.perception
+        self._mocap.ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
+        self._mocap.ingest.stationary = seen.may_rebase
+        samples = self._mocap.on_timer(self._clock.now_ns())
+        self._core.on_poses(samples or [])
+        self._core.source = self._mocap.status()
+
+    def _tell_clock(self, now_ns: int) -> None:
+        realtime = self._clock.realtime_ns()
+        header = make_header(now_ns + self._core.outbox.epoch_ns, BODY)
+        self._core.outbox.post(topics.CLOCK, ClockSample(header, realtime, now_ns, 0), now_ns)
+
+    def _watch_processes(self, now_ns: int) -> None:
+        ends, core = self._ends, self._core
+        for pipe, flag in ((ends.recorder, Flag.RECORDER_LOST), (ends.gateway, Flag.GATEWAY_LOST)):
+            if pipe is not None:
+                full = pipe.full_since_ns
+                stuck = full is not None and now_ns - full > PIPE_FULL_NS
+                core.flags |= flag if pipe.dead or stuck else Flag(0)
+        if self._port is not None and self._guard.silent(now_ns):
+            core.flags |= Flag.GUARDIAN_LOST
+        if self._guard.tripped():
+            core.flags |= Flag.GUARDIAN_TRIPPED
+        lag = sleep_lag_ns()
+        if lag - self._slept_ns > SUSPEND_NS:
+            core.flags |= Flag.SUSPENDED
+        self._slept_ns = lag
+
+    # --- the serial port
+
+    def _try_open(self, now_ns: int) -> None:
+        self._reopen_ns = now_ns + REOPEN_NS
+        if is_engaged(self._core.loop.supervisor.state):
+            return  # a port that comes back does not bring motion back
+        try:
+            self._port = self._open_port()
+        except PortError as error:
+            self.error = error
+            return
+        self.error = None
+        self._core.link.reset()
+        self._guard.watch(self._port.fd, self._core.brake_frame(), now_ns)
+        self._core.flags |= Flag.LINKED
+        self._core.flags &= ~(Flag.SERIAL_FAULT | Flag.GUARDIAN_LOST | Flag.GUARDIAN_TRIPPED)
+
+    def _read_serial(self) -> None:
+        if self._port is None:
+            return
+        try:
+            data = self._port.read()
+        except PortError:
+            self._lose_port()
+            return
+        self._core.on_serial(self._clock.now_ns(), data)
+
+    def _write(self, wire: bytes, tick_ns: int) -> None:
+        if self._port is None:
+            return
+        last = self._core.last
+        engaged = last is not None and is_engaged(last.supervisor.state)
+        self._guard.beat(tick_ns, engaged)
+        moves = last is not None and last.order.command is not None
+        if moves and not self._guard.may_write(tick_ns, self._clock.now_ns()):
+            self._core.flags |= Flag.GUARDIAN_TRIPPED
+            return
+        try:
+            if wire:
+                self._port.write(wire)
+        except LinkDown:
+            self._lose_port()
+
+    def _lose_port(self) -> None:
+        port, self._port = self._port, None
+        if port is not None:
+            with contextlib.suppress(OSError):
+                port.close()
+        self._core.flags |= Flag.SERIAL_FAULT
+        self._core.flags &= ~Flag.LINKED
+        self._core.link.reset()
+        self._core.loop.on_vesc(None)
+
+    # --- the end
+
+    def _leave(self) -> None:
+        """The wheels stand: give the VESC its own limits back, and leave in good order."""
+        now = self._clock.now_ns()
+        if self._port is not None:
+            self._guard.say_clean()
+            farewell = self._core.make_farewell()
+            with contextlib.suppress(PortError):
+                if farewell:
+                    self._port.write(farewell)
+            with contextlib.suppress(OSError):
+                self._port.close()
+        self._core.outbox.flush(now)
+        if not isinstance(self._mocap, BusPoseSource):
+            self._mocap.close()
