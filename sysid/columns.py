@@ -97,7 +97,7 @@ def fetch_one(
 
 
 @point
-def stage_columns(w: "Array", before: "Array", after: "Array", step: float, n: int) -> None:
+def stage_columns(w: "Array", before: "Array", step: float, n: int) -> None:
     """Rates' input columns of the chassis: the start's, moved along the last slope's."""
     for row in range(6):
         a, b = row * COLUMNS, (9 + MEMORY + row) * COLUMNS
@@ -155,7 +155,7 @@ def march_chassis(
         if stage == 0:
             copy_columns(w, 0, ds, 0, 6, n)
         else:
-            stage_columns(w, ds, da, h * reach, n)
+            stage_columns(w, ds, h * reach, n)
         wheel_columns(w, wa, reach, n)
         rates_jac(z, p, q, h, slope, j)
         rates_push(j, w, n)
@@ -199,6 +199,15 @@ def march_memory(
     remember_jac(z, p, q, h, after[7:], j)
     remember_push(j, w, n)
     copy_columns(da, 7, w, 14 + MEMORY, MEMORY, n)
+
+
+@point
+def flush_columns(ds: "Array", n: int) -> None:
+    """Decayed columns become zero: denormal numbers would slow a long window threefold."""
+    for row in range(4, 7 + MEMORY):
+        a = row * COLUMNS
+        for i in range(n):
+            ds[a + i] = (ds[a + i] + 1e-100) - 1e-100
 
 
 @point
@@ -262,6 +271,98 @@ def sample(
 
 
 @point
+def make_work(seeds: "Array", n: int) -> "tuple[Array, ...]":
+    """Column rows of actuators, rates, memory and readings, with the parameters' seeds in place."""
+    wa = np.zeros((14 + 2 * MEMORY + PARAMETER_COUNT) * COLUMNS)
+    wr = np.zeros((15 + MEMORY + PARAMETER_COUNT) * COLUMNS)
+    wm = np.zeros((14 + 2 * MEMORY + PARAMETER_COUNT) * COLUMNS)
+    wo = np.zeros((12 + PARAMETER_COUNT) * COLUMNS)
+    seed(wa, 14 + 2 * MEMORY, seeds, n)
+    seed(wr, 15 + MEMORY, seeds, n)
+    seed(wm, 14 + 2 * MEMORY, seeds, n)
+    seed(wo, 12, seeds, n)
+    return wa, wr, wm, wo
+
+
+@point
+def make_points() -> "tuple[Array, ...]":
+    """Inputs of the three pieces, outputs of actuators, rates and readings, and all slopes."""
+    return (
+        np.zeros(10 + MEMORY),
+        np.zeros(9 + MEMORY),
+        np.zeros(14 + MEMORY),
+        np.zeros(4 + MEMORY),
+        np.zeros(6),
+        np.zeros(5),
+        np.zeros(max(ACTUATORS_SLOPES, RATES_SLOPES, REMEMBER_SLOPES, OBSERVE_SLOPES)),
+    )
+
+
+@point
+def settle(
+    p: "Array",
+    q: "Array",
+    h: float,
+    late: "Array",
+    late_columns: "Array",
+    commands: "Array",
+    window: "Array",
+    t: float,
+    substeps: int,
+    state: "Array",
+    ds: "Array",
+    work: "tuple[Array, ...]",
+    points: "tuple[Array, ...]",
+    n: int,
+) -> None:
+    """Actuators alone over the known commands before a window; `state` gets steer and memory."""
+    wa, za, out, j = work[0], points[0], points[3], points[6]
+    offset = state[6]
+    row = 7 + MEMORY
+    fetch_one(za, wa, row, commands, window, -window[4], substeps, late, late_columns, n)
+    state[6] = za[row]
+    copy_columns(ds, 6, wa, row, 1, n)
+    for k in range(-window[4], 0):
+        fetch_one(za, wa, row, commands, window, k, substeps, late, late_columns, n)
+        drive_one(p, q, h, state, ds, t + k * h, za, wa, out, j, n)
+        state[6] = out[2]
+        copy_columns(ds, 6, wa, 12 + MEMORY, 1, n)
+        for i in range(MEMORY):
+            state[7 + i] = out[4 + i]
+        copy_columns(ds, 7, wa, 14 + MEMORY, MEMORY, n)
+    state[6] += offset
+
+
+@point
+def read_station(
+    p: "Array",
+    q: "Array",
+    h: float,
+    station: "Array",
+    share: float,
+    pose_columns: "Array",
+    state: "Array",
+    ds: "Array",
+    after: "Array",
+    da: "Array",
+    wo: "Array",
+    points: "tuple[Array, ...]",
+    y: "Array",
+    jy: "Array",
+    n: int,
+) -> None:
+    """One station's readings and their columns into their rows."""
+    seen, rate = points[5], pose_columns[station[3]]
+    sample(p, q, h, share, rate, state, ds, after, da, seen, wo, points[6], n)
+    channel, row = station[1], station[2]
+    for c in range(3 if station[3] == 1 else 1):
+        y[row + c] = seen[channel + c]
+        b = (7 + channel + c) * COLUMNS
+        for i in range(n):
+            jy[row + c, i] = wo[b + i]
+
+
+@point
 def march_window(
     p: "Array",
     q: "Array",
@@ -283,64 +384,38 @@ def march_window(
     n: int,
 ) -> None:
     """One window with its stations; see `sensitivities`."""
-    rows_a, rows_r = 14 + 2 * MEMORY, 15 + MEMORY
-    wa = np.zeros((rows_a + PARAMETER_COUNT) * COLUMNS)
-    wr = np.zeros((rows_r + PARAMETER_COUNT) * COLUMNS)
-    wm = np.zeros((14 + 2 * MEMORY + PARAMETER_COUNT) * COLUMNS)
-    wo = np.zeros((12 + PARAMETER_COUNT) * COLUMNS)
-    seed(wa, rows_a, seeds, n)
-    seed(wr, rows_r, seeds, n)
-    seed(wm, 14 + 2 * MEMORY, seeds, n)
-    seed(wo, 12, seeds, n)
-    ja, jr = np.zeros(ACTUATORS_SLOPES), np.zeros(RATES_SLOPES)
-    jm, jo = np.zeros(REMEMBER_SLOPES + 1), np.zeros(OBSERVE_SLOPES)
-    za, zr, zm = np.zeros(10 + MEMORY), np.zeros(9 + MEMORY), np.zeros(14 + MEMORY)
-    out, slope, seen = np.zeros(4 + MEMORY), np.zeros(6), np.zeros(5)
+    work, points = make_work(seeds, n), make_points()
+    wa, wr, wm, wo = work
+    za, zr, zm, out, slope, _, j = points
     state, after = first.copy(), np.zeros(7 + MEMORY)
     ds, da = np.zeros((7 + MEMORY) * COLUMNS), np.zeros((7 + MEMORY) * COLUMNS)
-    rate = np.zeros(COLUMNS)
+    pose_columns = np.zeros((2, COLUMNS))
+    pose_columns[1] = -late_columns[2 * COLUMNS : 3 * COLUMNS]
     for row in range(6):
         ds[row * COLUMNS : row * COLUMNS + n] = dfirst[row, :n]
-    settle = window[4]
-    if settle > 0:
-        fetch_one(za, wa, 7 + MEMORY, commands, window, -settle, substeps, late, late_columns, n)
-        state[6] = za[7 + MEMORY]
-    for k in range(-settle, 0):
-        fetch_one(za, wa, 7 + MEMORY, commands, window, k, substeps, late, late_columns, n)
-        drive_one(p, q, h, state, ds, t + k * h, za, wa, out, ja, n)
-        state[6] = out[2]
-        copy_columns(ds, 6, wa, 12 + MEMORY, 1, n)
-        for i in range(MEMORY):
-            state[7 + i] = out[4 + i]
-        copy_columns(ds, 7, wa, 14 + MEMORY, MEMORY, n)
-    if settle > 0:
-        state[6] += first[6]
-    for i in range(n):
-        ds[6 * COLUMNS + i] += dfirst[6, i]
-    station = 0
+    if window[4] > 0:
+        settle(
+            p, q, h, late, late_columns, commands, window, t, substeps, state, ds, work, points, n
+        )
+    ds[6 * COLUMNS : 6 * COLUMNS + n] += dfirst[6, :n]
+    station, last = 0, window[3] - 1
     for k in range(window[3]):
         fetch_one(za, wa, 7 + MEMORY, commands, window, k, substeps, late, late_columns, n)
-        drive_one(p, q, h, state, ds, t + k * h, za, wa, out, ja, n)
+        drive_one(p, q, h, state, ds, t + k * h, za, wa, out, j, n)
         zr[8 + MEMORY] = t + k * h
-        march_chassis(p, q, h, tableau, out, wa, state, ds, after, da, zr, wr, slope, jr, n)
+        march_chassis(p, q, h, tableau, out, wa, state, ds, after, da, zr, wr, slope, j, n)
         after[6] = out[2]
         copy_columns(da, 6, wa, 12 + MEMORY, 1, n)
-        march_memory(p, q, h, out, wa, state, ds, after, da, zm, wm, jm, n)
-        while station < stations.shape[0] and (
-            stations[station, 0] <= k or k == window[3] - 1
-        ):
-            late_kind = stations[station, 3]
+        march_memory(p, q, h, out, wa, state, ds, after, da, zm, wm, j, n)
+        while station < len(stations) and (stations[station, 0] <= k or k == last):
             share = shares[station] + (stations[station, 0] - k)
-            for i in range(n):
-                rate[i] = -late_columns[2 * COLUMNS + i] * late_kind
-            sample(p, q, h, share, rate, state, ds, after, da, seen, wo, jo, n)
-            channel, row = stations[station, 1], stations[station, 2]
-            for c in range(3 if late_kind == 1 else 1):
-                y[row + c] = seen[channel + c]
-                b = (7 + channel + c) * COLUMNS
-                for i in range(n):
-                    jy[row + c, i] = wo[b + i]
+            read_station(
+                p, q, h, stations[station], share, pose_columns, state, ds, after, da, wo,
+                points, y, jy, n,
+            )  # fmt: skip
             station += 1
+        if k % 64 == 0:
+            flush_columns(da, n)
         state, after = after, state
         ds, da = da, ds
 

@@ -60,54 +60,94 @@ def add_rows(
 
 
 @point
+def make_stream(
+    commands: "Array", runs: "Array", late: "Array", steps: int, substeps: int
+) -> "Array":
+    """Commands of 16 windows, lanes innermost: `[channel, coarse step, lane]`.
+
+    The first entry is the oldest command that still arrives late in the windows; before a run's
+    first command the first holds, after the last the last.
+    """
+    oldest = int(np.floor(np.max(late[:2]))) + substeps
+    newest = steps - int(np.floor(np.min(late[:2])))
+    ahead = -(-oldest // substeps)
+    stream = np.empty((2, ahead + newest // substeps + 1, LANES))
+    for c in range(stream.shape[1]):
+        for lane in range(LANES):
+            low, high, start = runs[lane, 0], runs[lane, 1], runs[lane, 2]
+            row = min(max(start + c - ahead, low), high - 1)
+            stream[0, c, lane] = commands[row, 0]
+            stream[1, c, lane] = commands[row, 1]
+    return stream
+
+
+@point
+def return_stream(bars: "Array", runs: "Array", into: "Array", ahead: int) -> None:
+    """The reverse of `make_stream`."""
+    for c in range(bars.shape[1]):
+        for lane in range(LANES):
+            low, high, start = runs[lane, 0], runs[lane, 1], runs[lane, 2]
+            row = min(max(start + c - ahead, low), high - 1)
+            into[row, 0] += bars[0, c, lane]
+            into[row, 1] += bars[1, c, lane]
+
+
+@point
+def stream_ahead(late: "Array", substeps: int) -> int:
+    """How many entries of a stream lie before the windows' first step."""
+    return -(-(int(np.floor(np.max(late[:2]))) + substeps) // substeps)
+
+
+@point
 def fetch_commands(
-    w: "Array", row: int, commands: "Array", runs: "Array", k: int, substeps: int, late: "Array"
+    w: "Array", row: int, stream: "Array", ahead: int, k: int, substeps: int, late: "Array", n: int
 ) -> None:
-    """Write both delayed commands of fine step `k` as rows; `runs` is (low, high, start) by lane.
+    """Write both delayed commands of fine step `k` as rows.
 
     The mean of a held signal over a step is linear in its delay (`rollout.channel_delayed`).
     """
     for channel in range(2):
         whole = int(np.floor(late[channel]))
         part = late[channel] - whole
-        newer, older = (k - whole) // substeps, (k - whole - 1) // substeps
-        for lane in range(LANES):
-            low, high, start = runs[lane, 0], runs[lane, 1], runs[lane, 2]
-            new = commands[min(max(start + newer, low), high - 1), channel]
-            old = commands[min(max(start + older, low), high - 1), channel]
-            w[(row + channel) * LANES + lane] = new + part * (old - new)
+        newer = stream[channel, ahead + (k - whole) // substeps]
+        older = stream[channel, ahead + (k - whole - 1) // substeps]
+        at = (row + channel) * LANES
+        for lane in range(n):
+            w[at + lane] = newer[lane] + part * (older[lane] - newer[lane])
 
 
 @point
 def return_commands(
-    bars: "Array",
+    w: "Array",
     row: int,
-    commands: "Array",
-    into: "Array",
-    runs: "Array",
+    stream: "Array",
+    bars: "Array",
+    ahead: int,
     k: int,
     substeps: int,
     late: "Array",
     late_bars: "Array",
+    n: int,
 ) -> None:
     """The reverse of `fetch_commands`: derivatives to the commands and to the delays in steps."""
     for channel in range(2):
         whole = int(np.floor(late[channel]))
         part = late[channel] - whole
-        newer, older = (k - whole) // substeps, (k - whole - 1) // substeps
-        for lane in range(LANES):
-            low, high, start = runs[lane, 0], runs[lane, 1], runs[lane, 2]
-            new = min(max(start + newer, low), high - 1)
-            old = min(max(start + older, low), high - 1)
-            bar = bars[(row + channel) * LANES + lane]
-            into[new, channel] += (1.0 - part) * bar
-            into[old, channel] += part * bar
-            late_bars[channel] += bar * (commands[old, channel] - commands[new, channel])
+        newer = ahead + (k - whole) // substeps
+        older = ahead + (k - whole - 1) // substeps
+        at = (row + channel) * LANES
+        for lane in range(n):
+            bar = w[at + lane]
+            bars[channel, newer, lane] += (1.0 - part) * bar
+            bars[channel, older, lane] += part * bar
+            late_bars[channel, lane] += bar * (
+                stream[channel, older, lane] - stream[channel, newer, lane]
+            )
 
 
 @point
 def set_stage(
-    wr: "Array", stage: int, ends: "Array", state: "Array", step: float, reach: float
+    wr: "Array", stage: int, ends: "Array", state: "Array", step: float, reach: float, n: int
 ) -> None:
     """Inputs of one stage: state moved along the last slope, wheels on their way."""
     n_in = (9 + MEMORY) * LANES
@@ -116,20 +156,20 @@ def set_stage(
     else:
         for i in range(6 * LANES):
             wr[i] = state[i] + step * wr[n_in + i]
-    for lane in range(LANES):
+    for lane in range(n):
         start = ends[lane]
         wr[6 * LANES + lane] = start + reach * (ends[LANES + lane] - start)
 
 
 @point
 def drive_lanes(
-    wa: "Array", state: "Array", t: "Array", k: int, p: "Array", q: "Array", h: float
+    wa: "Array", state: "Array", t: "Array", k: int, p: "Array", q: "Array", h: float, n: int
 ) -> None:
     """Run the actuators; the delayed commands are in place."""
     copy_rows(wa, 0, state, 0, 7 + MEMORY)
-    for lane in range(LANES):
+    for lane in range(n):
         wa[(9 + MEMORY) * LANES + lane] = t[lane] + k * h
-    actuators_lanes(wa, LANES, p, q, h)
+    actuators_lanes(wa, n, p, q, h)
 
 
 @point
@@ -160,36 +200,36 @@ def simulate_block(
     h: float,
     tableau: "Array",
     path: "Array",
-    commands: "Array",
-    runs: "Array",
+    stream: "Array",
     t: "Array",
     substeps: int,
     late: "Array",
 ) -> None:
     """March 16 windows: `path[k]` is the state before step k; `path[0]` is given."""
-    n, stages = 6 * LANES, tableau.shape[1]
+    n, stages = len(t), tableau.shape[1]
     wa = np.zeros((14 + 2 * MEMORY) * LANES)
     wr = np.zeros((15 + MEMORY) * LANES)
     wm = np.zeros((14 + 2 * MEMORY) * LANES)
     ends = np.zeros(2 * LANES)
     n_in = (9 + MEMORY) * LANES
+    ahead = stream_ahead(late, substeps)
     for k in range(path.shape[0] - 1):
         state, after = path[k], path[k + 1]
-        fetch_commands(wa, 7 + MEMORY, commands, runs, k, substeps, late)
-        drive_lanes(wa, state, t, k, p, q, h)
+        fetch_commands(wa, 7 + MEMORY, stream, ahead, k, substeps, late, n)
+        drive_lanes(wa, state, t, k, p, q, h, n)
         ready_rates(wa, wr, ends)
         copy_rows(after, 0, state, 0, 6)
         for stage in range(stages):
             reach = tableau[0, stage]
-            set_stage(wr, stage, ends, state, h * reach, reach)
-            rates_lanes(wr, LANES, p, q, h)
+            set_stage(wr, stage, ends, state, h * reach, reach, n)
+            rates_lanes(wr, n, p, q, h)
             share = h * tableau[1, stage]
-            for i in range(n):
+            for i in range(6 * n):
                 after[i] += share * wr[n_in + i]
         copy_rows(after, 6, wa, 12 + MEMORY, 1)
         if REMEMBERS:
             remember_step(wm, ends, state, after, wr)
-            remember_lanes(wm, LANES, p, q, h)
+            remember_lanes(wm, n, p, q, h)
             copy_rows(after, 7, wm, 14 + MEMORY, MEMORY)
         else:
             copy_rows(after, 7, wr, 8, MEMORY)
@@ -221,9 +261,8 @@ def simulate_lanes(
     """
     late = delays_at(p, q, h) / h
     for block in range(path.shape[0]):
-        simulate_block(
-            p, q, h, tableau, path[block], commands, runs[block], t[block], substeps, late
-        )
+        stream = make_stream(commands, runs[block], late, path.shape[1] - 1, substeps)
+        simulate_block(p, q, h, tableau, path[block], stream, t[block], substeps, late)
 
 
 @point
@@ -236,26 +275,27 @@ def redo_stages(
     ends: "Array",
     wr: "Array",
     inputs: "Array",
+    n: int,
 ) -> None:
     """The stages' inputs again, for the way back."""
     rows, stages = 9 + MEMORY, tableau.shape[1]
     for stage in range(stages):
         reach = tableau[0, stage]
-        set_stage(wr, stage, ends, state, h * reach, reach)
+        set_stage(wr, stage, ends, state, h * reach, reach, n)
         copy_rows(inputs, stage * rows, wr, 0, rows)
         if stage < stages - 1:
-            rates_lanes(wr, LANES, p, q, h)
+            rates_lanes(wr, n, p, q, h)
 
 
 @point
 def back_remember(
-    wm: "Array", bar: "Array", link_bars: "Array", p: "Array", q: "Array", h: float
+    wm: "Array", bar: "Array", link_bars: "Array", p: "Array", q: "Array", h: float, n: int
 ) -> None:
     """Through the memory's update; its inputs are in place. `link_bars`: the actuators' outputs."""
     inputs = 14 + MEMORY
     slopes = inputs + MEMORY
     copy_rows(wm, inputs, bar, 7, MEMORY)
-    remember_vjp(wm, LANES, p, q, h)
+    remember_vjp(wm, n, p, q, h)
     add_rows(link_bars, 0, wm, slopes + 6, 1, 1.0)
     add_rows(link_bars, 1, wm, slopes + 13, 1, 1.0)
     copy_rows(link_bars, 4, wm, slopes + 14, MEMORY)
@@ -273,6 +313,7 @@ def back_stages(
     bar: "Array",
     kept: "Array",
     link_bars: "Array",
+    n: int,
 ) -> None:
     """Through the stages in reverse; `kept` gathers the derivative to the state at the start."""
     rows, stages = 9 + MEMORY, tableau.shape[1]
@@ -284,7 +325,7 @@ def back_stages(
         if stage < stages - 1:
             add_rows(wv, rows, wv, slopes, 6, h * tableau[0, stage + 1])
         copy_rows(wv, 0, inputs, stage * rows, rows)
-        rates_vjp(wv, LANES, p, q, h)
+        rates_vjp(wv, n, p, q, h)
         add_rows(kept, 0, wv, slopes, 6, 1.0)
         reach = tableau[0, stage]
         add_rows(link_bars, 0, wv, slopes + 6, 1, 1.0 - reach)
@@ -300,9 +341,8 @@ def adjoint_block(
     tableau: "Array",
     path: "Array",
     bars: "Array",
-    commands: "Array",
+    stream: "Array",
     into: "Array",
-    runs: "Array",
     t: "Array",
     substeps: int,
     late: "Array",
@@ -320,32 +360,33 @@ def adjoint_block(
     ends, kept = np.zeros(2 * LANES), np.zeros(6 * LANES)
     link_bars = np.zeros((4 + MEMORY) * LANES)
     inputs = np.zeros(tableau.shape[1] * rows_r * LANES)
-    back = rows_a + 4 + MEMORY
+    back, n = rows_a + 4 + MEMORY, len(t)
+    ahead = stream_ahead(late, substeps)
     for k in range(path.shape[0] - 2, -1, -1):
         state = path[k]
-        fetch_commands(wa, 7 + MEMORY, commands, runs, k, substeps, late)
-        drive_lanes(wa, state, t, k, p, q, h)
+        fetch_commands(wa, 7 + MEMORY, stream, ahead, k, substeps, late, n)
+        drive_lanes(wa, state, t, k, p, q, h, n)
         ready_rates(wa, wr, ends)
-        redo_stages(p, q, h, tableau, state, ends, wr, inputs)
+        redo_stages(p, q, h, tableau, state, ends, wr, inputs, n)
         link_bars[:] = 0.0
         copy_rows(link_bars, 2, bar, 6, 1)
         kept[:] = 0.0
         if REMEMBERS:
             remember_step(wm, ends, state, path[k + 1], wr)
-            back_remember(wm, bar, link_bars, p, q, h)
+            back_remember(wm, bar, link_bars, p, q, h, n)
             add_rows(kept, 0, wm, 14 + 2 * MEMORY, 6, 1.0)
         else:
             copy_rows(link_bars, 4, bar, 7, MEMORY)
         add_rows(kept, 0, bar, 0, 6, 1.0)
-        back_stages(p, q, h, tableau, inputs, wvr, bar, kept, link_bars)
+        back_stages(p, q, h, tableau, inputs, wvr, bar, kept, link_bars, n)
         copy_rows(wva, 0, wa, 0, rows_a)
         copy_rows(wva, rows_a, link_bars, 0, 4 + MEMORY)
-        actuators_vjp(wva, LANES, p, q, h)
+        actuators_vjp(wva, n, p, q, h)
         copy_rows(bar, 0, bars[k], 0, states)
         add_rows(bar, 0, kept, 0, 6, 1.0)
         add_rows(bar, 0, wva, back, states, 1.0)
         return_commands(
-            wva, back + states, commands, into, runs, k, substeps, late, late_bars
+            wva, back + states, stream, into, ahead, k, substeps, late, late_bars, n
         )
     for parameter in range(PARAMETER_COUNT):
         for lane in range(LANES):
@@ -385,11 +426,15 @@ def adjoint_lanes(
         Derivatives to the dead times of steer and drive [1/s].
     """
     late = delays_at(p, q, h) / h
-    late_bars = np.zeros(2)
+    late_bars = np.zeros((2, LANES))
+    ahead = stream_ahead(late, substeps)
     for block in range(path.shape[0]):
+        stream = make_stream(commands, runs[block], late, path.shape[1] - 1, substeps)
+        returned = np.zeros_like(stream)
         copy_rows(first[block], 0, bars[block, path.shape[1] - 1], 0, 7 + MEMORY)
         adjoint_block(
-            p, q, h, tableau, path[block], bars[block], commands, into, runs[block], t[block],
-            substeps, late, first[block], slopes, late_bars,
+            p, q, h, tableau, path[block], bars[block], stream, returned, t[block], substeps, late,
+            first[block], slopes, late_bars,
         )  # fmt: skip
-    return late_bars / h
+        return_stream(returned, runs[block], into, ahead)
+    return late_bars.sum(axis=1) / h
