@@ -1,0 +1,228 @@
+"""Drives as arrays: commands on a uniform grid, measurements at their own times.
+
+`load_run` reads a session, `make_run` takes arrays; both refuse data that no fit should see
+(`gate`), with a typed error that says what is wrong and what to do.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steer_bus.messages import ActuationMode
+from steer_bus.session import Session, open_session
+from steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, split_key
+from sysid.gate import DataError, check_run, check_times
+from vesc_link.scaling import F1TENTH
+
+Array = NDArray[np.float64]
+
+GRID = 0.01
+"""Step of the command grid [s]: RK4 is good to 1e-3 mm there (`stability` refines it)."""
+
+
+class Signal(NamedTuple):
+    """A measurement or command: `values[i]` at `t[i]` [s]."""
+
+    t: Array
+    values: Array
+
+
+def _none() -> Signal:
+    return Signal(np.empty(0), np.empty(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One drive. Times in seconds from its first command.
+
+    Attributes:
+        name: for messages and reports.
+        h: step of the command grid [s].
+        commands: (N, 2) steer [rad] and speed [m/s], means over the grid's steps.
+        speed_source: `command`; or `wheel` or `pose` where there is no speed command and the
+            measured speed is prescribed instead (see `fit.prescribe_speed`).
+        pose: times and (M, 3) x [m], y [m], yaw [rad, unwrapped]; gaps are allowed.
+        wheel: speed as reported with the nominal gain [m/s]; may be empty.
+        yaw_rate: gyro [rad/s]; may be empty.
+        throttle: open-loop motor command; may be empty.
+    """
+
+    name: str
+    h: float
+    commands: Array
+    pose: Signal
+    speed_source: str = "command"
+    wheel: Signal = field(default_factory=_none)
+    yaw_rate: Signal = field(default_factory=_none)
+    throttle: Signal = field(default_factory=_none)
+
+    @property
+    def duration(self) -> float:
+        """Length of the commands [s]."""
+        return len(self.commands) * self.h
+
+
+def hold_means(signal: Signal, edges: Array) -> Array:
+    """Mean of a zero-order-hold signal over each interval between edges (exact).
+
+    Before its first time the first value holds.
+    """
+    t, values = signal
+    area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
+    last = max(edges[-1], t[-1]) + 1.0
+    t_all = np.concatenate([[min(edges[0], t[0]) - 1.0], t, [last]])
+    before = -values[0] * (t[0] - t_all[0])
+    area_all = np.concatenate([[before], area, [area[-1] + values[-1] * (last - t[-1])]])
+    means: Array = np.diff(np.interp(edges, t_all, area_all)) / np.diff(edges)
+    return means
+
+
+def pose_speed(pose: Signal) -> Signal:
+    """Forward speed from poses, over five samples [m/s]."""
+    t, p = pose
+    reach = min(2, (len(t) - 1) // 2)
+    if reach < 1:
+        return Signal(t, np.zeros(len(t)))
+    span = t[2 * reach :] - t[: -2 * reach]
+    velocity = (p[2 * reach :, :2] - p[: -2 * reach, :2]) / span[:, None]
+    yaw = p[reach:-reach, 2]
+    speed = velocity[:, 0] * np.cos(yaw) + velocity[:, 1] * np.sin(yaw)
+    return Signal(t[reach:-reach], speed)
+
+
+def _clean(signal: Signal | None) -> Signal:
+    if signal is None or not len(signal.t):
+        return _none()
+    kept = np.isfinite(signal.values)
+    return Signal(np.asarray(signal.t, float)[kept], np.asarray(signal.values, float)[kept])
+
+
+def make_run(
+    name: str,
+    steer: Signal,
+    speed: Signal | None,
+    pose: Signal,
+    *,
+    wheel: Signal | None = None,
+    yaw_rate: Signal | None = None,
+    throttle: Signal | None = None,
+    h: float = GRID,
+) -> Run:
+    """Put a drive's signals on one clock and grid, and check them.
+
+    Args:
+        name: for messages.
+        steer: commanded road-wheel angle [rad], each held until the next.
+        speed: commanded speed [m/s]; without it the wheel's or the pose's speed is prescribed.
+        pose: (M, 3) x, y, yaw; yaw may wrap.
+        wheel: reported speed [m/s].
+        yaw_rate: gyro [rad/s].
+        throttle: open-loop motor command.
+        h: step of the command grid [s].
+
+    Raises:
+        DataError: no fit should see these data.
+    """
+    steer, asked, rolled, gyro, motor = map(_clean, (steer, speed, wheel, yaw_rate, throttle))
+    named = {"steer": steer, "speed": asked, "wheel": rolled, "yaw rate": gyro}
+    for what, signal in {**named, "pose": pose}.items():
+        check_times(name, what, signal.t)
+    if not len(steer.t) or not len(pose.t):
+        missing = "poses" if len(steer.t) else "steering commands"
+        raise DataError(f"{name}: no {missing}", "record mocap and actuation of a drive")
+    if not np.isfinite(pose.values).all():
+        raise DataError(f"{name}: a pose is not a number", "leave out lost samples, keep the gaps")
+    zero, end = steer.t[0], min(steer.t[-1] + h, pose.t[-1])
+    pose = Signal(pose.t - zero, np.column_stack([pose.values[:, :2], np.unwrap(pose.values[:, 2])]))
+    pose = Signal(*(part[(pose.t >= 0.0)] for part in pose))
+    edges = np.arange(int(max(end - zero, 0.0) / h + 1e-9) + 1) * h
+    moved = [Signal(s.t - zero, s.values) for s in (steer, asked, rolled, gyro, motor)]
+    steer, asked, rolled, gyro, motor = moved
+    source = "command" if len(asked.t) else "wheel" if len(rolled.t) else "pose"
+    check_run(name, edges[-1], pose.t, pose.values, asked.values)
+    run_speed = _speed_input(source, asked, rolled, pose, edges)
+    commands = np.column_stack([hold_means(steer, edges), run_speed])
+    return Run(name, h, commands, pose, source, rolled, gyro, motor)
+
+
+def _speed_input(source: str, asked: Signal, rolled: Signal, pose: Signal, edges: Array) -> Array:
+    """Commanded speed by step; a measured one is what the step's end should reach."""
+    if source == "command":
+        return hold_means(asked, edges)
+    measured = rolled if source == "wheel" else pose_speed(pose)
+    reached: Array = np.interp(edges[1:], *measured)
+    return reached
+
+
+def load_run(path: Path | str, h: float = GRID) -> Run:
+    """Read a drive from a session (steerd's own or an imported one).
+
+    Poses count unless a gate rejected them; commands count where the tick drove (mode 1).
+
+    Raises:
+        DataError: the drive is not fit for identification.
+        steer_bus.session.SessionError: the file cannot be read.
+    """
+    path = Path(path)
+    session = open_session(path)
+    topics = {t.name: t.type_name for t in session.info().topics}
+    by_name = {(split_key(name) or ("", ""))[1]: name for name in topics}
+    wanted = {by_name[t.name]: t.message for t in _SOURCES if t.name in by_name}
+    for topic in (MOCAP, ACTUATION):
+        if topic.name not in by_name:
+            what = f"{path.name}: no topic {topic.name!r}"
+            raise DataError(what, "record with `steerd run`, or import the log with `steerd import`")
+    tables = session.tables(wanted)
+    columns = {name: tables[key] for name, key in by_name.items() if key in tables}
+    return make_run(path.name, **_signals(session, columns), h=h)
+
+
+_SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL, THROTTLE)
+
+
+def _signals(session: Session, columns: dict[str, dict[str, NDArray[np.generic]]]) -> dict[str, Signal]:
+    """Every signal on the core's monotonic clock [s]."""
+    mocap, actuation = columns[MOCAP.name], columns[ACTUATION.name]
+    accepted = np.array([reject == "" for reject in mocap["reject"]], bool)
+    epoch = int(mocap["stamp_ns"][0]) - int(mocap["t_valid_ns"][0]) if len(accepted) else 0
+    driven = actuation["mode"] == ActuationMode.SPEED
+    zero = epoch + (int(mocap["t_valid_ns"][0]) if len(accepted) else 0)
+
+    def seconds(stamps: NDArray[np.generic], offset: int) -> Array:
+        moved: Array = (stamps.astype(np.int64) + (offset - zero)) * 1e-9
+        return moved
+
+    t_steer = seconds(actuation["stamp_ns"][driven], 0)
+    pose = np.column_stack([mocap[c][accepted] for c in ("x", "y", "yaw")])
+    found = {
+        "pose": Signal(seconds(mocap["t_valid_ns"][accepted], epoch), pose),
+        "steer": Signal(t_steer, actuation["steer"][driven].astype(float)),
+        "speed": Signal(t_steer, actuation["speed"][driven].astype(float)),
+    }
+    if VESC.name in columns:
+        table = columns[VESC.name]
+        middle = (table["t_sent_ns"] + table["t_received_ns"]) // 2
+        found["wheel"] = Signal(seconds(middle, epoch), _wheel_speed(session, table["erpm"]))
+    elif WHEEL.name in columns:
+        table = columns[WHEEL.name]
+        found["wheel"] = Signal(seconds(table["t_ns"], epoch), table["speed"].astype(float))
+    if IMU.name in columns:
+        table = columns[IMU.name]
+        middle = (table["t_sent_ns"] + table["t_received_ns"]) // 2
+        found["yaw_rate"] = Signal(seconds(middle, epoch), table["gyro_z"].astype(float))
+    if THROTTLE.name in columns:
+        table = columns[THROTTLE.name]
+        found["throttle"] = Signal(seconds(table["t_ns"], epoch), table["throttle"].astype(float))
+    return found
+
+
+def _wheel_speed(session: Session, erpm: NDArray[np.generic]) -> Array:
+    """Reported speed [m/s] with the scaling that the session was driven with."""
+    scaling = session.contents.metadata.get("steerd.scaling", {})
+    gain = float(scaling.get("erpm_gain", F1TENTH.erpm_gain))
+    offset = float(scaling.get("erpm_offset", F1TENTH.erpm_offset))
+    speed: Array = (erpm.astype(float) - offset) / gain
+    return speed
