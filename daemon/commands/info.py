@@ -1,0 +1,40 @@
+"""What is in a session, on one screen: car, time, topics, states, how the car moved, how it ended.
+
+steerd info SESSION.mcap
+steerd info SESSION.mcap --json
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from daemon.errors import ExitCode
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The session and the form of the answer."""
+    parser.add_argument("session", type=Path, metavar="SESSION", help="a session file (.mcap)")
+    parser.add_argument("--json", action="store_true", help="the same for programs")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what the session holds; warnings go to standard error.
+
+    Raises:
+        SteerdError: the file cannot be read or holds no session.
+    """
+    from daemon.session_info import load_session, make_session_report
+    from daemon.session_text import clean, format_report, make_json
+
+    report = make_session_report(load_session(args.session))
+    if args.json:
+        import json
+
+        print(json.dumps(make_json(report), indent=1, allow_nan=False))
+        return ExitCode.OK
+    print(format_report(report))
+    for warning in report.warnings[:10]:
+        print(f"warning: {clean(warning)}", file=sys.stderr)
+    if len(report.warnings) > 10:
+        print(f"warning: and {len(report.warnings) - 10} more", file=sys.stderr)
+    return ExitCode.OK

@@ -1,0 +1,236 @@
+"""How a recorded car moved, and whether the figures can be what they claim to be.
+
+Speed and yaw rate come from differences of poses over a window, as long as the poses' own noise
+asks for. All functions are linear in the number of samples.
+"""
+
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+WINDOW = 0.2
+WINDOW_MAX = 1.0
+"""Span of the differences [s]: the shorter for mocap, up to the longer for coarse poses."""
+_SPEED_NOISE = 0.05
+GAP_MAX = 0.5
+"""No motion is invented across a longer gap between poses [s]."""
+MOVING = 0.05
+"""Below this a car counts as standing [m/s]."""
+_STEADY = 0.3
+_TURNING = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Poses over time and what follows from them; arrays of one length, times increasing."""
+
+    t: Array
+    x: Array
+    y: Array
+    yaw: Array
+    """As recorded, unwrapped [rad]."""
+    speed: Array
+    """Along the body's axis; NaN near gaps [m/s]."""
+    yaw_rate: Array
+    window: float
+    """Span of the differences that gave speed and yaw rate [s]."""
+
+    @property
+    def coarse(self) -> bool:
+        """Whether the poses are too noisy to give speed by themselves."""
+        return self.window > WINDOW
+
+    @property
+    def lateral_accel(self) -> Array:
+        """Centripetal acceleration [m/s²]."""
+        return self.speed * self.yaw_rate
+
+    @property
+    def length(self) -> float:
+        """Path driven, standing still left out [m]."""
+        speed = np.abs(np.nan_to_num(self.speed))
+        return float(np.sum(np.where(speed > MOVING, speed, 0.0)[:-1] * _steps(self.t)))
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One stream: values at times; times do not go back."""
+
+    t: Array
+    value: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Where a signal lies: its ends without the outermost 0.1 %, and its standard deviation."""
+
+    low: float
+    high: float
+    sd: float
+
+
+def _steps(t: Array) -> Array:
+    return np.minimum(np.diff(t), GAP_MAX)
+
+
+def make_track(t: Array, x: Array, y: Array, yaw: Array) -> Track | None:
+    """Make a track of poses; None for fewer than three usable ones."""
+    good = np.isfinite(t) & np.isfinite(x) & np.isfinite(y) & np.isfinite(yaw)
+    good &= (np.abs(x) < 1e9) & (np.abs(y) < 1e9) & (np.abs(yaw) < 1e9)
+    t, x, y, yaw = t[good], x[good], y[good], yaw[good]
+    order = np.argsort(t, kind="stable")
+    order = order[np.diff(t[order], prepend=-np.inf) > 0]
+    if len(order) < 3:
+        return None
+    t, x, y, yaw = t[order], x[order], y[order], np.unwrap(yaw[order])
+    window = _window(x, y)
+    before, after = np.maximum(t - window / 2, t[0]), np.minimum(t + window / 2, t[-1])
+    span = np.where(_near_gap(t, before, after), np.nan, after - before)
+    vx, vy, yaw_rate = (
+        (np.interp(after, t, a) - np.interp(before, t, a)) / span for a in (x, y, yaw)
+    )
+    forward = vx * np.cos(yaw) + vy * np.sin(yaw)
+    return Track(t, x, y, yaw, np.copysign(np.hypot(vx, vy), forward), yaw_rate, window)
+
+
+def _window(x: Array, y: Array) -> float:
+    """The window over which the poses' noise makes less than 5 cm/s.
+
+    White noise of deviation s has second differences of deviation sqrt(6) s, and a difference over
+    a window w has sqrt(2) s / w.
+    """
+    power = np.mean(np.diff(x, 2) ** 2 + np.diff(y, 2) ** 2) / 2
+    noise = float(np.sqrt(power / 6))
+    return min(max(noise * sqrt(2.0) / _SPEED_NOISE, WINDOW), WINDOW_MAX)
+
+
+def _near_gap(t: Array, before: Array, after: Array) -> NDArray[np.bool_]:
+    wide = np.concatenate(([0], np.cumsum(np.diff(t) > GAP_MAX)))
+    left = np.maximum(np.searchsorted(t, before, "right") - 1, 0)
+    right = np.minimum(np.searchsorted(t, after, "left"), len(t) - 1)
+    return np.asarray(wide[left] != wide[right])
+
+
+def make_range(values: Array) -> Range | None:
+    """The range of the finite values; None if there is none."""
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return None
+    low, high = np.quantile(values, (0.001, 0.999))
+    return Range(float(low), float(high), float(np.std(values)))
+
+
+# -- can this be? --------------------------------------------------------------------------------
+
+
+def find_doubts(
+    track: Track | None, steer: Signal | None, wheel: Signal | None, gyro: Signal | None
+) -> list[str]:
+    """What looks like a wrong unit, sign or axis; one sentence each."""
+    doubts = []
+    if steer is not None and (found := make_range(steer.value)):
+        worst = max(-found.low, found.high)
+        if worst > pi / 2:
+            doubts.append(f"steering reaches {worst:.3g} rad: is it in degrees?")
+    if track is None:
+        return doubts
+    doubts += _doubt_position(track)
+    heading = _doubt_heading(track)
+    doubts += heading
+    if heading:
+        return doubts
+    if wheel is not None:
+        doubts += _doubt_wheel(track, wheel)
+    if gyro is not None:
+        doubts += _doubt_gyro(track, gyro)
+    if steer is not None:
+        doubts += _doubt_steer(track, steer)
+    return doubts
+
+
+def _doubt_position(track: Track) -> list[str]:
+    extent = float(max(np.ptp(track.x), np.ptp(track.y)))
+    found = make_range(np.abs(track.speed))
+    if extent > 100.0 and found and found.high > 20.0:
+        return [f"x, y span {extent:.4g} m at {found.high:.3g} m/s: are they in millimetres?"]
+    return []
+
+
+def _doubt_heading(track: Track) -> list[str]:
+    """Compare turns of the path with turns of the body, over steps of 5 cm and more."""
+    distance = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(track.x), np.diff(track.y)))))
+    total = float(distance[-1])
+    if not 1.0 <= total < 1e7:
+        return []
+    step = max(0.05, total / 10_000)
+    at = np.arange(0.0, total, step)
+    x, y = np.interp(at, distance, track.x), np.interp(at, distance, track.y)
+    yaw = np.interp(at[1:-1], distance, track.yaw)
+    path = _wrap(np.diff(np.arctan2(np.diff(y), np.diff(x))))
+    turn = np.diff(yaw, append=yaw[-1:])
+    usable = np.abs(path) < 1.0
+    path, turn = path[usable], turn[usable]
+    if np.sum(np.abs(path)) < 1.0 or not np.any(turn):
+        return []
+    miss = [float(np.sum(np.abs(_wrap(path - _wrap(turn * k))))) for k in (1.0, pi / 180, -1.0)]
+    if np.max(np.abs(track.yaw)) > 2 * pi and miss[1] < 0.5 * miss[0]:
+        return ["yaw turns 57 times as much as the path: is it in degrees?"]
+    if miss[2] < 0.5 * miss[0]:
+        return ["yaw turns against the path: is it clockwise, or are x and y swapped?"]
+    return []
+
+
+def _wrap(angle: Array) -> Array:
+    return np.asarray((angle + pi) % (2 * pi) - pi)
+
+
+def _doubt_wheel(track: Track, wheel: Signal) -> list[str]:
+    speed = np.interp(wheel.t, track.t, np.nan_to_num(track.speed), np.nan, np.nan)
+    both = np.isfinite(speed) & np.isfinite(wheel.value) & (np.abs(speed) > _STEADY)
+    if np.count_nonzero(both) < 10:
+        return []
+    ratio = float(np.sum(np.abs(wheel.value[both])) / np.sum(np.abs(speed[both])))
+    if 0.8 <= ratio <= 1.25:
+        return []
+    kinds: tuple[tuple[float, str], ...] = (
+        (1000.0, "millimetres"),
+        (3.6, "km/h"),
+        (57.3, "degrees"),
+        (0.001, "millimetres (x, y)"),
+    )
+    near = [name for factor, name in kinds if 0.8 <= ratio / factor <= 1.25]
+    guess = f": {near[0]}?" if near else ": another unit, gear ratio or wheel?"
+    return [f"the wheel drives {ratio:.3g} times the path{guess}"]
+
+
+def _doubt_gyro(track: Track, gyro: Signal) -> list[str]:
+    rate = np.interp(gyro.t, track.t, np.nan_to_num(track.yaw_rate), np.nan, np.nan)
+    both = np.isfinite(rate) & np.isfinite(gyro.value)
+    rate, measured = rate[both], gyro.value[both]
+    strength = float(np.sum(rate**2))
+    if strength <= _TURNING**2 * rate.size:
+        return []
+    slope = float(np.sum(rate * measured)) / strength
+    if slope > 20.0:
+        return [f"yaw_rate is {slope:.3g} times the turning of the poses: is it in degrees/s?"]
+    if slope < -0.3:
+        return ["yaw_rate has the opposite sign of the poses' turning"]
+    return []
+
+
+def _doubt_steer(track: Track, steer: Signal) -> list[str]:
+    # A command acts a little later; 0.15 s is the delay and lag of an ordinary car.
+    rate = np.interp(steer.t + 0.15, track.t, np.nan_to_num(track.yaw_rate), np.nan, np.nan)
+    speed = np.interp(steer.t + 0.15, track.t, np.nan_to_num(track.speed), np.nan, np.nan)
+    both = np.isfinite(rate) & np.isfinite(steer.value) & (np.abs(speed) > _STEADY)
+    if np.count_nonzero(both) < 10:
+        return []
+    curvature, value = rate[both] / speed[both], steer.value[both]
+    strength = float(np.sqrt(np.sum(curvature**2) * np.sum(value**2)))
+    if strength > 0.0 and float(np.sum(curvature * value)) / strength < -0.5:
+        return ["the car turns right where steer_cmd is positive: steer_cmd must be left positive"]
+    return []
