@@ -55,7 +55,11 @@ def make_circle(radius: float = 2.0) -> Path:
     )
 
 
-def make_figure_eight(radius: float = 1.2) -> Path:
+FIGURE_EIGHT_RADIUS = 1.5
+"""Default smallest radius [m]: an F1TENTH car steers 0.26 rad to its worse side, 1.25 m."""
+
+
+def make_figure_eight(radius: float = FIGURE_EIGHT_RADIUS) -> Path:
     """A figure eight whose curvature is a sine of arc length, at most 1 / `radius` [1/m].
 
     With k = sin(u) / radius, u = 2 pi s / L, the heading is w (1 - cos u) with w = L / (2 pi
@@ -66,7 +70,7 @@ def make_figure_eight(radius: float = 1.2) -> Path:
         ValueError: the radius is not between STEP and LENGTH_MAX.
     """
     usable = STEP <= radius <= LENGTH_MAX
-    _require(usable, f"figure8: radius {radius} m; give one like figure8:radius=1.2")
+    _require(usable, f"figure8: radius {radius} m; give one like figure8:radius=1.5")
     length = math.tau * FIGURE_EIGHT_SWING * radius
     count = 4 * max(8, round(length / STEP / 4))
     u = math.tau * np.arange(count) / count

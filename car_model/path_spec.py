@@ -7,6 +7,7 @@ from pathlib import Path as FilePath
 from car_model.path import Path
 from car_model.path_csv import load_path
 from car_model.path_shapes import (
+    FIGURE_EIGHT_RADIUS,
     make_circle,
     make_figure_eight,
     make_figure_eight_of_size,
@@ -14,7 +15,7 @@ from car_model.path_shapes import (
 )
 
 FORMS = (
-    "line[:length=20], circle[:radius=2[,dir=cw]], figure8[:radius=1.2 | :size=5], "
+    "line[:length=20], circle[:radius=2[,dir=cw]], figure8[:radius=1.5 | :size=6], "
     "csv:FILE[,place=start|as-is][,smooth=0.02]"
 )
 _CSV_OPTION = re.compile(r",(place|smooth)=([^,]*)$")
@@ -77,7 +78,7 @@ def _figure_eight(options: Options) -> Path:
         raise ValueError("figure8: give its smallest radius or its size, not both")
     if "size" in options:
         return make_figure_eight_of_size(_number(options, "size", 5.0))
-    return make_figure_eight(_number(options, "radius", 1.2))
+    return make_figure_eight(_number(options, "radius", FIGURE_EIGHT_RADIUS))
 
 
 def _csv(rest: str) -> Path:

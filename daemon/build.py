@@ -41,15 +41,16 @@ class Plan:
         return round(NS / self.options.rate_hz)
 
 
-def make_plan(options: RunOptions) -> Plan:
-    """Read the car file, the path and design the controller.
+def make_plan(options: RunOptions, settings: Settings | None = None) -> Plan:
+    """Read the car file (unless its settings are given), the path, and design the controller.
 
     Raises:
         SteerdError: any of them is refused, with the reason.
     """
     if not 20.0 <= options.rate_hz <= 1000.0:
         raise SteerdError(f"--rate {options.rate_hz:g}: 20 to 1000 Hz", "", ExitCode.USAGE)
-    settings = load_settings(options.car_file or default_car_path(), options.speed)
+    if settings is None:
+        settings = load_settings(options.car_file or default_car_path(), options.speed)
     try:
         path = parse_path(options.path)
     except OSError as error:
@@ -74,38 +75,40 @@ def reachable(settings: Settings) -> Car[float]:
     )
 
 
-def make_core(
-    plan: Plan, boot_id: int, t_ns: int, epoch_ns: int, sinks: Sequence[Sink], leased: bool
-) -> Core:
+def make_loop_setup(plan: Plan, boot_id: int, leased: bool) -> LoopSetup:
+    """What the loop of a plan keeps to; also what a replay of it keeps to."""
+    duration = plan.options.duration_s
+    return LoopSetup(
+        settings=plan.settings,
+        controller=plan.controller,
+        period_ns=plan.period_ns,
+        boot_id=boot_id,
+        remote=plan.options.controller is ControllerKind.ZENOH,
+        auto_arm=plan.options.auto_arm,
+        leased=leased,
+        duration_ns=None if duration is None else round(duration * NS),
+    )
+
+
+def make_core(plan: Plan, boot_id: int, epoch_ns: int, sinks: Sequence[Sink], leased: bool) -> Core:
     """The control core of a plan.
 
     Args:
         plan: what to run.
         boot_id: random name of this run.
-        t_ns: now, monotonic.
         epoch_ns: UNIX time minus monotonic time.
         sinks: who gets the messages.
         leased: whether an operator's lease is needed.
     """
-    options, settings = plan.options, plan.settings
-    duration = options.duration_s
-    setup = LoopSetup(
-        settings=settings,
-        controller=plan.controller,
-        period_ns=plan.period_ns,
-        boot_id=boot_id,
-        remote=options.controller is ControllerKind.ZENOH,
-        auto_arm=options.auto_arm,
-        leased=leased,
-        duration_ns=None if duration is None else round(duration * NS),
-    )
+    settings = plan.settings
+    setup = make_loop_setup(plan, boot_id, leased)
     uuid = settings.brakes.uuid
     link = VescLink(
         settings.scaling,
         bytes.fromhex(uuid) if uuid else None,
         imu_mask=IMU_ACCEL_GYRO_MASK,
     )
-    return Core(Loop(setup, t_ns), link, Outbox(epoch_ns, tuple(sinks)))
+    return Core(Loop(setup), link, Outbox(epoch_ns, tuple(sinks)))
 
 
 def make_world_config(

@@ -114,7 +114,8 @@ def start_crew(plan: Plan, session: Path, boot_id: int, epoch_ns: int, leased: b
     ours, parent = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     started: list[Child] = []
     try:
-        recorder = _start_recorder(plan, session, boot_id, epoch_ns, pipes["recorder"][0])
+        meta = make_metadata(plan, boot_id, epoch_ns, leased=leased)
+        recorder = _start_recorder(plan, session, meta, epoch_ns, pipes["recorder"][0])
         started.append(recorder)
         _expect_ready(recorder, "recorder", ExitCode.UNREADABLE)
         gateway = _start_gateway(plan, pipes["gateway"][0], asked.fileno())
@@ -169,7 +170,9 @@ def _give_up(
             child.process.kill()
 
 
-def _start_recorder(plan: Plan, session: Path, boot_id: int, epoch_ns: int, pipe_fd: int) -> Child:
+def _start_recorder(
+    plan: Plan, session: Path, meta: dict[str, dict[str, str]], epoch_ns: int, pipe_fd: int
+) -> Child:
     try:
         session.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -180,7 +183,7 @@ def _start_recorder(plan: Plan, session: Path, boot_id: int, epoch_ns: int, pipe
     job = {
         "path": str(session),
         "car": plan.options.car,
-        "metadata": make_metadata(plan, boot_id, epoch_ns),
+        "metadata": meta,
         "attachments": make_attachments(plan),
         "start_ns": epoch_ns,
         "disk_free_min": plan.settings.record.disk_free_min_mb * 1_000_000,

@@ -106,7 +106,6 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
     core = make_core(
         plan,
         int(job["boot_id"]),
-        clock.now_ns(),
         int(job["epoch_ns"]),
         sinks,
         leased=bool(job["leased"]),

@@ -24,7 +24,9 @@ def make_recording(plan: Plan, path: Path) -> Recording:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     meta = {
-        "metadata": make_metadata(plan, plan.options.seed + 1, EPOCH_NS, reproducible=True),
+        "metadata": make_metadata(
+            plan, plan.options.seed + 1, EPOCH_NS, leased=False, reproducible=True
+        ),
         "attachments": make_attachments(plan),
         "start_ns": EPOCH_NS,
     }

@@ -9,6 +9,9 @@ from steer_bus.messages import DriveCommand, OperatorRequest, RequestKind
 VALID_MAX_MS = 300
 """No external command is good for longer."""
 
+HANDOVER_S = 1.0
+"""Another controller may take over after this silence; the car has stopped long before."""
+
 _REQUESTS = {
     RequestKind.ARM: Request.ARM,
     RequestKind.START: Request.START,
@@ -84,8 +87,9 @@ class Remote:
 def take_command(remote: Remote, boot_id: int, command: DriveCommand, t_ns: int) -> Remote:
     """Take a command of this run's controller if it is newer than the last."""
     last = remote.command
-    newer = last is None or command.seq > last.seq
-    ours = command.lease_id == remote.holder or remote.holder == 0
+    same = command.lease_id == remote.holder
+    newer = last is None or not same or command.seq > last.seq
+    ours = same or remote.holder == 0 or command_age(remote, t_ns) > HANDOVER_S
     timely = 0 < command.valid_ms <= VALID_MAX_MS
     if not (command.boot_id == boot_id and command.lease_id and ours and newer and timely):
         return replace(remote, refused=remote.refused + 1)

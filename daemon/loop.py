@@ -146,17 +146,17 @@ class Loop:
         ran: the car has been driving, and is not any more.
     """
 
-    def __init__(self, setup: LoopSetup, t_ns: int) -> None:
+    def __init__(self, setup: LoopSetup) -> None:
         s = setup.settings
         self.setup = setup
         self.perception = Perception(s.file.car, s.filter, s.thresholds, s.scaling)
-        self.supervisor = make_supervisor_state(t_ns)
+        self.supervisor = make_supervisor_state(0)
         self.lease = Lease(setup.boot_id)
         self.remote = Remote()
         self.vesc: VescSelf | None = None
         self.faulted = False
         self.ran = False
-        self._gate = make_gate_state(s.limits, Command(0.0, 0.0), t_ns)
+        self._gate = make_gate_state(s.limits, Command(0.0, 0.0), 0)
         self._issued: Command[float] | None = None
         self._control: ControllerState | None = None
         self._launch: LaunchState | None = None

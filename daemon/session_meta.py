@@ -35,7 +35,7 @@ def _git() -> dict[str, str]:
 
 
 def make_metadata(
-    plan: Plan, boot_id: int, epoch_ns: int, *, reproducible: bool = False
+    plan: Plan, boot_id: int, epoch_ns: int, *, leased: bool, reproducible: bool = False
 ) -> dict[str, dict[str, str]]:
     """Metadata records of a session.
 
@@ -43,6 +43,7 @@ def make_metadata(
         plan: what is run.
         boot_id: of the run.
         epoch_ns: UNIX time minus monotonic time.
+        leased: whether an operator's lease is needed.
         reproducible: leave out what differs between machines.
     """
     options, car = plan.options, plan.settings.file.car
@@ -52,6 +53,7 @@ def make_metadata(
         "mode": "sim" if options.simulated else "hw",
         "options": encode_options(options),
         "boot_id": str(boot_id),
+        "leased": str(int(leased)),
         "epoch_ns": str(epoch_ns),
     }
     if not reproducible:
@@ -64,5 +66,14 @@ def make_metadata(
 
 
 def make_attachments(plan: Plan) -> dict[str, str]:
-    """Texts to keep inside the session: the car file exactly as it was."""
-    return {"car.toml": plan.settings.file.text}
+    """Texts to keep inside the session: car file and path file exactly as they were."""
+    texts = {"car.toml": plan.settings.file.text}
+    path_file = csv_file(plan.options.path)
+    if path_file is not None:
+        texts["path.csv"] = Path(path_file).read_text()
+    return texts
+
+
+def csv_file(spec: str) -> str | None:
+    """The file that a path description names, if it names one."""
+    return spec.removeprefix("csv:").split(",")[0] if spec.startswith("csv:") else None

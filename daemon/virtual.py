@@ -108,7 +108,7 @@ def make_virtual_run(
 ) -> VirtualRun:
     """A drive in virtual time; `world` replaces the one that the plan describes."""
     config: WorldConfig = make_world_config(plan)
-    core = make_core(plan, plan.options.seed + 1, 0, EPOCH_NS, sinks, leased=False)
+    core = make_core(plan, plan.options.seed + 1, EPOCH_NS, sinks, leased=False)
     core.flags |= Flag.LINKED
     source = NatNetSource(config.mocap.body, _SERVER, plan.settings.ingest)
     return VirtualRun(core, world or World(config), source, plan.period_ns)

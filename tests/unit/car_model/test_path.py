@@ -92,7 +92,7 @@ def test_figure_eight_of_a_size_has_that_extent() -> None:
         ("line:length=-1", "line:length=20"),
         ("line:length=inf", "line:length=20"),
         ("figure8:radius=1,size=2", "not both"),
-        ("figure8:radius=-1", "figure8:radius=1.2"),
+        ("figure8:radius=-1", "figure8:radius=1.5"),
         ("csv:", "which file"),
         ("csv:/nowhere/at/all.csv", "No such file"),
     ],
