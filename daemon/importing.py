@@ -77,7 +77,7 @@ def _timed(
         if abs(t + the_map.epoch_ns / NS) > _INT32_MAX:
             hint = "scale = 0.001 in the map for milliseconds, 1e-9 for nanoseconds"
             fail_cell(name, row.number, column, f"{t:g} s is no time", hint)
-        t_ns = round(t * NS)
+        t_ns = _nanoseconds(t)
         if last_ns is not None and t_ns < last_ns:
             what = f"time goes back by {(last_ns - t_ns) / NS:g} s after row {last_row}"
             fail_cell(name, row.number, column, what, "sort the rows, or import each run by itself")
@@ -85,6 +85,11 @@ def _timed(
             notes.add("rows repeat the time of the row before")
         last_ns, last_row = t_ns, row.number
         yield t_ns, row
+
+
+def _nanoseconds(t: float) -> int:
+    whole = math.floor(t)  # apart, so that UNIX seconds keep all the digits a float has
+    return whole * NS + round((t - whole) * NS)
 
 
 def _placed(
