@@ -1,0 +1,295 @@
+"""Identification: the car that explains the drives, with error bars and what they leave open.
+
+Maximum a posteriori over multi-step prediction errors. Windows grow (0.5 s, 2 s, whole runs), so
+that a bad start is caught where the problem is convex and the full accuracy comes at the end. Each
+window's initial state is unknown and eliminated; noise levels are estimated; errors are judged
+robustly.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from car_model.effect import Effect
+from car_model.model import Model
+from car_model.params import Car
+from sysid.chart import Chart, make_chart
+from sysid.dataset import Run
+from sysid.descend import Descent, Effort, descend
+from sysid.gate import check_excited
+from sysid.kernels import Kernels, delays_of, make_kernels, model_of, parameter_vector
+from sysid.objective import Problem, information
+from sysid.tells import Combination, Direction, Estimate, combinations, directions, estimates
+from sysid.windows import FLOORS, GROUPS, Layout, estimate_noise, make_layout, speed_range
+
+Array = NDArray[np.float64]
+
+DEFAULT_FREE: tuple[str, ...] = (
+    "lf", "lr", "c_sf", "c_sr", "inertia_z", "steer_gain", "steer_bias", "steer_delay",
+    "steer_lag", "speed_gain", "speed_lag",
+)  # fmt: skip
+"""Free unless said otherwise. mu only scales the stiffnesses, mass only the inertia: fixed."""
+TYRES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
+"""What the paper identifies."""
+HORIZONS: tuple[float, ...] = (0.5, 2.0, np.inf)
+"""Windows' lengths [s], one stage each."""
+_ROUGH, _FINE = Effort(6, 0.5, 1e-2), Effort(40, 1e-2, 1e-9)
+_SPEED_OF_COMMANDS = ("speed_gain", "speed_lag", "drive_delay", "accel_max", "decel_max")
+_NOISE_ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to fit.
+
+    Attributes:
+        free: names of the free parameters; None takes `DEFAULT_FREE`.
+        wheelbase: known distance of the axles [m].
+        horizons: windows' lengths by stage [s].
+        integrator: `rk4` or `euler`.
+        substeps: integration steps to a command; None chooses stable ones.
+        noise: (4,) known noise levels, see `windows.GROUPS`; None estimates them.
+    """
+
+    free: tuple[str, ...] | None = None
+    wheelbase: float | None = None
+    horizons: tuple[float, ...] = HORIZONS
+    integrator: str = "rk4"
+    substeps: int | None = None
+    noise: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """An identified car.
+
+    Attributes:
+        model: the car with its effects at the estimates.
+        parameters: (P,) the same as a vector, in the order of `names`.
+        names: of all parameters.
+        estimates: every free parameter with standard error and whether the data tell it.
+        correlation: (n, n) of the coordinates.
+        covariance: (n, n) of the coordinates.
+        chart: the coordinates.
+        z: (n,) estimates in coordinates.
+        states: (W, 7) initial states of the last stage's windows.
+        combinations: sums that the data fix even where they leave their members open.
+        directions: singular directions of the information, weakest first.
+        costs: cost after each step, by stage.
+        iterations: accepted steps.
+        evaluations: simulations of all data with derivatives.
+        converged: whether the last stage ended by itself.
+        residuals: (R,) measurement minus prediction of the last stage, in units.
+        noise: (4,) standard deviation of the residuals by group, see `windows.GROUPS`.
+        noise_signal: (4,) noise of the signals themselves (third differences).
+        layout: windows of the last stage.
+    """
+
+    model: Model[float]
+    parameters: Array
+    names: tuple[str, ...]
+    estimates: dict[str, Estimate]
+    correlation: Array
+    covariance: Array
+    chart: Chart
+    z: Array
+    states: Array
+    combinations: tuple[Combination, ...]
+    directions: tuple[Direction, ...]
+    costs: tuple[tuple[float, ...], ...]
+    iterations: int
+    evaluations: int
+    converged: bool
+    residuals: Array
+    noise: Array
+    noise_signal: Array
+    layout: Layout
+
+    @property
+    def misfit(self) -> dict[str, float]:
+        """Residual over signal noise by group: 1 says that the model explains everything."""
+        ratio = self.noise / self.noise_signal
+        present = np.unique(self.layout.group)
+        return {GROUPS[g]: float(ratio[g]) for g in present}
+
+    @property
+    def unidentified(self) -> tuple[str, ...]:
+        """Free parameters that the data do not tell."""
+        return tuple(name for name, e in self.estimates.items() if not e.identifiable)
+
+
+def prescribe_speed(model: Model[float]) -> Model[float]:
+    """The car whose speed follows a measured speed at once (no speed command to explain)."""
+    car: Car[float] = model.car._replace(
+        speed_lag=0.0, drive_delay=0.0, accel_max=1e3, decel_max=1e3
+    )
+    return model._replace(car=car)
+
+
+def _free_names(runs: Sequence[Run], options: Options) -> tuple[str, ...]:
+    free = options.free if options.free is not None else DEFAULT_FREE
+    sources = {run.speed_source for run in runs}
+    if sources == {"command"}:
+        return free
+    gone = set(_SPEED_OF_COMMANDS) - ({"speed_gain"} if "wheel" in sources else set())
+    return tuple(name for name in free if name not in gone)
+
+
+@dataclass(eq=False)
+class _Work:
+    """What the stages share."""
+
+    kernels: Kernels
+    chart: Chart
+    runs: Sequence[Run]
+    options: Options
+    sigma: Array
+    speeds: tuple[float, float]
+    evaluations: int = 0
+    costs: list[tuple[float, ...]] = field(default_factory=list)
+
+    def problem(self, horizon: float, z: Array) -> Problem:
+        """The stage's problem: windows cut for the pose delay as it is believed now."""
+        late = float(delays_of(self.kernels, self.chart.parameters(z))[2])
+        layout = make_layout(self.runs, horizon, late)
+        return Problem(
+            self.kernels, self.chart, layout, self.sigma, self.speeds,
+            self.options.integrator, self.options.substeps,
+        )  # fmt: skip
+
+    def descend(self, problem: Problem, z: Array, x: Array, effort: Effort) -> Descent:
+        """One descent, counted."""
+        found = descend(problem, z, x, effort)
+        self.evaluations += problem.evaluations
+        problem.evaluations = 0
+        self.costs.append(found.costs)
+        return found
+
+
+def fit(
+    runs: Sequence[Run],
+    model: Model[float],
+    *,
+    options: Options | None = None,
+    starts: Sequence[Model[float]] = (),
+) -> Fit:
+    """Identify a car from drives.
+
+    Args:
+        runs: the drives; see `dataset.load_run`.
+        model: the car as believed so far, with the effects to fit switched on. Weak priors lie
+            about it, fixed parameters are its own. Its free values are the start.
+        options: what is free and how to fit.
+        starts: further starting values (with the same effects); all are tried on short windows
+            and the best goes on. Use them where a gradient vanishes or a start may be bad.
+
+    Returns:
+        The estimates with their standard errors and what the data leave open.
+
+    Raises:
+        DataError: the drives' steering never changes.
+        ValueError: an unknown free parameter, or runs on different grids.
+        FloatingPointError: no start gives a finite simulation.
+    """
+    options = options or Options()
+    check_excited([run.commands[:, 0] for run in runs])
+    if any(run.speed_source != "command" for run in runs):
+        model, starts = prescribe_speed(model), [prescribe_speed(start) for start in starts]
+    kernels = make_kernels(model.effects)
+    free = _free_names(runs, options)
+    chart = make_chart(model.effects, parameter_vector(model), free, options.wheelbase)
+    signal = estimate_noise(runs)
+    sigma = np.array(options.noise) if options.noise is not None else signal
+    work = _Work(kernels, chart, runs, options, sigma, speed_range(runs))
+    low, high = chart.bounds()
+    tried = [parameter_vector(start) for start in (starts or (model,))]
+    z, x, problem = _first_stage(work, [np.clip(chart.coordinates(p), low, high) for p in tried])
+    for horizon in options.horizons[1:]:
+        wider = work.problem(horizon, z)
+        x = _carry(problem, x, wider)
+        problem = wider
+        last = horizon == options.horizons[-1]
+        found = work.descend(problem, z, x, _FINE if last else _ROUGH)
+        z, x = found.z, found.x
+    return _finish(work, problem, z, x, signal)
+
+
+def _first_stage(work: _Work, starts: Sequence[Array]) -> tuple[Array, Array, Problem]:
+    """Short windows from every start; the lowest cost goes on."""
+    best: tuple[float, Descent, Problem] | None = None
+    for z in starts:
+        problem = work.problem(work.options.horizons[0], z)
+        effort = _FINE if len(work.options.horizons) == 1 else _ROUGH
+        try:
+            found = work.descend(problem, z, problem.layout.guess.copy(), effort)
+        except FloatingPointError:
+            continue
+        cost = found.costs[-1] / len(problem.layout.values)
+        if best is None or cost < best[0]:
+            best = (cost, found, problem)
+    if best is None:
+        raise FloatingPointError("the simulation diverges at every start")
+    return best[1].z, best[1].x, best[2]
+
+
+def _carry(old: Problem, x: Array, new: Problem) -> Array:
+    """Initial states for new windows: those of old windows that begin at the same time."""
+    places = {
+        (int(run), float(t)): i
+        for i, (run, t) in enumerate(zip(old.layout.run, old.layout.t, strict=True))
+    }
+    carried = new.layout.guess.copy()
+    for w, (run, t) in enumerate(zip(new.layout.run, new.layout.t, strict=True)):
+        i = places.get((int(run), float(t)))
+        if i is not None:
+            carried[w] = x[i]
+    return carried
+
+
+def residual_noise(problem: Problem, found: Descent) -> Array:
+    """Standard deviation of the residuals by group, outliers bounded (4,)."""
+    noise = problem.sigma.copy()
+    size = np.minimum(np.abs(found.at.error), found.limit)
+    for g in range(len(GROUPS)):
+        mine = size[problem.layout.group == g]
+        if len(mine):
+            noise[g] *= np.sqrt(np.mean(mine**2))
+    return np.maximum(noise, FLOORS)
+
+
+def _finish(work: _Work, problem: Problem, z: Array, x: Array, signal: Array) -> Fit:
+    """Weigh the groups by their residuals, settle, and report."""
+    found = work.descend(problem, z, x, _FINE)
+    if work.options.noise is None:
+        for _ in range(_NOISE_ROUNDS):
+            problem.sigma = residual_noise(problem, found)
+            found = work.descend(problem, found.z, found.x, _FINE)
+    chart = work.chart
+    told = information(found.normal)
+    covariance = np.linalg.inv(told)
+    sd = np.sqrt(np.diag(covariance))
+    parameters = chart.parameters(found.z)
+    pace = float(np.median(np.abs(np.concatenate([run.commands[:, 1] for run in work.runs]))))
+    return Fit(
+        model=model_of(work.kernels, parameters),
+        parameters=parameters,
+        names=work.kernels.names,
+        estimates=estimates(chart, found.z, covariance),
+        correlation=covariance / np.outer(sd, sd),
+        covariance=covariance,
+        chart=chart,
+        z=found.z,
+        states=found.x,
+        combinations=combinations(chart, found.z, covariance, pace),
+        directions=directions(chart, told),
+        costs=tuple(work.costs),
+        iterations=sum(len(costs) - 1 for costs in work.costs),
+        evaluations=work.evaluations,
+        converged=found.converged,
+        residuals=found.at.error * problem.sigma[problem.layout.group],
+        noise=residual_noise(problem, found),
+        noise_signal=signal,
+        layout=problem.layout,
+    )

@@ -1,0 +1,169 @@
+"""What the data tell: standard errors, combinations, directions, and the manoeuvre that is missing."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from car_model.params import GRAVITY
+from sysid.chart import INVERSE, LOGARITHM, WHEELBASE, Chart
+
+Array = NDArray[np.float64]
+
+RELATIVE_MAX = 0.05
+"""A length, stiffness or scale is known when its standard error is below this share of it."""
+SPREAD_MAX = 0.2
+"""Anything else is known when its standard error is below this share of its prior's."""
+WEAK = 1.0
+"""A direction is untold when the data's information about it is below its prior's."""
+NAMED_MIN = 0.25
+"""Coordinates that carry less of a direction are not named in it."""
+
+_TWO_SPEEDS = "constant steering at two or more speeds (`steerd collect --plan mixed`)"
+_STEPS = "step steers or a steering chirp at 1 to 3 m/s (`steerd collect --plan steps`)"
+_SPEED_STEPS = "speed steps on a straight (`steerd collect --plan mixed`)"
+_STRAIGHT = "slow bends of several radii at one low speed (`steerd collect --plan circles`)"
+MANOEUVRES: Mapping[str, str] = {
+    "lf": _TWO_SPEEDS, "lr": _TWO_SPEEDS, "c_sf": _TWO_SPEEDS, "c_sr": _TWO_SPEEDS,
+    "mu": "nothing: only its products with c_sf and c_sr show in this model; fix it",
+    "inertia_z": _STEPS, "mass": "nothing: only its ratio to inertia_z shows; weigh the car",
+    "cog_height": "hard braking and accelerating in bends",
+    "steer_gain": _STRAIGHT, "steer_bias": "any straight stretch",
+    "steer_delay": _STEPS, "steer_lag": _STEPS, "steer_rate": "large, sudden steps of steering",
+    "steer_min": "commands beyond the right stop", "steer_max": "commands beyond the left stop",
+    "speed_gain": "a straight of known length, with wheel speed recorded",
+    "speed_lag": _SPEED_STEPS, "drive_delay": _SPEED_STEPS,
+    "accel_max": "a large step up in speed", "decel_max": "a large step down in speed",
+    "pose_delay": "changes of direction, with a gyro recorded",
+}  # fmt: skip
+"""What would tell each parameter of the car."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter.
+
+    Attributes:
+        value: the estimate.
+        sd: its standard error (with the weak prior).
+        prior_sd: what was known before.
+        identifiable: whether the data tell it; if not, the value is largely the prior's.
+        manoeuvre: what would tell it; empty when it is told.
+    """
+
+    value: float
+    sd: float
+    prior_sd: float
+    identifiable: bool
+    manoeuvre: str = ""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A sum of coordinates that the data fix better than its members.
+
+    Attributes:
+        text: the sum.
+        value: its value.
+        sd: its standard error.
+    """
+
+    text: str
+    value: float
+    sd: float
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A direction in the coordinates (scaled by their priors) and how well it is known.
+
+    Attributes:
+        text: its largest parts.
+        parts: weight of each coordinate.
+        gain: prior standard deviation over the posterior one; about 1 says that the data are
+            silent.
+        told: whether the data say more than the prior.
+    """
+
+    text: str
+    parts: Array
+    gain: float
+    told: bool
+
+
+def standard_errors(chart: Chart, z: Array, covariance: Array) -> Array:
+    """Standard error of every parameter (P,); zero for the fixed ones."""
+    slopes = chart.slopes(z)
+    return np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", slopes, covariance, slopes), 0.0))
+
+
+def _known(name: str, value: float, sd: float, prior_sd: float) -> bool:
+    relative = name in INVERSE or name in LOGARITHM or name in ("lf", "lr")
+    return sd < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior_sd)
+
+
+def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
+    """Every free parameter with its standard error and whether the data tell it."""
+    parameters = chart.parameters(z)
+    sds = standard_errors(chart, z, covariance)
+    priors = standard_errors(chart, z, np.diag(chart.spread**2))
+    moving = [i for i, name in enumerate(chart.names) if priors[i] > 0.0]
+    out = {}
+    for i in moving:
+        name, value, sd = chart.names[i], float(parameters[i]), float(sds[i])
+        known = _known(name, value, sd, float(priors[i]))
+        hint = "" if known else MANOEUVRES.get(name, "a drive that lets this effect show")
+        out[name] = Estimate(value, sd, float(priors[i]), known, hint)
+    return out
+
+
+def directions(chart: Chart, information: Array) -> tuple[Direction, ...]:
+    """Singular directions of the data's information, weakest first."""
+    scaled = information * np.outer(chart.spread, chart.spread)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    found = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        strength = max(float(value) - 1.0, 0.0)
+        found.append(
+            Direction(_say(chart, vector), vector, float(np.sqrt(1.0 + strength)), strength > WEAK)
+        )
+    return tuple(found)
+
+
+def _say(chart: Chart, vector: Array) -> str:
+    order = np.argsort(-np.abs(vector))
+    sign = np.sign(vector[order[0]]) or 1.0
+    parts = []
+    for i in order:
+        weight = sign * vector[i]
+        if abs(weight) >= NAMED_MIN:
+            parts.append(f"{weight:+.2f} {chart.labels[i]}")
+    return " ".join(parts).lstrip("+")
+
+
+def combinations(
+    chart: Chart, z: Array, covariance: Array, speed: float
+) -> tuple[Combination, ...]:
+    """The two sums that a steady circle at `speed` fixes, with their standard errors.
+
+    In steady turning `tan(steer) R = L + (v^2 / mu g)(1/Cf - 1/Cr)` and the slip at the centre of
+    gravity is `lr - v^2 / (mu g Cr)` over R: linear in the coordinates.
+    """
+    p = dict(zip(chart.names, chart.parameters(z), strict=True))
+    share = speed**2 / (p["mu"] * GRAVITY)
+    weights = {
+        "L + (v^2/mu g)(1/Cf - 1/Cr)": {WHEELBASE: 1.0, "1/c_sf": share, "1/c_sr": -share},
+        "lr - v^2/(mu g Cr)": {"lr": 1.0, "1/c_sr": -share},
+    }
+    known = {
+        WHEELBASE: p["lf"] + p["lr"], "lr": p["lr"],
+        "1/c_sf": 1.0 / p["c_sf"], "1/c_sr": 1.0 / p["c_sr"],
+    }  # fmt: skip
+    out = []
+    for text, parts in weights.items():
+        row = np.array([parts.get(label, 0.0) for label in chart.labels])
+        if np.any(row):
+            value = sum(weight * known[label] for label, weight in parts.items())
+            out.append(Combination(text, float(value), float(np.sqrt(row @ covariance @ row))))
+    return tuple(out)
