@@ -87,6 +87,7 @@ def make_loop_setup(plan: Plan, boot_id: int, leased: bool) -> LoopSetup:
         auto_arm=plan.options.auto_arm,
         leased=leased,
         duration_ns=None if duration is None else round(duration * NS),
+        simulated=plan.options.simulated,
     )
 
 

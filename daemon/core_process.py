@@ -117,7 +117,12 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
     report = enter_realtime()
     _tell(fds["ready"], {"realtime": report.refused, "design": plan.controller.report.describe()})
     runner = Runner(
-        core, clock, _opener(plan.options.port or "", port), mocap, ends, ProcessGuard(report.fifo)
+        core,
+        clock,
+        _opener(plan.options.port or "", port),
+        mocap,
+        ends,
+        ProcessGuard(report.fifo, simulated=plan.options.simulated),
     )
     settle_memory()
     runner.run()

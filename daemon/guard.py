@@ -11,6 +11,7 @@ from daemon.guardian import STALE_NS, STALE_NS_NO_RT, HeartbeatPage, make_page_f
 START_NS = 1_000_000_000
 """A guardian that has just been started gets this long to show itself."""
 SILENT_NS = 50_000_000
+STALE_NS_SIMULATED = 300_000_000
 
 
 class Guard(Protocol):
@@ -46,10 +47,13 @@ class ProcessGuard:
 
     Args:
         realtime: whether the core has a fixed priority; without, the heartbeat may be later.
+        simulated: the hardware is simulated; a machine that hiccups must not end the run.
     """
 
-    def __init__(self, realtime: bool) -> None:
+    def __init__(self, realtime: bool, *, simulated: bool = False) -> None:
         self._stale_ns = STALE_NS if realtime else STALE_NS_NO_RT
+        if simulated:
+            self._stale_ns = STALE_NS_SIMULATED
         self._page: HeartbeatPage | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._started_ns = 0
@@ -84,7 +88,7 @@ class ProcessGuard:
             return False
         if now_ns - self._started_ns < START_NS and not self._page.guardian_ns:
             return False
-        stale = now_ns - self._page.guardian_ns > SILENT_NS
+        stale = now_ns - self._page.guardian_ns > max(SILENT_NS, self._stale_ns)
         return stale or self._process.poll() is not None
 
     def tripped(self) -> bool:

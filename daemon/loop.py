@@ -31,7 +31,7 @@ from daemon.checks import (
 )
 from daemon.config import Settings
 from daemon.findings import Finding, make_finding, summarise
-from daemon.lateness import Lateness, step_lateness
+from daemon.lateness import IN_SIMULATION, ON_HARDWARE, Lateness, step_lateness
 from daemon.launch import LaunchInput, LaunchState, make_launch_state, step_launch
 from daemon.lease import (
     Lease,
@@ -107,6 +107,7 @@ class LoopSetup:
         auto_arm: arm and start once without an operator.
         leased: an operator's lease and deadman are needed.
         duration_ns: how long to drive, None without end.
+        simulated: the hardware is simulated, so a late tick endangers nobody.
     """
 
     settings: Settings
@@ -117,6 +118,7 @@ class LoopSetup:
     auto_arm: bool = False
     leased: bool = True
     duration_ns: int | None = None
+    simulated: bool = False
 
 
 class TickResult(NamedTuple):
@@ -268,7 +270,10 @@ class Loop:
         flags: int,
     ) -> tuple[Finding, ...]:
         reported = [make_finding(name, words) for flag, name, words in _REPORTS if flags & flag]
-        self._lateness, late = step_lateness(self._lateness, due_ns, now_ns, self.setup.period_ns)
+        rules = IN_SIMULATION if self.setup.simulated else ON_HARDWARE
+        self._lateness, late = step_lateness(
+            self._lateness, due_ns, now_ns, self.setup.period_ns, rules
+        )
         reported += [late] if late else []
         reported += self._judge_launch(estimate, now_ns)
         reported += self._judge_commands(now_ns)
