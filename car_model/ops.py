@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 
 class Scalar(Protocol):
-    """A number: float, 0-d or batched tensor, NumPy array, SymPy expression."""
+    """A number: float, 0-d or batched tensor, NumPy array, recorded number."""
 
     def __add__(self, other: Any, /) -> Any: ...
     def __radd__(self, other: Any, /) -> Any: ...

@@ -1,10 +1,11 @@
 """The equations as straight-line programs: `Ops` over nodes of a graph, with exact derivatives.
 
 Running the generic equations over `Node`s records every operation once (equal operations share a
-node). From the record come the source of compiled kernels and, by the chain rule over the record
-in reverse, exact Jacobians: no derivative is written by hand and none is approximated. Compared
-with a computer-algebra system the formulas are never expanded, so the printed code costs what the
-equations cost, and a derivative about three times that.
+node). From the record come straight-line Python (`car_model.straight_line`), the source of compiled
+kernels (`sysid.codegen`) and, by the chain rule over the record in reverse, exact Jacobians: no
+derivative is written by hand and none is approximated. Compared with a computer-algebra system the
+formulas are never expanded, so the printed code costs what the equations cost, and a derivative
+about three times that.
 
 Source of the method: Griewank and Walther, Evaluating Derivatives (reverse accumulation).
 """
@@ -18,7 +19,10 @@ from car_model.ops import FLOAT, Ops
 
 
 class Entry(NamedTuple):
-    """One operation: its name and the places of its arguments, or a constant's value."""
+    """One operation: its name and the places of its arguments, or a constant's value.
+
+    An input is told by its name; a constant's name is its text, which tells -0.0 from 0.0.
+    """
 
     op: str
     args: tuple[int, ...]
@@ -28,8 +32,15 @@ class Entry(NamedTuple):
 
 @dataclass
 class Tape:
-    """A record of operations; a node is a place in it."""
+    """A record of operations; a node is a place in it.
 
+    Attributes:
+        entries: the operations, each after its arguments.
+        exact: whether running the record gives the bits that the equations give on floats. If not,
+            divisions become products with shared inverses, and what a zero makes superfluous goes.
+    """
+
+    exact: bool = False
     entries: list[Entry] = field(default_factory=list)
     _places: dict[Entry, int] = field(default_factory=dict)
 
@@ -43,11 +54,15 @@ class Tape:
 
     def constant(self, value: float) -> "Node":
         """A number."""
-        return Node(self, self.place(Entry("const", (), float(value))))
+        return Node(self, self.place(Entry("const", (), float(value), repr(float(value)))))
 
     def symbol(self, name: str) -> "Node":
         """An input of the program."""
         return Node(self, self.place(Entry("input", (), name=name)))
+
+    def node(self, value: Any) -> "Node":
+        """The value itself if it is recorded already, else a constant."""
+        return value if isinstance(value, Node) else self.constant(value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +82,7 @@ class Node:
         return apply("sub", self, other)
 
     def __rsub__(self, other: Any, /) -> "Node":
-        return apply("sub", _node(self.tape, other), self)
+        return apply("sub", self.tape.node(other), self)
 
     def __mul__(self, other: Any, /) -> "Node":
         return apply("mul", self, other)
@@ -76,20 +91,19 @@ class Node:
         return apply("mul", self, other)
 
     def __truediv__(self, other: Any, /) -> "Node":
-        # Division as a product with the inverse: inverses are shared, and hoisted out of loops.
-        return self * apply("inverse", _node(self.tape, other))
+        if self.tape.exact:
+            return apply("div", self, other)
+        # As a product with the inverse: inverses are shared, and hoisted out of loops.
+        return self * apply("inverse", self.tape.node(other))
 
     def __rtruediv__(self, other: Any, /) -> "Node":
-        return _node(self.tape, other) * apply("inverse", self)
+        return self.tape.node(other) / self
 
     def __neg__(self) -> "Node":
         return apply("neg", self)
 
-    def __pow__(self, power: int, /) -> "Node":
-        result = self
-        for _ in range(power - 1):
-            result = result * self
-        return result
+    def __bool__(self) -> bool:
+        raise TypeError("a recorded number has no value to branch on")
 
     @property
     def entry(self) -> Entry:
@@ -97,14 +111,11 @@ class Node:
         return self.tape.entries[self.place]
 
 
-def _node(tape: Tape, value: Any) -> Node:
-    return value if isinstance(value, Node) else tape.constant(value)
-
-
 _FOLD: dict[str, Any] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
     "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
     "inverse": lambda a: 1.0 / a if a else math.inf,
     "neg": lambda a: -a,
     "min": FLOAT.minimum,
@@ -116,13 +127,13 @@ _FOLD: dict[str, Any] = {
 
 
 def apply(op: str, first: Node, *others: Any) -> Node:
-    """Record an operation, or its result where that is plain (constants, zeros, ones)."""
+    """Record an operation, or its result where that is plain: of constants; zeros, ones."""
     tape = first.tape
-    nodes = (first, *(_node(tape, other) for other in others))
+    nodes = (first, *(tape.node(other) for other in others))
     entries = [node.entry for node in nodes]
     if all(entry.op == "const" for entry in entries):
         return tape.constant(_FOLD[op](*(entry.value for entry in entries)))
-    plain = _plain(op, nodes, entries)
+    plain = None if tape.exact else _plain(op, nodes, entries)
     if plain is not None:
         return plain
     places = tuple(node.place for node in nodes)
@@ -208,7 +219,9 @@ class TapeOps:
         return apply("max", a, b)
 
     def clip(self, a: Node, low: Node | float, high: Node | float, /) -> Node:
-        """Record `a` kept within [low, high]."""
+        """Record `a` kept within [low, high]; an exact record keeps `a` itself on a bound."""
+        if a.tape.exact:
+            return apply("min", a.tape.node(high), apply("max", a.tape.node(low), a))
         return apply("min", apply("max", a, low), high)
 
     def where_positive(
@@ -233,6 +246,8 @@ def contributions(node: Node, bar: Node) -> tuple[Node | None, ...]:
             return bar, -bar
         case "mul":
             return bar * b, bar * a
+        case "div":
+            return bar / b, -(bar * node / b)
         case "min":
             return _chosen(b - a, bar)
         case "max":
@@ -278,7 +293,7 @@ def gradient(seeds: Iterable[tuple[Node, Node | float]], by: Sequence[Node]) -> 
     tape = by[0].tape
     bars: dict[int, Node] = {}
     for output, seed in pairs:
-        weight = _node(tape, seed)
+        weight = tape.node(seed)
         bars[output.place] = bars[output.place] + weight if output.place in bars else weight
     for place in range(max((output.place for output, _ in pairs), default=-1), -1, -1):
         bar = bars.get(place)
@@ -306,7 +321,7 @@ def needed(targets: Iterable[Node]) -> list[int]:
     return sorted(seen)
 
 
-_INFIX = {"add": "+", "sub": "-", "mul": "*"}
+_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 def source_of(entry: Entry, names: Mapping[int, str]) -> str:
@@ -315,7 +330,7 @@ def source_of(entry: Entry, names: Mapping[int, str]) -> str:
     match entry.op:
         case "const":
             return repr(entry.value)
-        case "add" | "sub" | "mul":
+        case "add" | "sub" | "mul" | "div":
             return f"{args[0]} {_INFIX[entry.op]} {args[1]}"
         case "neg":
             return f"-{args[0]}"

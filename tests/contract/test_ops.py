@@ -1,11 +1,9 @@
-"""One set of equations over every number type: floats, arrays, tensors and formulas agree."""
+"""One set of equations over every number type: floats, arrays, tensors and records agree."""
 
-import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
-import sympy
 import torch
 
 from car_model.numpy_ops import NUMPY
@@ -13,14 +11,8 @@ from car_model.ops import FLOAT
 from car_model.params import DEFAULT_CAR, Car
 from car_model.single_track import actuate, derivative
 from car_model.state import Command, State
-from car_model.symbolic import (
-    SYMBOLIC,
-    symbolic_actuated,
-    symbolic_car,
-    symbolic_rates,
-    symbolic_state,
-    symbols,
-)
+from car_model.straight_line import compiled
+from car_model.tape import TAPE, Node, Tape
 
 ONE = ("sin", "cos", "tan", "atan", "tanh", "exp", "absolute")
 VALUES = (-1.3, -0.25, 0.0, 0.25, 1.3)
@@ -31,11 +23,17 @@ def kinds(torch_ops: Any) -> dict[str, tuple[Any, Any]]:
     return {
         "numpy": (NUMPY, np.float64),
         "torch": (torch_ops, lambda v: torch.tensor(v, dtype=torch.float64)),
-        "sympy": (SYMBOLIC, sympy.Float),
+        "tape": (TAPE, Tape().constant),
+        "exact tape": (TAPE, Tape(exact=True).constant),
     }
 
 
-@pytest.fixture(params=["numpy", "torch", "sympy"])
+def value(number: Any) -> float:
+    """The number alone; operations on constants are recorded as their results."""
+    return number.entry.value if isinstance(number, Node) else float(number)
+
+
+@pytest.fixture(params=["numpy", "torch", "tape", "exact tape"])
 def kind(request: pytest.FixtureRequest, torch_ops: Any) -> tuple[Any, Any]:
     return kinds(torch_ops)[request.param]
 
@@ -43,26 +41,26 @@ def kind(request: pytest.FixtureRequest, torch_ops: Any) -> tuple[Any, Any]:
 @pytest.mark.parametrize("name", ONE)
 def test_functions_of_one_number(kind: tuple[Any, Any], name: str) -> None:
     ops, number = kind
-    for value in VALUES:
-        found = float(getattr(ops, name)(number(value)))
-        assert found == pytest.approx(getattr(FLOAT, name)(value), rel=1e-14, abs=1e-15)
+    for a in VALUES:
+        found = value(getattr(ops, name)(number(a)))
+        assert found == pytest.approx(getattr(FLOAT, name)(a), rel=1e-14, abs=1e-15)
 
 
 def test_square_root(kind: tuple[Any, Any]) -> None:
     ops, number = kind
-    assert float(ops.sqrt(number(2.25))) == pytest.approx(1.5, rel=1e-15)
+    assert value(ops.sqrt(number(2.25))) == pytest.approx(1.5, rel=1e-15)
 
 
 def test_choices(kind: tuple[Any, Any]) -> None:
     ops, number = kind
     for a in VALUES:
         for b in VALUES:
-            assert float(ops.minimum(number(a), b)) == min(a, b) == FLOAT.minimum(a, b)
-            assert float(ops.maximum(number(a), b)) == max(a, b) == FLOAT.maximum(a, b)
-        assert float(ops.clip(number(a), number(-0.5), 0.5)) == min(max(a, -0.5), 0.5)
+            assert value(ops.minimum(number(a), b)) == min(a, b) == FLOAT.minimum(a, b)
+            assert value(ops.maximum(number(a), b)) == max(a, b) == FLOAT.maximum(a, b)
+        assert value(ops.clip(number(a), number(-0.5), 0.5)) == min(max(a, -0.5), 0.5)
         assert FLOAT.clip(a, -0.5, 0.5) == min(max(a, -0.5), 0.5)
         chosen = ops.where_positive(number(a), number(1.0), number(2.0))
-        assert float(chosen) == (1.0 if a > 0.0 else 2.0) == FLOAT.where_positive(a, 1.0, 2.0)
+        assert value(chosen) == (1.0 if a > 0.0 else 2.0) == FLOAT.where_positive(a, 1.0, 2.0)
 
 
 def points(count: int) -> list[tuple[State[float], float, float]]:
@@ -80,12 +78,12 @@ def points(count: int) -> list[tuple[State[float], float, float]]:
 
 
 def test_rates_agree(torch_ops: Any) -> None:
-    for name, (ops, number) in kinds(torch_ops).items():
-        for state, wheel, accel in points(3 if name == "sympy" else 20):
+    for ops, number in kinds(torch_ops).values():
+        for state, wheel, accel in points(20):
             car, at = Car(*map(number, DEFAULT_CAR)), State(*map(number, state))
             found = derivative(ops, car, at, number(wheel), number(accel))
             expected = derivative(FLOAT, DEFAULT_CAR, state, wheel, accel)
-            assert [float(v) for v in found] == pytest.approx(list(expected), rel=1e-12, abs=1e-12)
+            assert [value(v) for v in found] == pytest.approx(list(expected), rel=1e-12, abs=1e-12)
 
 
 def test_lanes_of_an_array_are_cars_of_their_own() -> None:
@@ -98,30 +96,21 @@ def test_lanes_of_an_array_are_cars_of_their_own() -> None:
         assert [v[i] for v in found] == pytest.approx(list(expected), rel=1e-12, abs=1e-12)
 
 
-def numbers_for(*groups: tuple[Any, Any]) -> dict[Any, float]:
-    """Values for the symbols of (symbols, values) pairs."""
-    return {
-        name: value for names, values in groups for name, value in zip(names, values, strict=True)
-    }
-
-
-def test_formulas_evaluate_to_the_floats() -> None:
-    rates, actuated = symbolic_rates(), symbolic_actuated()
-    inputs, aims = symbols("wheel", "accel"), symbols("ref_steer", "ref_speed", "h")
-    for state, wheel, accel in points(4):
-        known = (symbolic_car(), DEFAULT_CAR), (symbolic_state(), state)
-        at = numbers_for(*known, (inputs, (wheel, accel)))
-        expected = derivative(FLOAT, DEFAULT_CAR, state, wheel, accel)
-        assert [float(r.subs(at)) for r in rates] == pytest.approx(list(expected), rel=1e-11)
-        aim = Command(0.3, 2.0)
-        at = numbers_for(*known, (aims, (*aim, 0.01)))
-        moved = actuate(FLOAT, DEFAULT_CAR, state, aim, 0.01)
-        assert [float(a.subs(at)) for a in actuated] == pytest.approx(list(moved), rel=1e-11)
-
-
-def test_a_formula_has_the_derivative_of_the_branch_taken() -> None:
-    (x,) = symbols("x")
-    clipped = sympy.diff(SYMBOLIC.clip(x * x, 0.0, 4.0), x)
-    assert float(clipped.subs(x, 1.5)) == pytest.approx(3.0)
-    assert float(clipped.subs(x, 2.5)) == 0.0
-    assert math.isclose(float(sympy.diff(SYMBOLIC.absolute(x), x).subs(x, -2.0)), -1.0)
+@pytest.mark.parametrize("exact", [False, True])
+def test_recorded_programs_give_the_floats(exact: bool) -> None:
+    tape = Tape(exact)
+    names = (*Car._fields, *State._fields, "wheel", "accel", "ref_steer", "ref_speed", "h")
+    inputs = [tape.symbol(name) for name in names]
+    car, rest = Car(*inputs[: len(Car._fields)]), inputs[len(Car._fields) :]
+    state, (wheel, accel, steer, speed, h) = State(*rest[:7]), rest[7:]
+    rates = derivative(TAPE, car, state, wheel, accel)
+    ref, step = Command(steer, speed), cast("float", h)
+    moved = actuate(TAPE, car, state, ref, step)
+    program = compiled(inputs, [*rates, *moved])
+    for at, w, a in points(20):
+        found = program(*DEFAULT_CAR, *at, w, a, 0.3, 2.0, 0.01)
+        expected = (
+            *derivative(FLOAT, DEFAULT_CAR, at, w, a),
+            *actuate(FLOAT, DEFAULT_CAR, at, Command(0.3, 2.0), 0.01),
+        )
+        assert found == (expected if exact else pytest.approx(expected, rel=1e-11, abs=1e-12))

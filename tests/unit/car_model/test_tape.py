@@ -1,0 +1,192 @@
+"""The record of the equations: what it keeps, what it rewrites, its derivatives at the seams."""
+
+import math
+
+import pytest
+
+from car_model.straight_line import compiled, written
+from car_model.tape import TAPE, Node, Tape, apply, gradient, needed, source_of
+
+
+def inputs(*names: str, exact: bool = False) -> list[Node]:
+    tape = Tape(exact)
+    return [tape.symbol(name) for name in names]
+
+
+def slope(function, x: float) -> float:  # type: ignore[no-untyped-def]
+    (a,) = inputs("a")
+    return compiled([a], gradient([(function(a), 1.0)], [a]))(x)[0]
+
+
+DERIVATIVES = {
+    "sin": (TAPE.sin, math.cos),
+    "cos": (TAPE.cos, lambda x: -math.sin(x)),
+    "tan": (TAPE.tan, lambda x: 1.0 / math.cos(x) ** 2),
+    "atan": (TAPE.atan, lambda x: 1.0 / (1.0 + x * x)),
+    "tanh": (TAPE.tanh, lambda x: 1.0 / math.cosh(x) ** 2),
+    "exp": (TAPE.exp, math.exp),
+    "sqrt": (TAPE.sqrt, lambda x: 0.5 / math.sqrt(x)),
+    "abs": (TAPE.absolute, lambda x: math.copysign(1.0, x)),
+    "neg": (lambda a: -a, lambda x: -1.0),
+    "inverse": (lambda a: 1.0 / a, lambda x: -1.0 / x**2),
+    "square": (lambda a: a * a, lambda x: 2.0 * x),
+    "difference": (lambda a: 3.0 - a - a * 0.5, lambda x: -1.5),
+    "quotient": (lambda a: (a + 1.0) / a, lambda x: -1.0 / x**2),
+}
+
+
+@pytest.mark.parametrize("name", sorted(DERIVATIVES))
+def test_known_derivatives(name: str) -> None:
+    function, expected = DERIVATIVES[name]
+    for x in (0.3, 0.9, 1.4) if name == "sqrt" else (-1.2, -0.3, 0.3, 1.4):
+        assert slope(function, x) == pytest.approx(expected(x), rel=1e-13)
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_derivative_of_a_quotient(exact: bool) -> None:
+    a, b = inputs("a", "b", exact=exact)
+    found = compiled([a, b], gradient([(a / b, 1.0)], [a, b]))(3.0, -2.0)
+    assert found == pytest.approx((-0.5, -0.75), rel=1e-15)
+
+
+SEAMS = [
+    (lambda a: TAPE.minimum(a, 1.0), 1.0, (1.0, 0.0, 0.0)),
+    (lambda a: TAPE.maximum(a, 1.0), 1.0, (0.0, 0.0, 1.0)),
+    (lambda a: TAPE.clip(a, -1.0, 1.0), 1.0, (1.0, 0.0, 0.0)),
+    (lambda a: TAPE.clip(a, -1.0, 1.0), -1.0, (0.0, 0.0, 1.0)),
+    (lambda a: TAPE.where_positive(a, 2.0 * a, 3.0 * a), 0.0, (3.0, 3.0, 2.0)),
+    (TAPE.absolute, 0.0, (-1.0, -1.0, 1.0)),
+]
+
+
+@pytest.mark.parametrize(("function", "seam", "slopes"), SEAMS)
+def test_a_seam_has_the_derivative_of_the_branch_taken(function, seam, slopes) -> None:  # type: ignore[no-untyped-def]
+    at = (math.nextafter(seam, -9.0), seam, math.nextafter(seam, 9.0))
+    assert tuple(slope(function, x) for x in at) == slopes
+
+
+def test_seeds_weigh_the_outputs_and_add_up() -> None:
+    a, b = inputs("a", "b")
+    outputs: list[tuple[Node, Node | float]] = [(a * b, 2.0), (a + b, b), (a * b, 1.0)]
+    assert compiled([a, b], gradient(outputs, [a, b]))(5.0, 7.0) == (28.0, 22.0)
+
+
+def test_what_nothing_depends_on_has_no_derivative() -> None:
+    a, b = inputs("a", "b")
+    (by_b,) = gradient([(a * a, 1.0)], [b])
+    assert by_b.entry.value == 0.0
+    assert by_b.entry.op == "const"
+    assert gradient([], [a])[0].entry.value == 0.0
+
+
+def test_an_operation_without_a_derivative_is_refused() -> None:
+    (a,) = inputs("a")
+    with pytest.raises(ValueError, match="no derivative for floor"):
+        gradient([(apply("floor", a), 1.0)], [a])
+
+
+def test_equal_operations_are_recorded_once() -> None:
+    a, b = inputs("a", "b")
+    assert (a * b).place == (b * a).place
+    assert (a + 1.0).place == (1.0 + a).place
+    assert (a - b).place != (b - a).place
+    assert TAPE.sin(a + b).place == TAPE.sin(b + a).place
+
+
+def test_a_free_record_drops_what_zeros_and_ones_make_superfluous() -> None:
+    a, b = inputs("a", "b")
+    for same in (a + 0.0, a - 0.0, 1.0 * a, a / 1.0, 0.0 - (-a), TAPE.where_positive(b, a, a)):
+        assert same.place == a.place
+    for zero in (a - a, 0.0 * a):
+        assert (zero.entry.op, zero.entry.value) == ("const", 0.0)
+    assert (a * -1.0).place == (0.0 - a).place == (-a).place
+    assert (a / b).place == (a * (1.0 / b)).place
+
+
+def test_an_exact_record_keeps_what_a_zero_or_a_division_does_to_the_bits() -> None:
+    a, b = inputs("a", "b", exact=True)
+    program = compiled([a, b], [0.0 * a, a + 0.0, 0.0 - a, a / b, a - a, 1.0 / b])
+    found = program(-0.0, 49.0)
+    assert [math.copysign(1.0, v) for v in found[:3]] == [-1.0, 1.0, 1.0]
+    assert program(1.0, 49.0)[3] == 1.0 / 49.0
+    assert program(5.0, 49.0)[3] == 5.0 / 49.0 != 5.0 * (1.0 / 49.0)
+    assert math.isnan(program(math.inf, 1.0)[4])
+    assert math.isnan(program(math.inf, 1.0)[0])
+
+
+@pytest.mark.parametrize("value", [-0.0, 0.0, math.nan, -3.0, 3.0])
+def test_an_exact_clip_keeps_the_number_itself_on_a_bound(value: float) -> None:
+    (a,) = inputs("a", exact=True)
+    (found,) = compiled([a], [TAPE.clip(a, 0.0, 1.0)])(value)
+    expected = min(max(value, 0.0), 1.0) if value else value
+    assert repr(found) == repr(math.nan if math.isnan(value) else expected)
+
+
+def test_constants_are_worked_out_and_zeros_keep_their_sign() -> None:
+    tape = Tape(exact=True)
+    a = tape.symbol("a")
+    assert (tape.constant(2.0) * 3.0 - 1.0).entry.value == 5.0
+    assert (tape.constant(1.0) / 4.0).entry.value == 0.25
+    assert (Tape().constant(1.0) / 0.0).entry.value == math.inf
+    (found,) = compiled([a], [a + tape.constant(-0.0)])(-0.0)
+    assert (found, math.copysign(1.0, found)) == (0.0, -1.0)
+    assert tape.constant(0.0).place != tape.constant(-0.0).place
+    assert tape.node(a) is a
+
+
+def test_a_record_cannot_be_branched_on() -> None:
+    (a,) = inputs("a")
+    with pytest.raises(TypeError, match="branch"):
+        bool(a)
+    for compare in (lambda: a < 1.0, lambda: a >= 1.0, lambda: float(a)):  # type: ignore[operator, arg-type]
+        with pytest.raises(TypeError):
+            compare()
+
+
+def test_only_what_the_targets_need_is_found_and_written() -> None:
+    a, b = inputs("a", "b")
+    wanted, other = a * 2.0, TAPE.sin(b)
+    assert needed([wanted]) == sorted({a.place, wanted.place, a.tape.constant(2.0).place})
+    assert needed([]) == []
+    assert "sin" not in " ".join(written([wanted]).results)
+    assert written([other, other]).results == [f"v{other.place}"] * 2
+    assert written([]).results == []
+    assert compiled([a], [])(1.0) == ()
+
+
+def test_inputs_and_constants_may_be_results() -> None:
+    a, b = inputs("a", "b")
+    tape = a.tape
+    outputs = [b, tape.constant(-1.5), tape.constant(math.inf), a - tape.constant(-2.0)]
+    assert compiled([a, b], outputs)(1.0, 4.0) == (4.0, -1.5, math.inf, 3.0)
+
+
+def test_a_deep_formula_is_broken_into_statements() -> None:
+    (a,) = inputs("a")
+    total = a
+    for i in range(400):
+        total = total * 0.5 + float(i)
+    text = written([total])
+    assert len(text.statements) > 20
+    value = 1.0
+    for i in range(400):
+        value = value * 0.5 + float(i)
+    assert compiled([a], [total])(1.0) == (value,)
+
+
+def test_source_of_an_operation() -> None:
+    a, b = inputs("a", "b", exact=True)
+    names = {a.place: "p", b.place: "q"}
+    nodes = (a + b, a - b, a * b, a / b, -a, TAPE.minimum(a, b), TAPE.where_positive(a, b, a))
+    assert [source_of(node.entry, names) for node in nodes] == [
+        "p + q",
+        "p - q",
+        "p * q",
+        "p / q",
+        "-p",
+        "min(p, q)",
+        "select(p, q, p)",
+    ]
+    (c,) = inputs("c")
+    assert source_of((1.0 / c).entry, {c.place: "r"}) == "1.0 / r"
+    assert source_of(c.tape.constant(2.5).entry, {}) == "2.5"
