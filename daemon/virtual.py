@@ -12,7 +12,7 @@ from daemon.build import Plan, make_core, make_world_config
 from daemon.core import Core
 from daemon.loop import Flag
 from daemon.outbox import Sink
-from daemon.transitions import State
+from daemon.transitions import State, is_engaged
 from mocap_link.natnet_client import Socket
 from mocap_link.sessions import NatNetSource
 from sim_hw.network import COMMAND, DATA
@@ -22,6 +22,7 @@ EPOCH_NS = 1_700_000_000_000_000_000
 """UNIX time of virtual time zero: sessions of the same seed are the same file."""
 _SERVER = "127.0.0.1"
 _TIMER_NS = 20_000_000
+_REOPEN_NS = 200_000_000
 _GRACE_NS = 30_000_000_000
 """A run that has not begun to drive by then never will."""
 
@@ -45,16 +46,30 @@ class VirtualRun:
     def __post_init__(self) -> None:
         self.wire = hashlib.sha256()
         self._timer_ns = 0
+        self._reopen_ns = 0
+        self._opened = self.world.serial_name
 
-    def step(self) -> None:
-        """One period: a tick, then whatever arrives until the next."""
+    def step(self, late_ns: int = 0) -> None:
+        """One period: a tick, then whatever arrives until the next.
+
+        Args:
+            late_ns: how long the process sleeps past the deadline; bytes wait for it meanwhile.
+        """
         due = self.t_ns
+        if late_ns:
+            self.world.advance(due + late_ns)
+            self.t_ns = due + late_ns
+            self._receive(self.t_ns)
+        now = self.t_ns
         self._feed_back()
-        data = self.core.tick(due, due)
+        data = self.core.tick(due, now)
         if data and self.core.flags & Flag.LINKED:
-            self._write(due, data)
-        self.core.outbox.flush(due)
-        end = due + self.period_ns
+            self._write(now, data)
+        self.core.outbox.flush(now)
+        self._pass(due + self.period_ns * (1 + late_ns // self.period_ns))
+
+    def _pass(self, end: int) -> None:
+        """Live until `end`, taking what arrives as it does."""
         while self.t_ns < end:
             self.t_ns = min(max(self.world.next_wake_ns, self.t_ns + 1), end)
             self._receive(self.t_ns)
@@ -81,15 +96,7 @@ class VirtualRun:
         self.core.loop.on_vesc(None)
 
     def _receive(self, t_ns: int) -> None:
-        if self.world.serial_name is None:
-            if self.core.flags & Flag.LINKED:
-                self._lose_link()
-        else:
-            self.core.flags |= Flag.LINKED
-            data = self.world.serial_read(t_ns)
-            if data:
-                self.wire.update(b"<" + t_ns.to_bytes(8, "big") + data)
-                self.core.on_serial(t_ns, data)
+        self._read_serial(t_ns)
         for message in self.world.mocap_read(t_ns):
             if message.channel in (COMMAND, DATA):
                 which: Socket = "data" if message.channel == DATA else "command"
@@ -101,6 +108,29 @@ class VirtualRun:
             for datagram in self.source.on_timer(t_ns):
                 self.world.mocap_write(t_ns, datagram)
             self.core.source = self.source.status()
+
+    def _read_serial(self, t_ns: int) -> None:
+        linked = bool(self.core.flags & Flag.LINKED)
+        if linked and self.world.serial_name != self._opened:
+            self._lose_link()
+        elif linked:
+            data = self.world.serial_read(t_ns)
+            if data:
+                self.wire.update(b"<" + t_ns.to_bytes(8, "big") + data)
+                self.core.on_serial(t_ns, data)
+        elif t_ns >= self._reopen_ns:
+            self._reopen_ns = t_ns + _REOPEN_NS
+            self._try_open()
+
+    def _try_open(self) -> None:
+        """As the runner does it: every 200 ms, and never while motor bytes may flow."""
+        name = self.world.serial_name
+        if name is None or is_engaged(self.core.loop.supervisor.state):
+            return
+        self._opened = name
+        self.core.link.reset()
+        self.core.flags |= Flag.LINKED
+        self.core.flags &= ~Flag.SERIAL_FAULT
 
 
 def make_virtual_run(
