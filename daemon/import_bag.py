@@ -5,6 +5,7 @@ read with ROS's standard ones and those of `ackermann_msgs`, `vesc_msgs` and `ph
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
@@ -93,7 +94,9 @@ def import_bag(
     check_output(out)
     the_map = load_map(map_path) if map_path else ImportMap()
     notes = ImportNotes()
-    with _guarded(source, lambda: _open(source)) as reader:
+    if not source.exists():
+        raise SteerdError(f"{source} does not exist", "", ExitCode.UNREADABLE)
+    with closing(_guarded(source, lambda: _open(source))) as reader:
         the_map = replace(
             the_map,
             epoch_ns=max(reader.start_time, 0) if reader.message_count else 0,
@@ -130,8 +133,6 @@ def _guarded(source: Path, read: Callable[[], T]) -> T:
         return read()
     except SteerdError:
         raise
-    except FileNotFoundError as error:
-        raise SteerdError(f"{source} does not exist", "", ExitCode.UNREADABLE) from error
     except Exception as error:
         text = " ".join(str(error).split())[:160] or type(error).__name__
         what = f"{source} cannot be read as a ROS bag: {text}"

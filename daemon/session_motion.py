@@ -34,7 +34,7 @@ class Track:
     yaw: Array
     """As recorded, unwrapped [rad]."""
     speed: Array
-    """Along the body's axis; NaN near gaps [m/s]."""
+    """Along the body's axis; NaN for a pose between two gaps [m/s]."""
     yaw_rate: Array
     window: float
     """Span of the differences that gave speed and yaw rate [s]."""
@@ -88,8 +88,9 @@ def make_track(t: Array, x: Array, y: Array, yaw: Array) -> Track | None:
         return None
     t, x, y, yaw = t[order], x[order], y[order], np.unwrap(yaw[order])
     window = _window(x, y)
-    before, after = np.maximum(t - window / 2, t[0]), np.minimum(t + window / 2, t[-1])
-    span = np.where(_near_gap(t, before, after), np.nan, after - before)
+    first, last = _unbroken(t)
+    before, after = np.maximum(t - window / 2, first), np.minimum(t + window / 2, last)
+    span = np.where(after > before, after - before, np.nan)
     vx, vy, yaw_rate = (
         (np.interp(after, t, a) - np.interp(before, t, a)) / span for a in (x, y, yaw)
     )
@@ -108,11 +109,12 @@ def _window(x: Array, y: Array) -> float:
     return min(max(noise * sqrt(2.0) / _SPEED_NOISE, WINDOW), WINDOW_MAX)
 
 
-def _near_gap(t: Array, before: Array, after: Array) -> NDArray[np.bool_]:
-    wide = np.concatenate(([0], np.cumsum(np.diff(t) > GAP_MAX)))
-    left = np.maximum(np.searchsorted(t, before, "right") - 1, 0)
-    right = np.minimum(np.searchsorted(t, after, "left"), len(t) - 1)
-    return np.asarray(wide[left] != wide[right])
+def _unbroken(t: Array) -> tuple[Array, Array]:
+    """For each time the first and the last one that no gap parts from it."""
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(t) > GAP_MAX) + 1))
+    ends = np.append(starts[1:], len(t))
+    lengths = ends - starts
+    return np.repeat(t[starts], lengths), np.repeat(t[ends - 1], lengths)
 
 
 def make_range(values: Array) -> Range | None:

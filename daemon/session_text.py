@@ -86,7 +86,8 @@ def _end(report: SessionReport) -> str:
 
 def _states(report: SessionReport) -> str:
     shown = report.states[:STATES_SHOWN]
-    text = " → ".join(f"{s.state.lower()} {s.t_s:.1f}" if s.t_s else s.state.lower() for s in shown)
+    later = (f" → {change.state.lower()} {change.t_s:.1f}" for change in shown[1:])
+    text = shown[0].state.lower() + "".join(later)
     more = len(report.states) - len(shown)
     return text + (f" → … {more} more" if more else "") + " s"
 
