@@ -18,6 +18,7 @@ from daemon.watchdogs_pose import PoseWatch, is_flapping, rejected_share
 
 _WARN = Severity.WARN
 _BOOTED = 10  # VESC fault code: booting from a watchdog reset
+SATURATED_GROWTH = 0.02  # [m] less is the noise of a car that holds its path at full lock
 FED_S = 0.2  # after this long in ARMED or RUNNING telemetry must show that the commands arrive
 
 
@@ -357,7 +358,7 @@ def _step_saturation(
     if w.saturated_ns == NEVER:
         return i.t_ns, error
     held = (i.t_ns - w.saturated_ns) / 1e9
-    if held >= th.saturated_warn and not error <= w.saturated_error:
+    if held >= th.saturated_warn and not error <= w.saturated_error + SATURATED_GROWTH:
         words = f"at the limit for {held:.1f} s, {error:.2f} m off and growing"
         say(make_finding("W23", words, None if held >= th.saturated_hold else _WARN))
     return w.saturated_ns, w.saturated_error

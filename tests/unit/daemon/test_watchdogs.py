@@ -363,6 +363,8 @@ def test_steering_saturated_and_the_error_grows():
     assert saturate(1.0) == [("W23", SOFT)]
     assert saturate(1.0, first=0.1, last=-0.125) == [("W23", SOFT)]
     assert saturate(1.0, first=-0.125, last=0.125) == []
+    assert saturate(1.0, last=0.02) == []
+    assert saturate(1.0, last=up(0.02)) == [("W23", SOFT)]
     assert saturate(1.0, share=0.984375) == []
     assert saturate(1.0, share=up(0.984375)) == [("W23", SOFT)]
 
