@@ -77,10 +77,21 @@ def dispatch(argv: Sequence[str]) -> int:
     return code
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Entry point of the console script."""
+    code = guarded(sys.argv[1:])
+    if "zenoh" in sys.modules:
+        # zenoh's own threads may be inside Python while the interpreter shuts down, which aborts.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
+
+
+def guarded(argv: Sequence[str]) -> int:
+    """Run one command line; every failure is a line or two on standard error and a code."""
     try:
-        return dispatch(sys.argv[1:] if argv is None else argv)
+        return dispatch(argv)
     except SteerdError as error:
         print(f"steerd: {error.what}", file=sys.stderr)
         if error.hint:

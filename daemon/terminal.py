@@ -102,7 +102,7 @@ class Terminal:
         for record in unpack_records(self._buffer):
             line = self._board.take(record)
             if live is None and line is not None:
-                console.print(line, highlight=False)
+                console.print(line, highlight=False, soft_wrap=True)
         if live is not None:
             live.update(self._board.render(), refresh=True)
         return bool(data)
