@@ -1,4 +1,4 @@
-"""How strong each effect must be to show: strengths at 1.5, 4 and 12 times the least detectable one.
+"""How strong an effect must be to show: 1.5, 4 and 12 times the least detectable strength.
 
 A reference session (8 rich runs of 12 s) is driven without noise by the healthy car and by the car
 with the effect. In windows of 1 s the difference of the poses, in each window's own start frame, is
@@ -54,7 +54,7 @@ def _cut(poses: Array) -> Array:
     """Windows (n, 60) of poses (steps, 3), each in the frame of its first pose."""
     pieces = []
     for first in range(LEAD, len(poses) - _WINDOW, _WINDOW):
-        x0, y0, yaw0 = poses[first]
+        yaw0 = poses[first, 2]
         piece = poses[first + _SAMPLE : first + _WINDOW + 1 : _SAMPLE] - poses[first]
         c, s = np.cos(yaw0), np.sin(yaw0)
         along, left = c * piece[:, 0] + s * piece[:, 1], c * piece[:, 1] - s * piece[:, 0]

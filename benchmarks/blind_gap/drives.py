@@ -174,7 +174,7 @@ def make_orders(
     drive: str,
     seconds: float,
     rng: np.random.Generator,
-    route: str = "",
+    route: Array | None = None,
     freeze: float = 0.0,
     cut: float = 0.0,
 ) -> Orders:
@@ -184,12 +184,12 @@ def make_orders(
         drive: a temper (`rich`, `medium`, `gentle`).
         seconds: length of the recording.
         rng: where the drive comes from.
-        route: name of a route to lap in closed loop; empty for open-loop driving.
+        route: rows x, y, curvature to lap in closed loop; None for open-loop driving.
         freeze: length of the servo's freezes [s].
         cut: length of the motor's drop-outs [s].
     """
     steer, speed = make_open_loop(drive, seconds, rng)
-    line = make_route(route, rng) if route else np.zeros((0, 3))
+    line = np.zeros((0, 3)) if route is None else route
     held = make_spells(seconds, freeze, 1.5, rng)
     dead = make_spells(seconds, cut, 3.0, rng)
     lateral = 0.8 * TEMPERS[drive].lateral
