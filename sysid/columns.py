@@ -244,6 +244,7 @@ def sample(
     ds: "Array",
     after: "Array",
     da: "Array",
+    z: "Array",
     seen: "Array",
     w: "Array",
     j: "Array",
@@ -255,12 +256,12 @@ def sample(
         p: parameters; q: constants; h: step.
         share: 0 to 1, straight between the steps' states; `rate`: its columns.
         state: before the step, with columns `ds`; `after`, `da` after it.
+        z: workspace.
         seen: the five readings; their columns are rows 7 to 11 of `w`.
         w: workspace.
         j: workspace.
         n: columns.
     """
-    z = np.empty(7)
     for row in range(7):
         a, move = row * COLUMNS, after[row] - state[row]
         z[row] = state[row] + share * move
@@ -347,19 +348,20 @@ def read_station(
     da: "Array",
     wo: "Array",
     points: "tuple[Array, ...]",
+    scale: "Array",
     y: "Array",
     jy: "Array",
     n: int,
 ) -> None:
     """One station's readings and their columns into their rows."""
     seen, rate = points[5], pose_columns[station[3]]
-    sample(p, q, h, share, rate, state, ds, after, da, seen, wo, points[6], n)
+    sample(p, q, h, share, rate, state, ds, after, da, points[2], seen, wo, points[6], n)
     channel, row = station[1], station[2]
     for c in range(3 if station[3] == 1 else 1):
         y[row + c] = seen[channel + c]
-        b = (7 + channel + c) * COLUMNS
+        b, unit = (7 + channel + c) * COLUMNS, scale[row + c]
         for i in range(n):
-            jy[row + c, i] = wo[b + i]
+            jy[row + c, i] = unit * wo[b + i]
 
 
 @point
@@ -379,6 +381,7 @@ def march_window(
     dfirst: "Array",
     stations: "Array",
     shares: "Array",
+    scale: "Array",
     y: "Array",
     jy: "Array",
     n: int,
@@ -411,7 +414,7 @@ def march_window(
             share = shares[station] + (stations[station, 0] - k)
             read_station(
                 p, q, h, stations[station], share, pose_columns, state, ds, after, da, wo,
-                points, y, jy, n,
+                points, scale, y, jy, n,
             )  # fmt: skip
             station += 1
         if k % 64 == 0:
@@ -436,6 +439,7 @@ def sensitivities(
     stations: "Array",
     shares: "Array",
     spans: "Array",
+    scale: "Array",
     y: "Array",
     jy: "Array",
     n: int,
@@ -457,6 +461,7 @@ def sensitivities(
         stations: (S, 4) step, first reading, row of `y`, and whether poses are late; sorted.
         shares: (S,) place within the step, 0 to 1 (outside: extended).
         spans: (W + 1,) which stations belong to which window.
+        scale: (rows,) by which each row of derivatives is multiplied.
         y: readings, written; a pose writes three.
         jy: (rows, >= n) their derivatives, written.
         n: columns in use, a multiple of 8.
@@ -467,5 +472,5 @@ def sensitivities(
         a, b = spans[w], spans[w + 1]
         march_window(
             p, q, h, tableau, seeds, late, late_columns, commands, windows[w], t[w], substeps,
-            first[w], dfirst, stations[a:b], shares[a:b], y, jy, n,
+            first[w], dfirst, stations[a:b], shares[a:b], scale, y, jy, n,
         )  # fmt: skip

@@ -18,7 +18,6 @@ from sysid.objective import (
 
 Array = NDArray[np.float64]
 
-DAMPING_FIRST = 1e-3
 DAMPING_MIN = 1e-10
 DAMPING_MAX = 1e9
 
@@ -30,11 +29,13 @@ class Effort(NamedTuple):
         iterations: accepted steps at most.
         step: end when a step is shorter, in standard deviations of the coordinates.
         drop: end when a step lowers the cost by a smaller share.
+        damping: of the first step, relative to the diagonal.
     """
 
     iterations: int
     step: float
     drop: float
+    damping: float = 1e-7
 
 
 class Descent(NamedTuple):
@@ -73,17 +74,19 @@ def _trial(
     return np.clip(z + dz, low, high), x + dx
 
 
-def descend(problem: Problem, z: Array, x: Array, effort: Effort) -> Descent:
-    """Minimise from a start.
+def descend(
+    problem: Problem, z: Array, x: Array, effort: Effort, at: Evaluation | None = None
+) -> Descent:
+    """Minimise from a start; `at` is the evaluation there, if it is known.
 
     Raises:
         FloatingPointError: the simulation is not finite at the start.
     """
-    at = problem.evaluate(z, x)
+    at = at or problem.evaluate(z, x)
     if not at.finite:
         raise FloatingPointError("the simulation diverges at the start values")
     limit = robust_limit(at.error)
-    costs, damping, converged = [cost_of(at, limit)], DAMPING_FIRST, False
+    costs, damping, converged = [cost_of(at, limit)], effort.damping, False
     normal = normal_equations(problem, at, limit)
     for _ in range(effort.iterations):
         cost = cost_of(at, limit)
@@ -117,7 +120,7 @@ def _improve(
         at = problem.evaluate(z_new, x_new)
         lower = cost_of(at, limit)
         if lower < cost:
-            return (z_new, x_new, at, lower), max(0.1 * damping, DAMPING_MIN)
+            return (z_new, x_new, at, lower), max(0.03 * damping, DAMPING_MIN)
         if cost - lower > -1e-9 * cost and np.abs(z_new - z).max(initial=0.0) < 1e-9:
             break
         damping *= 10.0

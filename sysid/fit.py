@@ -20,7 +20,7 @@ from sysid.dataset import Run
 from sysid.descend import Descent, Effort, descend
 from sysid.gate import check_excited
 from sysid.kernels import Kernels, delays_of, make_kernels, model_of, parameter_vector
-from sysid.objective import Problem, information
+from sysid.objective import Evaluation, Problem, information
 from sysid.tells import Combination, Direction, Estimate, combinations, directions, estimates
 from sysid.windows import FLOORS, GROUPS, Layout, estimate_noise, make_layout, speed_range
 
@@ -35,9 +35,13 @@ TYRES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
 """What the paper identifies."""
 HORIZONS: tuple[float, ...] = (0.5, 2.0, np.inf)
 """Windows' lengths [s], one stage each."""
-_ROUGH, _FINE = Effort(6, 0.5, 1e-2), Effort(40, 1e-2, 1e-9)
+_ROUGH, _FINE = Effort(6, 0.5, 1e-2, 1e-4), Effort(40, 0.1, 1e-9)
 _SPEED_OF_COMMANDS = ("speed_gain", "speed_lag", "drive_delay", "accel_max", "decel_max")
-_NOISE_ROUNDS = 2
+_NOISE_ROUNDS = 4
+_NOISE_SETTLED = 0.03
+"""Noise levels that change by a smaller share are settled."""
+_ROUGH_SECONDS = 20.0
+"""Windows before the last stage only prepare it: this much of the drives is enough [s]."""
 
 
 @dataclass(frozen=True)
@@ -153,15 +157,19 @@ class _Work:
     def problem(self, horizon: float, z: Array) -> Problem:
         """The stage's problem: windows cut for the pose delay as it is believed now."""
         late = float(delays_of(self.kernels, self.chart.parameters(z))[2])
-        layout = make_layout(self.runs, horizon, late)
+        last = horizon == self.options.horizons[-1]
+        most = np.inf if last else _ROUGH_SECONDS
+        layout = make_layout(self.runs, horizon, late, most)
         return Problem(
             self.kernels, self.chart, layout, self.sigma, self.speeds,
             self.options.integrator, self.options.substeps,
         )  # fmt: skip
 
-    def descend(self, problem: Problem, z: Array, x: Array, effort: Effort) -> Descent:
+    def descend(
+        self, problem: Problem, z: Array, x: Array, effort: Effort, at: Evaluation | None = None
+    ) -> Descent:
         """One descent, counted."""
-        found = descend(problem, z, x, effort)
+        found = descend(problem, z, x, effort, at)
         self.evaluations += problem.evaluations
         problem.evaluations = 0
         self.costs.append(found.costs)
@@ -205,18 +213,19 @@ def fit(
     work = _Work(kernels, chart, runs, options, sigma, speed_range(runs))
     low, high = chart.bounds()
     tried = [parameter_vector(start) for start in (starts or (model,))]
-    z, x, problem = _first_stage(work, [np.clip(chart.coordinates(p), low, high) for p in tried])
+    found, problem = _first_stage(work, [np.clip(chart.coordinates(p), low, high) for p in tried])
     for horizon in options.horizons[1:]:
-        wider = work.problem(horizon, z)
-        x = _carry(problem, x, wider)
+        wider = work.problem(horizon, found.z)
+        x = _carry(problem, found.x, wider)
         problem = wider
         last = horizon == options.horizons[-1]
-        found = work.descend(problem, z, x, _FINE if last else _ROUGH)
-        z, x = found.z, found.x
-    return _finish(work, problem, z, x, signal)
+        found = work.descend(problem, found.z, x, _FINE if last else _ROUGH)
+    if options.noise is None:
+        found = _settle_noise(work, problem, found)
+    return _report(work, problem, found, signal)
 
 
-def _first_stage(work: _Work, starts: Sequence[Array]) -> tuple[Array, Array, Problem]:
+def _first_stage(work: _Work, starts: Sequence[Array]) -> tuple[Descent, Problem]:
     """Short windows from every start; the lowest cost goes on."""
     best: tuple[float, Descent, Problem] | None = None
     for z in starts:
@@ -231,7 +240,7 @@ def _first_stage(work: _Work, starts: Sequence[Array]) -> tuple[Array, Array, Pr
             best = (cost, found, problem)
     if best is None:
         raise FloatingPointError("the simulation diverges at every start")
-    return best[1].z, best[1].x, best[2]
+    return best[1], best[2]
 
 
 def _carry(old: Problem, x: Array, new: Problem) -> Array:
@@ -259,13 +268,19 @@ def residual_noise(problem: Problem, found: Descent) -> Array:
     return np.maximum(noise, FLOORS)
 
 
-def _finish(work: _Work, problem: Problem, z: Array, x: Array, signal: Array) -> Fit:
-    """Weigh the groups by their residuals, settle, and report."""
-    found = work.descend(problem, z, x, _FINE)
-    if work.options.noise is None:
-        for _ in range(_NOISE_ROUNDS):
-            problem.sigma = residual_noise(problem, found)
-            found = work.descend(problem, found.z, found.x, _FINE)
+def _settle_noise(work: _Work, problem: Problem, found: Descent) -> Descent:
+    """Weigh the groups by their residuals until both stay."""
+    for _ in range(_NOISE_ROUNDS):
+        noise = residual_noise(problem, found)
+        change = float(np.abs(np.log(noise / problem.sigma)).max())
+        at = problem.rescaled(found.at, noise)
+        found = work.descend(problem, found.z, found.x, _FINE, at)
+        if change < _NOISE_SETTLED:
+            break
+    return found
+
+
+def _report(work: _Work, problem: Problem, found: Descent, signal: Array) -> Fit:
     chart = work.chart
     told = information(found.normal)
     covariance = np.linalg.inv(told)

@@ -242,6 +242,7 @@ def read(
     held: Held,
     windows: Windows,
     stations: Stations,
+    scale: Array | None = None,
 ) -> tuple[Array, Array]:
     """Instrument readings and their derivatives.
 
@@ -254,9 +255,10 @@ def read(
         held: the commands.
         windows: the windows.
         stations: where to read.
+        scale: (rows,) by which each row of derivatives is multiplied.
 
     Returns:
-        Readings (rows,) and derivatives (rows, columns).
+        Readings (rows,) and (scaled) derivatives (rows, columns).
 
     Raises:
         ValueError: more columns than a kernel holds.
@@ -267,12 +269,13 @@ def read(
     padded = -(-columns // 8) * 8
     state = np.zeros((len(first), 7 + kernels.memory))
     state[:, :7] = first
-    y, jy = np.zeros(stations.rows), np.zeros((stations.rows, padded))
+    y, jy = np.empty(stations.rows), np.empty((stations.rows, padded))
+    scale = np.ones(stations.rows) if scale is None else scale
     kernels.module.sensitivities(
         parameters, constants_of(kernels, parameters, held.fine), held.fine,
         TABLEAUS[held.integrator], _padded(seeds, padded), held.rows, windows.spans, windows.t,
         held.substeps, state, _padded(dfirst, padded), stations.places, stations.shares,
-        stations.spans, y, jy, padded,
+        stations.spans, scale, y, jy, padded,
     )  # fmt: skip
     return y, jy[:, :columns]
 

@@ -82,19 +82,18 @@ class Problem:
         """Errors and derivatives at coordinates `z` and initial states `x`."""
         self.evaluations += 1
         parameters, n = self.chart.parameters(z), len(z)
-        y, jy = self._read(parameters, z, x)
+        scale = 1.0 / self.sigma[self.layout.group]
+        y, jy = self._read(parameters, z, x, scale)
         error = self.layout.values - y
         yaw = self.layout.group == GROUPS.index("yaw")
         error[yaw] = (error[yaw] + np.pi) % (2.0 * np.pi) - np.pi
-        scale = 1.0 / self.sigma[self.layout.group]
         prior_z = (self.chart.coordinates(self.chart.prior) - z) / self.chart.spread
         prior_x = (self.layout.guess - x) / self.spread_x
         error *= scale
-        jy *= scale[:, None]
         finite = bool(np.isfinite(error).all() and self.chart.allowed(parameters))
-        return Evaluation(error, jy[:, : n + STATES], prior_z, prior_x, finite)
+        return Evaluation(error, jy, prior_z, prior_x, finite)
 
-    def _read(self, parameters: Array, z: Array, x: Array) -> tuple[Array, Array]:
+    def _read(self, parameters: Array, z: Array, x: Array, scale: Array) -> tuple[Array, Array]:
         n, layout = len(z), self.layout
         substeps = self.substeps or stable_substeps(
             model_of(self.kernels, parameters).car, *self.speeds, layout.h
@@ -110,8 +109,15 @@ class Problem:
         dfirst[:, n:] = np.eye(STATES)
         windows = layout.kernel_windows(substeps)
         return read(
-            self.kernels, parameters, seeds, x, dfirst, held, windows, self._stations[key]
+            self.kernels, parameters, seeds, x, dfirst, held, windows, self._stations[key], scale
         )
+
+
+    def rescaled(self, at: Evaluation, sigma: Array) -> Evaluation:
+        """Take other noise levels, and give the same evaluation under them."""
+        ratio = (self.sigma / sigma)[self.layout.group]
+        self.sigma = sigma
+        return at._replace(error=at.error * ratio, slopes=at.slopes * ratio[:, None])
 
 
 def robust_limit(error: Array) -> float:
@@ -141,8 +147,13 @@ class Normal(NamedTuple):
 def normal_equations(problem: Problem, at: Evaluation, limit: float) -> Normal:
     """Gauss-Newton equations with Huber's weights."""
     n, bounds = len(at.prior_z), problem.layout.bounds
-    weight = np.sqrt(np.minimum(1.0, limit / np.maximum(np.abs(at.error), 1e-300)))
-    slopes, error = at.slopes * weight[:, None], at.error * weight
+    slopes, error = at.slopes, at.error
+    far = np.flatnonzero(np.abs(error) > limit)
+    if len(far):
+        weight = np.sqrt(limit / np.abs(error[far]))
+        slopes, error = slopes.copy(), error.copy()
+        slopes[far] *= weight[:, None]
+        error[far] *= weight
     count = len(bounds) - 1
     squares = np.empty((count, n + STATES, n + STATES))
     pulls = np.empty((count, n + STATES))

@@ -22,6 +22,7 @@ SETTLE = 0.5
 """Known commands that the actuators run through before a window [s]."""
 POSES_MIN = 4
 """A window that sees fewer poses is left out (its initial state would be free)."""
+_WINDOWS_MIN = 8
 _REACH = 0.12
 """Poses within this time of a window's start give its first guess [s]."""
 
@@ -146,13 +147,16 @@ def _cut_run(run: Run, number: int, low: int, horizon: float, pose_delay: float)
     return cuts
 
 
-def make_layout(runs: Sequence[Run], horizon: float, pose_delay: float = 0.0) -> Layout:
+def make_layout(
+    runs: Sequence[Run], horizon: float, pose_delay: float = 0.0, most: float = np.inf
+) -> Layout:
     """Cut runs into windows of about `horizon` seconds (whole runs when it is longer).
 
     Args:
         runs: on one grid.
         horizon: [s].
         pose_delay: how late poses are, as far as it is known [s].
+        most: take windows of this many seconds in all, evenly from the whole [s].
 
     Raises:
         ValueError: the runs' grids differ, or no window sees enough poses.
@@ -167,7 +171,10 @@ def make_layout(runs: Sequence[Run], horizon: float, pose_delay: float = 0.0) ->
     ]
     if not cuts:
         raise ValueError(f"no window of {horizon:g} s sees {POSES_MIN} poses")
-    return _assemble(runs, cuts)
+    enough = max(_WINDOWS_MIN, int(most / horizon)) if np.isfinite(most) else len(cuts)
+    keep = min(len(cuts), enough)
+    chosen = np.linspace(0, len(cuts) - 1, keep).round().astype(int)
+    return _assemble(runs, [cuts[i] for i in chosen])
 
 
 def _assemble(runs: Sequence[Run], cuts: Sequence[_Cut]) -> Layout:
