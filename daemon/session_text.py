@@ -47,14 +47,16 @@ def _item(label: str, text: str) -> list[str]:
 
 
 def _car(report: SessionReport) -> str:
-    about = report.info.metadata.get("steerd.session", {})
+    about = report.info.metadata.get("steerd.session")
+    if about is None:
+        return ", ".join(filter(None, (clean(report.car), "not recorded by steerd")))
     modes = {
         "hw": "on the car",
         "sim": "simulated hardware",
         "import": f"imported from {clean(about.get('source', 'another log'))}",
     }
-    mode = modes.get(report.mode, clean(report.mode)) or "no session record: not written by steerd"
-    return ", ".join(part for part in (clean(report.car), mode) if part)
+    mode = modes.get(report.mode, clean(report.mode))
+    return ", ".join(filter(None, (clean(report.car), mode)))
 
 
 def _when(report: SessionReport) -> str:
@@ -71,13 +73,14 @@ def _when(report: SessionReport) -> str:
 
 def _end(report: SessionReport) -> str:
     metadata = report.info.metadata
+    recovered = metadata.get("steerd.recovered", {}).get("source", "")
+    tail = f"; recovered from {clean(recovered)}" if recovered else ""
     if report.info.clean:
         dropped = metadata["steerd.end"].get("dropped", "0")
-        tail = "" if dropped in ("0", "") else f", {clean(dropped)} messages dropped"
-        return f"{clean(report.end) or 'recorded'}{tail}"
-    if "steerd.recovered" in metadata:
-        source = clean(metadata["steerd.recovered"].get("source", ""))
-        return f"not recorded: the recorder was killed; recovered from {source}"
+        lost = "" if dropped in ("0", "") else f", {clean(dropped)} messages dropped"
+        return f"{clean(report.end) or 'recorded'}{lost}{tail}"
+    if recovered:
+        return f"not recorded: the recorder was killed{tail}"
     if report.info.finished:
         return "not recorded"
     name = clean(str(report.info.path))

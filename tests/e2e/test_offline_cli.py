@@ -1,0 +1,216 @@
+"""The offline session commands as a person types them, on the two real data sets."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from car_model.effects import ALIASES, EFFECTS, parse_effect
+from daemon.cli import guarded
+from steer_bus.messages import Actuation, MocapPose, Throttle, WheelSpeed
+from steer_bus.session import open_session
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT.parent / "shared" / "data"
+DART = "rubber_free__09_16_2024_10_27_02.csv"
+
+
+def data_file(*parts):
+    path = DATA.joinpath(*parts)
+    if not path.exists():
+        pytest.skip(f"the recorded drives are not here: ../shared/data/{'/'.join(parts)}")
+    return path
+
+
+def import_csv(source, map_name, out):
+    the_map = ROOT / "examples" / map_name
+    return guarded(["import", "csv", str(source), "--map", str(the_map), "-o", str(out)])
+
+
+def info(path, capsys):
+    assert guarded(["info", str(path), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def read_csv(path):
+    return np.genfromtxt(path, delimiter=",", names=True)
+
+
+def test_a_dart_drive(tmp_path, capsys):
+    source, out = data_file("dart", DART), tmp_path / "dart.mcap"
+    assert import_csv(source, "import-dart.toml", out) == 0
+    shown = capsys.readouterr()
+    assert len(shown.out.splitlines()) < 24
+    assert shown.err == ""
+    table, session = read_csv(source), open_session(out)
+    pose, command = session.columns(MocapPose), session.columns(Actuation)
+    assert pose["t_valid_ns"] * 1e-9 == pytest.approx(table["t"], abs=1e-9)
+    assert pose["x_raw"].tolist() == table["x"].tolist()
+    marker = 0.115 - 0.093
+    assert pose["x"] == pytest.approx(table["x"] - marker * np.cos(table["yaw"]), abs=1e-12)
+    assert pose["y"] == pytest.approx(table["y"] - marker * np.sin(table["yaw"]), abs=1e-12)
+    assert command["steer"] == pytest.approx(0.38 * table["steer_cmd"])
+    assert np.isnan(command["speed"]).all()
+    assert session.columns(WheelSpeed)["speed"].tolist() == table["enc_v"].tolist()
+    throttle = np.where(table["safety"] > 0, table["throttle"], 0.0)
+    assert session.columns(Throttle)["throttle"].tolist() == throttle.tolist()
+    document = info(out, capsys)
+    assert (document["car"], document["mode"], document["end"]) == ("dart", "import", "imported")
+    assert document["duration_s"] == pytest.approx(np.ptp(table["t"]), abs=1e-6)
+    names = ("mocap", "actuation", "throttle", "wheel")
+    counts = {topic["name"]: topic["count"] for topic in document["topics"]}
+    assert counts == {f"/steerd/dart/{name}": len(table) for name in names}
+    assert document["topics"][0]["rate_hz"] == pytest.approx(100.0, rel=0.01)
+    # The data's own page: up to 9.9 m/s^2; the wheel drives the path's length.
+    drive = document["drive"]
+    assert drive["lateral_accel"]["high"] == pytest.approx(9.9, abs=0.3)
+    wheel = float(np.sum(table["enc_v"][:-1] * np.diff(table["t"])))
+    assert drive["length_m"] == pytest.approx(wheel, rel=0.1)
+    assert drive["excitation"] == []
+    assert document["warnings"] == []
+
+
+@pytest.mark.parametrize(
+    "path", sorted(DATA.glob("dart/*.csv")) or ["absent"], ids=lambda p: Path(p).stem[-20:]
+)
+def test_every_dart_drive_raises_no_doubt(tmp_path, capsys, path):
+    out = tmp_path / "dart.mcap"
+    assert import_csv(data_file("dart", Path(path).name), "import-dart.toml", out) == 0
+    assert capsys.readouterr().err == ""
+    document = info(out, capsys)
+    assert document["warnings"] == []
+    assert document["drive"]["length_m"] > 50.0
+    constant = [line for line in document["drive"]["excitation"] if "steering is constant" in line]
+    assert bool(constant) == ("free" not in Path(path).name)
+
+
+@pytest.mark.parametrize(("name", "top_speed"), [("DS1.csv", 4.9), ("DS3.csv", 1.5)])
+def test_the_f1tenth_drives(tmp_path, capsys, name, top_speed):
+    source, out = data_file("f1tenth_upenn", name), tmp_path / "a.mcap"
+    assert import_csv(source, "import-f1tenth-upenn.toml", out) == 0
+    assert capsys.readouterr().err == ""
+    table, session = read_csv(source), open_session(out)
+    pose, command = session.columns(MocapPose), session.columns(Actuation)
+    assert pose["x"].tolist() == table["x"].tolist()
+    assert np.cos(pose["yaw"]) == pytest.approx(np.cos(table["yaw"]), abs=1e-12)
+    assert np.abs(pose["yaw"]).max() <= np.pi
+    assert command["steer"].tolist() == table["steer_cmd"].tolist()
+    assert command["speed"].tolist() == table["speed_cmd"].tolist()
+    document = info(out, capsys)
+    drive = document["drive"]
+    assert drive["speed"]["high"] == pytest.approx(top_speed, abs=0.1)
+    wheel = float(np.sum(np.abs(table["vesc_odom_vx"])[:-1] * np.diff(table["t"])))
+    assert drive["length_m"] == pytest.approx(wheel, rel=0.05)
+    assert 20.0 < document["topics"][0]["rate_hz"] < 45.0
+    assert document["warnings"] == []
+
+
+def test_rosbags_reads_an_import(tmp_path, capsys):
+    source, out = data_file("f1tenth_upenn", "DS1.csv"), tmp_path / "a.mcap"
+    import_csv(source, "import-f1tenth-upenn.toml", out)
+    capsys.readouterr()
+    with AnyReader([out]) as reader:
+        found = [
+            reader.deserialize(data, connection.msgtype).steer
+            for connection, _, data in reader.messages()
+            if connection.topic == "/steerd/f1tenth/actuation"
+        ]
+    assert found == read_csv(source)["steer_cmd"].tolist()
+
+
+def test_a_wrong_unit_is_warned_of(tmp_path, capsys):
+    t = np.arange(1000) * 0.01
+    rows = [f"{s},{1000 * 2 * np.sin(s)},{2000 * (1 - np.cos(s))},{s}" for s in t.tolist()]
+    (tmp_path / "a.csv").write_text("\n".join(["t,x,y,yaw", *rows]))
+    names = "\n".join(f'{name} = "{name}"' for name in ("t", "x", "y", "yaw"))
+    (tmp_path / "a.toml").write_text(f"[columns]\n{names}\n")
+    argv = ["import", "csv", str(tmp_path / "a.csv"), "--map", str(tmp_path / "a.toml")]
+    assert guarded([*argv, "-o", str(tmp_path / "a.mcap")]) == 0
+    assert "millimetres" in capsys.readouterr().err
+
+
+def test_errors_are_two_lines(tmp_path, capsys):
+    (tmp_path / "a.csv").write_text("time,v\n0,1\n")
+    (tmp_path / "a.toml").write_text('[columns]\nt = "t"\nwheel_speed = "v"\n')
+    argv = ["import", "csv", str(tmp_path / "a.csv"), "--map", str(tmp_path / "a.toml")]
+    assert guarded([*argv, "-o", str(tmp_path / "a.mcap")]) == 4
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err == (
+        "steerd: a.csv has no column 't', which the map names for t\n   try: in the map, 'time'\n"
+    )
+    assert not (tmp_path / "a.mcap").exists()
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_each_effect_is_told(name, capsys):
+    assert guarded(["effects", name]) == 0
+    text = capsys.readouterr().out
+    effect = EFFECTS[name]
+    assert effect.equation in text
+    assert all(p.name in text and p.meaning in text for p in effect.parameters)
+    example = text.rpartition("--effect ")[2].strip()
+    parsed, values = parse_effect(example)
+    assert parsed is effect
+    assert any(value != p.null for value, p in zip(values, effect.parameters, strict=True))
+
+
+def test_all_effects_in_a_table(capsys):
+    assert guarded(["effects"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {line.split()[0] for line in lines if line.startswith("  ")} == set(EFFECTS)
+    assert all(any(e.equation in line for line in lines) for e in EFFECTS.values())
+    assert guarded(["effects", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert {effect["name"] for effect in document["effects"]} == set(EFFECTS)
+
+
+def test_aliases_and_unknown_effects(capsys):
+    alias, name = next(iter(ALIASES.items()))
+    assert guarded(["effects", alias]) == 0
+    assert capsys.readouterr().out.startswith(f"{name}:")
+    assert guarded(["effects", "steer_dely"]) == 2
+    assert "did you mean 'steer_delay'?" in capsys.readouterr().err
+
+
+def test_the_page_of_effects_is_the_library(capsys):
+    assert guarded(["effects", "--page"]) == 0
+    assert capsys.readouterr().out == (ROOT / "docs" / "effects.md").read_text()
+
+
+_LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
+resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
+from daemon.cli import guarded
+raise SystemExit(guarded(sys.argv[1:]))
+"""
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("command", ["info", "recover"])
+def test_damage_within_a_gigabyte(tmp_path, command):
+    """The safety page's bounds for one file: 1 GiB of address space, 60 s."""
+    import zstandard
+
+    bomb = zstandard.compress(bytes(2 << 30))
+    path = tmp_path / "a.mcap"
+    times = bytes(16) + (2 << 30).to_bytes(8, "little") + bytes(4)
+    body = times + b"\x04\0\0\0zstd" + len(bomb).to_bytes(8, "little") + bomb
+    path.write_bytes(b"\x89MCAP0\r\n\x06" + len(body).to_bytes(8, "little") + body)
+    done = subprocess.run(
+        [sys.executable, "-c", _LIMITED, command, str(path)],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={"OPENBLAS_NUM_THREADS": "1", "PATH": ""},
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 4, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.startswith("steerd: ")
