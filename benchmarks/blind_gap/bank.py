@@ -197,14 +197,16 @@ def needs_place(case: Case) -> bool:
     return any(places) or (bool(case.outside) and OUTSIDE[case.outside].needs_place)
 
 
-def make_plan(source: Source, limit: int | None = None) -> list[Case]:
+def make_plan(source: Source, limit: int | None = None, blocks: tuple[str, ...] = ()) -> list[Case]:
     """The set's cases under opaque names; `limit` keeps every part's share of the whole.
 
     Every case has a rank between 0 and 1, spread evenly within its block; the first `limit` ranks
-    stay, and names are dealt out after shuffling, so that neither tells what a case is.
+    stay, and names are dealt out after shuffling, so that neither tells what a case is. `blocks`
+    keeps only those whose name starts with one of them; cases keep their seeds.
     """
     cases = [case for part in _PARTS for case in part(source)]
     cases = [_filled(source, case, seed) for seed, case in enumerate(cases)]
+    cases = [case for case in cases if not blocks or case.block.startswith(blocks)]
     rng, ranks = source.rng("order"), np.empty(len(cases))
     blocks = np.array([case.block for case in cases])
     for block in sorted(set(blocks.tolist())):

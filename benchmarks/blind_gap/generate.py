@@ -150,7 +150,12 @@ def _car_name(number: int) -> str:
 
 
 def generate(
-    set_name: str, out: Path, limit: int | None = None, nonce: int | None = None, jobs: int = 1
+    set_name: str,
+    out: Path,
+    limit: int | None = None,
+    nonce: int | None = None,
+    jobs: int = 1,
+    blocks: tuple[str, ...] = (),
 ) -> Path:
     """Write a set.
 
@@ -160,6 +165,7 @@ def generate(
         limit: number of cases; every part of the bank keeps its share.
         nonce: fixes the set; drawn for `report`, 0 for `tuning` if left out.
         jobs: processes.
+        blocks: only parts of the bank whose names start so; all if empty.
 
     Returns:
         The manifest.
@@ -170,7 +176,7 @@ def generate(
     if nonce is None:
         nonce = secrets.randbits(63) if set_name == "report" else 0
     source = Source(set_name, nonce)
-    plan = make_plan(source, limit)
+    plan = make_plan(source, limit, blocks)
     out.mkdir(parents=True)
     cars = sorted({case.car for case in plan})
     tasks = [delayed(write_car)(source, number, out) for number in cars]
@@ -187,6 +193,7 @@ def generate(
         "set": set_name,
         "nonce": nonce,
         "limit": limit,
+        "blocks": list(blocks),
         "cases": [label for _, label in done],
     }
     return _save(out, manifest, labels)

@@ -1,0 +1,145 @@
+"""`docs/blind-test.md`: the scores against the targets, with tables and two pictures."""
+
+from collections.abc import Callable, Iterable, Mapping
+from math import isnan
+from pathlib import Path
+
+from benchmarks.blind_gap.plots import plot_calibration, plot_confusion
+from benchmarks.blind_gap.score import Rate, Scores
+
+
+def _percent(value: float) -> str:
+    return "-" if isnan(value) else f"{100 * value:.1f} %"
+
+
+def _rate(r: Rate) -> str:
+    if not r.total:
+        return "-"
+    low, high = (100 * bound for bound in r.interval)
+    return f"{_percent(r.value)} ({r.hits}/{r.total}; {low:.0f} to {high:.0f})"
+
+
+def _number(value: float, digits: int = 1, unit: str = "") -> str:
+    return "-" if isnan(value) else f"{value:.{digits}f}{unit}"
+
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    titles = list(head)
+    lines = [titles, ["---"] * len(titles), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def _met(value: float, test: Callable[[float], bool]) -> str:
+    return "-" if isnan(value) else ("yes" if test(value) else "no")
+
+
+def _row(title: str, got: str, target: str, value: float, limit: float, upper: bool) -> list[str]:
+    test = (lambda v: v <= limit) if upper else (lambda v: v >= limit)
+    return [title, got, target, _met(value, test)]
+
+
+def _share(title: str, r: Rate, limit: float, upper: bool = False) -> list[str]:
+    sign = "≤" if upper else "≥"
+    return _row(title, _rate(r), f"{sign} {100 * limit:.0f} %", r.value, limit, upper)
+
+
+def _size(title: str, value: float, limit: float, unit: str = "") -> list[str]:
+    return _row(title, _number(value, 1, unit), f"≤ {limit:g}{unit}", value, limit, True)
+
+
+_STRONG, _GENTLE = "rich, medium and large", "gentle, all"
+
+
+def _targets(s: Scores) -> str:
+    none = Rate(0, 0)
+    wrong = next(r for name, r in s.outside.items() if name.startswith("confident"))
+    rows = [
+        _share("false alarms on nulls", s.alarms["all nulls"], 0.02, upper=True),
+        _share("detection, rich, medium", s.detection.get("rich, medium", none), 0.90),
+        _share("detection, rich, large", s.detection.get("rich, large", none), 0.98),
+        _share("top-1 given detected, rich, medium and large", s.naming[_STRONG], 0.95),
+        _share(
+            "family given detected, rich, medium and large", s.naming[f"{_STRONG}: family"], 0.98
+        ),
+        _share("set holds the truth, rich, medium and large", s.coverage[_STRONG], 0.98),
+        _size("mean size of the set", s.set_size[_STRONG], 2.5),
+        _share("gentle: top-1 given detected", s.naming[_GENTLE], 0.60),
+        _share("gentle: set holds the truth", s.coverage[_GENTLE], 0.95),
+        _share("pairs: both named", s.pairs["both named"], 0.75),
+        _share("pairs: at least one named", s.pairs["at least one"], 0.95),
+        _share("outside the library: confident wrong name", wrong, 0.05, upper=True),
+        _size("parameter error, median", 100 * s.parameters.median, 5.0, " %"),
+        _size("parameter error, 90th percentile", 100 * s.parameters.p90, 20.0, " %"),
+        _size("shrinkage error, median", s.shrinkage.median, 5.0, " points"),
+        _size("shrinkage error, 90th percentile", s.shrinkage.p90, 15.0, " points"),
+    ]
+    return _table(("metric", "reached (counts; 95 % interval)", "target", "met"), rows)
+
+
+def _rates(title: str, rates: Mapping[str, Rate]) -> str:
+    return _table((title, "share"), ([name, _rate(r)] for name, r in rates.items()))
+
+
+def _by_drive(s: Scores) -> str:
+    rows = [
+        [row, _rate(s.detection[row]), _rate(s.naming[row]), _rate(s.naming[f"{row}: family"]),
+         _rate(s.coverage[row]), _number(s.set_size[row])]
+        for row in s.detection
+    ]  # fmt: skip
+    head = ("drive, severity", "detected", "top-1", "family", "in the set", "set size")
+    return _table(head, rows)
+
+
+def _by_effect(s: Scores) -> str:
+    rows = [
+        [f"`{name}`", _rate(found), _rate(named),
+         _number(100 * error.median, 1, " %"), _number(100 * error.p90, 1, " %")]
+        for name, (found, named, error) in s.by_effect.items()
+        if found.total
+    ]  # fmt: skip
+    return _table(("effect", "detected", "top-1", "parameter error", "90th percentile"), rows)
+
+
+def make_report(s: Scores, title: str, notes: Iterable[str], pictures: str) -> str:
+    """The page as Markdown; `pictures` is the folder of the figures as seen from the page."""
+    median, p90, longest = s.seconds
+    kinds = ", ".join(f"{count} {kind}" for kind, count in s.kinds.items())
+    parts = [
+        f"# {title}\n",
+        "Written by `python -m benchmarks.blind_gap score`; the protocol is in"
+        " `benchmarks/blind_gap/README.md`.\n",
+        "".join(f"- {note}\n" for note in notes)
+        + f"- {s.cases} cases: {kinds}; {s.missing} without a verdict.\n"
+        + f"- A diagnosis took {_number(median)} s in the median, {_number(p90)} s in 90 %,"
+        + f" {_number(longest)} s at most.\n",
+        "## Against the targets\n",
+        _targets(s),
+        "## By drive and severity\nTop-1, family and set are given detection.\n",
+        _by_drive(s),
+        "## False alarms\n",
+        _rates("null sessions", s.alarms),
+        "## Two causes at once\n",
+        _rates("pairs", s.pairs),
+        "## Outside the library\n",
+        _rates("defects that no effect describes", s.outside),
+        "## Controls that must fail\n",
+        _rates("control", s.controls),
+        "## By effect\nMedium and large, all drives.\n",
+        _by_effect(s),
+        f"## Calibration and confusion\n![calibration]({pictures}/blind-test-calibration.svg)\n\n"
+        f"![confusion by family]({pictures}/blind-test-confusion.svg)\n",
+    ]
+    return "\n".join(parts)
+
+
+def write_report(s: Scores, path: Path, title: str, notes: Iterable[str]) -> None:
+    """Write page and pictures.
+
+    Raises:
+        OSError: the disk does not take them.
+    """
+    folder = path.parent / "images"
+    folder.mkdir(parents=True, exist_ok=True)
+    plot_calibration(s, folder / "blind-test-calibration.svg")
+    plot_confusion(s, folder / "blind-test-confusion.svg")
+    path.write_text(make_report(s, title, notes, folder.name))
