@@ -11,7 +11,7 @@ from car_model.params import Car
 from car_model.single_track import derivative
 from car_model.state import State
 from car_model.straight_line import FUNCTIONS, written
-from car_model.tape import TAPE, Node, Tape, gradient
+from car_model.tape import TAPE, Node, Tape, jacobian
 
 TARGET = Path(__file__).with_name("jacobian_generated.py")
 PER_LINE = 8
@@ -57,7 +57,7 @@ def recorded() -> list[Node]:
     wheel, accel = tape.symbol("wheel"), tape.symbol("accel")
     rates = derivative(TAPE, car, state, wheel, accel)
     along = (*state[:6], wheel, accel)
-    return [*rates, *(slope for rate in rates for slope in gradient([(rate, 1.0)], along))]
+    return [*rates, *(slope for row in jacobian(rates, along) for slope in row)]
 
 
 def generated_text() -> str:

@@ -307,6 +307,11 @@ def gradient(seeds: Iterable[tuple[Node, Node | float]], by: Sequence[Node]) -> 
     return [bars.get(node.place, tape.constant(0.0)) for node in by]
 
 
+def jacobian(outputs: Iterable[Node], by: Sequence[Node]) -> list[list[Node]]:
+    """Derivatives of each output (rows) with respect to each of `by` (columns)."""
+    return [gradient([(output, 1.0)], by) for output in outputs]
+
+
 def needed(targets: Iterable[Node]) -> list[int]:
     """Places that the targets depend on, in the order of computation."""
     seen: set[int] = set()

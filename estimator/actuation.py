@@ -6,13 +6,16 @@ kept; between the instants at which one arrives, `car_model.actuate` is exact.
 
 import math
 from bisect import bisect_left, bisect_right
+from collections.abc import Callable
+from functools import lru_cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
-from car_model.ops import FLOAT
 from car_model.params import Car
-from car_model.single_track import LAG_FLOOR, actuate, references
+from car_model.single_track import actuate, references
 from car_model.state import Command, State
+from car_model.straight_line import compiled
+from car_model.tape import TAPE, Tape, gradient
 
 NS = 1_000_000_000
 SECONDS = 1e-9
@@ -82,20 +85,28 @@ def drive(
     car: Car[float], history: History, steer: float, speed: float, start_ns: int, end_ns: int
 ) -> Driven:
     """Steering and drive from `start_ns` to `end_ns`, from angle `steer` and `speed`."""
-    late = dead_times(car)
+    late, piece = dead_times(car), _piece(car)
     turned, gained = 0.0, 0.0
     now, by_steer, by_speed, turned_by_steer = steer, 1.0, 1.0, 0.0
-    cuts = _cuts(history, late, start_ns, end_ns)
-    for begin, end in pairwise(cuts):
+    for begin, end in pairwise(_cuts(history, late, start_ns, end_ns)):
         h = (end - begin) * SECONDS
-        part = _piece(car, held(history, begin - late[0]), held(history, begin - late[1]),
-                      now, speed + gained, h)  # fmt: skip
-        after = by_steer * part.steer_by_steer
-        turned += 0.5 * h * (now + part.steer)
-        turned_by_steer += 0.5 * h * (by_steer + after)
-        gained += h * part.accel
-        by_speed *= 1.0 + h * part.accel_by_speed
-        now, by_steer = part.steer, after
+        steering, driving = held(history, begin - late[0]), held(history, begin - late[1])
+        after, accel, after_by_steer, accel_by_speed = piece(
+            steering.steer if steering else 0.0,
+            driving.speed if driving else 0.0,
+            now,
+            speed + gained,
+            h,
+        )
+        if steering is None:
+            after, after_by_steer = now, 1.0
+        if driving is None:
+            accel, accel_by_speed = 0.0, 0.0
+        turned += 0.5 * h * (now + after)
+        turned_by_steer += 0.5 * h * by_steer * (1.0 + after_by_steer)
+        gained += h * accel
+        by_speed *= 1.0 + h * accel_by_speed
+        now, by_steer = after, by_steer * after_by_steer
     span = (end_ns - start_ns) * SECONDS
     return Driven(
         steer=now,
@@ -121,26 +132,19 @@ def _cuts(history: History, late: tuple[int, int], start_ns: int, end_ns: int) -
     return [start_ns, *sorted(inside), end_ns]
 
 
-def _piece(
-    car: Car[float],
-    steering: Command[float] | None,
-    driving: Command[float] | None,
-    steer: float,
-    speed: float,
-    h: float,
-) -> Driven:
-    """One interval under constant commands: `actuate` and its derivatives."""
-    now = State(0.0, 0.0, 0.0, speed, 0.0, 0.0, steer)
-    asked = Command(steering.steer if steering else 0.0, driving.speed if driving else 0.0)
-    out = actuate(FLOAT, car, now, references(FLOAT, car, asked), h)
-    end, by_steer = steer, 1.0
-    if steering:
-        end = out.steer
-        slewing = abs(end - steer) >= car.steer_rate * h * (1.0 - 1e-12)
-        by_steer = 1.0 if slewing else math.exp(-h / max(car.steer_lag, LAG_FLOOR))
-    accel, by_speed = 0.0, 0.0
-    if driving:
-        accel = out.accel
-        if -car.decel_max < accel < car.accel_max:
-            by_speed = math.expm1(-h / max(car.speed_lag, LAG_FLOOR)) / h
-    return Driven(end, 0.5 * (steer + end), accel, by_steer, 0.5 * (1.0 + by_steer), by_speed)
+@lru_cache(maxsize=32)
+def _piece(car: Car[float]) -> Callable[..., tuple[float, ...]]:
+    """`actuate` of this car and its derivatives, recorded and compiled.
+
+    (steer and speed asked for, steer, speed, h) -> steer after, acceleration, their derivatives by
+    the steer and the speed before.
+    """
+    tape = Tape()
+    inputs = [tape.symbol(name) for name in ("steer_ask", "speed_ask", "steer", "speed", "h")]
+    steer_ask, speed_ask, steer, speed, h = inputs
+    own: Car[Any] = Car(*map(tape.constant, car))
+    now: State[Any] = State(*map(tape.constant, [0.0] * 7))._replace(speed=speed, steer=steer)
+    asked: Command[Any] = Command(steer_ask, speed_ask)
+    out = actuate(TAPE, own, now, references(TAPE, own, asked), cast("float", h))
+    slopes = (*gradient([(out.steer, 1.0)], [steer]), *gradient([(out.accel, 1.0)], [speed]))
+    return compiled(inputs, [*out, *slopes])

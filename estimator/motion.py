@@ -6,19 +6,23 @@ The linearly implicit midpoint rule (Rosenbrock's, one stage) with `A` the Jacob
 
 is of second order and stable however fast yaw rate and slip decay (about 94 / v per second for the
 paper's car, which an explicit step of 10 ms no longer follows below 0.5 m/s). One evaluation of
-the equations serves mean and covariance alike.
+the equations serves mean and covariance alike. The whole step is recorded once per car and compiled
+(`car_model.tape`), zeros of sparse matrices left out.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from car_model.jacobian_generated import Jacobian, rates_and_jacobian
 from car_model.params import Car
-from car_model.single_track import SPEED_DYNAMIC
+from car_model.single_track import SPEED_DYNAMIC, derivative
 from car_model.state import State
+from car_model.straight_line import compiled
+from car_model.tape import TAPE, Tape, jacobian
 from estimator.actuation import SECONDS, Driven, History, drive
 from estimator.config import FilterConfig
 from estimator.kalman import Array, Belief, Kalman
@@ -28,11 +32,21 @@ LONGEST_STEP_NS = 10_000_000
 MOST_STEPS = 25
 """A gap without any measurement is divided no finer: a tick must stay cheap however long it is."""
 _WHEEL, _ACCEL = 6, 7
-"""Columns of the inputs in `rates_and_jacobian`, after the six chassis states."""
-_IDENTITY = np.eye(SIZE)
-_MINUS_IDENTITY = np.diag([-1.0] * (SIZE - 1) + [0.0])
+"""Columns of the inputs in the Jacobian of the rates, after the six chassis states."""
 
-Six = tuple[float, float, float, float, float, float]
+Rows = Sequence[Sequence[Any]]
+"""A matrix of numbers of any kind that has arithmetic: floats, or numbers being recorded."""
+
+
+class Moved(NamedTuple):
+    """A step's outcome."""
+
+    mean: Array
+    """(7,) after it."""
+    transition: Array
+    """(7, 7): its Jacobian by the mean before, `F`."""
+    noise: Array
+    """(7, 7): covariance that entered on the way, `Q`."""
 
 
 def noise_density(config: FilterConfig, speed: float, *, steered: bool = True) -> list[float]:
@@ -53,11 +67,11 @@ def noise_density(config: FilterConfig, speed: float, *, steered: bool = True) -
     ]
 
 
-def implicit_solver(rows: Jacobian, k: float) -> Callable[[float, float, float, float], Six]:
+def implicit_solver(rows: Rows, k: Any) -> Callable[[Any, Any, Any, Any], tuple[Any, ...]]:
     """Solver of `(I - k A) z = b` for a `b` that is zero in x and y.
 
     Only yaw rate and slip feed back on each other; speed stands alone; yaw, then x and y, follow by
-    substitution. In scalars this costs a third of a 6x6 inverse. A test holds it against the dense
+    substitution. A test holds it against the dense
     solution, which would notice an equation that couples more.
     """
     (_, _, x_yaw, x_speed, _, x_slip, *_), (_, _, y_yaw, y_speed, _, y_slip, *_) = rows[:2]
@@ -65,7 +79,7 @@ def implicit_solver(rows: Jacobian, k: float) -> Callable[[float, float, float, 
     p, q, s, t = 1.0 - k * r_r, k * r_slip, k * s_r, 1.0 - k * s_slip
     scale = 1.0 / (p * t - q * s)
 
-    def solve(yaw: float, speed: float, yaw_rate: float, slip: float) -> Six:
+    def solve(yaw: Any, speed: Any, yaw_rate: Any, slip: Any) -> tuple[Any, ...]:
         u, w = yaw_rate + k * r_speed * speed, slip + k * s_speed * speed
         rate, beta = scale * (t * u + q * w), scale * (p * w + s * u)
         heading = yaw + k * rate
@@ -81,11 +95,13 @@ def implicit_solver(rows: Jacobian, k: float) -> Callable[[float, float, float, 
     return solve
 
 
-def moved_mean(
-    car: Car[float], state: State[float], driven: Driven, h: float
-) -> tuple[Array, Array]:
-    """The mean (7,) after `h` seconds, and its Jacobian (7, 7) by the mean before."""
-    rates, rows = rates_and_jacobian(car, state, driven.wheel, driven.accel)
+def implicit_step(
+    rates: Sequence[Any], rows: Rows, state: State[Any], driven: Any, h: Any
+) -> tuple[Sequence[Any], Rows]:
+    """The mean `h` seconds on (7,) and its Jacobian by the mean before (7, 7).
+
+    `rates` and `rows` are the chassis' rates and their Jacobian by chassis, wheel and acceleration.
+    """
     solve = implicit_solver(rows, 0.5 * h)
     move = solve(*rates[2:])
     after = [at + h * by for at, by in zip(state, move, strict=False)]
@@ -104,10 +120,52 @@ def moved_mean(
         solve(0.0, 0.0, 0.0, 2.0),
         solve(0.0, 0.0, turn * spin[_WHEEL], turn * drift[_WHEEL]),
     )
-    transition = _MINUS_IDENTITY.copy()
-    transition[:-1] += np.array(columns).T
-    transition[-1, -1] = driven.steer_by_steer
-    return np.array([*after, driven.steer]), transition
+    transition = [[c[i] - float(i == j) for j, c in enumerate(columns)] for i in range(SIZE - 1)]
+    steering = [0.0] * (SIZE - 1) + [driven.steer_by_steer]
+    return [*after, driven.steer], [*transition, steering]
+
+
+def entered_noise(transition: Rows, density: Sequence[Any], h: Any) -> Rows:
+    """Covariance from noise of density `D` that enters all along a step, `F` growing linearly.
+
+    `Q = integral of (I + s (F - I)) D (I + s (F - I))' h ds = h/3 (F D F' + D) + h/6 (F D + D F')`.
+    """
+    third = [h / 3.0 * value for value in density]
+    carried = [[f * t for f, t in zip(row, third, strict=True)] for row in transition]
+
+    def entry(i: int, j: int) -> Any:
+        both = sum(a * b for a, b in zip(carried[i], transition[j], strict=True))
+        return both + 0.5 * (carried[i][j] + carried[j][i]) + (third[i] if i == j else 0.0)
+
+    return [[entry(max(i, j), min(i, j)) for j in range(SIZE)] for i in range(SIZE)]
+
+
+@lru_cache(maxsize=32)
+def _program(car: Car[float]) -> Callable[..., tuple[float, ...]]:
+    """(state, driven, density, h) -> mean, transition and noise in rows, for this car."""
+    tape = Tape()
+    sides = [f"driven_{name}" for name in Driven._fields[:-1]]
+    names = (*State._fields, *sides, *(f"density_{i}" for i in range(SIZE)), "h")
+    inputs = [tape.symbol(name) for name in names]
+    state: State[Any] = State(*inputs[:SIZE])
+    driven: Any = Driven._make([*inputs[SIZE : -SIZE - 1], None])
+    density, h = inputs[-SIZE - 1 : -1], inputs[-1]
+    fixed: Car[Any] = Car(*map(tape.constant, car))
+    along = (*state[:-1], driven.wheel, driven.accel)
+    rates = derivative(TAPE, fixed, state, *along[-2:])
+    mean, transition = implicit_step(rates, jacobian(rates, along), state, driven, h)
+    noise = entered_noise(transition, density, h)
+    rows = (number for matrix in (transition, noise) for row in matrix for number in row)
+    return compiled(inputs, [tape.node(number) for number in (*mean, *rows)])
+
+
+def moved(
+    car: Car[float], state: State[float], driven: Driven, density: Sequence[float], h: float
+) -> Moved:
+    """One step of `h` seconds from a mean, under what the actuators do and noise of `density`."""
+    numbers = np.array(_program(car)(*state, *driven[:-1], *density, h))
+    matrices = numbers[SIZE:].reshape(2, SIZE, SIZE)
+    return Moved(numbers[:SIZE], matrices[0], matrices[1])
 
 
 def predicted(
@@ -141,17 +199,9 @@ def _step(
     begin: int,
     end: int,
 ) -> Belief:
-    """One step. Noise of density `D` enters all along it, carried on by an `F` that grows linearly.
-
-    `Q = integral of (I + s (F - I)) D (I + s (F - I))' h ds = h/3 (F D F' + D) + h/6 (F D + D F')`,
-    of which `F D F'` is had by adding `h/3 D` before the motion.
-    """
+    """One step."""
     h = (end - begin) * SECONDS
-    state = State(*belief.mean.tolist())
+    state: State[float] = State(*belief.mean.tolist())
     driven = drive(car, history, state.steer, state.speed, begin, end)
-    after, transition = moved_mean(car, state, driven, h)
     density = noise_density(config, state.speed, steered=driven.steered)
-    third = _IDENTITY * [h / 3.0 * value for value in density]
-    cross = 0.5 * (transition @ third)
-    noisy = Belief(belief.mean, belief.covariance + third)
-    return kalman.predict(noisy, after, transition, third + cross + cross.T)
+    return kalman.predict(belief, *moved(car, state, driven, density, h))

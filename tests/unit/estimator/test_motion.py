@@ -11,9 +11,10 @@ from car_model.state import Command, State
 from estimator.actuation import NO_HISTORY, Driven, drive, remembered
 from estimator.config import FilterConfig
 from estimator.kalman import Belief, Kalman
-from estimator.motion import implicit_solver, moved_mean, noise_density, predicted
+from estimator.motion import implicit_solver, moved, noise_density, predicted
 
 CAR = DEFAULT_CAR
+QUIET = [0.0] * 7
 STATES = [
     State(1.0, -2.0, 0.7, 2.0, 1.1, -0.04, 0.12),
     State(0.0, 0.0, -3.0, 0.35, -0.3, 0.05, -0.2),
@@ -49,7 +50,7 @@ def test_step_is_the_implicit_midpoint_of_the_whole_jacobian(state) -> None:
     F[:6, 3] += h * W @ J[:, 7] * driven.accel_by_speed
     F[:6, 6] = h * W @ J[:, 6] * driven.wheel_by_steer
     F[6, 6] = driven.steer_by_steer
-    mean, transition = moved_mean(CAR, state, driven, h)
+    mean, transition, _ = moved(CAR, state, driven, QUIET, h)
     np.testing.assert_allclose(transition, F, rtol=1e-11, atol=1e-13)
     np.testing.assert_allclose(mean[:6], np.array(state[:6]) + h * W @ np.array(rates), rtol=1e-12)
     assert mean[6] == driven.steer
@@ -75,7 +76,7 @@ def test_error_falls_with_the_square_of_the_step(state) -> None:
         now, h_ns = state, 40_000_000 // count
         for i in range(count):
             driven = drive(car, history, now.steer, now.speed, i * h_ns, (i + 1) * h_ns)
-            now = State(*moved_mean(car, now, driven, h_ns * 1e-9)[0].tolist())
+            now = State(*moved(car, now, driven, QUIET, h_ns * 1e-9).mean.tolist())
         return float(np.abs(np.array(now) - exact)[:6].max())
 
     coarse, middle, fine = error(4), error(8), error(16)
@@ -89,7 +90,7 @@ def test_transition_is_the_derivative_of_the_motion(state) -> None:
     car = CAR._replace(steer_delay=0.0)
     history = remembered(NO_HISTORY, 0, command)
     driven = drive(car, history, state.steer, state.speed, 0, round(h * 1e9))
-    _, transition = moved_mean(car, state, driven, h)
+    transition = moved(car, state, driven, QUIET, h).transition
     eps = 1e-5
     for i, name in enumerate(State._fields):
         up = state._replace(**{name: state[i] + eps})
@@ -123,3 +124,17 @@ def test_noise_is_that_of_accelerations() -> None:
     assert slow[5] == pytest.approx((config.lateral_accel_density / 0.5) ** 2)
     assert noise_density(config, -2.0) == fast
     assert noise_density(config, 2.0, steered=False) == [*fast[:6], 0.0]
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_noise_enters_evenly_along_the_step(state) -> None:
+    """`Q` is the integral of noise carried on by an `F` that grows linearly, summed in pieces."""
+    density = noise_density(FilterConfig(), state.speed)
+    h, pieces = 0.008, 2000
+    _, F, Q = moved(CAR, state, Driven(0.13, 0.11, 0.7, 0.9, 0.95, -8.0), density, h)
+    total = np.zeros((7, 7))
+    for s in (np.arange(pieces) + 0.5) / pieces:
+        carried = np.eye(7) + s * (F - np.eye(7))
+        total += carried @ np.diag(density) @ carried.T * h / pieces
+    np.testing.assert_allclose(Q, total, rtol=1e-5, atol=1e-12)
+    assert (Q == Q.T).all()
