@@ -4,6 +4,7 @@ Joins the VESC's protocol, the loop and the way out for messages. The real-time 
 time drive the same object.
 """
 
+from daemon.blind import tick_blind
 from daemon.checks import VescSelf
 from daemon.loop import Flag, Loop, TickResult
 from daemon.outbox import Outbox
@@ -47,6 +48,7 @@ class Core:
         flags: what the runner reports; stays until it is taken back.
         last: the latest tick's result, or None.
         source: the mocap source's state as last told, for people.
+        error: the first exception that the loop raised, or None.
     """
 
     def __init__(self, loop: Loop, link: VescLink, outbox: Outbox) -> None:
@@ -56,6 +58,7 @@ class Core:
         self.flags = Flag(0)
         self.last: TickResult | None = None
         self.source: SourceStatus | None = None
+        self.error: Exception | None = None
         self._uptime_ms = -1
         self._seq = 0
         self._told_ns = -DIAGNOSTICS_PERIOD_NS
@@ -163,7 +166,7 @@ class Core:
         header = m.make_header(now_ns + epoch, m.BODY)
         tick = m.Tick(header, due_ns, now_ns, work_ns, self._seq & 0xFFFFFFFF, flags)
         self.outbox.post(topics.TICK, tick, now_ns)
-        result = self.last = self.loop.tick(due_ns, now_ns, flags)
+        result = self.last = self._decide(due_ns, now_ns, flags)
         drive = result.order.drive
         wire = self._wire(drive, now_ns)
         stamp_ns = now_ns + epoch
@@ -181,6 +184,15 @@ class Core:
         self.outbox.post(topics.STATE, state, now_ns)
         self._tell(result, now_ns)
         return wire
+
+    def _decide(self, due_ns: int, now_ns: int, flags: int) -> TickResult:
+        """What the loop decides; if it raises, the car brakes in this very tick and for good."""
+        try:
+            return self.loop.tick(due_ns, now_ns, flags)
+        except Exception as error:
+            self.flags |= Flag.EXCEPTION
+            self.error = self.error or error
+            return tick_blind(self.loop, error, now_ns, bool(flags & Flag.LINKED))
 
     def _wire(self, drive: e.Drive, now_ns: int) -> bytes:
         """This tick's bytes: drive order and polls, and connecting where that is not done."""

@@ -4,6 +4,7 @@ import json
 import os
 import socket
 import sys
+import traceback
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -143,10 +144,18 @@ def main() -> int:
     except SteerdError as error:
         _tell(fds["ready"], {"what": error.what, "hint": error.hint, "code": int(error.code)})
         return int(error.code)
+    if core.error is not None:
+        traceback.print_exception(core.error)
     sys.stdout.flush()
     sys.stderr.flush()
     # Nothing is left to tidy up; interpreter shutdown would only hold the parent up.
-    os._exit(int(ExitCode.STOPPED if core.loop.faulted else ExitCode.OK))
+    os._exit(int(_exit_code(core)))
+
+
+def _exit_code(core: Core) -> ExitCode:
+    if core.error is not None:
+        return ExitCode.INTERNAL
+    return ExitCode.STOPPED if core.loop.faulted else ExitCode.OK
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ push, a *brake* frame slows it whichever way it turns, a *release* lets it coast
 
 from collections.abc import Iterable, Sequence
 from enum import Enum
+from itertools import pairwise
 from math import hypot, inf
 from typing import NamedTuple
 
@@ -77,21 +78,19 @@ def read_motor_frames(
 
 
 def find_stop(frames: Sequence[MotorFrame], t_ns: int) -> MotorFrame | None:
-    """The first stop frame from ``t_ns`` on: it brakes, releases or asks for less speed, and
-    nothing after it ever asks for more."""
+    """The first stop frame from ``t_ns`` on, if nothing after it ever asks for more.
+
+    A stop frame brakes, releases, or asks for less speed than the frame before it.
+    """
     first: MotorFrame | None = None
-    for before, frame in reversed(list(zip((None, *frames), frames, strict=False))):
-        slower = before is not None and frame.value < before.value
+    for before, frame in reversed(list(pairwise(frames))):
         if frame.t_ns < t_ns:
             break
-        if frame.effort is Effort.DRIVE:
-            if before is not None and before.effort is not Effort.DRIVE:
-                break  # it drives again after a stop
-            if before is not None and frame.value > before.value:
-                break
-            if slower:
-                first = frame
-        else:
+        if frame.effort is not Effort.DRIVE:
+            first = frame
+        elif before.effort is not Effort.DRIVE or frame.value > before.value:
+            break
+        elif frame.value < before.value:
             first = frame
     return first
 
@@ -104,9 +103,7 @@ def driven_after(frames: Iterable[MotorFrame], t_ns: int) -> int:
 def way(track: Sequence[Motion], t_ns: int) -> float:
     """Distance driven since ``t_ns`` [m]."""
     moved = [motion for motion in track if motion.t_ns >= t_ns]
-    return sum(
-        ((b.x - a.x) ** 2 + (b.y - a.y) ** 2) ** 0.5 for a, b in zip(moved, moved[1:], strict=False)
-    )
+    return sum(hypot(b.x - a.x, b.y - a.y) for a, b in pairwise(moved))
 
 
 def stopping_way(speed: float, blind_s: float, decel: float) -> float:

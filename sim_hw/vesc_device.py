@@ -312,12 +312,18 @@ class SimVesc:
         self._later.append((self._busy_until_ns, reply))
 
 
+def _as_older(payload: bytes, reply: Reply, firmware: Firmware) -> bytes:
+    """The reply in an old firmware's layout, where that firmware has such a reply at all."""
+    try:
+        return encode_reply(reply, FW_3_40 if firmware > FW_3_40 else FW_3_00)
+    except ValueError:
+        return payload
+
+
 _WRONG: dict[str, Callable[[bytes, Reply, Firmware], bytes]] = {
     "": lambda payload, reply, firmware: payload,
     "type": lambda payload, reply, firmware: bytes((payload[0] ^ 0x40,)) + payload[1:],
     "length": lambda payload, reply, firmware: payload[: max(1, len(payload) * 2 // 3)],
-    "firmware": lambda payload, reply, firmware: encode_reply(
-        reply, FW_3_40 if firmware > FW_3_40 else FW_3_00
-    ),
+    "firmware": lambda payload, reply, firmware: _as_older(payload, reply, firmware),
 }
 """Ways in which a reply can be another device's (fault V12)."""
