@@ -38,10 +38,10 @@ class BrakeSettings:
         uuid: 24 hex digits of the VESC that must answer; empty takes any.
     """
 
-    brake_current_a: float = 10.0
+    brake_current_a: float = 20.0
     soft_brake_current_a: float = 6.0
     hold_brake_current_a: float = 4.0
-    estop_brake_current_a: float = 15.0
+    estop_brake_current_a: float = 25.0
     timeout_max_ms: int = 200
     current_max_a: float = 60.0
     cells: int = 3
