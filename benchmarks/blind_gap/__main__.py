@@ -8,7 +8,7 @@ from benchmarks.blind_gap.bank import SETS
 from benchmarks.blind_gap.detectability import FILE, save_severities
 from benchmarks.blind_gap.diagnosing import DIAGNOSE, IDENTIFY, diagnose_set
 from benchmarks.blind_gap.generate import generate, key_path
-from benchmarks.blind_gap.opening import OpeningError, case_names, load_labels, load_manifest
+from benchmarks.blind_gap.opening import LOG, OpeningError, case_names, load_labels, load_manifest
 from benchmarks.blind_gap.opening import open_labels as unseal_labels
 from benchmarks.blind_gap.report import write_report
 from benchmarks.blind_gap.score import CONFIDENT, score
@@ -33,12 +33,12 @@ def _run(args: argparse.Namespace) -> str:
 
 
 def _open(args: argparse.Namespace) -> str:
-    labels = unseal_labels(args.out, args.verdicts, args.key, allow_missing=args.allow_missing)
+    labels = unseal_labels(args.out, args.verdicts, args.key, args.log, args.allow_missing)
     return f"{len(labels['cases'])} labels opened; this opening is in the log"
 
 
 def _score(args: argparse.Namespace) -> str:
-    labels, openings = load_labels(args.out, args.verdicts)
+    labels, openings = load_labels(args.out, args.verdicts, args.log)
     verdicts = load_verdicts(args.verdicts, case_names(load_manifest(args.out)))
     scores = score(labels["cases"], verdicts)
     notes = [
@@ -84,6 +84,8 @@ def make_parser() -> argparse.ArgumentParser:
     for command in (ask, unseal, rate):
         command.add_argument("--out", type=Path, required=True, help="the set")
         command.add_argument("--verdicts", type=Path, required=True, help="folder of verdicts")
+    for command in (unseal, rate):
+        command.add_argument("--log", type=Path, default=LOG, help="of the openings")
     measure = commands.add_parser("detectability", help="measure the table of severities again")
     measure.add_argument("--output", type=Path, default=FILE)
     measure.set_defaults(act=_detectability)

@@ -208,9 +208,9 @@ def make_plan(source: Source, limit: int | None = None, blocks: tuple[str, ...] 
     cases = [_filled(source, case, seed) for seed, case in enumerate(cases)]
     cases = [case for case in cases if not blocks or case.block.startswith(blocks)]
     rng, ranks = source.rng("order"), np.empty(len(cases))
-    blocks = np.array([case.block for case in cases])
-    for block in sorted(set(blocks.tolist())):
-        members = rng.permutation(np.flatnonzero(blocks == block))
+    of_case = np.array([case.block for case in cases])
+    for block in sorted({case.block for case in cases}):
+        members = rng.permutation(np.flatnonzero(of_case == block))
         ranks[members] = (np.arange(len(members)) + rng.random(len(members))) / len(members)
     kept = np.argsort(ranks)[:limit]
     mixed = rng.permutation(kept)

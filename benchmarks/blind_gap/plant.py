@@ -205,7 +205,7 @@ def _late(line: Array, step: int, delay: float, column: int) -> float:
     low = int(at)
     high = min(low + 1, step)
     share = at - low
-    return line[low, column] * (1.0 - share) + line[high, column] * share
+    return float(line[low, column] * (1.0 - share) + line[high, column] * share)
 
 
 @njit(cache=True)
@@ -229,7 +229,7 @@ def _wheel_angle(car: PlantCar, s: Array, m: Array, t: float) -> float:
     angle = m[7]
     angle += car.steer_asymmetry * abs(m[7]) + car.steer_cubic * m[7] ** 3
     angle += car.camber_pull * s[3] * s[3] + car.torque_steer * m[4]
-    return angle + car.wobble * abs(s[3]) * sin(2.0 * pi * car.wobble_hz * t)
+    return float(angle + car.wobble * abs(s[3]) * sin(2.0 * pi * car.wobble_hz * t))
 
 
 @njit(cache=True)
@@ -243,7 +243,7 @@ def _motor(car: PlantCar, s: Array, command: float, t: float, cut: bool) -> floa
     accel = (aim - spin) / max(car.drive_lag, 2.0 * STEP)
     accel = min(max(accel, -car.brake_max), car.accel_max)
     turned = s[0] * cos(s[2]) + s[1] * sin(s[2])
-    return accel + car.ripple * sin(2.0 * turned / 0.055)
+    return float(accel + car.ripple * sin(2.0 * turned / 0.055))
 
 
 @njit(cache=True)

@@ -1,6 +1,7 @@
 """The two pictures of the report, as SVG: reliability and confusion by family."""
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -12,8 +13,8 @@ from matplotlib import pyplot as plt
 from benchmarks.blind_gap.effects import FAMILY
 from benchmarks.blind_gap.score import NO_GAP, NOT_NAMED, OUTSIDE, Scores
 
-_STYLE = {"svg.hashsalt": "blind_gap", "font.size": 9}
-_SAVE = {"bbox_inches": "tight", "metadata": {"Date": None}}
+_STYLE: dict[Any, Any] = {"svg.hashsalt": "blind_gap", "font.size": 9}
+_SAVE: dict[str, Any] = {"bbox_inches": "tight", "metadata": {"Date": None}}
 
 
 def plot_calibration(scores: Scores, path: Path) -> None:
