@@ -1,7 +1,7 @@
 """Putting a run together: settings, path, design, loop and links."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from car_model.car_file import default_car_path
 from car_model.effects import parse_effects
@@ -17,6 +17,7 @@ from daemon.errors import ExitCode, SteerdError
 from daemon.loop import Loop, LoopSetup
 from daemon.options import ControllerKind, RunOptions
 from daemon.outbox import Outbox, Sink
+from daemon.plans import Drill, PlanError, parse_drill
 from sim_hw.mocap_config import MocapConfig
 from sim_hw.vesc_config import VescConfig
 from sim_hw.world import WorldConfig
@@ -34,6 +35,7 @@ class Plan:
     settings: Settings
     path: Path
     controller: LaneController
+    drill: Drill | None = None
 
     @property
     def period_ns(self) -> int:
@@ -63,7 +65,20 @@ def make_plan(options: RunOptions, settings: Settings | None = None) -> Plan:
         raise SteerdError(str(error), "", ExitCode.INVALID) from None
     except ValueError as error:
         raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.INVALID) from None
-    return Plan(options, settings, path, controller)
+    if not options.drill:
+        return Plan(options, settings, path, controller)
+    try:
+        drill = parse_drill(options.drill, settings.file.car, settings.limits)
+    except PlanError as error:
+        raise SteerdError(str(error), "", ExitCode.USAGE) from None
+    return Plan(options, fenced(settings, drill), path, controller, drill)
+
+
+def fenced(settings: Settings, drill: Drill) -> Settings:
+    """The settings with the drill's box as the fence."""
+    if drill.box is None:
+        return settings
+    return replace(settings, thresholds=replace(settings.thresholds, fence=drill.box.fence))
 
 
 def reachable(settings: Settings) -> Car[float]:
@@ -88,6 +103,7 @@ def make_loop_setup(plan: Plan, boot_id: int, leased: bool) -> LoopSetup:
         leased=leased,
         duration_ns=None if duration is None else round(duration * NS),
         simulated=plan.options.simulated,
+        drill=plan.drill,
     )
 
 

@@ -29,6 +29,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "info": ("info", "what is in a session"),
     "recover": ("recover", "rebuild the session of a recorder that was killed"),
     "import": ("import_", "turn a lab's own log (csv, ROS bag) into a session"),
+    "collect": ("collect", "drive an excitation plan and record it"),
+    "identify": ("identify", "learn the car from its sessions"),
     "effects": ("effects", "the unmodelled effects that can be simulated and diagnosed"),
 }
 

@@ -44,6 +44,7 @@ from daemon.lease import (
 )
 from daemon.orders import Order, make_order
 from daemon.perception import Perception, best_speed, place
+from daemon.plans import Drill
 from daemon.supervisor import (
     LAUNCH_SPEED,
     NEVER,
@@ -108,6 +109,7 @@ class LoopSetup:
         leased: an operator's lease and deadman are needed.
         duration_ns: how long to drive, None without end.
         simulated: the hardware is simulated, so a late tick endangers nobody.
+        drill: excitation plan that drives in the lane keeper's place or on top of it.
     """
 
     settings: Settings
@@ -119,6 +121,12 @@ class LoopSetup:
     leased: bool = True
     duration_ns: int | None = None
     simulated: bool = False
+    drill: Drill | None = None
+
+    @property
+    def blind(self) -> bool:
+        """Whether the lane is nobody's business: something else than the lane keeper drives."""
+        return self.remote or (self.drill is not None and not self.drill.closed)
 
 
 class TickResult(NamedTuple):
@@ -250,7 +258,17 @@ class Loop:
             issued=self._issued,
             stop=stop,
         )
-        return (self._remote_wish(now_ns) if self.setup.remote else wish), report
+        if self.setup.remote:
+            return self._remote_wish(now_ns), report
+        if self.setup.drill is not None:
+            return self._drilled(self.setup.drill, wish, now_ns), report
+        return wish, report
+
+    def _drilled(self, drill: Drill, lane: Command[float], now_ns: int) -> Command[float]:
+        """The excitation plan's wish; outside the drive the wheels stay where they are."""
+        if self.supervisor.state is State.RUNNING:
+            return drill.wish((now_ns - self._started_ns) * 1e-9, lane)
+        return lane if drill.closed else Command(self._gate.order.steer, lane.speed)
 
     def _remote_wish(self, now_ns: int) -> Command[float] | None:
         command = valid_command(self.remote, now_ns)
@@ -318,7 +336,7 @@ class Loop:
         steer = self._gate.order.steer
         limits = settings.limits
         side = limits.steer_left_max if steer > 0.0 else limits.steer_right_max
-        lane = None if self.setup.remote else report
+        lane = None if self.setup.blind else report
         launched = self._launch is not None and self._launch.done
         cap = limits.speed_max if launched else min(LAUNCH_SPEED, limits.speed_max)
         return WatchdogInput(
@@ -338,8 +356,8 @@ class Loop:
             sigma_position=health.position_sd if health else nan,
             sigma_yaw=health.yaw_sd if health else nan,
             covariance_ok=health.sound if health else False,
-            lateral_error=lane.e1 if lane else (0.0 if self.setup.remote else nan),
-            heading_error=lane.e2 if lane else (0.0 if self.setup.remote else nan),
+            lateral_error=lane.e1 if lane else (0.0 if self.setup.blind else nan),
+            heading_error=lane.e2 if lane else (0.0 if self.setup.blind else nan),
             steer_share=abs(steer) / side,
             status=(values.status or 0) if values else 0,
             fault_code=(values.fault or 0) if values else 0,
@@ -368,7 +386,7 @@ class Loop:
         if report is None:
             red.append("no estimate yet: mocap must see the car for a moment, standing")
         red += red_findings(findings)
-        if report is not None:
+        if report is not None and (self.setup.remote or not self.setup.blind):
             lane = Lane(report.e1, report.e2, self.setup.remote, alive)
             red += red_lane(lane, settings.thresholds)
         if self.supervisor.state is not State.RUNNING:

@@ -33,6 +33,7 @@ class RunOptions:
         auto_arm: arm and start without an operator (simulated hardware only).
         effects: unmodelled effects of the simulated car, as `--effect` takes them.
         listen: zenoh endpoint of the gateway, or "" for none.
+        drill: excitation plan of `steerd collect` (see `plans.parse_drill`), or "".
         insecure_lan: whether a plain listener beyond loopback is allowed.
     """
 
@@ -52,6 +53,7 @@ class RunOptions:
     effects: tuple[str, ...] = ()
     listen: str = "tcp/127.0.0.1:7447"
     insecure_lan: bool = False
+    drill: str = ""
 
 
 def encode_options(options: RunOptions) -> str:

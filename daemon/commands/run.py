@@ -106,14 +106,18 @@ def make_options(args: argparse.Namespace) -> RunOptions:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
-    options = make_options(args)
-    if args.fast:
+    return drive(make_plan(make_options(args)), fast=args.fast)
+
+
+def drive(plan: Plan, *, fast: bool) -> int:
+    """Drive a plan: in virtual time, on simulated hardware or on a car."""
+    if fast:
         from daemon.fast import run_fast
 
-        return run_fast(make_plan(options))
-    if options.simulated:
-        return _run_simulated(make_plan(options))
-    return _run_live(make_plan(options))
+        return run_fast(plan)
+    if plan.options.simulated:
+        return _run_simulated(plan)
+    return _run_live(plan)
 
 
 def _run_simulated(plan: Plan) -> int:
