@@ -112,33 +112,35 @@ def start_crew(plan: Plan, session: Path, boot_id: int, epoch_ns: int, leased: b
     pipes = {name: make_pipe() for name in ("recorder", "gateway", "status")}
     asked, asking = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ours, parent = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    fds = {name: pipes[name][1] for name in pipes}
+    fds |= {"parent": parent.fileno(), "asking": asking.fileno()}
+    job = {
+        "options": encode_options(plan.options),
+        "boot_id": boot_id,
+        "epoch_ns": epoch_ns,
+        "leased": leased,
+    }
     started: list[Child] = []
+    recording = False
     try:
+        # All at once: each spends a second on its imports. What the core says before the others
+        # listen waits in its pipes.
         meta = make_metadata(plan, boot_id, epoch_ns, leased=leased)
-        recorder = _start_recorder(plan, session, meta, epoch_ns, pipes["recorder"][0])
-        started.append(recorder)
+        started.append(_start_recorder(plan, session, meta, epoch_ns, pipes["recorder"][0]))
+        started.append(_start_gateway(plan, pipes["gateway"][0], asked.fileno()))
+        started.append(spawn("daemon.core_process", fds, job, named=True))
+        recorder, gateway, core = started
         _expect_ready(recorder, "recorder", ExitCode.UNREADABLE)
-        gateway = _start_gateway(plan, pipes["gateway"][0], asked.fileno())
-        started.append(gateway)
+        recording = True
         _expect_ready(gateway, "gateway", ExitCode.UNREACHABLE)
-        fds = {name: pipes[name][1] for name in pipes}
-        fds |= {"parent": parent.fileno(), "asking": asking.fileno()}
-        job = {
-            "options": encode_options(plan.options),
-            "boot_id": boot_id,
-            "epoch_ns": epoch_ns,
-            "leased": leased,
-        }
-        core = spawn("daemon.core_process", fds, job, named=True)
-        started.append(core)
         told = json.loads(core.wait_ready("control core"))
+        if "what" in told:
+            raise SteerdError(told["what"], told["hint"], ExitCode(told["code"]))
     except SteerdError:
         _give_up(started, pipes, (asked, asking, ours, parent))
+        if recording:
+            session.unlink(missing_ok=True)
         raise
-    if "what" in told:
-        _give_up(started, pipes, (asked, asking, ours, parent))
-        session.unlink(missing_ok=True)
-        raise SteerdError(told["what"], told["hint"], ExitCode(told["code"]))
     for name in pipes:
         os.close(pipes[name][1])
         if name != "status":

@@ -59,6 +59,7 @@ class Terminal:
         self._clock = clock
         self._buffer = bytearray()
         self._holding = False
+        self._waiting = ""
         self._alive_ns = 0
 
     def run(self) -> None:
@@ -103,6 +104,10 @@ class Terminal:
             line = self._board.take(record)
             if live is None and line is not None:
                 console.print(line, highlight=False, soft_wrap=True)
+        waiting = self._board.status.get("waiting", "")
+        if live is None and waiting != self._waiting:
+            self._waiting = waiting
+            console.print(f"{'':14}waits for {waiting}", highlight=False, soft_wrap=True)
         if live is not None:
             live.update(self._board.render(), refresh=True)
         return bool(data)
