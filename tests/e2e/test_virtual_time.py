@@ -1,0 +1,183 @@
+"""The whole daemon in virtual time: lanes by the simulated car's true position, seeds, replays."""
+
+import hashlib
+import re
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daemon.cli import guarded
+from sim_hw.faults import Fault
+from steer_bus import messages as m
+from steer_bus.session_read import open_session
+
+SLOW_STEERING = "--effect steer_delay=0.03 --effect steer_lag=0.03"
+"""30 ms beside the servo's own 10 ms; 50 ms + 30 ms of lag."""
+CAR_FILE = Path(__file__).resolve().parents[2] / "config" / "f1tenth.toml"
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def replays(session, capsys):
+    """`steerd replay` finds every order again."""
+    capsys.readouterr()
+    code = guarded(["replay", str(session)])
+    said = capsys.readouterr().out
+    assert re.fullmatch(r"\d{3,} orders replayed: every one is the recorded one\n", said), said
+    return code == 0
+
+
+@pytest.mark.parametrize(
+    ("line", "bound"),
+    [
+        ("--path circle:radius=2 --speed 1 --duration 30", 0.02),
+        ("--path figure8 --speed 1.5 --duration 30", 0.04),
+        ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.04),
+        ("--path line --speed 1.5 --duration 6", 0.02),
+    ],
+)
+def test_the_car_keeps_its_lane_and_replays(drive_fast, capsys, line, bound):
+    driven = drive_fast(line)
+    assert not driven.faulted, driven.reason
+    assert rms(driven.offsets()) <= bound
+    assert replays(driven.session, capsys)
+
+
+def test_a_circle_runs_counter_clockwise_about_its_centre(drive_fast):
+    """Against the circle itself, not against our own idea of it."""
+    driven = drive_fast("--path circle:radius=2 --speed 1.5 --duration 4")
+    _, x, y = np.array(driven.track).T
+    assert np.abs(np.hypot(x, y - 2.0) - 2.0).max() < 0.02
+    turned = np.unwrap(np.arctan2(y - 2.0, x))
+    assert turned[0] == pytest.approx(-pi / 2, abs=0.01)
+    assert 2.0 < turned[-1] - turned[0] < 3.0  # 1.5 m/s for 4 s, less the launch window
+
+
+@pytest.mark.parametrize("path", ["circle:radius=2 --speed 1", "figure8 --speed 1.5"])
+def test_delay_and_slow_servo_leave_the_loop_stable(drive_fast, capsys, path):
+    """A loop at its edge oscillates: its errors would grow, or the gate would saturate."""
+    driven = drive_fast(f"--path {path} --duration 10 {SLOW_STEERING}")
+    assert not driven.faulted, driven.reason
+    offsets = driven.offsets()
+    third = len(offsets) // 3
+    assert rms(offsets) <= 0.04
+    assert rms(offsets[-third:]) <= max(1.5 * rms(offsets[:third]), 0.005)
+    assert replays(driven.session, capsys)
+
+
+def test_the_papers_design_drives(drive_fast, tmp_path, capsys):
+    car = tmp_path / "pole.toml"
+    text = CAR_FILE.read_text()
+    car.write_text(text.replace('design = "lqr" ', 'design = "pole_placement" '))
+    assert car.read_text() != text
+    driven = drive_fast(f"--path circle:radius=2 --speed 1 --duration 6 --car {car}")
+    assert not driven.faulted, driven.reason
+    assert rms(driven.offsets()) <= 0.02
+    assert replays(driven.session, capsys)
+
+
+def test_an_unstable_design_is_refused_with_its_reason(tmp_path, capsys):
+    car = tmp_path / "pole.toml"
+    text = CAR_FILE.read_text().replace('design = "lqr" ', 'design = "pole_placement" ')
+    car.write_text(text.replace("[-150.0, 15.0], [-150.0, -15.0]", "[-8.0, 3.0], [-8.0, -3.0]"))
+    record = tmp_path / "never.mcap"
+    argv = ["run", "--sim", "--fast", "--duration", "1", "--car", str(car), "--record", str(record)]
+    assert guarded(argv) == 4
+    said = capsys.readouterr().err
+    assert "spectral radius" in said
+    assert "'pole_placement' refused" in said
+    assert list(tmp_path.iterdir()) == [car]
+
+
+# --- repeatability
+
+
+def content(session):
+    return [(r.topic, r.log_ns, r.publish_ns, r.data) for r in open_session(session).messages()]
+
+
+def test_same_seed_same_bytes_other_seed_other_bytes(drive_fast, tmp_path, capsys):
+    line = "--path figure8 --speed 1.5 --duration 1 --seed 7"
+    first, second = drive_fast(line), drive_fast(line)
+    assert first.wire == second.wire
+    files = [hashlib.sha256(d.session.read_bytes()).hexdigest() for d in (first, second)]
+    assert files[0] == files[1]
+    record = tmp_path / "again.mcap"
+    argv = ["run", "--sim", "--fast", *line.split(), "--record", str(record)]
+    assert guarded(argv) == 0
+    assert first.wire[:16] in capsys.readouterr().out
+    assert content(record) == content(first.session)
+    other = drive_fast(line.replace("--seed 7", "--seed 8"))
+    assert other.wire != first.wire
+    assert content(other.session) != content(first.session)
+
+
+def test_a_pose_that_was_moved_in_the_recording_is_found(drive_fast, tamper_pose, capsys):
+    driven = drive_fast("--path circle:radius=2 --speed 1 --duration 2")
+    assert replays(driven.session, capsys)
+    assert guarded(["replay", str(tamper_pose(driven.session))]) == 7
+    said = capsys.readouterr().out
+    first, last = said.splitlines()[0], said.splitlines()[-1]
+    assert re.match(r"tick \d+ .*: recorded SPEED steer .*; replayed SPEED steer ", first)
+    assert re.fullmatch(r"\d+ orders replayed: \d+ of them differ", last)
+
+
+# --- paths from files
+
+
+def ellipse(count):
+    """Points of an ellipse with semi-axes 3 m and 2.5 m, driven counter-clockwise from (3, 0)."""
+    t = np.arange(count) * 2.0 * pi / count
+    return t, 3.0 * np.cos(t), 2.5 * np.sin(t)
+
+
+def write_tum(file):
+    t, x, y = ellipse(80)
+    dx, dy = -3.0 * np.sin(t), 2.5 * np.cos(t)
+    speed = np.hypot(dx, dy)
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    psi = np.arctan2(dy, dx) - pi / 2  # TUM measures from north
+    kappa = 7.5 / speed**3
+    table = np.column_stack([s, x, y, psi, kappa, np.full_like(s, 1.2), np.zeros_like(s)])
+    head = "s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2"
+    np.savetxt(file, table, delimiter="; ", fmt="%.7f", header=head)
+
+
+def write_centreline(file):
+    _, x, y = ellipse(80)
+    wide = np.full_like(x, 0.8)
+    head = "x_m, y_m, w_tr_right_m, w_tr_left_m"
+    np.savetxt(file, np.column_stack([x, y, wide, wide]), delimiter=", ", fmt="%.6f", header=head)
+
+
+@pytest.mark.parametrize("write", [write_tum, write_centreline])
+def test_a_path_from_a_file_is_driven_and_replays_without_the_file(
+    drive_fast, tmp_path, capsys, write
+):
+    file = tmp_path / "track.csv"
+    write(file)
+    driven = drive_fast(f"--path csv:{file} --speed 1.2 --duration 6")
+    assert not driven.faulted, driven.reason
+    _, x, y = ellipse(4000)
+    placed = np.column_stack([y, 3.0 - x])  # (3, 0) heading +y becomes the origin heading +x
+    assert rms(driven.offsets(placed)) <= 0.02
+    assert driven.track[-1][1] ** 2 + driven.track[-1][2] ** 2 > 1.0
+    file.unlink()
+    assert replays(driven.session, capsys)
+
+
+# --- what a supervisor has to live with
+
+
+def test_five_percent_of_the_frames_lost_stops_nobody(drive_fast, capsys):
+    driven = drive_fast("--path figure8 --speed 1.5 --duration 6", [Fault("M17")])
+    assert not driven.faulted, driven.reason
+    assert rms(driven.offsets()) <= 0.04
+    frames = open_session(driven.session).columns(m.MocapPose)["frame"]
+    lost = 1.0 - len(frames) / (frames[-1] - frames[0] + 1)
+    assert 0.03 < lost < 0.07
+    assert replays(driven.session, capsys)
