@@ -208,9 +208,17 @@ class SimVesc:
     @property
     def next_wake_ns(self) -> int | None:
         """When bytes are due at the latest."""
-        times = [self._wire.outbox.next_ns, self._rotor_next_ns]
-        times.append(self._later[0][0] if self._later else None)
-        return min((t for t in times if t is not None), default=None)
+        due = self._wire.outbox.next_ns
+        if self._rotor_next_ns is not None:
+            due = self._rotor_next_ns if due is None else min(due, self._rotor_next_ns)
+        if self._later:
+            due = self._later[0][0] if due is None else min(due, self._later[0][0])
+        return due
+
+    @property
+    def unsettled(self) -> bool:
+        """Whether the next physics step may change what the host sees: it is off, or behind."""
+        return bool(self._held) or self._off_until_ns >= 0
 
     def on_bytes(self, t_ns: int, data: bytes) -> None:
         """Take bytes from the host."""

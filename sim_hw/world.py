@@ -154,9 +154,15 @@ class World:
 
     @property
     def next_wake_ns(self) -> int:
-        """When something may be due to be read, at the latest the next physics step."""
-        wakes = (self.vesc.next_wake_ns, self.network.next_ns, self.car.t_ns + self.config.step_ns)
-        return min(wake for wake in wakes if wake is not None)
+        """When something may be due to be read, or may come to be under way (an exposure)."""
+        vesc, step_ns = self.vesc, self.config.step_ns
+        t_ns = self.car.t_ns
+        steps = 1 if vesc.unsettled else max(1, -(-(self._cameras.next_ns - t_ns) // step_ns))
+        wake = min(t_ns + steps * step_ns, self._edge_ns)
+        for due in (vesc.next_wake_ns, self.network.next_ns):
+            if due is not None and due < wake:
+                wake = due
+        return wake
 
     def truth(self) -> Truth:
         """The true state at the latest physics step."""

@@ -106,6 +106,8 @@ class FrameParser:
         """As `feed`, with the arrival time of each frame's first byte."""
         old_total = self._base + len(self._buffer)
         stale = self._is_stale(t_ns)
+        if not data and not stale:
+            return []
         if stale and self._strict:
             self._give_up_before(old_total)
         if data:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from vesc_link.ids import CommandId, Firmware
-from vesc_link.wire import Field, device_number, pack_fields, unpack_fields
+from vesc_link.wire import Field, device_numbers, pack_fields, unpack_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,7 @@ def decode_appconf(payload: bytes) -> AppConf | None:
 def encode_appconf(reply: AppConf) -> bytes:
     """GET_APPCONF reply."""
     numbers = {field.name: getattr(reply, field.name) for field in _APPCONF_FIELDS}
-    head = bytes((CommandId.GET_APPCONF,)) + pack_fields(_APPCONF_FIELDS, numbers, device_number)
+    head = bytes((CommandId.GET_APPCONF,)) + pack_fields(_APPCONF_FIELDS, numbers, device_numbers)
     return head + reply.tail
 
 

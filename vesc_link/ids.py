@@ -113,10 +113,10 @@ def wire_id(command: CommandId, firmware: Firmware) -> int:
 def command_id(wire: int, firmware: Firmware) -> CommandId | None:
     """Inverse of `wire_id`; None when no command that we know has this number."""
     number = wire + 1 if firmware <= FW_3_00 and wire >= CommandId.SET_HANDBRAKE else wire
-    return CommandId(number) if number in _KNOWN else None
+    return _KNOWN.get(number)
 
 
-_KNOWN = frozenset(int(command) for command in CommandId)
+_KNOWN = {int(command): command for command in CommandId}
 
 FAULT_NAMES = (
     "NONE",

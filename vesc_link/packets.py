@@ -15,7 +15,14 @@ from vesc_link import identity as i
 from vesc_link import telemetry as t
 from vesc_link.commands import Command
 from vesc_link.ids import FW_7_01, CommandId, Firmware, command_id, knows, wire_id
-from vesc_link.wire import Field, all_finite, device_number, host_number, pack_fields, unpack_fields
+from vesc_link.wire import (
+    Field,
+    all_finite,
+    device_numbers,
+    host_numbers,
+    pack_fields,
+    unpack_fields,
+)
 
 Reply = (
     t.Values | t.ValuesSetup | t.Imu | t.Stats | i.FwVersion | i.AppConf | i.McConfTemp
@@ -100,7 +107,7 @@ def encode_command(command: Command, firmware: Firmware = FW_7_01) -> bytes:
     """
     number, fields = _LAYOUTS[type(command)]
     values = {field.name: getattr(command, field.name) for field in fields}
-    payload = bytes((wire_id(number, firmware),)) + pack_fields(fields, values, host_number)
+    payload = bytes((wire_id(number, firmware),)) + pack_fields(fields, values, host_numbers)
     if isinstance(command, c.TerminalCommand):
         if "\0" in command.text:
             raise ValueError("a terminal command holds no NUL")
@@ -215,4 +222,4 @@ def encode_reply(reply: Reply, firmware: Firmware = FW_7_01) -> bytes:
 def _encode_small(reply: i.McConfTemp | i.BatteryCut | i.DecodedPpm | i.RotorPosition) -> bytes:
     number, fields = next((n, f) for n, (k, f) in i.SMALL_REPLIES.items() if isinstance(reply, k))
     values = {field.name: getattr(reply, field.name) for field in fields}
-    return bytes((number,)) + pack_fields(fields, values, device_number)
+    return bytes((number,)) + pack_fields(fields, values, device_numbers)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from vesc_link.ids import FW_3_00, FW_6_05, CommandId, Firmware, fault_name
-from vesc_link.wire import Field, all_finite, device_number, pack_fields, unpack_fields
+from vesc_link.wire import Field, all_finite, device_numbers, pack_fields, unpack_fields
 
 STANDARD_GRAVITY = 9.80665
 """[m/s^2], the firmware's g."""
@@ -345,7 +345,7 @@ def _device_bytes(reply: Values | ValuesSetup | Imu | Stats, fields: tuple[Field
     numbers = {field.name: getattr(reply, field.name) or 0 for field in fields}
     if isinstance(reply, Imu):
         numbers = {name: value / _IMU_UNIT.get(name, 1.0) for name, value in numbers.items()}
-    return pack_fields(fields, numbers, device_number)
+    return pack_fields(fields, numbers, device_numbers)
 
 
 def encode_values(reply: Values, firmware: Firmware) -> bytes:

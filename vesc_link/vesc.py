@@ -96,8 +96,8 @@ class VescLink:
     ) -> None:
         self._scaling = scaling
         self._expected_uuid = expected_uuid
-        self._telemetry_mask = telemetry_mask
-        self._imu_mask = imu_mask
+        self._telemetry_poll = c.GetValuesSelective(telemetry_mask)
+        self._imu_poll = None if imu_mask is None else c.GetImuData(imu_mask)
         self._expiry_ns = expiry_ns
         self.counters = Counters()
         self.latched_fault = 0
@@ -218,11 +218,11 @@ class VescLink:
             return []
         due: list[Command] = [self._queue[0]] if self._queue else []
         if knows(firmware, CommandId.GET_VALUES_SELECTIVE):
-            due.append(c.GetValuesSelective(self._telemetry_mask))
+            due.append(self._telemetry_poll)
         else:
             due.append(c.GetValues())
-        if self._imu_mask is not None and knows(firmware, CommandId.GET_IMU_DATA):
-            due.append(c.GetImuData(self._imu_mask))
+        if self._imu_poll is not None and knows(firmware, CommandId.GET_IMU_DATA):
+            due.append(self._imu_poll)
         if firmware >= Firmware(5, 3) and t_ns >= (self._uptime_due_ns or t_ns):
             due.append(c.GetValuesSetupSelective(UPTIME_MASK))
         return due

@@ -27,8 +27,8 @@ _SMALLEST_F32 = 1.5e-38
 """Below this the firmware's float32_auto writes zero."""
 
 Number = float | int
-Rounder = Callable[[str, float | None, Number], Number]
-"""`host_number` or `device_number`."""
+Rounder = Callable[[Sequence["Field"], Sequence[Number]], Sequence[Number]]
+"""`host_numbers` or `device_numbers`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,10 +59,23 @@ def to_f32(value: float) -> float:
     Raises:
         ValueError: not finite in single precision.
     """
-    if not math.isfinite(value) or abs(value) >= 3.4028235677973366e38:
-        raise ValueError(f"{value} cannot be sent: the VESC's floats are finite single precision")
-    single: float = struct.unpack(">f", struct.pack(">f", value))[0]
-    return single
+    return _to_f32s((value,))[0]
+
+
+def _to_f32s(values: Sequence[float]) -> tuple[float, ...]:
+    singles = _singles(len(values))
+    try:
+        rounded = singles.unpack(singles.pack(*values))
+    except OverflowError:
+        rounded = (math.inf,)
+    if not all(map(math.isfinite, rounded)):
+        raise ValueError(f"{values} cannot be sent: the VESC's floats are finite single precision")
+    return rounded
+
+
+@lru_cache(maxsize=64)
+def _singles(count: int) -> struct.Struct:
+    return struct.Struct(f">{count}f")
 
 
 def host_number(code: str, scale: float | None, value: Number) -> Number:
@@ -89,33 +102,58 @@ def device_number(code: str, scale: float | None, value: Number) -> Number:
     Raises:
         ValueError: NaN or infinity (a simulated device must not have one).
     """
+    if code == "f" or scale is not None:
+        value = to_f32(to_f32(value) * (scale or 1.0))
+    return _saturated(code, value)
+
+
+def _saturated(code: str, value: Number) -> Number:
     if code == "f":
-        return _auto_f32(value)
+        return 0.0 if abs(value) < _SMALLEST_F32 else value
     low, high = _RANGES[code]
-    count = int(value) if scale is None else math.trunc(to_f32(to_f32(value) * scale))
-    return min(max(count, low), high)
+    return min(max(int(value), low), high)
 
 
 def _auto_f32(value: float) -> float:
-    single = to_f32(value)
-    return 0.0 if abs(single) < _SMALLEST_F32 else single
+    return _saturated("f", to_f32(value))
+
+
+def host_numbers(fields: Sequence[Field], values: Sequence[Number]) -> Sequence[Number]:
+    """`host_number` of each field."""
+    return [host_number(f.code, f.scale, v) for f, v in zip(fields, values, strict=True)]
+
+
+def device_numbers(fields: Sequence[Field], values: Sequence[Number]) -> Sequence[Number]:
+    """`device_number` of each field, all rounded at once."""
+    measured = [i for i, f in enumerate(fields) if f.code == "f" or f.scale is not None]
+    singles = _to_f32s([values[i] for i in measured])
+    products = [one * (fields[i].scale or 1.0) for i, one in zip(measured, singles, strict=True)]
+    numbers = list(values)
+    for i, product in zip(measured, _to_f32s(products), strict=True):
+        numbers[i] = product
+    return [_saturated(f.code, n) for f, n in zip(fields, numbers, strict=True)]
 
 
 def pack_fields(
-    fields: Sequence[Field], values: Mapping[str, Number | None], rounder: Rounder
+    fields: tuple[Field, ...], values: Mapping[str, Number | None], rounder: Rounder
 ) -> bytes:
     """Write fields in order.
 
     Raises:
         ValueError: a value is missing, not finite or does not fit.
     """
-    numbers = []
+    numbers: list[Number] = []
     for field in fields:
         value = values[field.name]
         if value is None:
             raise ValueError(f"{field.name} has no value; a packet is sent whole or not at all")
-        numbers.append(rounder(field.code, field.scale, value))
-    return struct.pack(">" + "".join(f.code for f in fields), *numbers)
+        numbers.append(value)
+    return _struct(fields).pack(*rounder(fields, numbers))
+
+
+@lru_cache(maxsize=64)
+def _struct(fields: tuple[Field, ...]) -> struct.Struct:
+    return struct.Struct(">" + "".join(f.code for f in fields))
 
 
 @lru_cache(maxsize=64)
@@ -128,7 +166,7 @@ def _layout(fields: tuple[Field, ...], size: int) -> tuple[struct.Struct, tuple[
         if left < 0:
             break
         present.append(field)
-    return struct.Struct(">" + "".join(f.code for f in present)), tuple(present)
+    return _struct(tuple(present)), tuple(present)
 
 
 def unpack_fields(
