@@ -60,7 +60,9 @@ def make_plan(options: RunOptions, settings: Settings | None = None) -> Plan:
     except ValueError as error:
         raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.USAGE) from None
     try:
-        controller = make_controller(settings.file.car, path, settings.controller, options.rate_hz)
+        controller = make_controller(
+            reachable(settings), path, settings.controller, options.rate_hz
+        )
     except DesignRefused as error:
         raise SteerdError(str(error), "", ExitCode.INVALID) from None
     except ValueError as error:

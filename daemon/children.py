@@ -132,10 +132,10 @@ def start_crew(plan: Plan, session: Path, boot_id: int, epoch_ns: int, leased: b
         recorder, gateway, core = started
         _expect_ready(recorder, "recorder", ExitCode.UNREADABLE)
         recording = True
-        _expect_ready(gateway, "gateway", ExitCode.UNREACHABLE)
         told = json.loads(core.wait_ready("control core"))
         if "what" in told:
             raise SteerdError(told["what"], told["hint"], ExitCode(told["code"]))
+        _expect_ready(gateway, "gateway", ExitCode.UNREACHABLE)
     except SteerdError:
         _give_up(started, pipes, (asked, asking, ours, parent))
         if recording:
