@@ -74,6 +74,32 @@ def test_a_device_that_draws_more_numbers_changes_nothing_for_the_others() -> No
     assert quiet.truth() == polled.truth()
 
 
+@pytest.mark.parametrize("faults", [[], FAULTS, [Fault("V2", 300 * MS, 700 * MS)]])
+def test_a_caller_woken_when_told_reads_everything_the_moment_it_arrives(
+    faults: list[Fault],
+) -> None:
+    world = World(NOISY, faults)
+    world.mocap_write(0, natnet.encode(natnet.Connect()))
+    t, wakes, poses, told = 0, 0, 0, 0
+    while t < 1000 * MS:
+        if wakes % 5 == 0 and world.serial_name is not None:
+            world.serial_write(t, POLL)
+        t = max(world.next_wake_ns, t + 1)
+        wakes += 1
+        world.advance(t)
+        before = len(world.log.entries)
+        if world.serial_name is not None:
+            world.serial_read(t)
+        arrived = [entry.t_ns for entry in world.log.entries[before:] if entry.to == "host"]
+        arrived += [message.t_ns for message in world.mocap_read(t)]
+        assert set(arrived) <= {t}
+        poses += len(arrived)
+        told += world.serial_name is None
+    assert poses > 100
+    assert wakes < 1200
+    assert (told > 0) == any(fault.name == "V2" for fault in faults)
+
+
 def test_start_time_only_shifts_the_clock() -> None:
     one, two = World(NOISY), World(NOISY, t_start_ns=123_456_789_000_000)
     for world in (one, two):
