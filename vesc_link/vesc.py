@@ -39,6 +39,8 @@ from vesc_link.telemetry import FAST_MASK, UPTIME_MASK, Imu, Stats, Values, Valu
 WRITE_LIMIT = 64
 """One write per tick fits one USB packet [bytes]."""
 EXPIRY_NS = 80_000_000
+POLL_EXPIRY_NS = 15_000_000
+"""A poll is repeated soon: five tries fit into the 100 ms of silence that stop a car."""
 UPTIME_PERIOD_NS = 1_000_000_000
 CONNECT_TRIES = 5
 """How often a configuration is asked for before the link goes on without it."""
@@ -63,6 +65,9 @@ class Counters:
     odd_lengths: int = 0
 
 
+_POLLS = (c.GetValues, c.GetValuesSelective, c.GetImuData, c.GetValuesSetupSelective)
+
+
 @dataclass(frozen=True, slots=True)
 class _Request:
     command: Command
@@ -78,7 +83,7 @@ class VescLink:
         expected_uuid: the 12 bytes that must answer; None takes any VESC.
         telemetry_mask: fields polled each tick (firmware before 3.48 is polled for all).
         imu_mask: IMU fields polled each tick; None polls no IMU.
-        expiry_ns: how long a request may stay open.
+        expiry_ns: how long a request may stay open; polls at most `POLL_EXPIRY_NS`.
 
     Attributes:
         version, firmware, appconf, limits: what the VESC said; None until it did.
@@ -242,11 +247,13 @@ class VescLink:
 
     def _expire(self, t_ns: int) -> None:
         for number, request in list(self._open.items()):
-            if t_ns - request.t_sent_ns > self._expiry_ns:
+            polled = isinstance(request.command, _POLLS)
+            patience = min(POLL_EXPIRY_NS, self._expiry_ns) if polled else self._expiry_ns
+            if t_ns - request.t_sent_ns > patience:
                 del self._open[number]
                 self.counters.expired += 1
                 # The answer may still come, and then looks like that to the next request.
-                self._just_expired[number] = request.t_sent_ns
+                self._just_expired[number] = request.t_earliest_ns
                 self._expired_events.append(e.Expired(request.command, request.t_sent_ns))
 
     # --- VESC to host ---------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from vesc_link.ids import FW_3_00, FW_5_03, FW_7_01, PROFILES, CommandId, Firmwa
 from vesc_link.packets import Reply, decode_command, encode_command, encode_reply
 from vesc_link.scaling import F1TENTH
 from vesc_link.session_limits import limits_hold, make_restored_limits, make_session_limits
-from vesc_link.vesc import CONNECT_TRIES, EXPIRY_NS, WRITE_LIMIT, VescLink
+from vesc_link.vesc import CONNECT_TRIES, EXPIRY_NS, POLL_EXPIRY_NS, WRITE_LIMIT, VescLink
 
 MS = 1_000_000
 UUID = bytes(range(12))
@@ -229,15 +229,30 @@ def test_reply_carries_send_and_first_byte_stamps(link: VescLink, vesc: Vesc) ->
 
 def test_one_request_per_id_until_answered_or_expired(link: VescLink, vesc: Vesc) -> None:
     link.make_tick(e.DriveSilent(), 0)
-    for t_ns in (5 * MS, EXPIRY_NS):
+    for t_ns in (5 * MS, POLL_EXPIRY_NS):
         assert link.make_tick(e.DriveSilent(), t_ns) == b""
-    assert kinds(link.on_bytes(EXPIRY_NS + 1, b"")) == [e.Expired] * 3
-    vesc.answer(link.make_tick(e.DriveSilent(), EXPIRY_NS + 2))
+    assert kinds(link.on_bytes(POLL_EXPIRY_NS + 1, b"")) == [e.Expired] * 3
+    vesc.answer(link.make_tick(e.DriveSilent(), POLL_EXPIRY_NS + 2))
     assert vesc.seen == [
         c.GetValuesSelective(t.FAST_MASK),
         c.GetImuData(t.IMU_ACCEL_GYRO_MASK),
     ]
     assert link.counters.expired == 3
+
+
+def test_polls_that_went_lost_are_repeated_five_times_in_100_ms(link: VescLink) -> None:
+    sent = [bool(link.make_tick(e.DriveSilent(), t_ms * MS)) for t_ms in range(0, 100, 10)]
+    assert sent == [True, False] * 5
+
+
+def test_a_reply_after_several_repeats_may_answer_the_first_of_them(
+    link: VescLink, vesc: Vesc
+) -> None:
+    first = vesc.answer(link.make_tick(e.DriveSilent(), 0))
+    for t_ms in (20, 40, 60):
+        link.make_tick(e.DriveSilent(), t_ms * MS)
+    telemetry = next(ev for ev in link.on_bytes(61 * MS, first) if isinstance(ev, e.Telemetry))
+    assert telemetry.when == e.Stamped(0, 61 * MS)
 
 
 def test_late_reply_keeps_an_honest_interval(link: VescLink, vesc: Vesc) -> None:
