@@ -1,5 +1,6 @@
 """What others would do: CMA-ES through Optuna (the paper's baseline) and SciPy's least squares."""
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -29,17 +30,17 @@ EVERY = 50
 """Least squares compares positions every 0.1 s."""
 
 
-class BaselineMissing(ImportError):
+class BaselineMissingError(ImportError):
     """The optional extra `baselines` is not installed."""
 
 
 def _optuna() -> Any:
     try:
-        import cmaes as _cmaes  # noqa: F401
+        import cmaes as _cmaes  # type: ignore[import-untyped]  # noqa: F401
         import optuna
     except ImportError as error:
         text = "CMA-ES needs Optuna: pip install 'steerd[baselines]'"
-        raise BaselineMissing(text) from error
+        raise BaselineMissingError(text) from error
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna
 
@@ -50,11 +51,14 @@ def search_cma(
     """CMA-ES on the paper's loss, one batch a trial.
 
     Raises:
-        BaselineMissing: Optuna is not installed.
+        BaselineMissingError: Optuna is not installed.
     """
     optuna = _optuna()
     first = dict(zip(NAMES, (start * _SCALE).tolist(), strict=True))
-    sampler = optuna.samplers.CmaEsSampler(x0=first, sigma0=CMA_SIGMA, seed=seed)
+    with warnings.catch_warnings():
+        # Optuna moves its CMA-ES elsewhere some day; start and spread are the paper's.
+        warnings.simplefilter("ignore", FutureWarning)
+        sampler = optuna.samplers.CmaEsSampler(x0=first, sigma0=CMA_SIGMA, seed=seed)
     study = optuna.create_study(sampler=sampler, direction="minimize")
     losses: list[float] = []
     path = [np.array(start, float)]
@@ -72,7 +76,9 @@ def search_cma(
 
     study.optimize(try_once, n_trials=trials)
     final = path[1 + int(np.argmin(losses))]
-    return Course(np.array(start, float), np.array(losses), np.array(path), final)
+    return Course(
+        np.array(start, float), np.array(losses), np.array(path), np.asarray(final, float)
+    )
 
 
 def fit_least_squares(problem: PaperProblem, start: Array, watch: Watch = _never) -> Course:
@@ -100,4 +106,6 @@ def fit_least_squares(problem: PaperProblem, start: Array, watch: Watch = _never
     bounds = (np.array([0.02, 0.02, 0.5, 0.5]) * _SCALE, np.array([1.0, 1.0, 40.0, 40.0]) * _SCALE)
     result = least_squares(residuals, start * _SCALE, bounds=bounds, method="trf")
     final: Array = result.x / _SCALE
-    return Course(np.array(start, float), np.array(losses), np.array(path), final)
+    return Course(
+        np.array(start, float), np.array(losses), np.array(path), np.asarray(final, float)
+    )

@@ -19,7 +19,10 @@ from sysid.objective import (
 Array = NDArray[np.float64]
 
 DAMPING_MIN = 1e-10
-DAMPING_MAX = 1e9
+DAMPING_MAX = 1e6
+GROWTH = 10.0
+DROP_MIN = 0.01
+"""A step that lowers the cost by less changes nothing that the data could tell."""
 
 
 class Effort(NamedTuple):
@@ -48,6 +51,7 @@ class Descent(NamedTuple):
         normal: Gauss-Newton equations there.
         costs: cost after each accepted step, the start's first.
         converged: whether the last step was short enough.
+        damping: for a descent that goes on from here.
     """
 
     z: Array
@@ -57,6 +61,7 @@ class Descent(NamedTuple):
     normal: Normal
     costs: tuple[float, ...]
     converged: bool
+    damping: float
 
 
 def _trial(
@@ -90,20 +95,32 @@ def descend(
     normal = normal_equations(problem, at, limit)
     for _ in range(effort.iterations):
         cost = cost_of(at, limit)
+        if _gain(problem, normal, z) < effort.step**2:
+            converged = True
+            break
         new, damping = _improve(problem, normal, (z, x, cost), limit, damping)
         if new is None:
             converged = True
             break
         step, drop = new[0] - z, cost - new[3]
+        size = float(np.sqrt(max(step @ information(normal) @ step, 0.0)))
         z, x, at = new[0], new[1], new[2]
         costs.append(new[3])
         limit = robust_limit(at.error)
-        size = float(np.sqrt(max(step @ information(normal) @ step, 0.0)))
         normal = normal_equations(problem, at, limit)
-        if size < effort.step or drop < effort.drop * new[3]:
+        if size < effort.step or drop < effort.drop * new[3] + DROP_MIN:
             converged = True
             break
-    return Descent(z, x, at, limit, normal, tuple(costs), converged)
+    return Descent(z, x, at, limit, normal, tuple(costs), converged, damping)
+
+
+def _gain(problem: Problem, normal: Normal, z: Array) -> float:
+    """How far the minimum of the linearised problem lies, in squared standard deviations."""
+    low, high = problem.chart.bounds()
+    pull = normal.slope_z
+    frozen = ((z <= low) & (pull < 0.0)) | ((z >= high) & (pull > 0.0))
+    dz, dx = solve(normal, 0.0, frozen)
+    return float(pull @ dz + (normal.slope_x * dx).sum())
 
 
 def _improve(
@@ -120,8 +137,6 @@ def _improve(
         at = problem.evaluate(z_new, x_new)
         lower = cost_of(at, limit)
         if lower < cost:
-            return (z_new, x_new, at, lower), max(0.03 * damping, DAMPING_MIN)
-        if cost - lower > -1e-9 * cost and np.abs(z_new - z).max(initial=0.0) < 1e-9:
-            break
-        damping *= 10.0
+            return (z_new, x_new, at, lower), max(0.1 * damping, DAMPING_MIN)
+        damping *= GROWTH
     return None, damping

@@ -219,7 +219,9 @@ def fit(
         x = _carry(problem, found.x, wider)
         problem = wider
         last = horizon == options.horizons[-1]
-        found = work.descend(problem, found.z, x, _FINE if last else _ROUGH)
+        effort = _FINE if last else _ROUGH
+        effort = effort._replace(damping=min(found.damping, _ROUGH.damping))
+        found = work.descend(problem, found.z, x, effort)
     if options.noise is None:
         found = _settle_noise(work, problem, found)
     return _report(work, problem, found, signal)
@@ -274,7 +276,8 @@ def _settle_noise(work: _Work, problem: Problem, found: Descent) -> Descent:
         noise = residual_noise(problem, found)
         change = float(np.abs(np.log(noise / problem.sigma)).max())
         at = problem.rescaled(found.at, noise)
-        found = work.descend(problem, found.z, found.x, _FINE, at)
+        effort = _FINE._replace(damping=found.damping)
+        found = work.descend(problem, found.z, found.x, effort, at)
         if change < _NOISE_SETTLED:
             break
     return found

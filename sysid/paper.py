@@ -8,6 +8,7 @@ rotation, the runs' starts at zero yaw rate and slip) is as in its authors' publ
 """
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -103,7 +104,7 @@ def paper_runs(
         for low, high in zip(edges[::2] * run.h + skip, edges[1::2] * run.h, strict=True):
             count = max(1, round((high - low) / seconds))
             cuts = np.linspace(low, high, count + 1)
-            found += [_piece(run, a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+            found += [_piece(run, a, b) for a, b in pairwise(cuts)
                       if b - a >= SHORTEST]  # fmt: skip
     if not found:
         raise ValueError(f"no {SHORTEST:g} s in which the car was told to move")
@@ -134,9 +135,7 @@ class PaperProblem(NamedTuple):
     base: Array
 
 
-def make_problem(
-    runs: tuple[PaperRun, ...], base: Car[float] = PAPER_CAR_DIRECT
-) -> PaperProblem:
+def make_problem(runs: tuple[PaperRun, ...], base: Car[float] = PAPER_CAR_DIRECT) -> PaperProblem:
     """The paper's problem about a car whose actuators follow at once."""
     return PaperProblem(make_kernels(), runs, np.array(base, float))
 

@@ -15,8 +15,11 @@ RELATIVE_MAX = 0.05
 """A length, stiffness or scale is known when its standard error is below this share of it."""
 SPREAD_MAX = 0.2
 """Anything else is known when its standard error is below this share of its prior's."""
-WEAK = 1.0
-"""A direction is untold when the data's information about it is below its prior's."""
+GAIN_MIN = 8.0
+"""A direction is told when the data shrink its prior standard deviation by more than this.
+
+Less can be an artefact: noise that free initial states take for transients looks informative.
+"""
 NAMED_MIN = 0.25
 """Coordinates that carry less of a direction are not named in it."""
 
@@ -103,16 +106,26 @@ def _known(name: str, value: float, sd: float, prior_sd: float) -> bool:
     return sd < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior_sd)
 
 
+def _without_untold(chart: Chart, covariance: Array) -> Array:
+    """The covariance with untold directions left as their priors have them."""
+    scaled = covariance / np.outer(chart.spread, chart.spread)
+    values, vectors = np.linalg.eigh(scaled)
+    values = np.where(values > GAIN_MIN**-2, 1.0, values)
+    left: Array = (vectors * values) @ vectors.T * np.outer(chart.spread, chart.spread)
+    return left
+
+
 def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     """Every free parameter with its standard error and whether the data tell it."""
     parameters = chart.parameters(z)
     sds = standard_errors(chart, z, covariance)
+    careful = standard_errors(chart, z, _without_untold(chart, covariance))
     priors = standard_errors(chart, z, np.diag(chart.spread**2))
     moving = [i for i, name in enumerate(chart.names) if priors[i] > 0.0]
     out = {}
     for i in moving:
         name, value, sd = chart.names[i], float(parameters[i]), float(sds[i])
-        known = _known(name, value, sd, float(priors[i]))
+        known = _known(name, value, float(careful[i]), float(priors[i]))
         hint = "" if known else MANOEUVRES.get(name, "a drive that lets this effect show")
         out[name] = Estimate(value, sd, float(priors[i]), known, hint)
     return out
@@ -124,10 +137,8 @@ def directions(chart: Chart, information: Array) -> tuple[Direction, ...]:
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     found = []
     for value, vector in zip(values, vectors.T, strict=True):
-        strength = max(float(value) - 1.0, 0.0)
-        found.append(
-            Direction(_say(chart, vector), vector, float(np.sqrt(1.0 + strength)), strength > WEAK)
-        )
+        gain = float(np.sqrt(max(float(value), 1.0)))
+        found.append(Direction(_say(chart, vector), vector, gain, gain > GAIN_MIN))
     return tuple(found)
 
 

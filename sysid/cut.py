@@ -1,0 +1,104 @@
+"""Parts of drives: where the car moves, and blocks that are kept back for validation.
+
+Below walking pace motor controllers do not follow a speed, and the yaw mode is so stiff that the
+smallest step would be needed throughout; a fit looks at the rest. Times within a part count from
+the part's first command; the commands of the half second before it come along, so that the
+steering's past is known.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.dataset import Run, Signal, pose_speed
+from sysid.gate import DataError
+from sysid.windows import SETTLE
+
+Array = NDArray[np.float64]
+
+PACE = 0.4
+"""A part moves at least so fast [m/s]."""
+SHORTEST = 2.0
+"""Shorter parts are left out [s]."""
+BLOCK = 5.4
+"""Length of the blocks of which every k-th is kept back [s]."""
+
+
+def cut(run: Run, low: float, high: float) -> Run:
+    """The part of a drive between two times [s].
+
+    Commands begin up to half a second earlier; measurements lie in [low, high].
+    """
+    first = max(0, round((low - SETTLE) / run.h))
+    last = min(len(run.commands), round(high / run.h))
+    zero = first * run.h
+
+    def part(signal: Signal) -> Signal:
+        inside = (signal.t >= low - 1e-9) & (signal.t <= high + 1e-9)
+        return Signal(signal.t[inside] - zero, signal.values[inside])
+
+    return replace(
+        run,
+        commands=run.commands[first:last],
+        pose=part(run.pose),
+        wheel=part(run.wheel),
+        yaw_rate=part(run.yaw_rate),
+        throttle=part(run.throttle),
+    )
+
+
+def _spans(run: Run) -> list[tuple[float, float]]:
+    """Stretches in which command and pose both say that the car moves [s]."""
+    t, speed = pose_speed(run.pose)
+    grid = run.h * np.arange(len(run.commands))
+    slow = np.convolve(np.interp(grid, t, np.abs(speed)), np.ones(11) / 11.0, "same")
+    moving = (np.abs(run.commands[:, 1]) > PACE) & (slow > PACE)
+    moving &= (grid >= run.pose.t[0]) & (grid <= run.pose.t[-1])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(int)))
+    return [(a * run.h, b * run.h) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def moving_parts(runs: Sequence[Run]) -> tuple[Run, ...]:
+    """The parts of drives in which the car moves.
+
+    Raises:
+        DataError: there is none.
+    """
+    parts = [
+        cut(run, low + SETTLE, high)
+        for run in runs
+        for low, high in _spans(run)
+        if high - low - SETTLE >= SHORTEST
+    ]
+    if not parts:
+        names = ", ".join(run.name for run in runs)
+        what = f"{names}: no {SHORTEST:g} s without a stop at more than {PACE:g} m/s"
+        raise DataError(what, "drive `steerd collect --plan mixed`")
+    return tuple(parts)
+
+
+def keep_back(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+    """Split parts into blocks and keep every k-th one back.
+
+    Returns:
+        Parts to fit and parts to validate with; no measurement is in both.
+
+    Raises:
+        DataError: the drives are too short to keep anything back.
+    """
+    fitted: list[Run] = []
+    kept: list[Run] = []
+    number = 0
+    for part in parts:
+        start, end = float(part.pose.t[0]), min(float(part.pose.t[-1]), part.duration)
+        edges = np.linspace(start, end, max(1, round((end - start) / BLOCK)) + 1)
+        for low, high in pairwise(edges):
+            number += 1
+            (kept if number % every == 0 else fitted).append(cut(part, low, high - 1e-6))
+    if not kept or not fitted:
+        what = f"only {number} blocks of {BLOCK:g} s: too short to keep every {every}th back"
+        raise DataError(what, "record more drives, or name one with --held-out FILE")
+    return tuple(fitted), tuple(kept)

@@ -1,0 +1,230 @@
+"""From drives to an outcome: fit by one of the methods, validate on what was kept back."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from math import isnan
+
+import numpy as np
+from numpy.typing import NDArray
+
+from car_model.model import Model
+from car_model.params import PARAMETERS, Car, wheelbase
+from sysid.baselines import search_cma
+from sysid.cut import keep_back, moving_parts
+from sysid.dataset import Run
+from sysid.excitation import measure_excitation
+from sysid.fit import Fit, Options, fit
+from sysid.outcome import HeldOut, Outcome, Row
+from sysid.paper import NAMES, Course, PaperProblem, descend_adam, draw_starts, make_problem
+from sysid.paper import paper_runs as cut_paper_runs
+from sysid.scale import map_jobs
+from sysid.tells import MANOEUVRES, RELATIVE_MAX
+from sysid.validation import HORIZONS, errors_at, trace_windows
+
+Array = NDArray[np.float64]
+
+METHODS: tuple[str, ...] = ("ours", "paper", "cma-es")
+START_SPREAD = 0.3
+"""Further starts lie about the first with this relative standard deviation."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to learn.
+
+    Attributes:
+        runs: drives to fit.
+        held_out: drives to validate with; empty keeps blocks of `runs` back.
+        every: every k-th block of 5 s is kept back.
+        model: the car as believed so far.
+        options: of our fit.
+        method: one of `METHODS`.
+        starts: how many starts.
+        iterations: of the paper's methods; None for 100 (Adam), 500 (CMA-ES).
+        seed: of the random starts.
+        jobs, dask: where to work, see `scale.map_jobs`.
+    """
+
+    runs: tuple[Run, ...]
+    model: Model[float]
+    held_out: tuple[Run, ...] = ()
+    every: int = 4
+    options: Options = field(default_factory=Options)
+    method: str = "ours"
+    starts: int = 1
+    iterations: int | None = None
+    seed: int = 0
+    jobs: int = 1
+    dask: str | None = None
+
+
+def fit_wheelbase(model: Model[float], length: float | None) -> Model[float]:
+    """The model with its axles at a known distance, in the same proportion."""
+    if length is None:
+        return model
+    scale = length / wheelbase(model.car)
+    return model._replace(car=model.car._replace(lf=model.car.lf * scale, lr=model.car.lr * scale))
+
+
+def scatter(model: Model[float], free: Sequence[str], count: int, seed: int) -> list[Model[float]]:
+    """The model and random ones about it; only lengths, stiffnesses and inertia move."""
+    rng = np.random.default_rng(seed)
+    moving = [n for n in free if n in ("lf", "lr", "c_sf", "c_sr", "inertia_z")]
+    models = [model]
+    for _ in range(count - 1):
+        factors = np.exp(START_SPREAD * rng.standard_normal(len(moving))).tolist()
+        moved = {n: getattr(model.car, n) * f for n, f in zip(moving, factors, strict=True)}
+        models.append(model._replace(car=model.car._replace(**moved)))
+    return models
+
+
+def learn(task: Task, clock: Callable[[], float]) -> Outcome:
+    """Identify a car.
+
+    Args:
+        task: what to learn from what.
+        clock: seconds, for the outcome's `seconds`.
+
+    Raises:
+        DataError: the drives are not fit for it.
+        ValueError: an option makes no sense.
+        FloatingPointError: no start gives a finite simulation.
+        BaselineMissingError: CMA-ES without Optuna.
+    """
+    parts = moving_parts(task.runs)
+    if task.held_out:
+        fitted, kept = parts, moving_parts(task.held_out)
+        words = ", ".join(run.name for run in task.held_out)
+    else:
+        fitted, kept = keep_back(parts, task.every)
+        words = f"every {task.every}th block of 5 s, not fitted"
+    began = clock()
+    if task.method == "ours":
+        found: Fit | None = _fit_ours(task, fitted)
+        courses: tuple[Course, ...] = ()
+    else:
+        found, courses = None, _search(task)
+    seconds = clock() - began
+    car, rows = _rows(task.model, found, courses)
+    after = task.model._replace(car=car)
+    if found is not None:
+        after = after._replace(values=found.model.values)
+    traces = [trace_windows(model, kept, max(HORIZONS)) for model in (after, task.model)]
+    errors = [errors_at(each, HORIZONS) for each in traces]
+    return Outcome(
+        method=task.method,
+        sessions=tuple(dict.fromkeys(run.name for run in task.runs)),
+        held_out_of=words,
+        before=task.model.car,
+        after=car,
+        rows=rows,
+        combinations=found.combinations if found else (),
+        held_out=tuple(HeldOut(a, b) for a, b in zip(*errors, strict=True)),
+        excitation=measure_excitation(parts),
+        traces=(traces[0], traces[1]),
+        fit=found,
+        courses=courses,
+        seconds=seconds,
+        notes=_notes(found),
+    )
+
+
+def _fit_one(
+    model: Model[float], runs: Sequence[Run], prior: Model[float], options: Options
+) -> Fit:
+    return fit(runs, prior, options=options, starts=[model])
+
+
+def _fit_ours(task: Task, runs: Sequence[Run]) -> Fit:
+    """The fit of lowest cost over the starts."""
+    if task.starts <= 1:
+        return fit(runs, task.model, options=task.options)
+    free = task.options.free or NAMES
+    models = scatter(task.model, free, task.starts, task.seed)
+    work = partial(_fit_one, runs=runs, prior=task.model, options=task.options)
+    fits = map_jobs(work, models, task.jobs, task.dask)
+    return min(fits, key=lambda found: float(np.nansum(np.log(found.noise))))
+
+
+def _course(
+    item: tuple[int, Array], problem: PaperProblem, method: str, iterations: int | None
+) -> Course:
+    number, start = item
+    if method == "paper":
+        return descend_adam(problem, start, iterations or 100)
+    return search_cma(problem, start, iterations or 500, seed=number)
+
+
+def _search(task: Task) -> tuple[Course, ...]:
+    """The paper's method or its baseline from random starts."""
+    problem = make_problem(cut_paper_runs(task.runs))
+    starts = draw_starts(np.random.default_rng(task.seed), max(task.starts, 1))
+    work = partial(_course, problem=problem, method=task.method, iterations=task.iterations)
+    courses = map_jobs(work, list(enumerate(starts)), task.jobs, task.dask)
+    if all(course.diverged for course in courses):
+        raise FloatingPointError("the simulation diverges from every start")
+    return tuple(courses)
+
+
+def _best(courses: Sequence[Course]) -> Course:
+    sound = [course for course in courses if not course.diverged]
+    return min(sound, key=lambda course: float(course.losses[-20:].mean()))
+
+
+def _rows(
+    model: Model[float], found: Fit | None, courses: Sequence[Course]
+) -> tuple[Car[float], dict[str, Row]]:
+    """The learnt car and a row for each of its parameters."""
+    told = _told(found, courses)
+    values = {name: each[0] for name, each in told.items() if name in Car._fields}
+    car = model.car._replace(**values)
+    rows = {}
+    for p in PARAMETERS:
+        before, value = float(getattr(model.car, p.name)), float(getattr(car, p.name))
+        sd, known, hint = told[p.name][1:] if p.name in told else (None, False, "")
+        rows[p.name] = Row(value, before, sd, p.unit, p.name in told, known, hint)
+    return car, rows
+
+
+def _told(
+    found: Fit | None, courses: Sequence[Course]
+) -> dict[str, tuple[float, float | None, bool, str]]:
+    """Value, standard error, identifiable and manoeuvre of every free parameter.
+
+    A search has no standard error; the spread over its starts stands for it.
+    """
+    if found is not None:
+        return {
+            name: (e.value, e.sd, e.identifiable, e.manoeuvre)
+            for name, e in found.estimates.items()
+        }
+    best = _best(courses).final
+    finals = np.array([course.final for course in courses if not course.diverged])
+    spread = finals.std(axis=0, ddof=1) if len(finals) > 1 else np.full(len(NAMES), np.nan)
+    out: dict[str, tuple[float, float | None, bool, str]] = {}
+    for name, value, sd in zip(NAMES, best.tolist(), spread.tolist(), strict=True):
+        known = sd < RELATIVE_MAX * value
+        out[name] = (value, None if isnan(sd) else sd, known, "" if known else MANOEUVRES[name])
+    return out
+
+
+def _notes(found: Fit | None) -> tuple[str, ...]:
+    if found is None:
+        return ("sd is the spread over the starts: this method has no error bars",)
+    notes = [] if found.converged else ["the last stage did not converge"]
+    poor = {group: ratio for group, ratio in found.misfit.items() if ratio > 3.0}
+    if poor:
+        worst = max(poor, key=lambda group: poor[group])
+        notes.append(
+            f"residuals of {worst} are {poor[worst]:.0f} times its noise: something is not in the "
+            "model; `steerd diagnose` looks for it, and the errors below are too small"
+        )
+    return tuple(notes)
+
+
+def free_names(
+    free: Sequence[str] | None, fixed: Sequence[str], default: Sequence[str]
+) -> tuple[str, ...]:
+    """Free parameters after `--free` and `--fix`."""
+    return tuple(name for name in (free or default) if name not in fixed)

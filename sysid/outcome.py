@@ -1,0 +1,129 @@
+"""What an identification came to, whatever the method: for the screen, JSON and the report."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import isnan
+from typing import Any, NamedTuple
+
+from car_model.params import Car
+from sysid.excitation import Excitation
+from sysid.fit import Fit
+from sysid.paper import Course
+from sysid.tells import Combination
+from sysid.validation import Prediction, Trace
+
+SCHEMA = "steerd.identify/1"
+REPORTED: tuple[str, ...] = (
+    "lf", "lr", "c_sf", "c_sr", "mu", "inertia_z", "mass", "steer_gain", "steer_bias",
+    "steer_delay", "steer_lag", "steer_rate", "speed_gain", "speed_lag",
+)  # fmt: skip
+"""Parameters of the JSON result."""
+
+
+class Row(NamedTuple):
+    """One parameter.
+
+    Attributes:
+        value: now; before: at the start.
+        sd: standard error; None where it was not free.
+        unit: of value and sd.
+        free: whether it was fitted.
+        identifiable: whether the data tell it.
+        manoeuvre: what would tell it; empty when told or fixed.
+    """
+
+    value: float
+    before: float
+    sd: float | None
+    unit: str
+    free: bool
+    identifiable: bool
+    manoeuvre: str = ""
+
+
+class HeldOut(NamedTuple):
+    """Prediction errors at one horizon, after and before."""
+
+    after: Prediction
+    before: Prediction
+
+    @property
+    def factor(self) -> float:
+        """How many times smaller the position error has become."""
+        return self.before.position / max(self.after.position, 1e-12)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """An identification.
+
+    Attributes:
+        method: `ours`, `paper` or `cma-es`.
+        sessions: fitted files.
+        held_out_of: what the prediction errors were measured on, in words.
+        before, after: the car.
+        rows: every parameter of the car.
+        combinations: sums that the data fix.
+        held_out: prediction errors.
+        excitation: of the fitted drives.
+        traces: predictions of the held-out drives, after and before.
+        fit: of our method.
+        courses: each start of a search.
+        seconds: how long the fit took.
+        notes: what a person should know.
+    """
+
+    method: str
+    sessions: tuple[str, ...]
+    held_out_of: str
+    before: Car[float]
+    after: Car[float]
+    rows: Mapping[str, Row]
+    combinations: tuple[Combination, ...]
+    held_out: tuple[HeldOut, ...]
+    excitation: Excitation
+    traces: tuple[list[Trace], list[Trace]]
+    fit: Fit | None = None
+    courses: tuple[Course, ...] = ()
+    seconds: float = 0.0
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def unidentified(self) -> dict[str, str]:
+        """Free parameters that the data leave open, and what would tell them."""
+        return {n: r.manoeuvre for n, r in self.rows.items() if r.free and not r.identifiable}
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None or isnan(value) else value
+
+
+def encode_outcome(outcome: Outcome) -> dict[str, Any]:
+    """The outcome as JSON values: schema `steerd.identify/1`; what is not known is null."""
+    return {
+        "schema": SCHEMA,
+        "parameters": {
+            name: {
+                "value": row.value,
+                "sd": _number(row.sd),
+                "unit": row.unit,
+                "identifiable": row.identifiable,
+            }
+            for name in REPORTED
+            for row in (outcome.rows[name],)
+        },
+        "combinations": [c.__dict__ for c in outcome.combinations],
+        "held_out": {
+            "horizons": [
+                {
+                    "horizon": h.after.horizon,
+                    "position": _number(h.after.position),
+                    "heading": _number(h.after.heading),
+                    "position_before": _number(h.before.position),
+                    "heading_before": _number(h.before.heading),
+                }
+                for h in outcome.held_out
+            ]
+        },
+        "excitation": outcome.excitation._asdict(),
+    }

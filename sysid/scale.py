@@ -1,0 +1,47 @@
+"""Many independent pieces of work side by side: joblib on this machine, Dask on others."""
+
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class DaskMissingError(ImportError):
+    """The optional extra `dask` is not installed."""
+
+
+def map_jobs(
+    work: Callable[[T], R], items: Iterable[T], jobs: int = 1, dask: str | None = None
+) -> list[R]:
+    """Do a piece of work for every item; results in the items' order.
+
+    Args:
+        work: a module-level function.
+        items: its arguments.
+        jobs: processes on this machine.
+        dask: address of a Dask scheduler, which then does all of it.
+
+    Raises:
+        DaskMissingError: a scheduler is named but Dask is not installed.
+        OSError: the scheduler does not answer.
+    """
+    todo = list(items)
+    if dask is not None:
+        return _map_dask(work, todo, dask)
+    if jobs <= 1 or len(todo) <= 1:
+        return [work(item) for item in todo]
+    from joblib import Parallel, delayed
+
+    return list(Parallel(n_jobs=jobs)(delayed(work)(item) for item in todo))
+
+
+def _map_dask(work: Callable[[T], R], todo: list[T], address: str) -> list[R]:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        text = "--dask needs Dask: pip install 'steerd[dask]'"
+        raise DaskMissingError(text) from error
+    with Client(address, timeout="10s", set_as_default=False) as client:  # type: ignore[no-untyped-call]
+        results: list[R] = client.gather(client.map(work, todo, pure=False))
+        return results

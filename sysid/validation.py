@@ -1,0 +1,164 @@
+"""Validation on drives that were not fitted: how far off a prediction is after 0.5, 1 and 2 s.
+
+Open loop: the model is brought to the state at which it explains the moment before best, and
+then predicts from the commands alone. Both cars, before and after, get the same treatment, so that
+neither profits from a better start.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from car_model.model import Model
+from sysid.dataset import Run
+from sysid.fit import prescribe_speed
+from sysid.kernels import Held, delays_of, make_kernels, parameter_vector, read
+from sysid.objective import STATE_SPREAD
+from sysid.stability import stable_substeps
+from sysid.windows import Layout, estimate_noise, make_layout, speed_range
+
+Array = NDArray[np.float64]
+
+HORIZONS: tuple[float, ...] = (0.5, 1.0, 2.0)
+"""[s]."""
+PAST = 0.4
+"""Measurements that tell the state at which a prediction starts [s]."""
+_ROUNDS = 5
+_ROOM = 1.15
+"""Windows are cut this much longer: drives do not divide evenly."""
+_NEAR = 0.05
+"""Poses this close to a horizon count for it [s]."""
+_STATES = 7
+
+
+class Prediction(NamedTuple):
+    """Prediction error at one horizon.
+
+    Attributes:
+        horizon: [s].
+        position: RMS distance [m]; NaN where no window reached so far.
+        heading: RMS angle [rad].
+        poses: how many were compared.
+    """
+
+    horizon: float
+    position: float
+    heading: float
+    poses: int
+
+
+class Trace(NamedTuple):
+    """Measured and predicted poses of one window, for looking at.
+
+    Attributes:
+        run: which drive; t: time into it [s]; ahead: time since the prediction's start [s].
+        measured: (M, 3) poses; predicted: (M, 3) poses.
+    """
+
+    run: int
+    t: Array
+    ahead: Array
+    measured: Array
+    predicted: Array
+
+
+def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> list[Trace]:
+    """Predict every window of the drives.
+
+    Args:
+        model: the car.
+        runs: drives; one whose speed was not commanded is predicted with its measured speed.
+        horizon: how far [s].
+
+    Raises:
+        ValueError: no window sees enough poses.
+    """
+    if any(run.speed_source != "command" for run in runs):
+        model = prescribe_speed(model)
+    kernels, parameters = make_kernels(model.effects), parameter_vector(model)
+    late = float(delays_of(kernels, parameters)[2])
+    layout = make_layout(runs, _ROOM * (PAST + horizon), late)
+    substeps = stable_substeps(model.car, *speed_range(runs), layout.h)
+    held = Held(layout.commands, layout.h, substeps)
+    stations, windows = layout.stations(late, held.fine), layout.kernel_windows(substeps)
+    seeds, dfirst = np.zeros((len(parameters), _STATES)), np.eye(_STATES)
+    sigma = estimate_noise(runs)
+    x = layout.guess.copy()
+    for _ in range(_ROUNDS):
+        y, jy = read(kernels, parameters, seeds, x, dfirst, held, windows, stations)
+        x = x + _correct(layout, sigma, x, y, jy)
+    y, _ = read(kernels, parameters, seeds, x, dfirst, held, windows, stations)
+    return _traces(layout, y)
+
+
+def _angles(error: Array) -> Array:
+    wrapped: Array = (error + np.pi) % (2.0 * np.pi) - np.pi
+    return wrapped
+
+
+def _past(layout: Layout) -> NDArray[np.bool_]:
+    """(R,) rows that tell the start."""
+    told = np.zeros(len(layout.values), bool)
+    seen = layout.seen
+    early = seen.t <= PAST
+    for offset in range(3):
+        rows = seen.row[early & ((offset == 0) | (seen.kind == 0))] + offset
+        told[rows] = True
+    return told
+
+
+def _correct(layout: Layout, sigma: Array, x: Array, y: Array, jy: Array) -> Array:
+    """Gauss-Newton step of the initial states (W, 7) on the past alone."""
+    weight = _past(layout) / sigma[layout.group]
+    error = layout.values - y
+    error[layout.group == 1] = _angles(error[layout.group == 1])
+    error = np.nan_to_num(error * weight, nan=0.0, posinf=0.0, neginf=0.0)
+    slopes = np.nan_to_num(jy * weight[:, None], nan=0.0, posinf=0.0, neginf=0.0)
+    step = np.zeros_like(x)
+    for w in range(len(x)):
+        a, b = layout.bounds[w], layout.bounds[w + 1]
+        square = slopes[a:b].T @ slopes[a:b] + np.diag(STATE_SPREAD**-2)
+        pull = slopes[a:b].T @ error[a:b] + (layout.guess[w] - x[w]) / STATE_SPREAD**2
+        step[w] = np.linalg.solve(square, pull)
+    return step
+
+
+def _traces(layout: Layout, y: Array) -> list[Trace]:
+    seen, found = layout.seen, []
+    for w in range(len(layout.spans)):
+        mine = (seen.window == w) & (seen.kind == 0)
+        rows = seen.row[mine][:, None] + np.arange(3)
+        t = seen.t[mine]
+        found.append(
+            Trace(int(layout.run[w]), layout.t[w] + t, t - PAST, layout.values[rows], y[rows])
+        )
+    return found
+
+
+def errors_at(traces: Sequence[Trace], horizons: Sequence[float]) -> tuple[Prediction, ...]:
+    """RMS errors of predictions at horizons."""
+    ahead = np.concatenate([trace.ahead for trace in traces])
+    off = np.concatenate([trace.measured - trace.predicted for trace in traces])
+    out = []
+    for horizon in horizons:
+        near = np.abs(ahead - horizon) <= _NEAR
+        if not near.any():
+            out.append(Prediction(horizon, np.nan, np.nan, 0))
+            continue
+        position = float(np.sqrt(np.mean(np.sum(off[near, :2] ** 2, axis=1))))
+        heading = float(np.sqrt(np.mean(_angles(off[near, 2]) ** 2)))
+        out.append(Prediction(horizon, position, heading, int(near.sum())))
+    return tuple(out)
+
+
+def predict_errors(
+    model: Model[float], runs: Sequence[Run], horizons: Sequence[float] = HORIZONS
+) -> tuple[Prediction, ...]:
+    """Open-loop prediction error of a car on drives.
+
+    Raises:
+        ValueError: no window sees enough poses.
+    """
+    return errors_at(trace_windows(model, runs, max(horizons)), horizons)
