@@ -23,6 +23,8 @@ from vesc_link.scaling import Scaling, erpm_to_speed
 
 _SPEED_SPAN_NS = 100_000_000
 """Mocap speed is measured over this long: single steps at 100 Hz are noise."""
+BLIND_S = 0.5
+"""A speed that nothing measured for this long is not known."""
 _SEEN = (PoseVerdict.ACCEPTED, PoseVerdict.REBASED)
 
 
@@ -144,10 +146,16 @@ class Perception:
 
 
 def best_speed(estimate: Estimate | None, wheel_speed: float) -> float:
-    """The speed that the supervisor trusts [m/s]: the filter's while it is sound."""
-    if estimate is not None and estimate.health.sound:
-        return estimate.state.speed
-    return wheel_speed
+    """The speed that the supervisor trusts [m/s]: the filter's while it is sound and fed.
+
+    NaN once neither poses nor wheels have told anything for `BLIND_S`: a filter that only coasts
+    would call the car moving for ever.
+    """
+    if estimate is None or not estimate.health.sound:
+        return wheel_speed
+    health = estimate.health
+    fed = min(health.pose.age_s, health.wheel_speed.age_s) <= BLIND_S
+    return estimate.state.speed if fed else nan
 
 
 def place(estimate: Estimate | None) -> State[float]:
