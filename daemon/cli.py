@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "status": ("status", "what a running daemon does and what it waits for"),
     "replay": ("replay", "feed a recorded session through the loop and compare its commands"),
     "info": ("info", "what is in a session"),
+    "plot": ("plot", "a drive as one page to look at: track, errors, commands, timing"),
     "recover": ("recover", "rebuild the session of a recorder that was killed"),
     "import": ("import_", "turn a lab's own log (csv, ROS bag) into a session"),
     "collect": ("collect", "drive an excitation plan and record it"),

@@ -119,8 +119,8 @@ def make_session_report(session: Session) -> SessionReport:
     """
     info = session.info()
     try:
-        tables, unreadable = _read_tables(session)
-        times = _Times(info.start_ns)
+        tables, unreadable = read_tables(session)
+        times = Times(info.start_ns)
         track, signals = _motion(tables, times)
         states = _states(session, info.start_ns)
     except SessionError as error:
@@ -153,7 +153,7 @@ def make_session_report(session: Session) -> SessionReport:
 # -- reading -------------------------------------------------------------------------------------
 
 
-def _read_tables(session: Session) -> tuple[dict[str, Columns], list[str]]:
+def read_tables(session: Session) -> tuple[dict[str, Columns], list[str]]:
     """Every topic of the table as columns, in one pass; what cannot be read, as sentences."""
     wanted: dict[str, type[Any]] = {}
     for info in session.info().topics:
@@ -183,7 +183,9 @@ def _is_flat(topic: Topic) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class _Times:
+class Times:
+    """Seconds since a session's start."""
+
     start_ns: int
 
     def of(self, ns: Any) -> Array:
@@ -191,12 +193,13 @@ class _Times:
         return np.asarray((ns.astype(np.int64) - np.int64(self.start_ns)) * 1e-9)
 
 
-def _find(tables: dict[str, Columns], topic: Topic) -> Columns | None:
+def find_table(tables: dict[str, Columns], topic: Topic) -> Columns | None:
+    """The columns of a topic, whatever the car's name; None where there is none."""
     return next((t for name, t in sorted(tables.items()) if find_topic(name) is topic), None)
 
 
-def _signal(tables: dict[str, Columns], topic: Topic, name: str, times: _Times) -> Signal:
-    table = _find(tables, topic)
+def _signal(tables: dict[str, Columns], topic: Topic, name: str, times: Times) -> Signal:
+    table = find_table(tables, topic)
     if table is None:
         return Signal(np.empty(0), np.empty(0))
     t, values = times.of(table["stamp_ns"]), table[name].astype(float)
@@ -212,15 +215,15 @@ def _some(signal: Signal) -> Signal | None:
 
 
 def _motion(
-    tables: dict[str, Columns], times: _Times
+    tables: dict[str, Columns], times: Times
 ) -> tuple[Track | None, tuple[Signal, Signal, Signal, Array, Array]]:
     """The track, and steering, wheel speed, gyro, speed, lateral acceleration."""
-    track = _track(tables, times)
+    track = make_track_of(tables, times)
     steer, wheel, gyro = (
         _signal(tables, topic, name, times)
         for topic, name in ((ACTUATION, "steer"), (WHEEL, "speed"), (IMU, "gyro_z"))
     )
-    state = _find(tables, STATE)
+    state = find_table(tables, STATE)
     if state is not None and np.isfinite(state["speed"]).any():
         return track, (steer, wheel, gyro, state["speed"], state["speed"] * state["yaw_rate"])
     if track is not None and not (track.coarse and _some(wheel)):
@@ -230,12 +233,13 @@ def _motion(
     return track, (steer, wheel, gyro, wheel.value, wheel.value * rate)
 
 
-def _track(tables: dict[str, Columns], times: _Times) -> Track | None:
-    poses = _find(tables, MOCAP)
+def make_track_of(tables: dict[str, Columns], times: Times) -> Track | None:
+    """The car's track: accepted mocap poses, or the estimate where there are none."""
+    poses = find_table(tables, MOCAP)
     if poses is not None and (accepted := poses["reject"] == "").sum() > 2:
         poses = {name: column[accepted] for name, column in poses.items()}
     else:
-        poses = _find(tables, STATE)
+        poses = find_table(tables, STATE)
     if poses is None:
         return None
     return make_track(times.of(poses["stamp_ns"]), poses["x"], poses["y"], poses["yaw"])
@@ -273,7 +277,7 @@ def _topic(topic: TopicInfo, tables: dict[str, Columns], start_ns: int) -> Topic
     regular = row is not None and row.rate_hz > 0.0 and table is not None and topic.count > 2
     if not regular or table is None:
         return TopicReport(topic.name, topic.type_name, topic.count, topic.rate_hz, None, 0.0, 0.0)
-    t = np.sort(_Times(start_ns).of(table["stamp_ns"]))
+    t = np.sort(Times(start_ns).of(table["stamp_ns"]))
     steps = np.diff(t)
     usual = float(np.median(steps))
     if not (usual > 0.0 and isfinite(usual)):

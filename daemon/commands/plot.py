@@ -1,0 +1,42 @@
+"""A drive as one page: track over lane, errors, commands against measurements, timing.
+
+The page needs no network: mail it, or keep it beside the session.
+
+steerd plot SESSION.mcap -o DRIVE.html
+"""
+
+import argparse
+from pathlib import Path
+
+from daemon.errors import ExitCode, SteerdError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The session and the page."""
+    parser.add_argument("session", type=Path, metavar="SESSION", help="a session file (.mcap)")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE.html", help="default: beside the session"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the page and say where it is.
+
+    Raises:
+        SteerdError: the session cannot be read, or the page not be written.
+    """
+    from daemon.plot_data import make_drawing
+    from daemon.plot_page import make_page
+    from daemon.session_info import load_session, make_session_report
+
+    session = load_session(args.session)
+    page = make_page(make_session_report(session), make_drawing(session))
+    output = args.output or args.session.with_suffix(".html")
+    if output.resolve() == args.session.resolve():
+        raise SteerdError(f"{output} is the session itself", "name a page with -o", ExitCode.USAGE)
+    try:
+        output.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise SteerdError(f"{output}: {error.strerror}", "", ExitCode.UNREADABLE) from None
+    print(f"{output}: {len(page.encode()) / 1e6:.1f} MB; open it in a browser")
+    return ExitCode.OK
