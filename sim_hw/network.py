@@ -76,8 +76,8 @@ class Network:
 
     def _is_lost(self, t_ns: int) -> bool:
         knobs = self.knobs
-        if knobs.gap_ns:
-            return (t_ns - knobs.since_ns) % knobs.gap_every_ns < knobs.gap_ns
+        if knobs.gap_ns and (t_ns - knobs.since_ns) % knobs.gap_every_ns < knobs.gap_ns:
+            return True
         return knobs.silent or self._noise.chance(knobs.loss)
 
     def _send_swapped(self, frame: Datagram) -> None:
