@@ -228,10 +228,15 @@ def _follow(car: Car[float], segments: Iterable[Segment], gain: float = 1.0) -> 
     for segment in segments:
         for k in range(round(segment.seconds / _STEP)):
             wish = segment.command(k * _STEP)
-            aim = wish.speed if g.way > LAUNCH_DISTANCE else min(wish.speed, LAUNCH_SPEED)
+            aim = (
+                car.speed_gain * wish.speed
+                if g.way > LAUNCH_DISTANCE
+                else min(wish.speed, LAUNCH_SPEED)
+            )
             change = max(-car.decel_max, min((aim - g.speed) / _STEP, 0.5 * car.accel_max))
             speed = g.speed + change * _STEP
-            turn = gain * speed * tan(wish.steer) / (wheelbase(car) + bend * speed * speed)
+            wheel = car.steer_gain * wish.steer + car.steer_bias
+            turn = gain * speed * tan(wheel) / (wheelbase(car) + bend * speed * speed)
             yaw, way = g.yaw + turn * _STEP, speed * _STEP
             g = _Going(g.x + way * cos(yaw), g.y + way * sin(yaw), yaw, speed, g.way + way)
             yield g

@@ -101,7 +101,7 @@ def fit_least_squares(problem: PaperProblem, start: Array, watch: Watch = _never
         losses.append(float(error @ error) / len(error))
         path.append(four)
         watch(len(losses) - 1, path[1 + int(np.argmin(losses))], losses[-1])
-        return error
+        return np.asarray(error, float)
 
     bounds = (np.array([0.02, 0.02, 0.5, 0.5]) * _SCALE, np.array([1.0, 1.0, 40.0, 40.0]) * _SCALE)
     result = least_squares(residuals, start * _SCALE, bounds=bounds, method="trf")

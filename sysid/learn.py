@@ -44,6 +44,7 @@ class Task:
         iterations: of the paper's methods; None for 100 (Adam), 500 (CMA-ES).
         seed: of the random starts.
         jobs, dask: where to work, see `scale.map_jobs`.
+        truth: the simulated car, if it is known.
     """
 
     runs: tuple[Run, ...]
@@ -57,6 +58,7 @@ class Task:
     seed: int = 0
     jobs: int = 1
     dask: str | None = None
+    truth: Car[float] | None = None
 
 
 def fit_wheelbase(model: Model[float], length: float | None) -> Model[float]:
@@ -127,6 +129,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         courses=courses,
         seconds=seconds,
         notes=_notes(found),
+        truth=task.truth,
     )
 
 

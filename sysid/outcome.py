@@ -1,7 +1,7 @@
 """What an identification came to, whatever the method: for the screen, JSON and the report."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isnan
 from typing import Any, NamedTuple
 
@@ -71,6 +71,7 @@ class Outcome:
         courses: each start of a search.
         seconds: how long the fit took.
         notes: what a person should know.
+        truth: the simulated car, where the sessions are simulated.
     """
 
     method: str
@@ -86,7 +87,8 @@ class Outcome:
     fit: Fit | None = None
     courses: tuple[Course, ...] = ()
     seconds: float = 0.0
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+    truth: Car[float] | None = None
 
     @property
     def unidentified(self) -> dict[str, str]:

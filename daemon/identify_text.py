@@ -1,0 +1,86 @@
+"""The one screen that `steerd identify` prints."""
+
+from collections.abc import Iterator
+from math import degrees, isnan
+from pathlib import Path
+
+from sysid.outcome import Outcome, Row
+
+
+def describe(outcome: Outcome, written: Path | None = None) -> str:
+    """The screen, most telling last: what to do next."""
+    parts = [
+        _data(outcome), _parameters(outcome), _open(outcome), _validation(outcome),
+        _next(outcome, written),
+    ]  # fmt: skip
+    return "\n\n".join("\n".join(lines) for lines in map(list, parts) if lines)
+
+
+def _data(outcome: Outcome) -> Iterator[str]:
+    e = outcome.excitation
+    yield f"data       {', '.join(outcome.sessions)}: {e.seconds:.0f} s, {e.distance:.0f} m"
+    pace = f"{e.speed_low:.1f} to {e.speed_high:.1f} m/s, {e.lateral_accel:.1f} m/s2 sideways"
+    sides = f"left {e.left:.0%}, right {e.right:.0%}, steering {e.steer_rate:.2f} rad/s"
+    yield f"driven     {pace}; {sides}"
+    yield from (f"lacking    {what}" for what in e.lacking)
+    how = {"ours": "windows of growing length", "paper": "soft-DTW and chamfer by Adam"}
+    effort = f", {outcome.fit.iterations} steps" if outcome.fit else ""
+    effort += f", {len(outcome.courses)} starts" if outcome.courses else ""
+    name = how.get(outcome.method, "the same loss by CMA-ES")
+    yield f"method     {outcome.method} ({name}{effort}), {outcome.seconds:.1f} s"
+
+
+def _parameters(outcome: Outcome) -> Iterator[str]:
+    yield f"{'':11}{'value':>10} {'sd':>10}  {'start':>10}"
+    for name, row in outcome.rows.items():
+        if row.free:
+            yield _line(name, row)
+
+
+def _line(name: str, row: Row) -> str:
+    sd = "?" if row.sd is None else f"{row.sd:.2g}"
+    told = "" if row.identifiable else "  not told by these data"
+    value = f"{row.value:.5g}" if row.identifiable else f"({row.value:.3g})"
+    return f"{name:<13}{value:>10} {sd:>8}  {row.before:>10.5g} {row.unit}{told}".rstrip()
+
+
+def _open(outcome: Outcome) -> Iterator[str]:
+    if not outcome.unidentified:
+        return
+    yield "what the data leave open, and the manoeuvre that would tell it"
+    by_hint: dict[str, list[str]] = {}
+    for name, hint in outcome.unidentified.items():
+        by_hint.setdefault(hint, []).append(name)
+    for hint, names in by_hint.items():
+        yield f"   {', '.join(names)}: {hint}"
+    for c in outcome.combinations:
+        yield f"   known all the same: {c.text} = {c.value:.5g} ± {c.sd:.2g} m"
+
+
+def _validation(outcome: Outcome) -> Iterator[str]:
+    yield f"prediction of {outcome.held_out_of}"
+    for h in outcome.held_out:
+        a, b = h.after, h.before
+        if isnan(a.position):
+            yield f"   {a.horizon:.1f} s   nothing so long was kept back"
+            continue
+        yield (
+            f"   {a.horizon:.1f} s   {a.position * 1e3:7.1f} mm {degrees(a.heading):6.2f} deg   "
+            f"(start {b.position * 1e3:.1f} mm {degrees(b.heading):.2f} deg: {h.factor:.1f} x)"
+        )
+
+
+def _next(outcome: Outcome, written: Path | None) -> Iterator[str]:
+    yield from (f"note: {note}" for note in outcome.notes)
+    if not improved(outcome):
+        yield "next: these values predict no better than the start; keep the old car file"
+    elif written is not None:
+        yield f"next: steerd run --car {written}"
+    else:
+        yield "next: repeat with -o car.toml, then steerd run --car car.toml"
+
+
+def improved(outcome: Outcome) -> bool:
+    """Whether the longest prediction became no worse (2 % are noise)."""
+    known = [h for h in outcome.held_out if not isnan(h.after.position)]
+    return bool(known) and known[-1].after.position <= 1.02 * known[-1].before.position
