@@ -1,0 +1,166 @@
+"""What is random: instruments' noise and disturbances on the way, learnt by maximum likelihood.
+
+The covariance of a window's errors is a sum of a few known shapes with unknown sizes: white noise
+of each instrument, and coloured pushes along, across and about the car through the car's own
+response. The starts and the hypothesis are marginalised, so a good fit on few data does not look
+like small noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from sim_gap.descent import Fitted
+from sim_gap.disturb import INPUTS, Responses, responses
+from sim_gap.engine import Engine, Linear
+
+Array = NDArray[np.float64]
+
+MEMORY = 0.1
+"""Correlation time of the pushes [s]."""
+WINDOWS_MOST = 60
+"""Windows that are enough to learn from."""
+_INSTRUMENTS = 4
+_LEAST = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3])
+_MOST = np.array([0.05, 0.05, 0.5, 0.5, 20.0, 20.0, 200.0])
+_START = np.array([1e-3, 2e-3, 0.02, 0.02, 0.3, 0.3, 2.0])
+_SHRINK = 0.05
+_ROUNDS = 40
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Sizes of what is random.
+
+    Attributes:
+        instruments: standard deviations by `sysid.windows.GROUPS`: [m], [rad], [m/s], [rad/s].
+        pushes: of accelerations along [m/s^2], across [m/s^2] and about the car [rad/s^2].
+    """
+
+    instruments: tuple[float, float, float, float]
+    pushes: tuple[float, float, float]
+
+    @property
+    def sizes(self) -> Array:
+        """All seven standard deviations."""
+        return np.array([*self.instruments, *self.pushes])
+
+
+def shapes(engine: Engine, seen: Responses, inputs: Sequence[int]) -> list[Array]:
+    """Covariance (W, D, D) of a unit push of each input, correlated over `MEMORY`."""
+    pieces = seen.by_input.shape[3]
+    at = np.arange(pieces) * seen.piece
+    kernel = np.exp(-np.abs(at[:, None] - at[None, :]) / MEMORY)
+    return [(seen.by_input[i] @ kernel) @ seen.by_input[i].transpose(0, 2, 1) for i in inputs]
+
+
+def instrument_rows(engine: Engine) -> Array:
+    """(4, W, D) 1 where a row is of a group."""
+    group = engine.readings.layout.group[engine.padded.index]
+    rows: Array = np.stack([(group == g) * engine.padded.there for g in range(_INSTRUMENTS)])
+    return rows
+
+
+def covariance(engine: Engine, noise: Noise, pushed: Sequence[Array]) -> Array:
+    """(W, D, D) covariance of the errors, shrunk to its diagonal; 1 where there is no row."""
+    sizes = noise.sizes**2
+    out = sum(s * shape for s, shape in zip(sizes[_INSTRUMENTS:], pushed, strict=True))
+    out = (1.0 - _SHRINK) * np.asarray(out) + _SHRINK * _diagonal(np.asarray(out))
+    white = np.einsum("g,gwd->wd", sizes[:_INSTRUMENTS], instrument_rows(engine))
+    width = range(out.shape[1])
+    out[:, width, width] += white + (1.0 - engine.padded.there)
+    return np.asarray(out)
+
+
+def _diagonal(matrices: Array) -> Array:
+    out = np.zeros_like(matrices)
+    width = range(matrices.shape[1])
+    out[:, width, width] = matrices[:, width, width]
+    return out
+
+
+def whitening(cov: Array, there: Array) -> Array:
+    """(W, D, D) with `L^-1` of each covariance; rows that are not there stay out."""
+    lower = np.linalg.cholesky(cov)
+    eye = np.broadcast_to(np.eye(cov.shape[1]), cov.shape)
+    white: Array = np.linalg.solve(lower, eye) * there[:, :, None]
+    return white
+
+
+def learn_noise(engine: Engine, fitted: Fitted, guess: Noise | None = None) -> Noise:
+    """Sizes under which the errors of a fitted hypothesis are most likely.
+
+    Windows that the hypothesis explains badly pull less (Student's t), so that a gap in a few
+    places does not pass for noise everywhere.
+    """
+    chosen = np.linspace(0, engine.readings.count - 1, WINDOWS_MOST).round().astype(int)
+    chosen = np.unique(chosen)
+    at = engine.linear(fitted.space, fitted.z, fitted.x)
+    seen = responses(engine, fitted.parameters, fitted.x)
+    pushed = [v[chosen] for v in shapes(engine, seen, (0, 1, 2))]
+    known = _marginal(engine, fitted, at)[chosen]
+    error = _own_error(engine, fitted, at)[chosen]
+    rows = instrument_rows(engine)[:, chosen]
+    there = engine.padded.there[chosen]
+    first = (guess.sizes if guess else _START).clip(_LEAST * 1.01, _MOST * 0.99)
+    found = minimize(
+        _likelihood, np.log(first), (error, known, rows, pushed, there), jac=True,
+        method="L-BFGS-B", bounds=list(zip(np.log(_LEAST), np.log(_MOST), strict=True)),
+        options={"maxiter": _ROUNDS},
+    )  # fmt: skip
+    sizes = np.exp(found.x)
+    absent = rows.sum(axis=(1, 2)) == 0
+    sizes[:_INSTRUMENTS][absent] = first[:_INSTRUMENTS][absent]
+    a, b, c, d, e, f, g = (float(s) for s in sizes)
+    return Noise((a, b, c, d), (e, f, g))
+
+
+def _own_error(engine: Engine, fitted: Fitted, at: Linear) -> Array:
+    """Errors about the starts' first guesses, by the linear model about the fitted ones."""
+    moved: Array = fitted.x - engine.readings.layout.guess
+    return at.error + np.einsum("wij,wj->wi", at.by_x, moved)
+
+
+def _marginal(engine: Engine, fitted: Fitted, at: Linear) -> Array:
+    """What unknown starts add to the covariance."""
+    wide = at.by_x * engine.start_spread[:, None, :]
+    return np.asarray(wide @ wide.transpose(0, 2, 1))
+
+
+def _likelihood(
+    logs: Array, error: Array, known: Array, rows: Array, pushed: Sequence[Array], there: Array
+) -> tuple[float, Array]:
+    """Negative log-likelihood of the sizes and its slope by their logarithms."""
+    squares = np.exp(2.0 * logs)
+    cov = known + sum(s * v for s, v in zip(squares[_INSTRUMENTS:], pushed, strict=True))
+    width = range(cov.shape[1])
+    cov[:, width, width] += np.einsum("g,gwd->wd", squares[:_INSTRUMENTS], rows) + (1.0 - there)
+    lower = np.linalg.cholesky(cov)
+    inverse = np.linalg.inv(cov)
+    pulled = np.einsum("wij,wj->wi", inverse, error)
+    square, dof = (error * pulled).sum(axis=1), there.sum(axis=1)
+    weight = 2.0 / (1.0 + square / dof)
+    halves = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum()
+    value = halves + float((dof * np.log1p(square / dof)).sum())
+    slope = np.empty(len(logs))
+    spread = np.diagonal(inverse, axis1=1, axis2=2)
+    for g in range(_INSTRUMENTS):
+        slope[g] = (rows[g] * (spread - weight[:, None] * pulled**2)).sum()
+    for i, v in enumerate(pushed):
+        trace = np.einsum("wij,wji->w", inverse, v)
+        bent = np.einsum("wi,wij,wj->w", pulled, v, pulled)
+        slope[_INSTRUMENTS + i] = (trace - weight * bent).sum()
+    return value, slope * squares
+
+
+def whitened(engine: Engine, fitted: Fitted, noise: Noise) -> Engine:
+    """The engine that weighs errors by this noise, through the car's response about a fit."""
+    seen = responses(engine, fitted.parameters, fitted.x)
+    cov = covariance(engine, noise, shapes(engine, seen, (0, 1, 2)))
+    return replace(engine, whiten=whitening(cov, engine.padded.there))
+
+
+assert INPUTS[:3] == ("accel", "lateral", "yaw")  # noqa: S101
