@@ -5,6 +5,7 @@ The healthy car is built so that a single-track car with linear tyres is *nearly
 controls): tyres that level off, grip that falls with load, power lost to slip in bends.
 """
 
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +34,7 @@ class PlantCar(NamedTuple):
     stiff_front: float = 4.718
     """Cornering force per friction limit and slip [1/rad]."""
     stiff_rear: float = 5.4562
-    stiff_along: float = 11.0
+    stiff_along: float = 22.0
     """Longitudinal force per friction limit and slip ratio."""
     ceiling: float = 4.0
     """Where the brush tyre slides, in units of mu Fz."""
@@ -49,25 +50,29 @@ class PlantCar(NamedTuple):
     """Yaw damping of viscous coupling between left and right wheels [1/s]."""
     steer_gain: float = 1.0
     steer_bias: float = 0.0
+    linkage_bend: float = 0.85
+    """Share of the tangent's curvature that the linkage takes out: 1 gives tan(wheel) = servo."""
     steer_cubic: float = 0.0
     steer_asymmetry: float = 0.0
     steer_play: float = 0.0
     steer_delay: float = 0.01
     steer_lag: float = 0.05
-    steer_rate: float = 6.0
-    steer_left: float = 0.36
-    steer_right: float = 0.36
+    steer_rate: float = 3.2
+    steer_left: float = 0.34
+    steer_right: float = 0.34
     steer_stop: float = 1.0
     """A stop that applies on either side [rad]."""
-    wheel_mass: float = 0.12
+    wheel_mass: float = 0.25
     """Inertia of one wheel and its share of the motor, as mass at the tyre [kg]."""
+    front_share: float = 0.25
+    """Torque of the front axle; the motor turns with front and rear wheels in that proportion."""
     speed_gain: float = 1.0
     wheel_scale: float = 1.0
     """Size of the wheels per size that the motor controller believes."""
     drive_delay: float = 0.0
     drive_lag: float = 0.10
-    accel_max: float = 6.0
-    brake_max: float = 6.0
+    accel_max: float = 5.0
+    brake_max: float = 5.0
     sag_rate: float = 0.0
     """Speed lost per minute [1/min]."""
     drag: float = 0.0
@@ -108,43 +113,42 @@ class PlantCar(NamedTuple):
 
 
 _RANDOM = (
-    "mass", "inertia_z", "lf", "lr", "mu", "stiff_front", "stiff_rear", "track", "pitch_height",
-    "steer_lag", "drive_lag",
+    "inertia_z", "lf", "lr", "stiff_front", "stiff_rear", "track", "steer_lag", "drive_lag",
 )  # fmt: skip
+"""What identification finds out; mass, limits and the like stay at the published car's figures,
+which a car file holds and a scale or a data sheet tells."""
 
 
 def make_car(rng: np.random.Generator, mismatch: float = MISMATCH) -> PlantCar:
-    """A healthy car: numbers within 10 %, small trims of its own."""
+    """A healthy car: what identification fits within 10 %, small trims of its own."""
     base = PlantCar()
     values = {
         name: getattr(base, name) * float(rng.uniform(1.0 - _SPREAD, 1.0 + _SPREAD))
         for name in _RANDOM
     }
-    values["roll_height"] = values["pitch_height"]
     values["steer_gain"] = float(rng.uniform(0.95, 1.05))
     values["steer_bias"] = float(rng.uniform(-0.02, 0.02))
     values["steer_delay"] = float(rng.uniform(0.008, 0.02))
     values["speed_gain"] = float(rng.uniform(0.96, 1.04))
-    values["drive_delay"] = float(rng.uniform(0.0, 0.02))
     return set_mismatch(base._replace(**values), mismatch)
 
 
 def set_mismatch(car: PlantCar, mismatch: float) -> PlantCar:
     """The car with that share of what a linear single-track car does not know."""
     return car._replace(
-        ceiling=1.0 / np.sqrt(1e-9 + (mismatch / 0.6) ** 2),
+        ceiling=1.0 / sqrt(1e-9 + (mismatch / 0.6) ** 2),
         load_sensitivity=0.35 * mismatch,
         induced=mismatch,
+        linkage_bend=1.0 - mismatch,
     )
 
 
-def lateral_grip_loss(car: PlantCar) -> float:
-    """Loss of axle stiffness at 1 g by load transfer: sensitivity times the square of its share."""
+def wheel_inertia(car: PlantCar) -> float:
+    """What spinning wheels add to the yaw inertia: left and right must turn apart [kg m^2]."""
+    return car.wheel_mass * car.track * car.track
+
+
+def grip_loss(car: PlantCar) -> float:
+    """Share of an axle's stiffness that load transfer takes at 1 g: sensitivity times square."""
     share = 2.0 * car.roll_height / car.track
     return car.load_sensitivity * share * share
-
-
-def static_load(car: PlantCar) -> tuple[float, float]:
-    """Load of one front and one rear wheel at rest [N]."""
-    half = 0.5 * car.mass * GRAVITY / (car.lf + car.lr)
-    return half * car.lr, half * car.lf

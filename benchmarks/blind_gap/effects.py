@@ -11,7 +11,7 @@ from math import cos, exp, sin, sqrt
 
 import numpy as np
 
-from benchmarks.blind_gap.car import PlantCar
+from benchmarks.blind_gap.car import PlantCar, grip_loss, wheel_inertia
 
 Values = dict[str, float]
 SIZES = ("small", "medium", "large")
@@ -138,8 +138,19 @@ def _roll(car: PlantCar, k: float) -> PlantCar:
         return car
     height = max(car.roll_height, 0.12)
     share = 2.0 * height / car.track
-    own = car.load_sensitivity * (2.0 * car.roll_height / car.track) ** 2
-    return car._replace(roll_height=height, load_sensitivity=(own + k) / share**2)
+    return car._replace(roll_height=height, load_sensitivity=(grip_loss(car) + k) / share**2)
+
+
+def _inertia(car: PlantCar, ratio: float) -> PlantCar:
+    """The whole yaw inertia scaled, wheels included: what a planar model can see."""
+    whole = car.inertia_z + wheel_inertia(car)
+    return car._replace(inertia_z=car.inertia_z + (ratio - 1.0) * whole)
+
+
+def _lock(car: PlantCar, values: Values) -> PlantCar:
+    """Viscous coupling of left and right wheels that damps yaw at that rate."""
+    whole = (car.inertia_z + wheel_inertia(car)) / car.inertia_z
+    return car._replace(coupling=car.coupling + whole * values["yaw_damping"])
 
 
 def _payload(car: PlantCar, kg: float) -> PlantCar:
@@ -168,7 +179,7 @@ _LIST = (
     _one("steer_delay", "timing", "delay", "s", (0.001, 0.08), (0.01, 0.03, 0.06),
          _add("steer_delay")),
     _one("steer_lag", "steering", "lag", "s", (0.001, 0.15), (0.02, 0.05, 0.1), _add("steer_lag")),
-    _one("steer_rate_limit", "steering", "rate", "rad/s", (6.0, 0.6), (3.2, 2.0, 1.2),
+    _one("steer_rate_limit", "steering", "rate", "rad/s", (3.19, 0.5), (2.4, 1.6, 1.0),
          _least("steer_rate"), null=50.0),
     _one("steer_bias", "steering", "bias", "rad", (0.0002, 0.05), (0.005, 0.015, 0.03),
          _add("steer_bias"), value=_signed),
@@ -178,14 +189,14 @@ _LIST = (
          _add("steer_cubic"), value=lambda v, sign: -v),
     _one("steer_asymmetry", "steering", "asymmetry", "1", (0.003, 0.3), (0.05, 0.1, 0.2),
          _add("steer_asymmetry"), value=_signed),
-    _one("steer_clip", "steering", "limit", "rad", (0.34, 0.08), (0.26, 0.2, 0.14),
+    _one("steer_clip", "steering", "limit", "rad", (0.339, 0.08), (0.26, 0.2, 0.14),
          _least("steer_stop"), null=1.0),
     _one("steer_backlash", "steering", "play", "rad", (0.001, 0.08), (0.01, 0.02, 0.04),
          _add("steer_play")),
     _one("drive_delay", "timing", "delay", "s", (0.001, 0.15), (0.02, 0.05, 0.1),
          _add("drive_delay")),
     _one("drive_lag", "drive", "lag", "s", (0.002, 0.4), (0.05, 0.1, 0.2), _add("drive_lag")),
-    _one("accel_limit", "drive", "limit", "m/s^2", (6.0, 0.5), (3.0, 2.0, 1.0),
+    _one("accel_limit", "drive", "limit", "m/s^2", (4.99, 0.5), (3.0, 2.0, 1.0),
          _least("accel_max", "brake_max"), null=20.0),
     _one("speed_scale", "drive", "scale", "1", (0.001, 0.15), (0.02, 0.05, 0.08),
          _times("wheel_scale"), null=1.0, value=_ratio),
@@ -216,12 +227,12 @@ _LIST = (
     Hidden("scrub", "tyre", {"yaw_damping": "1/s", "drag": "1"}, {"yaw_damping": 0.0, "drag": 0.0},
            0.05, 12.0, (1.0, 2.0, 4.0),
            lambda v, place: {"yaw_damping": v, "drag": 0.0},
-           lambda car, values: car._replace(coupling=car.coupling + values["yaw_damping"]),
+           _lock,
            ("yaw_damping",)),
     _one("mass", "mass", "payload", "kg", (0.1, 3.0), (0.3, 0.7, 1.5), _payload),
     _one("cog_offset", "mass", "offset", "m", (0.001, 0.05), (0.008, 0.015, 0.03), _shift_cog,
          value=_signed),
-    _one("yaw_inertia", "mass", "ratio", "1", (0.02, 1.5), (0.15, 0.3, 0.6), _times("inertia_z"),
+    _one("yaw_inertia", "mass", "ratio", "1", (0.02, 1.5), (0.15, 0.3, 0.6), _inertia,
          null=1.0, value=lambda v, sign: 1.0 + v),
     Hidden("floor_slope", "ground", {"x": "rad", "y": "rad"}, {"x": 0.0, "y": 0.0}, 0.0003, 0.04,
            (0.004, 0.008, 0.017),

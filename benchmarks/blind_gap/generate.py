@@ -32,7 +32,7 @@ from benchmarks.blind_gap.plant import Array, simulate
 from benchmarks.blind_gap.seal import make_key, save_key, seal, sha256
 from benchmarks.blind_gap.sessions import Run, make_run, reverse_run, swap_commands, write_run
 
-HEALTHY_RUNS, HEALTHY_SECONDS = 8, 24.0
+HEALTHY_RUNS, HEALTHY_SECONDS = 8, 15.0
 _PAUSE_NS = 60_000_000_000
 """Between the starts of two runs, beyond their length [ns]."""
 

@@ -164,7 +164,8 @@ def _rates(
         slip_power += power
         other = s[6 + (wheel ^ 1)]
         link = car.coupling * car.inertia_z / (2.0 * car.track * car.track) * (other - s[6 + wheel])
-        drive = 0.25 * (car.mass + 4.0 * car.wheel_mass) * accel
+        share = car.front_share if wheel < 2 else 1.0 - car.front_share
+        drive = 0.5 * share * (car.mass + 4.0 * car.wheel_mass) * accel
         out[6 + wheel] = (drive + link - fx) / car.wheel_mass
     force_x += (1.0 - car.induced) * slip_power / max(abs(s[3]), _SLOW)
     slope_along = GRAVITY * (car.slope_x * c + car.slope_y * si)
@@ -226,10 +227,17 @@ def _servo(car: PlantCar, m: Array, command: float, held: bool) -> None:
 @njit(cache=True)
 def _wheel_angle(car: PlantCar, s: Array, m: Array, t: float) -> float:
     """Mean angle of the front wheels: the linkage bends, pulls and shakes."""
-    angle = m[7]
+    angle = m[7] - car.linkage_bend * (m[7] - np.arctan(m[7]))
     angle += car.steer_asymmetry * abs(m[7]) + car.steer_cubic * m[7] ** 3
     angle += car.camber_pull * s[3] * s[3] + car.torque_steer * m[4]
     return float(angle + car.wobble * abs(s[3]) * sin(2.0 * pi * car.wobble_hz * t))
+
+
+@njit(cache=True)
+def motor_speed(car: PlantCar, s: Array) -> float:
+    """Surface speed that the motor turns the wheels with, through open differentials [m/s]."""
+    front, rear = 0.5 * (s[6] + s[7]), 0.5 * (s[8] + s[9])
+    return float(car.front_share * front + (1.0 - car.front_share) * rear)
 
 
 @njit(cache=True)
@@ -239,8 +247,7 @@ def _motor(car: PlantCar, s: Array, command: float, t: float, cut: bool) -> floa
         return 0.0
     sag = exp(-car.sag_rate * max(t, 0.0) / 60.0)
     aim = car.speed_gain * car.wheel_scale * sag * command
-    spin = 0.25 * (s[6] + s[7] + s[8] + s[9])
-    accel = (aim - spin) / max(car.drive_lag, 2.0 * STEP)
+    accel = (aim - motor_speed(car, s)) / max(car.drive_lag, 2.0 * STEP)
     accel = min(max(accel, -car.brake_max), car.accel_max)
     turned = s[0] * cos(s[2]) + s[1] * sin(s[2])
     return float(accel + car.ripple * sin(2.0 * turned / 0.055))

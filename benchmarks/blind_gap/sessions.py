@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.blind_gap.car import PlantCar
 from benchmarks.blind_gap.drives import LEAD
-from benchmarks.blind_gap.plant import STEP, TICK, Array, Trace
+from benchmarks.blind_gap.plant import STEP, TICK, Array, Trace, motor_speed
 from steer_bus import messages as m
 from steer_bus.codec import encode
 from steer_bus.session import SessionWriter
@@ -66,7 +66,8 @@ def make_run(car: PlantCar, trace: Trace, rng: np.random.Generator, jitter: floa
     n = len(states)
     late = rng.standard_normal(n) * jitter
     stamps = np.sort(np.arange(n) * TICK * STEP + late)
-    spin = 0.5 * (states[:, 8] + states[:, 9]) / (car.wheel_scale * car.speed_gain)
+    turned = np.array([motor_speed(car, state) for state in states])
+    spin = turned / (car.wheel_scale * car.speed_gain)
     return Run(
         np.round(stamps * 1e9) + 1_000_000_000,
         trace.commands[first:],

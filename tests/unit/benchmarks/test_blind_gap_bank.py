@@ -114,7 +114,7 @@ def test_sessions_open_as_any_other(small_set):
     assert info.clean
     assert not info.warnings
     poses, commands = session.columns(MocapPose), session.columns(Actuation)
-    assert len(poses["x"]) == len(commands["steer"]) == 2400
+    assert len(poses["x"]) == len(commands["steer"]) == 1500
     assert np.all(np.diff(poses["t_valid_ns"]) == 10_000_000)
     if any(topic.name.endswith("vesc") for topic in info.topics):
         erpm = session.columns(VescTelemetry)["erpm"]
