@@ -15,6 +15,7 @@ from daemon.errors import ExitCode, SteerdError
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS: dict[str, tuple[str, str]] = {
+    "probe": ("probe", "find VESCs and mocap servers, and what is wrong with them"),
     "run": ("run", "drive: the control loop on a car or on simulated hardware"),
     "sim": ("sim", "simulated hardware alone: a VESC on a pty, a mocap server"),
     "control": ("control", "the lane keeper as a process of its own, over zenoh"),

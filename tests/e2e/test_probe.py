@@ -1,0 +1,77 @@
+"""`steerd probe` against simulated hardware in another process."""
+
+import json
+
+import pytest
+
+from daemon.cli import guarded
+from daemon.probe_ask import discover
+from mocap_link.mocap_url import parse_mocap_url
+from sim_hw.faults import Fault
+from sim_hw.links import SimOptions, spawn_sim
+from sim_hw.mocap_config import MocapConfig
+from sim_hw.vesc_config import VescConfig
+from sim_hw.world import WorldConfig
+from steer_bus.clock import MonotonicClock
+
+pytestmark = pytest.mark.realtime
+
+
+def probe(capsys, *arguments):
+    code = guarded(["probe", "--json", *arguments])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_sound_hardware_is_described(capsys):
+    with spawn_sim(WorldConfig()) as sim:
+        code, found = probe(capsys, "--port", sim.port, "--mocap", sim.mocap_url)
+        servers = discover(MonotonicClock(), ["127.0.0.1"], parse_mocap_url(sim.mocap_url).port)
+    assert code == 0
+    (port,), (source,) = found["serial"], found["mocap"]
+    vesc = port["vesc"]
+    assert tuple(vesc["firmware"]) == (VescConfig().firmware.major, VescConfig().firmware.minor)
+    assert vesc["uuid"] == VescConfig().uuid.hex()
+    assert vesc["timeout_ms"] == VescConfig().timeout_ms
+    assert vesc["imu"]
+    assert vesc["answered"] > 0.8
+    assert [a["what"].split(":")[0] for a in port["advice"]][:1] == [
+        "no answer tells whether the servo output is on"
+    ]
+    assert source["bodies"] == ["car"]
+    assert source["samples"] > 200
+    assert source["clock"] == "echo"
+    assert source["rate_hz"] == pytest.approx(100.0, rel=0.1)
+    assert list(servers) == ["127.0.0.1"]
+    assert "Motive" in servers["127.0.0.1"].name
+
+
+def test_what_is_wrong_is_found(capsys):
+    world = WorldConfig(
+        vesc=VescConfig(timeout_ms=0, timeout_brake_current=0.0),
+        mocap=MocapConfig(body="cart"),
+    )
+    with spawn_sim(world) as sim:
+        url = sim.mocap_url.replace("/cart", "/car")
+        code, found = probe(capsys, "--port", sim.port, "--mocap", url, "--seconds", "1.5")
+    assert code == 3
+    said = " | ".join(f"{a['what']} {a['fix']}" for a in found["serial"][0]["advice"])
+    assert "never times out" in said
+    assert "Timeout Brake Current above 0 A" in said
+    assert "the server offers cart" in found["mocap"][0]["advice"][0]["fix"]
+
+
+def test_a_dead_port_and_a_silent_server(capsys, tmp_path):
+    with spawn_sim(WorldConfig(), SimOptions((Fault("no_replies"),))) as sim:
+        code, found = probe(capsys, "--port", sim.port)
+    assert code == 3
+    assert "no VESC answered" in found["serial"][0]["advice"][0]["what"]
+    code, found = probe(capsys, "--port", str(tmp_path / "ttyACM9"), "--mocap",
+                        "natnet://127.0.0.1:9/car", "--seconds", "0.6")  # fmt: skip
+    assert code == 3
+    assert "99-vesc.rules" in found["serial"][0]["advice"][0]["fix"]
+    assert "firewall" in found["mocap"][0]["advice"][0]["fix"]
+
+
+@pytest.mark.parametrize("wrong", [["--mocap", "optitrack:car"], ["--seconds", "0"]])
+def test_what_cannot_be_asked(capsys, wrong):
+    assert guarded(["probe", "--port", "/dev/null", *wrong]) == 2
