@@ -6,7 +6,8 @@ time drive the same object.
 
 from daemon.blind import tick_blind
 from daemon.checks import VescSelf
-from daemon.loop import Flag, Loop, TickResult
+from daemon.flags import Flag
+from daemon.loop import Loop, TickResult
 from daemon.outbox import Outbox
 from daemon.supervisor import Action
 from daemon.telling import (
@@ -55,7 +56,7 @@ class Core:
         self.loop = loop
         self.link = link
         self.outbox = outbox
-        self.flags = Flag(0)
+        self.flags = 0
         self.last: TickResult | None = None
         self.source: SourceStatus | None = None
         self.error: Exception | None = None

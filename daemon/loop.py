@@ -7,7 +7,6 @@ carries their states from tick to tick.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import IntFlag
 from math import nan
 from typing import NamedTuple
 
@@ -31,6 +30,7 @@ from daemon.checks import (
 )
 from daemon.config import Settings
 from daemon.findings import Finding, make_finding, summarise
+from daemon.flags import Flag, reported_findings
 from daemon.lateness import IN_SIMULATION, ON_HARDWARE, Lateness, step_lateness
 from daemon.launch import LaunchInput, LaunchState, make_launch_state, step_launch
 from daemon.lease import (
@@ -64,35 +64,13 @@ from vesc_link.events import ImuSample, Telemetry
 _DRIVING = (State.RUNNING, State.STOPPING)
 _PARKED = (State.INIT, State.DISARMED, State.READY, State.FAULT_LATCHED)
 _RELOCATE_TICKS = 25
-
-
-class Flag(IntFlag):
-    """What the runner saw by itself; travels in `Tick.flags`, so that a replay sees it too."""
-
-    LINKED = 1
-    SERIAL_FAULT = 2
-    GUARDIAN_LOST = 4
-    RECORDER_LOST = 8
-    GATEWAY_LOST = 16
-    EXCEPTION = 32
-    SUSPENDED = 64
-    REBOOTED = 128
-    MOCAP_REFUSED = 256
-    QUIT = 512
-    ABORT = 1024
-    GUARDIAN_TRIPPED = 2048
-
-
-_REPORTS: tuple[tuple[Flag, str, str], ...] = (
-    (Flag.SERIAL_FAULT, "W8", "a write failed"),
-    (Flag.GUARDIAN_LOST, "W16", "its heartbeat stopped"),
-    (Flag.GUARDIAN_TRIPPED, "W15", "the guardian braked the car: a tick was too late"),
-    (Flag.RECORDER_LOST, "W26", "it is gone, full or out of disk"),
-    (Flag.GATEWAY_LOST, "W27", "it is gone"),
-    (Flag.EXCEPTION, "W29", "in the control core"),
-    (Flag.SUSPENDED, "W28", "the machine slept"),
-    (Flag.REBOOTED, "W12", "its uptime went back"),
-)
+_FACTS = tuple(
+    int(fact)
+    for fact in (
+        Is.LINKED, Is.IDENTIFIED, Is.GREEN, Is.FW_TIMEOUT, Is.LEASED, Is.ENDED, Is.LAUNCHED,
+        Is.ESTIMATED, Is.SLOWING,
+    )
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -287,7 +265,7 @@ class Loop:
         now_ns: int,
         flags: int,
     ) -> tuple[Finding, ...]:
-        reported = [make_finding(name, words) for flag, name, words in _REPORTS if flags & flag]
+        reported = list(reported_findings(flags))
         rules = IN_SIMULATION if self.setup.simulated else ON_HARDWARE
         self._lateness, late = step_lateness(
             self._lateness, due_ns, now_ns, self.setup.period_ns, rules
@@ -395,28 +373,25 @@ class Loop:
 
     def _facts(self, estimate: Estimate | None, red: list[str], now_ns: int, flags: int) -> int:
         seen, setup = self.perception, self.setup
-        facts = Is.LINKED if flags & Flag.LINKED else Is(0)
+        th = setup.settings.thresholds
         known = self.vesc is not None and self.vesc.expected and self.vesc.timeout_ms is not None
-        if known and seen.accepted_ns is not None and not flags & Flag.MOCAP_REFUSED:
-            facts |= Is.IDENTIFIED
-        if not red:
-            facts |= Is.GREEN
         values = seen.telemetry.values if seen.telemetry else None
-        fresh = seen.telemetry_age(now_ns) <= setup.settings.thresholds.telemetry
-        if values is not None and fresh and values.timeout_active:
-            facts |= Is.FW_TIMEOUT
-        if not setup.leased or lease_age(self.lease, now_ns) <= setup.settings.thresholds.lease:
-            facts |= Is.LEASED
+        fresh = seen.telemetry_age(now_ns) <= th.telemetry
         running = self.supervisor.state is State.RUNNING
-        if running and setup.duration_ns is not None:
-            facts |= Is.ENDED if now_ns - self._started_ns >= setup.duration_ns else Is(0)
-        if self._launch is not None and self._launch.done:
-            facts |= Is.LAUNCHED
-        if estimate is not None and estimate.health.sound:
-            facts |= Is.ESTIMATED
-        if is_slowing(self._watchdogs):
-            facts |= Is.SLOWING
-        return int(facts)
+        over = setup.duration_ns is not None and now_ns - self._started_ns >= setup.duration_ns
+        refused = flags & Flag.MOCAP_REFUSED
+        holds = (
+            bool(flags & Flag.LINKED),
+            known and seen.accepted_ns is not None and not refused,
+            not red,
+            fresh and values is not None and bool(values.timeout_active),
+            not setup.leased or lease_age(self.lease, now_ns) <= th.lease,
+            running and over,
+            self._launch is not None and self._launch.done,
+            estimate is not None and estimate.health.sound,
+            is_slowing(self._watchdogs),
+        )
+        return sum(bit for bit, true in zip(_FACTS, holds, strict=True) if true)
 
     def _timeout_ns(self) -> int:
         known = self.vesc.timeout_ms if self.vesc is not None else None

@@ -29,6 +29,8 @@ class Outbox:
 
     def post(self, topic: Topic, message: Any, t_ns: int, valid_ns: int | None = None) -> None:
         """Queue a message handed out at `t_ns` whose content is valid at `valid_ns` (monotonic)."""
+        if not self.sinks:
+            return
         count = self._counts.get(topic.name, 0)
         self._counts[topic.name] = count + 1
         # A session file is in the order of the loop: log times never go back (mcap doctor warns).

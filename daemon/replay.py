@@ -18,7 +18,8 @@ from daemon.build import Plan, make_loop_setup, make_plan
 from daemon.config import make_settings
 from daemon.core import read_identity
 from daemon.errors import ExitCode, SteerdError
-from daemon.loop import Flag, Loop
+from daemon.flags import Flag
+from daemon.loop import Loop
 from daemon.options import decode_options
 from daemon.session_meta import csv_file
 from daemon.telling import CLOCK_KINDS, make_actuation, read_actuation

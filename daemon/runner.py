@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from daemon.core import Core
+from daemon.flags import Flag
 from daemon.gateway_wire import REQUEST_MAX, unpack_request
 from daemon.guard import Guard, sleep_lag_ns
-from daemon.loop import Flag
 from daemon.records import PipeWriter
 from daemon.transitions import is_engaged
 from mocap_link.sessions import BusPoseSource
@@ -182,8 +182,8 @@ class Runner:
             self._tell_clock(now_ns)
         self._watch_processes(now_ns)
         flags = self._core.flags
-        flags |= Flag.QUIT if self.signals else Flag(0)
-        flags |= Flag.ABORT if self.signals > 1 else Flag(0)
+        flags |= Flag.QUIT if self.signals else 0
+        flags |= Flag.ABORT if self.signals > 1 else 0
         self._core.flags = flags
 
     def _tend_mocap(self, now_ns: int) -> None:
@@ -192,7 +192,9 @@ class Runner:
         self._mocap.ingest.stationary = seen.may_rebase
         samples = self._mocap.on_timer(self._clock.now_ns())
         self._core.on_poses(samples or [])
-        self._core.source = self._mocap.status()
+        source = self._core.source = self._mocap.status()
+        self._core.flags &= ~Flag.MOCAP_REFUSED
+        self._core.flags |= Flag.MOCAP_REFUSED if source.refused else 0
 
     def _tell_clock(self, now_ns: int) -> None:
         realtime = self._clock.realtime_ns()
@@ -205,7 +207,7 @@ class Runner:
             if pipe is not None:
                 full = pipe.full_since_ns
                 stuck = full is not None and now_ns - full > PIPE_FULL_NS
-                core.flags |= flag if pipe.dead or stuck else Flag(0)
+                core.flags |= flag if pipe.dead or stuck else 0
         if self._port is not None and self._guard.silent(now_ns):
             core.flags |= Flag.GUARDIAN_LOST
         if self._guard.tripped():

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from daemon.build import Plan, make_core, make_world_config
 from daemon.core import Core
-from daemon.loop import Flag
+from daemon.flags import Flag
 from daemon.outbox import Sink
 from daemon.transitions import State, is_engaged
 from mocap_link.natnet_client import Socket
@@ -107,7 +107,9 @@ class VirtualRun:
             self._timer_ns = t_ns + _TIMER_NS
             for datagram in self.source.on_timer(t_ns):
                 self.world.mocap_write(t_ns, datagram)
-            self.core.source = self.source.status()
+            source = self.core.source = self.source.status()
+            self.core.flags &= ~Flag.MOCAP_REFUSED
+            self.core.flags |= Flag.MOCAP_REFUSED if source.refused else 0
 
     def _read_serial(self, t_ns: int) -> None:
         linked = bool(self.core.flags & Flag.LINKED)
