@@ -107,7 +107,7 @@ class Chart:
         front, rear = self.names.index("lf"), self.names.index("lr")
         for i, (name, place) in enumerate(zip(self.free, places, strict=True)):
             log = p[place] if name in LOGARITHM else 1.0
-            slopes[place, i] = -p[place] ** 2 if name in INVERSE else log
+            slopes[place, i] = -(p[place] ** 2) if name in INVERSE else log
             if name == "lr" and (self.paired or self.wheelbase is not None):
                 slopes[front, i] = -1.0
             if name == "lf" and not self.paired and self.wheelbase is not None:

@@ -19,20 +19,22 @@ def _lower(pick: Callable[..., Any]) -> Callable[..., Any]:
     return codegen
 
 
-@intrinsic
-def select(_typing: Any, _condition: Any, _then: Any, _otherwise: Any) -> Any:
+def _select(_typing: Any, _condition: Any, _then: Any, _otherwise: Any) -> Any:
     """`then` where the condition is strictly positive, else `otherwise`."""
     zero = ir.Constant(ir.DoubleType(), 0.0)
     return _signature(3), _lower(lambda b, c, x, y: b.select(b.fcmp_ordered(">", c, zero), x, y))
 
 
-@intrinsic
-def least(_typing: Any, _first: Any, _second: Any) -> Any:
+def _least(_typing: Any, _first: Any, _second: Any) -> Any:
     """The smaller of the two."""
     return _signature(2), _lower(lambda b, x, y: b.select(b.fcmp_ordered("<", x, y), x, y))
 
 
-@intrinsic
-def greatest(_typing: Any, _first: Any, _second: Any) -> Any:
+def _greatest(_typing: Any, _first: Any, _second: Any) -> Any:
     """The larger of the two."""
     return _signature(2), _lower(lambda b, x, y: b.select(b.fcmp_ordered(">", x, y), x, y))
+
+
+select: Any = intrinsic(_select)
+least: Any = intrinsic(_least)
+greatest: Any = intrinsic(_greatest)

@@ -1,9 +1,10 @@
 """From recorded equations to Python source that Numba compiles.
 
-Two forms of each piece are printed. The *point* form works on one state and fills Jacobians; its
-partner, the *push* form, carries sensitivity columns through it. The *lane* form has the loop over windows innermost, so
-that LLVM vectorises the equations themselves; it comes with its vector-Jacobian product. Whatever
-depends on parameters and step alone is computed once per call, in `constants`.
+Two forms of each piece are printed. The *point* form works on one state and gives its nonzero
+derivatives; its partner, the *push*, carries sensitivity columns through them. The *lane* form has
+the loop over windows innermost, so that LLVM vectorises the equations themselves; it comes with its
+vector-Jacobian product. What depends on parameters and step alone is computed once per call, in
+`constants`.
 """
 
 from collections.abc import Mapping, Sequence

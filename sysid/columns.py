@@ -5,6 +5,7 @@ its numbers; pieces push columns through their exact derivatives. Columns are wh
 seeds: free parameters and the first state. Every window may be sampled anywhere between its steps.
 """
 
+# ruff: noqa: TC004  (the printed pieces stand above this text in the compiled module)
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -252,15 +253,8 @@ def sample(
 ) -> None:
     """What the instruments read `share` of a step after `state`, and its columns.
 
-    Args:
-        p: parameters; q: constants; h: step.
-        share: 0 to 1, straight between the steps' states; `rate`: its columns.
-        state: before the step, with columns `ds`; `after`, `da` after it.
-        z: workspace.
-        seen: the five readings; their columns are rows 7 to 11 of `w`.
-        w: workspace.
-        j: workspace.
-        n: columns.
+    The place runs straight from `state` with columns `ds` (share 0) to `after` with `da` (1); the
+    share itself has columns `rate`. `seen` gets the five readings, rows 7 to 11 of `w` theirs.
     """
     for row in range(7):
         a, move = row * COLUMNS, after[row] - state[row]
@@ -447,8 +441,9 @@ def sensitivities(
     """Readings of every window at its stations, and their derivatives by the columns.
 
     Args:
-        p: parameters; q: their constants for step `h` [s].
-        h: step, `substeps` of which share one command.
+        p: parameters.
+        q: their constants for step `h`.
+        h: step [s], `substeps` of which share one command.
         tableau: (2, stages) reach and weight of each stage.
         seeds: (parameters, >= n) derivative of each parameter by each column.
         commands: (rows, 2) all runs one after the other.

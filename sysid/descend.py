@@ -70,12 +70,13 @@ def _trial(
     """The damped step, within the bounds: coordinates that hit one stay there."""
     low, high = problem.chart.bounds()
     frozen = np.zeros(len(z), bool)
-    for _ in range(len(z) + 1):
-        dz, dx = solve(normal, damping, frozen)
+    dz, dx = solve(normal, damping, frozen)
+    for _ in range(len(z)):
         out = ((z + dz < low) & (z <= low)) | ((z + dz > high) & (z >= high))
         if not (out & ~frozen).any():
             break
         frozen |= out
+        dz, dx = solve(normal, damping, frozen)
     return np.clip(z + dz, low, high), x + dx
 
 
@@ -102,8 +103,7 @@ def descend(
         if new is None:
             converged = True
             break
-        step, drop = new[0] - z, cost - new[3]
-        size = float(np.sqrt(max(step @ information(normal) @ step, 0.0)))
+        drop, size = cost - new[3], _length(normal, new[0] - z)
         z, x, at = new[0], new[1], new[2]
         costs.append(new[3])
         limit = robust_limit(at.error)
@@ -112,6 +112,12 @@ def descend(
             converged = True
             break
     return Descent(z, x, at, limit, normal, tuple(costs), converged, damping)
+
+
+def _length(normal: Normal, step: Array) -> float:
+    """Length of a step of the coordinates in standard deviations."""
+    square = float(step @ information(normal) @ step)
+    return float(np.sqrt(max(square, 0.0)))
 
 
 def _gain(problem: Problem, normal: Normal, z: Array) -> float:

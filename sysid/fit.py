@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from car_model.effect import Effect
 from car_model.model import Model
 from car_model.params import Car
 from sysid.chart import Chart, make_chart
@@ -267,7 +266,8 @@ def residual_noise(problem: Problem, found: Descent) -> Array:
         mine = size[problem.layout.group == g]
         if len(mine):
             noise[g] *= np.sqrt(np.mean(mine**2))
-    return np.maximum(noise, FLOORS)
+    floored: Array = np.maximum(noise, FLOORS)
+    return floored
 
 
 def _settle_noise(work: _Work, problem: Problem, found: Descent) -> Descent:
@@ -286,7 +286,7 @@ def _settle_noise(work: _Work, problem: Problem, found: Descent) -> Descent:
 def _report(work: _Work, problem: Problem, found: Descent, signal: Array) -> Fit:
     chart = work.chart
     told = information(found.normal)
-    covariance = np.linalg.inv(told)
+    covariance: Array = np.linalg.inv(told).astype(float)
     sd = np.sqrt(np.diag(covariance))
     parameters = chart.parameters(found.z)
     pace = float(np.median(np.abs(np.concatenate([run.commands[:, 1] for run in work.runs]))))

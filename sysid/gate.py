@@ -19,6 +19,9 @@ GAP = 0.2
 FROZEN = 1.0
 """Poses that repeat for this long while the car moves are frozen [s]."""
 
+_REPEATS = 5
+"""One pose, then a gap, is no frozen pose: so many in a row are."""
+
 
 class DataError(ValueError):
     """Data that cannot be used.
@@ -78,7 +81,7 @@ def check_run(name: str, duration: float, t: Array, pose: Array, speed: Array) -
 def _check_frozen(name: str, t: Array, pose: Array) -> None:
     moved = np.any(np.diff(pose, axis=0) != 0.0, axis=1)
     changes = np.concatenate([[0], np.flatnonzero(moved) + 1, [len(t) - 1]])
-    stalls = np.diff(t[changes])
+    stalls = np.where(np.diff(changes) >= _REPEATS, np.diff(t[changes]), 0.0)
     worst = int(np.argmax(stalls))
     if stalls[worst] < FROZEN or worst + 1 >= len(changes) - 1:
         return

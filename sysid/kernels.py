@@ -97,12 +97,12 @@ class Lanes(NamedTuple):
     """Windows arranged side by side: blocks of 16, the last filled up with copies.
 
     Attributes:
-        count: real windows.
+        windows: how many lanes are real ones.
         runs: (blocks, 16, 3) rows of the commands: first, after the last, at the first step.
         t: (blocks, 16) time into the run [s].
     """
 
-    count: int
+    windows: int
     runs: Indices
     t: Array
 
@@ -156,7 +156,10 @@ def march(
 
 
 class Slopes(NamedTuple):
-    """Derivatives of a loss: by parameters (P,), first states (W, 7 + memory), commands (rows, 2)."""
+    """Derivatives of a loss.
+
+    By parameters (P,), first states (W, 7 + memory) and commands (rows, 2).
+    """
 
     parameters: Array
     first: Array
@@ -178,7 +181,7 @@ def march_back(
     )  # fmt: skip
     slopes += delay_slopes(kernels, parameters, np.array([*late, 0.0]))
     by_window = first.reshape(len(path), -1, LANES).transpose(0, 2, 1)
-    return Slopes(slopes, by_window.reshape(-1, by_window.shape[2])[: lanes.count], into)
+    return Slopes(slopes, by_window.reshape(-1, by_window.shape[2])[: lanes.windows], into)
 
 
 def delay_slopes(kernels: Kernels, parameters: Array, bars: Array) -> Array:

@@ -7,6 +7,7 @@ minimax fits; range reduction after Cody and Waite.
 """
 
 from math import sqrt as _sqrt
+from typing import Any
 
 import numba
 import numpy as np
@@ -47,7 +48,7 @@ def _cos_kernel(r: float) -> float:
 
 
 @inline
-def _turned(x: float, quarter: float) -> float:
+def _turned(x: float, quarter: float) -> Any:
     # sin(x + quarter * pi/2)
     n = np.floor(x * _TWO_OVER_PI + 0.5)
     r = ((x - n * _HALF_PI_1) - n * _HALF_PI_2) - n * _HALF_PI_3
@@ -59,19 +60,19 @@ def _turned(x: float, quarter: float) -> float:
 
 
 @inline
-def sin(x: float) -> float:
+def sin(x: float) -> Any:
     """Sine of an angle [rad]."""
     return _turned(x, 0.0)
 
 
 @inline
-def cos(x: float) -> float:
+def cos(x: float) -> Any:
     """Cosine of an angle [rad]."""
     return _turned(x, 1.0)
 
 
 @inline
-def tan(x: float) -> float:
+def tan(x: float) -> Any:
     """Tangent of an angle [rad]."""
     n = np.floor(x * _TWO_OVER_PI + 0.5)
     r = ((x - n * _HALF_PI_1) - n * _HALF_PI_2) - n * _HALF_PI_3
@@ -81,7 +82,7 @@ def tan(x: float) -> float:
 
 
 @inline
-def atan(x: float) -> float:
+def atan(x: float) -> Any:
     """Arc tangent [rad] (Cephes atan)."""
     a = np.fabs(x)
     steep, middle = a - 2.41421356237309504880, a - 0.66
@@ -110,18 +111,18 @@ def sqrt(x: float) -> float:
 
 
 @inline
-def exp(x: float) -> float:
+def exp(x: float) -> Any:
     """Exponential; only effects with memory need it inside a loop, so libm's serves."""
     return np.exp(x)
 
 
 @inline
-def tanh(x: float) -> float:
+def tanh(x: float) -> Any:
     """Hyperbolic tangent (libm's)."""
     return np.tanh(x)
 
 
 @inline
-def abs(x: float) -> float:  # noqa: A001  the printed code calls it so
+def abs(x: float) -> Any:
     """Magnitude."""
     return np.fabs(x)

@@ -9,6 +9,7 @@ Euler and Runge-Kutta 4 are one loop: stage i starts at `state + h reach[i] slop
 wheels `reach[i]` of the way; the step is the sum of `h weight[i] slope[i]`.
 """
 
+# ruff: noqa: TC004  (the printed pieces stand above this text in the compiled module)
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,9 +51,7 @@ def copy_rows(to: "Array", first: int, source: "Array", start: int, rows: int) -
 
 
 @point
-def add_rows(
-    to: "Array", first: int, source: "Array", start: int, rows: int, scale: float
-) -> None:
+def add_rows(to: "Array", first: int, source: "Array", start: int, rows: int, scale: float) -> None:
     """Add `scale` times whole rows of lanes."""
     a, b = first * LANES, start * LANES
     for i in range(rows * LANES):
@@ -182,9 +181,7 @@ def ready_rates(wa: "Array", wr: "Array", ends: "Array") -> None:
 
 
 @point
-def remember_step(
-    wm: "Array", ends: "Array", before: "Array", after: "Array", wr: "Array"
-) -> None:
+def remember_step(wm: "Array", ends: "Array", before: "Array", after: "Array", wr: "Array") -> None:
     """Inputs of the memory after a step: chassis and wheel before and after, memory within."""
     copy_rows(wm, 0, before, 0, 6)
     copy_rows(wm, 6, ends, 0, 1)
@@ -250,7 +247,8 @@ def simulate_lanes(
     """March every block of 16 windows.
 
     Args:
-        p: parameters; q: their constants for step `h`.
+        p: parameters.
+        q: their constants for step `h`.
         h: step [s], `substeps` of which share one command.
         tableau: (2, stages) reach and weight of each stage.
         path: (blocks, steps + 1, (7 + MEMORY) * 16); `path[:, 0]` is given, the rest is written.
@@ -385,9 +383,7 @@ def adjoint_block(
         copy_rows(bar, 0, bars[k], 0, states)
         add_rows(bar, 0, kept, 0, 6, 1.0)
         add_rows(bar, 0, wva, back, states, 1.0)
-        return_commands(
-            wva, back + states, stream, into, ahead, k, substeps, late, late_bars, n
-        )
+        return_commands(wva, back + states, stream, into, ahead, k, substeps, late, late_bars, n)
     for parameter in range(PARAMETER_COUNT):
         for lane in range(LANES):
             slopes[parameter] += (
@@ -415,12 +411,9 @@ def adjoint_lanes(
 ) -> "Array":
     """Derivatives of a loss, given its derivatives `bars` by every state of `path`.
 
-    Args:
-        p: see `simulate_lanes`, as q, h, tableau, commands, runs, t and substeps.
-        path: what `simulate_lanes` wrote; `bars` has its shape.
-        into: (rows, 2) derivatives to the commands, added to.
-        first: (blocks, (7 + MEMORY) * 16) derivatives to the first states, written.
-        slopes: derivatives to the parameters other than through the delays, added to.
+    Arguments are those of `simulate_lanes`, which wrote `path`. `first` (blocks, (7 + MEMORY) * 16)
+    gets the derivatives to the first states; those to the commands are added to `into` (rows, 2),
+    and those to the parameters, other than through the delays, to `slopes`.
 
     Returns:
         Derivatives to the dead times of steer and drive [1/s].
@@ -437,4 +430,5 @@ def adjoint_lanes(
             first[block], slopes, late_bars,
         )  # fmt: skip
         return_stream(returned, runs[block], into, ahead)
-    return late_bars.sum(axis=1) / h
+    late_slopes: Array = np.sum(late_bars, axis=1) / h
+    return late_slopes

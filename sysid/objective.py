@@ -81,7 +81,7 @@ class Problem:
     def evaluate(self, z: Array, x: Array) -> Evaluation:
         """Errors and derivatives at coordinates `z` and initial states `x`."""
         self.evaluations += 1
-        parameters, n = self.chart.parameters(z), len(z)
+        parameters = self.chart.parameters(z)
         scale = 1.0 / self.sigma[self.layout.group]
         y, jy = self._read(parameters, z, x, scale)
         error = self.layout.values - y
@@ -111,7 +111,6 @@ class Problem:
         return read(
             self.kernels, parameters, seeds, x, dfirst, held, windows, self._stations[key], scale
         )
-
 
     def rescaled(self, at: Evaluation, sigma: Array) -> Evaluation:
         """Take other noise levels, and give the same evaluation under them."""

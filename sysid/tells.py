@@ -1,4 +1,4 @@
-"""What the data tell: standard errors, combinations, directions, and the manoeuvre that is missing."""
+"""What the data tell, and the manoeuvre that would tell the rest."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -98,7 +98,9 @@ class Direction:
 def standard_errors(chart: Chart, z: Array, covariance: Array) -> Array:
     """Standard error of every parameter (P,); zero for the fixed ones."""
     slopes = chart.slopes(z)
-    return np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", slopes, covariance, slopes), 0.0))
+    variance = np.einsum("pi,ij,pj->p", slopes, covariance, slopes)
+    sd: Array = np.sqrt(np.maximum(variance, 0.0))
+    return sd
 
 
 def _known(name: str, value: float, sd: float, prior_sd: float) -> bool:

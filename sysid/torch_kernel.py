@@ -38,7 +38,12 @@ def simulate(
 
     Returns:
         (B, N + 1, 7 + memory) states; a view whose innermost axis in memory is B.
+
+    Raises:
+        TypeError: a tensor is not float64.
     """
+    if {parameters.dtype, first.dtype, commands.dtype} != {torch.float64}:
+        raise TypeError("parameters, first states and commands must be float64")
     missing = 7 + kernels.memory - first.shape[-1]
     if missing:
         first = torch.nn.functional.pad(first, (0, missing))
@@ -65,12 +70,12 @@ class _Simulate(torch.autograd.Function):
         return lane_view(torch.from_numpy(path), count)
 
     @staticmethod
-    @once_differentiable  # type: ignore[misc,untyped-decorator]
+    @once_differentiable
     def backward(ctx: Any, bars: Tensor) -> Any:
         """March back."""
         kernels, parameters, path, held, lanes = ctx.state
         slopes = march_back(kernels, parameters, path, _to_lanes(bars, lanes), held, lanes)
-        commands = slopes.commands.reshape(lanes.count, -1, 2)
+        commands = slopes.commands.reshape(lanes.windows, -1, 2)
         pieces = (slopes.parameters, np.ascontiguousarray(slopes.first), commands)
         return (*(torch.from_numpy(piece) for piece in pieces), None)
 

@@ -5,7 +5,7 @@ memory, observation. Nothing is written twice: what is traced is the code that d
 car.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from car_model.effect import Effect
 from car_model.model import (
@@ -94,8 +94,8 @@ class _Setting(NamedTuple):
     model: Model[Node]
     state: State[Node]
     memory: tuple[Node, ...]
-    t: Node
-    h: Node
+    t: Any
+    h: Any
 
 
 def _trace_actuators(s: _Setting) -> Piece:

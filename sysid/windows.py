@@ -1,5 +1,6 @@
 """Runs cut into windows: what is simulated from where, and which measurements it must explain."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -132,7 +133,7 @@ def _cut_run(run: Run, number: int, low: int, horizon: float, pose_delay: float)
     edges = _edges(run, horizon, pose_delay)
     settle, rows = round(SETTLE / run.h), len(run.commands)
     cuts = []
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in itertools.pairwise(edges):
         start, end = a * run.h, b * run.h + (1e-9 if b == edges[-1] else 0.0)
         t, pose = _between(run.pose, start + pose_delay, end + pose_delay)
         if len(t) < POSES_MIN:
@@ -191,7 +192,9 @@ def _assemble(runs: Sequence[Run], cuts: Sequence[_Cut]) -> Layout:
             groups.append(np.tile([0, 0, 1] if kind == 0 else [kind + 1], len(times)))
             row += width * len(times)
         bounds.append(row)
-    seen = Seen(np.concatenate(window), np.concatenate(t), np.concatenate(kinds), np.concatenate(rows))
+    seen = Seen(
+        np.concatenate(window), np.concatenate(t), np.concatenate(kinds), np.concatenate(rows)
+    )
     spans = np.array([cut.span for cut in cuts], np.int64)
     return Layout(
         h=runs[0].h,
@@ -217,7 +220,9 @@ def estimate_noise(runs: Sequence[Run]) -> Array:
         found[1].append(noise_of(t, pose[:, 2]))
         found[2].append(noise_of(*run.wheel))
         found[3].append(noise_of(*run.yaw_rate))
-    return np.maximum([float(np.median([v for v in f if v > 0] or [0.0])) for f in found], FLOORS)
+    middle = np.array([float(np.median([v for v in f if v > 0] or [0.0])) for f in found])
+    noise: Array = np.maximum(middle, FLOORS)
+    return noise
 
 
 def speed_range(runs: Sequence[Run]) -> tuple[float, float]:

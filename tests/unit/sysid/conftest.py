@@ -1,0 +1,138 @@
+"""Drives whose truth is known: the compiled car driven over excitation plans, with seeded noise."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from car_model.model import Model
+from car_model.params import DEFAULT_CAR, PAPER_CAR, Car
+from sysid.dataset import Run, Signal, make_run
+from sysid.kernels import Held, lane_view, make_kernels, make_lanes, march, parameter_vector
+
+Array = NDArray[np.float64]
+STEP = 0.005
+TRUTH = DEFAULT_CAR._replace(
+    lf=0.16, lr=0.172, inertia_z=0.05, steer_gain=0.96, steer_bias=0.01, steer_delay=0.013,
+    steer_lag=0.06, speed_gain=1.02, speed_lag=0.12,
+)  # fmt: skip
+"""A car that differs from the default in every parameter that is free by default, tyres apart."""
+
+
+class Noise(NamedTuple):
+    position: float = 1e-3
+    yaw: float = 2e-3
+    wheel: float = 0.02
+
+
+def mixed_commands(seconds: float, seed: int, lateral: float = 5.0) -> Array:
+    """Steps, sines and chirps of steering at 1 to 3 m/s, no faster than the daemon's limit."""
+    rng = np.random.default_rng(seed)
+    count = round(seconds / STEP)
+    steer, speed = np.zeros(count), np.zeros(count)
+    i = 0
+    while i < count:
+        n = min(int(rng.uniform(0.4, 2.0) / STEP), count - i)
+        v, kind, t = rng.uniform(1.0, 3.0), rng.integers(3), np.arange(n) * STEP
+        limit = min(0.34, float(np.arctan(0.33 * lateral / v**2)))
+        size = rng.uniform(-limit, limit)
+        shapes = (
+            np.ones(n),
+            np.sin(2 * np.pi * rng.uniform(0.4, 2.5) * t),
+            np.sin(2 * np.pi * (0.5 + t) * t),
+        )
+        steer[i : i + n], speed[i : i + n] = size * shapes[kind], v
+        i += n
+    for k in range(1, count):
+        steer[k] = np.clip(steer[k], steer[k - 1] - 2.8 * STEP, steer[k - 1] + 2.8 * STEP)
+    return np.column_stack([steer, speed])
+
+
+def simulate_run(
+    model: Model[float], commands: Array, first: Array, seed: int, noise: Noise = Noise()
+) -> Run:
+    """A drive of a known car, poses and wheel speed at 200 Hz."""
+    kernels = make_kernels(model.effects)
+    count = len(commands)
+    lanes = make_lanes(np.array([[0, count, 0]]), np.zeros(1))
+    state = np.zeros((1, 7 + kernels.memory))
+    state[0, :7] = first
+    held = Held(np.ascontiguousarray(commands), STEP)
+    path = lane_view(march(kernels, parameter_vector(model), state, held, lanes, count), 1)[0]
+    rng = np.random.default_rng([7, seed])
+    t = np.arange(count + 1) * STEP
+    pose = path[:, :3] + rng.normal(size=(count + 1, 3)) * [noise.position] * np.array(
+        [1.0, 1.0, noise.yaw / noise.position]
+    )
+    wheel = path[:, 3] / model.car.speed_gain + rng.normal(size=count + 1) * noise.wheel
+    at = t[:-1]
+    return make_run(
+        f"run {seed}", Signal(at, commands[:, 0]), Signal(at, commands[:, 1]), Signal(t, pose),
+        wheel=Signal(t, wheel), h=STEP,
+    )  # fmt: skip
+
+
+def drive(model: Model[float], seconds: float, seed: int, noise: Noise = Noise()) -> Run:
+    """A mixed drive from 1.5 m/s straight ahead."""
+    first = np.array([0.0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
+    return simulate_run(model, mixed_commands(seconds, seed), first, seed, noise)
+
+
+def _settled(car: Car[float], commands: Array, first: Array) -> Array:
+    held, lanes = Held(commands, STEP), make_lanes(np.array([[0, len(commands), 0]]), np.zeros(1))
+    path = march(make_kernels(), np.array(car), first[None], held, lanes, len(commands))
+    last: Array = lane_view(path, 1)[0, -1].copy()
+    return last
+
+
+def circle_runs(count: int = 6, seconds: float = 4.0) -> list[Run]:
+    """The paper's circles: left and right at the stop, 1 m/s, turning from the start."""
+    car = PAPER_CAR._replace(
+        steer_delay=0.0, steer_lag=0.0, steer_rate=1e3, speed_lag=0.0, accel_max=1e3, decel_max=1e3
+    )
+    runs = []
+    for i in range(count):
+        steer = 0.34 if i % 2 else -0.34
+        commands = np.column_stack(
+            [np.full(round(seconds / STEP), steer), np.ones(round(seconds / STEP))]
+        )
+        first = _settled(
+            car, commands[:300], np.array([0.3 * i, 0.2, 0.7 * i, 1.0, 0.0, 0.0, steer])
+        )
+        runs.append(simulate_run(Model(car), commands, first, i))
+    return runs
+
+
+@pytest.fixture(scope="session")
+def truth() -> Model[float]:
+    return Model(TRUTH)
+
+
+@pytest.fixture(scope="session")
+def make_drive() -> Callable[..., Run]:
+    return drive
+
+
+@pytest.fixture(scope="session")
+def make_circles() -> Callable[..., list[Run]]:
+    return circle_runs
+
+
+@pytest.fixture(scope="session")
+def simulated() -> Callable[..., Run]:
+    return simulate_run
+
+
+@pytest.fixture(scope="session")
+def rich_model() -> Model[float]:
+    """Memory, a linkage, two delays and time-dependent grip, all away from their nulls."""
+    from car_model.effects import parse_effects
+
+    settings = parse_effects(
+        "steer_delay=0.011,tyre_relaxation=0.07,steer_backlash=0.02,grip_drift=0.5,mocap_latency=0.0021"
+    )
+    car = DEFAULT_CAR._replace(steer_delay=0.013, drive_delay=0.004, pose_delay=0.0033)
+    effects: Any = tuple(effect for effect, _ in settings)
+    return Model(car, effects, tuple(values for _, values in settings))

@@ -1,0 +1,167 @@
+"""The fit finds injected truth, says how sure it is, and says what it cannot tell."""
+
+import numpy as np
+import pytest
+
+from car_model.effects import parse_effects
+from car_model.model import Model
+from car_model.params import DEFAULT_CAR, PAPER_CAR
+from sysid.dataset import Run, Signal, make_run
+from sysid.fit import DEFAULT_FREE, TYRES, Options, fit
+from sysid.gate import DataError
+from sysid.stability import stable_substeps
+
+
+def _pulls(found, truth):
+    values = truth.car._asdict()
+    return np.array([(e.value - values[name]) / e.sd for name, e in found.estimates.items()])
+
+
+@pytest.fixture(scope="module")
+def minute(make_drive, truth):
+    return make_drive(truth, 60.0, 1)
+
+
+def test_a_minute_of_driving_tells_eleven_parameters(minute, truth):
+    found = fit([minute], Model(DEFAULT_CAR))
+    assert found.converged
+    assert set(found.estimates) == set(DEFAULT_FREE)
+    assert np.abs(_pulls(found, truth)).max() < 4.0
+    for name in TYRES:
+        assert found.estimates[name].value == pytest.approx(truth.car._asdict()[name], rel=3e-3)
+    assert not found.unidentified
+    assert all(0.9 < ratio < 1.1 for ratio in found.misfit.values())
+    assert found.noise[:2] == pytest.approx([1e-3, 2e-3], rel=0.05)
+    assert np.allclose(np.diag(found.correlation), 1.0)
+
+
+def test_errors_have_the_size_that_the_fit_claims(make_drive, truth):
+    pulls = [_pulls(fit([make_drive(truth, 12.0, s)], Model(DEFAULT_CAR)), truth) for s in range(5)]
+    rms = float(np.sqrt(np.mean(np.square(pulls))))
+    assert 0.6 < rms < 1.3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_any_start_leads_to_the_same_car(make_drive, seed):
+    run = make_drive(Model(DEFAULT_CAR), 8.0, 3)
+    rng = np.random.default_rng(seed)
+    drawn = dict(zip(TYRES, [*rng.uniform(0.1, 0.35, 2), *rng.uniform(2.0, 10.0, 2)], strict=True))
+    options = Options(free=TYRES)
+    found = fit(
+        [run], Model(DEFAULT_CAR), options=options, starts=[Model(DEFAULT_CAR._replace(**drawn))]
+    )
+    assert np.abs(_pulls(found, Model(DEFAULT_CAR))).max() < 4.5
+
+
+def test_circles_fix_two_sums_and_no_parameter(make_circles):
+    base = PAPER_CAR._replace(
+        steer_delay=0.0, steer_lag=0.0, steer_rate=1e3, speed_lag=0.0, accel_max=1e3,
+        decel_max=1e3, lf=0.15, lr=0.18, c_sf=5.0, c_sr=5.0,
+    )  # fmt: skip
+    found = fit(make_circles(), Model(base), options=Options(free=TYRES))
+    share = 1.0 / (PAPER_CAR.mu * 9.81)
+    wanted = (
+        PAPER_CAR.lf + PAPER_CAR.lr + share * (1 / PAPER_CAR.c_sf - 1 / PAPER_CAR.c_sr),
+        PAPER_CAR.lr - share / PAPER_CAR.c_sr,
+    )
+    assert [c.value for c in found.combinations] == pytest.approx(wanted, rel=1e-3)
+    assert {"c_sf", "c_sr"} <= set(found.unidentified)
+    assert sum(d.told for d in found.directions) == 2
+    assert all(found.estimates[name].manoeuvre for name in found.unidentified)
+
+
+def test_known_wheelbase_is_kept(make_drive):
+    run = make_drive(Model(DEFAULT_CAR), 8.0, 5)
+    options = Options(free=TYRES, wheelbase=0.3302)
+    found = fit([run], Model(DEFAULT_CAR._replace(lf=0.2, lr=0.1302)), options=options)
+    assert found.model.car.lf + found.model.car.lr == pytest.approx(0.3302, abs=1e-12)
+    assert found.estimates["lf"].value == pytest.approx(DEFAULT_CAR.lf, rel=0.02)
+    assert found.estimates["lf"].sd == pytest.approx(found.estimates["lr"].sd)
+
+
+def test_effects_are_fitted_with_the_car(make_drive):
+    ((effect, values),) = parse_effects("steer_asymmetry=0.08")
+    run = make_drive(Model(DEFAULT_CAR, (effect,), (values,)), 10.0, 6)
+    start = Model(DEFAULT_CAR, (effect,), ((0.0,),))
+    name = f"steer_asymmetry.{effect.parameters[0].name}"
+    found = fit([run], start, options=Options(free=(*TYRES, name)))
+    estimate = found.estimates[name]
+    assert abs(estimate.value - 0.08) < 4.0 * estimate.sd
+    assert estimate.identifiable
+    assert found.model.effects == (effect,)
+
+
+def test_outliers_do_not_pull(make_drive, truth):
+    clean = make_drive(truth, 12.0, 2)
+    rng = np.random.default_rng(0)
+    poses = clean.pose.values.copy()
+    hit = rng.choice(len(poses), len(poses) // 50, replace=False)
+    poses[hit, :2] += rng.normal(size=(len(hit), 2)) * 0.2
+    dirty = Run(clean.name, clean.h, clean.commands, Signal(clean.pose.t, poses), wheel=clean.wheel)
+    a, b = (
+        fit([run], Model(DEFAULT_CAR), options=Options(noise=(1e-3, 2e-3, 0.02, 1.0)))
+        for run in (clean, dirty)
+    )
+    for name in TYRES:
+        assert abs(a.estimates[name].value - b.estimates[name].value) < 2.0 * a.estimates[name].sd
+
+
+def _moved(run, angle, shift):
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, yaw = run.pose.values.T
+    pose = np.column_stack([c * x - s * y + shift[0], s * x + c * y + shift[1], yaw + angle])
+    return Run(run.name, run.h, run.commands, Signal(run.pose.t, pose), wheel=run.wheel)
+
+
+def test_neither_place_nor_heading_nor_order_matters(make_drive):
+    runs = [make_drive(Model(DEFAULT_CAR), 5.0, s) for s in (11, 12)]
+    options = Options(free=TYRES, noise=(1e-3, 2e-3, 0.02, 1.0))
+    start = Model(DEFAULT_CAR._replace(c_sf=4.0, lr=0.18))
+    plain = fit(runs, start, options=options)
+    turned = fit([_moved(run, 2.1, (30.0, -7.0)) for run in runs], start, options=options)
+    swapped = fit(runs[::-1], start, options=options)
+    for name in TYRES:
+        sd = plain.estimates[name].sd
+        for other in (turned, swapped):
+            assert abs(other.estimates[name].value - plain.estimates[name].value) < 0.1 * sd
+
+
+def test_measured_speed_is_prescribed_where_no_command_exists(make_drive, truth):
+    run = make_drive(truth, 10.0, 4)
+    t = np.arange(len(run.commands)) * run.h
+    bare = make_run(
+        "no speed command", Signal(t, run.commands[:, 0]), None, run.pose, wheel=run.wheel
+    )
+    assert bare.speed_source == "wheel"
+    found = fit(
+        [bare], Model(DEFAULT_CAR), options=Options(free=(*TYRES, "speed_gain", "speed_lag"))
+    )
+    assert "speed_lag" not in found.estimates
+    assert found.estimates["speed_gain"].value == pytest.approx(1.02, rel=3e-3)
+
+
+def test_one_constant_steering_is_refused(simulated):
+    commands = np.column_stack([np.full(400, 0.1), np.ones(400)])
+    first = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.1])
+    with pytest.raises(DataError, match="constant"):
+        fit([simulated(Model(DEFAULT_CAR), commands, first, 0)], Model(DEFAULT_CAR))
+
+
+def test_unknown_names_are_refused(make_drive):
+    with pytest.raises(ValueError, match="c_sx"):
+        fit(
+            [make_drive(Model(DEFAULT_CAR), 2.0, 0)],
+            Model(DEFAULT_CAR),
+            options=Options(free=("c_sx",)),
+        )
+
+
+def test_slow_driving_and_stiff_cars_get_more_steps():
+    assert stable_substeps(DEFAULT_CAR, 1.0, 3.0, 0.01) == 1
+    assert stable_substeps(DEFAULT_CAR, 0.0, 3.0, 0.01) == 2
+    assert (
+        stable_substeps(
+            DEFAULT_CAR._replace(lf=0.324, lr=0.324, c_sf=7.0, c_sr=7.0), 1.0, 1.0, 0.01
+        )
+        > 2
+    )
