@@ -7,6 +7,7 @@ import time
 from typing import Protocol
 
 from daemon.guardian import STALE_NS, STALE_NS_NO_RT, HeartbeatPage, make_page_fd
+from daemon.lifeline import Lifeline
 
 START_NS = 1_000_000_000
 """A guardian that has just been started gets this long to show itself."""
@@ -57,6 +58,8 @@ class ProcessGuard:
         self._page: HeartbeatPage | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._started_ns = 0
+        # Kept for life: the kernel walks through all of them when this thread dies.
+        self._lifelines: list[Lifeline] = []
 
     def watch(self, serial_fd: int, brake_frame: bytes, t_ns: int) -> None:
         """Start a guardian for a port that was just opened."""
@@ -68,6 +71,8 @@ class ProcessGuard:
         command += [brake_frame.hex(), str(self._stale_ns)]
         self._page = HeartbeatPage(page_fd)
         self._page.beat(t_ns, engaged=False)
+        self._lifelines.append(Lifeline(page_fd))
+        self._lifelines[-1].hold()
         self._process = subprocess.Popen(command, pass_fds=fds, process_group=0)
         self._started_ns = t_ns
         os.close(page_fd)

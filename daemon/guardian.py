@@ -3,8 +3,7 @@
 Standard library only. It holds a duplicate of the serial fd and a page of shared memory into which
 the core writes its heartbeat. Core gone, or heartbeat too old while motor bytes may flow: set
 ``tripped``, then write the brake frame at once and every 10 ms for 2 s. A core that wakes up again
-looks at ``tripped`` before each write (``HeartbeatPage.may_write``), so no stale motion frame
-leaves it. Disarmed, the guardian never touches the wire.
+looks at ``tripped`` before each write: no stale motion frame leaves it. Disarmed, it is silent.
 """
 
 import argparse
@@ -16,7 +15,9 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 
-PAGE_BYTES = 64
+from daemon.lifeline import MUTEX_BYTES, OFFSET, Lifeline
+
+PAGE_BYTES = OFFSET + MUTEX_BYTES
 STALE_NS, STALE_NS_NO_RT = 30_000_000, 60_000_000
 PERIOD_NS, BRAKE_NS = 10_000_000, 2_000_000_000
 PRIORITY = 60  # SCHED_FIFO, above the core's 50
@@ -90,7 +91,7 @@ def make_page_fd() -> int:
 
 
 def wait_for_fault(
-    page: HeartbeatPage, core: "select.poll", stale_ns: int, now: Callable[[], int]
+    page: HeartbeatPage, core: Lifeline, stale_ns: int, now: Callable[[], int]
 ) -> bool:
     """Watch the core until it ends or freezes; return whether the car must be braked."""
     while True:
@@ -129,14 +130,13 @@ def guardian_main(
         signal.signal(quiet, signal.SIG_IGN)  # they reach the whole group; the core stops the car
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    page, core = HeartbeatPage(page_fd), select.poll()
-    core.register(core_pidfd, select.POLLIN)
+    page, core = HeartbeatPage(page_fd), Lifeline(page_fd, core_pidfd)
     if wait_for_fault(page, core, stale_ns, time.monotonic_ns):
         brake(page, serial_fd, frame, time.monotonic_ns)
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Process entry: ``python -m daemon.guardian SERIAL_FD PAGE_FD PIDFD FRAME_HEX STALE_NS``."""
+    """``python -m daemon.guardian SERIAL_FD PAGE_FD PIDFD FRAME_HEX STALE_NS``."""
     parser = argparse.ArgumentParser(prog="steerd-guardian", description=__doc__)
     for name in ("serial_fd", "page_fd", "core_pidfd"):
         parser.add_argument(name, type=int)

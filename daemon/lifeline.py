@@ -1,0 +1,71 @@
+"""How the guardian learns of the core's death at once: a robust mutex in their shared page.
+
+A pidfd, a pipe's end or a parent-death signal tell of a killed process only after the kernel has
+taken its memory apart: 30 to 190 ms were measured for a core of 140 to 370 MB. The futexes of a
+dying thread are handed on before that (``exit_mm_release`` comes first in ``do_exit``). Standard
+library only; without the C library's functions the pidfd has to do.
+"""
+
+import ctypes
+import mmap
+import select
+import time
+from typing import Any
+
+OFFSET, MUTEX_BYTES = 64, 64
+"""Where the mutex lies in the shared page; it is 40 bytes on x86-64, 48 on arm64."""
+_SHARED = _ROBUST = 1
+_OWNER_DIED, _TIMED_OUT = 130, 110
+
+
+class _Timespec(ctypes.Structure):
+    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
+
+
+def _library() -> Any:
+    """The C library, or None where it cannot wait for a mutex by the monotonic clock."""
+    library = ctypes.CDLL(None)
+    return library if hasattr(library, "pthread_mutex_clocklock") else None
+
+
+class Lifeline:
+    """One end of the mutex: the core holds it for life, the guardian waits for it.
+
+    Args:
+        page_fd: the shared page.
+        core_pidfd: the core, for where there is no such mutex; None at the core's own end.
+    """
+
+    def __init__(self, page_fd: int, core_pidfd: int | None = None) -> None:
+        self._page = mmap.mmap(page_fd, OFFSET + MUTEX_BYTES)
+        self._mutex = (ctypes.c_char * MUTEX_BYTES).from_buffer(self._page, OFFSET)
+        self._library = _library()
+        self._pidfd = select.poll()
+        if core_pidfd is not None:
+            self._pidfd.register(core_pidfd, select.POLLIN)
+
+    def hold(self) -> None:
+        """Core, main thread, before the guardian starts: tie its life to this thread's."""
+        if self._library is None:
+            return
+        kind = (ctypes.c_char * MUTEX_BYTES)()
+        self._library.pthread_mutexattr_init(kind)
+        self._library.pthread_mutexattr_setpshared(kind, _SHARED)
+        self._library.pthread_mutexattr_setrobust(kind, _ROBUST)
+        self._library.pthread_mutex_init(self._mutex, kind)
+        self._library.pthread_mutex_lock(self._mutex)
+
+    def poll(self, timeout_ms: int) -> bool:
+        """Guardian: wait for so long at most; whether the core has died."""
+        if self._library is not None:
+            end_ns = time.monotonic_ns() + timeout_ms * 1_000_000
+            until = _Timespec(end_ns // 1_000_000_000, end_ns % 1_000_000_000)
+            result: int = self._library.pthread_mutex_clocklock(
+                self._mutex, time.CLOCK_MONOTONIC, ctypes.byref(until)
+            )
+            if result == _OWNER_DIED:
+                return True
+            if result == _TIMED_OUT:
+                return False
+            self._library = None  # nobody holds it: the pidfd has to do
+        return bool(self._pidfd.poll(timeout_ms))
