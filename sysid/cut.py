@@ -50,6 +50,19 @@ def cut(run: Run, low: float, high: float) -> Run:
     )
 
 
+def with_wheel_speed(run: Run) -> Run:
+    """The drive with its measured wheel speed in place of the command, which was not obeyed.
+
+    Raises:
+        DataError: no wheel speed was recorded.
+    """
+    if len(run.wheel.t) < 2:
+        raise DataError(f"{run.name}: no wheel speed was recorded", "drop --speed wheel")
+    ends = run.h * np.arange(1, len(run.commands) + 1)
+    speed = np.interp(ends, *run.wheel)
+    return replace(run, commands=np.column_stack([run.commands[:, 0], speed]), speed_source="wheel")
+
+
 def _spans(run: Run) -> list[tuple[float, float]]:
     """Stretches in which command and pose both say that the car moves [s]."""
     t, speed = pose_speed(run.pose)
@@ -80,25 +93,33 @@ def moving_parts(runs: Sequence[Run]) -> tuple[Run, ...]:
     return tuple(parts)
 
 
+def blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
+    """Parts cut into blocks of about 5 s; the last measurement of one is not in the next.
+
+    No model of a real car holds for a minute: what accumulates over long windows are its errors.
+    """
+    found: list[Run] = []
+    for part in parts:
+        start, end = float(part.pose.t[0]), min(float(part.pose.t[-1]), part.duration)
+        edges = np.linspace(start, end, max(1, round((end - start) / BLOCK)) + 1)
+        found += [cut(part, low, high - 1e-6) for low, high in pairwise(edges)]
+    return tuple(found)
+
+
 def keep_back(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
-    """Split parts into blocks and keep every k-th one back.
+    """Cut parts into blocks and keep every k-th one back.
 
     Returns:
-        Parts to fit and parts to validate with; no measurement is in both.
+        Blocks to fit and blocks to validate with; no measurement is in both.
 
     Raises:
         DataError: the drives are too short to keep anything back.
     """
-    fitted: list[Run] = []
-    kept: list[Run] = []
-    number = 0
-    for part in parts:
-        start, end = float(part.pose.t[0]), min(float(part.pose.t[-1]), part.duration)
-        edges = np.linspace(start, end, max(1, round((end - start) / BLOCK)) + 1)
-        for low, high in pairwise(edges):
-            number += 1
-            (kept if number % every == 0 else fitted).append(cut(part, low, high - 1e-6))
+    every_block = blocks(parts)
+    kept = every_block[every - 1 :: every]
+    fitted = tuple(b for i, b in enumerate(every_block) if i % every != every - 1)
     if not kept or not fitted:
-        what = f"only {number} blocks of {BLOCK:g} s: too short to keep every {every}th back"
+        count = len(every_block)
+        what = f"only {count} blocks of {BLOCK:g} s: too short to keep every {every}th back"
         raise DataError(what, "record more drives, or name one with --held-out FILE")
-    return tuple(fitted), tuple(kept)
+    return fitted, kept

@@ -25,6 +25,7 @@ MEASURED, AFTER, BEFORE = "#1f2933", "#d9480f", "#4c8dca"
 COLOURS = (AFTER, "#0b7285", BEFORE, "#862e9c", "#5c940d")
 UNITS = {"position": "mm", "yaw": "mrad", "wheel_speed": "mm/s", "yaw_rate": "mrad/s"}
 POINTS_MAX = 1500
+_WIDTH = 9.6
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif", "font.size": 9.0, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
     "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False,
@@ -39,11 +40,12 @@ def _svg(figure: Figure) -> str:
     figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     markup = text.getvalue()
     markup = markup[markup.index("<svg") :]
-    return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', 'width="100%"', markup, count=1)
+    width = f'width="{figure.get_figwidth() / _WIDTH:.0%}"'
+    return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', width, markup, count=1)
 
 
 def _figure(rows: int, columns: int, height: float) -> tuple[Figure, NDArray[Any]]:
-    figure = Figure(figsize=(9.6, height), layout="constrained")
+    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
@@ -118,7 +120,7 @@ def draw_residuals(found: Fit) -> str:
             row[1].plot(bins, bell, color=INK, lw=1.0)
         axes[0, 0].set_title("residuals of the fit")
         axes[0, 1].set_title("their spread; the line is the instrument's own noise")
-        axes[-1, 0].set_xlabel("time into the drive [s]")
+        axes[-1, 0].set_xlabel("time into each part [s]")
         return _svg(figure)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from car_model.model import Model
 from car_model.params import PARAMETERS, Car, wheelbase
 from sysid.baselines import search_cma
-from sysid.cut import keep_back, moving_parts
+from sysid.cut import blocks, keep_back, moving_parts
 from sysid.dataset import Run
 from sysid.excitation import measure_excitation
 from sysid.fit import Fit, Options, fit
@@ -96,7 +96,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     """
     parts = moving_parts(task.runs)
     if task.held_out:
-        fitted, kept = parts, moving_parts(task.held_out)
+        fitted, kept = blocks(parts), moving_parts(task.held_out)
         words = ", ".join(run.name for run in task.held_out)
     else:
         fitted, kept = keep_back(parts, task.every)

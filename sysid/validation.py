@@ -5,7 +5,7 @@ then predicts from the commands alone. Both cars, before and after, get the same
 neither profits from a better start.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +25,9 @@ HORIZONS: tuple[float, ...] = (0.5, 1.0, 2.0)
 """[s]."""
 PAST = 0.4
 """Measurements that tell the state at which a prediction starts [s]."""
-_ROUNDS = 5
+_ROUNDS = 8
+_FLOORS = np.array([3e-3, 5e-3, 0.02, 0.05])
+"""A start is not told better than this [m, rad, m/s, rad/s]: no model is that good."""
 _ROOM = 1.15
 """Windows are cut this much longer: drives do not divide evenly."""
 _NEAR = 0.05
@@ -84,13 +86,25 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
     held = Held(layout.commands, layout.h, substeps)
     stations, windows = layout.stations(late, held.fine), layout.kernel_windows(substeps)
     seeds, dfirst = np.zeros((len(parameters), _STATES)), np.eye(_STATES)
-    sigma = estimate_noise(runs)
-    x = layout.guess.copy()
+
+    def look(x: Array) -> tuple[Array, Array]:
+        return read(kernels, parameters, seeds, x, dfirst, held, windows, stations)
+
+    sigma = np.maximum(estimate_noise(runs), _FLOORS)
+    return _traces(layout, look(_settle(layout, sigma, look))[0])
+
+
+def _settle(layout: Layout, sigma: Array, look: Callable[[Array], tuple[Array, Array]]) -> Array:
+    """Initial states (W, 7) that explain the past best: damped Gauss-Newton, window by window."""
+    best, share = layout.guess.copy(), np.ones(len(layout.spans))
+    lowest, step = np.full(len(best), np.inf), np.zeros_like(best)
     for _ in range(_ROUNDS):
-        y, jy = read(kernels, parameters, seeds, x, dfirst, held, windows, stations)
-        x = x + _correct(layout, sigma, x, y, jy)
-    y, _ = read(kernels, parameters, seeds, x, dfirst, held, windows, stations)
-    return _traces(layout, y)
+        x = best + share[:, None] * step
+        cost, new = _correct(layout, sigma, x, *look(x))
+        better = cost < lowest
+        best[better], step[better], lowest[better] = x[better], new[better], cost[better]
+        share = np.where(better, 1.0, 0.3 * share)
+    return best
 
 
 def _angles(error: Array) -> Array:
@@ -109,20 +123,22 @@ def _past(layout: Layout) -> NDArray[np.bool_]:
     return told
 
 
-def _correct(layout: Layout, sigma: Array, x: Array, y: Array, jy: Array) -> Array:
-    """Gauss-Newton step of the initial states (W, 7) on the past alone."""
+def _correct(layout: Layout, sigma: Array, x: Array, y: Array, jy: Array) -> tuple[Array, Array]:
+    """Cost of initial states on the past alone (W,), and the Gauss-Newton step from them (W, 7)."""
     weight = _past(layout) / sigma[layout.group]
     error = layout.values - y
     error[layout.group == 1] = _angles(error[layout.group == 1])
-    error = np.nan_to_num(error * weight, nan=0.0, posinf=0.0, neginf=0.0)
-    slopes = np.nan_to_num(jy * weight[:, None], nan=0.0, posinf=0.0, neginf=0.0)
-    step = np.zeros_like(x)
+    error, slopes = error * weight, jy * weight[:, None]
+    cost, step = np.full(len(x), np.inf), np.zeros_like(x)
     for w in range(len(x)):
         a, b = layout.bounds[w], layout.bounds[w + 1]
+        if not (np.isfinite(error[a:b]).all() and np.isfinite(slopes[a:b]).all()):
+            continue
+        off = (layout.guess[w] - x[w]) / STATE_SPREAD
+        cost[w] = error[a:b] @ error[a:b] + off @ off
         square = slopes[a:b].T @ slopes[a:b] + np.diag(STATE_SPREAD**-2)
-        pull = slopes[a:b].T @ error[a:b] + (layout.guess[w] - x[w]) / STATE_SPREAD**2
-        step[w] = np.linalg.solve(square, pull)
-    return step
+        step[w] = np.linalg.solve(square, slopes[a:b].T @ error[a:b] + off / STATE_SPREAD)
+    return cost, step
 
 
 def _traces(layout: Layout, y: Array) -> list[Trace]:

@@ -37,6 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--wheelbase", type=float, metavar="M", help="distance of the axles, measured"
     )
+    what.add_argument(
+        "--speed",
+        choices=("command", "wheel"),
+        default="command",
+        help="wheel: the speed command was not obeyed, take the measured speed instead",
+    )
     what.add_argument("--method", choices=("ours", "paper", "cma-es"), default="ours")
     what.add_argument("--starts", type=int, metavar="N", help="starts (ours: 1, others: 5)")
     what.add_argument("--iterations", type=int, metavar="N", help="of the paper's methods")
@@ -99,13 +105,15 @@ def _held_out(given: list[str]) -> tuple[list[Path], int]:
     return [Path(each) for each in given], 4
 
 
-def _load(path: Path) -> "Run":
+def _load(path: Path, speed: str) -> "Run":
     from steer_bus.session_read import SessionError
+    from sysid.cut import with_wheel_speed
     from sysid.dataset import load_run
     from sysid.gate import DataError
 
     try:
-        return load_run(path)
+        run = load_run(path)
+        return with_wheel_speed(run) if speed == "wheel" else run
     except SessionError as error:
         code = ExitCode(error.exit_code)
         raise SteerdError(str(error), error.hint, code) from None
@@ -135,8 +143,8 @@ def make_task(args: argparse.Namespace, base: "CarFile", files: list[Path], ever
     if args.wheelbase is not None and not 0.05 <= args.wheelbase <= 2.0:
         raise SteerdError(f"--wheelbase {args.wheelbase:g}: in metres", "", _USAGE)
     return Task(
-        runs=tuple(_load(path) for path in args.sessions),
-        held_out=tuple(_load(path) for path in files),
+        runs=tuple(_load(path, args.speed) for path in args.sessions),
+        held_out=tuple(_load(path, args.speed) for path in files),
         every=every,
         model=fit_wheelbase(model, args.wheelbase),
         options=Options(free=free_names(free, fixed, DEFAULT_FREE), wheelbase=args.wheelbase),
