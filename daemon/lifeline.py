@@ -63,9 +63,11 @@ class Lifeline:
             result: int = self._library.pthread_mutex_clocklock(
                 self._mutex, time.CLOCK_MONOTONIC, ctypes.byref(until)
             )
-            if result == _OWNER_DIED:
-                return True
             if result == _TIMED_OUT:
                 return False
-            self._library = None  # nobody holds it: the pidfd has to do
+            # It is ours now; kept, it would be on this thread's list when the page is unmapped.
+            self._library.pthread_mutex_unlock(self._mutex)
+            if result == _OWNER_DIED:
+                return True
+            self._library = None  # nobody held it: the pidfd has to do
         return bool(self._pidfd.poll(timeout_ms))
