@@ -1,0 +1,54 @@
+"""Bring your own motion capture: put poses on the bus that `--mocap zenoh:KEY` listens to.
+
+    steerd run --port … --mocap zenoh:lab/poses/car
+    python examples/publish_poses.py natnet://HOST/BODY --key lab/poses/car
+
+Reads a NatNet or VRPN server here, as an example of a source, and publishes each pose as one JSON
+object (docs/mocap.md): position and quaternion in the source's own units and axes, and the time at
+which the pose was true on this machine's clock, in nanoseconds from anywhere.
+"""
+
+import argparse
+import select
+import signal
+import sys
+from dataclasses import replace
+
+from mocap_link.ingest import IngestConfig
+from mocap_link.mocap_url import parse_mocap_url
+from mocap_link.sockets import make_receiver
+from mocap_link.source import PoseSample
+from mocap_link.zenoh_pose import encode_pose
+from steer_bus.clock import MonotonicClock
+from steer_bus.zenoh_bus import Profile, ZenohBus
+
+
+def make_payload(sample: PoseSample) -> bytes:
+    """The pose as it came, stamped with its time of validity here."""
+    return encode_pose(replace(sample.raw, source_ticks=sample.t_valid_ns))
+
+
+def main() -> int:
+    """Publish until Ctrl-C."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("source", help="natnet://HOST[:PORT]/BODY or vrpn://HOST[:PORT]/BODY")
+    parser.add_argument("--key", required=True, help="where `steerd run --mocap zenoh:KEY` listens")
+    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="the daemon's endpoint")
+    args = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    clock = MonotonicClock()
+    receiver = make_receiver(parse_mocap_url(args.source), IngestConfig())
+    with ZenohBus(Profile(hub=False, endpoint=args.connect)) as bus:
+        try:
+            while True:
+                for fd in select.select(receiver.fds(), [], [], 0.01)[0]:
+                    for sample in receiver.read_ready(fd):
+                        bus.publish(args.key, make_payload(sample))
+                receiver.on_timer(clock.now_ns())
+        except KeyboardInterrupt:
+            receiver.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,290 @@
+"""Daemon, hardware and operators as processes: pty, sockets, zenoh, real time."""
+
+import os
+import pty
+import signal
+import time
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daemon.cli import guarded
+from daemon.transitions import State
+from steer_bus import messages as m
+from steer_bus.codec import decode, encode
+from steer_bus.session_read import open_session
+from steer_bus.zenoh_bus import Profile, ZenohBus
+
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+CIRCLE = ("--path", "circle:radius=2", "--speed", "1")
+STOPS = {State.STOPPING, State.FAULT_STOP}
+
+
+class Watcher:
+    """The published states of a run, until something is seen in them."""
+
+    def __init__(self, endpoint):
+        self.bus = ZenohBus(Profile(hub=False, endpoint=endpoint))
+        self._states = self.bus.subscribe("steerd/car1/state", 64)
+        self.seen = []
+
+    def until(self, done, run, seconds=60.0):
+        """Wait on the run's output in short slices; the state for which `done` holds."""
+        end = time.monotonic() + seconds
+        while True:
+            for sample in self._states.poll():
+                self.seen.append(decode(m.State, sample.data))
+                if done(self.seen[-1]):
+                    return self.seen[-1]
+            assert time.monotonic() < end, run.text
+            assert run.pump(0.02), run.text
+
+    def driving(self, run, seconds):
+        """Wait until the car has been driving for so long."""
+        first = self.until(lambda s: s.mode == State.RUNNING, run)
+        end_ns = first.mono_ns + round(seconds * 1e9)
+        return self.until(lambda s: s.mode != State.RUNNING or s.mono_ns >= end_ns, run)
+
+    def stopped(self, run):
+        """Wait until the car is being stopped, and then until it stands."""
+        stop = self.until(lambda s: s.mode in STOPS, run)
+        self.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
+        return State(stop.mode)
+
+    def close(self):
+        self.bus.close()
+
+
+def start_run(steerd, folder, *more, **options):
+    record = folder / "drive.mcap"
+    argv = ("run", "--listen", steerd.endpoint, "--record", record, *CIRCLE, *more)
+    return steerd(*argv, **options), record
+
+
+def last_change(session):
+    records = open_session(session).messages("/steerd/car1/transition")
+    return [record.decode() for record in records]
+
+
+def lane_errors(session):
+    """Lateral errors while driving, after the first second [m]."""
+    table = open_session(session).columns(m.State)
+    running = table["mode"] == State.RUNNING
+    t = table["mono_ns"][running]
+    return table["e1"][running][t - t[0] > 1e9]
+
+
+def ask(steerd, *argv):
+    """One command from another terminal: its exit code and words."""
+    program = steerd(*argv, "--connect", steerd.endpoint)
+    return program.wait(), program.text
+
+
+def test_arm_start_stop_from_other_terminals_over_natnet(undisturbed, capsys) -> None:
+    def scenario(steerd, folder):
+        port, url = steerd.sim(folder)
+        run, record = start_run(steerd, folder, "--port", port, "--mocap", url)
+        run.expect("READY")
+        code, said = ask(steerd, "start")
+        assert (code, "not ARMED" in said, "Traceback" in said) == (5, True, False), said
+        arm = steerd("arm", "--connect", steerd.endpoint)
+        arm.expect("armed: `steerd start` from another terminal")
+        with closing(Watcher(steerd.endpoint)) as watcher:
+            go = steerd("start", "--connect", steerd.endpoint)
+            go.expect("driving")
+            watcher.driving(run, 1.0)
+            code, said = ask(steerd, "status")
+            assert (code, said.startswith("car1: RUNNING")) == (0, True), said
+            watcher.driving(run, 3.0)
+            assert ask(steerd, "stop")[0] == 0
+            assert watcher.stopped(run) is State.STOPPING
+        assert go.wait() == 0, go.text
+        run.send(signal.SIGINT)
+        assert run.wait() == 0, run.text
+        assert arm.wait() == 0, arm.text
+        assert "Traceback" not in run.text
+        assert np.abs(lane_errors(record)).max() < 0.03
+        capsys.readouterr()
+        assert guarded(["replay", str(record)]) == 0
+        assert "every one is the recorded one" in capsys.readouterr().out
+
+    undisturbed(scenario)
+
+
+class Keyboard:
+    """A terminal whose keys a test presses."""
+
+    def __init__(self):
+        self._ours, self.theirs = pty.openpty()
+
+    def press(self, key):
+        os.write(self._ours, key.encode())
+
+    def close(self):
+        os.close(self._ours)
+        os.close(self.theirs)
+
+
+def test_keys_of_its_own_terminal_over_vrpn(undisturbed, capsys) -> None:
+    def scenario(steerd, folder):
+        port, url = steerd.sim(folder, "--mocap", "vrpn")
+        assert url.startswith("vrpn://")
+        with closing(Keyboard()) as keys:
+            argv = ("--port", port, "--mocap", url)
+            run, record = start_run(steerd, folder, *argv, stdin=keys.theirs)
+            run.expect("READY")
+            keys.press("a")
+            run.expect(r"\bARMED")
+            keys.press("s")
+            run.expect("RUNNING")
+            with closing(Watcher(steerd.endpoint)) as watcher:
+                watcher.driving(run, 3.0)
+                keys.press(" ")
+                assert watcher.stopped(run) is State.STOPPING
+            keys.press("q")
+            assert run.wait() == 0, run.text
+        assert np.abs(lane_errors(record)).max() < 0.03
+        capsys.readouterr()
+        assert guarded(["replay", str(record)]) == 0
+
+    undisturbed(scenario)
+
+
+def test_a_dead_terminal_stops_the_car(undisturbed) -> None:
+    def scenario(steerd, folder):
+        port, url = steerd.sim(folder)
+        run, record = start_run(steerd, folder, "--port", port, "--mocap", url)
+        run.expect("READY")
+        arm = steerd("arm", "--connect", steerd.endpoint)
+        arm.expect("armed:")
+        go = steerd("start", "--connect", steerd.endpoint)
+        go.expect("driving")
+        with closing(Watcher(steerd.endpoint)) as watcher:
+            watcher.driving(run, 1.5)
+            killed_ns = time.monotonic_ns()
+            go.send(signal.SIGKILL)
+            stop = watcher.until(lambda s: s.mode in STOPS, run)
+            assert stop.mode == State.STOPPING, run.text
+            assert 0.2 < (stop.mono_ns - killed_ns) * 1e-9 < 0.6
+            watcher.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
+        run.send(signal.SIGINT)
+        run.wait()
+        change = next(c for c in last_change(record) if c.to_state == State.STOPPING)
+        assert change.text.startswith("W25 "), change.text
+
+    undisturbed(scenario)
+
+
+def test_poses_from_the_bus(undisturbed, capsys) -> None:
+    """`--mocap zenoh:KEY`, fed by the example program, which reads them from NatNet."""
+
+    def scenario(steerd, folder):
+        port, url = steerd.sim(folder)
+        run, record = start_run(steerd, folder, "--port", port, "--mocap", "zenoh:lab/pose/car")
+        run.expect("first pose")
+        argv = [str(EXAMPLES / "publish_poses.py"), url, "--key", "lab/pose/car"]
+        steerd.script(*argv, "--connect", steerd.endpoint)
+        run.expect("READY")
+        arm = steerd("arm", "--connect", steerd.endpoint)
+        arm.expect("armed:")
+        go = steerd("start", "--connect", steerd.endpoint)
+        go.expect("driving")
+        with closing(Watcher(steerd.endpoint)) as watcher:
+            assert watcher.driving(run, 3.0).mode == State.RUNNING, run.text
+            go.send(signal.SIGINT)
+            assert watcher.stopped(run) is State.STOPPING
+        assert go.wait() == 0, go.text
+        run.send(signal.SIGINT)
+        assert run.wait() == 0, run.text
+        assert np.abs(lane_errors(record)).max() < 0.05
+        capsys.readouterr()
+        assert guarded(["replay", str(record)]) == 0
+
+    undisturbed(scenario)
+
+
+# --- simulated hardware of its own: a stalled machine is told, it stops nobody
+
+
+def start_sim_run(steerd, folder, *more):
+    """A drive that begins by itself; the bus is up when this returns."""
+    run, record = start_run(steerd, folder, "--sim", "--auto-arm", *more)
+    run.expect("DISARMED")
+    return run, record
+
+
+def test_ctrl_c_stops_the_car_and_ends_well(steerd, tmp_path, capsys) -> None:
+    run, record = start_sim_run(steerd, tmp_path)
+    with closing(Watcher(steerd.endpoint)) as watcher:
+        watcher.driving(run, 1.0)
+        run.send(signal.SIGINT)
+        assert run.wait() == 0, run.text
+    assert [State(c.to_state) for c in last_change(record)][-2:] == [State.STOPPING, State.DISARMED]
+    assert open_session(record).info().clean
+    assert f"session: {record}" in run.text
+    assert "Traceback" not in run.text
+    capsys.readouterr()
+    assert guarded(["replay", str(record)]) == 0
+
+
+def test_an_external_controller_drives_and_its_death_stops_the_car(
+    steerd, tmp_path, capsys
+) -> None:
+    run, record = start_sim_run(steerd, tmp_path, "--controller", "zenoh")
+    with closing(Watcher(steerd.endpoint)) as watcher:
+        keeper = steerd("control", "--connect", steerd.endpoint, *CIRCLE)
+        watcher.driving(run, 4.0)
+        assert watcher.seen[-1].mode == State.RUNNING, run.text
+        killed_ns = time.monotonic_ns()
+        keeper.send(signal.SIGKILL)
+        stop = watcher.until(lambda s: s.mode in STOPS, run)
+        assert 0.05 < (stop.mono_ns - killed_ns) * 1e-9 < 0.5
+        watcher.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
+    run.send(signal.SIGINT)
+    run.wait()
+    assert "W25 " in next(c.text for c in last_change(record) if c.to_state in STOPS)
+    assert open_session(record).columns(m.DriveCommand)["seq"].size > 100
+    assert np.abs(lane_errors(record)).max() < 0.05
+    capsys.readouterr()
+    assert guarded(["replay", str(record)]) == 0
+
+
+def test_a_killed_recorder_loses_little_and_stops_the_car(steerd, tmp_path, capsys) -> None:
+    run, record = start_sim_run(steerd, tmp_path)
+    with closing(Watcher(steerd.endpoint)) as watcher:
+        watcher.driving(run, 1.5)
+        recorder = run.child("daemon.recorder")
+        watcher.until(lambda _: True, run)
+        killed_ns = time.monotonic_ns()
+        os.kill(recorder, signal.SIGKILL)
+        stop = watcher.until(lambda s: s.mode in STOPS, run)
+        assert stop.mode == State.STOPPING
+        assert (stop.mono_ns - killed_ns) * 1e-9 < 0.3
+        published = {s.seq: s for s in watcher.seen if s.mono_ns < killed_ns}
+        watcher.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
+    run.send(signal.SIGINT)
+    run.wait()
+    assert "W26 recorder" in run.text
+    assert not record.exists()
+    capsys.readouterr()
+    partial = record.with_name(record.name + ".partial")
+    assert guarded(["recover", str(partial)]) == 0
+    whole = record.with_name("drive.recovered.mcap")
+    kept = {s.seq: s for s in map(decode_record, open_session(whole).messages(STATE))}
+    assert (killed_ns - max(s.mono_ns for s in kept.values())) * 1e-9 <= 0.3
+    last = max(kept)
+    assert last > 100
+    assert len(published) > 100
+    for seq in filter(last.__ge__, published):
+        assert encode(kept[seq]) == encode(published[seq])  # NaN equals NaN in bytes alone
+    assert guarded(["replay", str(whole)]) == 0
+
+
+STATE = "/steerd/car1/state"
+
+
+def decode_record(record):
+    return record.decode()
