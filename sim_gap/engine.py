@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 STEER_SPREAD = 0.003
 """How far the steering may be from where the known commands bring it [rad]."""
+FREE_STATES = 6
+"""States of a start that the window itself must tell: what they take is no degree of freedom."""
 WILD = 1e3
 """Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s]."""
 
@@ -162,14 +164,14 @@ class Engine:
         square = (error**2).sum(axis=1) + (away**2).sum(axis=1) - (pull * dx).sum(axis=1)
         g = np.einsum("wij,wi->wj", by_z, error) - np.einsum("wij,wi->wj", cross, dx)
         h = by_z.transpose(0, 2, 1) @ by_z - cross.transpose(0, 2, 1) @ kx
-        dof = self.padded.there.sum(axis=1)
+        dof = self.padded.there.sum(axis=1) - FREE_STATES
         return Reduced(np.maximum(square, 0.0), dof, g, h, dx, kx, True)
 
     def _lost(self, n: int) -> Reduced:
         count = self.readings.count
         nothing = np.zeros((count, STATES))
         return Reduced(
-            np.full(count, np.inf), self.padded.there.sum(axis=1), np.zeros((count, n)),
+            np.full(count, np.inf), self.padded.there.sum(axis=1) - FREE_STATES, np.zeros((count, n)),
             np.zeros((count, n, n)), nothing, np.zeros((count, STATES, n)), False,
         )  # fmt: skip
 

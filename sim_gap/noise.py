@@ -6,8 +6,9 @@ response. The starts and the hypothesis are marginalised, so a good fit on few d
 like small noise.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +28,8 @@ _INSTRUMENTS = 4
 _LEAST = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3])
 _MOST = np.array([0.05, 0.05, 0.5, 0.5, 20.0, 20.0, 200.0])
 _START = np.array([1e-3, 2e-3, 0.02, 0.02, 0.3, 0.3, 2.0])
-_SHRINK = 0.05
 _ROUNDS = 40
+_KEYS = ("position", "yaw", "wheel_speed", "yaw_rate", "push_along", "push_across", "push_about")
 
 
 @dataclass(frozen=True)
@@ -65,21 +66,14 @@ def instrument_rows(engine: Engine) -> Array:
 
 
 def covariance(engine: Engine, noise: Noise, pushed: Sequence[Array]) -> Array:
-    """(W, D, D) covariance of the errors, shrunk to its diagonal; 1 where there is no row."""
+    """(W, D, D) covariance of the errors; 1 where there is no row."""
     sizes = noise.sizes**2
     out = sum(s * shape for s, shape in zip(sizes[_INSTRUMENTS:], pushed, strict=True))
-    out = (1.0 - _SHRINK) * np.asarray(out) + _SHRINK * _diagonal(np.asarray(out))
+    out = np.array(out)
     white = np.einsum("g,gwd->wd", sizes[:_INSTRUMENTS], instrument_rows(engine))
     width = range(out.shape[1])
     out[:, width, width] += white + (1.0 - engine.padded.there)
     return np.asarray(out)
-
-
-def _diagonal(matrices: Array) -> Array:
-    out = np.zeros_like(matrices)
-    width = range(matrices.shape[1])
-    out[:, width, width] = matrices[:, width, width]
-    return out
 
 
 def whitening(cov: Array, there: Array) -> Array:
@@ -164,3 +158,23 @@ def whitened(engine: Engine, fitted: Fitted, noise: Noise) -> Engine:
 
 
 assert INPUTS[:3] == ("accel", "lateral", "yaw")  # noqa: S101
+
+
+def noise_section(noise: Noise) -> dict[str, float]:
+    """A car file's `[noise]` table."""
+    return dict(zip(_KEYS, noise.sizes.tolist(), strict=True))
+
+
+def noise_of_section(table: Mapping[str, Any]) -> Noise | None:
+    """Noise from a car file's `[noise]` table, None if it has none.
+
+    Raises:
+        ValueError: a number is missing or not positive.
+    """
+    if not table:
+        return None
+    missing = [key for key in _KEYS if not float(table.get(key, 0.0)) > 0.0]
+    if missing:
+        raise ValueError(f"[noise] {missing[0]} must be a positive number")
+    a, b, c, d, e, f, g = (float(table[key]) for key in _KEYS)
+    return Noise((a, b, c, d), (e, f, g))

@@ -1,0 +1,296 @@
+"""From scores to a verdict: is there a gap, what is its name, what else could it be, how sure."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_gap import constants as c
+from sim_gap.candidates import Score, gain_of, refit, scored
+from sim_gap.descent import Fitted, curvature, descend, step_within
+from sim_gap.engine import Engine
+from sim_gap.screen import Promise, extended, screen
+from sim_gap.space import make_space
+from sim_gap.where import conditions, turn_sign
+from sysid.codegen import COLUMNS
+from sysid.objective import STATES
+
+Array = NDArray[np.float64]
+
+ALIASES = {
+    "mocap_latency": "equal dead time on both commands (steer_delay and drive_delay): the same"
+    " poses without a second clock",
+    "mass": "smaller yaw_inertia with lower acceleration limits: mass cancels from planar motion",
+    "cog_offset": "marker_offset in slow drives",
+    "marker_offset": "cog_offset in slow drives",
+    "tyre_friction": "cornering_stiffness below about 70 % of the limit",
+    "cornering_stiffness": "tyre_friction below about 70 % of the limit",
+    "speed_scale": "rolling_drag at a single speed",
+    "rolling_drag": "speed_scale at a single speed",
+}
+"""What can never, or hardly, be told apart; always said beside the name."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """An effect's parameter on two disjoint parts of the drives."""
+
+    by: str
+    first: float
+    second: float
+    sigmas: float
+    broken: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The best explanation and what stands beside it.
+
+    Attributes:
+        null: the base with its parameters free within their uncertainty.
+        ranked: single effects, best first.
+        best: the chosen hypothesis (one effect, or two).
+        blocks: (W,) windows that follow each other.
+        rivals: for each effect of the best, what it cannot be told from.
+        splits: the constancy test of the first effect.
+        confidence: of each effect.
+        gain: held-out gain of the best over the base [nats]; `se` its standard error.
+        found: whether that is a gap.
+    """
+
+    null: Score
+    ranked: tuple[Score, ...]
+    best: Score
+    blocks: NDArray[np.int64]
+    rivals: tuple[tuple[str, ...], ...]
+    splits: tuple[Split, ...]
+    confidence: tuple[float, ...]
+    gain: float
+    se: float
+    found: bool
+
+
+def significant(gain: float, se: float) -> bool:
+    """Whether a held-out gain is no accident; a likelihood's own spread bounds its error."""
+    own = (2.0 * max(gain, 0.0)) ** 0.5
+    return gain > c.GAIN_MIN and gain > c.GAIN_SE * min(se, 2.0 * own)
+
+
+def best_pair(
+    engine: Engine, ranked: Sequence[Score], nuisance: Sequence[str], blocks: NDArray[np.int64]
+) -> Score | None:
+    """Two causes together, if they predict unseen windows clearly better than the best alone.
+
+    The rest of the library is looked at again from each of the two best singles, so that a swap of
+    the first cause is tried too.
+    """
+    single, best = ranked[0], None
+    for first in ranked[:2]:
+        promises = screen(engine, first.fitted, nuisance)
+        for promise in [p for p in promises[:3] if p.gain > c.PAIR_MIN]:
+            pair = refit(engine, first.fitted, nuisance, [promise])
+            if pair is not None and (best is None or pair.losses.sum() < best.losses.sum()):
+                best = pair
+    if best is None:
+        return None
+    gain, se = gain_of(best, single, blocks)
+    own = (2.0 * max(gain, 0.0)) ** 0.5
+    good = gain > c.PAIR_MIN and gain > c.PAIR_SE * min(se, 2.0 * own)
+    return best if good else None
+
+
+def dropped(engine: Engine, pair: Score, nuisance: Sequence[str]) -> list[tuple[str, Score]]:
+    """The pair without each of its effects, refitted."""
+    out = []
+    for name in pair.effects:
+        kept = [e for e in pair.effects if e != name]
+        space = make_space(engine.superset, nuisance, kept)
+        names = pair.fitted.space.chart.free
+        z = np.array([pair.fitted.z[names.index(n)] for n in space.chart.free])
+        z = np.clip(z, space.low, space.high)
+        fitted = descend(engine, space, z, pair.fitted.x.copy())
+        out.append((name, scored(engine, fitted)))
+    return out
+
+
+def parts_of(engine: Engine, fitted: Fitted) -> dict[str, NDArray[np.bool_]]:
+    """One half of the windows for each way to split them."""
+    layout, seen = engine.readings.layout, conditions(engine, fitted)
+    turn = turn_sign(engine)
+    halves = {
+        "left or right": turn > 0.0,
+        "slow or fast": seen["speed"] < np.median(seen["speed"]),
+        "early or late in a run": layout.t < np.median(layout.t),
+        "place (x)": seen["x"] < np.median(seen["x"]),
+        "place (y)": seen["y"] < np.median(seen["y"]),
+    }
+    runs = np.unique(layout.run)
+    if len(runs) >= 4:
+        halves["odd or even runs"] = layout.run % 2 == 0
+    return halves
+
+
+def constancy(engine: Engine, fitted: Fitted) -> tuple[Split, ...]:
+    """Whether the effect's first parameter is the same on disjoint parts of the drives."""
+    place = fitted.space.nuisance
+    name = fitted.space.effects[0]
+    null = engine.superset.nulls[name][0]
+    found = []
+    for by, half in parts_of(engine, fitted).items():
+        if min(half.sum(), (~half).sum()) < 6:
+            continue
+        (a, sa), (b, sb) = (_on_part(fitted, part, place) for part in (half, ~half))
+        sigmas = abs(a - b) / float(np.hypot(sa, sb))
+        apart = abs(a - b) > c.CONSTANT_SHARE * abs(fitted.z[place] - null)
+        found.append(Split(by, a, b, sigmas, sigmas > c.CONSTANT_SIGMA and apart))
+    return tuple(found)
+
+
+def _on_part(fitted: Fitted, part: NDArray[np.bool_], place: int) -> tuple[float, float]:
+    """A coordinate and its standard error on some windows, by their own quadratic forms."""
+    space, at = fitted.space, fitted.at
+    weight = at.weight * part
+    h = np.einsum("w,wij->ij", weight, at.h) + np.diag(space.spread**-2.0)
+    slope = weight @ at.g + (space.centre - fitted.z) / space.spread**2
+    low, high = space.low.copy(), space.high.copy()
+    low[place:], high[place:] = -np.inf, np.inf
+    dz = step_within(h, slope, fitted.z, low, high)
+    sd = float(np.sqrt(np.linalg.inv(h)[place, place]))
+    return float(fitted.z[place] + dz[place]), sd
+
+
+def signature_cosines(
+    engine: Engine, fitted: Fitted, nuisance: Sequence[str], others: Sequence[str]
+) -> dict[str, float]:
+    """How alike other effects' signatures are to the first effect's, base eliminated (0 to 1)."""
+    space, z = extended(engine, fitted, nuisance, others)
+    at = engine.reduce(space, z, fitted.x)
+    if not at.finite:
+        return {}
+    h = curvature(space, at)
+    n = space.nuisance
+    s = h[n:, n:] - h[n:, :n] @ np.linalg.solve(h[:n, :n], h[:n, n:])
+    sizes = [len(engine.superset.places(e)) for e in space.effects]
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    mine = range(starts[0], starts[1])
+    out = {}
+    for i, name in enumerate(space.effects[1:], start=1):
+        theirs = range(starts[i], starts[i + 1])
+        cross = s[np.ix_(mine, theirs)]
+        left = np.linalg.solve(s[np.ix_(mine, mine)], cross)
+        right = np.linalg.solve(s[np.ix_(theirs, theirs)], cross.T)
+        square = float(np.max(np.real(np.linalg.eigvals(left @ right))))
+        out[name] = float(np.sqrt(np.clip(square, 0.0, 1.0)))
+    return out
+
+
+def look_alikes(
+    engine: Engine, fitted: Fitted, nuisance: Sequence[str]
+) -> dict[str, float]:
+    """Cosines with every other effect that has a gradient, as many as a kernel holds."""
+    own = set(fitted.space.effects)
+    room, others = COLUMNS - STATES - len(fitted.z), []
+    for effect in engine.superset.effects:
+        if effect.name not in own and effect.smooth and len(effect.parameters) <= room:
+            room -= len(effect.parameters)
+            others.append(effect.name)
+    return signature_cosines(engine, fitted, nuisance, others)
+
+
+def rivals_of(
+    best: Score, others: Sequence[Score], cosines: dict[str, float], blocks: NDArray[np.int64]
+) -> tuple[str, ...]:
+    """What cannot be told from the best: nearly its gain, or nearly its signature."""
+    names = []
+    for other in others:
+        if other.effects == best.effects:
+            continue
+        lead, se = gain_of(best, other, blocks)
+        if lead < c.AMBIGUOUS_SE * se_of_lead(lead, se) + c.AMBIGUOUS_NATS:
+            names.append(other.effects[-1])
+    names += [name for name, cos in cosines.items() if cos >= c.AMBIGUOUS_COS]
+    return tuple(dict.fromkeys(names))
+
+
+def se_of_lead(lead: float, se: float) -> float:
+    """Standard error of a paired lead, no larger than twice a likelihood ratio's own."""
+    return min(se, 2.0 * (2.0 * max(lead, 1.0)) ** 0.5)
+
+
+def confidence_of(
+    best: Score, others: Sequence[Score], blocks: NDArray[np.int64], broken: bool
+) -> float:
+    """How sure the name is, from the leads over all rivals (see `constants`)."""
+    doubt = 0.0
+    for other in others:
+        if other.effects == best.effects:
+            continue
+        lead, se = gain_of(best, other, blocks)
+        scaled = max(lead, 0.0) / (se_of_lead(lead, se) + c.CONFIDENCE_NATS)
+        doubt += float(np.exp(-c.CONFIDENCE_SLOPE * scaled * 2.0))
+    sure = min(1.0 / (1.0 + doubt), c.CONFIDENCE_MOST)
+    return sure * (c.CONFIDENCE_BROKEN if broken else 1.0)
+
+
+def choose(
+    engine: Engine,
+    null: Score,
+    ranked: Sequence[Score],
+    nuisance: Sequence[str],
+    blocks: NDArray[np.int64],
+    pairs: bool = True,
+) -> Choice:
+    """The explanation, its rivals and how sure it is."""
+    best = ranked[0]
+    pair = best_pair(engine, ranked, nuisance, blocks) if pairs else None
+    gain, se = gain_of(pair or best, null, blocks)
+    found = significant(gain, se)
+    if pair is not None and found:
+        return _two(engine, null, ranked, pair, nuisance, blocks, gain, se)
+    splits = constancy(engine, best.fitted) if found else ()
+    broken = any(split.broken for split in splits)
+    rivals: tuple[str, ...] = ()
+    if found:
+        cosines = look_alikes(engine, best.fitted, nuisance)
+        rivals = rivals_of(best, ranked, cosines, blocks)
+    sure = confidence_of(best, ranked, blocks, broken)
+    return Choice(
+        null, tuple(ranked), best, blocks, (rivals,), splits, (sure,), gain, se, found
+    )
+
+
+def _two(
+    engine: Engine,
+    null: Score,
+    ranked: Sequence[Score],
+    pair: Score,
+    nuisance: Sequence[str],
+    blocks: NDArray[np.int64],
+    gain: float,
+    se: float,
+) -> Choice:
+    """Two causes: the one whose absence costs more comes first; rivals from swaps."""
+    drops = dropped(engine, pair, nuisance)
+    worth = {name: gain_of(pair, without, blocks)[0] for name, without in drops}
+    order = sorted(pair.effects, key=lambda name: -worth[name])
+    rest = dict(drops)
+    rivals, sure = [], []
+    for name in order:
+        kept = rest[name]
+        swaps = _swaps(engine, kept, name, nuisance)
+        rivals.append(tuple(n for n in rivals_of(pair, swaps, {}, blocks) if n != name))
+        sure.append(confidence_of(pair, swaps, blocks, broken=False))
+    ordered = Score(tuple(order), pair.fitted, pair.losses, pair.prior)
+    return Choice(
+        null, tuple(ranked), ordered, blocks, tuple(rivals), (), tuple(sure), gain, se, True
+    )
+
+
+def _swaps(engine: Engine, kept: Score, name: str, nuisance: Sequence[str]) -> list[Score]:
+    """The hypothesis with the dropped effect replaced by the most promising others."""
+    promises: list[Promise] = [
+        p for p in screen(engine, kept.fitted, nuisance) if p.effect != name and p.gain > 1.0
+    ]
+    found = [refit(engine, kept.fitted, nuisance, [p]) for p in promises[:3]]
+    return [score for score in found if score is not None]

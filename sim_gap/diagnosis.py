@@ -1,0 +1,347 @@
+"""The whole diagnosis: where the gap lies, which effect causes it, how far adding it shrinks it.
+
+`diagnose` is a pure function of the drives and the base car (but for an optional callback that is
+handed the prediction before the reserved drives are looked at).
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from car_model.car_file import CarFile
+from car_model.model import Model
+from sim_gap import constants as c
+from sim_gap.candidates import Score, blocks_of, gain_of, scored, singles
+from sim_gap.decide import ALIASES, Choice, Split, choose
+from sim_gap.descent import Fitted, descend
+from sim_gap.engine import Engine, make_engine
+from sim_gap.next_manoeuvre import Manoeuvre, next_manoeuvre
+from sim_gap.noise import Noise, learn_noise, noise_of_section, whitened
+from sim_gap.readings import make_readings
+from sim_gap.residuals import Gap, gap_of, settled
+from sim_gap.shape import Shape, shape_of
+from sim_gap.shrink import Shrinkage, explained_share, measure, predict
+from sim_gap.space import make_space, nuisance_names
+from sim_gap.superset import Superset, make_superset
+from sim_gap.where import Where, locate
+from sysid.dataset import Run
+from sysid.windows import estimate_noise, speed_range
+
+Array = NDArray[np.float64]
+
+_ROUGH_NOISE = np.array([5e-3, 0.01, 0.05, 0.05])
+"""Instrument noise of the first descent, before noise is learnt: [m], [rad], [m/s], [rad/s]."""
+
+
+def _silent(stage: str, share: float) -> None:
+    """No progress is shown."""
+
+
+def _unheard(prediction: str) -> None:
+    """No one wants the prediction early."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to diagnose.
+
+    Attributes:
+        held_out: drives that are only opened after the prediction is written.
+        healthy: drives of the base car without the gap; they tell how large noise is.
+        noise: how large noise is, if it is known (also read from the car file's `[noise]`).
+        only: effects to look at; None takes the library.
+        without: effects to leave out.
+        pairs: whether two causes together are tried.
+        jobs: threads for the candidates.
+        progress: called with a stage's name and the share done.
+        written: called with the prediction (JSON) before the reserved drives are opened.
+    """
+
+    held_out: Sequence[Run] = ()
+    healthy: Sequence[Run] = ()
+    noise: Noise | None = None
+    only: Sequence[str] | None = None
+    without: Sequence[str] = ()
+    pairs: bool = True
+    jobs: int = 1
+    progress: Callable[[str, float], None] = _silent
+    written: Callable[[str], None] = _unheard
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One named effect.
+
+    Attributes:
+        effect: its name; `stage` and `family` of it.
+        parameters: (value, standard error, unit) by name.
+        confidence: that this name is right (0 to 1).
+        ambiguous_with: effects that these drives cannot tell from it.
+        alias: what can never be told from it, in words; empty if nothing.
+    """
+
+    effect: str
+    stage: str
+    family: str
+    parameters: dict[str, tuple[float, float, str]]
+    confidence: float
+    ambiguous_with: tuple[str, ...]
+    alias: str
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What was found.
+
+    Attributes:
+        verdict: `none`, `explained`, `partial` or `unexplained`.
+        before: the gap of the base; `after` with the explanation.
+        where: where the base's error lies.
+        causes: named effects, the verdict's first.
+        candidates: (effects, gain [nats], standard error) of every refitted hypothesis.
+        shrinkage: predicted and, with reserved drives, measured.
+        next_manoeuvre: what to drive to tell rivals apart, if there are any.
+        shape: what is left.
+        splits: the constancy test of the first cause.
+        moved: z-scores of base parameters that moved within their uncertainty.
+        noise: what was taken as random; `noise_known` if not from these drives.
+        notes: what a reader should know about how this was done.
+        values: all effects' parameters of the explanation, by effect, for a car file.
+    """
+
+    verdict: str
+    before: Gap
+    after: Gap
+    where: Where
+    causes: tuple[Cause, ...]
+    candidates: tuple[tuple[str, float, float], ...]
+    shrinkage: Shrinkage
+    next_manoeuvre: Manoeuvre | None
+    shape: Shape
+    splits: tuple[Split, ...]
+    moved: dict[str, float]
+    noise: Noise
+    noise_known: bool
+    notes: tuple[str, ...]
+    values: dict[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class _Case:
+    """What the stages share."""
+
+    superset: Superset
+    engine: Engine
+    nuisance: tuple[str, ...]
+    options: Options
+    only: tuple[str, ...]
+
+
+def _open_engine(superset: Superset, runs: Sequence[Run]) -> Engine:
+    late = float(superset.base[superset.kernels.names.index("pose_delay")])
+    readings = make_readings(runs, late, speed_range(runs))
+    return make_engine(superset, readings, np.maximum(estimate_noise(runs), _ROUGH_NOISE))
+
+
+def _null(engine: Engine, nuisance: Sequence[str], start: Fitted | None = None) -> Fitted:
+    space = make_space(engine.superset, nuisance)
+    x = engine.readings.layout.guess.copy() if start is None else start.x.copy()
+    z = space.centre if start is None else start.z
+    return descend(engine, space, z.copy(), x)
+
+
+def learn_healthy(base: CarFile | Model[float], runs: Sequence[Run]) -> Noise:
+    """How large noise is, from drives without the gap (see `noise.noise_section` to keep it)."""
+    superset = make_superset(base, runs)
+    engine = _open_engine(superset, runs)
+    nuisance = nuisance_names(superset, runs)
+    fitted = _null(engine, nuisance)
+    noise = learn_noise(engine, fitted)
+    engine = whitened(engine, fitted, noise)
+    return learn_noise(engine, _null(engine, nuisance, fitted), noise)
+
+
+def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None:
+    if options.noise is not None:
+        return options.noise
+    if options.healthy:
+        return learn_healthy(base, options.healthy)
+    return noise_of_section(base.sections.get("noise", {})) if isinstance(base, CarFile) else None
+
+
+def diagnose(
+    runs: Sequence[Run], base: CarFile | Model[float], options: Options | None = None
+) -> Diagnosis:
+    """Diagnose the gap between a base car and drives.
+
+    Args:
+        runs: the drives to explain; one is split into blocks, several are left out whole.
+        base: the car as identified; with standard errors the base's own uncertainty is known,
+            without them ordinary ones are assumed (and said).
+        options: see `Options`.
+
+    Raises:
+        DataError: the drives are not fit for it.
+        ValueError: runs on different grids, or an unknown effect.
+        FloatingPointError: the base car's simulation diverges.
+    """
+    options = options or Options()
+    superset = make_superset(base, runs)
+    names = [e.name for e in superset.effects]
+    only = tuple(n for n in (options.only or names) if n not in options.without)
+    unknown = [n for n in (*only, *options.without) if n not in names]
+    if unknown:
+        raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
+    nuisance = nuisance_names(superset, runs)
+    case = _Case(superset, _open_engine(superset, runs), nuisance, options, only)
+    known = _known_noise(base, options)
+    engine, null, ranked, noise = _search(case, known)
+    options.progress("decide", 0.6)
+    blocks = blocks_of(engine)
+    choice = choose(engine, scored(engine, null), ranked, nuisance, blocks, options.pairs)
+    return _told(case, engine, choice, noise, known is not None, [run.name for run in runs])
+
+
+def _search(case: _Case, known: Noise | None) -> tuple[Engine, Fitted, list[Score], Noise]:
+    """Base, noise and single effects; noise is learnt about the best effect if it is not known."""
+    engine, options = case.engine, case.options
+    options.progress("base", 0.05)
+    null = _null(engine, case.nuisance)
+    noise = known or learn_noise(engine, null)
+    engine = whitened(engine, null, noise)
+    null = _null(engine, case.nuisance, null)
+    options.progress("candidates", 0.2)
+    ranked = singles(engine, null, case.nuisance, case.only, options.jobs)
+    if not ranked:
+        return engine, null, [scored(engine, null)], noise
+    if known is None:
+        best = ranked[0].fitted
+        noise = learn_noise(engine, best, noise)
+        engine = whitened(engine, best, noise)
+        null = _null(engine, case.nuisance, null)
+        options.progress("candidates again", 0.4)
+        ranked = singles(engine, null, case.nuisance, case.only, options.jobs) or ranked
+    return engine, null, ranked, noise
+
+
+def _told(
+    case: _Case, engine: Engine, choice: Choice, noise: Noise, known: bool, names: Sequence[str]
+) -> Diagnosis:
+    """Everything that follows from the choice."""
+    fixed = make_space(case.superset, ())
+    before = settled(engine, fixed, fixed.centre, choice.null.fitted.x)
+    gap_before = gap_of(engine, before, choice.blocks)
+    best = choice.best.fitted
+    gap_best = gap_of(engine, best, choice.blocks)
+    found = choice.found and practical(choice, gap_before, gap_best, gap_of(
+        engine, choice.null.fitted, choice.blocks
+    ))
+    chosen = choice.best if found else choice.null
+    gap_after = gap_best if found else gap_of(engine, choice.null.fitted, choice.blocks)
+    verdict = verdict_of(choice, found, known, gap_before, gap_after)
+    case.options.progress("where", 0.75)
+    where = locate(engine, before, chosen.fitted, noise, choice.blocks, names)
+    causes = _causes(engine, choice) if found else ()
+    case.options.progress("shrinkage", 0.85)
+    shrinkage = _shrinkage(case, engine, before, chosen, choice, noise)
+    rivals = [c for c in causes if c.ambiguous_with]
+    following = None
+    if rivals:
+        pair = (rivals[0].effect, rivals[0].ambiguous_with[0])
+        following = next_manoeuvre(engine, choice.best.fitted, case.nuisance, noise, pair)
+    base = choice.null
+    table = [(s.name, *gain_of(s, base, choice.blocks)) for s in choice.ranked if s.effects]
+    if len(choice.best.effects) > 1:
+        table.insert(0, (choice.best.name, choice.gain, choice.se))
+    values = _values(engine, choice.best) if found else {}
+    return Diagnosis(
+        verdict, gap_before, gap_after, where, causes, tuple(table), shrinkage, following,
+        shape_of(engine, chosen.fitted, noise), choice.splits, _moved(base.fitted), noise, known,
+        _notes(case, known, choice), values,
+    )  # fmt: skip
+
+
+def practical(choice: Choice, before: Gap, after: Gap, null: Gap) -> bool:
+    """Whether adding the effect matters: a share of the error, millimetres, or overwhelming odds."""
+    moved = null.position(1.0) - after.position(1.0)
+    share = (null.whitened - after.whitened) / max(null.whitened, 1e-9)
+    return moved >= c.SPEED_MIN or share >= c.SHARE_MIN or choice.gain >= c.GAIN_CLEAR
+
+
+def verdict_of(choice: Choice, found: bool, known: bool, before: Gap, after: Gap) -> str:
+    """`none`, `explained`, `partial` or `unexplained`."""
+    left = after.interval[0] > c.EXCESS_LEFT
+    if not found:
+        return "unexplained" if known and left else "none"
+    share = explained_share(before.whitened, after.whitened, 1.0)
+    if known and left and share < c.EXPLAINED_MIN:
+        return "partial" if share >= c.PARTIAL_MIN else "unexplained"
+    return "partial" if any(split.broken for split in choice.splits) else "explained"
+
+
+def _values(engine: Engine, score: Score) -> dict[str, tuple[float, ...]]:
+    p = score.fitted.parameters
+    return {e: tuple(float(p[i]) for i in engine.superset.places(e)) for e in score.effects}
+
+
+def _causes(engine: Engine, choice: Choice) -> tuple[Cause, ...]:
+    fitted = choice.best.fitted
+    sd = dict(zip(fitted.space.chart.free, np.sqrt(np.diag(fitted.covariance)), strict=True))
+    p, names = fitted.parameters, engine.superset.kernels.names
+    effects = {e.name: e for e in engine.superset.effects}
+    causes = []
+    for name, rivals, sure in zip(
+        choice.best.effects, choice.rivals, choice.confidence, strict=True
+    ):
+        effect = effects[name]
+        places = engine.superset.places(name)
+        parameters = {
+            q.name: (float(p[i]), float(sd[names[i]]), q.unit)
+            for q, i in zip(effect.parameters, places, strict=True)
+        }
+        causes.append(
+            Cause(name, effect.stage.value, effect.family, parameters, sure, rivals,
+                  ALIASES.get(name, ""))
+        )  # fmt: skip
+    return tuple(causes)
+
+
+def _shrinkage(
+    case: _Case, engine: Engine, before: Fitted, chosen: Score, choice: Choice, noise: Noise
+) -> Shrinkage:
+    """Predict, hand the prediction out, then measure on the reserved drives."""
+    share, low, high = predict(before, chosen, choice.blocks)
+    text = json.dumps(
+        {"effects": chosen.effects, "values": _values(engine, chosen),
+         "predicted": share, "low": low, "high": high}, sort_keys=True,
+    )  # fmt: skip
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    case.options.written(text)
+    if not case.options.held_out or not chosen.effects:
+        return Shrinkage(share, None, low, high, digest, text, None, None)
+    other = _open_engine(case.superset, case.options.held_out)
+    return measure(other, chosen, noise, (share, low, high), digest, text)
+
+
+def _moved(null: Fitted) -> dict[str, float]:
+    """z-scores of the base's parameters, in prior standard deviations, the largest first."""
+    scores = dict(zip(null.space.chart.labels, null.prior.tolist(), strict=True))
+    return dict(sorted(scores.items(), key=lambda item: -abs(item[1])))
+
+
+def _notes(case: _Case, known: bool, choice: Choice) -> tuple[str, ...]:
+    notes = []
+    if not case.superset.sd:
+        notes.append("the car file gives no standard errors: ordinary ones were assumed")
+    if not known:
+        notes.append("noise was learnt from these drives: what looks like noise is not told")
+    if len(np.unique(case.engine.readings.layout.run)) < 4:
+        notes.append("fewer than four runs: held-out parts are blocks of the same drives")
+    notes += [f"{s.by}: {s.first:.4g} against {s.second:.4g} ({s.sigmas:.1f} sigma)"
+              for s in choice.splits if s.broken]  # fmt: skip
+    return tuple(notes)

@@ -1,0 +1,121 @@
+"""How large the gap is: whitened, and in millimetres, milliradians and metres per second."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_gap.descent import Fitted, covariance_of, total
+from sim_gap.engine import Engine
+from sim_gap.space import Space
+
+Array = NDArray[np.float64]
+
+LEADS: tuple[float, ...] = (0.1, 0.5, 1.0)
+"""Times after a window's start at which errors are told [s]."""
+_SETTLE_ROUNDS = 3
+_BOOTSTRAPS = 200
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Prediction error of windows.
+
+    Attributes:
+        whitened: squared error per degree of freedom, robust; 1 is noise alone.
+        interval: 90 % interval of it.
+        errors: rows (lead [s], position [m], yaw [rad], speed [m/s]), root mean squares.
+        intervals: (position, yaw, speed) 90 % intervals of each row.
+    """
+
+    whitened: float
+    interval: tuple[float, float]
+    errors: tuple[tuple[float, float, float, float], ...]
+    intervals: tuple[tuple[tuple[float, float], ...], ...]
+
+    def position(self, lead: float) -> float:
+        """Root mean square of the position error after `lead` seconds [m], NaN if not told."""
+        return next((row[1] for row in self.errors if row[0] == lead), float("nan"))
+
+
+def settled(engine: Engine, space: Space, z: Array, x: Array | None = None) -> Fitted:
+    """Fixed coordinates with the starts at their best."""
+    x = engine.readings.layout.guess.copy() if x is None else x.copy()
+    at = engine.reduce(space, z, x)
+    for _ in range(_SETTLE_ROUNDS):
+        if not at.finite:
+            break
+        moved = engine.reduce(space, z, x + at.dx)
+        if moved.square.sum() > at.square.sum():
+            break
+        x, at = x + at.dx, moved
+    return Fitted(space, z, x, at, total(space, at, z), covariance_of(space, at))
+
+
+def robust_mean(ratios: Array) -> float:
+    """Mean of whitened squares in which no window counts without bound; 1 stays 1."""
+    return float(np.expm1(np.log1p(np.minimum(ratios, 1e6)).mean()))
+
+
+def interval_of(values: Array, blocks: NDArray[np.int64], seed: int = 0) -> Array:
+    """Bootstrap of `robust_mean` over blocks: (draws,)."""
+    rng = np.random.default_rng(seed)
+    names = np.unique(blocks)
+    members = [np.flatnonzero(blocks == b) for b in names]
+    drawn = rng.integers(len(names), size=(_BOOTSTRAPS, len(names)))
+    return np.array([robust_mean(values[np.concatenate([members[i] for i in d])]) for d in drawn])
+
+
+def ratios(fitted: Fitted) -> Array:
+    """(W,) whitened squares per degree of freedom."""
+    return np.asarray(fitted.at.square / fitted.at.dof)
+
+
+def gap_of(
+    engine: Engine, fitted: Fitted, blocks: NDArray[np.int64], leads: Sequence[float] = LEADS
+) -> Gap:
+    """The gap under a fit."""
+    draws = interval_of(ratios(fitted), blocks)
+    low, high = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
+    rows, bounds = [], []
+    error = engine.linear(fitted.space, fitted.z, fitted.x).error
+    for lead in leads:
+        each = _at_lead(engine, error, lead)
+        rows.append((lead, *(float(np.sqrt(np.nanmean(c**2))) if len(c) else 0.0 for c in each)))
+        bounds.append(tuple(_rms_interval(c) for c in each))
+    return Gap(robust_mean(ratios(fitted)), (low, high), tuple(rows), tuple(bounds))
+
+
+def _rms_interval(errors: Array) -> tuple[float, float]:
+    if not len(errors):
+        return 0.0, 0.0
+    rng = np.random.default_rng(0)
+    drawn = errors[rng.integers(len(errors), size=(_BOOTSTRAPS, len(errors)))]
+    low, high = np.percentile(np.sqrt((drawn**2).mean(axis=1)), [5.0, 95.0])
+    return float(low), float(high)
+
+
+def _at_lead(engine: Engine, error: Array, lead: float) -> tuple[Array, Array, Array]:
+    """Position, yaw and speed errors of all windows near `lead` (speed from the wheel)."""
+    padded, readings = engine.padded, engine.readings
+    t, channel = readings.t[padded.index], readings.channel[padded.index]
+    near = (np.abs(t - lead) < 0.026) & (padded.there > 0.0)
+    square = error**2
+    planar = near & (channel <= 1)
+    count = np.maximum(planar.sum(axis=1), 1) / 2.0
+    seen = planar.any(axis=1)
+    position = np.sqrt((square * planar).sum(axis=1) / count)[seen]
+    turn = near & (channel == 2)
+    wheel = near & (channel == 3)
+    return position, error[turn], error[wheel]
+
+
+def without_effects(fitted: Fitted, space: Space) -> Array:
+    """Coordinates of the base alone out of a wider hypothesis."""
+    return fitted.z[: len(space.centre)].copy()
+
+
+def rewhitened(engine: Engine, whiten: Array) -> Engine:
+    """The engine with another whitening."""
+    return replace(engine, whiten=whiten)
