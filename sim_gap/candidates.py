@@ -49,7 +49,8 @@ def gain_of(better: Score, worse: Score, blocks: NDArray[np.int64]) -> tuple[flo
     """Held-out gain of one hypothesis over another [nats], and its standard error.
 
     Args:
-        better: one hypothesis; worse: the other.
+        better: one hypothesis.
+        worse: the other.
         blocks: (W,) which windows follow each other.
     """
     each = np.clip(worse.losses - better.losses, -WINSOR, WINSOR)

@@ -185,9 +185,7 @@ def signature_cosines(
     return out
 
 
-def look_alikes(
-    engine: Engine, fitted: Fitted, nuisance: Sequence[str]
-) -> dict[str, float]:
+def look_alikes(engine: Engine, fitted: Fitted, nuisance: Sequence[str]) -> dict[str, float]:
     """Cosines with every other effect that has a gradient, as many as a kernel holds."""
     own = set(fitted.space.effects)
     room, others = COLUMNS - STATES - len(fitted.z), []
@@ -215,7 +213,7 @@ def rivals_of(
 
 def se_of_lead(lead: float, se: float) -> float:
     """Standard error of a paired lead, no larger than twice a likelihood ratio's own."""
-    return min(se, 2.0 * (2.0 * max(lead, 1.0)) ** 0.5)
+    return min(se, 2.0 * float(np.sqrt(2.0 * max(lead, 1.0))))
 
 
 def confidence_of(
@@ -255,9 +253,7 @@ def choose(
         cosines = look_alikes(engine, best.fitted, nuisance)
         rivals = rivals_of(best, ranked, cosines, blocks)
     sure = confidence_of(best, ranked, blocks, broken)
-    return Choice(
-        null, tuple(ranked), best, blocks, (rivals,), splits, (sure,), gain, se, found
-    )
+    return Choice(null, tuple(ranked), best, blocks, (rivals,), splits, (sure,), gain, se, found)
 
 
 def _two(

@@ -70,7 +70,7 @@ def total(space: Space, at: Reduced, z: Array) -> float:
 def curvature(space: Space, at: Reduced) -> Array:
     """(n, n) Gauss-Newton curvature of the cost, prior included."""
     weighted = np.einsum("w,wij->ij", at.weight, at.h)
-    return weighted + np.diag(space.spread**-2.0)
+    return np.asarray(weighted + np.diag(space.spread**-2.0))
 
 
 def _slope(space: Space, at: Reduced, z: Array) -> Array:
@@ -110,7 +110,7 @@ def descend(
     damping = 1e-4
     for _ in range(steps):
         h, slope = curvature(space, at), _slope(space, at, z)
-        promised = 0.0
+        promised = gained = 0.0
         while damping < _DAMPING_MAX:
             dz = step_within(h + damping * np.diag(np.diag(h)), slope, z, space.low, space.high)
             promised = float(slope @ dz - 0.5 * dz @ h @ dz)

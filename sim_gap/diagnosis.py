@@ -8,7 +8,6 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -238,9 +237,9 @@ def _told(
     gap_before = gap_of(engine, before, choice.blocks)
     best = choice.best.fitted
     gap_best = gap_of(engine, best, choice.blocks)
-    found = choice.found and practical(choice, gap_before, gap_best, gap_of(
-        engine, choice.null.fitted, choice.blocks
-    ))
+    found = choice.found and practical(
+        choice, gap_before, gap_best, gap_of(engine, choice.null.fitted, choice.blocks)
+    )
     chosen = choice.best if found else choice.null
     gap_after = gap_best if found else gap_of(engine, choice.null.fitted, choice.blocks)
     verdict = verdict_of(choice, found, known, gap_before, gap_after)
@@ -267,7 +266,7 @@ def _told(
 
 
 def practical(choice: Choice, before: Gap, after: Gap, null: Gap) -> bool:
-    """Whether adding the effect matters: a share of the error, millimetres, or overwhelming odds."""
+    """Whether adding the effect matters: a share, millimetres, or overwhelming odds."""
     moved = null.position(1.0) - after.position(1.0)
     share = (null.whitened - after.whitened) / max(null.whitened, 1e-9)
     return moved >= c.SPEED_MIN or share >= c.SHARE_MIN or choice.gain >= c.GAIN_CLEAR

@@ -76,7 +76,7 @@ def _settled(engine: Engine, model: Model[Any], x: Array) -> Array:
     settle = int(layout.spans[:, 4].max()) * engine.substeps
     lags = (float(late.steer), float(late.drive))
     steer, _ = _held(engine, lags, -settle)
-    state = State(*x[:, :6].T, steer)
+    state: State[Any] = State(x[:, 0], x[:, 1], x[:, 2], x[:, 3], x[:, 4], x[:, 5], steer)
     for k in range(-settle, 0):
         command = Command(*_held(engine, lags, k))
         car = car_now(NUMPY, model, state, 0.0)
@@ -122,8 +122,8 @@ def _march(
     late = delays(model)
     lags = (float(late.steer), float(late.drive))
     count, lanes = len(x), len(kind)
-    first = [np.tile(x[:, i], lanes) for i in range(6)]
-    moment = start(model, State(*first, np.tile(_settled(engine, model, x), lanes)), 0.0 * first[0])
+    wide = np.tile(np.column_stack([x[:, :6], _settled(engine, model, x)]), (lanes, 1)).T
+    moment = start(model, State(*(column for column in wide)), 0.0 * wide[0])
     push = np.where(kind >= 0, np.array(_SIZES)[kind], 0.0)
     seen = np.empty((steps + 1, 5, lanes, count))
     seen[0] = _observed(model, moment.state, lanes)
@@ -140,7 +140,7 @@ def _march(
     return np.asarray(seen.transpose(2, 0, 1, 3))
 
 
-def _pushed(state: State[Any], which: Array, by: Array) -> State[Any]:
+def _pushed(state: State[Any], which: NDArray[np.int64], by: Array) -> State[Any]:
     """The state after an impulse of the lane's own kind."""
     fast = np.maximum(state.speed, SPEED_KINEMATIC)
     return state._replace(

@@ -29,9 +29,9 @@ WILD = 1e3
 
 
 class Padded(NamedTuple):
-    """Rows by window: `index` (W, D) into all rows, `there` (W, D) 1 where there is one."""
+    """Rows by window: `row` (W, D) place among all rows, `there` (W, D) 1 where there is one."""
 
-    index: NDArray[np.int64]
+    row: NDArray[np.int64]
     there: Array
 
 
@@ -115,7 +115,7 @@ class Engine:
         """(R, ...) rows as (W, D, ...), zero where there is none."""
         there = self.padded.there
         shaped = there.reshape(there.shape + (1,) * (rows.ndim - 1))
-        padded: Array = rows[self.padded.index] * shaped
+        padded: Array = rows[self.padded.row] * shaped
         return padded
 
     def linear(self, space: Space, z: Array, x: Array) -> Linear:
@@ -171,8 +171,9 @@ class Engine:
         count = self.readings.count
         nothing = np.zeros((count, STATES))
         return Reduced(
-            np.full(count, np.inf), self.padded.there.sum(axis=1) - FREE_STATES, np.zeros((count, n)),
-            np.zeros((count, n, n)), nothing, np.zeros((count, STATES, n)), False,
+            np.full(count, np.inf), self.padded.there.sum(axis=1) - FREE_STATES,
+            np.zeros((count, n)), np.zeros((count, n, n)), nothing,
+            np.zeros((count, STATES, n)), False,
         )  # fmt: skip
 
 
@@ -189,7 +190,7 @@ def pad_rows(readings: Readings) -> Padded:
 def make_engine(superset: Superset, readings: Readings, sigma: Array) -> Engine:
     """An engine that knows the instruments' noise alone: `sigma` (4,) by `windows.GROUPS`."""
     padded = pad_rows(readings)
-    per_row = (1.0 / sigma)[readings.layout.group][padded.index] * padded.there
+    per_row = (1.0 / sigma)[readings.layout.group][padded.row] * padded.there
     white = per_row[:, :, None] * np.eye(padded.there.shape[1])
     car = model_of(superset.kernels, superset.base).car
     substeps = stable_substeps(car, *readings.speeds, readings.layout.h)
@@ -217,7 +218,10 @@ def take_windows(engine: Engine, chosen: Array) -> Engine:
         guess=layout.guess[index], has_past=layout.has_past[index],
     )  # fmt: skip
     readings = replace(
-        engine.readings, layout=cut, t=engine.readings.t[rows], channel=engine.readings.channel[rows]
+        engine.readings,
+        layout=cut,
+        t=engine.readings.t[rows],
+        channel=engine.readings.channel[rows],
     )
     padded = pad_rows(readings)
     width = padded.there.shape[1]

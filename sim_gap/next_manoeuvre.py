@@ -77,7 +77,7 @@ MENU: Mapping[str, tuple[str, Callable[[Array], tuple[Array, Array]]]] = {
 
 def _drive(engine: Engine, fitted: Fitted, name: str) -> Run:
     """The manoeuvre as the explained car would drive it, without noise."""
-    t = np.arange(round(SECONDS / GRID)) * GRID
+    t: Array = np.arange(round(SECONDS / GRID), dtype=np.float64) * GRID
     steer, speed = MENU[name][1](t)
     model = active_model(engine, fitted.parameters)
     first = start(model, State(0.0, 0.0, 0.0, float(speed[0]), 0.0, 0.0, float(steer[0])), 0.0)
@@ -85,14 +85,12 @@ def _drive(engine: Engine, fitted: Fitted, name: str) -> Run:
         Command(float(a), float(b))
         for a, b in zip(np.repeat(steer, _SUBSTEPS), np.repeat(speed, _SUBSTEPS), strict=True)
     ]
-    path = simulate(FLOAT, model, first, held, GRID / _SUBSTEPS)[:: _SUBSTEPS]
+    path = simulate(FLOAT, model, first, held, GRID / _SUBSTEPS)[::_SUBSTEPS]
     pose = np.array([moment.state[:3] for moment in path[: len(t)]])
     return Run(name, GRID, np.column_stack([steer, speed]), Signal(t, pose))
 
 
-def margin(
-    engine: Engine, fitted: Fitted, nuisance: Sequence[str], pair: tuple[str, str]
-) -> float:
+def margin(engine: Engine, fitted: Fitted, nuisance: Sequence[str], pair: tuple[str, str]) -> float:
     """Expected lead of the first over the second suspect on these windows [nats]."""
     cosines = signature_cosines(engine, fitted, nuisance, [pair[1]])
     space, z = extended(engine, fitted, nuisance, [])
@@ -140,5 +138,3 @@ def _on(engine: Engine, fitted: Fitted, noise: Noise, name: str) -> tuple[Engine
         raise FloatingPointError(name)
     other = whitened(other, at, noise)
     return other, settled(other, fitted.space, fitted.z, at.x)
-
-

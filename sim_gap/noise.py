@@ -60,7 +60,7 @@ def shapes(engine: Engine, seen: Responses, inputs: Sequence[int]) -> list[Array
 
 def instrument_rows(engine: Engine) -> Array:
     """(4, W, D) 1 where a row is of a group."""
-    group = engine.readings.layout.group[engine.padded.index]
+    group = engine.readings.layout.group[engine.padded.row]
     rows: Array = np.stack([(group == g) * engine.padded.there for g in range(_INSTRUMENTS)])
     return rows
 
@@ -115,7 +115,7 @@ def learn_noise(engine: Engine, fitted: Fitted, guess: Noise | None = None) -> N
 def _own_error(engine: Engine, fitted: Fitted, at: Linear) -> Array:
     """Errors about the starts' first guesses, by the linear model about the fitted ones."""
     moved: Array = fitted.x - engine.readings.layout.guess
-    return at.error + np.einsum("wij,wj->wi", at.by_x, moved)
+    return np.asarray(at.error + np.einsum("wij,wj->wi", at.by_x, moved))
 
 
 def _marginal(engine: Engine, fitted: Fitted, at: Linear) -> Array:

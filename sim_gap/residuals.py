@@ -1,7 +1,7 @@
 """How large the gap is: whitened, and in millimetres, milliradians and metres per second."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +82,8 @@ def gap_of(
     error = engine.linear(fitted.space, fitted.z, fitted.x).error
     for lead in leads:
         each = _at_lead(engine, error, lead)
-        rows.append((lead, *(float(np.sqrt(np.nanmean(c**2))) if len(c) else 0.0 for c in each)))
+        a, b, d = (float(np.sqrt(np.mean(v**2))) if len(v) else 0.0 for v in each)
+        rows.append((lead, a, b, d))
         bounds.append(tuple(_rms_interval(c) for c in each))
     return Gap(robust_mean(ratios(fitted)), (low, high), tuple(rows), tuple(bounds))
 
@@ -99,7 +100,7 @@ def _rms_interval(errors: Array) -> tuple[float, float]:
 def _at_lead(engine: Engine, error: Array, lead: float) -> tuple[Array, Array, Array]:
     """Position, yaw and speed errors of all windows near `lead` (speed from the wheel)."""
     padded, readings = engine.padded, engine.readings
-    t, channel = readings.t[padded.index], readings.channel[padded.index]
+    t, channel = readings.t[padded.row], readings.channel[padded.row]
     near = (np.abs(t - lead) < 0.026) & (padded.there > 0.0)
     square = error**2
     planar = near & (channel <= 1)
@@ -109,13 +110,3 @@ def _at_lead(engine: Engine, error: Array, lead: float) -> tuple[Array, Array, A
     turn = near & (channel == 2)
     wheel = near & (channel == 3)
     return position, error[turn], error[wheel]
-
-
-def without_effects(fitted: Fitted, space: Space) -> Array:
-    """Coordinates of the base alone out of a wider hypothesis."""
-    return fitted.z[: len(space.centre)].copy()
-
-
-def rewhitened(engine: Engine, whiten: Array) -> Engine:
-    """The engine with another whitening."""
-    return replace(engine, whiten=whiten)

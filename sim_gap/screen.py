@@ -1,4 +1,4 @@
-"""Which effects are worth a refit: one Jacobian for those with a gradient, a scan for the others."""
+"""Which effects are worth a refit: one Jacobian for those with a gradient, else a scan."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -77,7 +77,9 @@ def extended(
     return space, z
 
 
-def _expected(space: Space, at: Reduced, z: Array, chosen: NDArray[np.int64]) -> tuple[float, Array]:
+def _expected(
+    space: Space, at: Reduced, z: Array, chosen: NDArray[np.int64]
+) -> tuple[float, Array]:
     """Fall of the cost by Newton's step in some coordinates, and the step."""
     h = curvature(space, at)[np.ix_(chosen, chosen)]
     slope = (at.weight @ at.g + (space.centre - z) / space.spread**2)[chosen]
@@ -104,9 +106,7 @@ def _linear(
     return found
 
 
-def _scan(
-    engine: Engine, fitted: Fitted, nuisance: Sequence[str], effect: Effect
-) -> Promise:
+def _scan(engine: Engine, fitted: Fitted, nuisance: Sequence[str], effect: Effect) -> Promise:
     """The best of an effect's scan values, with everything else stepped once."""
     space, z = extended(engine, fitted, nuisance, [effect.name])
     best = Promise(effect.name, 0.0, tuple(z[len(fitted.z) :].tolist()))

@@ -38,8 +38,7 @@ def shape_of(engine: Engine, fitted: Fitted, noise: Noise) -> Shape:
     peak, prominence = _spectrum(engine, fitted)
     each = ratios(fitted)
     found = {
-        name: _rank_correlation(values, each)
-        for name, values in conditions(engine, fitted).items()
+        name: _rank_correlation(values, each) for name, values in conditions(engine, fitted).items()
     }
     strong = {k: v for k, v in sorted(found.items(), key=lambda i: -abs(i[1])) if abs(v) > 0.15}
     grows = found.get("speed", 0.0) > _CORRELATED
@@ -50,7 +49,7 @@ def _spectrum(engine: Engine, fitted: Fitted) -> tuple[float, float]:
     """Peak of the mean spectrum of whitened yaw errors [Hz], and its height over the mean."""
     error = engine.linear(fitted.space, fitted.z, fitted.x).error
     white = np.einsum("wij,wj->wi", engine.whiten, error)
-    channel = engine.readings.channel[engine.padded.index]
+    channel = engine.readings.channel[engine.padded.row]
     rows = [w[(c == 2) & (t > 0)] for w, c, t in zip(
         white, channel, engine.padded.there, strict=True
     )]  # fmt: skip
@@ -67,5 +66,5 @@ def _spectrum(engine: Engine, fitted: Fitted) -> tuple[float, float]:
 def _rank_correlation(a: Array, b: Array) -> float:
     if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
         return 0.0
-    ranks = [np.argsort(np.argsort(v)).astype(float) for v in (a, b)]
-    return float(np.corrcoef(*ranks)[0, 1])
+    first, second = (np.argsort(np.argsort(v)).astype(float) for v in (a, b))
+    return float(np.corrcoef(first, second)[0, 1])

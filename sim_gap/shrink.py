@@ -45,9 +45,7 @@ def explained_share(before: float, after: float, floor: float) -> float:
     return float(np.clip((before - after) / excess, 0.0, 1.0))
 
 
-def predict(
-    before: Fitted, chosen: Score, blocks: NDArray[np.int64]
-) -> tuple[float, float, float]:
+def predict(before: Fitted, chosen: Score, blocks: NDArray[np.int64]) -> tuple[float, float, float]:
     """Expected share on unseen drives with its 90 % interval, from windows left out."""
     base = ratios(before)
     after = np.expm1(chosen.losses / before.at.dof)

@@ -80,9 +80,7 @@ def _spread(superset: Superset, name: str) -> float:
     return max(floor, WIDER * min(superset.sd.get(name, 0.0), 20.0 * floor))
 
 
-def make_space(
-    superset: Superset, nuisance: Sequence[str], effects: Sequence[str] = ()
-) -> Space:
+def make_space(superset: Superset, nuisance: Sequence[str], effects: Sequence[str] = ()) -> Space:
     """Coordinates for some effects beside the base's own parameters.
 
     Raises:

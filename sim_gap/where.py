@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +105,10 @@ def equation_shares(engine: Engine, fitted: Fitted, noise: Noise) -> tuple[Share
     cov = known + sum(s * v for s, v in zip(sizes, shaped, strict=True))
     pulled = np.linalg.solve(cov, error[:, :, None])[:, :, 0]
     taken = np.array(
-        [s * np.einsum("wi,wij,wj->", pulled, v, pulled) for s, v in zip(sizes, shaped, strict=True)]
+        [
+            s * np.einsum("wi,wij,wj->", pulled, v, pulled)
+            for s, v in zip(sizes, shaped, strict=True)
+        ]
     )
     shares = taken / max(float(taken.sum()), 1e-12)
     order = np.argsort(-shares)
@@ -135,7 +139,7 @@ def channel_shares(engine: Engine, before: Fitted, after: Fitted) -> tuple[Share
         error = engine.linear(fitted.space, fitted.z, fitted.x).error
         scale = np.abs(np.diagonal(engine.whiten, axis1=1, axis2=2))
         white.append((error * scale) ** 2)
-    channel = engine.readings.channel[engine.padded.index]
+    channel = engine.readings.channel[engine.padded.row]
     removed = white[0] - white[1] if before is not after else white[0]
     parts = np.array([removed[channel == c].clip(-1e4, 1e4).sum() for c in range(5)]).clip(0.0)
     whole = max(float(parts.sum()), 1e-12)
@@ -193,7 +197,7 @@ def regimes(engine: Engine, fitted: Fitted, blocks: NDArray[np.int64]) -> tuple[
     excess = np.maximum(np.minimum(each, 100.0) - 1.0, 0.0)
     for name, values in conditions(engine, fitted).items():
         edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
+        for low, high in pairwise(edges):
             inside = (values >= low) & ((values < high) | (high == edges[-1]))
             if min(inside.sum(), (~inside).sum()) < BIN_LEAST:
                 continue
@@ -224,7 +228,9 @@ def stretches(
             last = w - 1
             stop = layout.t[last] + layout.spans[last, 3] * layout.h
             share = float(excess[start:w].sum() / max(excess.sum(), 1e-9))
-            found.append(Stretch(names[layout.run[start]], float(layout.t[start]), float(stop), share))
+            found.append(
+                Stretch(names[layout.run[start]], float(layout.t[start]), float(stop), share)
+            )
             start = None
         if w < len(each) and bad[w] and start is None:
             start = w
