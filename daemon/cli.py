@@ -17,6 +17,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 COMMANDS: dict[str, tuple[str, str]] = {
     "probe": ("probe", "find VESCs and mocap servers, and what is wrong with them"),
     "config": ("config", "print a commented car file, check one, exchange F1TENTH's gains"),
+    "mocap": ("mocap", "check the mocap room; calibrate its body on the car from one drive"),
+    "calibrate": ("calibrate", "centre, gain and limits of the steering"),
     "run": ("run", "drive: the control loop on a car or on simulated hardware"),
     "sim": ("sim", "simulated hardware alone: a VESC on a pty, a mocap server"),
     "control": ("control", "the lane keeper as a process of its own, over zenoh"),

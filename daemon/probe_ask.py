@@ -159,13 +159,14 @@ def watch_mocap(
     receiver = make_receiver(url, config)
     receiver.ingest.stationary = True
     try:
-        samples = list(_listen(receiver, clock, seconds))
+        samples = list(listen(receiver, clock, seconds))
         return _seen(receiver, address, samples, seconds)
     finally:
         receiver.close()
 
 
-def _listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[PoseSample]:
+def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[PoseSample]:
+    """The samples of so many seconds, as they come."""
     end = clock.now_ns() + round(seconds * 1e9)
     while clock.now_ns() < end:
         yield from receiver.on_timer(clock.now_ns()) or []
