@@ -64,7 +64,8 @@ class Lifeline:
                 self._mutex, time.CLOCK_MONOTONIC, ctypes.byref(until)
             )
             if result == _TIMED_OUT:
-                return False
+                # A core that left in good order unmapped its page first, with the mutex in it.
+                return bool(self._pidfd.poll(0))
             # It is ours now; kept, it would be on this thread's list when the page is unmapped.
             self._library.pthread_mutex_unlock(self._mutex)
             if result == _OWNER_DIED:

@@ -49,6 +49,23 @@ def test_a_living_holder_is_waited_for_and_a_killed_one_heard_of():
     holder.wait()
 
 
+def test_a_holder_that_unmapped_its_page_before_it_left_is_heard_of():
+    """The kernel cannot hand on a mutex that is not in memory any more: Python's own tidy end."""
+    page_fd = make_page_fd()
+    leaver = (
+        "import os, sys; from daemon.lifeline import Lifeline; line = Lifeline(int(sys.argv[1]))"
+    )
+    code = f"{leaver}; line.hold(); del line; os._exit(0)"
+    holder = subprocess.Popen(
+        [sys.executable, "-c", code, str(page_fd)], pass_fds=(page_fd,), cwd=ROOT
+    )
+    pidfd = os.pidfd_open(holder.pid)
+    assert holder.wait() == 0
+    line = Lifeline(page_fd, pidfd)
+    assert line.poll(5)
+    assert line.poll(5)
+
+
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGABRT, signal.SIGTERM])
 def test_every_kind_of_death_is_heard_of(how):
     page_fd = make_page_fd()
