@@ -40,7 +40,7 @@ class Chart:
         names: of all parameters.
         prior: (P,) parameters about which the weak priors lie; the fixed ones stay there.
         free: names of the free ones.
-        wheelbase: known distance of the axles [m]; then lf follows from lr.
+        wheelbase: known distance of the axles [m]: then of lf and lr, one follows from the other.
         low: (P,) bounds of the parameters.
         high: (P,).
         spread: (n,) prior standard deviation of the coordinates.
@@ -95,7 +95,7 @@ class Chart:
         front, rear = self.names.index("lf"), self.names.index("lr")
         if self.paired:
             p[front] -= p[rear]
-        elif self.wheelbase is not None:
+        elif self.wheelbase is not None and {"lf", "lr"} & set(self.free):
             known, follows = (front, rear) if "lf" in self.free else (rear, front)
             p[follows] = self.wheelbase - p[known]
         return p

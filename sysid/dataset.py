@@ -205,7 +205,7 @@ def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]
         return moved
 
     t_steer = seconds(actuation["stamp_ns"][driven], 0)
-    pose = np.column_stack([mocap[c][accepted] for c in ("x", "y", "yaw")])
+    pose: Array = np.column_stack([mocap[c][accepted] for c in ("x", "y", "yaw")]).astype(float)
     found = {
         "pose": Signal(seconds(mocap["t_valid_ns"][accepted], epoch), pose),
         "steer": Signal(t_steer, actuation["steer"][driven].astype(float)),

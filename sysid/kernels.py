@@ -169,19 +169,28 @@ class Slopes(NamedTuple):
 def march_back(
     kernels: Kernels, parameters: Array, path: Array, bars: Array, held: Held, lanes: Lanes
 ) -> Slopes:
-    """The adjoint of `march`: `bars` is the loss's derivative by `path`, in its layout."""
+    """The adjoint of `march`; `bars` (W, moments, states): the loss's derivative by the states."""
     h = held.fine
     q = constants_of(kernels, parameters, h)
     into = np.zeros_like(held.rows)
     slopes = np.zeros(len(parameters))
     first = np.empty((len(path), path.shape[2]))
     late = kernels.module.adjoint_lanes(
-        parameters, q, h, TABLEAUS[held.integrator], path, bars, held.rows, into,
-        lanes.runs, lanes.t, held.substeps, first, slopes,
+        parameters, q, h, TABLEAUS[held.integrator], path, *_flat(bars), lanes.windows, held.rows,
+        into, lanes.runs, lanes.t, held.substeps, first, slopes,
     )  # fmt: skip
     slopes += delay_slopes(kernels, parameters, np.array([*late, 0.0]))
     by_window = first.reshape(len(path), -1, LANES).transpose(0, 2, 1)
     return Slopes(slopes, by_window.reshape(-1, by_window.shape[2])[: lanes.windows], into)
+
+
+def _flat(bars: Array) -> tuple[Array, Indices]:
+    """An array of any order as it lies in memory, and its strides in numbers."""
+    order = np.argsort([-stride for stride in bars.strides], kind="stable")
+    packed = bars.transpose(order)
+    if not packed.flags.c_contiguous:
+        bars = packed = np.ascontiguousarray(bars)
+    return packed.reshape(-1), np.array(bars.strides) // bars.itemsize
 
 
 def delay_slopes(kernels: Kernels, parameters: Array, bars: Array) -> Array:

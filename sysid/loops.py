@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         PARAMETER_COUNT,
         REMEMBERS,
         Array,
+        Indices,
         actuators_lanes,
         actuators_vjp,
         delays_jac,
@@ -270,19 +271,27 @@ def redo_stages(
     h: float,
     tableau: "Array",
     state: "Array",
-    ends: "Array",
-    wr: "Array",
-    inputs: "Array",
+    wa: "Array",
+    work: "Array",
     n: int,
 ) -> None:
-    """The stages' inputs again, for the way back."""
-    rows, stages = 9 + MEMORY, tableau.shape[1]
+    """The stages again, each in a workspace of its own, ready for its derivatives."""
+    stages, outputs, n_in = len(work), (10 + MEMORY) * LANES, (9 + MEMORY) * LANES
     for stage in range(stages):
-        reach = tableau[0, stage]
-        set_stage(wr, stage, ends, state, h * reach, reach, n)
-        copy_rows(inputs, stage * rows, wr, 0, rows)
+        w, reach = work[stage], tableau[0, stage]
+        if stage == 0:
+            copy_rows(w, 0, state, 0, 6)
+        else:
+            last = work[stage - 1]
+            for i in range(6 * n):
+                w[i] = state[i] + h * reach * last[n_in + i]
+        for lane in range(n):
+            start = wa[outputs + lane]
+            w[6 * LANES + lane] = start + reach * (wa[outputs + LANES + lane] - start)
+        copy_rows(w, 7, wa, 13 + MEMORY, 1 + MEMORY)
+        copy_rows(w, 8 + MEMORY, wa, 9 + MEMORY, 1)
         if stage < stages - 1:
-            rates_lanes(wr, n, p, q, h)
+            rates_lanes(w, n, p, q, h)
 
 
 @point
@@ -306,29 +315,47 @@ def back_stages(
     q: "Array",
     h: float,
     tableau: "Array",
-    inputs: "Array",
-    wv: "Array",
+    work: "Array",
     bar: "Array",
     kept: "Array",
     link_bars: "Array",
     n: int,
 ) -> None:
     """Through the stages in reverse; `kept` gathers the derivative to the state at the start."""
-    rows, stages = 9 + MEMORY, tableau.shape[1]
+    rows, stages = 9 + MEMORY, len(work)
     slopes = rows + 6
     for stage in range(stages - 1, -1, -1):
-        share = h * tableau[1, stage]
-        for i in range(6 * LANES):
-            wv[rows * LANES + i] = share * bar[i]
+        w, share, reach = work[stage], h * tableau[1, stage], tableau[0, stage]
+        for i in range(6 * n):
+            w[rows * LANES + i] = share * bar[i]
         if stage < stages - 1:
-            add_rows(wv, rows, wv, slopes, 6, h * tableau[0, stage + 1])
-        copy_rows(wv, 0, inputs, stage * rows, rows)
-        rates_vjp(wv, n, p, q, h)
-        add_rows(kept, 0, wv, slopes, 6, 1.0)
-        reach = tableau[0, stage]
-        add_rows(link_bars, 0, wv, slopes + 6, 1, 1.0 - reach)
-        add_rows(link_bars, 1, wv, slopes + 6, 1, reach)
-        add_rows(link_bars, 3, wv, slopes + 7, 1 + MEMORY, 1.0)
+            add_rows(w, rows, work[stage + 1], slopes, 6, h * tableau[0, stage + 1])
+        rates_vjp(w, n, p, q, h)
+        add_rows(kept, 0, w, slopes, 6, 1.0)
+        at = (slopes + 6) * LANES
+        for lane in range(n):
+            link_bars[lane] += (1.0 - reach) * w[at + lane]
+            link_bars[LANES + lane] += reach * w[at + lane]
+        add_rows(link_bars, 3, w, slopes + 7, 1 + MEMORY, 1.0)
+
+
+@point
+def set_bars(
+    bar: "Array", bars: "Array", strides: "Indices", window: int, windows: int, k: int
+) -> None:
+    """Derivatives to the states of moment `k` as rows; lanes without a window get none."""
+    for row in range(7 + MEMORY):
+        for lane in range(LANES):
+            at = (window + lane) * strides[0] + k * strides[1] + row * strides[2]
+            bar[row * LANES + lane] = bars[at] if window + lane < windows else 0.0
+
+
+@point
+def sum_slopes(w: "Array", row: int, slopes: "Array") -> None:
+    """Add a workspace's derivatives to the parameters, over its lanes."""
+    for parameter in range(PARAMETER_COUNT):
+        for lane in range(LANES):
+            slopes[parameter] += w[(row + parameter) * LANES + lane]
 
 
 @point
@@ -339,6 +366,9 @@ def adjoint_block(
     tableau: "Array",
     path: "Array",
     bars: "Array",
+    strides: "Indices",
+    window: int,
+    windows: int,
     stream: "Array",
     into: "Array",
     t: "Array",
@@ -351,46 +381,41 @@ def adjoint_block(
     """Back over 16 windows; `bar` ends as the derivative to the first state."""
     rows_a, rows_r, states = 10 + MEMORY, 9 + MEMORY, 7 + MEMORY
     wa = np.zeros((rows_a + 4 + MEMORY) * LANES)
-    wr = np.zeros((rows_r + 6) * LANES)
     wva = np.zeros((2 * rows_a + 4 + MEMORY + PARAMETER_COUNT) * LANES)
-    wvr = np.zeros((2 * rows_r + 6 + PARAMETER_COUNT) * LANES)
+    work = np.zeros((tableau.shape[1], (2 * rows_r + 6 + PARAMETER_COUNT) * LANES))
     wm = np.zeros((2 * (14 + MEMORY) + MEMORY + PARAMETER_COUNT) * LANES)
     ends, kept = np.zeros(2 * LANES), np.zeros(6 * LANES)
     link_bars = np.zeros((4 + MEMORY) * LANES)
-    inputs = np.zeros(tableau.shape[1] * rows_r * LANES)
     back, n = rows_a + 4 + MEMORY, len(t)
     ahead = stream_ahead(late, substeps)
     for k in range(path.shape[0] - 2, -1, -1):
         state = path[k]
         fetch_commands(wa, 7 + MEMORY, stream, ahead, k, substeps, late, n)
         drive_lanes(wa, state, t, k, p, q, h, n)
-        ready_rates(wa, wr, ends)
-        redo_stages(p, q, h, tableau, state, ends, wr, inputs, n)
+        redo_stages(p, q, h, tableau, state, wa, work, n)
         link_bars[:] = 0.0
         copy_rows(link_bars, 2, bar, 6, 1)
         kept[:] = 0.0
         if REMEMBERS:
-            remember_step(wm, ends, state, path[k + 1], wr)
+            copy_rows(ends, 0, wa, rows_a, 2)
+            remember_step(wm, ends, state, path[k + 1], work[0])
             back_remember(wm, bar, link_bars, p, q, h, n)
             add_rows(kept, 0, wm, 14 + 2 * MEMORY, 6, 1.0)
         else:
             copy_rows(link_bars, 4, bar, 7, MEMORY)
         add_rows(kept, 0, bar, 0, 6, 1.0)
-        back_stages(p, q, h, tableau, inputs, wvr, bar, kept, link_bars, n)
+        back_stages(p, q, h, tableau, work, bar, kept, link_bars, n)
         copy_rows(wva, 0, wa, 0, rows_a)
         copy_rows(wva, rows_a, link_bars, 0, 4 + MEMORY)
         actuators_vjp(wva, n, p, q, h)
-        copy_rows(bar, 0, bars[k], 0, states)
+        set_bars(bar, bars, strides, window, windows, k)
         add_rows(bar, 0, kept, 0, 6, 1.0)
         add_rows(bar, 0, wva, back, states, 1.0)
         return_commands(wva, back + states, stream, into, ahead, k, substeps, late, late_bars, n)
-    for parameter in range(PARAMETER_COUNT):
-        for lane in range(LANES):
-            slopes[parameter] += (
-                wva[(back + rows_a + parameter) * LANES + lane]
-                + wvr[(2 * rows_r + 6 + parameter) * LANES + lane]
-                + wm[(2 * (14 + MEMORY) + MEMORY + parameter) * LANES + lane]
-            )
+    sum_slopes(wva, back + rows_a, slopes)
+    sum_slopes(wm, 2 * (14 + MEMORY) + MEMORY, slopes)
+    for stage in range(len(work)):
+        sum_slopes(work[stage], 2 * rows_r + 6, slopes)
 
 
 @point
@@ -401,6 +426,8 @@ def adjoint_lanes(
     tableau: "Array",
     path: "Array",
     bars: "Array",
+    strides: "Indices",
+    windows: int,
     commands: "Array",
     into: "Array",
     runs: "Array",
@@ -411,9 +438,10 @@ def adjoint_lanes(
 ) -> "Array":
     """Derivatives of a loss, given its derivatives `bars` by every state of `path`.
 
-    Arguments are those of `simulate_lanes`, which wrote `path`. `first` (blocks, (7 + MEMORY) * 16)
-    gets the derivatives to the first states; those to the commands are added to `into` (rows, 2),
-    and those to the parameters, other than through the delays, to `slopes`.
+    Arguments are those of `simulate_lanes`, which wrote `path`. `bars` are flat, with `strides` by
+    window, moment and state; only the first `windows` lanes are real. `first`
+    (blocks, (7 + MEMORY) * 16) gets the derivatives to the first states; those to the commands are
+    added to `into` (rows, 2), those to the parameters, other than through the delays, to `slopes`.
 
     Returns:
         Derivatives to the dead times of steer and drive [1/s].
@@ -424,9 +452,14 @@ def adjoint_lanes(
     for block in range(path.shape[0]):
         stream = make_stream(commands, runs[block], late, path.shape[1] - 1, substeps)
         returned = np.zeros_like(stream)
-        copy_rows(first[block], 0, bars[block, path.shape[1] - 1], 0, 7 + MEMORY)
+        window = block * LANES
+        set_bars(first[block], bars, strides, window, windows, path.shape[1] - 1)
         adjoint_block(
-            p, q, h, tableau, path[block], bars[block], stream, returned, t[block], substeps, late,
+            p, q, h, tableau, path[block], bars,
+            strides,
+            window,
+            windows,
+            stream, returned, t[block], substeps, late,
             first[block], slopes, late_bars,
         )  # fmt: skip
         return_stream(returned, runs[block], into, ahead)

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 PARAMETERS: tuple[str, ...]
 PARAMETER_COUNT: int

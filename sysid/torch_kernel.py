@@ -6,8 +6,7 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from sysid.codegen import LANES
-from sysid.kernels import Held, Kernels, Lanes, lane_view, make_lanes, march, march_back
+from sysid.kernels import Held, Kernels, lane_view, make_lanes, march, march_back
 from sysid.torch_ops import Tensor
 
 
@@ -74,7 +73,7 @@ class _Simulate(torch.autograd.Function):
     def backward(ctx: Any, bars: Tensor) -> Any:
         """March back."""
         kernels, parameters, path, held, lanes = ctx.state
-        slopes = march_back(kernels, parameters, path, _to_lanes(bars, lanes), held, lanes)
+        slopes = march_back(kernels, parameters, path, bars.numpy(), held, lanes)
         commands = slopes.commands.reshape(lanes.windows, -1, 2)
         pieces = (slopes.parameters, np.ascontiguousarray(slopes.first), commands)
         return (*(torch.from_numpy(piece) for piece in pieces), None)
@@ -82,13 +81,3 @@ class _Simulate(torch.autograd.Function):
 
 def _array(tensor: Tensor) -> Any:
     return np.ascontiguousarray(tensor.detach().numpy())
-
-
-def _to_lanes(bars: Tensor, lanes: Lanes) -> Any:
-    """(B, moments, states) to (blocks, moments, states * 16), zero where no window is."""
-    count, moments, states = bars.shape
-    blocks = len(lanes.runs)
-    if count < blocks * LANES:
-        bars = torch.nn.functional.pad(bars, (0, 0, 0, 0, 0, blocks * LANES - count))
-    packed = bars.reshape(blocks, LANES, moments, states).permute(0, 2, 3, 1)
-    return packed.contiguous().numpy().reshape(blocks, moments, states * LANES)

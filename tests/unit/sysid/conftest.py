@@ -27,6 +27,9 @@ class Noise(NamedTuple):
     wheel: float = 0.02
 
 
+ORDINARY = Noise()
+
+
 def mixed_commands(seconds: float, seed: int, lateral: float = 5.0) -> Array:
     """Steps, sines and chirps of steering at 1 to 3 m/s, no faster than the daemon's limit."""
     rng = np.random.default_rng(seed)
@@ -51,7 +54,7 @@ def mixed_commands(seconds: float, seed: int, lateral: float = 5.0) -> Array:
 
 
 def simulate_run(
-    model: Model[float], commands: Array, first: Array, seed: int, noise: Noise = Noise()
+    model: Model[float], commands: Array, first: Array, seed: int, noise: Noise = ORDINARY
 ) -> Run:
     """A drive of a known car, poses and wheel speed at 200 Hz."""
     kernels = make_kernels(model.effects)
@@ -74,7 +77,7 @@ def simulate_run(
     )  # fmt: skip
 
 
-def drive(model: Model[float], seconds: float, seed: int, noise: Noise = Noise()) -> Run:
+def drive(model: Model[float], seconds: float, seed: int, noise: Noise = ORDINARY) -> Run:
     """A mixed drive from 1.5 m/s straight ahead."""
     first = np.array([0.0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
     return simulate_run(model, mixed_commands(seconds, seed), first, seed, noise)

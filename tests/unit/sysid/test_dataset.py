@@ -119,8 +119,8 @@ def test_windows_share_out_every_pose_and_leave_gaps_out():
 
 
 def test_a_session_without_poses_says_what_to_do(tmp_path):
-    from steer_bus.session import SessionWriter
     from steer_bus.messages import Actuation
+    from steer_bus.session import SessionWriter
     from steer_bus.topics import ACTUATION, make_session_topic
 
     path = tmp_path / "drive.mcap"

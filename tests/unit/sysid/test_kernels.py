@@ -7,7 +7,8 @@ import torch
 from car_model.model import Model
 from car_model.ops import FLOAT
 from car_model.params import DEFAULT_CAR
-from car_model.rollout import euler, simulate as simulate_floats, start
+from car_model.rollout import euler, start
+from car_model.rollout import simulate as simulate_floats
 from car_model.state import Command, State
 from sysid.kernels import (
     Held,
@@ -182,8 +183,8 @@ def test_sensitivities_agree_with_the_adjoint():
     path = march(kernels, p, first, held, lanes, steps)
     assert np.abs(lane_view(path, 1)[0, -1, :3] - y).max() < 1e-12
     for row in range(3):
-        bars = np.zeros_like(path)
-        lane_view(bars, 1)[0, -1, row] = 1.0
+        bars = np.zeros((1, steps + 1, 7))
+        bars[0, -1, row] = 1.0
         back = march_back(kernels, p, path, bars, held, lanes)
         both = np.concatenate([back.parameters, back.first[0]])
         seen = slopes[row].copy()
