@@ -136,9 +136,10 @@ def refit_all(
     nuisance: Sequence[str],
     promises: Sequence[Promise],
     jobs: int = 1,
+    most: int = REFITS,
 ) -> list[Score]:
     """Refit the most promising effects, each alone."""
-    chosen = [p for p in promises if p.gain > 0.5][:REFITS]
+    chosen = [p for p in promises if p.gain > 0.5][:most]
     tasks = (delayed(refit)(engine, start, nuisance, [p]) for p in chosen)
     found = Parallel(n_jobs=jobs, prefer="threads")(tasks)
     return [score for score in found if score is not None]
@@ -150,10 +151,11 @@ def singles(
     nuisance: Sequence[str],
     only: Sequence[str] | None = None,
     jobs: int = 1,
+    most: int = REFITS,
 ) -> list[Score]:
     """Every effect of the library on one footing, the most promising refitted; best first."""
     promises = screen(engine, null, nuisance, only)
     base = scored(engine, null)
-    found = refit_all(engine, null, nuisance, promises, jobs)
+    found = refit_all(engine, null, nuisance, promises, jobs, most)
     blocks = blocks_of(engine)
     return sorted(found, key=lambda score: -gain_of(score, base, blocks)[0])

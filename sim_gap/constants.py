@@ -28,8 +28,10 @@ PARTIAL_MIN = 0.5
 """Shares of the excess that make a verdict `explained` or `partial`."""
 EXCESS_LEFT = 1.25
 """Whitened error per degree of freedom that known noise leaves at most, sampling included."""
-REFITS = 12
+REFITS = 10
 """Candidates that are refitted after the screening."""
+REFITS_ROUGH = 4
+"""The same while noise is not known yet."""
 CONFIDENCE_SLOPE = 0.8
 CONFIDENCE_NATS = 4.0
 """A rival counts exp(-slope (best - gain) / (paired standard error + nats))."""

@@ -11,7 +11,7 @@ from sim_gap.space import Space
 Array = NDArray[np.float64]
 
 STEPS = 12
-ENOUGH = 0.05
+ENOUGH = 0.2
 """A step that promises less than this many nats ends the descent."""
 _DAMPING_MAX = 1e6
 

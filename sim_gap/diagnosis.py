@@ -215,7 +215,8 @@ def _search(case: _Case, known: Noise | None) -> tuple[Engine, Fitted, list[Scor
     engine = whitened(engine, null, noise)
     null = _null(engine, case.nuisance, null)
     options.progress("candidates", 0.2)
-    ranked = singles(engine, null, case.nuisance, case.only, options.jobs)
+    most = c.REFITS if known else c.REFITS_ROUGH
+    ranked = singles(engine, null, case.nuisance, case.only, options.jobs, most)
     if not ranked:
         return engine, null, [scored(engine, null)], noise
     if known is None:
