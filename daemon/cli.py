@@ -29,6 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "clear": ("operate", "acknowledge a latched fault"),
     "estop": ("operate", "emergency stop"),
     "status": ("status", "what a running daemon does and what it waits for"),
+    "watch": ("watch", "a running car in the terminal: state, errors, rates, faults"),
     "replay": ("replay", "feed a recorded session through the loop and compare its commands"),
     "info": ("info", "what is in a session"),
     "plot": ("plot", "a drive as one page to look at: track, errors, commands, timing"),
