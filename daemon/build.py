@@ -21,6 +21,7 @@ from daemon.plans import Drill, PlanError, parse_drill
 from sim_hw.mocap_config import MocapConfig
 from sim_hw.vesc_config import VescConfig
 from sim_hw.world import WorldConfig
+from steer_bus.topics import check_car_name
 from vesc_link.telemetry import IMU_ACCEL_GYRO_MASK
 from vesc_link.vesc import VescLink
 
@@ -51,6 +52,10 @@ def make_plan(options: RunOptions, settings: Settings | None = None) -> Plan:
     """
     if not 20.0 <= options.rate_hz <= 1000.0:
         raise SteerdError(f"--rate {options.rate_hz:g}: 20 to 1000 Hz", "", ExitCode.USAGE)
+    try:
+        check_car_name(options.car)
+    except ValueError as error:
+        raise SteerdError(f"--name: {error}", "", ExitCode.USAGE) from None
     if settings is None:
         settings = load_settings(options.car_file or default_car_path(), options.speed)
     try:

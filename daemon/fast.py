@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from daemon.build import Plan
+from daemon.build import Plan, make_world_config
 from daemon.dashboard import Dashboard
 from daemon.errors import ExitCode, SteerdError
 from daemon.recorder import Recording
@@ -12,6 +12,7 @@ from daemon.records import Record
 from daemon.session_meta import default_session_path, make_attachments, make_metadata
 from daemon.transitions import State
 from daemon.virtual import EPOCH_NS, VirtualRun, drive, make_virtual_run
+from sim_hw.world import World
 from steer_bus.clock import MonotonicClock
 from steer_bus.session_read import SessionError
 
@@ -22,7 +23,11 @@ def make_recording(plan: Plan, path: Path) -> Recording:
     Raises:
         SteerdError: it cannot be created.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        hint = "choose another place with --record"
+        raise SteerdError(f"{path.parent}: {error.strerror}", hint, ExitCode.UNREADABLE) from None
     meta = {
         "metadata": make_metadata(
             plan, plan.options.seed + 1, EPOCH_NS, leased=False, reproducible=True
@@ -49,6 +54,7 @@ def run_fast(plan: Plan) -> int:
         if record
         else default_session_path(plan.options.car, clock.realtime_ns(), began)
     )
+    world = World(make_world_config(plan))
     recording = make_recording(plan, path)
     board = Dashboard("")
 
@@ -59,7 +65,7 @@ def run_fast(plan: Plan) -> int:
             if line is not None:
                 print(f"{t_ns * 1e-9:8.2f} s  {line}")
 
-    run = make_virtual_run(plan, (sink,))
+    run = make_virtual_run(plan, (sink,), world)
     try:
         with_progress(run, plan.options.duration_s, lambda tick: drive(run, tick))
     finally:
