@@ -201,7 +201,7 @@ def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]
     zero = epoch + (int(mocap["t_valid_ns"][0]) if len(accepted) else 0)
 
     def seconds(stamps: NDArray[Any], offset: int) -> Array:
-        moved: Array = (stamps.astype(np.int64) + (offset - zero)) * 1e-9
+        moved: Array = (stamps.astype(np.int64) + (offset - zero)).astype(np.float64) * 1e-9
         return moved
 
     t_steer = seconds(actuation["stamp_ns"][driven], 0)
