@@ -17,6 +17,7 @@ from daemon.outbox import Sink
 from daemon.realtime import enter_realtime, settle_memory
 from daemon.records import PipeWriter, Record, pack_record
 from daemon.runner import Ends, Runner
+from daemon.sd_notify import make_notify
 from daemon.signals import block_stop_signals, stop_signal_pipe
 from mocap_link.mocap_url import parse_mocap_url
 from mocap_link.sessions import BusPoseSource
@@ -124,6 +125,7 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
         mocap,
         ends,
         ProcessGuard(report.fifo, simulated=plan.options.simulated),
+        make_notify(os.environ),
     )
     settle_memory()
     runner.run()

@@ -16,6 +16,7 @@ from daemon.flags import Flag
 from daemon.gateway_wire import REQUEST_MAX, unpack_request
 from daemon.guard import Guard, sleep_lag_ns
 from daemon.records import PipeWriter
+from daemon.sd_notify import ALIVE, READY, STOPPING, Notify, say_nothing
 from daemon.transitions import is_engaged
 from mocap_link.sessions import BusPoseSource
 from mocap_link.sockets import MocapReceiver
@@ -68,8 +69,10 @@ class Runner:
         mocap: MocapReceiver | BusPoseSource,
         ends: Ends,
         guard: Guard,
+        notify: Notify = say_nothing,
     ) -> None:
         self._core = core
+        self._notify = notify
         self._clock = clock
         self._open_port = open_port
         self._mocap = mocap
@@ -86,6 +89,7 @@ class Runner:
 
     def run(self) -> None:
         """Run until asked to quit and parked, or until the planned drive is over."""
+        self._notify(READY)
         due = self._clock.now_ns()
         work_ns = 0
         while not self._done():
@@ -197,6 +201,7 @@ class Runner:
         self._core.flags |= Flag.MOCAP_REFUSED if source.refused else 0
 
     def _tell_clock(self, now_ns: int) -> None:
+        self._notify(ALIVE)
         realtime = self._clock.realtime_ns()
         header = make_header(now_ns + self._core.outbox.epoch_ns, BODY)
         self._core.outbox.post(topics.CLOCK, ClockSample(header, realtime, now_ns, 0), now_ns)
@@ -274,6 +279,7 @@ class Runner:
 
     def _leave(self) -> None:
         """The wheels stand: give the VESC its own limits back, and leave in good order."""
+        self._notify(STOPPING)
         now = self._clock.now_ns()
         if self._port is not None:
             self._guard.say_clean()
