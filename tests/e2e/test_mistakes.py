@@ -1,0 +1,165 @@
+"""What people get wrong: one clear line, what to try, an exit code, and nothing left behind."""
+
+import ctypes
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from daemon.cli import guarded
+
+LIBC = ctypes.CDLL(None)
+CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH = 1, 2
+SIM = ("run", "--sim", "--fast", "--duration", "1")
+LIVE = ("run", "--listen", "", "--mocap", "natnet://127.0.0.1/car")
+
+TABLE = [
+    ((*SIM, "--path", "triangle"), 2, ["no path called 'triangle'", "circle"]),
+    ((*SIM, "--path", "circle:size=2"), 2, ["circle has no option size"]),
+    ((*SIM, "--path", "csv:{tmp}/none.csv"), 2, ["none.csv", "No such file"]),
+    ((*SIM, "--path", "csv:{tmp}/words.csv"), 2, ["words.csv"]),
+    ((*SIM, "--path", "circle:radius=0.3"), 4, ["0.3"]),
+    ((*SIM, "--car", "{tmp}/none.toml"), 3, ["none.toml"]),
+    ((*SIM, "--car", "{tmp}/broken.toml"), 4, ["broken.toml"]),
+    ((*SIM, "--car", "{tmp}/odd.toml"), 4, ["odd.toml", "mass"]),
+    ((*SIM, "--effect", "gravity=3"), 2, ["gravity", "steerd effects"]),
+    ((*SIM, "--effect", "steer_lag=much"), 2, ["steer_lag", "much"]),
+    ((*SIM, "--record", "{tmp}/words.csv"), 3, ["words.csv"]),
+    ((*SIM, "--record", "{tmp}/words.csv/drive.mcap"), 3, ["words.csv", "--record"]),
+    ((*SIM, "--rate", "5"), 2, ["--rate 5", "20 to 1000 Hz"]),
+    ((*SIM, "--name", "Car One"), 2, ["Car One"]),
+    (("run", "--sim", "--fast"), 2, ["--duration"]),
+    (("run", "--fast"), 2, ["--sim"]),
+    (("run",), 2, ["--port", "--sim"]),
+    (("run", "--sim", "--port", "/dev/ttyACM0"), 2, ["--sim brings its own"]),
+    ((*LIVE, "--port", "/dev/ttyACM0", "--auto-arm"), 2, ["--sim only"]),
+    (("replay", "{tmp}/none.mcap"), 3, ["none.mcap does not exist"]),
+    (("replay", "{tmp}/words.csv"), 3, ["words.csv is not an MCAP file"]),
+    (("info", "{tmp}"), 3, ["is a directory"]),
+    (("recover", "{tmp}/none.mcap.partial"), 3, ["does not exist"]),
+    (("sim", "--fault", "volcano"), 2, ["volcano"]),
+    (("sim", "--car", "{tmp}/none.toml"), 3, ["none.toml"]),
+]
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    (tmp_path / "words.csv").write_text("neither a path nor a session\n")
+    (tmp_path / "broken.toml").write_text("[car\nmass = 3\n")
+    (tmp_path / "odd.toml").write_text("[car]\nmass = 'heavy'\n")
+    return tmp_path
+
+
+def is_clear(said: str, words: list[str]) -> None:
+    lines = said.strip().splitlines()
+    assert "Traceback" not in said
+    assert lines[0].startswith("steerd: "), said
+    assert len(lines) <= 3, said
+    for word in words:
+        assert word in said
+
+
+@pytest.mark.parametrize(
+    ("argv", "code", "words"),
+    TABLE,
+    ids=lambda v: " ".join(map(str, v))[:60] if isinstance(v, tuple) else "",
+)
+def test_a_mistake_is_told_in_a_line(argv, code, words, place, capsys, monkeypatch) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(place))
+    before = sorted(place.rglob("*"))
+    assert guarded([text.format(tmp=place) for text in argv]) == code
+    is_clear(capsys.readouterr().err, words)
+    assert sorted(place.rglob("*")) == before
+
+
+# --- those that only the running processes can meet
+
+
+def run_live(place, *argv, **options):
+    """`steerd run` at hardware that is not there: its code and words."""
+    full = [sys.executable, "-m", "daemon.cli", "run", "--record", str(place / "drive.mcap"), *argv]
+    done = subprocess.run(full, capture_output=True, text=True, timeout=60, check=False, **options)
+    return done.returncode, done.stderr
+
+
+def free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("port", "mocap", "code", "words"),
+    [
+        ("{tmp}/ttyACM9", "natnet://127.0.0.1/car", 3, ["ttyACM9"]),
+        ("{tmp}/words.csv", "natnet://127.0.0.1/car", 3, ["words.csv"]),
+        ("{tty}", "motive://127.0.0.1/car", 2, ["motive://", "natnet://HOST"]),
+        ("{tty}", "natnet://127.0.0.1", 2, ["natnet://127.0.0.1"]),
+        ("{tty}", "vrpn://no.such.host.invalid/car", 3, ["no.such.host.invalid"]),
+    ],
+)
+def test_wrong_hardware_is_told_in_a_line(port, mocap, code, words, place) -> None:
+    ours, theirs = os.openpty()
+    before = sorted(place.iterdir())
+    argv = ("--port", port.format(tmp=place, tty=os.ttyname(theirs)), "--mocap", mocap)
+    got, said = run_live(place, *argv, "--listen", free_endpoint())
+    os.close(ours)
+    os.close(theirs)
+    assert got == code, said
+    is_clear(said, words)
+    assert sorted(place.iterdir()) == before
+
+
+def give_up_override() -> None:
+    """In a child of root's: file permissions count from now on (PR_CAPBSET_DROP)."""
+    for capability in (CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH):
+        LIBC.prctl(24, capability, 0, 0, 0)
+
+
+@pytest.mark.realtime
+def test_a_port_without_permission_says_which_group(place) -> None:
+    ours, theirs = os.openpty()
+    os.fchmod(theirs, 0)
+    argv = ("--port", os.ttyname(theirs), "--mocap", "natnet://127.0.0.1/car")
+    code, said = run_live(place, *argv, "--listen", free_endpoint(), preexec_fn=give_up_override)
+    os.close(ours)
+    os.close(theirs)
+    assert code == 3, said
+    is_clear(said, ["Permission denied", "dialout"])
+
+
+@pytest.mark.realtime
+def test_a_busy_endpoint_is_told_in_a_line(place) -> None:
+    before = sorted(place.iterdir())
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        argv = ("--sim", "--auto-arm", "--duration", "1", "--listen", endpoint)
+        code, said = run_live(place, *argv)
+    assert code == 6, said
+    is_clear(said, [endpoint, "already in use", "another steerd"])
+    assert sorted(place.iterdir()) == before
+
+
+@pytest.mark.realtime
+def test_nobody_answers(capsys) -> None:
+    for command in ("status", "arm", "start", "stop", "disarm", "control"):
+        assert guarded([command, "--connect", free_endpoint()]) == 6
+        is_clear(capsys.readouterr().err, ["no steerd answers", "steerd run"])
+
+
+@pytest.mark.realtime
+def test_a_second_run_on_the_same_port_is_refused(steerd, tmp_path) -> None:
+    port, url = steerd.sim(tmp_path)
+    argv = ("run", "--port", port, "--mocap", url)
+    first = steerd(*argv, "--listen", steerd.endpoint, "--record", tmp_path / "first.mcap")
+    first.expect("DISARMED")
+    code, said = run_live(tmp_path, *argv[1:], "--listen", free_endpoint())
+    assert code == 3, said
+    is_clear(said, [port, "another steerd holds it"])
+    assert not (tmp_path / "drive.mcap").exists()
+    assert first.process.poll() is None
+    first.expect("READY")
