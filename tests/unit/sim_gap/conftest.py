@@ -1,0 +1,95 @@
+"""Drives made with `car_model` itself, with disturbances and mocap noise, for the diagnosis."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from car_model.car_file import CarFile
+from car_model.effects import parse_effects
+from car_model.model import Model, delays, observe
+from car_model.ops import FLOAT
+from car_model.params import DEFAULT_CAR
+from car_model.rollout import channel_delayed, start, step
+from car_model.state import Command, State
+from sysid.dataset import Run, Signal, make_run
+
+H = 0.01
+LEAD = 100
+PUSHES = np.array([0.4, 0.4, 2.5])
+POSE_SD = np.array([7e-4, 7e-4, 2e-3])
+
+Drive = Callable[..., list[Run]]
+
+
+def _orders(ticks: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of speed, and switching or swinging steering below 4.5 m/s^2."""
+    speed = np.repeat(rng.uniform(0.9, 3.2, ticks // 120 + 1), 120)[:ticks]
+    t = np.arange(ticks) * H
+    switching = np.repeat(rng.choice((-1.0, -0.5, 0.0, 0.5, 1.0), ticks // 35 + 1), 35)[:ticks]
+    swinging = np.sin(2.0 * np.pi * rng.uniform(0.5, 1.8) * t)
+    shape = np.where((t // 3.0) % 2 == 0, switching, swinging)
+    most = np.minimum(4.5 * 0.33 / speed**2, 0.3)
+    return shape * most, speed
+
+
+def _drive(text: str, seconds: float, rng: np.random.Generator, name: str) -> Run:
+    chosen = parse_effects(text) if text else []
+    model = Model(DEFAULT_CAR, tuple(e for e, _ in chosen), tuple(v for _, v in chosen))
+    late = delays(model)
+    ticks = LEAD + round(seconds / H)
+    steer, speed = _orders(ticks, rng)
+    x, y, yaw = rng.uniform(-1.0, 1.0, 3)
+    moment = start(model, State(x, y, yaw, speed[0], 0.0, 0.0, 0.0), 0.0)
+    push, keep, seen = np.zeros(3), np.exp(-H / 0.08), []
+    for k in range(ticks):
+        command = Command(
+            channel_delayed(steer, k, late.steer, H), channel_delayed(speed, k, late.drive, H)
+        )
+        seen.append(observe(FLOAT, model, moment.state)[:4])
+        for half in (0.0, 0.5):
+            t = max(k + half - LEAD, 0) * H
+            moment = step(FLOAT, model, moment, command, t, H / 2)
+        push = keep * push + np.sqrt(1 - keep**2) * rng.standard_normal(3) * PUSHES
+        s = moment.state
+        moment = moment._replace(
+            state=s._replace(
+                speed=s.speed + push[0] * H,
+                slip_angle=s.slip_angle + push[1] * H / max(s.speed, 0.3),
+                yaw_rate=s.yaw_rate + push[2] * H,
+            )
+        )
+    path, t = np.array(seen), np.arange(ticks) * H
+    pose = np.column_stack([np.interp(t - late.pose, t, path[:, i]) for i in range(3)])
+    pose += rng.standard_normal(pose.shape) * POSE_SD
+    wheel = path[:, 3] + 0.02 * rng.standard_normal(ticks)
+    t = t[: ticks - LEAD]
+    return make_run(
+        name,
+        Signal(t, steer[LEAD:]),
+        Signal(t, speed[LEAD:]),
+        Signal(t, pose[LEAD:]),
+        wheel=Signal(t, wheel[LEAD:]),
+    )
+
+
+@pytest.fixture(scope="session")
+def drive() -> Drive:
+    """`drive(effects, runs=4, seconds=8, seed=0)`: runs of the default car with effects on."""
+
+    def make(text: str = "", runs: int = 4, seconds: float = 8.0, seed: int = 0) -> list[Run]:
+        rng = np.random.default_rng(seed)
+        return [_drive(text, seconds, rng, f"run-{i}") for i in range(runs)]
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def base() -> CarFile:
+    """The default car as if it had been identified."""
+    names = (
+        "lf", "lr", "c_sf", "c_sr", "inertia_z", "steer_gain", "steer_bias", "steer_delay",
+        "steer_lag", "speed_gain", "speed_lag",
+    )  # fmt: skip
+    return CarFile(Path("car.toml"), "car", DEFAULT_CAR, sd=dict.fromkeys(names, 1e-4))

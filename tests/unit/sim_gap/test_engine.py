@@ -1,0 +1,129 @@
+"""Windows, whitening and descent: numbers against their definitions."""
+
+import numpy as np
+import pytest
+
+from sim_gap.candidates import blocks_of, folds_of, held_out
+from sim_gap.descent import descend, step_within
+from sim_gap.disturb import INPUTS, responses
+from sim_gap.engine import make_engine, take_windows
+from sim_gap.noise import Noise, learn_noise, noise_of_section, noise_section, whitened
+from sim_gap.readings import SPACING, make_readings
+from sim_gap.residuals import robust_mean, settled
+from sim_gap.space import BOX, make_space, nuisance_names
+from sim_gap.superset import make_superset
+from sysid.windows import speed_range
+
+SIGMA = np.array([0.005, 0.01, 0.05, 0.05])
+
+
+@pytest.fixture(scope="module")
+def healthy(drive, base):
+    runs = drive("", runs=2, seconds=6.0, seed=7)
+    superset = make_superset(base, runs)
+    return make_engine(superset, make_readings(runs, 0.0, speed_range(runs)), SIGMA)
+
+
+@pytest.fixture(scope="module")
+def fitted(healthy, drive):
+    space = make_space(healthy.superset, nuisance_names(healthy.superset, drive("", 1, 4.0)))
+    return descend(healthy, space, space.centre, healthy.readings.layout.guess.copy())
+
+
+def test_readings_are_thinned_to_one_each_fifty_milliseconds(healthy):
+    readings = healthy.readings
+    for w in range(readings.count):
+        rows = readings.rows(w)
+        t = readings.t[rows][readings.channel[rows] == 0]
+        assert np.all(np.abs(np.diff(t) - SPACING) < 0.011)
+        assert len(t) >= 20
+
+
+def test_a_slope_is_the_difference_quotient(healthy, fitted):
+    space, z, x = fitted.space, fitted.z, fitted.x
+    at = healthy.linear(space, z, x)
+    i = space.chart.labels.index("log steer_gain")
+    moved = z.copy()
+    moved[i] += 1e-5
+    quotient = (at.error - healthy.linear(space, moved, x).error) / 1e-5
+    scale = np.abs(at.by_z[:, :, i]).max()
+    assert np.abs(quotient - at.by_z[:, :, i]).max() < 1e-3 * scale
+
+
+def test_effects_at_their_nulls_change_no_bit(healthy, fitted):
+    names = [e.name for e in healthy.superset.effects if e.name != "grip_patch"]
+    wide = make_space(healthy.superset, (), names[:12])
+    plain = make_space(healthy.superset, ())
+    a = healthy.linear(plain, plain.centre, fitted.x).error
+    b = healthy.linear(wide, wide.centre, fitted.x).error
+    assert np.array_equal(a, b)
+
+
+def test_the_base_stays_in_its_box(fitted):
+    space = fitted.space
+    own = slice(0, space.nuisance)
+    assert np.all(np.abs(fitted.prior[own]) <= BOX + 1e-9)
+
+
+def test_noise_is_learnt_within_a_factor(healthy, fitted):
+    noise = learn_noise(healthy, fitted)
+    assert 4e-4 < noise.instruments[0] < 1.2e-3
+    assert 0.2 < noise.pushes[0] < 0.8
+    assert 1.2 < noise.pushes[2] < 5.0
+    engine = whitened(healthy, fitted, noise)
+    best = descend(engine, fitted.space, fitted.z, fitted.x)
+    assert 0.6 < robust_mean(best.at.square / best.at.dof) < 1.4
+
+
+def test_noise_survives_a_car_file():
+    noise = Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
+    assert noise_of_section(noise_section(noise)) == noise
+    assert noise_of_section({}) is None
+    with pytest.raises(ValueError, match="position"):
+        noise_of_section({"yaw": 1.0})
+
+
+def test_a_push_along_the_car_shows_in_speed_and_nowhere_before(healthy, fitted):
+    seen = responses(healthy, fitted.parameters, fitted.x)
+    assert seen.by_input.shape[0] == len(INPUTS)
+    channel = healthy.readings.channel[healthy.padded.row]
+    t = healthy.readings.t[healthy.padded.row]
+    wheel = (channel == 3) & (healthy.padded.there > 0)
+    last = seen.by_input[0][:, :, -1]
+    assert np.abs(last[wheel & (t < 0.85)]).max() < 1e-9
+    first = seen.by_input[0][:, :, 0]
+    late = first[wheel & (t > 0.15) & (t < 0.25)]
+    assert np.all(late > 0.0)
+    assert np.all(late < 0.11)
+
+
+def test_windows_taken_out_read_the_same(healthy, fitted):
+    chosen = np.arange(healthy.readings.count) % 2 == 0
+    part = take_windows(healthy, chosen)
+    space = make_space(healthy.superset, ())
+    whole = healthy.linear(space, space.centre, fitted.x).error[chosen]
+    taken = part.linear(space, space.centre, fitted.x[chosen]).error
+    assert np.allclose(whole[:, : taken.shape[1]], taken, atol=1e-12)
+
+
+def test_starts_at_their_best_lower_the_error(healthy):
+    space = make_space(healthy.superset, ())
+    guess = healthy.readings.layout.guess
+    before = healthy.reduce(space, space.centre, guess).square.sum()
+    after = settled(healthy, space, space.centre).at.square.sum()
+    assert after <= before
+
+
+def test_leaving_windows_out_costs_something(healthy, fitted):
+    losses = held_out(fitted, folds_of(healthy))
+    assert losses.sum() >= fitted.at.loss.sum()
+    assert len(np.unique(blocks_of(healthy))) >= 4
+
+
+def test_a_step_stays_within_bounds():
+    h = np.array([[2.0, 0.5], [0.5, 1.0]])
+    low, high = np.array([-1.0, -1.0]), np.array([1.0, 0.1])
+    z = np.array([0.0, 0.1])
+    dz = step_within(h, np.array([1.0, 5.0]), z, low, high)
+    assert dz[1] == 0.0
+    assert dz[0] == pytest.approx(0.5)
