@@ -44,7 +44,9 @@ def tick_blind(loop: "Loop", error: BaseException, now_ns: int, linked: bool) ->
     loop.faulted = loop.faulted or loop.supervisor.state is State.FAULT_STOP
     loop.ran = loop.ran or (old in _DRIVING and loop.supervisor.state not in _DRIVING)
     gate = make_gate_state(settings.limits, Command(0.0, 0.0), now_ns)
-    order = make_order(settings.limits, settings.brakes, gate, action, None, speed, now_ns)
+    order = make_order(
+        settings.limits, settings.brakes, settings.scaling, gate, action, None, speed, now_ns
+    )
     return TickResult(
         replace(order, drive=_unsteered(order.drive, settings.brakes)),
         action,

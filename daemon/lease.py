@@ -46,8 +46,8 @@ class Lease:
 def accept(lease: Lease, asked: OperatorRequest, t_ns: int, idle: bool) -> tuple[Lease, Request]:
     """Take a request or refuse it.
 
-    A stop is taken from anybody. All else needs this run's boot id, the lease (free while the car
-    is `idle`: disarmed, or its holder silent) and a rising sequence number.
+    A stop is taken from anybody. All else needs this run's boot id, the lease (free for others
+    while it is `idle`: its holder has fallen silent) and a rising sequence number.
     """
     try:
         kind = RequestKind(asked.kind)

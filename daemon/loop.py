@@ -64,6 +64,8 @@ from vesc_link.events import ImuSample, Telemetry
 _DRIVING = (State.RUNNING, State.STOPPING)
 _PARKED = (State.INIT, State.DISARMED, State.READY, State.FAULT_LATCHED)
 _RELOCATE_TICKS = 25
+_LEASE_KEPT_S = 1.0
+"""How long a silent operator's lease is kept while the car is not parked."""
 _FACTS = tuple(
     int(fact)
     for fact in (
@@ -175,7 +177,9 @@ class Loop:
 
     def on_operator(self, asked: OperatorRequest, t_ns: int) -> None:
         """An operator asks for something."""
-        idle = self.supervisor.state in _PARKED or lease_age(self.lease, t_ns) > 1.0
+        parked = self.supervisor.state in _PARKED
+        patience = self.setup.settings.thresholds.lease if parked else _LEASE_KEPT_S
+        idle = lease_age(self.lease, t_ns) > patience
         self.lease, request = accept(self.lease, asked, t_ns, idle)
         self._asked |= request
 
@@ -204,6 +208,7 @@ class Loop:
         order = make_order(
             self.setup.settings.limits,
             self.setup.settings.brakes,
+            self.setup.settings.scaling,
             self._gate,
             action,
             wish,

@@ -16,6 +16,7 @@ from vesc_link.events import (
     DriveSilent,
     DriveSpeed,
 )
+from vesc_link.scaling import Scaling, as_sent
 
 _DRIVEN = (Motor.DRIVE, Motor.RAMP_STOP)
 
@@ -41,6 +42,7 @@ class Order:
 def make_order(
     limits: Limits,
     brakes: BrakeSettings,
+    scaling: Scaling,
     state: GateState,
     action: Action,
     wish: Command[float] | None,
@@ -52,6 +54,7 @@ def make_order(
     Args:
         limits: of the gate.
         brakes: currents.
+        scaling: of the VESC: an order is what it can be told.
         state: of the gate.
         action: the supervisor's.
         wish: the controller's, None if it has none.
@@ -65,8 +68,8 @@ def make_order(
         drive: Drive = DriveBrake(None, brakes.brake_current_a)
         return Order(drive, state, None, Verdict.NOT_FINITE if wish else Verdict.PASSED)
     if driven:
-        drive = DriveSpeed(gated.order.steer, gated.order.speed)
-        return Order(drive, gated.state, gated.order, gated.verdict)
+        sent = Command(*as_sent(scaling, gated.order.steer, gated.order.speed))
+        return Order(DriveSpeed(*sent), gated.state, sent, gated.verdict)
     steer = None if action.steering is Steering.NONE else gated.order.steer
     rolling = _rolling(limits, gated, measured, t_ns)
     return Order(_undriven(action.motor, brakes, steer), rolling, None, gated.verdict)

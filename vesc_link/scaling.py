@@ -50,6 +50,8 @@ class Scaling:
 
 
 F1TENTH = Scaling()
+SERVO_STEPS = 1000
+"""Servo positions travel as thousandths (SET_SERVO_POS)."""
 
 
 def speed_to_erpm(scaling: Scaling, speed: float) -> float:
@@ -84,6 +86,20 @@ def steer_to_servo_pos(scaling: Scaling, steer: float) -> float:
 def servo_pos_to_steer(scaling: Scaling, servo_pos: float) -> float:
     """Road-wheel angle [rad, left positive] at a servo position."""
     return (servo_pos - scaling.servo_offset) / scaling.servo_gain
+
+
+def as_sent(scaling: Scaling, steer: float, speed: float) -> tuple[float, float]:
+    """The angle [rad] and speed [m/s] that a VESC makes of a command: whole servo and ERPM steps.
+
+    A servo step is 0.8 mrad. Held through a turn, the difference from what was meant drifts
+    centimetres in seconds, so filter and recording take what was sent.
+
+    Raises:
+        ValueError: a number is NaN or infinite.
+    """
+    servo_pos = math.floor(steer_to_servo_pos(scaling, steer) * SERVO_STEPS + 0.5) / SERVO_STEPS
+    erpm = math.floor(speed_to_erpm(scaling, speed) + 0.5)
+    return servo_pos_to_steer(scaling, servo_pos), erpm_to_speed(scaling, erpm)
 
 
 def steer_limits(scaling: Scaling) -> tuple[float, float]:
