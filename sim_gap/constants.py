@@ -36,6 +36,8 @@ CONFIDENCE_SLOPE = 0.8
 CONFIDENCE_NATS = 4.0
 """A rival counts exp(-slope (best - gain) / (paired standard error + nats))."""
 CONFIDENCE_MOST = 0.98
+CONFIDENCE_PARTIAL = 0.6
+"""No name is surer than this when part of the gap stays."""
 CONFIDENCE_BROKEN = 0.5
 """Times this when halves disagree."""
 GAIN_CLEAR = 40.0

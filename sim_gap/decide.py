@@ -82,11 +82,11 @@ def best_pair(
 ) -> Score | None:
     """Two causes together, if they predict unseen windows clearly better than the best alone.
 
-    The rest of the library is looked at again from each of the two best singles, so that a swap of
-    the first cause is tried too.
+    The rest of the library is looked at again from the best single, and from the second where it is
+    hardly worse, so that a swap of the first cause is tried too.
     """
     single, best = ranked[0], None
-    for first in ranked[:2]:
+    for first in ranked[: 1 + near(ranked, blocks)]:
         promises = screen(engine, first.fitted, nuisance)
         for promise in [p for p in promises[:3] if p.gain > c.PAIR_MIN]:
             pair = refit(engine, first.fitted, nuisance, [promise])
@@ -98,6 +98,14 @@ def best_pair(
     own = (2.0 * max(gain, 0.0)) ** 0.5
     good = gain > c.PAIR_MIN and gain > c.PAIR_SE * min(se, 2.0 * own)
     return best if good else None
+
+
+def near(ranked: Sequence[Score], blocks: NDArray[np.int64]) -> int:
+    """1 if the second single is hardly worse than the first, else 0."""
+    if len(ranked) < 2:
+        return 0
+    lead, se = gain_of(ranked[0], ranked[1], blocks)
+    return int(lead < c.AMBIGUOUS_SE * se_of_lead(lead, se) + c.AMBIGUOUS_NATS)
 
 
 def dropped(engine: Engine, pair: Score, nuisance: Sequence[str]) -> list[tuple[str, Score]]:

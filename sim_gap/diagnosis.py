@@ -246,10 +246,10 @@ def _told(
     verdict = verdict_of(choice, found, known, gap_before, gap_after)
     case.options.progress("where", 0.75)
     where = locate(engine, before, chosen.fitted, noise, choice.blocks, names)
-    causes = _causes(engine, choice) if found else ()
+    causes = _causes(engine, choice, verdict) if found and verdict != "unexplained" else ()
     case.options.progress("shrinkage", 0.85)
     shrinkage = _shrinkage(case, engine, before, chosen, choice, noise)
-    rivals = [c for c in causes if c.ambiguous_with]
+    rivals = [cause for cause in causes if cause.ambiguous_with]
     following = None
     if rivals:
         pair = (rivals[0].effect, rivals[0].ambiguous_with[0])
@@ -258,7 +258,7 @@ def _told(
     table = [(s.name, *gain_of(s, base, choice.blocks)) for s in choice.ranked if s.effects]
     if len(choice.best.effects) > 1:
         table.insert(0, (choice.best.name, choice.gain, choice.se))
-    values = _values(engine, choice.best) if found else {}
+    values = _values(engine, choice.best) if causes else {}
     return Diagnosis(
         verdict, gap_before, gap_after, where, causes, tuple(table), shrinkage, following,
         shape_of(engine, chosen.fitted, noise), choice.splits, _moved(base.fitted), noise, known,
@@ -289,7 +289,8 @@ def _values(engine: Engine, score: Score) -> dict[str, tuple[float, ...]]:
     return {e: tuple(float(p[i]) for i in engine.superset.places(e)) for e in score.effects}
 
 
-def _causes(engine: Engine, choice: Choice) -> tuple[Cause, ...]:
+def _causes(engine: Engine, choice: Choice, verdict: str) -> tuple[Cause, ...]:
+    most = c.CONFIDENCE_PARTIAL if verdict == "partial" else 1.0
     fitted = choice.best.fitted
     sd = dict(zip(fitted.space.chart.free, np.sqrt(np.diag(fitted.covariance)), strict=True))
     p, names = fitted.parameters, engine.superset.kernels.names
@@ -305,7 +306,7 @@ def _causes(engine: Engine, choice: Choice) -> tuple[Cause, ...]:
             for q, i in zip(effect.parameters, places, strict=True)
         }
         causes.append(
-            Cause(name, effect.stage.value, effect.family, parameters, sure, rivals,
+            Cause(name, effect.stage.value, effect.family, parameters, min(sure, most), rivals,
                   ALIASES.get(name, ""))
         )  # fmt: skip
     return tuple(causes)

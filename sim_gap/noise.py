@@ -25,7 +25,11 @@ MEMORY = 0.1
 WINDOWS_MOST = 60
 """Windows that are enough to learn from."""
 _INSTRUMENTS = 4
-_LEAST = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3])
+WHEEL_LEAST = 0.06
+"""Wheel speed says no more than this of the car's [m/s]: a driven wheel slips by about
+v a / (g C), 0.06 m/s at 2 m/s, 3 m/s^2 and C = 11, and the base equations know no slip. Taken at
+its word it passes for pose latency."""
+_LEAST = np.array([1e-5, 1e-5, WHEEL_LEAST, 1e-4, 1e-3, 1e-3, 1e-3])
 _MOST = np.array([0.05, 0.05, 0.5, 0.5, 20.0, 20.0, 200.0])
 _START = np.array([1e-3, 2e-3, 0.02, 0.02, 0.3, 0.3, 2.0])
 _ROUNDS = 40
@@ -67,7 +71,7 @@ def instrument_rows(engine: Engine) -> Array:
 
 def covariance(engine: Engine, noise: Noise, pushed: Sequence[Array]) -> Array:
     """(W, D, D) covariance of the errors; 1 where there is no row."""
-    sizes = noise.sizes**2
+    sizes = np.maximum(noise.sizes, _LEAST) ** 2
     out = sum(s * shape for s, shape in zip(sizes[_INSTRUMENTS:], pushed, strict=True))
     out = np.array(out)
     white = np.einsum("g,gwd->wd", sizes[:_INSTRUMENTS], instrument_rows(engine))
