@@ -157,9 +157,9 @@ def test_a_second_run_on_the_same_port_is_refused(steerd, tmp_path) -> None:
     argv = ("run", "--port", port, "--mocap", url)
     first = steerd(*argv, "--listen", steerd.endpoint, "--record", tmp_path / "first.mcap")
     first.expect("DISARMED")
-    code, said = run_live(tmp_path, *argv[1:], "--listen", free_endpoint())
-    assert code == 3, said
-    is_clear(said, [port, "another steerd holds it"])
+    second = steerd(*argv, "--listen", free_endpoint(), "--record", tmp_path / "drive.mcap")
+    assert second.wait() == 3, second.text
+    is_clear(second.text, [port, "another steerd holds it"])
     assert not (tmp_path / "drive.mcap").exists()
     assert first.process.poll() is None
     first.expect("READY")

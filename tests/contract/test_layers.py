@@ -1,0 +1,75 @@
+"""The house as a whole: layers hold, the command is there, and `--help` answers at once."""
+
+import importlib.metadata
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPTS = Path(sys.executable).parent
+
+
+def test_rooms_import_downwards_only() -> None:
+    done = subprocess.run(
+        [SCRIPTS / "lint-imports", "--no-cache"],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    assert "0 broken" in done.stdout
+
+
+def test_the_console_script_is_ours() -> None:
+    points = importlib.metadata.entry_points(group="console_scripts", name="steerd")
+    assert {point.value for point in points} == {"daemon.cli:main"}
+    done = subprocess.run(
+        [SCRIPTS / "steerd", "--version"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0
+    assert done.stdout == f"steerd {importlib.metadata.version('steerd')}\n"
+
+
+def cpu_seconds(*argv: str) -> float:
+    """The least processor time of five runs: what the command itself costs, whatever else runs."""
+    costs = []
+    for _ in range(5):
+        before = time.clock_gettime_ns(time.CLOCK_MONOTONIC), children_ns()
+        subprocess.run([sys.executable, *argv], cwd=ROOT, capture_output=True, check=True)
+        costs.append(children_ns() - before[1])
+    return min(costs) * 1e-9
+
+
+def children_ns() -> int:
+    import resource
+
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return round((used.ru_utime + used.ru_stime) * 1e9)
+
+
+def test_help_costs_little_more_than_python_itself() -> None:
+    """0.3 s on any machine that starts Python in 0.05 s: a ratio, so that a slow one may run it."""
+    bare = cpu_seconds("-c", "pass")
+    assert cpu_seconds("-m", "daemon.cli", "--help") < max(6.0 * bare, 0.1)
+
+
+@pytest.mark.parametrize("heavy", ["numpy", "torch", "zenoh", "scipy", "rich", "mcap"])
+def test_help_loads_nothing_heavy(heavy: str) -> None:
+    code = (
+        "import sys, daemon.cli\n"
+        "try: daemon.cli.dispatch(['--help'])\n"
+        "except SystemExit: pass\n"
+        f"sys.exit({heavy!r} in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=False)
+    assert done.returncode == 0
+
+
+def test_every_command_has_its_help() -> None:
+    from daemon.cli import COMMANDS, guarded
+
+    for name in COMMANDS:
+        with pytest.raises(SystemExit) as ended:
+            guarded([name, "--help"])
+        assert ended.value.code == 0, name
