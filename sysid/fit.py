@@ -34,9 +34,9 @@ TYRES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
 """What the paper identifies."""
 HORIZONS: tuple[float, ...] = (0.5, 2.0, np.inf)
 """Windows' lengths [s], one stage each."""
-_ROUGH, _FINE = Effort(6, 0.5, 1e-2, 1e-4), Effort(40, 0.1, 1e-9)
+_ROUGH, _FINE = Effort(6, 0.5, 1e-2, 1e-4), Effort(20, 0.1, 1e-7)
 _SPEED_OF_COMMANDS = ("speed_gain", "speed_lag", "drive_delay", "accel_max", "decel_max")
-_NOISE_ROUNDS = 4
+_NOISE_ROUNDS = 3
 _NOISE_SETTLED = 0.03
 """Noise levels that change by a smaller share are settled."""
 _ROUGH_SECONDS = 20.0
@@ -217,8 +217,8 @@ def fit(
         wider = work.problem(horizon, found.z)
         x = _carry(problem, found.x, wider)
         problem = wider
-        last = horizon == options.horizons[-1]
-        effort = _FINE if last else _ROUGH
+        rough = options.noise is None or horizon != options.horizons[-1]
+        effort = _ROUGH if rough else _FINE
         effort = effort._replace(damping=min(found.damping, _ROUGH.damping))
         found = work.descend(problem, found.z, x, effort)
     if options.noise is None:
@@ -271,7 +271,11 @@ def residual_noise(problem: Problem, found: Descent) -> Array:
 
 
 def _settle_noise(work: _Work, problem: Problem, found: Descent) -> Descent:
-    """Weigh the groups by their residuals until both stay."""
+    """Weigh the groups by their residuals until both stay.
+
+    Where the model does not explain everything, residuals are many times the instruments' noise;
+    weighed by the latter, most of them would count as outliers and the descent would crawl.
+    """
     for _ in range(_NOISE_ROUNDS):
         noise = residual_noise(problem, found)
         change = float(np.abs(np.log(noise / problem.sigma)).max())
