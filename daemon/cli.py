@@ -49,7 +49,7 @@ def make_parser() -> argparse.ArgumentParser:
         prog="steerd",
         description="Control, identification and sim-to-real diagnosis for Ackermann cars.",
         epilog="commands:\n"
-        + "\n".join(f"  {name:<10}{text}" for name, (_, text) in COMMANDS.items())
+        + "\n".join(f"  {name:<12}{text}" for name, (_, text) in COMMANDS.items())
         + "\n\n`steerd COMMAND --help` explains one of them.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         usage="steerd COMMAND ...",

@@ -1,0 +1,198 @@
+"""Every command line of README and docs is run, or at least read by the parser that it is for.
+
+`kind_of` sorts them: run as they stand, run against simulated hardware, parsed, or mere names.
+"""
+
+import argparse
+import importlib
+import re
+import shlex
+import signal
+from pathlib import Path
+
+import pytest
+
+from daemon.cli import COMMANDS, guarded
+from daemon.errors import ExitCode
+from daemon.vesc_yaml import make_vesc_yaml
+from vesc_link.scaling import F1TENTH
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT.parent / "shared" / "data"
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+ROOMS = "daemon|tests|sim_hw|car_model|vesc_link|mocap_link|estimator|controller|steer_bus"
+HARDWARE = re.compile(r"/dev/tty|/dev/vesc|natnet://|vrpn://|zenoh:")
+OPERATOR = ("arm", "start", "stop", "disarm", "clear", "estop", "status", "control", "watch")
+LONG = ("identify", "diagnose", "collect")
+"""Held by tests of their own, minutes long; here they are read by their parsers."""
+
+
+def blocks(text):
+    """Lines of fenced and of indented blocks."""
+    fenced = False
+    for line in text.splitlines():
+        if line.startswith("```"):
+            fenced = not fenced
+        elif fenced or line.startswith("    "):
+            yield line.strip()
+
+
+def command_lines():
+    found = {}
+    for page in PAGES:
+        text = page.read_text()
+        lines = [line for line in blocks(text) if line.startswith("steerd ")]
+        inline = re.findall(r"`(steerd [a-z]+ [^`]*)`", text)
+        lines += [line for line in inline if not re.fullmatch(r"[a-z ]+", line)]
+        for line in lines:
+            command = line.partition("  #")[0].strip()
+            found.setdefault(command, page.name)
+    return [pytest.param(command, id=f"{page}: {command}") for command, page in found.items()]
+
+
+def words_of(command):
+    """Its words, without pipes and redirections; ellipses and placeholders stay."""
+    return shlex.split(re.split(r"\s[|>]", command)[0])[1:]
+
+
+def parse(words):
+    module = importlib.import_module(f"daemon.commands.{COMMANDS[words[0]][0]}")
+    parser = argparse.ArgumentParser()
+    module.add_arguments(parser)
+    return module, parser.parse_args(words[1:])
+
+
+def is_prose(command):
+    """A name of a command rather than a line to type: placeholders in it."""
+    return bool(re.search(r"…|\b(COMMAND|SESSION|NAME|DEV|URL|MAP\.toml|FILE\.toml)\b", command))
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """The one recorded drive, once it was needed."""
+    return {}
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch, drive_fast, driven):
+    """A folder with what the pages speak of: sessions, a car file, a vesc.yaml, examples."""
+    monkeypatch.chdir(tmp_path)
+
+    def prepare(words):
+        for before, word in zip(["", *words], words, strict=False):
+            if word.endswith(".mcap") and before not in ("-o", "--record"):
+                if not driven:
+                    session = drive_fast("--path figure8 --speed 1 --duration 16").session
+                    driven["session"] = session.read_bytes()
+                Path(word).write_bytes(driven["session"])
+        Path("car.toml").write_bytes((ROOT / "config" / "f1tenth.toml").read_bytes())
+        Path("vesc.yaml").write_text(make_vesc_yaml(F1TENTH))
+        Path("examples").symlink_to(ROOT / "examples")
+
+    return prepare
+
+
+def shortened(words):
+    """Drives of at most 3 s: the pages' lengths are for people."""
+    return [
+        "3" if before == "--duration" and float(word) > 3 else word
+        for before, word in zip(["", *words], words, strict=False)
+    ]
+
+
+def kind_of(command):
+    """How a command line is looked at."""
+    words = words_of(command)
+    if is_prose(command):
+        return "prose"
+    if words[0] in OPERATOR or words[0] in LONG:
+        return "parsed"
+    if words[0] == "import" or ".partial" in command:
+        return "parsed"
+    live = words[0] in ("sim", "probe") or (words[0] == "run" and "--fast" not in words)
+    return "hardware" if live or HARDWARE.search(command) else "run"
+
+
+def test_pages_hold_commands():
+    kinds = [kind_of(param.values[0]) for param in command_lines()]
+    assert len(kinds) > 30
+    assert {"run", "hardware", "parsed"} <= set(kinds)
+
+
+@pytest.mark.parametrize("command", command_lines())
+def test_every_command_line_is_understood(command):
+    words = words_of(command)
+    assert words[0] in COMMANDS, command
+    if kind_of(command) != "prose":
+        parse(words)
+
+
+@pytest.mark.parametrize("command", [p for p in command_lines() if kind_of(p.values[0]) == "run"])
+def test_what_needs_no_hardware_runs(command, workplace, capsys):
+    words = shortened(words_of(command))
+    workplace(words)
+    assert guarded(words) == ExitCode.OK, capsys.readouterr().err
+    assert len(capsys.readouterr().out.splitlines()) < 140
+
+
+def against(words, port, url):
+    """The line with a simulated port and server in place of the page's."""
+    said = [port if word.startswith("/dev/") else word for word in words]
+    return [url if re.match(r"(natnet|vrpn)://", word) else word for word in said]
+
+
+HARDWARE_LINES = [p for p in command_lines() if kind_of(p.values[0]) == "hardware"]
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("command", HARDWARE_LINES)
+def test_what_needs_hardware_runs_against_simulated_hardware(
+    command, steerd, workplace, tmp_path, monkeypatch
+):
+    words = words_of(command)
+    if "vrpn:" in command or "zenoh" in command:
+        parse(words)
+        pytest.skip("VRPN and zenoh poses: tests/e2e/test_live.py drives by them")
+    workplace(words)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    if words[0] == "service":
+        assert guarded(words) == ExitCode.OK
+        return
+    if words[0] == "sim":
+        program = steerd(*words)
+        program.expect("mocap: ")
+        program.send(signal.SIGINT)
+        assert program.wait() == ExitCode.OK, program.text
+        return
+    if "--sim" not in words:
+        words = against(words, *steerd.sim(tmp_path))
+    if words[0] == "calibrate":
+        program = steerd(*words)
+        assert program.wait() == ExitCode.USAGE  # it wants a terminal
+        assert "keys need a terminal" in program.text
+    elif words[0] == "mocap":
+        program = steerd(*words, "--seconds", "1")
+        assert program.wait() == ExitCode.STOPPED, program.text  # nobody pushes
+        assert "push the car" in program.text
+    elif words[0] == "run":
+        program = steerd(*shortened(words), "--listen", steerd.endpoint)
+        program.expect("RUNNING" if "--auto-arm" in words else "DISARMED|READY")
+        program.send(signal.SIGINT)
+        assert program.wait() == ExitCode.OK, program.text
+    else:
+        program = steerd(*words)
+        assert program.wait() == ExitCode.OK, program.text
+
+
+def test_every_exit_code_is_explained():
+    text = (ROOT / "docs" / "troubleshooting.md").read_text()
+    told = {int(code) for code in re.findall(r"^\| (\d+) \|", text, re.MULTILINE)}
+    assert told == {int(code) for code in ExitCode}
+
+
+def test_pages_link_to_pages_and_files_that_exist():
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+        for target in re.findall(rf"`((?:{ROOMS})/[\w/]+\.py)`", page.read_text()):
+            assert (ROOT / target).exists(), f"{page.name}: {target}"
