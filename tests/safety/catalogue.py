@@ -1,0 +1,352 @@
+"""Every fault of the matrix: how it is brought about, and what the car must do about it.
+
+Bounds are detection bounds derived from the watchdogs' thresholds, not from what was measured.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from math import inf, nan
+from typing import Any
+
+from car_model.state import Command
+from daemon.flags import Flag
+from steer_bus import topics
+from steer_bus.codec import encode
+from steer_bus.messages import BODY, DriveCommand, OperatorRequest, RequestKind, make_header
+from tests.safety.rig import BOOT_ID, LEASE_ID, MS, Rig
+
+FRAME, TRANSIT = 0.010, 0.006
+"""Seconds from one mocap frame to the next, and from exposure to arrival."""
+STALE = 0.150
+"""W1 below 2 m/s: as long as 0.30 m allow."""
+MUTE = 0.100 + 0.020
+"""W7, counted from the last poll's answer."""
+COAST = 0.6
+"""Slowing of a car whose motor is let go [m/s^2]; nothing on the wire can do better then."""
+
+
+class Must(Enum):
+    """What a fault asks for while the car moves."""
+
+    STOP_HARD = "FAULT_STOP"
+    STOP_SOFT = "STOPPING"
+    ESTOP = "ESTOP"
+    LIVE_ON = "no stop"
+    STAY_SAFE = "stop, or stay in the lane"
+    """It cannot be told from sound hardware at once, or ever: stay in the lane, stop when asked."""
+
+
+Act = Callable[[Rig], None]
+
+
+def nothing(_rig: Rig) -> None:
+    """No act."""
+
+
+@dataclass(frozen=True)
+class Ailment:
+    """One fault.
+
+    Attributes:
+        code: of ``safety.md`` section 6; variants carry a letter.
+        name: in words.
+        begin: brings it about, once.
+        must: what the car must do while it moves.
+        bound_s: from the fault to the first stop byte, without the tick that follows.
+        at: what differs in a phase.
+        each: brings it about again before every tick.
+        asks_stop: the operator asks for a stop 0.5 s later, since nothing else may.
+        wire: whether bytes still reach the VESC; if not, its own timeout stops the car.
+        obeys: whether the VESC still does what it is told.
+        blind_s: how long nothing slows the car, beyond the bound.
+        decel: how hard the car can slow down at all [m/s^2].
+        cold: what happens to an operator who arms and drives with this fault there from the start:
+            ``red`` is never armed, ``launch`` is stopped in the launch window.
+        unseen: phases in which a standing car cannot see what would otherwise be ``red``.
+    """
+
+    code: str
+    name: str
+    begin: Act
+    must: Must
+    bound_s: float = 0.0
+    at: Mapping[str, Must] = field(default_factory=dict)
+    each: Act = nothing
+    asks_stop: bool = False
+    wire: bool = True
+    obeys: bool = True
+    blind_s: float = 0.0
+    decel: float = inf
+    cold: str = ""
+    unseen: str = ""
+
+
+def hardware(fault: str, **params: Any) -> Act:
+    """A fault of the simulated hardware."""
+    return lambda rig: rig.break_it(fault, **params)
+
+
+def raise_flag(flag: Flag) -> Act:
+    """What the runner saw by itself."""
+
+    def act(rig: Rig) -> None:
+        rig.run.core.flags |= flag
+
+    return act
+
+
+HARD, SOFT, LIVE, SAFE = Must.STOP_HARD, Must.STOP_SOFT, Must.LIVE_ON, Must.STAY_SAFE
+
+
+def _mocap() -> tuple[Ailment, ...]:
+    def row(code: str, name: str, must: Must, frames: float = 0.0, **more: Any) -> Ailment:
+        act = hardware(more.pop("fault", code), **more.pop("params", {}))
+        bound = more.pop("bound_s", (frames + 1) * FRAME + TRANSIT if frames else 0.0)
+        return Ailment(code, name, act, must, bound, **more)
+
+    stale = {"bound_s": STALE}
+    return (
+        row("M1", "silence", HARD, **stale, cold="red"),
+        row("M2", "freeze: same pose, new stamps", HARD, 5, cold="launch"),
+        row("M3", "same frame resent", HARD, **stale, cold="red"),
+        row("M4", "jump of 0.5 m", HARD, 3),
+        row("M5", "drift of 0.1 m/s", SAFE, asks_stop=True),
+        row("M6", "yaw flipped by 180 deg", HARD, 3, cold="red"),
+        row("M7", "yaw alternating", HARD, 10, cold="red"),
+        row("M8", "NaN", HARD, **stale, cold="red"),
+        row("M9", "zeros, zero quaternion", HARD, **stale, cold="red"),
+        row("M10", "millimetres", HARD, 3, cold="launch"),
+        row("M11", "name on another body", HARD, **stale, cold="red"),
+        row("M12", "two bodies swapped", HARD, **stale, cold="red"),
+        row("M13", "80 ms more latency", SAFE, asks_stop=True),
+        row("M14", "40 ms jitter", SAFE, asks_stop=True),
+        row("M15", "out of order", SAFE, asks_stop=True),
+        row("M16", "every frame twice", LIVE),
+        row("M17", "5 % random loss", LIVE),
+        row("M18", "50 ms gaps", LIVE),
+        row("M19", "truncated datagrams between", LIVE),
+        row(
+            "M19b", "oversized datagrams between", LIVE, fault="M19", params={"noise": "oversized"}
+        ),
+        row("M19c", "random datagrams between", LIVE, fault="M19", params={"noise": "garbage"}),
+        row("M20", "foreign sender", LIVE),
+        row("M21", "server clock steps by +1 s", SAFE, asks_stop=True),
+        row(
+            "M21b",
+            "server clock steps by -1 s",
+            SAFE,
+            asks_stop=True,
+            fault="M21",
+            params={"clock_step_ns": -1000 * MS},
+        ),
+        row("M22", "rate halves", LIVE),
+        row("M23", "body not tracked, old pose", HARD, **stale, fault="invalid", cold="red"),
+        row("M24", "body missing in frames", HARD, **stale, fault="body_removed", cold="red"),
+        row("M25", "server replays a recording", HARD, **stale, fault="edit_mode", cold="red"),
+        row("M26", "model list changes", LIVE, fault="model_change"),
+        row("M27", "server restarts", SAFE, asks_stop=True, fault="server_restart"),
+        row("M28", "q and -q in turns", LIVE, fault="quaternion_sign"),
+    )
+
+
+def _vesc() -> tuple[Ailment, ...]:
+    def row(code: str, name: str, must: Must, bound_s: float = 0.0, **more: Any) -> Ailment:
+        act = hardware(more.pop("fault", code), **more.pop("params", {}))
+        return Ailment(code, name, act, must, bound_s, **more)
+
+    poll = 0.030
+    gone = {"wire": False, "blind_s": 0.160}
+    return (
+        row("V1", "unplugged", HARD, **gone, cold="red"),
+        row("V2", "unplugged, back under another name", HARD, **gone),
+        row("V3", "unplugged, another VESC comes back", HARD, **gone),
+        row("V4", "takes bytes, answers nothing", HARD, MUTE, cold="red"),
+        row("V5", "answers, ignores commands", SAFE, asks_stop=True, obeys=False),
+        row("V6", "reads nothing, buffer fills", HARD, MUTE, **gone, cold="red"),
+        row("V7", "one byte per 5 ms", HARD, MUTE, cold="red"),
+        row("V8", "noise before each reply", LIVE),
+        row("V9", "CRC errors in 10 %", LIVE),
+        row(
+            "V9b",
+            "CRC errors in 100 %",
+            HARD,
+            MUTE,
+            fault="V9",
+            params={"corrupt": 1.0},
+            cold="red",
+        ),
+        row("V10", "half a reply, then silence", HARD, MUTE, cold="red"),
+        row("V11", "head of a long frame", LIVE),
+        row("V12", "replies of another type", HARD, MUTE, cold="red"),
+        row(
+            "V12b", "replies of another length", HARD, MUTE, fault="V12", params={"wrong": "length"}
+        ),
+        row(
+            "V12c",
+            "replies of another firmware",
+            SAFE,
+            fault="V12",
+            params={"wrong": "firmware"},
+            asks_stop=True,
+        ),
+        row("V13", "fault code that stays", HARD, poll, decel=COAST, cold="red"),
+        row("V14", "fault that clears itself", HARD, poll, decel=COAST),
+        row("V15", "reboot", HARD, wire=False, blind_s=1.66, decel=3.5),
+        row("V16", "under-voltage cut-off", HARD, poll + 0.010, decel=COAST, cold="red"),
+        row("V16b", "battery low", SOFT, 0.5 + poll, fault="V16", params={"sag": 2.4}, cold="red"),
+        row("V17", "over-temperature cut-off", SOFT, poll, decel=COAST, cold="red"),
+        row(
+            "V17b", "transistors hot", SOFT, poll, fault="V17", params={"heat_c": 62.0}, cold="red"
+        ),
+        row("V18", "status says timeout", HARD, poll, at={"P7": SAFE}),
+        row("V19", "kill switch", Must.ESTOP, poll, decel=COAST, cold="red"),
+        row("V20", "erpm stuck", SAFE, asks_stop=True, cold="launch"),
+        row("V21", "erpm with the wrong sign", HARD, 0.2 + poll, cold="launch"),
+        row("V22", "servo dead", SAFE, asks_stop=True),
+        row(
+            "V23", "a phone app feeds the timeout", SAFE, asks_stop=True, cold="red", unseen="P1 P3"
+        ),
+        row(
+            "V24",
+            "timeout and brake current 0",
+            SAFE,
+            asks_stop=True,
+            cold="red",
+            unseen="P1 P2 P3",
+        ),
+        row("V25", "5 % of replies lost", LIVE, fault="reply_loss"),
+        row("V26", "replies up to 8 ms late", LIVE, fault="reply_jitter"),
+        row("V27", "unknown frames between", LIVE, fault="unsolicited"),
+    )
+
+
+class BoomError(RuntimeError):
+    """What a broken controller raises."""
+
+
+def _raise(*_: object) -> Any:
+    raise BoomError("injected")
+
+
+def _break_controller(rig: Rig) -> None:
+    rig.run.core.loop._wish = _raise  # type: ignore[method-assign]
+
+
+def _break_estimator(rig: Rig) -> None:
+    rig.run.core.loop.perception.estimate = _raise  # type: ignore[method-assign]
+
+
+def _give_nan(rig: Rig) -> None:
+    loop = rig.run.core.loop
+    honest = loop._wish
+
+    def wish(*args: Any) -> Any:
+        _, report = honest(*args)
+        return Command(nan, nan), report
+
+    loop._wish = wish  # type: ignore[method-assign]
+
+
+def _late(ms: float) -> Act:
+    def act(rig: Rig) -> None:
+        rig.late_ns = round(ms * MS)
+
+    return act
+
+
+def _host() -> tuple[Ailment, ...]:
+    return (
+        Ailment(
+            "H1", "SIGINT, SIGTERM or SIGHUP", raise_flag(Flag.QUIT), SOFT, cold="red", unseen="P1"
+        ),
+        Ailment(
+            "H2", "second signal", raise_flag(Flag.QUIT | Flag.ABORT), HARD, cold="red", unseen="P1"
+        ),
+        Ailment("H6", "guardian killed", raise_flag(Flag.GUARDIAN_LOST), SOFT, cold="red"),
+        Ailment("H6b", "guardian has tripped", raise_flag(Flag.GUARDIAN_TRIPPED), HARD, cold="red"),
+        Ailment(
+            "H7", "recorder killed or disk full", raise_flag(Flag.RECORDER_LOST), SOFT, cold="red"
+        ),
+        Ailment("H8", "gateway killed", raise_flag(Flag.GATEWAY_LOST), SOFT, cold="red"),
+        Ailment("H11", "every tick 12 ms late", nothing, HARD, 0.060, each=_late(12.0), cold="red"),
+        Ailment("H12", "200 ms asleep", _late(200.0), HARD, 0.200),
+        Ailment("H12b", "30 ms asleep", _late(30.0), HARD, 0.030),
+        Ailment("H12c", "one tick 20 ms late", _late(20.0), LIVE),
+        Ailment("H13", "exception in the controller", _break_controller, HARD, cold="red"),
+        Ailment("H13b", "exception in the filter", _break_estimator, HARD, cold="red"),
+        Ailment("H14", "NaN from the controller", _give_nan, HARD, cold="launch"),
+        Ailment("H17", "suspended", raise_flag(Flag.SUSPENDED), HARD),
+    )
+
+
+def _foreign_drive(rig: Rig) -> None:
+    header = make_header(0, BODY)
+    for boot in (0, BOOT_ID, BOOT_ID + 1):
+        command = DriveCommand(header, boot, 99, 0, rig.seq & 0xFFFF, 300, 0.3, 3.0)
+        rig.deliver(encode(command), topics.DRIVE.name)
+
+
+def _asked() -> bytes:
+    header = make_header(0, BODY)
+    return encode(OperatorRequest(header, BOOT_ID, LEASE_ID, 1 << 30, RequestKind.START, "x"))
+
+
+def _malformed(rig: Rig) -> None:
+    for data in (b"", b"\0" * 7, b"\xff" * 300, _asked()[:-1], _asked() + b"xxxx"):
+        rig.deliver(data)
+        rig.deliver(data, topics.DRIVE.name)
+        rig.deliver(data, "no/such/topic")
+
+
+def _huge(rig: Rig) -> None:
+    rig.deliver(bytes(64 << 20))
+
+
+def _flood(rig: Rig) -> None:
+    for _ in range(50):
+        rig.ask(RequestKind.ARM, lease_id=99)
+        rig.ask(RequestKind.START, boot_id=1)
+
+
+def _replay(rig: Rig) -> None:
+    for data in rig.said[-40:]:
+        rig.deliver(data)
+    for data in rig.said[:40]:
+        rig.deliver(data)
+
+
+def _second_operator(rig: Rig) -> None:
+    for kind in (RequestKind.KEEPALIVE, RequestKind.ARM, RequestKind.START, RequestKind.CLEAR):
+        rig.ask(kind, lease_id=LEASE_ID + 1)
+
+
+def _gone(rig: Rig) -> None:
+    rig.alive = False
+
+
+def _ask(kind: int, lease_id: int = LEASE_ID) -> Act:
+    return lambda rig: rig.ask(RequestKind(kind), lease_id=lease_id)
+
+
+def _unknown(rig: Rig) -> None:
+    rig.ask(200)  # type: ignore[arg-type]
+
+
+def _network() -> tuple[Ailment, ...]:
+    return (
+        Ailment("Z1", "stranger's drive commands", nothing, LIVE, each=_foreign_drive),
+        Ailment("Z2", "malformed requests", nothing, LIVE, each=_malformed),
+        Ailment("Z3", "64 MiB payload", _huge, LIVE),
+        Ailment("Z4", "flood of 10k requests/s", nothing, LIVE, each=_flood),
+        Ailment("Z5", "old requests replayed", nothing, LIVE, each=_replay),
+        Ailment("Z6", "second operator", nothing, LIVE, each=_second_operator),
+        Ailment("Z6b", "second operator's stop", _ask(RequestKind.STOP, 99), SOFT),
+        Ailment("Z6c", "second operator's e-stop", _ask(RequestKind.ESTOP, 99), Must.ESTOP),
+        Ailment("Z7", "unknown request", _unknown, SOFT),
+        Ailment("Z8", "operator gone", _gone, SOFT, 0.3),
+    )
+
+
+AILMENTS = (*_mocap(), *_vesc(), *_host(), *_network())
+BY_CODE = {ailment.code: ailment for ailment in AILMENTS}

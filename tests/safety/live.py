@@ -1,0 +1,216 @@
+"""A drive with real processes, a pty, sockets and signals, on simulated hardware that keeps a log.
+
+Every wait polls descriptors with a deadline. Times are CLOCK_MONOTONIC on both sides.
+"""
+
+import contextlib
+import multiprocessing as mp
+import os
+import select
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from daemon.build import NS, make_plan, make_world_config
+from daemon.children import Crew, start_crew
+from daemon.gateway_wire import pack_request
+from daemon.operator import Operator
+from daemon.options import RunOptions
+from daemon.records import unpack_records
+from daemon.transitions import State
+from sim_hw.device import Logged
+from sim_hw.faults import Fault
+from sim_hw.judge import MotorFrame, read_motor_frames
+from sim_hw.links import SimHardware
+from steer_bus import topics
+from steer_bus.clock import MonotonicClock
+from steer_bus.codec import decode
+from steer_bus.messages import RequestKind, Transition
+from steer_bus.messages import State as StateMessage
+
+BOOT_ID, LEASE_ID = 815, 42
+KEEPALIVE_NS = 60_000_000
+CLOCK = MonotonicClock()
+
+
+def serve_hardware(config: Any, pipe: Connection) -> None:
+    """Simulated hardware in its own process, with faults and its byte log on request."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
+    with SimHardware(config) as hardware:
+        start_ns = hardware.world.t_ns
+        pipe.send((hardware.port, hardware.mocap_url))
+        while True:
+            hardware.run(pipe.fileno())
+            try:
+                kind, value = pipe.recv()
+            except EOFError:
+                return
+            if kind == "fault":
+                now_ns = CLOCK.now_ns()
+                hardware.world.add_fault(Fault(value, max(0, now_ns - start_ns)))
+                pipe.send(now_ns)
+            elif kind == "log":
+                pipe.send(hardware.world.log.entries)
+
+
+@dataclass
+class Live:
+    """One running crew and the hardware that it drives.
+
+    Attributes:
+        crew: the processes.
+        hardware: commands to the simulated hardware's process.
+        state: the supervisor's, as last told.
+        transitions: (from, to, words) so far.
+        speed: as last told [m/s].
+        alive: whether the operator keeps the lease alive.
+    """
+
+    crew: Crew
+    hardware: Connection
+    operator: Operator
+    state: State = State.INIT
+    transitions: list[tuple[State, State, str]] = field(default_factory=list)
+    speed: float = 0.0
+    alive: bool = True
+    ended: bool = False
+    _heard: bytearray = field(default_factory=bytearray)
+    _spoke_ns: int = 0
+
+    def ask(self, kind: RequestKind, operator: Operator | None = None) -> int:
+        """An operator's request; the time at which it was sent."""
+        packet = pack_request(
+            topics.OPERATOR.name, (operator or self.operator).make(kind, CLOCK.realtime_ns())
+        )
+        now_ns = CLOCK.now_ns()
+        with contextlib.suppress(OSError):
+            self.crew.requests.send(packet)
+        return now_ns
+
+    def break_it(self, fault: str) -> int:
+        """A fault of the hardware begins; the time at which it does."""
+        self.hardware.send(("fault", fault))
+        begun_ns: int = self.hardware.recv()
+        return begun_ns
+
+    def frames(self) -> tuple[MotorFrame, ...]:
+        """Every motor command that reached the VESC."""
+        self.hardware.send(("log", None))
+        entries: list[Logged] = self.hardware.recv()
+        return read_motor_frames(entries)
+
+    def pump(self, wait_s: float = 0.02) -> None:
+        """Keep the lease and read what the core tells."""
+        now_ns = CLOCK.now_ns()
+        if self.alive and now_ns - self._spoke_ns >= KEEPALIVE_NS:
+            self._spoke_ns = now_ns
+            self.ask(RequestKind.KEEPALIVE)
+        fds = [] if self.ended else [self.crew.status_fd]
+        if not select.select(fds, [], [], wait_s)[0]:
+            return
+        data = os.read(self.crew.status_fd, 1 << 16)
+        self.ended = not data
+        self._heard += data
+        for record in unpack_records(self._heard):
+            if record.topic is topics.TRANSITION:
+                told = decode(Transition, record.data)
+                self.state = State(told.to_state)
+                self.transitions.append((State(told.from_state), self.state, told.text))
+            elif record.topic is topics.STATE:
+                self.speed = decode(StateMessage, record.data).speed
+
+    def until(self, holds: Callable[[], bool], limit_s: float = 30.0) -> None:
+        """Pump until a condition holds.
+
+        Raises:
+            TimeoutError: it does not, in time.
+        """
+        end_ns = CLOCK.now_ns() + round(limit_s * NS)
+        while not holds():
+            if CLOCK.now_ns() > end_ns:
+                raise TimeoutError(f"{self.state.name} {self.transitions}")
+            self.pump()
+
+    def live(self, seconds: float) -> None:
+        """Pump for a while."""
+        end_ns = CLOCK.now_ns() + round(seconds * NS)
+        self.until(lambda: CLOCK.now_ns() >= end_ns, seconds + 1.0)
+
+    def reach(self, phase: str) -> None:
+        """Bring the car into a phase of the matrix."""
+        self.until(lambda: self.state is State.READY)
+        if phase == "P1":
+            return
+        self.ask(RequestKind.ARM)
+        self.until(lambda: self.state is State.ARMED)
+        if phase == "P3":
+            self.live(0.2)
+            return
+        self.ask(RequestKind.START)
+        self.until(lambda: self.state is State.RUNNING)
+        self.until(lambda: self.speed > 0.8 or self.state is not State.RUNNING)
+        if phase == "P7":
+            self.ask(RequestKind.STOP)
+            self.until(lambda: self.state is not State.RUNNING)
+
+    def children_of_core(self) -> list[int]:
+        """Processes that the core started: its guardian."""
+        core = self.crew.core.process.pid
+        text = Path(f"/proc/{core}/task/{core}/children").read_text(encoding="ascii")
+        return [int(pid) for pid in text.split()]
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextlib.contextmanager
+def start_live(folder: Path) -> Iterator[Live]:
+    """Hardware and crew; everything is ended and waited for on the way out."""
+    plan = make_plan(RunOptions(car_file="", path="line", speed=1.0))
+    context = mp.get_context("spawn")
+    ours, theirs = context.Pipe()
+    config = make_world_config(plan, keep_bytes=True)
+    device = context.Process(target=serve_hardware, args=(config, theirs), daemon=True)
+    device.start()
+    theirs.close()
+    port, url = ours.recv()
+    options = RunOptions(
+        car_file="",
+        path="line",
+        speed=1.0,
+        port=port,
+        mocap=url,
+        listen=f"tcp/127.0.0.1:{free_port()}",
+    )
+    epoch_ns = CLOCK.realtime_ns() - CLOCK.now_ns()
+    crew = start_crew(make_plan(options), folder / "drive.mcap", BOOT_ID, epoch_ns, leased=True)
+    try:
+        yield Live(crew, ours, Operator(BOOT_ID, LEASE_ID, "test"))
+    finally:
+        for child in (crew.core, crew.gateway, crew.recorder):
+            with contextlib.suppress(ProcessLookupError):
+                child.process.send_signal(signal.SIGCONT)
+        with contextlib.suppress(OSError):
+            crew.requests.close()
+        for child in (crew.core, crew.gateway, crew.recorder):
+            try:
+                child.process.wait(15)
+            except Exception:
+                child.process.kill()
+                child.process.wait()
+        os.close(crew.status_fd)
+        ours.close()
+        device.join(5)
+        if device.is_alive():
+            device.kill()
+            device.join()

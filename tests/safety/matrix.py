@@ -1,0 +1,313 @@
+"""One cell of the fault matrix: a fault, a phase, what the bytes and the floor say about it."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import hypot, inf
+
+from daemon.build import NS
+from daemon.transitions import State, is_engaged
+from sim_hw.judge import (
+    Effort,
+    MotorFrame,
+    driven_after,
+    find_stop,
+    read_motor_frames,
+    stopping_way,
+    way,
+)
+from steer_bus.messages import RequestKind
+from tests.safety.catalogue import AILMENTS, Ailment, Must
+from tests.safety.rig import MS, PHASES, Rig, at_phase, twin
+
+TICK = 0.011
+"""One period and 1 ms: what a detected fault needs to reach the wire."""
+WATCH_S, LONGEST_S, STANDING_S, COLD_S = 2.0, 9.0, 1.5, 6.0
+STOP_ASKED_NS = 500 * MS
+SOFT_DECEL, HARD_DECEL = 1.5, 3.5
+SLACK_M = 0.06
+SPEED_LAG_S = 0.1
+"""How far a VESC's speed loop stays behind the ramp."""
+LANE_M = 0.40
+LAUNCH_M = 0.80
+"""The launch window of 0.5 m, and a stop from 0.5 m/s after up to 0.3 s."""
+UPWARD = {State.SELF_TEST, State.ARMED, State.RUNNING}
+MOVING = ("P4", "P5", "P6", "P7", "P8")
+
+
+def list_cells() -> list[tuple[str, str]]:
+    """Every cell as (fault, phase); a fault from the start (P0) where it must change something."""
+    return [
+        (ailment.code, phase)
+        for ailment in AILMENTS
+        for phase in PHASES
+        if phase != "P0" or ailment.cold or ailment.must is Must.LIVE_ON
+    ]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What happened in a cell.
+
+    Attributes:
+        stop_s: from the fault to the first stop byte; inf if none came.
+        way_m: driven from the fault to rest, and `allowed_m` of it.
+        off_m: largest true distance from the path.
+        states: states that followed, in order.
+        reason: why the first of them.
+        wrong: verdicts that failed, in words; empty for a good cell.
+    """
+
+    code: str
+    phase: str
+    stop_s: float
+    way_m: float
+    allowed_m: float
+    off_m: float
+    states: tuple[str, ...]
+    reason: str
+    wrong: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """All that the judges of a cell look at; see `Outcome`."""
+
+    rig: Rig
+    ailment: Ailment
+    must: Must
+    frames: Sequence[MotorFrame]
+    states: tuple[State, ...]
+    reasons: tuple[str, ...]
+    told_s: float
+    stop_s: float
+    bound_s: float
+    way_m: float
+    allowed_m: float
+    off_m: float
+
+    def rearmed(self, phase: str) -> bool:
+        """Whether the only step up is the end of a stop that the operator asked for."""
+        asked = phase == "P7" or self.ailment.asks_stop or self.must is Must.LIVE_ON
+        return asked and set(self.states) & UPWARD == {State.ARMED}
+
+
+def run_cell(ailment: Ailment, phase: str) -> Outcome:
+    """Bring a fault about in a phase and judge what follows."""
+    rig = twin(at_phase(phase))
+    seen = len(rig.notes.transitions)
+    rig.track.clear()
+    t_fault = rig.t_ns
+    ailment.begin(rig)
+    if phase == "P0":
+        drive_cold(rig, ailment)
+    else:
+        drive_on(rig, ailment, phase, t_fault)
+    return judge(rig, ailment, phase, t_fault, seen)
+
+
+def drive_on(rig: Rig, ailment: Ailment, phase: str, t_fault: int) -> None:
+    """Live with the fault until the car rests, or long enough to see that it need not."""
+    asked = False
+    end = t_fault + round((LONGEST_S if phase in MOVING else STANDING_S) * NS)
+    while rig.t_ns < end:
+        ailment.each(rig)
+        age = rig.t_ns - t_fault
+        wants = ailment.asks_stop or (
+            must_now(ailment, phase) is Must.LIVE_ON and age >= WATCH_S * NS
+        )
+        if phase in ("P4", "P5", "P6") and wants and not asked and age >= STOP_ASKED_NS:
+            asked = True
+            rig.ask(RequestKind.STOP)
+        rig.step()
+        if phase in MOVING and rig.resting and settled(rig):
+            return
+
+
+def settled(rig: Rig) -> bool:
+    """Whether nothing is left to happen: half a second after motor bytes ended."""
+    quiet = not is_engaged(rig.state) or rig.state is State.ARMED
+    since_ns = rig.run.core.loop.supervisor.since_ns
+    return quiet and rig.t_ns - since_ns > 500 * MS
+
+
+def drive_cold(rig: Rig, ailment: Ailment) -> None:
+    """An eager operator arms and starts whatever lets itself be armed and started."""
+    end = rig.t_ns + round(COLD_S * NS)
+    while rig.t_ns < end:
+        ailment.each(rig)
+        if rig.state is State.READY:
+            rig.ask(RequestKind.ARM)
+        elif rig.state is State.ARMED:
+            rig.ask(RequestKind.START)
+        rig.step()
+        if rig.state in (State.FAULT_STOP, State.ESTOP) and rig.resting:
+            return
+
+
+def must_now(ailment: Ailment, phase: str) -> Must:
+    """What this fault asks for in this phase."""
+    return ailment.at.get(phase, ailment.must)
+
+
+def off_path(rig: Rig) -> float:
+    """Largest true distance from the path [m]."""
+    if rig.plan.options.path == "line":
+        return max((abs(m.y) for m in rig.track), default=0.0)
+    radius = float(rig.plan.options.path.split("=")[1])
+    return max((abs(hypot(m.x, m.y - radius) - radius) for m in rig.track), default=0.0)
+
+
+def find_brake(frames: Sequence[MotorFrame], t_ns: int) -> MotorFrame | None:
+    """The first frame from ``t_ns`` on that does not drive and is followed by none that does."""
+    first: MotorFrame | None = None
+    for frame in reversed(frames):
+        if frame.effort is Effort.DRIVE or frame.t_ns < t_ns:
+            break
+        first = frame
+    return first
+
+
+def judge(rig: Rig, ailment: Ailment, phase: str, t_fault: int, seen: int) -> Outcome:
+    """Verdicts (a) to (f) of ``safety.md`` section 6, and the lane."""
+    frames = read_motor_frames(rig.run.world.log.entries)
+    followed = rig.notes.transitions[seen:]
+    must = must_now(ailment, phase)
+    find = find_stop if must in (Must.STOP_SOFT, Must.LIVE_ON, Must.STAY_SAFE) else find_brake
+    stop = find(frames, t_fault)
+    bound = ailment.bound_s + TICK
+    fastest = max((abs(motion.speed) for motion in rig.track), default=0.0)
+    decel = SOFT_DECEL if find is find_stop else HARD_DECEL
+    pause = (STOP_ASKED_NS / NS if ailment.asks_stop else 0.0) + (
+        SPEED_LAG_S if find is find_stop else 0.0
+    )
+    allowed = SLACK_M + stopping_way(
+        fastest, bound + ailment.blind_s + pause, min(decel, ailment.decel)
+    )
+    facts = Facts(
+        rig=rig,
+        ailment=ailment,
+        must=must,
+        frames=[frame for frame in frames if frame.t_ns >= t_fault],
+        states=tuple(State(message.to_state) for _, message in followed),
+        reasons=tuple(message.text for _, message in followed),
+        told_s=(followed[0][0] - t_fault) / NS if followed else inf,
+        stop_s=(stop.t_ns - t_fault) / NS if stop else inf,
+        bound_s=bound,
+        way_m=way(rig.track, t_fault),
+        allowed_m=allowed,
+        off_m=off_path(rig),
+    )
+    judges = {"P0": judge_cold, "P1": judge_standing, "P2": judge_standing, "P3": judge_standing}
+    wrong = tuple(judges.get(phase, judge_moving)(facts, phase))
+    return Outcome(
+        ailment.code,
+        phase,
+        facts.stop_s,
+        facts.way_m,
+        allowed,
+        facts.off_m,
+        tuple(state.name for state in facts.states),
+        facts.reasons[0] if facts.reasons else "",
+        wrong,
+    )
+
+
+def judge_moving(f: Facts, phase: str) -> Iterator[str]:
+    """A car that moves, or has just been told to stop."""
+    if any(state in UPWARD for state in f.states) and not f.rearmed(phase):
+        yield f"(c) went up by itself: {f.states}"
+    if not all(f.reasons):
+        yield "(e) a transition without a reason"
+    if not f.ailment.obeys and phase != "P8":
+        yield from judge_deaf(f)
+        return
+    if not f.rig.resting:
+        yield f"(d) never came to rest: {f.rig.track[-1].speed:.2f} m/s"
+    if f.off_m > LANE_M:
+        yield f"(g) left the lane by {f.off_m:.2f} m"
+    if phase == "P8":
+        if any(frame.effort is Effort.DRIVE for frame in f.frames):
+            yield "(b) a drive frame in FAULT_STOP"
+        if f.way_m > f.allowed_m:
+            yield f"(d) {f.way_m:.2f} m to rest, allowed {f.allowed_m:.2f} m"
+        return
+    if f.must is Must.LIVE_ON:
+        yield from judge_undisturbed(f, phase)
+        return
+    if f.way_m > f.allowed_m:
+        yield f"(d) {f.way_m:.2f} m to rest, allowed {f.allowed_m:.2f} m"
+    if f.must is not Must.STAY_SAFE:
+        yield from judge_stop(f, phase)
+
+
+def judge_stop(f: Facts, phase: str) -> Iterator[str]:
+    """A fault that must stop the car."""
+    if f.ailment.wire:
+        ramps_already = phase == "P7" and f.must is Must.STOP_SOFT
+        if not ramps_already and f.stop_s > f.bound_s:
+            yield f"(a) first stop byte after {f.stop_s:.3f} s, bound {f.bound_s:.3f}"
+    elif driven_after(f.frames, f.rig.track[0].t_ns + 200 * MS):
+        yield "(b) a drive frame after the link came back"
+    wanted = State[f.must.value]
+    if phase == "P7" and f.must is Must.STOP_SOFT:
+        if State.ARMED in f.states:
+            yield "(c) armed again although something is wrong"
+    elif wanted not in f.states:
+        yield f"(a) {wanted.name} was never entered: {f.states}"
+    elif f.told_s > f.bound_s:
+        yield f"(e) told after {f.told_s * 1e3:.0f} ms"
+
+
+def judge_undisturbed(f: Facts, phase: str) -> Iterator[str]:
+    """A fault that a car must live with."""
+    bad = [s for s in f.states if s in (State.FAULT_STOP, State.ESTOP, State.INIT)]
+    if bad:
+        yield f"(f) false stop: {f.states} {f.reasons[-1]}"
+    elif phase != "P7" and f.told_s < WATCH_S:
+        yield f"(f) false stop after {f.told_s:.2f} s: {f.reasons[0]}"
+
+
+def judge_deaf(f: Facts) -> Iterator[str]:
+    """A VESC that ignores commands: the daemon must notice, go on braking and say so."""
+    if State.FAULT_STOP not in f.states:
+        yield f"(a) nobody noticed that the stop has no effect: {f.states}"
+    elif f.frames[-1].effort is not Effort.BRAKE:
+        yield "(b) gave up braking"
+
+
+def judge_standing(f: Facts, phase: str) -> Iterator[str]:
+    """A car that stands and must not begin to move."""
+    if any(frame.effort is Effort.DRIVE for frame in f.frames):
+        yield "(b) a drive frame while not running"
+    if f.way_m > 0.02:
+        yield f"(d) moved {f.way_m:.2f} m"
+    now = f.rig.state
+    if State.RUNNING in f.states or (phase != "P2" and set(f.states) & UPWARD):
+        yield f"(c) went up by itself: {f.states}"
+    if f.ailment.cold == "red" and phase not in f.ailment.unseen:
+        wrong = {"P1": (State.READY,), "P2": (State.ARMED,), "P3": (State.ARMED,)}[phase]
+        if now in wrong:
+            yield f"(a) {now.name} in spite of it"
+    if f.must is Must.LIVE_ON:
+        good = {"P1": State.READY, "P2": State.ARMED, "P3": State.ARMED}[phase]
+        if now is not good:
+            yield f"(f) {now.name} instead of {good.name}: {f.reasons[-1:]}"
+
+
+def judge_cold(f: Facts, _phase: str) -> Iterator[str]:
+    """An operator who arms and starts with the fault there from the beginning."""
+    driven = State.RUNNING in f.states
+    match f.ailment.cold:
+        case "red":
+            if State.ARMED in f.states:
+                yield f"(a) armed in spite of it: {f.states}"
+        case "launch":
+            if f.way_m > LAUNCH_M:
+                yield f"(d) {f.way_m:.2f} m before the launch checks stopped it"
+            if driven and State.FAULT_STOP not in f.states:
+                yield f"(a) the launch checks let it pass: {f.states}"
+        case _ if f.must is Must.LIVE_ON:
+            if not driven or State.FAULT_STOP in f.states:
+                yield f"(f) cannot drive: {f.states} {f.reasons[-1:]}"
+    if f.ailment.obeys and f.off_m > LANE_M:
+        yield f"(g) left the lane by {f.off_m:.2f} m"

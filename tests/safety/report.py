@@ -1,0 +1,122 @@
+"""Run the whole matrix and write its table into docs/safety.md: `python -m tests.safety.report`.
+
+`--check` only says whether every cell is good.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from math import isfinite
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from joblib import Parallel, delayed
+
+from daemon.findings import WATCHDOGS
+from daemon.thresholds import BOUNDS, Thresholds
+from tests.safety.catalogue import AILMENTS, BY_CODE, Must
+from tests.safety.matrix import MOVING, Outcome, list_cells, run_cell
+from tests.safety.rig import PHASES
+
+PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
+
+
+def run_fault(code: str) -> list[Outcome]:
+    """All cells of one fault."""
+    return [run_cell(BY_CODE[c], phase) for c, phase in list_cells() if c == code]
+
+
+def show(outcome: Outcome | None) -> str:
+    """One cell as people read it: stop after so many ms and metres."""
+    if outcome is None:
+        return ""
+    if outcome.wrong:
+        return "**" + "; ".join(outcome.wrong) + "**"
+    if outcome.phase not in MOVING:
+        return "ok"
+    must = BY_CODE[outcome.code].must
+    if must is Must.LIVE_ON or outcome.phase == "P8" or not isfinite(outcome.stop_s):
+        return f"ok, {outcome.way_m:.2f} m"
+    return f"{outcome.stop_s * 1e3:.0f} ms, {outcome.way_m:.2f} m"
+
+
+def write_matrix(outcomes: Sequence[Outcome]) -> list[str]:
+    """The table of cells, one fault a line."""
+    found = {(outcome.code, outcome.phase): outcome for outcome in outcomes}
+    good = sum(not outcome.wrong for outcome in outcomes)
+    lines = [
+        f"{len(AILMENTS)} faults, {len(outcomes)} cells, {good} good.",
+        "",
+        "| fault | must | bound | " + " | ".join(PHASES) + " |",
+        "|---|---|---|" + "---|" * len(PHASES),
+    ]
+    for a in AILMENTS:
+        cells = [show(found.get((a.code, phase))) for phase in PHASES]
+        stops = a.must in (Must.STOP_HARD, Must.STOP_SOFT, Must.ESTOP)
+        bound = f"{a.bound_s * 1e3:.0f} ms" if stops else ""
+        lines.append(
+            f"| {a.code} {a.name} | {a.must.value} | {bound} | " + " | ".join(cells) + " |"
+        )
+    return lines
+
+
+def write_watchdogs() -> list[str]:
+    """What each watchdog asks for and advises, from the code."""
+    lines = ["| watchdog | asks for | advice |", "|---|---|---|"]
+    asks = {"SOFT": "STOPPING", "HARD": "FAULT_STOP", "ESTOP": "ESTOP"}
+    lines += [
+        f"| {key} {w.name} | {asks[w.severity.name]} | {w.advice} |" for key, w in WATCHDOGS.items()
+    ]
+    return lines
+
+
+def write_thresholds() -> list[str]:
+    """Default and compiled-in range of each threshold, from the code."""
+    lines = ["| threshold | default | car file may say | unit |", "|---|---|---|---|"]
+    default = Thresholds()
+    lines += [
+        f"| `{name}` | {getattr(default, name):.4g} | {b.low:.4g} to {b.high:.4g} | {b.unit} |"
+        for name, b in BOUNDS.items()
+    ]
+    return lines
+
+
+def replace_section(text: str, name: str, lines: Iterable[str]) -> str:
+    """The page with the lines between a section's markers replaced.
+
+    Raises:
+        ValueError: the page has no such markers.
+    """
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    if begin not in text or end not in text:
+        raise ValueError(f"the page has no section {name}")
+    head, _, rest = text.partition(begin)
+    _, _, tail = rest.partition(end)
+    return head + begin + "\n" + "\n".join(lines) + "\n" + end + tail
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing")
+    parser.add_argument("--jobs", type=int, default=-1)
+    args = parser.parse_args(argv)
+    parts = Parallel(n_jobs=args.jobs)(delayed(run_fault)(ailment.code) for ailment in AILMENTS)
+    outcomes = [outcome for part in parts for outcome in part]
+    bad = [outcome for outcome in outcomes if outcome.wrong]
+    for outcome in bad:
+        print(outcome.code, outcome.phase, *outcome.wrong)
+    print(f"{len(outcomes)} cells, {len(bad)} bad")
+    if not args.check:
+        text = PAGE.read_text(encoding="utf-8")
+        text = replace_section(text, "matrix", write_matrix(outcomes))
+        text = replace_section(text, "watchdogs", write_watchdogs())
+        text = replace_section(text, "thresholds", write_thresholds())
+        PAGE.write_text(text, encoding="utf-8")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,194 @@
+"""A car in virtual time with a scripted operator, stopped at the moment at which a fault strikes.
+
+Each phase of the matrix is driven to once; every cell continues a deep copy of it.
+"""
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+from daemon.build import NS, Plan, make_core, make_plan, make_world_config
+from daemon.flags import Flag
+from daemon.options import RunOptions
+from daemon.records import Record
+from daemon.transitions import State
+from daemon.virtual import EPOCH_NS, VirtualRun
+from mocap_link.sessions import NatNetSource
+from sim_hw.faults import Fault
+from sim_hw.judge import Motion
+from sim_hw.mocap_config import Bystander
+from sim_hw.world import World
+from steer_bus import topics
+from steer_bus.codec import decode, encode
+from steer_bus.messages import BODY, OperatorRequest, RequestKind, Transition, make_header
+
+MS = 1_000_000
+BOOT_ID, LEASE_ID = 4711, 42
+KEEPALIVE_NS = 100 * MS
+STRAIGHT, CURVE = ("line", 2.0), ("circle:radius=1.12", 2.0)
+BYSTANDER = Bystander("cone", 2, 1.0, 1.5, 0.3)
+
+
+class Notes:
+    """The transitions that a session would hold."""
+
+    def __init__(self) -> None:
+        self.transitions: list[tuple[int, Transition]] = []
+
+    def __call__(self, records: list[Record], t_ns: int) -> None:
+        for record in records:
+            if record.topic is topics.TRANSITION:
+                self.transitions.append((t_ns, decode(Transition, record.data)))
+
+
+@dataclass
+class Rig:
+    """A drive, its operator, and what a judge wants to see.
+
+    Attributes:
+        run: the drive.
+        notes: transitions with their times.
+        track: true motion, tick by tick.
+        alive: whether the operator keeps the lease alive.
+        late_ns: lateness of the next tick.
+    """
+
+    plan: Plan
+    run: VirtualRun
+    notes: Notes
+    track: list[Motion] = field(default_factory=list)
+    alive: bool = True
+    late_ns: int = 0
+    seq: int = 0
+    spoke_ns: int = -KEEPALIVE_NS
+    said: list[bytes] = field(default_factory=list)
+
+    @property
+    def state(self) -> State:
+        """The supervisor's state."""
+        return self.run.core.loop.supervisor.state
+
+    @property
+    def t_ns(self) -> int:
+        """Now."""
+        return self.run.t_ns
+
+    @property
+    def resting(self) -> bool:
+        """Whether the car has truly stood for 0.3 s."""
+        recent = [motion for motion in self.track[-40:] if motion.t_ns > self.t_ns - 310 * MS]
+        fresh = self.t_ns - self.track[0].t_ns < 310 * MS
+        return not fresh and max(abs(motion.speed) for motion in recent) < 0.01
+
+    def ask(self, kind: RequestKind, lease_id: int = LEASE_ID, boot_id: int = BOOT_ID) -> None:
+        """An operator's request."""
+        self.seq += 1
+        header = make_header(self.t_ns + EPOCH_NS, BODY)
+        data = encode(OperatorRequest(header, boot_id, lease_id, self.seq, kind, "judge"))
+        self.said.append(data)
+        self.deliver(data)
+
+    def deliver(self, data: bytes, topic: str = topics.OPERATOR.name) -> None:
+        """A message for the core, as the gateway hands it over."""
+        self.run.core.on_request(topic, data, self.t_ns)
+
+    def step(self) -> None:
+        """One period."""
+        if self.alive and self.t_ns - self.spoke_ns >= KEEPALIVE_NS:
+            self.spoke_ns = self.t_ns
+            self.ask(RequestKind.KEEPALIVE)
+        late_ns, self.late_ns = self.late_ns, 0
+        self.run.step(late_ns)
+        truth = self.run.world.truth()
+        self.track.append(Motion(truth.t_ns, truth.state.x, truth.state.y, truth.state.speed))
+
+    def until(self, holds: Callable[["Rig"], bool], limit_s: float = 5.0) -> None:
+        """Step until a condition holds."""
+        end = self.t_ns + round(limit_s * NS)
+        while not holds(self):
+            assert self.t_ns < end, (self.state, self.run.core.last)
+            self.step()
+
+    def reach(self, state: State, then_s: float = 0.0) -> None:
+        """Step until a state is there, and a little longer."""
+        self.until(lambda rig: rig.state is state)
+        end = self.t_ns + round(then_s * NS)
+        self.until(lambda rig: rig.t_ns >= end)
+
+    def break_it(self, fault: str, **params: bool | float | str) -> None:
+        """A fault of the simulated hardware begins now."""
+        self.run.world.add_fault(Fault(fault, self.t_ns, **params))
+
+
+def make_rig(path: str, speed: float) -> Rig:
+    """A car that has just been switched on."""
+    plan = _plan(path, speed)
+    config = make_world_config(plan, keep_bytes=True)
+    config = replace(config, mocap=replace(config.mocap, bystanders=(BYSTANDER,)))
+    notes = Notes()
+    core = make_core(plan, BOOT_ID, EPOCH_NS, (notes,), leased=True)
+    core.flags |= Flag.LINKED
+    source = NatNetSource(config.mocap.body, "127.0.0.1", plan.settings.ingest)
+    return Rig(plan, VirtualRun(core, World(config), source, plan.period_ns), notes)
+
+
+@lru_cache
+def _plan(path: str, speed: float) -> Plan:
+    return make_plan(RunOptions(car_file="", path=path, speed=speed))
+
+
+def twin(rig: Rig) -> Rig:
+    """The same moment again, independent of the first."""
+    del rig.run.world.log.entries[:-8]
+    memo = {
+        id(rig.plan): rig.plan,
+        id(rig.run.wire): rig.run.wire.copy(),
+        id(rig.run.core.loop.setup): rig.run.core.loop.setup,
+    }
+    return copy.deepcopy(rig, memo)
+
+
+PHASES = {
+    "P0": "before power-on",
+    "P1": "DISARMED",
+    "P2": "SELF_TEST",
+    "P3": "ARMED",
+    "P4": "launch window",
+    "P5": "RUNNING, straight",
+    "P6": "RUNNING, bend at full lock",
+    "P7": "STOPPING",
+    "P8": "FAULT_STOP",
+}
+
+
+@lru_cache
+def at_phase(phase: str) -> Rig:
+    """The moment of a phase at which faults strike. Use `twin` of it."""
+    rig = make_rig(*(CURVE if phase == "P6" else STRAIGHT))
+    if phase == "P0":
+        rig.step()
+        return rig
+    rig.reach(State.DISARMED, 0.1)
+    if phase == "P1":
+        return rig
+    rig.reach(State.READY)
+    rig.ask(RequestKind.ARM)
+    rig.reach(State.SELF_TEST, 0.05)
+    if phase == "P2":
+        return rig
+    rig.reach(State.ARMED, 0.2)
+    if phase == "P3":
+        return rig
+    rig.ask(RequestKind.START)
+    rig.reach(State.RUNNING, 0.6)
+    if phase == "P4":
+        return rig
+    rig.reach(State.RUNNING, 3.0)
+    if phase == "P7":
+        rig.ask(RequestKind.STOP)
+        rig.reach(State.STOPPING, 0.05)
+    elif phase == "P8":
+        rig.run.core.flags |= Flag.SUSPENDED
+        rig.reach(State.FAULT_STOP, 0.05)
+    return rig

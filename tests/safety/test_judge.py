@@ -1,0 +1,95 @@
+"""The judge itself must be able to say no."""
+
+from dataclasses import replace
+from math import inf
+
+import pytest
+
+from sim_hw.device import Logged
+from sim_hw.judge import (
+    Effort,
+    Motion,
+    MotorFrame,
+    driven_after,
+    find_stop,
+    read_motor_frames,
+    stopping_way,
+    way,
+)
+from tests.safety.catalogue import BY_CODE, nothing
+from tests.safety.matrix import run_cell
+from vesc_link import commands as c
+from vesc_link.frames import encode_frame
+from vesc_link.packets import encode_command
+
+
+def drive(t_ns: int, value: float = 5.0) -> MotorFrame:
+    return MotorFrame(t_ns, Effort.DRIVE, value)
+
+
+def brake(t_ns: int) -> MotorFrame:
+    return MotorFrame(t_ns, Effort.BRAKE, 20.0)
+
+
+def test_every_motor_command_is_read_for_what_it_does() -> None:
+    sent = (
+        (c.SetErpm(4000.0), Effort.DRIVE, 4000.0),
+        (c.SetErpm(-4000.0), Effort.DRIVE, 4000.0),
+        (c.SetCurrent(3.0), Effort.DRIVE, 3.0),
+        (c.SetCurrent(0.0), Effort.RELEASE, 0.0),
+        (c.SetCurrentBrake(20.0), Effort.BRAKE, 20.0),
+        (c.SetCurrentBrake(0.0), Effort.RELEASE, 0.0),
+        (c.SetDuty(0.5), Effort.DRIVE, 0.5),
+        (c.SetDuty(0.0), Effort.BRAKE, 0.0),
+        (c.SetPos(90.0), Effort.DRIVE, inf),
+        (c.SetCurrentRel(0.5), Effort.DRIVE, 0.5),
+        (c.SetHandbrake(5.0), Effort.BRAKE, 5.0),
+    )
+    data = b"".join(encode_frame(encode_command(command)) for command, _, _ in sent)
+    data += encode_frame(encode_command(c.SetServoPos(0.5))) + encode_frame(b"\x04")
+    log = [Logged(7, "vesc", data[:9]), Logged(8, "host", b"\x02\x01"), Logged(9, "vesc", data[9:])]
+    frames = read_motor_frames(log)
+    assert [(f.effort, f.value) for f in frames] == [(effort, value) for _, effort, value in sent]
+
+
+def test_a_stop_that_is_taken_back_is_none() -> None:
+    assert find_stop([drive(1), brake(2), brake(3)], 0) == brake(2)
+    assert find_stop([drive(1), drive(2), drive(3, 4.0), drive(4, 3.0), brake(5)], 0) == drive(
+        3, 4.0
+    )
+    assert find_stop([drive(1), brake(2), drive(3), brake(4)], 0) == brake(4)
+    assert find_stop([drive(1), drive(2, 4.0), drive(3, 4.5), brake(4)], 0) == brake(4)
+    assert find_stop([drive(1), drive(2)], 0) is None
+    assert find_stop([drive(1), brake(2), brake(3)], 3) == brake(3)
+
+
+def test_drive_frames_after_a_moment_are_counted() -> None:
+    assert driven_after([drive(1), brake(2), drive(3), drive(4)], 2) == 2
+    assert driven_after([drive(2), brake(3)], 2) == 0
+
+
+def test_the_way_is_measured_and_computed() -> None:
+    track = [Motion(k, 0.3 * k, 0.4 * k, 1.0) for k in range(5)]
+    assert way(track, 1) == pytest.approx(1.5)
+    assert stopping_way(2.0, 0.1, 4.0) == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize(
+    ("code", "phase"),
+    [("M1", "P5"), ("V4", "P6"), ("H1", "P5"), ("V19", "P4"), ("M24", "P1"), ("V13", "P2"),
+     ("V1", "P3"), ("V24", "P0"), ("M10", "P0"), ("V5", "P5")],
+)  # fmt: skip
+def test_without_the_fault_the_cell_fails(code: str, phase: str) -> None:
+    """Each kind of verdict is one that sound hardware and a silent daemon cannot earn."""
+    sound = replace(BY_CODE[code], begin=nothing, each=nothing)
+    assert run_cell(sound, phase).wrong
+
+
+def test_a_daemon_that_goes_on_driving_is_found_out() -> None:
+    harmless = replace(BY_CODE["Z2"], must=BY_CODE["M1"].must, bound_s=0.1)
+    assert any(word.startswith("(a)") for word in run_cell(harmless, "P5").wrong)
+
+
+def test_a_false_stop_is_found_out() -> None:
+    fatal = replace(BY_CODE["M1"], must=BY_CODE["M17"].must, bound_s=0.0)
+    assert any(word.startswith("(f)") for word in run_cell(fatal, "P5").wrong)
