@@ -213,14 +213,21 @@ class Runner:
                 full = pipe.full_since_ns
                 stuck = full is not None and now_ns - full > PIPE_FULL_NS
                 core.flags |= flag if pipe.dead or stuck else 0
-        if self._port is not None and self._guard.silent(now_ns):
-            core.flags |= Flag.GUARDIAN_LOST
+        if self._port is not None:
+            self._watch_guardian(now_ns)
         if self._guard.tripped():
             core.flags |= Flag.GUARDIAN_TRIPPED
         lag = sleep_lag_ns()
         if lag - self._slept_ns > SUSPEND_NS:
             core.flags |= Flag.SUSPENDED
         self._slept_ns = lag
+
+    def _watch_guardian(self, now_ns: int) -> None:
+        """A guardian that is slow to start is a red check until it shows itself, no fault."""
+        if self._guard.silent(now_ns):
+            self._core.flags |= Flag.GUARDIAN_LOST
+        elif not is_engaged(self._core.loop.supervisor.state):
+            self._core.flags &= ~Flag.GUARDIAN_LOST
 
     # --- the serial port
 
