@@ -1,0 +1,89 @@
+"""Scores and shares against numbers worked out by hand; no car is compiled here."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sim_gap import constants as c
+from sim_gap.candidates import Score, gain_of
+from sim_gap.decide import confidence_of, rivals_of, significant
+from sim_gap.residuals import interval_of, robust_mean
+from sim_gap.shrink import explained_share
+from sim_gap.where import Regime, Share, sentence_of
+
+BLOCKS = np.repeat(np.arange(4), 3)
+
+
+def score(name: str, losses: object, prior: float = 0.0) -> Score:
+    return Score((name,), SimpleNamespace(), np.asarray(losses, float), prior)
+
+
+def test_one_spun_window_counts_no_more_than_fifty_nats():
+    base, other = score("base", np.zeros(12)), score("x", np.zeros(12))
+    spun = np.zeros(12)
+    spun[5] = 1e7
+    assert gain_of(other, score("base", spun), BLOCKS)[0] == c.WINSOR
+    assert gain_of(score("x", spun), base, BLOCKS)[0] == -c.WINSOR
+
+
+def test_gain_counts_what_the_base_had_to_give_up():
+    base, better = score("base", np.ones(12), prior=3.0), score("x", np.zeros(12), prior=1.0)
+    gain, se = gain_of(better, base, BLOCKS)
+    assert gain == pytest.approx(12.0 + 2.0)
+    assert se == pytest.approx(0.0, abs=1e-12)
+
+
+def test_standard_error_is_that_of_block_sums():
+    base = np.zeros(12)
+    base[:3], base[3:6] = 2.0, 1.0
+    _, se = gain_of(score("x", np.zeros(12)), score("base", base), BLOCKS)
+    assert se == pytest.approx(2.0 * np.std([6.0, 3.0, 0.0, 0.0], ddof=1))
+
+
+@pytest.mark.parametrize(
+    ("gain", "se", "expected"),
+    [(c.GAIN_MIN - 0.1, 0.1, False), (30.0, 5.0, True), (30.0, 50.0, False), (400.0, 300.0, True)],
+)
+def test_a_gain_is_judged_by_its_error_and_by_a_likelihoods_own(gain, se, expected):
+    assert significant(gain, se) is expected
+
+
+def test_a_near_equal_is_a_rival_and_lowers_confidence():
+    best = score("a", np.zeros(12))
+    near, far = score("b", np.full(12, 0.2)), score("c", np.full(12, 20.0))
+    assert rivals_of(best, [best, near, far], {"d": 0.97, "e": 0.5}, BLOCKS) == ("b", "d")
+    alone = confidence_of(best, [best, far], BLOCKS, broken=False)
+    assert alone > 0.9
+    assert confidence_of(best, [best, near, far], BLOCKS, broken=False) < 0.8 * alone
+    assert confidence_of(best, [best, far], BLOCKS, broken=True) == pytest.approx(
+        alone * c.CONFIDENCE_BROKEN
+    )
+
+
+def test_robust_mean_keeps_one_and_bounds_the_rest():
+    assert robust_mean(np.ones(7)) == pytest.approx(1.0)
+    assert robust_mean(np.array([1.0] * 9 + [1e5])) < 6.0
+
+
+def test_interval_holds_the_mean():
+    values = np.random.default_rng(0).chisquare(40, 60) / 40
+    draws = interval_of(values, np.repeat(np.arange(20), 3))
+    assert np.percentile(draws, 5) < robust_mean(values) < np.percentile(draws, 95)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "share"), [(3.0, 1.0, 1.0), (3.0, 2.0, 0.5), (1.0, 1.5, 0.0), (3, 0.5, 1.0)]
+)
+def test_share_of_the_excess(before, after, share):
+    assert explained_share(before, after, 1.0) == pytest.approx(share)
+
+
+def test_the_sentence_names_equation_and_regime():
+    shares = [Share("steer", 0.8), Share("yaw", 0.2)]
+    hard = Regime("lateral_acceleration", "m/s^2", 3.0, 5.0, 4.2, 3.0, 6.0, 0.9)
+    text = sentence_of(shares, [hard])
+    assert "steering actuator (80%" in text
+    assert "4.2 times as large when lateral acceleration is 3 to 5 m/s^2" in text
+    even = Regime("speed", "m/s", 1.0, 2.0, 1.2, 0.8, 1.6, 0.3)
+    assert "much the same at every speed" in sentence_of(shares, [even])
