@@ -1,8 +1,8 @@
 """Every number of the verdict in one place.
 
 Thresholds come from the project's page on the gap (winsorised gains, practical rule, constancy).
-The confidence map is a first guess: it has been looked at on single cases of the tuning set (nonces
-0 and 3) and on drives made with `car_model`, not calibrated on a bank. No report seed was ever used.
+The confidence map is a first guess: looked at on single cases of the tuning set (nonces
+0 and 3) and on drives made with `car_model`, not calibrated on a bank; report seeds never seen.
 """
 
 WINSOR = 50.0
