@@ -56,7 +56,7 @@ class _SoftDtw(torch.autograd.Function):
         return torch.from_numpy(reached[:, -2, -2].copy())
 
     @staticmethod
-    @once_differentiable  # type: ignore[misc,untyped-decorator]
+    @once_differentiable
     def backward(ctx: Any, bars: Tensor) -> Any:
         """Expected alignment, times what comes from above."""
         return torch.from_numpy(expect(*ctx.state)) * bars[:, None, None], None

@@ -66,7 +66,9 @@ def test_known_circles() -> None:
 def test_figure_eight_is_drivable_and_crosses_itself_at_the_origin() -> None:
     path = parse_path("figure8")
     assert j0(path_shapes.FIGURE_EIGHT_SWING) == pytest.approx(0.0, abs=1e-15)
-    assert max(map(abs, path.curvature)) == pytest.approx(1.0 / path_shapes.FIGURE_EIGHT_RADIUS, rel=1e-9)
+    assert max(map(abs, path.curvature)) == pytest.approx(
+        1.0 / path_shapes.FIGURE_EIGHT_RADIUS, rel=1e-9
+    )
     half = len(path.x) // 2
     assert math.hypot(path.x[half], path.y[half]) < 1e-12
     assert sum(path.curvature) == pytest.approx(0.0, abs=1e-9)
