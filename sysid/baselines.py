@@ -16,6 +16,7 @@ from sysid.paper import (
     Watch,
     _never,
     loss_value,
+    one_thread,
     predict,
 )
 
@@ -45,6 +46,7 @@ def _optuna() -> Any:
     return optuna
 
 
+@one_thread()
 def search_cma(
     problem: PaperProblem, start: Array, trials: int = 500, seed: int = 0, watch: Watch = _never
 ) -> Course:
@@ -81,6 +83,7 @@ def search_cma(
     )
 
 
+@one_thread()
 def fit_least_squares(problem: PaperProblem, start: Array, watch: Watch = _never) -> Course:
     """SciPy's trust region on positions of whole runs, derivatives by differences.
 

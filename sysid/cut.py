@@ -23,6 +23,8 @@ PACE = 0.4
 """A part moves at least so fast [m/s]."""
 SHORTEST = 2.0
 """Shorter parts are left out [s]."""
+SMOOTH = 0.3
+"""Width of the bell over which a prescribed speed is smoothed [s]."""
 BLOCK = 5.4
 """Length of the blocks of which every k-th is kept back [s]."""
 
@@ -63,6 +65,21 @@ def with_wheel_speed(run: Run) -> Run:
     return replace(run, commands=np.column_stack([run.commands[:, 0], speed]), speed_source="wheel")
 
 
+def smooth_speed(run: Run) -> Run:
+    """The drive with a measured speed smoothed over a fifth of a second.
+
+    Where the speed is prescribed, its slope is the acceleration that shifts load between the axles;
+    an encoder's steps, differentiated, would lift the rear wheels.
+    """
+    if run.speed_source == "command":
+        return run
+    reach = round(0.5 * SMOOTH / run.h)
+    padded = np.pad(run.commands[:, 1], reach, "edge")
+    window = np.hanning(2 * reach + 3)[1:-1]
+    speed = np.convolve(padded, window / window.sum(), "valid")
+    return replace(run, commands=np.column_stack([run.commands[:, 0], speed]))
+
+
 def _spans(run: Run) -> list[tuple[float, float]]:
     """Stretches in which command and pose both say that the car moves [s]."""
     t, speed = pose_speed(run.pose)
@@ -82,7 +99,7 @@ def moving_parts(runs: Sequence[Run]) -> tuple[Run, ...]:
     """
     parts = [
         cut(run, low + SETTLE, high)
-        for run in runs
+        for run in map(smooth_speed, runs)
         for low, high in _spans(run)
         if high - low - SETTLE >= SHORTEST
     ]

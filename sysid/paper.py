@@ -7,7 +7,8 @@ metres, averaged over batches of 4 runs that rotate. What the paper leaves open 
 rotation, the runs' starts at zero yaw rate and slip) is as in its authors' public experiments.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -140,6 +141,17 @@ def make_problem(runs: tuple[PaperRun, ...], base: Car[float] = PAPER_CAR_DIRECT
     return PaperProblem(make_kernels(), runs, np.array(base, float))
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Torch on one thread: its tensors here are so small that threads only wait for each other."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def draw_starts(rng: np.random.Generator, count: int) -> Array:
     """Uniform random starts (count, 4)."""
     return rng.uniform(LOW, HIGH, (count, len(NAMES)))
@@ -178,6 +190,7 @@ def loss_of(problem: PaperProblem, four: Tensor, runs: Sequence[PaperRun]) -> Te
     return total / len(runs)
 
 
+@one_thread()
 def descend_adam(
     problem: PaperProblem, start: Array, iterations: int = 100, watch: Watch = _never
 ) -> Course:
