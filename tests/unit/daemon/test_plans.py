@@ -100,7 +100,8 @@ def test_the_loop_drives_an_open_plan_within_its_limits():
     run, orders, states = _drive("circles;box=9;speed=2.5", 6.0)
     assert not run.core.loop.faulted
     turning = [o.steer for o in orders[300:]]
-    assert min(turning) == max(turning) == pytest.approx(0.31)
+    # The order is what the VESC can be told: the nearest servo step to the limit.
+    assert min(turning) == max(turning) == pytest.approx(0.31, abs=5e-4)
     assert states[-1].yaw > 2.0
 
 
