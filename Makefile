@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest -q
 # Small matrices: more BLAS threads than one only get in each other's way.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help install demo test lint types layers unit bench clean
+.PHONY: help install demo test lint types layers unit safety bench clean
 help:            ## this list
 	@grep -hE '^[a-z]+: .*##|^[a-z]+:  +##' Makefile | sed 's/:.*##/\t/'
 
@@ -41,6 +41,10 @@ unit: install     ## all tests: first those that may run side by side, then the 
 	$(PYTEST) -n 2 -m "not realtime"
 	# A machine that stalls for 30 ms rightly stops a car; such a drive is driven again, twice at most.
 	$(PYTEST) -m realtime --reruns 2
+
+safety: install   ## all of the fault matrix and its real-time cells; writes the table in docs/safety.md
+	$(BIN)/python -m tests.safety.report
+	STEERD_LIVE=all $(PYTEST) -m realtime --reruns 2 tests/safety
 
 clean:            ## remove what was made here
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis
