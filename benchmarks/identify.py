@@ -5,8 +5,8 @@ python benchmarks/identify.py [--starts 5] [--figure FILE.svg]
 Data: the paper's sixteen circles (8 left, 8 right, steering at its limit, 1 m/s, 8 s) on the
 paper's car, poses at 100 Hz with 1 mm / 2 mrad noise, at standard and low friction. Judged by the
 noise-free open-loop position error on slaloms that nobody fitted, as the parameters improve. Every
-method uses the same compiled simulator and times are the process's own (CPU seconds), so they compare the methods, not the languages; the
-paper's own code needs about 25 s for one iteration of its method (see docs/identify.md).
+method uses the same compiled simulator, and times are the process's own (CPU seconds), so they
+compare the methods, not the languages. The paper's own code needs about 25 s for one iteration.
 """
 
 import argparse

@@ -16,7 +16,7 @@ from sysid.dataset import Run
 from sysid.excitation import measure_excitation
 from sysid.fit import Fit, Options, fit
 from sysid.outcome import HeldOut, Outcome, Row
-from sysid.paper import NAMES, Course, PaperProblem, descend_adam, draw_starts, make_problem
+from sysid.paper import NAMES, Course, PaperRun, descend_adam, draw_starts, make_problem
 from sysid.paper import paper_runs as cut_paper_runs
 from sysid.scale import map_jobs
 from sysid.tells import MANOEUVRES, RELATIVE_MAX
@@ -151,9 +151,11 @@ def _fit_ours(task: Task, runs: Sequence[Run]) -> Fit:
 
 
 def _course(
-    item: tuple[int, Array], problem: PaperProblem, method: str, iterations: int | None
+    item: tuple[int, Array], runs: tuple[PaperRun, ...], method: str, iterations: int | None
 ) -> Course:
+    """One start. The problem is made where the work is done: compiled code does not travel."""
     number, start = item
+    problem = make_problem(runs)
     if method == "paper":
         return descend_adam(problem, start, iterations or 100)
     return search_cma(problem, start, iterations or 500, seed=number)
@@ -161,9 +163,9 @@ def _course(
 
 def _search(task: Task) -> tuple[Course, ...]:
     """The paper's method or its baseline from random starts."""
-    problem = make_problem(cut_paper_runs(task.runs))
+    runs = cut_paper_runs(task.runs)
     starts = draw_starts(np.random.default_rng(task.seed), max(task.starts, 1))
-    work = partial(_course, problem=problem, method=task.method, iterations=task.iterations)
+    work = partial(_course, runs=runs, method=task.method, iterations=task.iterations)
     courses = map_jobs(work, list(enumerate(starts)), task.jobs, task.dask)
     if all(course.diverged for course in courses):
         raise FloatingPointError("the simulation diverges from every start")
