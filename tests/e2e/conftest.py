@@ -146,7 +146,10 @@ def copy_session(source: Path, target: Path, change: Change) -> None:
 
 @pytest.fixture
 def tamper_pose(tmp_path: Path) -> Callable[[Path], Path]:
-    """Copy a session with one pose moved by 5 mm, in the middle of the drive."""
+    """Copy a session with one pose of the drive moved by 2 mm and turned by 4 mrad.
+
+    More, and the filter's gate would refuse it; less, and no servo step might come of it.
+    """
 
     def go(source: Path) -> Path:
         poses = sum(r.topic.endswith("/mocap") for r in open_session(source).messages())
@@ -158,7 +161,8 @@ def tamper_pose(tmp_path: Path) -> Callable[[Path], Path]:
                 return record.data
             seen += 1
             pose: MocapPose = record.decode()
-            return encode(replace(pose, y=pose.y + 0.005)) if seen == poses // 2 else record.data
+            moved = replace(pose, y=pose.y + 0.002, yaw=pose.yaw + 0.004)
+            return encode(moved) if seen == poses // 2 else record.data
 
         target = tmp_path / f"tampered_{source.name}"
         copy_session(source, target, change)
