@@ -1,0 +1,178 @@
+"""`steerd identify` on imported logs: good ones, and every kind that no fit should see."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from car_model.car_file import load_car
+from car_model.params import DEFAULT_CAR
+from daemon.cli import guarded as main
+
+TRUE = DEFAULT_CAR._replace(steer_gain=0.93, speed_lag=0.14, c_sf=4.3)
+MAP = """[columns]
+t = "t"
+x = "x"
+y = "y"
+yaw = "yaw"
+steer_cmd = "steer"
+speed_cmd = "speed"
+[session]
+car = "lab"
+"""
+STEP = 0.01
+
+
+def _drive(seconds=26.0):
+    """Rows t, x, y, yaw, steer, speed of a drive of the true car with mocap noise."""
+    from sysid.kernels import Held, lane_view, make_kernels, make_lanes, march
+
+    t = np.arange(round(seconds / STEP)) * STEP
+    steer = 0.12 * np.sign(np.sin(0.9 * t)) + 0.08 * np.sin(2 * np.pi * (0.4 + 0.05 * t) * t)
+    speed = 1.2 + 0.6 * np.sign(np.sin(0.37 * t))
+    commands, count = np.column_stack([steer, speed]), len(t)
+    lanes = make_lanes(np.array([[0, count, 0]]), np.zeros(1))
+    first = np.array([[0.0, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0]])
+    path = march(make_kernels(), np.array(TRUE), first, Held(commands, STEP), lanes, count)
+    pose = lane_view(path, 1)[0, :-1, :3]
+    noise = np.random.default_rng(4).normal(size=pose.shape) * [1e-3, 1e-3, 2e-3]
+    return np.column_stack([t, pose + noise, commands])
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return _drive()
+
+
+@pytest.fixture
+def importer(tmp_path):
+    def write(rows, name="run"):
+        table = tmp_path / f"{name}.csv"
+        lines = [",".join("" if math.isnan(v) else repr(float(v)) for v in row) for row in rows]
+        table.write_text("t,x,y,yaw,steer,speed\n" + "\n".join(lines) + "\n")
+        (tmp_path / "map.toml").write_text(MAP)
+        out = tmp_path / f"{name}.mcap"
+        args = ["import", "csv", str(table), "--map", str(tmp_path / "map.toml"), "-o", str(out)]
+        assert main(args) == 0
+        return out
+
+    return write
+
+
+def _outputs(folder):
+    names = ("car.toml", "o.json", "r.html")
+    flags = ("-o", "--json", "--report")
+    return [
+        arg for flag, name in zip(flags, names, strict=True) for arg in (flag, str(folder / name))
+    ]
+
+
+FREE = ["--free", "c_sf,c_sr,steer_gain,steer_lag,speed_lag"]
+
+
+def test_a_drive_becomes_a_car_file_json_and_report(rows, importer, tmp_path, capsys):
+    session = importer(rows)
+    capsys.readouterr()
+    assert main(["identify", str(session), *FREE, *_outputs(tmp_path)]) == 0
+    screen = capsys.readouterr().out
+    assert "next: steerd run --car" in screen
+    car = load_car(tmp_path / "car.toml")
+    assert car.car.steer_gain == pytest.approx(TRUE.steer_gain, rel=0.02)
+    assert car.car.c_sf == pytest.approx(TRUE.c_sf, rel=0.1)
+    assert car.sd["steer_gain"] > 0.0
+    assert "run.mcap" in car.source["steer_gain"]
+    assert car.car.mass == DEFAULT_CAR.mass
+    result = json.loads((tmp_path / "o.json").read_text())
+    last = result["held_out"]["horizons"][-1]
+    assert last["position"] < 0.5 * last["position_before"]
+    assert "<svg" in (tmp_path / "r.html").read_text()
+
+
+def test_another_drive_validates(rows, importer, tmp_path, capsys):
+    one, two = importer(rows[:1500], "one"), importer(rows[1500:], "two")
+    assert main(["identify", str(one), "--held-out", str(two), *FREE]) == 0
+    assert "prediction of two.mcap" in capsys.readouterr().out
+
+
+def _millimetres(rows):
+    rows[:, 1:3] *= 1000.0
+
+
+def _clock_step(rows):
+    rows[1200:, 0] += 3.0
+
+
+def _standing(rows):
+    rows[:, 1:4] = rows[0, 1:4]
+
+
+def _constant(rows):
+    rows[:, 4] = 0.1
+
+
+BROKEN = {
+    "millimetres": (_millimetres, "millimetres"),
+    "clock": (_clock_step, "clock"),
+    "standing": (_standing, "never moved"),
+    "constant": (_constant, "steering is one constant"),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_bad_content_is_one_line_with_a_code_and_leaves_nothing(
+    kind, rows, importer, tmp_path, capsys
+):
+    spoil, words = BROKEN[kind]
+    spoilt = rows.copy()
+    spoil(spoilt)
+    session = importer(spoilt)
+    before = set(tmp_path.iterdir())
+    capsys.readouterr()
+    assert main(["identify", str(session), *_outputs(tmp_path)]) == 4
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") <= 2
+    assert set(tmp_path.iterdir()) == before
+
+
+def test_too_short_a_drive_is_refused(rows, importer, capsys):
+    session = importer(rows[:60])
+    assert main(["identify", str(session)]) == 4
+    assert "of driving" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "code"), [(b"", (3, 4)), (b"\x89MCAP0\r\n" + b"\x00" * 40, (3, 4)), (None, (3,))]
+)
+def test_files_that_are_no_sessions(content, code, tmp_path, capsys):
+    path = tmp_path / "bad.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    assert main(["identify", str(path)]) in code
+    assert capsys.readouterr().err.startswith("steerd: ")
+
+
+def test_a_truncated_session_is_used_or_refused_but_never_crashes(rows, importer, tmp_path, capsys):
+    whole = importer(rows).read_bytes()
+    for share in (0.0005, 0.3):
+        path = tmp_path / f"cut{share}.mcap"
+        path.write_bytes(whole[: int(share * len(whole))])
+        assert main(["identify", str(path)]) in (3, 4)
+        assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "args",
+    [["--free", "lenght"], ["--fix", "mass=heavy"], ["--wheelbase", "324"], ["--held-out", "1"]],
+)
+def test_options_that_make_no_sense(args, rows, importer, capsys):
+    assert main(["identify", str(importer(rows)), *args]) == 2
+    assert capsys.readouterr().err.startswith("steerd: ")
+
+
+def test_an_output_that_cannot_be_written(rows, importer, tmp_path, capsys):
+    session = importer(rows)
+    gone = str(tmp_path / "nowhere" / "o.json")
+    assert main(["identify", str(session), *FREE, "--json", gone]) == 3
+    assert "nowhere" in capsys.readouterr().err
