@@ -63,6 +63,7 @@ class Ailment:
         decel: how hard the car can slow down at all [m/s^2].
         cold: what happens to an operator who arms and drives with this fault there from the start:
             ``red`` is never armed, ``launch`` is stopped in the launch window.
+        rearms: whether the stop is one that a person asked for, after which the car stays armed.
         unseen: phases in which a standing car cannot see what would otherwise be ``red``.
     """
 
@@ -80,6 +81,7 @@ class Ailment:
     decel: float = inf
     cold: str = ""
     unseen: str = ""
+    rearms: bool = False
 
 
 def hardware(fault: str, **params: Any) -> Act:
@@ -341,7 +343,7 @@ def _network() -> tuple[Ailment, ...]:
         Ailment("Z4", "flood of 10k requests/s", nothing, LIVE, each=_flood),
         Ailment("Z5", "old requests replayed", nothing, LIVE, each=_replay),
         Ailment("Z6", "second operator", nothing, LIVE, each=_second_operator),
-        Ailment("Z6b", "second operator's stop", _ask(RequestKind.STOP, 99), SOFT),
+        Ailment("Z6b", "second operator's stop", _ask(RequestKind.STOP, 99), SOFT, rearms=True),
         Ailment("Z6c", "second operator's e-stop", _ask(RequestKind.ESTOP, 99), Must.ESTOP),
         Ailment("Z7", "unknown request", _unknown, SOFT),
         Ailment("Z8", "operator gone", _gone, SOFT, 0.3),

@@ -87,7 +87,8 @@ class Facts:
 
     def rearmed(self, phase: str) -> bool:
         """Whether the only step up is the end of a stop that the operator asked for."""
-        asked = phase == "P7" or self.ailment.asks_stop or self.must is Must.LIVE_ON
+        wanted = self.ailment.asks_stop or self.ailment.rearms
+        asked = phase == "P7" or wanted or self.must is Must.LIVE_ON
         return asked and set(self.states) & UPWARD == {State.ARMED}
 
 
@@ -250,7 +251,7 @@ def judge_stop(f: Facts, phase: str) -> Iterator[str]:
         yield "(b) a drive frame after the link came back"
     wanted = State[f.must.value]
     if phase == "P7" and f.must is Must.STOP_SOFT:
-        if State.ARMED in f.states:
+        if State.ARMED in f.states and not f.ailment.rearms:
             yield "(c) armed again although something is wrong"
     elif wanted not in f.states:
         yield f"(a) {wanted.name} was never entered: {f.states}"
