@@ -354,9 +354,9 @@ def undisturbed(tmp_path: Path) -> Callable[[Scenario], None]:
             attempt(scenario, tmp_path / "first")
         except AssertionError as error:
             told = [change.text for change in changes(tmp_path / "first" / "drive.mcap")]
+            print(f"first attempt: {told[-4:]}; {str(error)[:500]}")
             if not any(LATE.search(text) for text in told):
                 raise
-            print(f"the machine was late: {told[-3:]}; {str(error)[:500]}")
         else:
             return
         attempt(scenario, tmp_path / "second")
