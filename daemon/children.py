@@ -16,10 +16,12 @@ from daemon.errors import ExitCode, SteerdError
 from daemon.options import encode_options
 from daemon.records import make_pipe
 from daemon.session_meta import make_attachments, make_metadata
+from daemon.view_job import make_view_job
 from mocap_link.mocap_url import parse_mocap_url
 
 READY_S = 30.0
 END_S = 10.0
+VIEWER_END_S = 2.0
 
 
 @dataclass
@@ -49,7 +51,9 @@ class Child:
         return heard.decode().strip()
 
 
-def spawn(module: str, fds: Mapping[str, int], job: Mapping[str, Any], named: bool) -> Child:
+def spawn(
+    module: str, fds: Mapping[str, int], job: Mapping[str, Any], named: bool = False
+) -> Child:
     """Start `python -m module` with these descriptors and the job as JSON on standard input.
 
     It gets a process group of its own: Ctrl-C goes to us, and we say what it means.
@@ -77,6 +81,7 @@ class Crew:
 
     Attributes:
         core, recorder, gateway: the processes.
+        viewer: the process of `--view`, if asked for.
         requests: our end of the socket on which the core takes requests from this terminal.
         status_fd: records for this terminal.
         session: where the recording goes.
@@ -86,6 +91,7 @@ class Crew:
     core: Child
     recorder: Child
     gateway: Child
+    viewer: Child | None
     requests: socket.socket
     status_fd: int
     session: Path
@@ -100,16 +106,30 @@ class Crew:
                 child.process.wait(END_S)
             except subprocess.TimeoutExpired:
                 child.process.kill()
+        self._end_viewer()
         return code
+
+    def _end_viewer(self) -> None:
+        """A viewer that died early, or hangs, is told and held against nobody."""
+        if self.viewer is None:
+            return
+        try:
+            code = self.viewer.process.wait(VIEWER_END_S)
+        except subprocess.TimeoutExpired:
+            self.viewer.process.kill()
+            code = self.viewer.process.wait()
+        if code:
+            print(f"note: the viewer ended with code {code}", file=sys.stderr)
 
 
 def start_crew(plan: Plan, session: Path, boot_id: int, epoch_ns: int, leased: bool) -> Crew:
-    """Start recorder, gateway and core, in this order.
+    """Start recorder, gateway, core and, if asked for, viewer, in this order.
 
     Raises:
         SteerdError: one of them cannot do its work, in its own words.
     """
-    pipes = {name: make_pipe() for name in ("recorder", "gateway", "status")}
+    viewed = ("view",) if plan.options.view else ()
+    pipes = {name: make_pipe() for name in ("recorder", "gateway", "status", *viewed)}
     asked, asking = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ours, parent = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     fds = {name: pipes[name][1] for name in pipes}
@@ -129,13 +149,17 @@ def start_crew(plan: Plan, session: Path, boot_id: int, epoch_ns: int, leased: b
         started.append(_start_recorder(plan, session, meta, epoch_ns, pipes["recorder"][0]))
         started.append(_start_gateway(plan, pipes["gateway"][0], asked.fileno()))
         started.append(spawn("daemon.core_process", fds, job, named=True))
-        recorder, gateway, core = started
+        if viewed:
+            started.append(spawn("daemon.view", {"pipe": pipes["view"][0]}, make_view_job(plan)))
+        recorder, gateway, core, *others = started
         _expect_ready(recorder, "recorder", ExitCode.UNREADABLE)
         recording = True
         told = json.loads(core.wait_ready("control core"))
         if "what" in told:
             raise SteerdError(told["what"], told["hint"], ExitCode(told["code"]))
         _expect_ready(gateway, "gateway", ExitCode.UNREACHABLE)
+        for other in others:
+            _expect_ready(other, "viewer", ExitCode.UNREADABLE)
     except SteerdError:
         _give_up(started, pipes, (asked, asking, ours, parent))
         if recording:
@@ -147,7 +171,8 @@ def start_crew(plan: Plan, session: Path, boot_id: int, epoch_ns: int, leased: b
             os.close(pipes[name][0])
     for end in (asked, asking, parent):
         end.close()
-    return Crew(core, recorder, gateway, ours, pipes["status"][0], session, told)
+    viewer = others[0] if others else None
+    return Crew(core, recorder, gateway, viewer, ours, pipes["status"][0], session, told)
 
 
 def _expect_ready(child: Child, name: str, code: ExitCode) -> None:
@@ -190,7 +215,7 @@ def _start_recorder(
         "start_ns": epoch_ns,
         "disk_free_min": plan.settings.record.disk_free_min_mb * 1_000_000,
     }
-    return spawn("daemon.recorder", {"pipe": pipe_fd}, job, named=False)
+    return spawn("daemon.recorder", {"pipe": pipe_fd}, job)
 
 
 def _start_gateway(plan: Plan, pipe_fd: int, asked_fd: int) -> Child:
@@ -202,4 +227,4 @@ def _start_gateway(plan: Plan, pipe_fd: int, asked_fd: int) -> Child:
         "car": plan.options.car,
         "pose_key": pose_key,
     }
-    return spawn("daemon.gateway", {"pipe": pipe_fd, "asked": asked_fd}, job, named=False)
+    return spawn("daemon.gateway", {"pipe": pipe_fd, "asked": asked_fd}, job)

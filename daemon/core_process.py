@@ -98,12 +98,15 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
     plan = make_plan(decode_options(job["options"]))
     port = first_port(plan.options.port or "")
     mocap = make_mocap(plan)
-    pipes = {name: PipeWriter(fds[name]) for name in ("recorder", "gateway", "status")}
+    names = ("recorder", "gateway", "status", "view")
+    pipes = {name: PipeWriter(fds[name]) for name in names if name in fds}
     sinks = [
         pipe_sink(pipes["recorder"], lambda r: r.topic.logged),
         pipe_sink(pipes["gateway"], lambda r: r.topic.on_bus),
         status_sink(pipes["status"]),
     ]
+    if "view" in pipes:  # no end of the runner's: whether anybody looks on is nothing to the car
+        sinks.append(pipe_sink(pipes["view"], lambda r: r.topic.on_bus))
     clock = MonotonicClock()
     core = make_core(
         plan,

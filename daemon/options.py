@@ -35,6 +35,7 @@ class RunOptions:
         listen: zenoh endpoint of the gateway, or "" for none.
         drill: excitation plan of `steerd collect` (see `plans.parse_drill`), or "".
         insecure_lan: whether a plain listener beyond loopback is allowed.
+        view: ``[HOST:]PORT`` of the viewer's WebSocket, or "" for none.
     """
 
     car_file: str
@@ -54,6 +55,7 @@ class RunOptions:
     listen: str = "tcp/127.0.0.1:7447"
     insecure_lan: bool = False
     drill: str = ""
+    view: str = ""
 
 
 def encode_options(options: RunOptions) -> str:

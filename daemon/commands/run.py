@@ -13,6 +13,7 @@ from pathlib import Path
 from daemon.build import Plan, make_plan
 from daemon.errors import ExitCode, SteerdError
 from daemon.options import ControllerKind, RunOptions
+from daemon.view_job import DEFAULT_PORT, check_view, parse_view
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,6 +51,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     run.add_argument(
         "--insecure-lan", action="store_true", help="allow plain zenoh beyond loopback"
     )
+    run.add_argument(
+        "--view",
+        nargs="?",
+        const=str(DEFAULT_PORT),
+        metavar="[HOST:]PORT",
+        help=f"show it live in Foxglove or Lichtblick (ws://127.0.0.1:{DEFAULT_PORT})",
+    )
 
 
 def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,6 +92,8 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         raise SteerdError("--auto-arm and --effect are for --sim only", "", ExitCode.USAGE)
     if args.duration is not None and not 0.0 < args.duration <= 86400.0:
         raise SteerdError(f"--duration {args.duration:g}: more than 0 s", "", ExitCode.USAGE)
+    if args.view:
+        _check_view(args)
     return RunOptions(
         car_file=args.car or "",
         car=args.name,
@@ -101,7 +111,15 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         effects=tuple(args.effect),
         listen=args.listen,
         insecure_lan=args.insecure_lan,
+        view=args.view or "",
     )
+
+
+def _check_view(args: argparse.Namespace) -> None:
+    if args.fast:
+        hint = "drop --fast; a session opens in Foxglove, or with `steerd plot`"
+        raise SteerdError("--view shows a drive as it happens", hint, ExitCode.USAGE)
+    check_view(args.view, args.insecure_lan)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -152,6 +170,9 @@ def _run_live(plan: Plan) -> int:
     crew = start_crew(plan, session, boot_id, epoch_ns, leased)
     for line in crew.told.get("realtime", ()):
         print(f"note: {line}", file=sys.stderr)
+    if crew.viewer is not None:
+        host, port = parse_view(plan.options.view, plan.options.insecure_lan)
+        print(f"view: ws://{host}:{port} (Foxglove or Lichtblick: Open connection)")
     where = "simulated hardware" if plan.options.simulated else str(plan.options.port)
     board = Dashboard(f"steerd · {plan.options.car} on {where} · {plan.path.name}")
     operator = Operator(boot_id, secrets.randbits(62) + 1, "terminal")
