@@ -25,6 +25,8 @@ GRID = 0.005
 
 Twice as long serves smooth drives (RK4 is good to 1e-3 mm), but blurs dead times by 0.2 ms.
 """
+SERVO_FRAME = 0.02
+"""Period of a VESC's servo signal [s]; steerd itself drives servos through nothing else."""
 
 
 class Signal(NamedTuple):
@@ -40,7 +42,7 @@ def _none() -> Signal:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One drive. Times in seconds from its first command.
+    """One drive, or a part of one. Times in seconds from its own first command.
 
     Attributes:
         name: for messages and reports.
@@ -52,6 +54,7 @@ class Run:
         wheel: speed as reported with the nominal gain [m/s]; may be empty.
         yaw_rate: gyro [rad/s]; may be empty.
         throttle: open-loop motor command; may be empty.
+        start: where in its drive this part begins [s]; what drifts counts from the drive's start.
     """
 
     name: str
@@ -62,6 +65,7 @@ class Run:
     wheel: Signal = field(default_factory=_none)
     yaw_rate: Signal = field(default_factory=_none)
     throttle: Signal = field(default_factory=_none)
+    start: float = 0.0
 
     @property
     def duration(self) -> float:
@@ -114,6 +118,7 @@ def make_run(
     yaw_rate: Signal | None = None,
     throttle: Signal | None = None,
     h: float = GRID,
+    servo_frame: float = 0.0,
 ) -> Run:
     """Put a drive's signals on one clock and grid, and check them.
 
@@ -126,6 +131,7 @@ def make_run(
         yaw_rate: gyro [rad/s].
         throttle: open-loop motor command.
         h: step of the command grid [s].
+        servo_frame: period of the servo's pulses [s]; 0 where it has none.
 
     Raises:
         DataError: no fit should see these data.
@@ -152,7 +158,7 @@ def make_run(
     check_run(name, edges[-1], pose.t, pose.values, asked.values)
     run_speed = _speed_input(source, asked, rolled, pose, edges)
     commands = np.column_stack([hold_means(steer, edges), run_speed])
-    return Run(name, h, commands, pose, source, rolled, gyro, motor)
+    return Run(name, h, commands, pose, source, rolled, gyro, motor, steer, servo_frame)
 
 
 def _speed_input(source: str, asked: Signal, rolled: Signal, pose: Signal, edges: Array) -> Array:
@@ -186,7 +192,8 @@ def load_run(path: Path | str, h: float = GRID) -> Run:
             )
     tables = session.tables(wanted)
     columns = {name: tables[key] for name, key in by_name.items() if key in tables}
-    return make_run(path.name, **_signals(session, columns), h=h)
+    frame = SERVO_FRAME if "steerd.scaling" in session.contents.metadata else 0.0
+    return make_run(path.name, **_signals(session, columns), h=h, servo_frame=frame)
 
 
 _SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL, THROTTLE)

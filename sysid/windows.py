@@ -50,7 +50,7 @@ class Layout:
         h: step of the commands [s].
         commands: (rows, 2) of all runs, one after the other.
         spans: (W, 5) as `kernels.Windows.spans`, in steps of `h`.
-        t: (W,) time into the run [s].
+        t: (W,) time into the drive [s].
         run: (W,) which run.
         seen: what is compared.
         values: (R,) measurements.
@@ -200,7 +200,7 @@ def _assemble(runs: Sequence[Run], cuts: Sequence[_Cut]) -> Layout:
         h=runs[0].h,
         commands=np.concatenate([run.commands for run in runs]),
         spans=spans,
-        t=np.array([cut.t for cut in cuts]),
+        t=np.array([runs[cut.run].start + cut.t for cut in cuts]),
         run=np.array([cut.run for cut in cuts]),
         seen=seen,
         values=np.concatenate(values),
