@@ -27,6 +27,7 @@ from sim_gap.shape import Shape, shape_of
 from sim_gap.shrink import Shrinkage, explained_share, measure, predict
 from sim_gap.space import make_space, nuisance_names
 from sim_gap.superset import Superset, make_superset
+from sim_gap.timeline import Timeline, timeline_of
 from sim_gap.where import Where, locate
 from sysid.dataset import Run
 from sysid.windows import estimate_noise, speed_range
@@ -50,7 +51,8 @@ class Options:
     """How to diagnose.
 
     Attributes:
-        held_out: drives that are only opened after the prediction is written.
+        held_out: drives that are only opened after the prediction is written; or how to get them,
+            which is then called after it.
         healthy: drives of the base car without the gap; they tell how large noise is.
         noise: how large noise is, if it is known (also read from the car file's `[noise]`).
         only: effects to look at; None takes the library.
@@ -61,7 +63,7 @@ class Options:
         written: called with the prediction (JSON) before the reserved drives are opened.
     """
 
-    held_out: Sequence[Run] = ()
+    held_out: Sequence[Run] | Callable[[], Sequence[Run]] = ()
     healthy: Sequence[Run] = ()
     noise: Noise | None = None
     only: Sequence[str] | None = None
@@ -111,6 +113,7 @@ class Diagnosis:
         noise: what was taken as random; `noise_known` if not from these drives.
         notes: what a reader should know about how this was done.
         values: all effects' parameters of the explanation, by effect, for a car file.
+        timeline: the gap window by window.
     """
 
     verdict: str
@@ -128,6 +131,7 @@ class Diagnosis:
     noise_known: bool
     notes: tuple[str, ...]
     values: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    timeline: Timeline | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,7 +266,7 @@ def _told(
     return Diagnosis(
         verdict, gap_before, gap_after, where, causes, tuple(table), shrinkage, following,
         shape_of(engine, chosen.fitted, noise), choice.splits, _moved(base.fitted), noise, known,
-        _notes(case, known, choice), values,
+        _notes(case, known, choice), values, timeline_of(engine, before, chosen.fitted, names),
     )  # fmt: skip
 
 
@@ -325,7 +329,8 @@ def _shrinkage(
     case.options.written(text)
     if not case.options.held_out or not chosen.effects:
         return Shrinkage(share, None, low, high, digest, text, None, None)
-    other = _open_engine(case.superset, case.options.held_out)
+    held_out = case.options.held_out
+    other = _open_engine(case.superset, held_out() if callable(held_out) else held_out)
     return measure(other, chosen, noise, (share, low, high), digest, text)
 
 
