@@ -1,0 +1,110 @@
+"""`steerd run --view` with a WebSocket client of another make, and without its process."""
+
+import asyncio
+import base64
+import json
+import os
+import signal
+import socket
+import struct
+
+import pytest
+import websockets
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from daemon.transitions import State
+from steer_bus import messages as m
+from steer_bus.session_read import open_session
+
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
+WANTED = ("/steerd/car1/state", "/steerd/car1/odom", "/scene", "/tf")
+LATE_MODES = (State.FAULT_STOP, State.FAULT_LATCHED, State.ESTOP)
+
+
+async def look(port, seconds):
+    """What a client sees: server info, channels, messages by topic, parameters."""
+    url = f"ws://127.0.0.1:{port}"
+    told, heard = {}, {topic: [] for topic in WANTED}
+    protocol = [websockets.Subprotocol("foxglove.sdk.v1")]
+    async with websockets.connect(url, subprotocols=protocol, max_size=None) as client:
+        async with asyncio.timeout(seconds):
+            while not all(heard.values()) or "parameterValues" not in told:
+                frame = await client.recv()
+                if isinstance(frame, bytes):
+                    number, at_ns = struct.unpack_from("<IQ", frame, 1)
+                    heard[WANTED[number]].append((at_ns, frame[13:]))
+                    continue
+                said = json.loads(frame)
+                told[said["op"]] = said
+                if said["op"] == "advertise":
+                    await subscribe(client, said["channels"])
+    return told, heard
+
+
+async def subscribe(client, channels):
+    ids = {c["topic"]: c["id"] for c in channels}
+    wanted = [{"id": n, "channelId": ids[topic]} for n, topic in enumerate(WANTED)]
+    await client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+    asked = {"op": "getParameters", "parameterNames": ["car.lf", "run.path"], "id": "1"}
+    await client.send(json.dumps(asked))
+
+
+def decode_ros(channel, payload):
+    """By rosbags, from the schema that was advertised."""
+    store = get_typestore(Stores.EMPTY)
+    name = channel["schemaName"]
+    store.register(get_types_from_msg(channel["schema"], name))
+    return store.deserialize_cdr(payload, name)
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, tmp_path):
+    port, record = free_port(), tmp_path / "drive.mcap"
+    run = steerd(
+        "run", "--sim", "--auto-arm", "--path", "circle:radius=2", "--duration", "4",
+        "--view", port, "--listen", steerd.endpoint, "--record", record,
+    )  # fmt: skip
+    run.expect(f"view: ws://127.0.0.1:{port}")
+    run.expect("RUNNING")
+    told, heard = asyncio.run(look(port, 20.0))
+    channels = {c["topic"]: c for c in told["advertise"]["channels"]}
+    state = decode_ros(channels[WANTED[0]], heard[WANTED[0]][-1][1])
+    assert state.mode == State.RUNNING
+    odom = decode_ros(channels[WANTED[1]], heard[WANTED[1]][-1][1])
+    assert odom.child_frame_id == m.BODY
+    assert odom.pose.pose.position.x == pytest.approx(state.x, abs=0.2)
+    assert base64.b64decode(channels["/scene"]["schema"])
+    values = {p["name"]: p["value"] for p in told["parameterValues"]["parameters"]}
+    assert values == {"car.lf": 0.15875, "run.path": "circle:radius=2"}
+    assert told["serverInfo"]["capabilities"] == ["parameters", "parametersSubscribe"]
+
+    os.kill(run.child("daemon.view\0"), signal.SIGKILL)
+    assert run.wait() == 0, run.text
+    assert "the viewer ended with code -9" in run.text
+    table = open_session(record).columns(m.State)
+    assert not set(table["mode"]) & set(LATE_MODES)
+    recorded = {c.to_state for c in transitions(record)}
+    assert State.RUNNING in recorded
+
+
+def transitions(session):
+    return [r.decode() for r in open_session(session).messages("/steerd/car1/transition")]
+
+
+def test_a_taken_port_is_told_before_anything_drives(steerd, tmp_path):
+    record = tmp_path / "drive.mcap"
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        argv = ("--view", port, "--listen", steerd.endpoint, "--record", record)
+        run = steerd("run", "--sim", *argv)
+        assert run.wait() == 3, run.text
+    assert f"--view 127.0.0.1:{port}" in run.text
+    assert "Traceback" not in run.text
+    assert not record.exists()
