@@ -6,6 +6,9 @@ from pathlib import Path
 
 from sysid.outcome import Outcome, Row
 
+_CERTAIN = 10.0
+"""A phase whose log-likelihood leads by more is told."""
+
 
 def describe(outcome: Outcome, written: Path | None = None) -> str:
     """The screen, most telling last: what to do next."""
@@ -27,6 +30,9 @@ def _data(outcome: Outcome) -> Iterator[str]:
     effort = f", {outcome.fit.iterations} steps" if outcome.fit else ""
     effort += f", {len(outcome.courses)} starts" if outcome.courses else ""
     name = how.get(outcome.method, "the same loss by CMA-ES")
+    for pulse in outcome.pulses:
+        certain = "" if pulse.sure > _CERTAIN else " (hardly told)"
+        yield f"servo      {pulse.run}: 50 Hz pulses at {1e3 * pulse.phase:.0f} ms{certain}"
     yield f"method     {outcome.method} ({name}{effort}), {outcome.seconds:.1f} s"
 
 

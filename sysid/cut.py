@@ -49,6 +49,7 @@ def cut(run: Run, low: float, high: float) -> Run:
         wheel=part(run.wheel),
         yaw_rate=part(run.yaw_rate),
         throttle=part(run.throttle),
+        steer=part(run.steer),
         start=run.start + zero,
     )
 

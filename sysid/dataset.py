@@ -54,6 +54,9 @@ class Run:
         wheel: speed as reported with the nominal gain [m/s]; may be empty.
         yaw_rate: gyro [rad/s]; may be empty.
         throttle: open-loop motor command; may be empty.
+        steer: the commanded angles at their own times; may be empty.
+        servo_frame: period of the pulses that carry them to the servo [s]; 0 where none are known
+            to do so (see `servo`).
         start: where in its drive this part begins [s]; what drifts counts from the drive's start.
     """
 
@@ -65,6 +68,8 @@ class Run:
     wheel: Signal = field(default_factory=_none)
     yaw_rate: Signal = field(default_factory=_none)
     throttle: Signal = field(default_factory=_none)
+    steer: Signal = field(default_factory=_none)
+    servo_frame: float = 0.0
     start: float = 0.0
 
     @property

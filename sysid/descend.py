@@ -96,7 +96,7 @@ def descend(
     normal = normal_equations(problem, at, limit)
     for _ in range(effort.iterations):
         cost = cost_of(at, limit)
-        if _gain(problem, normal, z) < effort.step**2:
+        if gain_ahead(problem, normal, z) < effort.step**2:
             converged = True
             break
         new, damping = _improve(problem, normal, (z, x, cost), limit, damping)
@@ -120,7 +120,7 @@ def _length(normal: Normal, step: Array) -> float:
     return float(np.sqrt(max(square, 0.0)))
 
 
-def _gain(problem: Problem, normal: Normal, z: Array) -> float:
+def gain_ahead(problem: Problem, normal: Normal, z: Array) -> float:
     """How far the minimum of the linearised problem lies, in squared standard deviations."""
     low, high = problem.chart.bounds()
     pull = normal.slope_z

@@ -1,7 +1,7 @@
 """From drives to an outcome: fit by one of the methods, validate on what was kept back."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import isnan
 
@@ -19,6 +19,7 @@ from sysid.outcome import HeldOut, Outcome, Row
 from sysid.paper import NAMES, Course, PaperRun, descend_adam, draw_starts, make_problem
 from sysid.paper import paper_runs as cut_paper_runs
 from sysid.scale import map_jobs
+from sysid.servo import Pulse, rough_fit, settle_servo
 from sysid.tells import MANOEUVRES, RELATIVE_MAX
 from sysid.validation import HORIZONS, errors_at, trace_windows
 
@@ -94,6 +95,8 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         FloatingPointError: no start gives a finite simulation.
         BaselineMissingError: CMA-ES without Optuna.
     """
+    began = clock()
+    task, pulses = _settled(task)
     parts = moving_parts(task.runs)
     if task.held_out:
         fitted, kept = blocks(parts), moving_parts(task.held_out)
@@ -101,7 +104,6 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     else:
         fitted, kept = keep_back(parts, task.every)
         words = f"every {task.every}th block of 5 s, not fitted"
-    began = clock()
     if task.method == "ours":
         found: Fit | None = _fit_ours(task, fitted)
         courses: tuple[Course, ...] = ()
@@ -130,7 +132,18 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         seconds=seconds,
         notes=_notes(found),
         truth=task.truth,
+        pulses=pulses,
     )
+
+
+def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...]]:
+    """The task with steering as servos saw it. The paper's methods take commands as they are."""
+    if task.method != "ours" or not any(run.servo_frame for run in task.runs):
+        return task, ()
+    rough = rough_fit(task.runs, task.model, task.options)
+    runs, pulses = settle_servo(task.runs, rough, task.options)
+    held_out, others = settle_servo(task.held_out, rough, task.options)
+    return replace(task, runs=runs, held_out=held_out), (*pulses, *others)
 
 
 def _fit_one(

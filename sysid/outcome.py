@@ -9,6 +9,7 @@ from car_model.params import Car
 from sysid.excitation import Excitation
 from sysid.fit import Fit
 from sysid.paper import Course
+from sysid.servo import Pulse
 from sysid.tells import Combination
 from sysid.validation import Prediction, Trace
 
@@ -72,6 +73,7 @@ class Outcome:
         seconds: how long the fit took.
         notes: what a person should know.
         truth: the simulated car, where the sessions are simulated.
+        pulses: phases of the servo's pulses, by drive.
     """
 
     method: str
@@ -89,6 +91,7 @@ class Outcome:
     seconds: float = 0.0
     notes: tuple[str, ...] = ()
     truth: Car[float] | None = None
+    pulses: tuple[Pulse, ...] = ()
 
     @property
     def unidentified(self) -> dict[str, str]:

@@ -241,12 +241,20 @@ def learned(outcome: "Outcome") -> dict[str, Any]:
         if row.free:
             source = f"steerd identify ({outcome.method}): {names}"
             source += "" if row.identifiable else "; not told by these data"
+            source += _servo_wait(outcome) if name == "steer_delay" else ""
             updates[name] = Learned(row.value, row.sd, source)
         elif row.value != row.before:
             updates[name] = Learned(row.value, None, f"steerd identify: {names}")
     if outcome.fit is not None:
         updates |= _effect_updates(outcome, names)
     return updates
+
+
+def _servo_wait(outcome: "Outcome") -> str:
+    """What a fitted dead time of the steering holds."""
+    if outcome.pulses:
+        return "; half a frame (10 ms) is the mean wait for a pulse of the 50 Hz servo signal"
+    return "; whatever the servo's signal waits is in it"
 
 
 def _effect_updates(outcome: "Outcome", names: str) -> dict[str, Any]:
