@@ -8,7 +8,6 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any, NamedTuple, cast
 
 from car_model.params import Car
@@ -19,6 +18,7 @@ from car_model.tape import TAPE, Tape, gradient
 
 NS = 1_000_000_000
 SECONDS = 1e-9
+_NEVER_NS = 1 << 62
 
 
 class History(NamedTuple):
@@ -70,6 +70,7 @@ def forgotten(history: History, t_ns: int) -> History:
     return History(history.times[first:], history.commands[first:]) if first else history
 
 
+@lru_cache(maxsize=32)
 def dead_times(car: Car[float]) -> tuple[int, int]:
     """Dead time of steering and of drive [ns]."""
     return round(car.steer_delay * NS), round(car.drive_delay * NS)
@@ -85,12 +86,19 @@ def drive(
     car: Car[float], history: History, steer: float, speed: float, start_ns: int, end_ns: int
 ) -> Driven:
     """Steering and drive from `start_ns` to `end_ns`, from angle `steer` and `speed`."""
-    late, piece = dead_times(car), _piece(car)
-    turned, gained = 0.0, 0.0
+    piece, times = _piece(car), history.times
+    steer_late, drive_late = dead_times(car)
+    turn = bisect_right(times, start_ns - steer_late)
+    push = bisect_right(times, start_ns - drive_late)
+    turned, gained, steered = 0.0, 0.0, False
     now, by_steer, by_speed, turned_by_steer = steer, 1.0, 1.0, 0.0
-    for begin, end in pairwise(_cuts(history, late, start_ns, end_ns)):
+    begin = start_ns
+    while begin < end_ns:
+        next_turn, next_push = _due(times, turn, steer_late), _due(times, push, drive_late)
+        end = min(next_turn, next_push, end_ns)
         h = (end - begin) * SECONDS
-        steering, driving = held(history, begin - late[0]), held(history, begin - late[1])
+        steering = history.commands[turn - 1] if turn else None
+        driving = history.commands[push - 1] if push else None
         after, accel, after_by_steer, accel_by_speed = piece(
             steering.steer if steering else 0.0,
             driving.speed if driving else 0.0,
@@ -107,6 +115,8 @@ def drive(
         gained += h * accel
         by_speed *= 1.0 + h * accel_by_speed
         now, by_steer = after, by_steer * after_by_steer
+        steered = steering is not None
+        turn, push, begin = turn + (next_turn == end), push + (next_push == end), end
     span = (end_ns - start_ns) * SECONDS
     return Driven(
         steer=now,
@@ -115,21 +125,13 @@ def drive(
         steer_by_steer=by_steer,
         wheel_by_steer=turned_by_steer / span,
         accel_by_speed=(by_speed - 1.0) / span,
-        steered=held(history, end_ns - 1 - late[0]) is not None,
+        steered=steered,
     )
 
 
-def _cuts(history: History, late: tuple[int, int], start_ns: int, end_ns: int) -> list[int]:
-    """Instants at which what the actuators aim at may change, ends included [ns]."""
-    times = history.times
-    inside = {
-        sent + delay
-        for delay in late
-        for sent in times[
-            bisect_right(times, start_ns - delay) : bisect_left(times, end_ns - delay)
-        ]
-    }
-    return [start_ns, *sorted(inside), end_ns]
+def _due(times: tuple[int, ...], index: int, late_ns: int) -> int:
+    """When the command at `index` reaches its actuator [ns]."""
+    return times[index] + late_ns if index < len(times) else _NEVER_NS
 
 
 @lru_cache(maxsize=32)

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
+from scipy.linalg.lapack import dpotrf
 
 from estimator.kalman import Array, Belief
 from estimator.sensors import Kind
@@ -108,15 +108,14 @@ def make_health(
 
 
 def is_sound(belief: Belief) -> bool:
-    """Whether the belief is finite and its covariance positive definite (Cholesky's test)."""
-    mean, covariance = belief
-    if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
-        return False
-    try:
-        np.linalg.cholesky(covariance)
-    except np.linalg.LinAlgError:
-        return False
-    return True
+    """Whether the belief is finite and its covariance positive definite (Cholesky's test).
+
+    LAPACK itself is asked: it stops at the first pivot that is not positive, NaN included, and a
+    positive definite matrix with a finite diagonal is finite.
+    """
+    _, failed = dpotrf(belief.covariance)
+    numbers = (*belief.mean.tolist(), *belief.covariance.diagonal().tolist())
+    return not failed and all(map(math.isfinite, numbers))
 
 
 def worst_sd(block: Array) -> float:

@@ -1,8 +1,8 @@
 """filterpy's extended Kalman filter behind plain arrays: the only file that knows the library.
 
 filterpy 2.0.0 does the textbook algebra: `P = F P F' + Q`, the gain, the Joseph form of the
-update, the Mahalanobis distance. How the car moves and what its Jacobian is comes from outside, so
-the library could be replaced by thirty lines of NumPy here without any other file noticing.
+update. How the car moves and what its Jacobian is comes from outside, so the library could be
+replaced by a few lines of NumPy here without any other file noticing.
 """
 
 from collections.abc import Callable
@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter  # noqa: TID251
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
 
 Array = NDArray[np.float64]
 
@@ -34,12 +35,33 @@ class Fused(NamedTuple):
     """Normalised innovation squared: the squared Mahalanobis distance, chi-square of m."""
 
 
-class _Moved(ExtendedKalmanFilter):  # type: ignore[misc]
-    """The library's filter for a motion computed elsewhere: `u` is the predicted mean itself."""
+Residual = Callable[[Array, Array], Array]
+"""Measurement and expectation to innovation."""
+
+
+class _Box(ExtendedKalmanFilter):  # type: ignore[misc]
+    """The library's filter, without what costs two thirds of its update and nobody reads.
+
+    Motion is computed elsewhere: `u` is the predicted mean itself. The update is the library's,
+    operation for operation (a test holds the two together), but for SciPy's guarded inverse,
+    for which LAPACK is asked itself, the copies of results and the deep copy of the measurement.
+    """
 
     def predict_x(self, u: Any = 0) -> None:
         """The hook that the library offers for nonlinear motion."""
         self.x = u
+
+    def correct(self, measured: Array, H: Array, R: Array, residual: Residual) -> None:
+        """`ExtendedKalmanFilter.update` of a linear measurement; leaves `x`, `P`, `y` and `SI`."""
+        P = self.P
+        PHT = P.dot(H.T)
+        S = H.dot(PHT) + R
+        _, self.SI, _ = dposv(S, np.eye(S.shape[0]))
+        K = PHT.dot(self.SI)
+        self.y = residual(measured, H.dot(self.x))
+        self.x = self.x + K.dot(self.y)
+        I_KH = self._I - K.dot(H)
+        self.P = I_KH.dot(P).dot(I_KH.T) + K.dot(R).dot(K.T)
 
 
 class Kalman:
@@ -48,30 +70,24 @@ class Kalman:
     The library keeps its work in attributes, so one box must not be used by two threads at once.
     """
 
-    def __init__(self, size: int, widths: tuple[int, ...] = (1, 3)) -> None:
-        self._filters = {width: _Moved(size, width) for width in widths}
-        self._first = self._filters[widths[0]]
+    def __init__(self, size: int) -> None:
+        self._box = _Box(size, 1)
 
     def predict(self, belief: Belief, mean: Array, transition: Array, noise: Array) -> Belief:
         """The belief after a motion to `mean` (n,) with Jacobian (n, n) and added noise (n, n)."""
-        box = self._first
+        box = self._box
         box.x, box.P, box.F, box.Q = belief.mean, belief.covariance, transition, noise
         box.predict(u=mean)
         return Belief(box.x, box.P)
 
     def update(
-        self,
-        belief: Belief,
-        measured: Array,
-        matrix: Array,
-        noise: Array,
-        residual: Callable[[Array, Array], Array],
+        self, belief: Belief, measured: Array, matrix: Array, noise: Array, residual: Residual
     ) -> Fused:
         """The belief after a measurement (m,) with matrix (m, n) and noise covariance (m, m)."""
-        box = self._filters[measured.shape[0]]
-        box.x, box.P = belief.mean, belief.covariance
-        box.update(
-            measured, lambda _: matrix, lambda mean: matrix @ mean, R=noise, residual=residual
-        )
+        box = self._box
+        box.x, box.P = belief
+        box.correct(measured, matrix, noise, residual)
         covariance = 0.5 * (box.P + box.P.T)
-        return Fused(Belief(box.x, covariance), box.y, float(box.mahalanobis) ** 2)
+        innovation = box.y
+        nis = float(innovation.dot(box.SI).dot(innovation))
+        return Fused(Belief(box.x, covariance), innovation, nis)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from filterpy.kalman import ExtendedKalmanFilter  # noqa: TID251
 
 from estimator.kalman import Belief, Kalman
 
@@ -30,6 +31,18 @@ def test_update_equals_the_information_form(seed: int, width: int) -> None:
     np.testing.assert_allclose(fused.innovation, innovation)
     S = H @ belief.covariance @ H.T + R
     assert fused.nis == pytest.approx(innovation @ np.linalg.solve(S, innovation), rel=1e-9)
+
+
+@pytest.mark.parametrize("width", [1, 3])
+def test_update_equals_the_library_s_own(width: int) -> None:
+    belief, z, H, R = random_problem(4, width)
+    theirs = ExtendedKalmanFilter(7, width)
+    theirs.x, theirs.P = belief
+    theirs.update(z, lambda _: H, lambda x: H @ x, R=R)
+    ours = Kalman(7).update(belief, z, H, R, np.subtract)
+    np.testing.assert_allclose(ours.belief.mean, theirs.x, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(ours.belief.covariance, theirs.P, rtol=0.0, atol=1e-12)
+    assert ours.nis == pytest.approx(theirs.mahalanobis**2, rel=1e-12)
 
 
 def test_covariance_is_exactly_symmetric() -> None:
