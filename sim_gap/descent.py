@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_gap.engine import Engine, Reduced
+from sim_gap.engine import Engine, Reduced, Tangent
 from sim_gap.space import Space
 
 Array = NDArray[np.float64]
@@ -14,6 +14,10 @@ STEPS = 12
 ENOUGH = 0.2
 """A step that promises less than this many nats ends the descent."""
 _DAMPING_MAX = 1e6
+_TRUST = 0.4
+"""Derivatives are taken anew when a step gains this much more or less than it promised."""
+_STALE, _STALE_LAST = 100.0, 2.0
+"""And after this many nats; at the end already after fewer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +31,7 @@ class Fitted:
         at: losses about there.
         cost: sum of the losses and half the prior's square [nats].
         covariance: (n, n) of the coordinates.
+        tangent: derivatives about there.
     """
 
     space: Space
@@ -35,6 +40,7 @@ class Fitted:
     at: Reduced
     cost: float
     covariance: Array
+    tangent: Tangent
 
     @property
     def parameters(self) -> Array:
@@ -95,41 +101,90 @@ def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Ar
     return inside
 
 
+@dataclass
+class _Search:
+    """Where a descent stands; derivatives may be those of an earlier point."""
+
+    engine: Engine
+    space: Space
+    z: Array
+    x: Array
+    tangent: Tangent
+    at: Reduced
+    cost: float
+    damping: float = 1e-4
+    stale: float = 0.0
+    """Nats gained since derivatives were taken."""
+
+    def fresh(self) -> None:
+        """Take derivatives here."""
+        linear = self.engine.linear(self.space, self.z, self.x)
+        if linear.finite:
+            self.tangent = self.engine.tangent(linear)
+            self.at = self.engine.reduce_by(self.tangent, linear.error, self.x)
+            self.cost = total(self.space, self.at, self.z)
+        self.stale = 0.0
+
+    def move(self, dz: Array) -> float:
+        """Try a step; give what it gains, and take it if it does."""
+        x = self.x + self.at.dx - self.at.kx @ dz
+        error, finite = self.engine.missed(self.space, self.z + dz, x)
+        if not finite:
+            return -np.inf
+        trial = self.engine.reduce_by(self.tangent, error, x)
+        gained = self.cost - total(self.space, trial, self.z + dz)
+        if gained >= -1e-9 * abs(self.cost):
+            self.z, self.x, self.at, self.cost = self.z + dz, x, trial, self.cost - gained
+            self.stale += max(gained, 0.0)
+        return gained
+
+    def step(self) -> tuple[float, float]:
+        """One damped Newton step: nats promised and gained (0 if none was found)."""
+        while self.damping < _DAMPING_MAX:
+            h, slope = curvature(self.space, self.at), _slope(self.space, self.at, self.z)
+            damped = h + self.damping * np.diag(np.diag(h))
+            dz = step_within(damped, slope, self.z, self.space.low, self.space.high)
+            promised = float(slope @ dz - 0.5 * dz @ h @ dz)
+            gained = self.move(dz)
+            if gained >= -1e-9 * abs(self.cost):
+                self.damping = max(0.1 * self.damping, 1e-6)
+                return promised, gained
+            if self.stale > 0.0:
+                self.fresh()
+            elif promised < ENOUGH:
+                return promised, 0.0
+            else:
+                self.damping *= 20.0
+        return 0.0, 0.0
+
+
 def descend(
     engine: Engine, space: Space, z: Array, x: Array, steps: int = STEPS, enough: float = ENOUGH
 ) -> Fitted:
     """Go from a start to the nearest minimum of the cost.
 
+    Derivatives are taken anew only where steps no longer do what they promise, and at the end.
+
     Raises:
         FloatingPointError: the simulation is not finite at the start.
     """
-    at = engine.reduce(space, z, x)
-    cost = total(space, at, z)
-    if not np.isfinite(cost):
+    linear = engine.linear(space, z, x)
+    if not linear.finite:
         raise FloatingPointError("the simulation diverges at the start values")
-    damping = 1e-4
+    tangent = engine.tangent(linear)
+    at = engine.reduce_by(tangent, linear.error, x)
+    now = _Search(engine, space, z, x, tangent, at, total(space, at, z))
     for _ in range(steps):
-        h, slope = curvature(space, at), _slope(space, at, z)
-        promised = gained = 0.0
-        while damping < _DAMPING_MAX:
-            dz = step_within(h + damping * np.diag(np.diag(h)), slope, z, space.low, space.high)
-            promised = float(slope @ dz - 0.5 * dz @ h @ dz)
-            x_new = x + at.dx - at.kx @ dz
-            trial = engine.reduce(space, z + dz, x_new)
-            lower = total(space, trial, z + dz)
-            if lower <= cost + 1e-9 * abs(cost):
-                gained, z, x, at, cost = cost - lower, z + dz, x_new, trial, lower
-                damping = max(0.1 * damping, 1e-6)
-                break
-            if promised < enough:
-                gained = 0.0
-                break
-            damping *= 20.0
-        else:
-            break
+        promised, gained = now.step()
         if max(gained, promised) < enough:
             break
-    return Fitted(space, z, x, at, cost, covariance_of(space, at))
+        if abs(gained - promised) > _TRUST * promised or now.stale > _STALE:
+            now.fresh()
+    if now.stale > _STALE_LAST:
+        now.fresh()
+    return Fitted(
+        space, now.z, now.x, now.at, now.cost, covariance_of(space, now.at), now.tangent
+    )
 
 
 def covariance_of(space: Space, at: Reduced) -> Array:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sim_gap.readings import Readings
 from sim_gap.space import Space
 from sim_gap.superset import Superset
+from sim_gap.values import predicted
 from sysid.kernels import Held, Stations, delays_of, model_of, read
 from sysid.objective import STATE_SPREAD, STATES, STEER_SPREAD_UNKNOWN
 from sysid.stability import stable_substeps
@@ -49,6 +50,26 @@ class Linear(NamedTuple):
     by_z: Array
     by_x: Array
     finite: bool
+
+
+class Tangent(NamedTuple):
+    """Whitened derivatives about one point, with the starts' part solved.
+
+    Attributes:
+        by_z: (W, D, n) whitened.
+        by_x: (W, D, 7) whitened.
+        inverse: (W, 7, 7) inverse curvature of the starts, priors included.
+        cross: (W, 7, n).
+        kx: (W, 7, n) starts' step per coordinate's.
+        h: (W, n, n) curvature with the starts eliminated.
+    """
+
+    by_z: Array
+    by_x: Array
+    inverse: Array
+    cross: Array
+    kx: Array
+    h: Array
 
 
 class Reduced(NamedTuple):
@@ -142,6 +163,17 @@ class Engine:
         late = float(delays_of(self.superset.kernels, parameters)[2])
         return self.readings.layout.stations(late, step)
 
+    def missed(self, space: Space, z: Array, x: Array) -> tuple[Array, bool]:
+        """Errors (W, D) alone, the same numbers as `linear` gives, and whether all are finite."""
+        y = predicted(
+            self.superset.kernels, self.readings, space.chart.parameters(z), x, self.substeps
+        )
+        error = self.readings.layout.values - y
+        turn = self.readings.channel == 2
+        error[turn] = (error[turn] + np.pi) % (2.0 * np.pi) - np.pi
+        finite = bool(np.abs(error).max() < WILD)
+        return self.pad(error), finite
+
     def reduce(self, space: Space, z: Array, x: Array) -> Reduced:
         """Losses at coordinates `z`, with the starts eliminated about `x`."""
         return self.eliminate(self.linear(space, z, x), x)
@@ -149,25 +181,36 @@ class Engine:
     def eliminate(self, at: Linear, x: Array) -> Reduced:
         """The starts taken out of whitened errors."""
         if not at.finite:
-            return self._lost(at.by_z.shape[2])
-        white = self.whiten
-        error = np.einsum("wij,wj->wi", white, at.error)
-        by_z, by_x = white @ at.by_z, white @ at.by_x
+            return self.lost(at.by_z.shape[2])
+        return self.reduce_by(self.tangent(at), at.error, x)
+
+    def tangent(self, at: Linear) -> Tangent:
+        """Whitened derivatives of a point, ready for any errors near it."""
+        by_z, by_x = self.whiten @ at.by_z, self.whiten @ at.by_x
+        turned = by_x.transpose(0, 2, 1)
+        d = turned @ by_x
+        d[:, range(STATES), range(STATES)] += self.start_spread**-2
+        inverse = np.linalg.inv(d)
+        cross = turned @ by_z
+        kx = inverse @ cross
+        h = by_z.transpose(0, 2, 1) @ by_z - cross.transpose(0, 2, 1) @ kx
+        return Tangent(by_z, by_x, inverse, cross, kx, h)
+
+    def reduce_by(self, tangent: Tangent, error: Array, x: Array) -> Reduced:
+        """Losses for errors (W, D) at starts `x`, with derivatives that may be of a near point."""
+        white = np.matmul(self.whiten, error[:, :, None])[:, :, 0]
         spread = self.start_spread
         away = (self.readings.layout.guess - x) / spread
-        d = by_x.transpose(0, 2, 1) @ by_x
-        d[:, range(STATES), range(STATES)] += spread**-2
-        pull = np.einsum("wij,wi->wj", by_x, error) + away / spread
-        cross = by_x.transpose(0, 2, 1) @ by_z
-        solved = np.linalg.solve(d, np.concatenate([pull[:, :, None], cross], axis=2))
-        dx, kx = solved[:, :, 0], solved[:, :, 1:]
-        square = (error**2).sum(axis=1) + (away**2).sum(axis=1) - (pull * dx).sum(axis=1)
-        g = np.einsum("wij,wi->wj", by_z, error) - np.einsum("wij,wi->wj", cross, dx)
-        h = by_z.transpose(0, 2, 1) @ by_z - cross.transpose(0, 2, 1) @ kx
+        pull = np.matmul(white[:, None, :], tangent.by_x)[:, 0] + away / spread
+        dx = np.matmul(tangent.inverse, pull[:, :, None])[:, :, 0]
+        square = (white**2).sum(axis=1) + (away**2).sum(axis=1) - (pull * dx).sum(axis=1)
+        g = np.matmul(white[:, None, :], tangent.by_z)[:, 0]
+        g = g - np.matmul(dx[:, None, :], tangent.cross)[:, 0]
         dof = self.padded.there.sum(axis=1) - FREE_STATES
-        return Reduced(np.maximum(square, 0.0), dof, g, h, dx, kx, True)
+        return Reduced(np.maximum(square, 0.0), dof, g, tangent.h, dx, tangent.kx, True)
 
-    def _lost(self, n: int) -> Reduced:
+    def lost(self, n: int) -> Reduced:
+        """What a simulation that left the map counts as."""
         count = self.readings.count
         nothing = np.zeros((count, STATES))
         return Reduced(

@@ -11,12 +11,12 @@ from car_model.rollout import simulate, start
 from car_model.state import Command, State
 from sim_gap.decide import signature_cosines
 from sim_gap.descent import Fitted, curvature
-from sim_gap.disturb import active_model
 from sim_gap.engine import Engine, make_engine
 from sim_gap.noise import Noise, whitened
 from sim_gap.readings import make_readings
 from sim_gap.residuals import settled
 from sim_gap.screen import extended
+from sim_gap.values import active_model
 from sysid.dataset import GRID, Run, Signal
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def _drive(engine: Engine, fitted: Fitted, name: str) -> Run:
     """The manoeuvre as the explained car would drive it, without noise."""
     t: Array = np.arange(round(SECONDS / GRID), dtype=np.float64) * GRID
     steer, speed = MENU[name][1](t)
-    model = active_model(engine, fitted.parameters)
+    model = active_model(engine.superset.kernels, fitted.parameters)
     first = start(model, State(0.0, 0.0, 0.0, float(speed[0]), 0.0, 0.0, float(steer[0])), 0.0)
     held = [
         Command(float(a), float(b))

@@ -97,7 +97,7 @@ def learn_noise(engine: Engine, fitted: Fitted, guess: Noise | None = None) -> N
     chosen = np.linspace(0, engine.readings.count - 1, WINDOWS_MOST).round().astype(int)
     chosen = np.unique(chosen)
     at = engine.linear(fitted.space, fitted.z, fitted.x)
-    seen = responses(engine, fitted.parameters, fitted.x)
+    seen = responses(engine, fitted.parameters, fitted.x, (0, 1, 2))
     pushed = [v[chosen] for v in shapes(engine, seen, (0, 1, 2))]
     known = _marginal(engine, fitted, at)[chosen]
     error = _own_error(engine, fitted, at)[chosen]
@@ -156,7 +156,7 @@ def _likelihood(
 
 def whitened(engine: Engine, fitted: Fitted, noise: Noise) -> Engine:
     """The engine that weighs errors by this noise, through the car's response about a fit."""
-    seen = responses(engine, fitted.parameters, fitted.x)
+    seen = responses(engine, fitted.parameters, fitted.x, (0, 1, 2))
     cov = covariance(engine, noise, shapes(engine, seen, (0, 1, 2)))
     return replace(engine, whiten=whitening(cov, engine.padded.there))
 

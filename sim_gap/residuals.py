@@ -14,7 +14,9 @@ Array = NDArray[np.float64]
 
 LEADS: tuple[float, ...] = (0.1, 0.5, 1.0)
 """Times after a window's start at which errors are told [s]."""
-_SETTLE_ROUNDS = 3
+_SETTLE_ROUNDS = 4
+_SETTLED = 0.5
+"""Starts are at their best when a step takes no more than this off the squares."""
 _BOOTSTRAPS = 200
 
 
@@ -40,17 +42,27 @@ class Gap:
 
 
 def settled(engine: Engine, space: Space, z: Array, x: Array | None = None) -> Fitted:
-    """Fixed coordinates with the starts at their best."""
+    """Fixed coordinates with the starts at their best.
+
+    Raises:
+        FloatingPointError: the simulation is not finite there.
+    """
     x = engine.readings.layout.guess.copy() if x is None else x.copy()
-    at = engine.reduce(space, z, x)
+    linear = engine.linear(space, z, x)
+    if not linear.finite:
+        raise FloatingPointError("the simulation diverges")
+    tangent = engine.tangent(linear)
+    at = engine.reduce_by(tangent, linear.error, x)
     for _ in range(_SETTLE_ROUNDS):
-        if not at.finite:
+        error, finite = engine.missed(space, z, x + at.dx)
+        moved = engine.reduce_by(tangent, error, x + at.dx)
+        if not finite or moved.square.sum() > at.square.sum():
             break
-        moved = engine.reduce(space, z, x + at.dx)
-        if moved.square.sum() > at.square.sum():
-            break
+        gained = float(at.square.sum() - moved.square.sum())
         x, at = x + at.dx, moved
-    return Fitted(space, z, x, at, total(space, at, z), covariance_of(space, at))
+        if gained < _SETTLED:
+            break
+    return Fitted(space, z, x, at, total(space, at, z), covariance_of(space, at), tangent)
 
 
 def robust_mean(ratios: Array) -> float:
@@ -79,7 +91,7 @@ def gap_of(
     draws = interval_of(ratios(fitted), blocks)
     low, high = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
     rows, bounds = [], []
-    error = engine.linear(fitted.space, fitted.z, fitted.x).error
+    error, _ = engine.missed(fitted.space, fitted.z, fitted.x)
     for lead in leads:
         each = _at_lead(engine, error, lead)
         a, b, d = (float(np.sqrt(np.mean(v**2))) if len(v) else 0.0 for v in each)

@@ -109,14 +109,16 @@ def _linear(
 def _scan(engine: Engine, fitted: Fitted, nuisance: Sequence[str], effect: Effect) -> Promise:
     """The best of an effect's scan values, with everything else stepped once."""
     space, z = extended(engine, fitted, nuisance, [effect.name])
+    own = np.arange(len(fitted.z))
     best = Promise(effect.name, 0.0, tuple(z[len(fitted.z) :].tolist()))
     for start in scan_values(engine, fitted, effect):
         z[len(fitted.z) :] = start
-        at = engine.reduce(space, z, fitted.x)
-        cost = total(space, at, z)
-        if not np.isfinite(cost):
+        error, finite = engine.missed(space, z, fitted.x)
+        if not finite:
             continue
-        gain = fitted.cost - cost + _expected(space, at, z, np.arange(len(z)))[0]
+        at = engine.reduce_by(fitted.tangent, error, fitted.x)
+        cost = total(fitted.space, at, fitted.z)
+        gain = fitted.cost - cost + _expected(fitted.space, at, fitted.z, own)[0]
         if gain > best.gain:
             best = Promise(effect.name, gain, start)
     return best

@@ -47,7 +47,7 @@ def shape_of(engine: Engine, fitted: Fitted, noise: Noise) -> Shape:
 
 def _spectrum(engine: Engine, fitted: Fitted) -> tuple[float, float]:
     """Peak of the mean spectrum of whitened yaw errors [Hz], and its height over the mean."""
-    error = engine.linear(fitted.space, fitted.z, fitted.x).error
+    error, _ = engine.missed(fitted.space, fitted.z, fitted.x)
     white = np.einsum("wij,wj->wi", engine.whiten, error)
     channel = engine.readings.channel[engine.padded.row]
     rows = [w[(c == 2) & (t > 0)] for w, c, t in zip(

@@ -136,7 +136,7 @@ def channel_shares(engine: Engine, before: Fitted, after: Fitted) -> tuple[Share
     """Share of each channel in what the explanation removes (or in the error where none does)."""
     white = []
     for fitted in (before, after):
-        error = engine.linear(fitted.space, fitted.z, fitted.x).error
+        error, _ = engine.missed(fitted.space, fitted.z, fitted.x)
         scale = np.abs(np.diagonal(engine.whiten, axis1=1, axis2=2))
         white.append((error * scale) ** 2)
     channel = engine.readings.channel[engine.padded.row]

@@ -1,0 +1,174 @@
+"""Lane keeping compared: does a simulated loop resemble the recorded one, and which of two more?
+
+A profile is what a lane keeper leaves: lateral offset e1 and heading error e2 over the way along
+the lane. Laps are averaged, so noise falls out and what the car's dynamics make of each bend stays.
+The spectrum of the steering command tells what the loop does in time.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+Array = NDArray[np.float64]
+
+BINS = 100
+"""Places along the lane at which profiles are compared."""
+SEGMENT = 5.0
+"""Length of the spectra's segments [s]."""
+BAND = (0.2, 8.0)
+"""Where spectra are compared [Hz]: bends and the loop's own modes; above is noise."""
+FLOOR = 1e-3
+"""Amplitude density below which steering is noise [rad/sqrt(Hz)]."""
+SHORTEST = 6.0
+"""A shorter drive has no profile [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class LaneDrive:
+    """One drive in the lane, the way into it left out; all arrays (N,), evenly in time.
+
+    Attributes:
+        t: [s].
+        s: way along the lane [m].
+        e1: lateral offset [m]; e2: heading error [rad].
+        steer: commanded angle [rad].
+        length: of the lane [m].
+    """
+
+    t: Array
+    s: Array
+    e1: Array
+    e2: Array
+    steer: Array
+    length: float
+
+
+@dataclass(frozen=True)
+class LaneFigures:
+    """A drive in figures: RMS, mean and spectral peak of e1 [m] and e2 [rad]; steering's too."""
+
+    e1_rms: float
+    e1_mean: float
+    e1_peak_hz: float
+    e2_rms: float
+    e2_mean: float
+    e2_peak_hz: float
+    steer_rms: float
+    steer_peak_hz: float
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """How far a simulated drive is from the recorded one.
+
+    Attributes:
+        e1: RMS difference of the profiles [m]; e2: [rad].
+        steer_db: RMS difference of the steering's spectra [dB].
+    """
+
+    e1: float
+    e2: float
+    steer_db: float
+
+
+@dataclass(frozen=True, eq=False)
+class LaneComparison:
+    """The recorded drive and its simulations.
+
+    Attributes:
+        recorded: as driven.
+        without: simulated with the base car; a stopped simulation is None.
+        with_effect: simulated with the found effect; None if none was found or it was stopped.
+        session: which drive.
+        remarks: what a reader should know, in words.
+    """
+
+    recorded: LaneDrive
+    without: LaneDrive | None
+    with_effect: LaneDrive | None
+    session: str
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def distances(self) -> tuple[Likeness | None, Likeness | None]:
+        """From the recorded drive: without and with the effect."""
+        pair = (self.without, self.with_effect)
+        first, second = (None if d is None else likeness(self.recorded, d) for d in pair)
+        return first, second
+
+    @property
+    def nearer(self) -> bool | None:
+        """Whether the effect brings the simulation nearer to the drive in most of three measures.
+
+        None where that cannot be told.
+        """
+        before, after = self.distances
+        if before is None or after is None:
+            return None
+        votes = [after.e1 < before.e1, after.e2 < before.e2, after.steer_db < before.steer_db]
+        return sum(votes) >= 2
+
+
+def _density(t: Array, values: Array) -> tuple[Array, Array]:
+    """Frequencies [Hz] and amplitude density of a signal, its mean left out."""
+    rate = 1.0 / float(np.median(np.diff(t)))
+    length = min(len(values), round(SEGMENT * rate))
+    f, power = welch(values, rate, nperseg=length, detrend="constant")
+    return f, np.sqrt(power)
+
+
+def steering_spectrum(drive: LaneDrive) -> tuple[Array, Array]:
+    """Frequencies [Hz] and amplitude density [rad/sqrt(Hz)] of the steering, within the band."""
+    f, density = _density(drive.t, drive.steer)
+    kept = (f >= BAND[0] - 1e-9) & (f <= BAND[1])
+    return f[kept], density[kept]
+
+
+def _peak(t: Array, values: Array) -> float:
+    f, density = _density(t, values)
+    kept = f >= BAND[0] - 1e-9
+    return float(f[kept][np.argmax(density[kept])])
+
+
+def figures_of(drive: LaneDrive) -> LaneFigures:
+    """The drive in figures."""
+
+    def rms(values: Array) -> float:
+        return float(np.sqrt(np.mean(values**2)))
+
+    return LaneFigures(
+        rms(drive.e1), float(drive.e1.mean()), _peak(drive.t, drive.e1),
+        rms(drive.e2), float(drive.e2.mean()), _peak(drive.t, drive.e2),
+        rms(drive.steer), _peak(drive.t, drive.steer),
+    )  # fmt: skip
+
+
+def profile(drive: LaneDrive, values: Array) -> Array:
+    """(BINS,) mean of `values` at places along the lane; NaN where the drive never was."""
+    place = np.floor((drive.s / drive.length % 1.0) * BINS).astype(int).clip(0, BINS - 1)
+    count = np.bincount(place, minlength=BINS)
+    total = np.bincount(place, weights=values, minlength=BINS)
+    means: Array = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return means
+
+
+def _profile_distance(a: LaneDrive, b: LaneDrive, field: str) -> float:
+    first, second = (profile(d, getattr(d, field)) for d in (a, b))
+    both = np.isfinite(first) & np.isfinite(second)
+    if not both.any():
+        return float("inf")
+    return float(np.sqrt(np.mean((first[both] - second[both]) ** 2)))
+
+
+def likeness(recorded: LaneDrive, other: LaneDrive) -> Likeness:
+    """How far another drive on the same lane is from the recorded one."""
+    f, first = steering_spectrum(recorded)
+    g, second = steering_spectrum(other)
+    a, b = (20.0 * np.log10(np.maximum(v, FLOOR)) for v in (first, np.interp(f, g, second)))
+    return Likeness(
+        _profile_distance(recorded, other, "e1"),
+        _profile_distance(recorded, other, "e2"),
+        float(np.sqrt(np.mean((a - b) ** 2))),
+    )
