@@ -223,8 +223,10 @@ def _start_gateway(plan: Plan, pipe_fd: int, asked_fd: int) -> Child:
     pose_key = parse_mocap_url(mocap).key if mocap.startswith("zenoh:") else None
     job = {
         "listen": plan.options.listen,
+        "lab": plan.options.lab,
         "insecure_lan": plan.options.insecure_lan,
         "car": plan.options.car,
         "pose_key": pose_key,
+        "ros_domain": plan.options.ros_domain,
     }
     return spawn("daemon.gateway", {"pipe": pipe_fd, "asked": asked_fd}, job)

@@ -10,15 +10,20 @@ import os
 import select
 import socket
 import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 from daemon.gateway_wire import REQUEST_MAX, pack_request
 from daemon.records import unpack_records
+from daemon.ros_bridge import RosBridge
 from daemon.signals import ignore_terminal_signals
 from daemon.views import Views
 from steer_bus import topics
 from steer_bus.bus import Bus, BusError, Subscription
 from steer_bus.topics import alive_key, make_key, schema_replies
-from steer_bus.zenoh_bus import Profile, ZenohBus
+from steer_bus.lab import load_lab
+from steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
 
 _POLL_MS = 4
 _READ_BYTES = 1 << 20
@@ -26,10 +31,13 @@ _DEPTH = 16
 
 
 class Gateway:
-    """One car on the bus."""
+    """One car on the bus, and in ROS's graph if there is a bridge."""
 
-    def __init__(self, bus: Bus, car: str, pose_key: str | None) -> None:
+    def __init__(
+        self, bus: Bus, car: str, pose_key: str | None, ros: RosBridge | None = None
+    ) -> None:
         self._bus = bus
+        self._ros = ros
         self._car = car
         self._views = Views()
         self._requests: list[tuple[str, Subscription]] = [
@@ -49,6 +57,8 @@ class Gateway:
                 if each.topic.direction is topics.Direction.OUT:
                     with contextlib.suppress(BusError):
                         self._bus.publish(make_key(self._car, each.topic), each.data)
+                    if self._ros is not None:
+                        self._ros.publish(each)
 
     def pass_on(self, core: socket.socket) -> None:
         """Hand what arrived to the core; what does not fit is dropped there and then."""
@@ -84,10 +94,11 @@ def main() -> int:
     options = json.loads(sys.stdin.read())
     core = socket.socket(fileno=core_fd)
     core.setblocking(False)
-    profile = Profile(True, options["listen"], insecure_lan=bool(options["insecure_lan"]))
     try:
-        with ZenohBus(profile) as bus:
-            gateway = Gateway(bus, options["car"], options["pose_key"])
+        with ZenohBus(_make_profile(options)) as bus:
+            domain = options["ros_domain"]
+            ros = None if domain is None else RosBridge(bus, options["car"], domain)
+            gateway = Gateway(bus, options["car"], options["pose_key"], ros)
             os.write(ready_fd, b"ready\n")
             os.close(ready_fd)
             run_gateway(gateway, pipe_fd, core)
@@ -98,6 +109,16 @@ def main() -> int:
     # zenoh's threads may keep the interpreter alive; nothing of ours is left to do.
     sys.stderr.flush()
     os._exit(0)
+
+
+def _make_profile(options: Mapping[str, Any]) -> Profile:
+    lab = load_lab(Path(options["lab"])) if options["lab"] else None
+    return make_hub_profile(
+        options["listen"],
+        lab,
+        insecure_lan=bool(options["insecure_lan"]),
+        pose_key=options["pose_key"],
+    )
 
 
 if __name__ == "__main__":

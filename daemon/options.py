@@ -34,7 +34,9 @@ class RunOptions:
         effects: unmodelled effects of the simulated car, as `--effect` takes them.
         listen: zenoh endpoint of the gateway, or "" for none.
         drill: excitation plan of `steerd collect` (see `plans.parse_drill`), or "".
+        lab: this machine's folder of `steerd keys`, or "" for plain loopback.
         insecure_lan: whether a plain listener beyond loopback is allowed.
+        ros_domain: ROS 2 domain in which rmw_zenoh sees the car, or None.
         view: ``[HOST:]PORT`` of the viewer's WebSocket, or "" for none.
     """
 
@@ -53,9 +55,11 @@ class RunOptions:
     auto_arm: bool = False
     effects: tuple[str, ...] = ()
     listen: str = "tcp/127.0.0.1:7447"
+    lab: str = ""
     insecure_lan: bool = False
     drill: str = ""
     view: str = ""
+    ros_domain: int | None = None
 
 
 def encode_options(options: RunOptions) -> str:

@@ -11,9 +11,9 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-import foxglove
-from foxglove.channels import FrameTransformsChannel, SceneUpdateChannel
-from foxglove.websocket import Capability, Client, Parameter, ServerListener
+import foxglove  # noqa: TID251
+from foxglove.channels import FrameTransformsChannel, SceneUpdateChannel  # noqa: TID251
+from foxglove.websocket import Capability, Client, Parameter, ServerListener  # noqa: TID251
 
 from daemon.records import Record, unpack_records
 from daemon.signals import ignore_terminal_signals

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from math import cos, sin
 from typing import Any, NamedTuple
 
-from foxglove.messages import (
+from foxglove.messages import (  # noqa: TID251
     ArrowPrimitive,
     Color,
     CubePrimitive,

@@ -12,7 +12,7 @@ import json
 import struct
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import blake2b
 from typing import Any
 
@@ -101,6 +101,15 @@ class ZenohBus:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+    @property
+    def zid(self) -> str:
+        """The session's id in hexadecimal digits."""
+        return self._zid.decode()
+
+    def name_publisher(self, key: str, gid: bytes) -> None:
+        """Publish a key under this id from now on: rmw_zenoh derives it from a token's text."""
+        self._publishers[key] = replace(self._declare(key), gid=gid)
 
     def publish(self, key: str, data: bytes) -> None:
         """See :meth:`steer_bus.bus.Bus.publish`; priority and encoding are the topic table's."""

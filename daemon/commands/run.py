@@ -14,6 +14,7 @@ from daemon.build import Plan, make_plan
 from daemon.errors import ExitCode, SteerdError
 from daemon.options import ControllerKind, RunOptions
 from daemon.view_job import DEFAULT_PORT, check_view, parse_view
+from steer_bus.ros_keys import DOMAIN_MAX
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,6 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     run.add_argument("--listen", default="tcp/127.0.0.1:7447", help="zenoh endpoint")
     run.add_argument(
         "--insecure-lan", action="store_true", help="allow plain zenoh beyond loopback"
+    )
+    run.add_argument(
+        "--ros-domain",
+        type=int,
+        metavar="N",
+        help="show the car to ROS 2 nodes of this domain that use rmw_zenoh",
     )
     run.add_argument(
         "--view",
@@ -94,6 +101,9 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         raise SteerdError(f"--duration {args.duration:g}: more than 0 s", "", ExitCode.USAGE)
     if args.view:
         _check_view(args)
+    if args.ros_domain is not None and not 0 <= args.ros_domain <= DOMAIN_MAX:
+        what = f"--ros-domain {args.ros_domain}: 0 to {DOMAIN_MAX}"
+        raise SteerdError(what, "", ExitCode.USAGE)
     return RunOptions(
         car_file=args.car or "",
         car=args.name,
@@ -112,6 +122,7 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         listen=args.listen,
         insecure_lan=args.insecure_lan,
         view=args.view or "",
+        ros_domain=args.ros_domain,
     )
 
 

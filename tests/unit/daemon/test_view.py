@@ -152,7 +152,7 @@ def first_record():
 
 
 def test_every_topic_has_a_channel_with_its_schema():
-    import foxglove
+    import foxglove  # noqa: TID251
 
     context = foxglove.Context()
     for topic in topics.TOPICS:
