@@ -38,6 +38,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "collect": ("collect", "drive an excitation plan and record it"),
     "identify": ("identify", "learn the car from its sessions"),
     "rtcheck": ("rtcheck", "measure whether this machine keeps a control loop's time"),
+    "keys": ("keys", "certificates of a lab: for the car, its operators, its viewers"),
     "service": ("service", "a systemd unit that comes up disarmed, and the udev file"),
     "completion": ("completion", "completion of commands and options for bash and zsh"),
     "effects": ("effects", "the unmodelled effects that can be simulated and diagnosed"),

@@ -21,8 +21,8 @@ from daemon.signals import ignore_terminal_signals
 from daemon.views import Views
 from steer_bus import topics
 from steer_bus.bus import Bus, BusError, Subscription
-from steer_bus.topics import alive_key, make_key, schema_replies
 from steer_bus.lab import load_lab
+from steer_bus.topics import alive_key, make_key, schema_replies
 from steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
 
 _POLL_MS = 4
@@ -118,6 +118,7 @@ def _make_profile(options: Mapping[str, Any]) -> Profile:
         lab,
         insecure_lan=bool(options["insecure_lan"]),
         pose_key=options["pose_key"],
+        ros_domain=options["ros_domain"],
     )
 
 

@@ -1,6 +1,8 @@
 """An operator's side of the lease: requests with rising numbers under one id."""
 
+import argparse
 from dataclasses import dataclass
+from pathlib import Path
 
 from daemon.errors import ExitCode, SteerdError
 from daemon.telling import read_diagnostics
@@ -8,10 +10,13 @@ from steer_bus import topics
 from steer_bus.bus import Bus, BusError
 from steer_bus.clock import Clock
 from steer_bus.codec import decode, encode
+from steer_bus.lab import DEFAULT_PORT, Lab, load_lab
 from steer_bus.messages import BODY, OperatorRequest, RequestKind, make_header
 from steer_bus.standard import DiagnosticArray
 from steer_bus.topics import make_key
-from steer_bus.zenoh_bus import Profile, ZenohBus
+from steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
+
+PLAIN = f"tcp/127.0.0.1:{DEFAULT_PORT}"
 
 KEEPALIVE_NS = 50_000_000
 """Well within the deadman's 300 ms."""
@@ -43,17 +48,39 @@ class Operator:
         return encode(request)
 
 
-def connect(endpoint: str) -> ZenohBus:
-    """Join the bus of a running daemon.
+def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where the daemon is, and who we are there."""
+    parser.add_argument("--connect", metavar="ENDPOINT", help=f"the daemon's (default {PLAIN})")
+    parser.add_argument("--lab", type=Path, metavar="DIR", help="our folder of `steerd keys`")
+
+
+def connect(args: argparse.Namespace) -> ZenohBus:
+    """Join the bus of a running daemon, as `add_bus_arguments` says.
 
     Raises:
-        SteerdError: there is none.
+        SteerdError: there is none, or it does not take us.
     """
+    lab = read_lab(args.lab) if args.lab else None
+    endpoint = args.connect or (lab.endpoint if lab else PLAIN)
     try:
-        return ZenohBus(Profile(hub=False, endpoint=endpoint))
+        return ZenohBus(make_spoke_profile(endpoint, lab))
     except BusError as error:
         hint = "start `steerd run` first, or name its endpoint with --connect"
+        if lab is not None:
+            hint = f"is it up with --lab, and is {lab.folder} of the same lab and in date?"
         raise SteerdError(f"no steerd answers: {error}", hint, ExitCode.UNREACHABLE) from None
+
+
+def read_lab(folder: Path) -> Lab:
+    """A participant's folder.
+
+    Raises:
+        SteerdError: it is not one.
+    """
+    try:
+        return load_lab(folder)
+    except BusError as error:
+        raise SteerdError(str(error), "", ExitCode.INVALID) from None
 
 
 def read_status(bus: Bus, car: str, clock: Clock, timeout_s: float = 2.0) -> dict[str, str]:

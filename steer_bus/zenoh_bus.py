@@ -21,9 +21,9 @@ import zenoh  # noqa: TID251
 from steer_bus.bus import Answer, BusError, Sample, Subscription, Token, check_key, check_size
 from steer_bus.clock import Clock, MonotonicClock
 from steer_bus.codec import type_name
+from steer_bus.lab import DEFAULT_PORT, Lab, make_access_settings, make_tls_settings
 from steer_bus.topics import Priority, find_topic
 
-DEFAULT_PORT = 7447
 _ATTACHMENT = struct.Struct("<qqB16s")  # rmw_zenoh's: sequence, UNIX ns, 16, publisher id
 _GID_SIZE = 16
 _CLOSE_TIMEOUT_S = 2.0
@@ -54,14 +54,35 @@ class Profile:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
 
+def make_hub_profile(
+    endpoint: str,
+    lab: Lab | None,
+    *,
+    insecure_lan: bool = False,
+    pose_key: str | None = None,
+    ros_domain: int | None = None,
+) -> Profile:
+    """Make the profile of a car's hub: plain on loopback, or the lab's with mutual TLS."""
+    if lab is None:
+        return Profile(True, endpoint, insecure_lan=insecure_lan)
+    access = make_access_settings(lab, pose_key, ros_domain)
+    settings = {**make_tls_settings(lab, hub=True), **access}
+    return Profile(True, endpoint, settings=settings)
+
+
+def make_spoke_profile(endpoint: str, lab: Lab | None) -> Profile:
+    """Make the profile of who dials a hub."""
+    return Profile(False, endpoint, settings=make_tls_settings(lab, hub=False) if lab else {})
+
+
 def make_settings(profile: Profile) -> dict[str, Any]:
     """Make the zenoh settings of a profile.
 
     Raises:
-        BusError: if a hub would listen in plain text where others can reach it.
+        BusError: if a hub would listen where others can reach it and not ask who they are.
     """
     if profile.hub and not profile.insecure_lan:
-        _check_private(profile.endpoint)
+        _check_private(profile)
     return {
         "mode": "router" if profile.hub else "client",
         "listen/endpoints": [profile.endpoint] if profile.hub else [],
@@ -258,9 +279,10 @@ def _explain(profile: Profile, text: str) -> str:
     return f"zenoh does not start: {text}"
 
 
-def _check_private(endpoint: str) -> None:
-    protocol, _, address = endpoint.partition("/")
-    if protocol in ("tls", "quic", "unixsock-stream"):
+def _check_private(profile: Profile) -> None:
+    protocol, _, address = profile.endpoint.partition("/")
+    mutual = profile.settings.get("transport/link/tls/enable_mtls") is True
+    if protocol == "unixsock-stream" or (protocol in ("tls", "quic") and mutual):
         return
     host = address.rpartition(":")[0].strip("[]")
     try:
@@ -269,6 +291,6 @@ def _check_private(endpoint: str) -> None:
         loopback = False
     if not loopback:
         raise BusError(
-            f"{endpoint} lets anybody on the network drive the car: use a tls/ endpoint, "
-            "or --insecure-lan if you mean it"
+            f"{profile.endpoint} lets anybody on the network drive the car: "
+            "use --lab with a folder of steerd keys, or --insecure-lan if you mean it"
         )

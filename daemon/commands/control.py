@@ -15,7 +15,7 @@ from controller.lane_controller import ControllerState, LaneController, control,
 from daemon.build import make_plan
 from daemon.commands.run import add_drive_arguments
 from daemon.errors import ExitCode
-from daemon.operator import connect, read_status
+from daemon.operator import add_bus_arguments, connect, read_status
 from daemon.options import RunOptions
 from daemon.transitions import State as Supervised
 from steer_bus import topics
@@ -32,7 +32,7 @@ _POLL_NS = 1_000_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd control`."""
-    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="the daemon's endpoint")
+    add_bus_arguments(parser)
     add_drive_arguments(parser)
 
 
@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     )
     plan = make_plan(options)
     clock = MonotonicClock()
-    with connect(args.connect) as bus:
+    with connect(args) as bus:
         status = read_status(bus, args.name, clock)
         keeper = RemoteKeeper(plan.controller, int(status["boot_id"]), secrets.randbits(62) + 1)
         print(f"steering {args.name} along {plan.path.name}; Ctrl-C ends", file=sys.stderr)

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable
 
 from daemon.errors import ExitCode, SteerdError
-from daemon.operator import KEEPALIVE_NS, Operator, connect, read_status
+from daemon.operator import KEEPALIVE_NS, Operator, add_bus_arguments, connect, read_status
 from daemon.telling import read_diagnostics
 from daemon.transitions import State
 from steer_bus import topics
@@ -51,15 +51,15 @@ _OVER = (
 )
 
 
-def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+def add_car_arguments(parser: argparse.ArgumentParser) -> None:
     """Which car, and where."""
-    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="the daemon's endpoint")
+    add_bus_arguments(parser)
     parser.add_argument("--name", default="car1", help="the car's name")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of these commands."""
-    add_bus_arguments(parser)
+    add_car_arguments(parser)
     parser.add_argument(
         "--no-hold", action="store_true", help="arm, start: do not stay as the deadman"
     )
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     # A closed terminal is an operator who has gone: leave at once, the deadman does the rest.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     clock, name = MonotonicClock(), str(args.command)
-    with connect(args.connect) as bus:
+    with connect(args) as bus:
         status = read_status(bus, args.name, clock)
         holder = int(status.get("holder", "0"))
         shared = name == "start" and status["state"] == State.ARMED.name and holder

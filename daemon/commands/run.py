@@ -48,7 +48,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="lane",
         help="zenoh: apply the commands of `steerd control`",
     )
-    run.add_argument("--listen", default="tcp/127.0.0.1:7447", help="zenoh endpoint")
+    run.add_argument("--listen", metavar="ENDPOINT", help="of zenoh (default tcp/127.0.0.1:7447)")
+    run.add_argument(
+        "--lab", type=Path, metavar="DIR", help="the car's folder of `steerd keys`: mutual TLS"
+    )
     run.add_argument(
         "--insecure-lan", action="store_true", help="allow plain zenoh beyond loopback"
     )
@@ -104,6 +107,7 @@ def make_options(args: argparse.Namespace) -> RunOptions:
     if args.ros_domain is not None and not 0 <= args.ros_domain <= DOMAIN_MAX:
         what = f"--ros-domain {args.ros_domain}: 0 to {DOMAIN_MAX}"
         raise SteerdError(what, "", ExitCode.USAGE)
+    listen = _choose_endpoint(args)
     return RunOptions(
         car_file=args.car or "",
         car=args.name,
@@ -119,11 +123,27 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         simulated=args.sim,
         auto_arm=args.auto_arm or args.fast,
         effects=tuple(args.effect),
-        listen=args.listen,
+        listen=listen,
+        lab=str(args.lab.resolve()) if args.lab else "",
         insecure_lan=args.insecure_lan,
         view=args.view or "",
         ros_domain=args.ros_domain,
     )
+
+
+def _choose_endpoint(args: argparse.Namespace) -> str:
+    if args.lab is None:
+        return args.listen or RunOptions.listen
+    from daemon.operator import read_lab
+
+    lab = read_lab(args.lab)
+    if lab.car != args.name:
+        what = f"the certificates in {args.lab} are for {lab.car!r}, not {args.name!r}"
+        raise SteerdError(what, f"--name {lab.car}", ExitCode.USAGE)
+    endpoint = str(args.listen or lab.endpoint)
+    if not endpoint.startswith("tls/"):
+        raise SteerdError(f"--lab speaks TLS, not {endpoint}", "drop --listen", ExitCode.USAGE)
+    return endpoint
 
 
 def _check_view(args: argparse.Namespace) -> None:

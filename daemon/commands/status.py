@@ -3,7 +3,7 @@
 import argparse
 import json
 
-from daemon.commands.operate import add_bus_arguments
+from daemon.commands.operate import add_car_arguments
 from daemon.errors import ExitCode
 from daemon.operator import connect, read_status
 from steer_bus.clock import MonotonicClock
@@ -11,13 +11,13 @@ from steer_bus.clock import MonotonicClock
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd status`."""
-    add_bus_arguments(parser)
+    add_car_arguments(parser)
     parser.add_argument("--json", action="store_true", help="for programs")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
-    with connect(args.connect) as bus:
+    with connect(args) as bus:
         status = read_status(bus, args.name, MonotonicClock())
     if args.json:
         print(json.dumps(status, indent=2))

@@ -1,13 +1,13 @@
 """A running car in a terminal: state, errors, rates and faults. Watches only; Ctrl-C leaves.
 
 steerd watch
-steerd watch --name car2 --connect tcp/192.168.1.20:7447
+steerd watch --lab screen
 """
 
 import argparse
 
 from daemon.errors import ExitCode
-from daemon.operator import connect
+from daemon.operator import add_bus_arguments, connect
 from daemon.watch import DEPTH, SECOND, Watch, find_car
 from steer_bus.bus import Subscription
 from steer_bus.clock import Clock, MonotonicClock
@@ -18,7 +18,7 @@ REFRESH_NS = 100_000_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which car, and how long."""
-    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="the daemon's endpoint")
+    add_bus_arguments(parser)
     parser.add_argument("--name", help="the car's name (default: the only one on the bus)")
     parser.add_argument("--seconds", type=float, metavar="S", help="leave after so long")
 
@@ -35,9 +35,9 @@ def run(args: argparse.Namespace) -> int:
     from daemon.dashboard import Dashboard
 
     clock = MonotonicClock()
-    with connect(args.connect) as bus:
+    with connect(args) as bus:
         car = find_car(bus, args.name)
-        watch = Watch(Dashboard(f"steerd watch · {car} on {args.connect}"))
+        watch = Watch(Dashboard(f"steerd watch · {car}"))
         heard = bus.subscribe(make_key(car, "*"), DEPTH)
         end = None if args.seconds is None else clock.now_ns() + round(args.seconds * SECOND)
         console = Console()

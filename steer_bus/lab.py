@@ -1,0 +1,146 @@
+"""The lab profile: one participant's certificates, and who may do what at a car's hub.
+
+A folder made by ``steerd keys`` holds ``ca.pem``, ``cert.pem``, ``key.pem`` and ``lab.toml``. Both
+ends of a connection show a certificate of the lab's own authority (mutual TLS); the hub then
+allows by the certificate's common name: operators command and read, viewers read, others nothing.
+"""
+
+import stat
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from steer_bus.bus import BusError
+from steer_bus.topics import ROOT, TOPICS, Direction, alive_key, make_key
+
+DEFAULT_PORT = 7447
+_TLS = "transport/link/tls/"
+_FILES = ("ca.pem", "cert.pem", "key.pem")
+
+
+@dataclass(frozen=True, slots=True)
+class Lab:
+    """What a participant's folder says.
+
+    Attributes:
+        folder: where its certificate and key lie.
+        car: the car's name, which is the common name of the hub's certificate.
+        endpoint: where the hub listens and everybody dials, such as ``tls/192.168.1.20:7447``.
+        operators: common names that may command and read.
+        viewers: common names that may read.
+    """
+
+    folder: Path
+    car: str
+    endpoint: str
+    operators: tuple[str, ...] = ()
+    viewers: tuple[str, ...] = ()
+
+
+def load_lab(folder: Path) -> Lab:
+    """Read a participant's folder.
+
+    Raises:
+        BusError: if something is missing or odd in it, or others may read its private key.
+    """
+    missing = [name for name in (*_FILES, "lab.toml") if not (folder / name).is_file()]
+    if missing:
+        raise BusError(f"{folder} has no {', '.join(missing)}: make such a folder with steerd keys")
+    if stat.S_IMODE((folder / "key.pem").stat().st_mode) & 0o077:
+        raise BusError(f"others can read the private key: chmod 600 {folder / 'key.pem'}")
+    try:
+        table = tomllib.loads((folder / "lab.toml").read_text(encoding="utf-8"))
+        lab = Lab(
+            folder,
+            _text(table["car"]),
+            _text(table["endpoint"]),
+            tuple(map(_text, table["operators"])),
+            tuple(map(_text, table["viewers"])),
+        )
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise BusError(f"{folder / 'lab.toml'}: {error!s}") from None
+    if not lab.endpoint.startswith("tls/"):
+        raise BusError(f"{folder / 'lab.toml'}: endpoint {lab.endpoint!r} is not tls/HOST:PORT")
+    return lab
+
+
+def make_tls_settings(lab: Lab, *, hub: bool) -> dict[str, Any]:
+    """Make the zenoh settings of mutual TLS for a hub or for who dials it."""
+    side = "listen" if hub else "connect"
+    return {
+        f"{_TLS}root_ca_certificate": str(lab.folder / "ca.pem"),
+        f"{_TLS}{side}_certificate": str(lab.folder / "cert.pem"),
+        f"{_TLS}{side}_private_key": str(lab.folder / "key.pem"),
+        f"{_TLS}enable_mtls": True,
+        f"{_TLS}verify_name_on_connect": True,
+        f"{_TLS}close_link_on_expiration": True,
+    }
+
+
+def make_access_settings(
+    lab: Lab, pose_key: str | None = None, ros_domain: int | None = None
+) -> dict[str, Any]:
+    """Make the hub's access control: all is denied but what is listed here.
+
+    A rule must include the whole key expression that is asked for: a subscriber on ``**`` gets
+    nothing, one on ``steerd/<car>/**`` gets what the car publishes, and no commands.
+
+    Args:
+        lab: who may do what.
+        ros_domain: ROS domain in which the car shows itself too; all may read it.
+        pose_key: a key beside the car's own under which operators may publish poses.
+    """
+    wanted = [make_key(lab.car, t) for t in TOPICS if t.direction is Direction.IN and t.on_bus]
+    wanted += [pose_key] if pose_key else []
+    asked = [f"{ROOT}/*/alive", alive_key(lab.car), make_key(lab.car, "schema/**")]
+    heard = [f"{ROOT}/{lab.car}/**"]
+    told = [make_key(lab.car, "*"), make_key(lab.car, "schema/**")]
+    if ros_domain is not None:
+        shown = [f"{ros_domain}/**", f"@ros2_lv/{ros_domain}/**"]
+        asked, heard, told = asked + shown, heard + shown, told + shown
+    rules = [
+        _rule("listen", "ingress", ["declare_subscriber"], heard),
+        _rule("ask", "ingress", _ASKING, asked),
+        _rule("tell", "egress", ["put", "reply", "liveliness_token", "declare_queryable"], told),
+        _rule("command", "ingress", ["put"], wanted),
+        _rule("expect", "egress", ["declare_subscriber"], wanted),
+    ]
+    reading = ["listen", "ask", "tell"]
+    named = (
+        ("operators", lab.operators, [*reading, "command", "expect"]),
+        ("viewers", lab.viewers, reading),
+    )
+    return {
+        "access_control": {
+            "enabled": True,
+            "default_permission": "deny",
+            "rules": rules,
+            "subjects": [
+                {"id": role, "cert_common_names": list(names)} for role, names, _ in named if names
+            ],
+            "policies": [
+                {"rules": allowed, "subjects": [role]} for role, names, allowed in named if names
+            ],
+        }
+    }
+
+
+_ASKING = ["query", "liveliness_query", "declare_liveliness_subscriber"]
+
+
+def _rule(name: str, flow: str, messages: list[str], keys: Iterable[str]) -> dict[str, Any]:
+    return {
+        "id": name,
+        "messages": messages,
+        "flows": [flow],
+        "permission": "allow",
+        "key_exprs": list(keys),
+    }
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str) or not value:
+        raise ValueError(f"{value!r} is no name")
+    return value
