@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from car_model.believed import believed_car
 from car_model.car_file import default_car_path
 from car_model.effects import parse_effects
 from car_model.params import Car
@@ -89,8 +90,11 @@ def fenced(settings: Settings, drill: Drill) -> Settings:
 
 
 def reachable(settings: Settings) -> Car[float]:
-    """The car with the end stops that the last gate enforces: what a design may count on."""
-    car, limits = settings.file.car, settings.limits
+    """The car with the end stops that the last gate enforces: what a design may count on.
+
+    Effects that the car file knows of count as far as they are changes of parameters.
+    """
+    car, limits = believed_car(settings.file.model), settings.limits
     return car._replace(
         steer_min=max(car.steer_min, -limits.steer_right_max),
         steer_max=min(car.steer_max, limits.steer_left_max),

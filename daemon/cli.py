@@ -37,6 +37,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import": ("import_", "turn a lab's own log (csv, ROS bag) into a session"),
     "collect": ("collect", "drive an excitation plan and record it"),
     "identify": ("identify", "learn the car from its sessions"),
+    "diagnose": ("diagnose", "where simulation and car differ, why, and how far adding it helps"),
     "rtcheck": ("rtcheck", "measure whether this machine keeps a control loop's time"),
     "keys": ("keys", "certificates of a lab: for the car, its operators, its viewers"),
     "service": ("service", "a systemd unit that comes up disarmed, and the udev file"),

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from math import nan
 from typing import NamedTuple
 
+from car_model.believed import believed_car
 from car_model.state import Command
 from controller.lane_controller import (
     ControllerState,
@@ -139,7 +140,8 @@ class Loop:
     def __init__(self, setup: LoopSetup) -> None:
         s = setup.settings
         self.setup = setup
-        self.perception = Perception(s.file.car, s.filter, s.thresholds, s.scaling)
+        car = believed_car(s.file.model)
+        self.perception = Perception(car, s.filter, s.thresholds, s.scaling)
         self.supervisor = make_supervisor_state(0)
         self.lease = Lease(setup.boot_id)
         self.remote = Remote()

@@ -5,7 +5,8 @@ the lane. Laps are averaged, so noise falls out and what the car's dynamics make
 The spectrum of the steering command tells what the loop does in time.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ Array = NDArray[np.float64]
 
 BINS = 100
 """Places along the lane at which profiles are compared."""
-SEGMENT = 5.0
+SEGMENT = 10.0
 """Length of the spectra's segments [s]."""
 BAND = (0.2, 8.0)
 """Where spectra are compared [Hz]: bends and the loop's own modes; above is noise."""
@@ -82,6 +83,7 @@ class LaneComparison:
         without: simulated with the base car; a stopped simulation is None.
         with_effect: simulated with the found effect; None if none was found or it was stopped.
         session: which drive.
+        again: options of `steerd run` that drive this lane.
         remarks: what a reader should know, in words.
     """
 
@@ -89,6 +91,7 @@ class LaneComparison:
     without: LaneDrive | None
     with_effect: LaneDrive | None
     session: str
+    again: str = ""
     remarks: tuple[str, ...] = ()
 
     @property
@@ -162,9 +165,17 @@ def _profile_distance(a: LaneDrive, b: LaneDrive, field: str) -> float:
     return float(np.sqrt(np.mean((first[both] - second[both]) ** 2)))
 
 
+def as_long(drive: LaneDrive, other: LaneDrive) -> LaneDrive:
+    """The beginning of a drive, as long as another: figures of both then see the same bends."""
+    kept = drive.t - drive.t[0] <= np.ptp(other.t) + 1e-6
+    return LaneDrive(
+        *(a[kept] for a in (drive.t, drive.s, drive.e1, drive.e2, drive.steer)), drive.length
+    )
+
+
 def likeness(recorded: LaneDrive, other: LaneDrive) -> Likeness:
     """How far another drive on the same lane is from the recorded one."""
-    f, first = steering_spectrum(recorded)
+    f, first = steering_spectrum(as_long(recorded, other))
     g, second = steering_spectrum(other)
     a, b = (20.0 * np.log10(np.maximum(v, FLOOR)) for v in (first, np.interp(f, g, second)))
     return Likeness(
@@ -172,3 +183,19 @@ def likeness(recorded: LaneDrive, other: LaneDrive) -> Likeness:
         _profile_distance(recorded, other, "e2"),
         float(np.sqrt(np.mean((a - b) ** 2))),
     )
+
+
+def encode_lane(lane: LaneComparison) -> dict[str, Any]:
+    """The comparison as JSON values."""
+    drives = {"recorded": lane.recorded, "without": lane.without, "with_effect": lane.with_effect}
+    before, after = lane.distances
+    return {
+        "session": lane.session,
+        "drives": {n: None if d is None else asdict(figures_of(d)) for n, d in drives.items()},
+        "distance": {
+            "without": None if before is None else asdict(before),
+            "with_effect": None if after is None else asdict(after),
+        },
+        "nearer": lane.nearer,
+        "remarks": list(lane.remarks),
+    }

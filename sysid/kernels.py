@@ -46,6 +46,10 @@ class Kernels:
     memory: int
     module: ModuleType
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process loads its own compiled functions: code does not travel."""
+        return make_kernels, (self.effects,)
+
 
 class Held(NamedTuple):
     """Commands of several runs, one after the other, each held over a step.

@@ -1,0 +1,215 @@
+"""What `steerd diagnose` is asked, checked: drives, what is kept back, the base car, the noise."""
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from car_model.car_file import CarFile, CarFileError, default_car_path, parse_car
+from car_model.effects import find_effect
+from daemon.drives import load_base, load_drive
+from daemon.errors import ExitCode, SteerdError
+from steer_bus.session_read import SessionError, open_session
+from sysid.cut import blocks, keep_back, moving_parts
+from sysid.dataset import Run
+from sysid.gate import DataError
+
+EVERY = 4
+"""Unless said otherwise every 4th block or session is kept back."""
+ENOUGH = 16.0
+"""Shorter drives are diagnosed whole unless `--runs-held-out` says otherwise [s]."""
+LEAST = 5.0
+"""Less driving than this tells nothing of a gap [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A diagnosis to make.
+
+    Attributes:
+        sessions: the files whose drives are looked at.
+        runs: their drives, cut to where the car moves.
+        held_out: opens the drives that are kept back; None if none are.
+        held_out_of: what is kept back, in words.
+        healthy: drives without the gap.
+        base: the car as believed.
+        base_words: where it comes from.
+        only, without: effects by their names; `only` None for the library.
+        notes: what a reader should know.
+    """
+
+    sessions: tuple[Path, ...]
+    runs: tuple[Run, ...]
+    held_out: Callable[[], Sequence[Run]] | None
+    held_out_of: str
+    healthy: tuple[Run, ...]
+    base: CarFile
+    base_words: str
+    only: tuple[str, ...] | None
+    without: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Driving that is looked at [s]."""
+        return sum(run.duration for run in self.runs)
+
+
+def make_case(args: argparse.Namespace, advance: Callable[[float], None]) -> Case:
+    """Everything that can be refused is refused here.
+
+    Args:
+        args: the command line.
+        advance: told the share of the files read.
+
+    Raises:
+        SteerdError: a session, the car file or an option cannot be used.
+    """
+    only = tuple(_effect(name) for name in args.only) or None
+    without = tuple(_effect(name) for name in args.without)
+    if only is not None and not set(only) - set(without):
+        raise SteerdError("--only and --without leave no effect", "", ExitCode.USAGE)
+    every, reserved = parse_held_out(args.runs_held_out)
+    sessions = _without_reserved(args.sessions, reserved)
+    for path in reserved:
+        _check_there(path)
+    drives = []
+    for number, path in enumerate(sessions):
+        drives.append(load_drive(path, args.speed))
+        advance((number + 1) / len(sessions))
+    base, words, notes = find_base(args.base, sessions)
+    healthy = [load_drive(Path(name), args.speed) for name in _listed(args.healthy)]
+    runs, later, told, more = _split(drives, every, reserved, args.speed)
+    return Case(
+        sessions, runs, later, told, _moving(healthy) if healthy else (), base, words, only,
+        without, (*notes, *more),
+    )  # fmt: skip
+
+
+def _effect(name: str) -> str:
+    try:
+        return find_effect(name).name
+    except ValueError as error:
+        what, _, hint = str(error).partition("; ")
+        raise SteerdError(what, hint or "`steerd effects` lists them", ExitCode.USAGE) from None
+
+
+def _listed(given: Sequence[str]) -> list[str]:
+    """Values of a repeatable option that may also be separated by commas."""
+    return [part for text in given for part in text.split(",") if part]
+
+
+def parse_held_out(given: Sequence[str]) -> tuple[int | None, tuple[Path, ...]]:
+    """Every how many drives (0: none, None: not said), or the files to keep back.
+
+    Raises:
+        SteerdError: it is neither.
+    """
+    listed = _listed(given)
+    if not listed:
+        return None, ()
+    if len(listed) == 1 and listed[0].lstrip("-").isdigit():
+        every = int(listed[0])
+        if every < 0 or every == 1:
+            what = f"--runs-held-out {every}: every K-th drive, 2 or more; 0 keeps nothing back"
+            raise SteerdError(what, "", ExitCode.USAGE)
+        return every, ()
+    return None, tuple(Path(name) for name in listed)
+
+
+def _without_reserved(given: Sequence[Path], reserved: Sequence[Path]) -> tuple[Path, ...]:
+    kept = {path.resolve() for path in reserved}
+    sessions = tuple(path for path in dict.fromkeys(given) if path.resolve() not in kept)
+    if not sessions:
+        what = "every session is kept back: nothing is left to diagnose"
+        raise SteerdError(what, "name another session", ExitCode.USAGE)
+    return sessions
+
+
+def _check_there(path: Path) -> None:
+    """A reserved session is not opened yet, but its absence is told at once."""
+    if not path.is_file():
+        raise SteerdError(f"{path} does not exist", "", ExitCode.UNREADABLE)
+
+
+def find_base(named: Path | None, sessions: Sequence[Path]) -> tuple[CarFile, str, list[str]]:
+    """The car file named, else the one inside the first session, else the default.
+
+    Raises:
+        SteerdError: the one that counts cannot be used.
+    """
+    if named is not None:
+        return load_base(named), str(named), []
+    texts = [text for text in map(_embedded, sessions) if text is not None]
+    if not texts:
+        note = "no session holds its car file, and no --base is given: the default car is assumed"
+        return load_base(default_car_path()), "the default car (F1TENTH's figures)", [note]
+    notes = []
+    if any(text != texts[0] for text in texts) or len(texts) < len(sessions):
+        notes.append(f"the sessions' car files differ: the one inside {sessions[0].name} counts")
+    try:
+        base = parse_car(texts[0], Path("car.toml"))
+    except CarFileError as error:
+        what = f"{sessions[0].name}: the car file inside cannot be used: {error.what}"
+        raise SteerdError(what, "name one with --base car.toml", ExitCode.INVALID) from None
+    return base, "the car file inside the session", notes
+
+
+def _embedded(path: Path) -> str | None:
+    """The car file that a session carries; None if there is none."""
+    try:
+        return open_session(path).attachment("car.toml").decode()
+    except (SessionError, UnicodeDecodeError):
+        return None
+
+
+def _moving(drives: Sequence[Run]) -> tuple[Run, ...]:
+    try:
+        return moving_parts(drives)
+    except DataError as error:
+        raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
+
+
+Later = Callable[[], Sequence[Run]] | None
+
+
+def _split(
+    drives: Sequence[Run], every: int | None, reserved: Sequence[Path], speed: str
+) -> tuple[tuple[Run, ...], Later, str, list[str]]:
+    """Drives to look at, how to open the others, both in words."""
+    parts = _moving(drives)
+    seconds = sum(run.duration for run in parts)
+    if seconds < LEAST:
+        what = f"only {seconds:.1f} s of driving at more than walking pace"
+        raise SteerdError(what, "drive `steerd collect --plan mixed`", ExitCode.INVALID)
+    if reserved:
+        words = ", ".join(path.name for path in reserved)
+        later = lambda: _moving([load_drive(path, speed) for path in reserved])  # noqa: E731
+        return _in_blocks(drives, parts), later, words, _block_notes(drives)
+    if every == 0 or (every is None and seconds < ENOUGH):
+        note = "nothing was kept back: the shrinkage is predicted, not measured"
+        return _in_blocks(drives, parts), None, "", [*_block_notes(drives), note]
+    every = every or EVERY
+    if len(drives) >= every:
+        names = {run.name for run in drives[every - 1 :: every]}
+        kept = tuple(run for run in parts if run.name in names)
+        fitted = tuple(run for run in parts if run.name not in names)
+        if kept and fitted:
+            return fitted, lambda: kept, f"every {every}th session: {', '.join(sorted(names))}", []
+    try:
+        fitted, kept = keep_back(parts, every)
+    except DataError as error:
+        raise SteerdError(error.what, "--runs-held-out 0", ExitCode.INVALID) from None
+    return fitted, lambda: kept, f"every {every}th block of 5 s", _block_notes(drives)
+
+
+def _in_blocks(drives: Sequence[Run], parts: tuple[Run, ...]) -> tuple[Run, ...]:
+    """Few drives are cut, so that parts of them can be left out of fits."""
+    return blocks(parts) if len(drives) < EVERY else parts
+
+
+def _block_notes(drives: Sequence[Run]) -> list[str]:
+    if len(drives) >= EVERY:
+        return []
+    what = "one session" if len(drives) == 1 else f"{len(drives)} sessions"
+    return [f"{what}, cut into blocks of 5 s: blocks of one drive stand in for further drives"]

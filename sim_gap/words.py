@@ -1,0 +1,145 @@
+"""A diagnosis in plain sentences, for the terminal and the report alike."""
+
+from collections.abc import Iterator
+
+from car_model.effects import EFFECTS
+from sim_gap.closed_loop import LaneComparison, figures_of
+from sim_gap.diagnosis import Cause, Diagnosis
+
+SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad"), "m": (1e3, "mm"), "1": (1.0, "")}
+"""Small units for small numbers; what is not listed stays in SI."""
+EQUATIONS = {
+    "accel": "longitudinal equation",
+    "lateral": "side-slip equation",
+    "yaw": "yaw equation",
+    "steer": "steering actuator",
+    "drive": "drive actuator",
+}
+FAMILIES = {"none": "no gap", "explained": "explained", "partial": "partly explained",
+            "unexplained": "a gap without a name"}  # fmt: skip
+
+
+def value_words(value: float, sd: float, unit: str) -> str:
+    """A value with its standard error, in a unit that suits it."""
+    scale, small = SCALES.get(unit, (1.0, unit))
+    digits = f"{scale * value:.3g} ± {scale * sd:.2g}"
+    return f"{digits} {small}".rstrip()
+
+
+def cause_words(cause: Cause) -> str:
+    """An effect's parameters in a line."""
+    return ", ".join(
+        f"{name} = {value_words(value, sd, unit)}"
+        for name, (value, sd, unit) in cause.parameters.items()
+    )
+
+
+def summary_of(effect: str) -> str:
+    """What an effect is, in words."""
+    return EFFECTS[effect].summary if effect in EFFECTS else effect
+
+
+def headline(told: Diagnosis) -> str:
+    """The verdict in one sentence."""
+    if told.verdict == "none":
+        return "No gap: what the simulation does not predict of these drives looks like noise."
+    if told.verdict == "unexplained" or not told.causes:
+        return "There is a gap, and none of the known effects explains it."
+    names = " and ".join(cause.effect for cause in told.causes)
+    what = "; ".join(summary_of(cause.effect) for cause in told.causes)
+    if told.verdict == "partial":
+        return f"Part of the gap behaves like {names}: {what}."
+    return f"The gap is explained by {names}: {what}."
+
+
+def ambiguity(cause: Cause) -> str:
+    """What cannot be told from a cause."""
+    parts = []
+    if cause.ambiguous_with:
+        parts.append(f"on these drives: {', '.join(cause.ambiguous_with)}")
+    if cause.alias:
+        parts.append(f"ever or hardly: {cause.alias}")
+    return "; ".join(parts)
+
+
+def gap_words(told: Diagnosis) -> Iterator[str]:
+    """Position and heading error before and after by lead."""
+    for before, after in zip(told.before.errors, told.after.errors, strict=True):
+        yield (
+            f"{before[0]:g} s: {1e3 * before[1]:.2g} → {1e3 * after[1]:.2g} mm, "
+            f"{1e3 * before[2]:.2g} → {1e3 * after[2]:.2g} mrad"
+        )
+
+
+def shrink_words(told: Diagnosis, held_out_of: str) -> str:
+    """Predicted and measured shrinkage."""
+    if not told.causes:
+        return "no effect was found that could be added"
+    s = told.shrinkage
+    text = f"predicted {s.predicted:.0%} of the excess error ({s.low:.0%} to {s.high:.0%})"
+    if s.measured is None:
+        return f"{text}; not measured: nothing was kept back"
+    return f"{text}, measured {s.measured:.0%} on {held_out_of}"
+
+
+def manoeuvre_words(told: Diagnosis) -> str:
+    """What to drive next."""
+    following = told.next_manoeuvre
+    if following is not None:
+        first, second = following.separates
+        return f"to tell {first} from {second}: {following.name}, {following.how}"
+    if told.verdict == "none":
+        return "nothing; if the car behaves badly elsewhere, record it there"
+    if told.verdict == "unexplained":
+        return "`steerd collect --plan mixed`: more kinds of driving tell more of its shape"
+    if told.verdict == "partial":
+        return "the same once more, and faster: what is left must show twice to be believed"
+    return "nothing more is needed to name it"
+
+
+def lane_words(lane: LaneComparison) -> str:
+    """The closed loop in a sentence."""
+    before, after = lane.distances
+    if before is None or after is None:
+        return "; ".join(lane.remarks) or (
+            f"the lane keeper on {lane.session}, re-run without an effect: e1 profile off by "
+            f"{1e3 * before.e1:.2g} mm" if before else "no simulated drive to compare with"
+        )  # fmt: skip
+    verdict = "resembles" if lane.nearer else "does not resemble"
+    return (
+        f"with the effect the re-run loop {verdict} {lane.session} more: e1 profile off by "
+        f"{1e3 * before.e1:.2g} → {1e3 * after.e1:.2g} mm, e2 by {1e3 * before.e2:.2g} → "
+        f"{1e3 * after.e2:.2g} mrad, steering spectrum by {before.steer_db:.2g} → "
+        f"{after.steer_db:.2g} dB"
+    )
+
+
+def lane_rows(lane: LaneComparison) -> list[tuple[str, list[str]]]:
+    """A table: figures of the recorded and the simulated drives."""
+    drives = [lane.recorded, lane.without, lane.with_effect]
+    found = [None if d is None else figures_of(d) for d in drives]
+    rows = [
+        ("e1 RMS [mm]", 1e3, "e1_rms"), ("e1 mean [mm]", 1e3, "e1_mean"),
+        ("e1 strongest at [Hz]", 1.0, "e1_peak_hz"), ("e2 RMS [mrad]", 1e3, "e2_rms"),
+        ("e2 mean [mrad]", 1e3, "e2_mean"), ("e2 strongest at [Hz]", 1.0, "e2_peak_hz"),
+        ("steering RMS [mrad]", 1e3, "steer_rms"), ("steering strongest at [Hz]", 1.0,
+                                                   "steer_peak_hz"),
+    ]  # fmt: skip
+    return [
+        (label, ["–" if f is None else f"{scale * getattr(f, name):.3g}" for f in found])
+        for label, scale, name in rows
+    ]
+
+
+def residual_words(told: Diagnosis) -> str:
+    """What is left, in words."""
+    shape, parts = told.shape, []
+    if shape.noise_like:
+        parts.append("it is white in time and grows with speed: jitter of stamps or lost frames")
+    elif shape.prominence > 3.0:
+        parts.append(f"its heading error is strongest at {shape.peak_hz:.2g} Hz")
+    if shape.dependence:
+        name, size = next(iter(shape.dependence.items()))
+        way = "grows" if size > 0 else "falls"
+        parts.append(f"it {way} with {name.replace('_', ' ')} (rank correlation {size:+.2f})")
+    return "; ".join(parts) or "no pattern stands out"
