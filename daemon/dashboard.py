@@ -9,12 +9,11 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from daemon.records import Record
+from daemon.records import Record, read_message
 from daemon.telling import read_diagnostics
 from daemon.transitions import State as Supervised
 from steer_bus import messages as m
 from steer_bus import topics
-from steer_bus.codec import decode
 
 SETTLE_NS = 3_000_000_000
 """The first seconds of a drive are the way into the lane, not lane keeping."""
@@ -90,14 +89,15 @@ class Dashboard:
     def take(self, record: Record) -> str | None:
         """Take a record in; a line worth printing where nothing is rendered."""
         if record.topic is topics.STATE:
-            self.state = decode(m.State, record.data)
-            self.tally.add(self.state)
+            state: m.State = read_message(record)
+            self.state = state
+            self.tally.add(state)
         elif record.topic is topics.TICK:
-            self.tick = decode(m.Tick, record.data)
+            self.tick = read_message(record)
         elif record.topic is topics.DIAGNOSTICS:
-            self.status = read_diagnostics(decode(topics.DIAGNOSTICS.message, record.data))
+            self.status = read_diagnostics(read_message(record))
         elif record.topic is topics.TRANSITION:
-            change = decode(m.Transition, record.data)
+            change: m.Transition = read_message(record)
             line = f"{Supervised(change.to_state).name:<14}{change.text}"
             self.events.append(line)
             return line

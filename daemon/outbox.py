@@ -36,9 +36,8 @@ class Outbox:
         # A session file is in the order of the loop: log times never go back (mcap doctor warns).
         self._last_ns = max(self._last_ns, t_ns)
         publish_ns = (t_ns if valid_ns is None else valid_ns) + self.epoch_ns
-        self._pending.append(
-            Record(topic, count, self._last_ns + self.epoch_ns, publish_ns, encode(message))
-        )
+        log_ns = self._last_ns + self.epoch_ns
+        self._pending.append(Record(topic, count, log_ns, publish_ns, encode(message), message))
 
     def flush(self, t_ns: int) -> None:
         """Hand everything queued to the sinks."""

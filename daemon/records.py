@@ -9,8 +9,9 @@ import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from steer_bus.codec import decode
 from steer_bus.topics import TOPICS, Topic
 
 PIPE_BYTES = 1 << 20
@@ -32,6 +33,14 @@ class Record(NamedTuple):
     """UNIX time of the sample itself."""
     data: bytes
     """CDR."""
+    message: Any = None
+    """What was encoded, for readers in the core's own process; None behind a pipe."""
+
+
+def read_message(record: Record) -> Any:
+    """The message of a record, decoded where it crossed a pipe."""
+    known = record.message
+    return decode(record.topic.message, record.data) if known is None else known
 
 
 def pack_record(record: Record) -> bytes:

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 from math import cos, sin
 from typing import Any
 
-from daemon.records import Record
+from daemon.records import Record, read_message
 from steer_bus import messages as m
 from steer_bus import topics
-from steer_bus.codec import decode, encode
+from steer_bus.codec import encode
 from steer_bus.standard import (
     Odometry,
     Point,
@@ -112,5 +112,5 @@ class Views:
         self._due_ns[record.topic.name] = record.log_time_ns + PERIOD_NS
         topic, make = view
         count = self._count[topic.name] = self._count.get(topic.name, -1) + 1
-        data = encode(make(decode(record.topic.message, record.data)))
+        data = encode(make(read_message(record)))
         yield Record(topic, count, record.log_time_ns, record.publish_time_ns, data)

@@ -39,6 +39,9 @@ Residual = Callable[[Array, Array], Array]
 """Measurement and expectation to innovation."""
 
 
+_UNIT = {width: np.eye(width) for width in range(1, 8)}
+
+
 class _Box(ExtendedKalmanFilter):  # type: ignore[misc]
     """The library's filter, without what costs two thirds of its update and nobody reads.
 
@@ -46,6 +49,9 @@ class _Box(ExtendedKalmanFilter):  # type: ignore[misc]
     operation for operation (a test holds the two together), but for SciPy's guarded inverse,
     for which LAPACK is asked itself, the copies of results and the deep copy of the measurement.
     """
+
+    x: Array
+    P: Array
 
     def predict_x(self, u: Any = 0) -> None:
         """The hook that the library offers for nonlinear motion."""
@@ -56,7 +62,7 @@ class _Box(ExtendedKalmanFilter):  # type: ignore[misc]
         P = self.P
         PHT = P.dot(H.T)
         S = H.dot(PHT) + R
-        _, self.SI, _ = dposv(S, np.eye(S.shape[0]))
+        _, self.SI, _ = dposv(S, _UNIT[S.shape[0]])
         K = PHT.dot(self.SI)
         self.y = residual(measured, H.dot(self.x))
         self.x = self.x + K.dot(self.y)
