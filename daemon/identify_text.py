@@ -81,9 +81,9 @@ def _next(outcome: Outcome, written: Path | None) -> Iterator[str]:
     if not improved(outcome):
         yield "next: these values predict no better than the start; keep the old car file"
     elif written is not None:
-        yield f"next: steerd run --car {written}"
+        yield f"next: steerd run --sim --car {written}   (on the car: --port and --mocap for --sim)"
     else:
-        yield "next: repeat with -o car.toml, then steerd run --car car.toml"
+        yield "next: repeat with -o car.toml, which writes a car file to drive with"
 
 
 def improved(outcome: Outcome) -> bool:

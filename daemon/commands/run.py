@@ -213,5 +213,5 @@ def _run_live(plan: Plan) -> int:
     if board.status.get("state") in ("FAULT_LATCHED", "FAULT_STOP", "ESTOP"):
         print(f"stopped: {board.status.get('reason', '')}")
     print(f"session: {session}")
-    print(f"   next: steerd info {session}")
+    print(f"   next: steerd plot {session}   (or steerd info)")
     return code

@@ -76,7 +76,7 @@ def test_a_drive_becomes_a_car_file_json_and_report(rows, importer, tmp_path, ca
     capsys.readouterr()
     assert main(["identify", str(session), *FREE, *_outputs(tmp_path)]) == 0
     screen = capsys.readouterr().out
-    assert "next: steerd run --car" in screen
+    assert "next: steerd run --sim --car" in screen
     car = load_car(tmp_path / "car.toml")
     assert car.car.steer_gain == pytest.approx(TRUE.steer_gain, rel=0.02)
     assert car.car.c_sf == pytest.approx(TRUE.c_sf, rel=0.1)
