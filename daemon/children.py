@@ -178,7 +178,9 @@ def start_crew(plan: Plan, session: Path, boot_id: int, epoch_ns: int, leased: b
 def _expect_ready(child: Child, name: str, code: ExitCode) -> None:
     said = child.wait_ready(name)
     if said != "ready":
-        raise SteerdError(said, "", code)
+        taken = "already in use" in said and name == "gateway"
+        hint = "end that one, or --listen tcp/127.0.0.1:7448" if taken else ""
+        raise SteerdError(said, hint, code)
 
 
 def _give_up(
