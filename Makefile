@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest -q
 # Small matrices: more BLAS threads than one only get in each other's way.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help install demo test lint types layers unit safety bench clean
+.PHONY: help install demo test lint types layers unit all-tests safety bench clean
 help:            ## this list
 	@grep -hE '^[a-z]+: .*##|^[a-z]+:  +##' Makefile | sed 's/:.*##/\t/'
 
@@ -25,7 +25,7 @@ $(STAMP): pyproject.toml constraints.txt
 demo: install     ## drive 20 s of simulated figure-eight with a live status, record it
 	$(BIN)/steerd run --sim --auto-arm --path figure8 --speed 1.5 --duration 20
 
-test: install lint types layers unit ## everything that CI checks
+test: install lint types layers all-tests ## everything that CI checks
 
 lint: install     ## formatting and style
 	$(BIN)/ruff format --check .
@@ -37,7 +37,10 @@ types: install    ## mypy --strict
 layers: install   ## which room may import which
 	$(BIN)/lint-imports --no-cache
 
-unit: install     ## all tests: first those that may run side by side, then the real-time ones alone
+unit: install     ## the quick tests, half a minute: no processes, no statistics over many seeds
+	$(PYTEST) -n 2 -m "not realtime and not slow" tests/unit
+
+all-tests: install
 	$(PYTEST) -n 2 -m "not realtime"
 	# A machine that stalls for 30 ms rightly stops a car; such a drive is driven again, twice at most.
 	$(PYTEST) -m realtime --reruns 2
