@@ -1,0 +1,238 @@
+"""From a mocap datagram to the VESC's bytes, both ends stamped in a process of their own.
+
+    python benchmarks/control_path.py --seconds 8
+
+A real crew (core, recorder, gateway, guardian) drives simulated hardware. Between them sits the
+tap: it passes datagrams and serial bytes on and stamps both (CLOCK_MONOTONIC), so that neither
+the core nor the simulation times itself. The core ticks on its own deadlines; a datagram waits for
+the next one. `path` is all of that; `added` is what remains without the wait, from the later of
+datagram and deadline to the bytes. `work` is the core's own work in a tick, as recorded.
+"""
+
+import argparse
+import contextlib
+import json
+import multiprocessing as mp
+import os
+import select
+import socket
+import subprocess
+import sys
+import tempfile
+import tty
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from daemon.build import make_plan, make_world_config
+from daemon.children import Crew, start_crew
+from daemon.options import RunOptions
+from daemon.records import unpack_records
+from sim_hw.links import spawn_sim
+from steer_bus import messages as m
+from steer_bus import topics
+from steer_bus.clock import MonotonicClock
+from steer_bus.codec import decode
+from steer_bus.session_read import open_session
+
+CLOCK = MonotonicClock()
+BOOT_ID = 815
+FRAME = b"\x07\x00"
+"""A NatNet frame of data begins so."""
+RATES = (100, 200, 500)
+
+
+def tap(port: str, server: tuple[str, int], pipe: Connection) -> None:
+    """Pass bytes between core and hardware until told to stop; then tell when they passed."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(60))
+    near, far = os.openpty()
+    tty.setraw(far)
+    device = os.open(port, os.O_RDWR | os.O_NOCTTY)
+    tty.setraw(device)
+    client, upstream = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    client.bind(("127.0.0.1", 0))
+    upstream.connect(server)
+    pipe.send((os.ttyname(far), client.getsockname()[1]))
+    core: Any = None
+    frames: list[int] = []
+    orders: list[int] = []
+    while True:
+        ready, _, _ = select.select([near, device, client, upstream, pipe], [], [])
+        if upstream in ready:
+            data = upstream.recv(65536)
+            if core is not None:
+                stamp = CLOCK.now_ns()
+                client.sendto(data, core)
+                if data.startswith(FRAME):
+                    frames.append(stamp)
+        if near in ready:
+            data = os.read(near, 4096)
+            orders.append(CLOCK.now_ns())
+            os.write(device, data)
+        if device in ready:
+            os.write(near, os.read(device, 4096))
+        if client in ready:
+            data, core = client.recvfrom(65536)
+            upstream.send(data)
+        if pipe in ready:
+            pipe.send((frames, orders))
+            return
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def cpu_s(pid: int) -> float:
+    """User and system time of a process [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def guardian_of(core: int) -> list[int]:
+    text = Path(f"/proc/{core}/task/{core}/children").read_text(encoding="ascii")
+    return [int(pid) for pid in text.split()]
+
+
+def told(crew: Crew, heard: bytearray, seconds: float) -> bool:
+    """Read what the core tells for a while; whether the car moves by now."""
+    end, moves = CLOCK.now_ns() + round(seconds * 1e9), False
+    while (left := end - CLOCK.now_ns()) > 0:
+        if select.select([crew.status_fd], [], [], left * 1e-9)[0]:
+            data = os.read(crew.status_fd, 1 << 16)
+            if not data:
+                return moves
+            heard += data
+            for record in unpack_records(heard):
+                if record.topic is topics.STATE:
+                    moves = moves or decode(m.State, record.data).speed > 0.3
+    return moves
+
+
+def wait_moving(crew: Crew) -> None:
+    heard = bytearray()
+    for _ in range(150):
+        if told(crew, heard, 0.2):
+            return
+    raise TimeoutError("the car never drove")
+
+
+def set_scheduling(pids: list[int], fifo: bool) -> bool:
+    """Core and guardian under SCHED_FIFO (as they ask for themselves) or not; whether granted."""
+    granted = os.sched_getscheduler(pids[0]) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+    if granted and not fifo:
+        for pid in pids:
+            os.sched_setscheduler(pid, os.SCHED_OTHER, os.sched_param(0))
+    return granted and fifo
+
+
+@contextlib.contextmanager
+def loaded(count: int) -> Any:
+    """So many processes that do nothing but count."""
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+def percentiles(values: Any) -> dict[str, float]:
+    """p50, p99, p99.9 and the worst [ms]."""
+    ms = np.asarray(values) / 1e6
+    p50, p99, p999 = np.percentile(ms, [50, 99, 99.9]).round(3).tolist()
+    return {"p50": p50, "p99": p99, "p999": p999, "max": round(float(ms.max()), 3), "n": ms.size}
+
+
+def judge(session: Path, frames: list[int], orders: list[int], begin: int, end: int) -> Any:
+    """Figures of one drive between two moments [ns]."""
+    ticks = open_session(session).columns(m.Tick)
+    due, woke, work = (ticks[name] for name in ("due_ns", "woke_ns", "work_ns"))
+    inside = (due >= begin) & (due < end)
+    sent, mocap = np.array(orders), np.array(frames)
+    mocap = mocap[(mocap >= begin) & (mocap < end)]
+    # The tick that answers a datagram is the first that wakes after it.
+    tick = np.searchsorted(woke, mocap)
+    kept = tick < due.size
+    tick, mocap = tick[kept], mocap[kept]
+    answer = np.searchsorted(sent, woke[tick])
+    kept = answer < sent.size
+    out, late, start = sent[answer[kept]], mocap[kept], np.maximum(due[tick], mocap)[kept]
+    return {
+        "path_ms": percentiles(out - late),
+        "added_ms": percentiles(out - start),
+        "late_ms": percentiles((woke - due)[inside]),
+        "work_ms": percentiles(work[inside]),
+        "ticks": int(inside.sum()),
+    }
+
+
+def measure(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]:
+    """One drive."""
+    asked = RunOptions(
+        car_file="", path="figure8", speed=1.0, rate_hz=float(rate), simulated=True, auto_arm=True,
+        duration_s=60.0, listen=f"tcp/127.0.0.1:{free_port()}",
+    )  # fmt: skip
+    config = make_world_config(make_plan(asked))
+    config = replace(config, mocap=replace(config.mocap, rate_hz=rate), keep_bytes=False)
+    context = mp.get_context("spawn")
+    with tempfile.TemporaryDirectory() as folder, spawn_sim(config) as sim:
+        ours, theirs = context.Pipe()
+        url = urlsplit(sim.mocap_url)
+        server = (str(url.hostname), int(url.port or 0))
+        tapping = context.Process(target=tap, args=(sim.port, server, theirs), daemon=True)
+        tapping.start()
+        port, mocap = ours.recv()
+        where = sim.mocap_url.replace(f":{server[1]}/", f":{mocap}/")
+        plan = make_plan(replace(asked, port=port, mocap=where))
+        session = Path(folder) / "drive.mcap"
+        crew = start_crew(plan, session, BOOT_ID, CLOCK.realtime_ns() - CLOCK.now_ns(), False)
+        try:
+            wait_moving(crew)
+            core = crew.core.process.pid
+            guardian = guardian_of(core)
+            granted = set_scheduling([core, *guardian], fifo)
+            pids = {"core": core, "recorder": crew.recorder.process.pid,
+                    "gateway": crew.gateway.process.pid, "guardian": guardian[0],
+                    "simulation": sim.process.pid, "tap": tapping.pid}  # fmt: skip
+            with loaded(os.cpu_count() or 1 if busy else 0):
+                told(crew, bytearray(), 1.0)
+                before, begin = {n: cpu_s(p) for n, p in pids.items()}, CLOCK.now_ns()
+                told(crew, bytearray(), seconds)
+                end = CLOCK.now_ns()
+                share = {n: (cpu_s(p) - before[n]) / (end - begin) * 1e9 for n, p in pids.items()}
+            ours.send("stop")
+            frames, orders = ours.recv()
+        finally:
+            crew.core.process.terminate()
+            crew.requests.close()
+            told(crew, bytearray(), 0.5)
+            crew.end()
+            tapping.join(5)
+        found = judge(session, frames, orders, begin, end)
+    shares = {name: round(100.0 * value, 1) for name, value in share.items()}
+    return {"rate": rate, "busy": busy, "fifo": granted, **found, "cpu_percent": shares}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=8.0, help="measured in each drive")
+    parser.add_argument("--rates", type=int, nargs="*", default=RATES)
+    args = parser.parse_args()
+    for rate in args.rates:
+        for busy in (False, True):
+            for fifo in (True, False):
+                print(json.dumps(measure(rate, args.seconds, busy, fifo)), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
