@@ -182,9 +182,7 @@ def descend(
             now.fresh()
     if now.stale > _STALE_LAST:
         now.fresh()
-    return Fitted(
-        space, now.z, now.x, now.at, now.cost, covariance_of(space, now.at), now.tangent
-    )
+    return Fitted(space, now.z, now.x, now.at, now.cost, covariance_of(space, now.at), now.tangent)
 
 
 def covariance_of(space: Space, at: Reduced) -> Array:

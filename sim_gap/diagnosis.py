@@ -17,11 +17,12 @@ from car_model.model import Model
 from sim_gap import constants as c
 from sim_gap.candidates import Score, blocks_of, gain_of, scored, singles
 from sim_gap.decide import ALIASES, Choice, Split, choose
-from sim_gap.descent import Fitted, descend
-from sim_gap.engine import Engine, make_engine
+from sim_gap.descent import Fitted
+from sim_gap.engine import Engine
+from sim_gap.healthy import learn_healthy
 from sim_gap.next_manoeuvre import Manoeuvre, next_manoeuvre
 from sim_gap.noise import Noise, learn_noise, noise_of_section, whitened
-from sim_gap.readings import make_readings
+from sim_gap.opening import null_fit, open_engine
 from sim_gap.residuals import Gap, gap_of, settled
 from sim_gap.shape import Shape, shape_of
 from sim_gap.shrink import Shrinkage, explained_share, measure, predict
@@ -30,12 +31,8 @@ from sim_gap.superset import Superset, make_superset
 from sim_gap.timeline import Timeline, timeline_of
 from sim_gap.where import Where, locate
 from sysid.dataset import Run
-from sysid.windows import estimate_noise, speed_range
 
 Array = NDArray[np.float64]
-
-_ROUGH_NOISE = np.array([5e-3, 0.01, 0.05, 0.05])
-"""Instrument noise of the first descent, before noise is learnt: [m], [rad], [m/s], [rad/s]."""
 
 
 def _silent(stage: str, share: float) -> None:
@@ -145,30 +142,6 @@ class _Case:
     only: tuple[str, ...]
 
 
-def _open_engine(superset: Superset, runs: Sequence[Run]) -> Engine:
-    late = float(superset.base[superset.kernels.names.index("pose_delay")])
-    readings = make_readings(runs, late, speed_range(runs))
-    return make_engine(superset, readings, np.maximum(estimate_noise(runs), _ROUGH_NOISE))
-
-
-def _null(engine: Engine, nuisance: Sequence[str], start: Fitted | None = None) -> Fitted:
-    space = make_space(engine.superset, nuisance)
-    x = engine.readings.layout.guess.copy() if start is None else start.x.copy()
-    z = space.centre if start is None else start.z
-    return descend(engine, space, z.copy(), x)
-
-
-def learn_healthy(base: CarFile | Model[float], runs: Sequence[Run]) -> Noise:
-    """How large noise is, from drives without the gap (see `noise.noise_section` to keep it)."""
-    superset = make_superset(base, runs)
-    engine = _open_engine(superset, runs)
-    nuisance = nuisance_names(superset, runs)
-    fitted = _null(engine, nuisance)
-    noise = learn_noise(engine, fitted)
-    engine = whitened(engine, fitted, noise)
-    return learn_noise(engine, _null(engine, nuisance, fitted), noise)
-
-
 def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None:
     if options.noise is not None:
         return options.noise
@@ -201,7 +174,7 @@ def diagnose(
     if unknown:
         raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
     nuisance = nuisance_names(superset, runs)
-    case = _Case(superset, _open_engine(superset, runs), nuisance, options, only)
+    case = _Case(superset, open_engine(superset, runs), nuisance, options, only)
     known = _known_noise(base, options)
     engine, null, ranked, noise = _search(case, known)
     options.progress("decide", 0.6)
@@ -214,10 +187,10 @@ def _search(case: _Case, known: Noise | None) -> tuple[Engine, Fitted, list[Scor
     """Base, noise and single effects; noise is learnt about the best effect if it is not known."""
     engine, options = case.engine, case.options
     options.progress("base", 0.05)
-    null = _null(engine, case.nuisance)
+    null = null_fit(engine, case.nuisance)
     noise = known or learn_noise(engine, null)
     engine = whitened(engine, null, noise)
-    null = _null(engine, case.nuisance, null)
+    null = null_fit(engine, case.nuisance, null)
     options.progress("candidates", 0.2)
     most = c.REFITS if known else c.REFITS_ROUGH
     ranked = singles(engine, null, case.nuisance, case.only, options.jobs, most)
@@ -227,7 +200,7 @@ def _search(case: _Case, known: Noise | None) -> tuple[Engine, Fitted, list[Scor
         best = ranked[0].fitted
         noise = learn_noise(engine, best, noise)
         engine = whitened(engine, best, noise)
-        null = _null(engine, case.nuisance, null)
+        null = null_fit(engine, case.nuisance, null)
         options.progress("candidates again", 0.4)
         ranked = singles(engine, null, case.nuisance, case.only, options.jobs) or ranked
     return engine, null, ranked, noise
@@ -330,7 +303,7 @@ def _shrinkage(
     if not case.options.held_out or not chosen.effects:
         return Shrinkage(share, None, low, high, digest, text, None, None)
     held_out = case.options.held_out
-    other = _open_engine(case.superset, held_out() if callable(held_out) else held_out)
+    other = open_engine(case.superset, held_out() if callable(held_out) else held_out)
     return measure(other, chosen, noise, (share, low, high), digest, text)
 
 

@@ -4,10 +4,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from benchmarks.blind_gap.bank import SETS
+from benchmarks.blind_gap.bank import CARS, SETS
 from benchmarks.blind_gap.detectability import FILE, save_severities
 from benchmarks.blind_gap.diagnosing import DIAGNOSE, IDENTIFY, diagnose_set
 from benchmarks.blind_gap.generate import generate, key_path
+from benchmarks.blind_gap.inside import diagnose_part
 from benchmarks.blind_gap.opening import LOG, OpeningError, case_names, load_labels, load_manifest
 from benchmarks.blind_gap.opening import open_labels as unseal_labels
 from benchmarks.blind_gap.report import write_report
@@ -20,7 +21,7 @@ _PAGE = Path(__file__).resolve().parents[2] / "docs" / "blind-test.md"
 
 def _generate(args: argparse.Namespace) -> str:
     blocks = tuple(args.blocks.split(",")) if args.blocks else ()
-    generate(args.set, args.out, args.limit, args.nonce, args.jobs, blocks)
+    generate(args.set, args.out, args.limit, args.nonce, args.jobs, blocks, args.cars)
     sealed = args.out / "labels.sealed.sha256"
     if not sealed.exists():
         return f"{args.out}: cases with open labels, to tune on"
@@ -28,7 +29,11 @@ def _generate(args: argparse.Namespace) -> str:
 
 
 def _run(args: argparse.Namespace) -> str:
-    diagnose_set(args.out, args.verdicts, args.identify, args.diagnose)
+    if args.inside:
+        part, parts = (int(number) for number in args.part.split("/"))
+        diagnose_part(args.out, args.verdicts, part - 1, parts)
+    else:
+        diagnose_set(args.out, args.verdicts, args.identify, args.diagnose)
     return f"verdicts are in {args.verdicts}; `open` the labels when all are there"
 
 
@@ -43,7 +48,7 @@ def _score(args: argparse.Namespace) -> str:
     scores = score(labels["cases"], verdicts)
     notes = [
         f"Set `{labels['set']}`, nonce {labels['nonce']}, limit {labels['limit']},"
-        f" blocks {labels['blocks'] or 'all'}: generates again with these.",
+        f" blocks {labels['blocks'] or 'all'}, cars {labels.get('cars', CARS)}: generates again with these.",
         f"Report sets were opened {len(openings)} times so far"
         " (`benchmarks/blind_gap/opened.jsonl`).",
         f"A name is confident from {CONFIDENT} on.",
@@ -69,10 +74,13 @@ def make_parser() -> argparse.ArgumentParser:
     make.add_argument("--blocks", help="only these, by first letters: null,single-rich")
     make.add_argument("--nonce", type=int, help="make the same set again")
     make.add_argument("--jobs", type=int, default=1)
+    make.add_argument("--cars", type=int, default=CARS, help=f"at most {CARS}")
     make.set_defaults(act=_generate)
     ask = commands.add_parser("run", help="identify every car, diagnose every case")
     ask.add_argument("--identify", default=IDENTIFY, help=IDENTIFY)
     ask.add_argument("--diagnose", default=DIAGNOSE, help=DIAGNOSE)
+    ask.add_argument("--inside", action="store_true", help="in this process, not by commands")
+    ask.add_argument("--part", default="1/1", metavar="K/N", help="with --inside: these cars")
     ask.set_defaults(act=_run)
     unseal = commands.add_parser("open", help="unseal the labels, once the verdicts are written")
     unseal.add_argument("--key", type=Path, help="by default OUT.key")

@@ -180,10 +180,10 @@ _PARTS: tuple[Callable[[Source], Iterator[Case]], ...] = (
 )  # fmt: skip
 
 
-def _filled(source: Source, case: Case, seed: int) -> Case:
+def _filled(source: Source, case: Case, seed: int, cars: int) -> Case:
     """The case with its car, flavour and a route where a spot on the floor is needed."""
     rng = source.rng("fill", seed)
-    car = int(rng.integers(CARS))
+    car = int(rng.integers(CARS)) % cars
     if case.kind == "structural":
         car = CARS + int(rng.integers(STRUCTURAL_CARS))
     flavour = str(rng.choice(_FLAVOURS, p=_FLAVOUR_SHARE))
@@ -197,15 +197,18 @@ def needs_place(case: Case) -> bool:
     return any(places) or (bool(case.outside) and OUTSIDE[case.outside].needs_place)
 
 
-def make_plan(source: Source, limit: int | None = None, blocks: tuple[str, ...] = ()) -> list[Case]:
+def make_plan(
+    source: Source, limit: int | None = None, blocks: tuple[str, ...] = (), cars: int = CARS
+) -> list[Case]:
     """The set's cases under opaque names; `limit` keeps every part's share of the whole.
 
     Every case has a rank between 0 and 1, spread evenly within its block; the first `limit` ranks
     stay, and names are dealt out after shuffling, so that neither tells what a case is. `blocks`
-    keeps only those whose name starts with one of them; cases keep their seeds.
+    keeps only those whose name starts with one of them; cases keep their seeds. Fewer `cars` than
+    `CARS` share the cases out among the first of them: each car is identified once.
     """
     cases = [case for part in _PARTS for case in part(source)]
-    cases = [_filled(source, case, seed) for seed, case in enumerate(cases)]
+    cases = [_filled(source, case, seed, cars) for seed, case in enumerate(cases)]
     cases = [case for case in cases if not blocks or case.block.startswith(blocks)]
     rng, ranks = source.rng("order"), np.empty(len(cases))
     of_case = np.array([case.block for case in cases])

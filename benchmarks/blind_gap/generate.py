@@ -156,6 +156,7 @@ def generate(
     nonce: int | None = None,
     jobs: int = 1,
     blocks: tuple[str, ...] = (),
+    cars: int = CARS,
 ) -> Path:
     """Write a set.
 
@@ -166,6 +167,7 @@ def generate(
         nonce: fixes the set; drawn for `report`, 0 for `tuning` if left out.
         jobs: processes.
         blocks: only parts of the bank whose names start so; all if empty.
+        cars: number of cars that the cases are shared out among.
 
     Returns:
         The manifest.
@@ -176,10 +178,10 @@ def generate(
     if nonce is None:
         nonce = secrets.randbits(63) if set_name == "report" else 0
     source = Source(set_name, nonce)
-    plan = make_plan(source, limit, blocks)
+    plan = make_plan(source, limit, blocks, cars)
     out.mkdir(parents=True)
-    cars = sorted({case.car for case in plan})
-    tasks = [delayed(write_car)(source, number, out) for number in cars]
+    numbers = sorted({case.car for case in plan})
+    tasks = [delayed(write_car)(source, number, out) for number in numbers]
     rows = _progress(tasks, "healthy cars", jobs)
     tasks = [delayed(write_case)(source, case, out) for case in plan]
     done = _progress(tasks, f"cases of {set_name}", jobs)
@@ -194,6 +196,7 @@ def generate(
         "nonce": nonce,
         "limit": limit,
         "blocks": list(blocks),
+        "cars": cars,
         "cases": [label for _, label in done],
     }
     return _save(out, manifest, labels)

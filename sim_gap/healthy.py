@@ -1,0 +1,69 @@
+"""What drives without a gap tell the diagnosis: how large noise is, and the base car once more.
+
+`sysid.fit` weighs errors as instruments' noise; over whole drives what disturbs the car on its way
+adds up and biases it. Here errors of one second are weighed by instruments and disturbances both,
+the same measure by which the diagnosis judges, so that a healthy car has no gap to it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from car_model.car_file import CarFile
+from car_model.model import Model
+from sim_gap.descent import Fitted
+from sim_gap.noise import Noise, learn_noise, noise_section, whitened
+from sim_gap.opening import null_fit, open_engine
+from sim_gap.space import nuisance_names
+from sim_gap.superset import make_superset
+from sysid.dataset import Run
+
+_ROUNDS = 2
+_FAR = 2.5
+"""A parameter so many prior standard deviations off is tried again about where it went."""
+
+
+def _learn(base: CarFile | Model[float], runs: Sequence[Run]) -> tuple[Noise, Fitted]:
+    superset = make_superset(base, runs)
+    engine = open_engine(superset, runs)
+    nuisance = nuisance_names(superset, runs)
+    fitted, noise = null_fit(engine, nuisance), None
+    for _ in range(_ROUNDS):
+        noise = learn_noise(engine, fitted, noise)
+        engine = whitened(engine, fitted, noise)
+        fitted = null_fit(engine, nuisance, fitted)
+    return learn_noise(engine, fitted, noise), fitted
+
+
+def learn_healthy(base: CarFile | Model[float], runs: Sequence[Run]) -> Noise:
+    """How large noise is, from drives without the gap (see `noise.noise_section` to keep it)."""
+    return _learn(base, runs)[0]
+
+
+def refine(base: CarFile, runs: Sequence[Run]) -> CarFile:
+    """The base car as drives without a gap show it: its parameters, their errors, and `[noise]`.
+
+    Args:
+        base: as identified; where its parameters end up is not tied to its standard errors.
+        runs: drives without a gap.
+    """
+    noise, fitted = _learn(replace(base, sd={}), runs)
+    if np.abs(fitted.prior).max() > _FAR:
+        noise, fitted = _learn(replace(_moved(base, fitted, noise), sd={}), runs)
+    return _moved(base, fitted, noise)
+
+
+def _moved(base: CarFile, fitted: Fitted, noise: Noise) -> CarFile:
+    """The base with what a fit found."""
+    chart, own = fitted.space.chart, fitted.space.nuisance
+    p = dict(zip(chart.names, chart.parameters(fitted.z), strict=True))
+    slopes = chart.slopes(fitted.z)
+    sd = np.sqrt(np.einsum("pi,ij,pj->p", slopes, fitted.covariance, slopes))
+    free = [chart.names.index(name) for name in chart.free[:own]]
+    return replace(
+        base,
+        car=base.car._replace(**{chart.names[i]: float(p[chart.names[i]]) for i in free}),
+        sd={**base.sd, **{chart.names[i]: float(sd[i]) for i in free}},
+        sections={**base.sections, "noise": noise_section(noise)},
+    )

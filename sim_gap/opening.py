@@ -1,0 +1,35 @@
+"""A session opened: windows under the base car, and the base at its best within its uncertainty."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim_gap.descent import Fitted, descend
+from sim_gap.engine import Engine, make_engine
+from sim_gap.readings import make_readings
+from sim_gap.space import make_space
+from sim_gap.superset import Superset
+from sysid.dataset import Run
+from sysid.windows import estimate_noise, speed_range
+
+_ROUGH_NOISE = np.array([5e-3, 0.01, 0.05, 0.05])
+"""Instrument noise of the first descent, before noise is learnt: [m], [rad], [m/s], [rad/s]."""
+
+
+def open_engine(superset: Superset, runs: Sequence[Run]) -> Engine:
+    """The windows of some drives, with rough noise."""
+    late = float(superset.base[superset.kernels.names.index("pose_delay")])
+    readings = make_readings(runs, late, speed_range(runs))
+    return make_engine(superset, readings, np.maximum(estimate_noise(runs), _ROUGH_NOISE))
+
+
+def null_fit(engine: Engine, nuisance: Sequence[str], start: Fitted | None = None) -> Fitted:
+    """The base with its parameters free within their uncertainty.
+
+    Raises:
+        FloatingPointError: the base car's simulation diverges.
+    """
+    space = make_space(engine.superset, nuisance)
+    x = engine.readings.layout.guess.copy() if start is None else start.x.copy()
+    z = space.centre if start is None else start.z
+    return descend(engine, space, z.copy(), x)
