@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_gap.superset import Superset
-from sysid.chart import INVERSE, LOGARITHM, Chart, make_chart
+from sysid.chart import INVERSE, LOGARITHM, RELATIVE, Chart, make_chart
 from sysid.dataset import Run
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ def _spread(superset: Superset, name: str) -> float:
     """Prior standard deviation of a base parameter in its own unit."""
     value = float(superset.base[superset.kernels.names.index(name)])
     floor = FLOORS[name]
-    if name in INVERSE | LOGARITHM:
+    if name in RELATIVE:
         floor *= abs(value)
     if not superset.sd:
         return UNKNOWN * floor

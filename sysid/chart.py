@@ -18,7 +18,14 @@ from sysid.trace import parameter_names
 Array = NDArray[np.float64]
 
 INVERSE = frozenset({"c_sf", "c_sr"})
-LOGARITHM = frozenset({"mu", "inertia_z", "mass", "steer_gain", "speed_gain", "steer_rate"})
+LOGARITHM = frozenset({"mu", "mass", "speed_gain", "steer_rate"})
+RELATIVE = INVERSE | LOGARITHM | {"inertia_z", "steer_gain"}
+"""What is judged by its relative error.
+
+Inertia and steering gain are coordinates as they are: a car that is longer, slides more, has more
+inertia and steers more, all by one factor, hardly differs from the first (only its slip angle
+does), and that long valley is straight in (L, lr, 1/C, I, gain).
+"""
 SPREAD = {
     "steer_bias": 0.05, "steer_delay": 0.03, "steer_lag": 0.05, "drive_delay": 0.05,
     "speed_lag": 0.1, "pose_delay": 0.02, "cog_height": 0.05, "steer_min": 0.1, "steer_max": 0.1,
@@ -26,7 +33,7 @@ SPREAD = {
 }  # fmt: skip
 """Prior standard deviation of what is neither a compliance nor a logarithm, in its own unit."""
 SPREAD_RELATIVE = 1.0
-"""Prior standard deviation of compliances and logarithms, relative."""
+"""Prior standard deviation of compliances, logarithms and inertia, relative."""
 SPREAD_GAIN = 0.3
 """The same for the two gains."""
 WHEELBASE = "wheelbase"
@@ -180,8 +187,12 @@ def _spreads(chart: Chart, effects: Sequence[Effect]) -> Array:
     for value, name in zip(z, chart.free, strict=True):
         if name in INVERSE:
             spread.append(SPREAD_RELATIVE * abs(value))
+        elif name.endswith("gain"):
+            spread.append(SPREAD_GAIN)
         elif name in LOGARITHM:
-            spread.append(SPREAD_GAIN if name.endswith("gain") else SPREAD_RELATIVE)
+            spread.append(SPREAD_RELATIVE)
+        elif name == "inertia_z":
+            spread.append(SPREAD_RELATIVE * abs(value))
         else:
             spread.append(own.get(name) or SPREAD[name])
     return np.array(spread)

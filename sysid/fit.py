@@ -32,9 +32,11 @@ DEFAULT_FREE: tuple[str, ...] = (
 """Free unless said otherwise. mu only scales the stiffnesses, mass only the inertia: fixed."""
 TYRES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
 """What the paper identifies."""
-HORIZONS: tuple[float, ...] = (0.5, 2.0, np.inf)
-"""Windows' lengths [s], one stage each."""
-_ROUGH, _FINE = Effort(6, 0.5, 1e-2, 1e-4), Effort(20, 0.1, 1e-7)
+HORIZONS: tuple[float, ...] = (0.5, 2.0, 8.0, np.inf)
+"""Windows' lengths [s], one stage each; lengths near that of the longest drive are passed over."""
+_ROUGH, _FINE = Effort(8, 0.5, 3e-3, 1e-4), Effort(20, 0.1, 1e-7)
+_GROWTH = 1.5
+"""A last stage whose windows are no more than so much longer than a stage's replaces it."""
 _SPEED_OF_COMMANDS = ("speed_gain", "speed_lag", "drive_delay", "accel_max", "decel_max")
 _NOISE_ROUNDS = 3
 _NOISE_SETTLED = 0.03
@@ -213,7 +215,7 @@ def fit(
     low, high = chart.bounds()
     tried = [parameter_vector(start) for start in (starts or (model,))]
     found, problem = _first_stage(work, [np.clip(chart.coordinates(p), low, high) for p in tried])
-    for horizon in options.horizons[1:]:
+    for horizon in _later_horizons(runs, options):
         wider = work.problem(horizon, found.z)
         x = _carry(problem, found.x, wider)
         problem = wider
@@ -224,6 +226,16 @@ def fit(
     if options.noise is None:
         found = _settle_noise(work, problem, found)
     return _report(work, problem, found, signal)
+
+
+def _later_horizons(runs: Sequence[Run], options: Options) -> list[float]:
+    """Windows' lengths after the first stage's."""
+    later = list(options.horizons[1:])
+    if not later:
+        return []
+    last = later.pop()
+    longest = min(last, max(float(np.ptp(run.pose.t)) for run in runs))
+    return [*(h for h in later if _GROWTH * h < longest), last]
 
 
 def _first_stage(work: _Work, starts: Sequence[Array]) -> tuple[Descent, Problem]:

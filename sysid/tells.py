@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from car_model.params import GRAVITY
-from sysid.chart import INVERSE, LOGARITHM, WHEELBASE, Chart
+from sysid.chart import RELATIVE, WHEELBASE, Chart
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def standard_errors(chart: Chart, z: Array, covariance: Array) -> Array:
 
 
 def _known(name: str, value: float, sd: float, prior_sd: float) -> bool:
-    relative = name in INVERSE or name in LOGARITHM or name in ("lf", "lr")
+    relative = name in RELATIVE or name in ("lf", "lr")
     return sd < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior_sd)
 
 
