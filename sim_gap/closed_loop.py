@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
+from scipy.signal import periodogram, welch
 
 Array = NDArray[np.float64]
 
@@ -130,9 +130,9 @@ def steering_spectrum(drive: LaneDrive) -> tuple[Array, Array]:
 
 
 def _peak(t: Array, values: Array) -> float:
-    f, density = _density(t, values)
-    kept = f >= BAND[0] - 1e-9
-    return float(f[kept][np.argmax(density[kept])])
+    """Frequency at which a signal is strongest, its mean left out [Hz]."""
+    f, power = periodogram(values, 1.0 / float(np.median(np.diff(t))), detrend="constant")
+    return float(f[1:][np.argmax(power[1:])])
 
 
 def figures_of(drive: LaneDrive) -> LaneFigures:

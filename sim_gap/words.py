@@ -1,13 +1,19 @@
 """A diagnosis in plain sentences, for the terminal and the report alike."""
 
 from collections.abc import Iterator
+from math import floor, isfinite, log10
 
 from car_model.effects import EFFECTS
-from sim_gap.closed_loop import LaneComparison, figures_of
+from sim_gap.closed_loop import LaneComparison, as_long, figures_of
 from sim_gap.diagnosis import Cause, Diagnosis
+from sim_gap.residuals import Gap
 
 SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad"), "m": (1e3, "mm"), "1": (1.0, "")}
 """Small units for small numbers; what is not listed stays in SI."""
+LARGE = 1000.0
+"""From here on the larger unit reads better."""
+NOTHING_THERE = 1.05
+"""Whitened error up to which drives show no gap."""
 EQUATIONS = {
     "accel": "longitudinal equation",
     "lateral": "side-slip equation",
@@ -20,10 +26,20 @@ FAMILIES = {"none": "no gap", "explained": "explained", "partial": "partly expla
 
 
 def value_words(value: float, sd: float, unit: str) -> str:
-    """A value with its standard error, in a unit that suits it."""
+    """A value with its standard error to two digits of it, in a unit that suits the value."""
     scale, small = SCALES.get(unit, (1.0, unit))
-    digits = f"{scale * value:.3g} ± {scale * sd:.2g}"
-    return f"{digits} {small}".rstrip()
+    if abs(scale * value) >= LARGE:
+        scale, small = 1.0, unit
+    small = "" if small == "1" else small.replace("^2", "²")
+    return f"{_rounded(scale * value, scale * sd)} {small}".rstrip()
+
+
+def _rounded(value: float, sd: float) -> str:
+    if not (isfinite(sd) and sd > 0.0):
+        return f"{value:.3g} ± ?"
+    places = 1 - floor(log10(sd))
+    digits = min(max(places, 0), 6)
+    return f"{round(value, places):.{digits}f} ± {round(sd, places):.{digits}f}"
 
 
 def cause_words(cause: Cause) -> str:
@@ -42,7 +58,7 @@ def summary_of(effect: str) -> str:
 def headline(told: Diagnosis) -> str:
     """The verdict in one sentence."""
     if told.verdict == "none":
-        return "No gap: what the simulation does not predict of these drives looks like noise."
+        return "What the simulation does not predict of these drives looks like noise."
     if told.verdict == "unexplained" or not told.causes:
         return "There is a gap, and none of the known effects explains it."
     names = " and ".join(cause.effect for cause in told.causes)
@@ -62,9 +78,18 @@ def ambiguity(cause: Cause) -> str:
     return "; ".join(parts)
 
 
+def told_leads(gap: Gap) -> list[int]:
+    """Which leads have errors: windows may end just before the last."""
+    return [i for i, row in enumerate(gap.errors) if row[1] > 0.0]
+
+
 def gap_words(told: Diagnosis) -> Iterator[str]:
     """Position and heading error before and after by lead."""
-    for before, after in zip(told.before.errors, told.after.errors, strict=True):
+    for i in told_leads(told.before):
+        before, after = told.before.errors[i], told.after.errors[i]
+        if not told.causes:
+            yield f"{before[0]:g} s: {1e3 * before[1]:.2g} mm, {1e3 * before[2]:.2g} mrad"
+            continue
         yield (
             f"{before[0]:g} s: {1e3 * before[1]:.2g} → {1e3 * after[1]:.2g} mm, "
             f"{1e3 * before[2]:.2g} → {1e3 * after[2]:.2g} mrad"
@@ -79,6 +104,8 @@ def shrink_words(told: Diagnosis, held_out_of: str) -> str:
     text = f"predicted {s.predicted:.0%} of the excess error ({s.low:.0%} to {s.high:.0%})"
     if s.measured is None:
         return f"{text}; not measured: nothing was kept back"
+    if s.before is not None and s.before.whitened < NOTHING_THERE:
+        return f"{text}; {held_out_of} shows no gap that could shrink"
     return f"{text}, measured {s.measured:.0%} on {held_out_of}"
 
 
@@ -117,6 +144,8 @@ def lane_words(lane: LaneComparison) -> str:
 def lane_rows(lane: LaneComparison) -> list[tuple[str, list[str]]]:
     """A table: figures of the recorded and the simulated drives."""
     drives = [lane.recorded, lane.without, lane.with_effect]
+    if lane.without is not None:
+        drives[0] = as_long(lane.recorded, lane.without)
     found = [None if d is None else figures_of(d) for d in drives]
     rows = [
         ("e1 RMS [mm]", 1e3, "e1_rms"), ("e1 mean [mm]", 1e3, "e1_mean"),

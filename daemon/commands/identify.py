@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         advance(count + 2.0)
         report = _render(outcome) if args.report else None
     good = improved(outcome)
-    _write(args, base, outcome, report)
+    _write(args, base, outcome, report, task.runs)
     print(describe(outcome, args.output))
     return ExitCode.OK if good else ExitCode.STOPPED
 
@@ -213,7 +213,11 @@ def _render(outcome: "Outcome") -> str:
 
 
 def _write(
-    args: argparse.Namespace, base: "CarFile", outcome: "Outcome", report: str | None
+    args: argparse.Namespace,
+    base: "CarFile",
+    outcome: "Outcome",
+    report: str | None,
+    runs: "tuple[Run, ...]" = (),
 ) -> None:
     """Every file whole or not at all."""
     from car_model.car_file import CarFileError, save_car
@@ -226,9 +230,30 @@ def _write(
         write_whole(args.report, report)
     if args.output:
         try:
-            save_car(args.output, base, learned(outcome))
+            car = save_car(args.output, base, learned(outcome))
         except CarFileError as error:
             raise SteerdError(str(error), error.hint, ExitCode.INVALID) from None
+        if runs:
+            write_whole(args.output, with_noise(car, runs))
+
+
+def with_noise(car: "CarFile", runs: "tuple[Run, ...]") -> str:
+    """The car file's text with `[noise]`: how large what no car explains was in these drives.
+
+    `steerd diagnose` judges other drives of the car by it. The file stays without where the drives
+    do not tell it.
+    """
+    import tomlkit
+
+    from sim_gap.healthy import learn_healthy
+    from sim_gap.noise import noise_section
+
+    document = tomlkit.parse(car.text)
+    try:
+        document["noise"] = noise_section(learn_healthy(car, runs))
+    except (ValueError, FloatingPointError):
+        return car.text
+    return tomlkit.dumps(document)
 
 
 def learned(outcome: "Outcome") -> dict[str, Any]:
