@@ -1,0 +1,188 @@
+"""The lab profile with real zenoh sessions: certificates decide who commands and who reads."""
+
+import select
+import shutil
+import socket
+import time
+
+import pytest
+
+from daemon.cli import guarded
+from steer_bus.bus import BusError
+from steer_bus.lab import load_lab, make_tls_settings
+from steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile, make_spoke_profile
+
+pytest.importorskip("cryptography")
+pytestmark = pytest.mark.realtime
+STATE, ORDER = "steerd/car1/state", "steerd/car1/cmd/operator"
+SCHEMA, ALIVE = "steerd/car1/schema/x", "steerd/car1/alive"
+POSE = "lab/pose/car1"
+QUIET_S = 0.3
+
+
+def until(condition):
+    end = time.monotonic() + 5.0
+    while not (found := condition()) and time.monotonic() < end:
+        select.select([], [], [], 0.005)
+    return found
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def labs(tmp_path_factory):
+    """Two labs at one address, made by two authorities with the same names."""
+    root, port = tmp_path_factory.mktemp("labs"), str(free_port())
+    people = ["--operator", "desk", "--operator", "tablet", "--viewer", "screen"]
+    for name in ("ours", "theirs"):
+        where = [str(root / name), "--host", "127.0.0.1", "--port", port]
+        assert guarded(["keys", *where, *people]) == 0
+    return root
+
+
+@pytest.fixture(scope="module")
+def hub(labs):
+    lab = load_lab(labs / "ours" / "car1")
+    with ZenohBus(make_hub_profile(lab.endpoint, lab, pose_key=POSE)) as bus:
+        tokens = [bus.declare_alive(ALIVE), bus.serve("steerd/car1/schema/**", lambda _: b"text")]
+        yield bus
+        for token in tokens:
+            token.close()
+
+
+def join(folder):
+    lab = load_lab(folder)
+    return ZenohBus(make_spoke_profile(lab.endpoint, lab))
+
+
+def orders(hub, sender, key=ORDER):
+    """How many of twenty orders arrive, from one who learns that somebody listens."""
+    inbox = hub.subscribe(key, 64)
+    assert until(lambda: sender.has_subscriber(key))
+    for _ in range(20):
+        sender.publish(key, b"go")
+    got = []
+    until(lambda: got.extend(inbox.poll()) or len(got) == 20)
+    inbox.close()
+    return len(got)
+
+
+def reads(hub, reader, key, sent=STATE):
+    """Whether a reader of `key` hears what the hub sends under `sent`."""
+    subscription = reader.subscribe(key, 64)
+    marker = reader.subscribe("steerd/car1/tick", 64)
+    heard, marked = [], []
+
+    def tell():
+        hub.publish(sent, b"told")
+        hub.publish("steerd/car1/tick", b"mark")
+        heard.extend(s.data for s in subscription.poll())
+        marked.extend(marker.poll())
+        return len(marked) >= 3
+
+    assert until(tell)
+    heard.extend(s.data for s in subscription.poll())
+    subscription.close()
+    marker.close()
+    return heard
+
+
+def test_an_operator_commands_and_reads(hub, labs):
+    with join(labs / "ours" / "desk") as desk:
+        assert orders(hub, desk) == 20
+        assert orders(hub, desk, POSE) == 20
+        assert reads(hub, desk, STATE)
+        assert reads(hub, desk, "steerd/car1/*")
+        assert until(lambda: desk.alive("steerd/*/alive")) == {ALIVE}
+        assert desk.query(SCHEMA) == {SCHEMA: b"text"}
+
+
+def test_a_viewer_reads_and_cannot_command(hub, labs):
+    with join(labs / "ours" / "screen") as screen:
+        assert reads(hub, screen, STATE)
+        assert reads(hub, screen, "steerd/car1/*")
+        assert until(lambda: screen.alive("steerd/*/alive")) == {ALIVE}
+        assert screen.query(SCHEMA) == {SCHEMA: b"text"}
+        for key in (ORDER, "steerd/car1/cmd/drive", POSE):
+            assert not screen.has_subscriber(key)
+            assert orders_given_anyway(hub, screen, key) == 0
+
+
+def orders_given_anyway(hub, sender, key):
+    inbox = hub.subscribe(key, 64)
+    select.select([], [], [], QUIET_S)
+    for _ in range(20):
+        sender.publish(key, b"go")
+    select.select([], [], [], QUIET_S)
+    got = inbox.poll()
+    inbox.close()
+    return len(got)
+
+
+def test_a_viewer_sees_no_orders_and_nobody_fakes_the_car(hub, labs):
+    folder = labs / "ours"
+    with join(folder / "screen") as screen, join(folder / "desk") as desk:
+        assert set(reads(hub, screen, "steerd/car1/**", sent=ORDER)) == {b"mark"}
+        inbox = desk.subscribe(STATE, 64)
+        assert orders_given_anyway(hub, screen, STATE) == 0
+        with join(folder / "tablet") as tablet:
+            assert orders_given_anyway(hub, tablet, STATE) == 0
+        assert inbox.poll() == []
+
+
+def test_who_asks_for_everything_gets_nothing(hub, labs):
+    """One who also asks for what is allowed would hear it twice: so the greedy one asks alone."""
+    with join(labs / "ours" / "screen") as greedy, join(labs / "ours" / "desk") as desk:
+        every = [greedy.subscribe(key, 64) for key in ("**", "steerd/**", "steerd/*/state")]
+        assert reads(hub, desk, STATE)
+        assert [subscription.poll() for subscription in every] == [[], [], []]
+
+
+def test_no_certificate_another_authority_and_plain_text_are_refused(hub, labs):
+    ours = load_lab(labs / "ours" / "desk")
+    settings = make_tls_settings(ours, hub=False)
+    nameless = {key: value for key, value in settings.items() if "connect_" not in key}
+    stranger = load_lab(labs / "theirs" / "desk")
+    foreign = make_tls_settings(stranger, hub=False)
+    trusting = {**foreign, "transport/link/tls/root_ca_certificate": str(ours.folder / "ca.pem")}
+    plain = ours.endpoint.replace("tls/", "tcp/")
+    for profile in (
+        Profile(False, ours.endpoint),
+        Profile(False, ours.endpoint, settings=nameless),
+        Profile(False, ours.endpoint, settings=foreign),
+        Profile(False, ours.endpoint, settings=trusting),
+        Profile(False, plain),
+    ):
+        with pytest.raises(BusError, match="nobody listens"):
+            ZenohBus(profile)
+
+
+def test_a_hub_of_another_lab_is_not_believed(labs):
+    """Who stands in for the car gets no orders: the dialler checks the hub's certificate too."""
+    theirs, port = load_lab(labs / "theirs" / "car1"), free_port()
+    endpoint = f"tls/127.0.0.1:{port}"
+    ours = load_lab(labs / "ours" / "desk")
+    with ZenohBus(make_hub_profile(endpoint, theirs)), pytest.raises(BusError):
+        ZenohBus(make_spoke_profile(endpoint, ours))
+
+
+def test_who_is_taken_out_of_the_list_is_out(labs, tmp_path):
+    car = shutil.copytree(labs / "ours" / "car1", tmp_path / "car1")
+    roster = (car / "lab.toml").read_text()
+    (car / "lab.toml").write_text(roster.replace('"desk", ', ""))
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    lab = load_lab(car)
+    with (
+        ZenohBus(make_hub_profile(endpoint, lab)) as hub,
+        ZenohBus(make_spoke_profile(endpoint, load_lab(labs / "ours" / "desk"))) as desk,
+        ZenohBus(make_spoke_profile(endpoint, load_lab(labs / "ours" / "tablet"))) as tablet,
+    ):
+        assert orders(hub, tablet) == 20
+        assert orders_given_anyway(hub, desk, ORDER) == 0
+        inbox = desk.subscribe("steerd/car1/*", 64)
+        assert reads(hub, tablet, STATE)
+        assert inbox.poll() == []

@@ -1,0 +1,129 @@
+"""A participant's folder, and the rules that a hub derives from it."""
+
+from pathlib import Path
+
+import pytest
+
+from steer_bus.bus import BusError
+from steer_bus.lab import Lab, load_lab, make_access_settings, make_tls_settings
+from steer_bus.zenoh_bus import Profile, make_hub_profile, make_settings, make_spoke_profile
+
+ENDPOINT = "tls/10.0.0.5:7447"
+GOOD = f'car = "car1"\nendpoint = "{ENDPOINT}"\noperators = ["desk"]\nviewers = ["screen"]\n'
+LAB = Lab(Path("/lab/car1"), "car1", ENDPOINT, ("desk",), ("screen",))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("ca.pem", "cert.pem", "key.pem"):
+        (tmp_path / name).write_text("x")
+    (tmp_path / "key.pem").chmod(0o600)
+    (tmp_path / "lab.toml").write_text(GOOD)
+    return tmp_path
+
+
+def test_a_folder_is_read(folder):
+    assert load_lab(folder) == Lab(folder, "car1", ENDPOINT, ("desk",), ("screen",))
+
+
+@pytest.mark.parametrize("name", ["ca.pem", "cert.pem", "key.pem", "lab.toml"])
+def test_a_missing_file_is_named(folder, name):
+    (folder / name).unlink()
+    with pytest.raises(BusError, match=f"has no {name}: make"):
+        load_lab(folder)
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620])
+def test_a_key_that_others_can_read_is_refused(folder, mode):
+    (folder / "key.pem").chmod(mode)
+    with pytest.raises(BusError, match="chmod 600"):
+        load_lab(folder)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "car = ", GOOD.replace("car1", ""), GOOD.replace('"desk"', "3"),
+        GOOD.replace('["screen"]', "7"), GOOD.replace("tls/", "tcp/"), "\x00", GOOD * 2,
+    ],
+)  # fmt: skip
+def test_an_odd_list_is_refused_by_name(folder, text):
+    (folder / "lab.toml").write_text(text)
+    with pytest.raises(BusError, match=r"lab\.toml"):
+        load_lab(folder)
+
+
+def test_bytes_that_are_no_text_are_refused(folder):
+    (folder / "lab.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(BusError, match=r"lab\.toml"):
+        load_lab(folder)
+
+
+def rules_of(settings, role):
+    access = settings["access_control"]
+    policy = next(p for p in access["policies"] if p["subjects"] == [role])
+    return [rule for rule in access["rules"] if rule["id"] in policy["rules"]]
+
+
+def test_all_is_denied_but_what_is_listed():
+    access = make_access_settings(LAB)["access_control"]
+    assert access["enabled"] is True
+    assert access["default_permission"] == "deny"
+    assert {rule["permission"] for rule in access["rules"]} == {"allow"}
+    subjects = {s["id"]: s["cert_common_names"] for s in access["subjects"]}
+    assert subjects == {"operators": ["desk"], "viewers": ["screen"]}
+
+
+def test_a_viewer_may_send_nothing_and_an_operator_requests_only():
+    settings = make_access_settings(LAB, "lab/pose/car1")
+
+    def may_put(role):
+        sent = [r for r in rules_of(settings, role) if r["flows"] == ["ingress"]]
+        return {key for r in sent if "put" in r["messages"] for key in r["key_exprs"]}
+
+    assert may_put("viewers") == set()
+    assert may_put("operators") == {
+        "steerd/car1/cmd/drive",
+        "steerd/car1/cmd/operator",
+        "steerd/car1/in/pose",
+        "lab/pose/car1",
+    }
+
+
+@pytest.mark.parametrize("domain", [None, 7])
+def test_what_is_told_holds_no_requests(domain):
+    told = next(
+        r["key_exprs"]
+        for r in make_access_settings(LAB, None, domain)["access_control"]["rules"]
+        if r["flows"] == ["egress"] and "put" in r["messages"]
+    )
+    shown = [] if domain is None else ["7/**", "@ros2_lv/7/**"]
+    assert told == ["steerd/car1/*", "steerd/car1/schema/**", *shown]
+
+
+def test_a_role_that_nobody_has_is_left_out():
+    access = make_access_settings(Lab(Path("x"), "car1", ENDPOINT, ("desk",)))["access_control"]
+    assert [s["id"] for s in access["subjects"]] == ["operators"]
+    assert [p["subjects"] for p in access["policies"]] == [["operators"]]
+
+
+@pytest.mark.parametrize(("hub", "side"), [(True, "listen"), (False, "connect")])
+def test_both_ends_show_a_certificate(hub, side):
+    settings = make_tls_settings(LAB, hub=hub)
+    tls = "transport/link/tls/"
+    assert settings[f"{tls}enable_mtls"] is True
+    assert settings[f"{tls}{side}_certificate"] == "/lab/car1/cert.pem"
+    assert settings[f"{tls}{side}_private_key"] == "/lab/car1/key.pem"
+    assert settings[f"{tls}root_ca_certificate"] == "/lab/car1/ca.pem"
+    assert settings[f"{tls}verify_name_on_connect"] is True
+
+
+def test_profiles():
+    assert make_settings(make_hub_profile(ENDPOINT, LAB))["transport/link/protocols"] == ["tls"]
+    assert make_settings(make_spoke_profile(ENDPOINT, LAB))["listen/endpoints"] == []
+    assert make_spoke_profile(ENDPOINT, None).settings == {}
+    assert make_hub_profile("tcp/10.0.0.5:1", None, insecure_lan=True).insecure_lan is True
+    with pytest.raises(BusError, match="--lab"):
+        make_settings(make_hub_profile("tcp/10.0.0.5:1", LAB))
+    with pytest.raises(BusError, match="--lab"):
+        make_settings(Profile(True, ENDPOINT, settings={"transport/link/tls/enable_mtls": False}))
