@@ -27,7 +27,7 @@ def describe(
 ) -> str:
     """The screen; what matters least is left out where it would not fit."""
     must = [line for label, text in _rows(case, told, lane, why) for line in _wrap(label, text)]
-    last = _wrap("next", _next(told, lane, written))
+    last = [f"{'next':<{_MARGIN}}{_next(told, lane, written)}"]  # to be copied: never broken
     notes = [
         line for note in (*case.notes, *told.notes) for line in _wrap("note", _shortened(note))
     ]

@@ -156,8 +156,8 @@ def _typed(told: Diagnosis) -> str:
     if not told.causes:
         return ""
     return (
-        "To type: steerd diagnose … -o car.toml writes the effect into a car file. steerd run --sim "
-        "--car car.toml then drives a simulated car with this one's manners, and controllers and "
+        "To type: steerd diagnose … -o car.toml writes the effect into a car file. steerd run "
+        "--sim --car car.toml then drives a car with the manners of this one, and controllers and "
         "filters designed from that file know of the effect as far as it is a parameter of theirs."
     )
 

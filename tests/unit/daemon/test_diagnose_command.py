@@ -83,12 +83,12 @@ def test_the_screen_names_the_cause_on_one_screen(told):
     _, screen, _ = told
     lines = screen.splitlines()
     assert len(lines) <= LINES
-    assert max(map(len, lines)) <= COLUMNS
+    assert max(map(len, lines[:-1])) <= COLUMNS
     assert "steer_delay: delay = " in screen
     assert "the default car is assumed" in screen
     assert "cut into blocks of 5 s" in screen
-    assert lines[-1].strip().startswith("next") or "steerd run --sim" in lines[-1]
-    assert "steerd run --sim --fast --duration 20 --car" in screen
+    assert lines[-1].startswith("next ")
+    assert "steerd run --sim --fast --duration 20 --car" in lines[-1]
 
 
 def test_json_has_exactly_the_shape_of_the_schema(told):
@@ -146,7 +146,7 @@ def test_the_car_file_gets_the_effect_and_drives(told):
 def test_the_report_needs_nothing_else(told):
     page = (told[0] / "gap.html").read_text()
     assert len(page) < 2_000_000
-    assert page.count("<svg") >= 7
+    assert page.count("<svg") >= 6
     assert not re.search(r"https?://(?!www\.w3\.org)", page)
     assert not re.search(r"(?:src|href)=\"(?!#)", page)
     assert "<script" not in page

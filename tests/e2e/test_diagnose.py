@@ -1,0 +1,136 @@
+"""Simulated drives with a hidden effect: recorded, diagnosed by the command line, driven again."""
+
+import argparse
+import contextlib
+import io
+import json
+import re
+import shlex
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from car_model.car_file import load_car
+from daemon.build import make_plan, make_world_config
+from daemon.cli import guarded
+from daemon.commands import run as run_command
+from daemon.transitions import State
+from daemon.virtual import drive, make_virtual_run
+from sim_hw.world import World
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
+FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+         "--disable-background-networking", "--disable-component-update", "--disable-sync",
+         "--hide-scrollbars", "--enable-logging=stderr", "--window-size=1100,4200"]  # fmt: skip
+LANE = "--path figure8 --speed 1.8"
+DELAY = 0.05
+
+
+def quietly(*argv):
+    screen, error = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(screen), contextlib.redirect_stderr(error):
+        code = guarded([str(word) for word in argv])
+    assert code == 0, error.getvalue()
+    return screen.getvalue()
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory):
+    """A lane drive of a car whose steering is late, and everything that a diagnosis writes."""
+    folder = tmp_path_factory.mktemp("late")
+    session = folder / "late.mcap"
+    quietly("run", "--sim", "--fast", *LANE.split(), "--duration", 24, "--record", session,
+            "--effect", f"steer_delay={DELAY}")  # fmt: skip
+    screen = quietly("diagnose", session, "--no-pairs", "--json", folder / "gap.json", "--report",
+                     folder / "gap.html", "-o", folder / "car.toml")  # fmt: skip
+    return folder, screen, json.loads((folder / "gap.json").read_text())
+
+
+def test_the_hidden_delay_is_found_from_a_lane_drive(late):
+    _, screen, told = late
+    cause = told["causes"][0]
+    assert cause["effect"] == "steer_delay"
+    assert cause["parameters"]["delay"]["value"] == pytest.approx(DELAY, rel=0.15)
+    assert "base: the car file inside the session" in screen
+    assert len(screen.splitlines()) <= 24
+
+
+def test_the_lane_driven_again_resembles_the_recording_more_with_the_effect(late):
+    _, screen, told = late
+    loop = told["residual"]["closed_loop"]
+    assert loop["nearer"] is True
+    before, after = loop["distance"]["without"], loop["distance"]["with_effect"]
+    assert after["e1"] < 0.3 * before["e1"]
+    assert after["e2"] < before["e2"]
+    recorded, again = loop["drives"]["recorded"], loop["drives"]["with_effect"]
+    assert again["e1_rms"] == pytest.approx(recorded["e1_rms"], rel=0.15)
+    assert "resembles late.mcap more" in screen
+
+
+def test_the_last_line_can_be_typed(late, tmp_path):
+    folder, screen, _ = late
+    words = re.search(r"steerd (run --sim.*)", screen)[1].split()
+    words[words.index("--duration") + 1] = "2"
+    assert str(folder / "car.toml") in words
+    quietly(*words, "--record", tmp_path / "again.mcap")
+
+
+def plan_of(line):
+    parser = argparse.ArgumentParser()
+    run_command.add_arguments(parser)
+    args = parser.parse_args(["--sim", "--fast", *shlex.split(line)])
+    return make_plan(run_command.make_options(args))
+
+
+def offsets(plan, world_plan):
+    """Lateral offset [m] of a plan's controller on the car of another plan, after 4 s."""
+    run = make_virtual_run(plan, (), World(make_world_config(world_plan)))
+    found = []
+
+    def note(now):
+        report = now.core.last.report if now.core.last else None
+        if now.core.loop.supervisor.state is State.RUNNING and report is not None:
+            found.append((now.t_ns, report.e1))
+
+    drive(run, note)
+    t, e1 = np.array(found).T
+    return e1[t > t[0] + 4e9]
+
+
+def test_a_controller_designed_from_the_new_car_file_is_better_on_that_car(late):
+    lane = f"{LANE} --duration 14"
+    unaware = plan_of(f"{lane} --effect steer_delay={DELAY}")
+    aware = plan_of(f"{lane} --car {late[0] / 'car.toml'}")
+    before, after = (float(np.std(offsets(plan, unaware))) for plan in (unaware, aware))
+    print(f"e1 on the car with the delay: {1e3 * before:.2f} -> {1e3 * after:.2f} mm")
+    assert after < 0.5 * before
+    assert aware.controller.report.timing.delay_s > unaware.controller.report.timing.delay_s + 0.04
+
+
+def test_the_car_file_names_the_session(late):
+    car = load_car(late[0] / "car.toml")
+    assert "late.mcap" in car.source["steer_delay.delay"]
+
+
+def test_an_excitation_plan_tells_a_steering_gain(tmp_path):
+    session = tmp_path / "slalom.mcap"
+    quietly("collect", "--plan", "slalom", "--box", 14, "--sim", "--fast", "--duration", 20,
+            "--record", session, "--effect", "steer_gain=0.88")  # fmt: skip
+    told = json.loads(quietly("diagnose", session, "--no-pairs", "--json"))
+    found = {told["causes"][0]["effect"], *told["causes"][0]["ambiguous_with"]}
+    assert "steer_gain" in found
+    assert told["residual"]["closed_loop"] is None
+    assert any("excitation plan" in note for note in told["residual"]["notes"])
+
+
+@pytest.mark.realtime
+@pytest.mark.skipif(BROWSER is None, reason="no chromium on this machine")
+def test_the_report_is_drawn_without_an_error(late, tmp_path):
+    page, picture = late[0] / "gap.html", tmp_path / "gap.png"
+    command = [str(BROWSER), *FLAGS, f"--user-data-dir={tmp_path}", f"--screenshot={picture}",
+               page.as_uri()]  # fmt: skip
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert [line for line in shown.stderr.splitlines() if "CONSOLE" in line] == []
+    assert picture.stat().st_size > 100_000
