@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import splev, splprep
 
 from car_model.path import Path, place_at_origin
 
@@ -125,6 +124,9 @@ def make_path(track: Track, smooth: float = 0.0) -> Path:
     Raises:
         ValueError: the file's psi contradicts its positions, or `smooth` is negative.
     """
+    # A third of a second to import, and few paths come from files.
+    from scipy.interpolate import splev, splprep
+
     if smooth < 0.0:
         raise ValueError(f"smooth={smooth}: give a distance in metres, 0 for none")
     points = track.points
@@ -152,6 +154,8 @@ def make_path(track: Track, smooth: float = 0.0) -> Path:
 
 def _equal_steps(spline: object, end: float, closed: bool) -> tuple[Array, float]:
     """Spline parameters at equal arc lengths, and that length."""
+    from scipy.interpolate import splev
+
     fine = np.linspace(0.0, end, FINE * max(8, round(end / STEP)) + 1)
     pace = np.hypot(*splev(fine, spline, der=1))
     arc = np.concatenate([[0.0], np.cumsum(0.5 * (pace[1:] + pace[:-1]) * np.diff(fine))])

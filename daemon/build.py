@@ -1,7 +1,11 @@
 """Putting a run together: settings, path, design, loop and links."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 from car_model.believed import believed_car
 from car_model.car_file import default_car_path
@@ -9,13 +13,8 @@ from car_model.effects import parse_effects
 from car_model.params import Car
 from car_model.path import Path
 from car_model.path_spec import parse_path
-from controller.build import make_controller
-from controller.design import DesignRefused
-from controller.lane_controller import LaneController
 from daemon.config import Settings, load_settings
-from daemon.core import Core
 from daemon.errors import ExitCode, SteerdError
-from daemon.loop import Loop, LoopSetup
 from daemon.options import ControllerKind, RunOptions
 from daemon.outbox import Outbox, Sink
 from daemon.plans import Drill, PlanError, parse_drill
@@ -23,8 +22,13 @@ from sim_hw.mocap_config import MocapConfig
 from sim_hw.vesc_config import VescConfig
 from sim_hw.world import WorldConfig
 from steer_bus.topics import check_car_name
-from vesc_link.telemetry import IMU_ACCEL_GYRO_MASK
-from vesc_link.vesc import VescLink
+
+# python-control and filterpy take a second to import. `steerd run` leaves both to the core's
+# process, which needs them anyway; its terminal and its children start without.
+if TYPE_CHECKING:
+    from controller.lane_controller import LaneController
+    from daemon.core import Core
+    from daemon.loop import LoopSetup
 
 NS = 1_000_000_000
 
@@ -36,8 +40,27 @@ class Plan:
     options: RunOptions
     settings: Settings
     path: Path
-    controller: LaneController
     drill: Drill | None = None
+
+    @cached_property
+    def controller(self) -> LaneController:
+        """Designed for this run, once.
+
+        Raises:
+            SteerdError: the design is refused, with the reason.
+        """
+        from controller.build import make_controller
+        from controller.design import DesignRefused
+
+        try:
+            return make_controller(
+                reachable(self.settings), self.path, self.settings.controller, self.options.rate_hz
+            )
+        except DesignRefused as error:
+            raise SteerdError(str(error), "", ExitCode.INVALID) from None
+        except ValueError as error:
+            what = f"--path {self.options.path}: {error}"
+            raise SteerdError(what, "", ExitCode.INVALID) from None
 
     @property
     def period_ns(self) -> int:
@@ -45,8 +68,15 @@ class Plan:
         return round(NS / self.options.rate_hz)
 
 
-def make_plan(options: RunOptions, settings: Settings | None = None) -> Plan:
+def make_plan(
+    options: RunOptions, settings: Settings | None = None, *, design: bool = True
+) -> Plan:
     """Read the car file (unless its settings are given), the path, and design the controller.
+
+    Args:
+        options: what to run.
+        settings: of the car file, if it was read.
+        design: False where another process will design the controller, and refuse it.
 
     Raises:
         SteerdError: any of them is refused, with the reason.
@@ -65,21 +95,16 @@ def make_plan(options: RunOptions, settings: Settings | None = None) -> Plan:
         raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.UNREADABLE) from None
     except ValueError as error:
         raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.USAGE) from None
-    try:
-        controller = make_controller(
-            reachable(settings), path, settings.controller, options.rate_hz
-        )
-    except DesignRefused as error:
-        raise SteerdError(str(error), "", ExitCode.INVALID) from None
-    except ValueError as error:
-        raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.INVALID) from None
-    if not options.drill:
-        return Plan(options, settings, path, controller)
-    try:
-        drill = parse_drill(options.drill, settings.file.car, settings.limits)
-    except PlanError as error:
-        raise SteerdError(str(error), "", ExitCode.USAGE) from None
-    return Plan(options, fenced(settings, drill), path, controller, drill)
+    plan = Plan(options, settings, path)
+    if options.drill:
+        try:
+            drill = parse_drill(options.drill, settings.file.car, settings.limits)
+        except PlanError as error:
+            raise SteerdError(str(error), "", ExitCode.USAGE) from None
+        plan = Plan(options, fenced(settings, drill), path, drill)
+    if design:
+        _ = plan.controller
+    return plan
 
 
 def fenced(settings: Settings, drill: Drill) -> Settings:
@@ -103,6 +128,8 @@ def reachable(settings: Settings) -> Car[float]:
 
 def make_loop_setup(plan: Plan, boot_id: int, leased: bool) -> LoopSetup:
     """What the loop of a plan keeps to; also what a replay of it keeps to."""
+    from daemon.loop import LoopSetup
+
     duration = plan.options.duration_s
     return LoopSetup(
         settings=plan.settings,
@@ -128,6 +155,11 @@ def make_core(plan: Plan, boot_id: int, epoch_ns: int, sinks: Sequence[Sink], le
         sinks: who gets the messages.
         leased: whether an operator's lease is needed.
     """
+    from daemon.core import Core
+    from daemon.loop import Loop
+    from vesc_link.telemetry import IMU_ACCEL_GYRO_MASK
+    from vesc_link.vesc import VescLink
+
     settings = plan.settings
     setup = make_loop_setup(plan, boot_id, leased)
     uuid = settings.brakes.uuid

@@ -9,8 +9,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from daemon.reading import read_diagnostics
 from daemon.records import Record, read_message
-from daemon.telling import read_diagnostics
 from daemon.transitions import State as Supervised
 from steer_bus import messages as m
 from steer_bus import topics

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daemon.errors import ExitCode, SteerdError
-from daemon.telling import read_diagnostics
+from daemon.reading import read_diagnostics
 from steer_bus import topics
 from steer_bus.bus import Bus, BusError
 from steer_bus.clock import Clock

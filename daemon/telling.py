@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from math import nan
 
 from controller.lane_controller import ControlReport
-from daemon.errors import SteerdError
 from daemon.findings import Finding
 from daemon.supervisor import Action, SupervisorState
 from daemon.transitions import State as Supervised
@@ -189,15 +188,3 @@ def make_diagnostics(
         values=tuple(KeyValue(key, value) for key, value in values.items()),
     )
     return DiagnosticArray(m.make_header(stamp_ns, m.BODY), (status,))
-
-
-def read_diagnostics(message: DiagnosticArray) -> dict[str, str]:
-    """The supervisor's values in a diagnostics message.
-
-    Raises:
-        SteerdError: the message is not the supervisor's.
-    """
-    for status in message.status:
-        if status.name == "steerd: supervisor":
-            return {value.key: value.value for value in status.values}
-    raise SteerdError("this is no steerd diagnostics message")

@@ -67,13 +67,13 @@ def _path(args: argparse.Namespace) -> str:
         raise SteerdError(str(error), "", _USAGE) from None
 
 
-def plan_drive(options: RunOptions) -> Plan:
+def plan_drive(options: RunOptions, *, design: bool = True) -> Plan:
     """The run of these options, as long as its plan unless they say how long.
 
     Raises:
         SteerdError: plan, path or car file are refused.
     """
-    plan = make_plan(options)
+    plan = make_plan(options, design=design)
     if plan.drill is None or options.duration_s is not None:
         return plan
     return replace(plan, options=replace(options, duration_s=plan.drill.seconds))
@@ -81,4 +81,5 @@ def plan_drive(options: RunOptions) -> Plan:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
-    return driving.drive(plan_drive(make_options(args)), fast=args.fast)
+    plan = plan_drive(make_options(args), design=args.fast)
+    return driving.drive(plan, fast=args.fast)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 from daemon.errors import ExitCode, SteerdError
 from daemon.operator import KEEPALIVE_NS, Operator, add_bus_arguments, connect, read_status
-from daemon.telling import read_diagnostics
+from daemon.reading import read_diagnostics
 from daemon.transitions import State
 from steer_bus import topics
 from steer_bus.bus import Bus

@@ -155,7 +155,7 @@ def _check_view(args: argparse.Namespace) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
-    return drive(make_plan(make_options(args)), fast=args.fast)
+    return drive(make_plan(make_options(args), design=args.fast), fast=args.fast)
 
 
 def drive(plan: Plan, *, fast: bool) -> int:
