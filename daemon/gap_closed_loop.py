@@ -4,7 +4,7 @@ Path, speed, rate, controller and filter settings are the session's own; only th
 exchanged. The noise of the simulated hardware is another than that of a simulated recording.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from car_model.car_file import CarFile, CarFileError, parse_car
+from car_model.effect import Effect
 from car_model.effects import EFFECTS
 from daemon.build import Plan, make_plan, make_world_config
 from daemon.config import make_settings
@@ -74,7 +75,7 @@ def _again(plan: Plan) -> str:
 
 
 @contextmanager
-def _planned(session: Session) -> Any:
+def _planned(session: Session) -> Iterator[Plan]:
     """The session's plan; the file that its path names comes from the session itself."""
     options = _options_of(session)
     try:
@@ -136,11 +137,13 @@ def _lane_drive(rows: np.ndarray[Any, Any], plan: Plan) -> LaneDrive:
     rows = rows[rows[:, 0] >= rows[0, 0] + SETTLE] if len(rows) else rows
     if len(rows) < 2 or np.ptp(rows[:, 0]) < SHORTEST:
         raise NotALaneDriveError(f"it keeps the lane for less than {SETTLE + SHORTEST:g} s")
-    length = float(plan.path.length)
-    return LaneDrive(*rows.T, length=length)
+    t, s, e1, e2, steer = rows.T
+    return LaneDrive(t, s, e1, e2, steer, float(plan.path.length))
 
 
-def _with_effects(base: CarFile, found: Values) -> tuple[Sequence[Any], Sequence[Any]]:
+def _with_effects(
+    base: CarFile, found: Values
+) -> tuple[tuple[Effect, ...], tuple[tuple[float, ...], ...]]:
     """The base's effects with the found ones in their places or after them."""
     merged = dict(zip((e.name for e in base.effects), base.values, strict=True)) | dict(found)
     return tuple(EFFECTS[name] for name in merged), tuple(merged.values())

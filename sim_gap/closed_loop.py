@@ -168,9 +168,8 @@ def _profile_distance(a: LaneDrive, b: LaneDrive, field: str) -> float:
 def as_long(drive: LaneDrive, other: LaneDrive) -> LaneDrive:
     """The beginning of a drive, as long as another: figures of both then see the same bends."""
     kept = drive.t - drive.t[0] <= np.ptp(other.t) + 1e-6
-    return LaneDrive(
-        *(a[kept] for a in (drive.t, drive.s, drive.e1, drive.e2, drive.steer)), drive.length
-    )
+    t, s, e1, e2, steer = (a[kept] for a in (drive.t, drive.s, drive.e1, drive.e2, drive.steer))
+    return LaneDrive(t, s, e1, e2, steer, drive.length)
 
 
 def likeness(recorded: LaneDrive, other: LaneDrive) -> Likeness:

@@ -3,7 +3,7 @@
 import io
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib import rc_context
@@ -28,6 +28,7 @@ INK, FAINT = "#1f2933", "#9aa5b1"
 MEASURED, AFTER, BEFORE = "#1f2933", "#d9480f", "#4c8dca"
 SHOWN_MOST = 12
 """Candidates that are drawn; the rest is in the JSON."""
+Corner = Literal["upper left", "lower right"]
 _WIDTH = 9.6
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif", "font.size": 9.0, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
@@ -61,7 +62,7 @@ def _plain_log(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _name(axes: Axes, colours: dict[str, str], where: str = "best") -> None:
+def _name(axes: Axes, colours: dict[str, str], where: Corner) -> None:
     for label, colour in colours.items():
         axes.plot([], [], color=colour, label=label, lw=3.0)
     axes.legend(loc=where, fontsize=8)
