@@ -82,6 +82,8 @@ def _next(outcome: Outcome, written: Path | None) -> Iterator[str]:
         yield "next: these values predict no better than the start; keep the old car file"
     elif written is not None:
         yield f"next: steerd run --sim --car {written}   (on the car: --port and --mocap for --sim)"
+        names = " ".join(outcome.sessions)
+        yield f"      steerd diagnose {names} --base {written}   (what this model still misses)"
     else:
         yield "next: repeat with -o car.toml, which writes a car file to drive with"
 
