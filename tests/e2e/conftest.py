@@ -276,6 +276,13 @@ class Program:
             self.process.stdout.close()
 
 
+def free_port() -> int:
+    """A TCP port of loopback that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
 class Launcher:
     """Starts `steerd …`, and ends whatever still runs.
 
@@ -285,9 +292,7 @@ class Launcher:
 
     def __init__(self) -> None:
         self._started: list[Program] = []
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
 
     def __call__(self, *argv: object, **options: object) -> Program:
         self._started.append(Program(*map(str, argv), **options))

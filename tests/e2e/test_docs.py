@@ -1,6 +1,8 @@
 """Every command line of README and docs is run, or at least read by the parser that it is for.
 
-`kind_of` sorts them: run as they stand, run against simulated hardware, parsed, or mere names.
+`kind_of` sorts them: run as they stand, run against simulated hardware, parsed, or mere names. Of
+lines that differ only in values, or by options left out, the longest is run against hardware and
+the others are planned: parsed, their addresses read, path and controller made.
 """
 
 import argparse
@@ -12,9 +14,12 @@ from pathlib import Path
 
 import pytest
 
+from daemon.build import make_plan
 from daemon.cli import COMMANDS, guarded
 from daemon.errors import ExitCode
 from daemon.vesc_yaml import make_vesc_yaml
+from mocap_link.mocap_url import parse_mocap_url
+from tests.e2e.conftest import Launcher, free_port
 from vesc_link.scaling import F1TENTH
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -141,47 +146,86 @@ def against(words, port, url):
     return [url if re.match(r"(natnet|vrpn)://", word) else word for word in said]
 
 
-HARDWARE_LINES = [p for p in command_lines() if kind_of(p.values[0]) == "hardware"]
+def options_of(command):
+    """The command and its options, without their values; mocap addresses by their protocol."""
+    words = words_of(command)
+    schemes = re.findall(r"\b(natnet|vrpn|zenoh):", command)
+    return frozenset([words[0], *schemes, *(w for w in words if w.startswith("--"))])
+
+
+def chosen(commands):
+    """The lines to drive: none whose options all occur in another one that is driven."""
+    found = []
+    for command in sorted(commands, key=lambda c: -len(options_of(c))):
+        if not any(options_of(command) <= options_of(other) for other in found):
+            found.append(command)
+    return found
+
+
+HARDWARE_LINES = [p.values[0] for p in command_lines() if kind_of(p.values[0]) == "hardware"]
+ELSEWHERE = [c for c in HARDWARE_LINES if "vrpn:" in c or "zenoh" in c]
+"""Driven by tests/e2e/test_live.py, with programs beside them that the pages do not show."""
+DRIVEN = chosen([c for c in HARDWARE_LINES if c not in ELSEWHERE])
+
+
+@pytest.mark.parametrize("command", [c for c in HARDWARE_LINES if c not in DRIVEN])
+def test_what_is_driven_with_the_same_options_elsewhere_is_planned(command, workplace):
+    words = words_of(command)
+    workplace(words)
+    module, args = parse(words)
+    if getattr(args, "mocap", None) and "://" in args.mocap:
+        parse_mocap_url(args.mocap)
+    if words[0] == "run":
+        assert make_plan(module.make_options(args)).controller is not None
+
+
+@pytest.fixture(scope="module")
+def hardware(tmp_path_factory):
+    """One simulated car for all lines that want a port: its port and mocap address."""
+    launcher = Launcher()
+    yield launcher.sim(tmp_path_factory.mktemp("hardware"))
+    launcher.close()
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("command", HARDWARE_LINES)
+@pytest.mark.parametrize("command", DRIVEN)
 def test_what_needs_hardware_runs_against_simulated_hardware(
-    command, steerd, workplace, tmp_path, monkeypatch
+    command, steerd, hardware, workplace, tmp_path, monkeypatch
 ):
     words = words_of(command)
-    if "vrpn:" in command or "zenoh" in command:
-        parse(words)
-        pytest.skip("VRPN and zenoh poses: tests/e2e/test_live.py drives by them")
     workplace(words)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     if words[0] == "service":
         assert guarded(words) == ExitCode.OK
         return
-    if words[0] == "sim":
-        program = steerd(*words)
-        program.expect("mocap: ")
-        program.send(signal.SIGINT)
-        assert program.wait() == ExitCode.OK, program.text
-        return
-    if "--sim" not in words:
-        words = against(words, *steerd.sim(tmp_path))
-    if words[0] == "calibrate":
-        program = steerd(*words)
-        assert program.wait() == ExitCode.USAGE  # it wants a terminal
-        assert "keys need a terminal" in program.text
-    elif words[0] == "mocap":
-        program = steerd(*words, "--seconds", "1")
-        assert program.wait() == ExitCode.STOPPED, program.text  # nobody pushes
-        assert "push the car" in program.text
-    elif words[0] == "run":
-        program = steerd(*shortened(words), "--listen", steerd.endpoint)
-        program.expect("RUNNING" if "--auto-arm" in words else "DISARMED|READY")
-        program.send(signal.SIGINT)
-        assert program.wait() == ExitCode.OK, program.text
-    else:
-        program = steerd(*words)
-        assert program.wait() == ExitCode.OK, program.text
+    if "--sim" not in words and words[0] != "sim":
+        words = against(words, *hardware)
+    code, said = ExitCode.OK, ""
+    match words[0]:
+        case "sim":
+            program = steerd(*words)
+            program.expect("mocap: ")
+            program.send(signal.SIGINT)
+        case "run":
+            view = ("--view", free_port()) if "--view" in words else ()
+            program = steerd(*shortened(words), "--listen", steerd.endpoint, *view)
+            program.expect("RUNNING" if "--auto-arm" in words else "DISARMED|READY")
+            program.send(signal.SIGINT)
+        case "calibrate":
+            program, code, said = steerd(*words), ExitCode.USAGE, "keys need a terminal"
+        case "mocap":  # nobody pushes
+            program, code, said = steerd(*words, "--seconds", 1), ExitCode.STOPPED, "push the car"
+        case _:
+            program = steerd(*words)
+    assert program.wait() == code, program.text
+    assert said in program.text
+
+
+def test_every_option_of_the_pages_is_driven_somewhere():
+    driven = [options_of(command) for command in DRIVEN]
+    for command in HARDWARE_LINES:
+        assert command in ELSEWHERE or any(options_of(command) <= o for o in driven), command
+    assert len(DRIVEN) >= 8
 
 
 def test_every_exit_code_is_explained():
