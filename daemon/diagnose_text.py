@@ -74,6 +74,8 @@ def _rows(
 
 def _next(told: Diagnosis, lane: LaneComparison | None, written: Path | None) -> str:
     """The command to type next."""
+    if not told.causes and written is not None:
+        return f"--report gap.html shows where the error lies; {written} is the base as it was"
     if not told.causes:
         return "repeat with --report gap.html to see where the error lies"
     if written is None:

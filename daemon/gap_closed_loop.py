@@ -9,13 +9,14 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from car_model.car_file import CarFile, CarFileError, parse_car
 from car_model.effect import Effect
 from car_model.effects import EFFECTS
+from car_model.state import ORIGIN, State
 from daemon.build import Plan, make_plan, make_world_config
 from daemon.config import make_settings
 from daemon.errors import SteerdError
@@ -38,6 +39,7 @@ SETTLE = 3.0
 _SEED = 7919
 """Added to the recorded seed: a simulated recording must not get its own noise again."""
 
+Rows = NDArray[np.float64]
 Values = Mapping[str, tuple[float, ...]]
 
 
@@ -59,10 +61,13 @@ def compare_lane(path: Path, base: CarFile, found: Values) -> LaneComparison:
     """
     session = open_session(path)
     with _planned(session) as plan:
-        recorded = _recorded(session, plan)
+        rows = _recorded(session)
+        recorded = _lane_drive(rows[:, :5], plan)
+        x, y, yaw = (float(v) for v in rows[0, 5:])
+        start = ORIGIN._replace(x=x, y=y, yaw=yaw)
         remarks: list[str] = []
-        without = _simulated(plan, base, {}, "without the effect", remarks)
-        other = _simulated(plan, base, found, "with the effect", remarks) if found else None
+        without = _simulated(plan, base, {}, start, remarks)
+        other = _simulated(plan, base, found, start, remarks) if found else None
         again = _again(plan)
     return LaneComparison(recorded, without, other, path.name, again, tuple(remarks))
 
@@ -81,6 +86,7 @@ def _planned(session: Session) -> Iterator[Plan]:
     try:
         text = session.attachment("car.toml").decode()
         settings = make_settings(parse_car(text, Path("car.toml")), options.speed)
+        settings = replace(settings, brakes=replace(settings.brakes, uuid=""))
     except (SessionError, CarFileError, UnicodeDecodeError) as error:
         raise NotALaneDriveError(f"its car file cannot be used ({error})") from None
     with TemporaryDirectory() as folder:
@@ -111,7 +117,8 @@ def _options_of(session: Session) -> RunOptions:
     )  # fmt: skip
 
 
-def _recorded(session: Session, plan: Plan) -> LaneDrive:
+def _recorded(session: Session) -> Rows:
+    """Rows t, s, e1, e2, steer, x, y, yaw while the car was driven."""
     wanted = {
         t.name: topics.STATE.message
         for t in session.info().topics
@@ -122,12 +129,15 @@ def _recorded(session: Session, plan: Plan) -> LaneDrive:
         raise NotALaneDriveError("it holds no lane errors")
     table = next(iter(tables.values()))
     t = (table["stamp_ns"] - table["stamp_ns"][:1]).astype(float) * 1e-9
-    columns = [table[c].astype(float) for c in ("path_s", "e1", "e2", "steer_ref")]
-    running = table["mode"] == Supervised.RUNNING
-    return _lane_drive(np.column_stack([t, *columns])[running], plan)
+    names = ("path_s", "e1", "e2", "steer_ref", "x", "y", "yaw")
+    rows: Rows = np.column_stack([t, *(table[name].astype(float) for name in names)])
+    rows = rows[(table["mode"] == Supervised.RUNNING) & np.isfinite(rows).all(axis=1)]
+    if not len(rows):
+        raise NotALaneDriveError("it was never driven")
+    return rows
 
 
-def _lane_drive(rows: np.ndarray[Any, Any], plan: Plan) -> LaneDrive:
+def _lane_drive(rows: Rows, plan: Plan) -> LaneDrive:
     """The settled part of rows t, s, e1, e2, steer.
 
     Raises:
@@ -150,11 +160,14 @@ def _with_effects(
 
 
 def _simulated(
-    plan: Plan, base: CarFile, found: Values, label: str, remarks: list[str]
+    plan: Plan, base: CarFile, found: Values, start: State[float], remarks: list[str]
 ) -> LaneDrive | None:
     """The plan driven by its controller on a car; None, and a remark, if it does not last."""
+    label = "with the effect" if found else "without the effect"
     effects, values = _with_effects(base, found)
-    config = replace(make_world_config(plan), car=base.car, effects=effects, effect_values=values)
+    config = replace(
+        make_world_config(plan), car=base.car, effects=effects, effect_values=values, start=start
+    )
     rows: list[tuple[float, ...]] = []
 
     def sink(records: list[Record], t_ns: int) -> None:

@@ -186,7 +186,8 @@ def likeness(recorded: LaneDrive, other: LaneDrive) -> Likeness:
 
 def encode_lane(lane: LaneComparison) -> dict[str, Any]:
     """The comparison as JSON values."""
-    drives = {"recorded": lane.recorded, "without": lane.without, "with_effect": lane.with_effect}
+    cut = lane.recorded if lane.without is None else as_long(lane.recorded, lane.without)
+    drives = {"recorded": cut, "without": lane.without, "with_effect": lane.with_effect}
     before, after = lane.distances
     return {
         "session": lane.session,

@@ -12,10 +12,12 @@ import subprocess
 import numpy as np
 import pytest
 
-from car_model.car_file import load_car
+from car_model.car_file import default_car_path, load_car
 from daemon.build import make_plan, make_world_config
 from daemon.cli import guarded
 from daemon.commands import run as run_command
+from daemon.drives import load_base
+from daemon.gap_closed_loop import try_lane
 from daemon.transitions import State
 from daemon.virtual import drive, make_virtual_run
 from sim_hw.world import World
@@ -123,6 +125,31 @@ def test_an_excitation_plan_tells_a_steering_gain(tmp_path):
     assert "steer_gain" in found
     assert told["residual"]["closed_loop"] is None
     assert any("excitation plan" in note for note in told["residual"]["notes"])
+
+
+def test_a_path_file_comes_from_the_session_itself(tmp_path):
+    angle = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
+    table = np.column_stack([2.0 * np.sin(angle), 2.0 - 2.0 * np.cos(angle)])
+    lane, session = tmp_path / "lane.csv", tmp_path / "csv.mcap"
+    lane.write_text("# x_m, y_m\n" + "\n".join(f"{x:.5f}, {y:.5f}" for x, y in table) + "\n")
+    quietly("run", "--sim", "--fast", "--path", f"csv:{lane}", "--duration", 14,
+            "--record", session)  # fmt: skip
+    lane.unlink()
+    told, why = try_lane([session], load_base(default_car_path()), {})
+    assert told is not None, why
+    assert "--path csv:path.csv" in told.again
+    assert told.with_effect is None
+    before, after = told.distances
+    assert after is None
+    assert before.e1 < 0.001
+
+
+def test_too_short_a_lane_drive_is_said(tmp_path):
+    session = tmp_path / "short.mcap"
+    quietly("run", "--sim", "--fast", "--path", "line", "--duration", 3, "--record", session)
+    told, why = try_lane([session], load_base(default_car_path()), {})
+    assert told is None
+    assert "less than 9 s" in why
 
 
 @pytest.mark.realtime
