@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import hashlib
 import io
 import json
 import re
@@ -125,6 +126,19 @@ def test_an_excitation_plan_tells_a_steering_gain(tmp_path):
     assert "steer_gain" in found
     assert told["residual"]["closed_loop"] is None
     assert any("excitation plan" in note for note in told["residual"]["notes"])
+
+
+def test_the_prediction_stands_before_a_reserved_session_is_opened(late, tmp_path, capsys):
+    broken, told = tmp_path / "broken.mcap", tmp_path / "prediction.json"
+    broken.write_bytes(b"nothing")
+    session = str(late[0] / "late.mcap")
+    words = ["diagnose", session, "--runs-held-out", str(broken), "--prediction", str(told),
+             "--no-pairs", "--no-closed-loop", "--only", "steer_delay", "--json"]  # fmt: skip
+    assert guarded(words) in (3, 4)
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert hashlib.sha256(told.read_bytes()).hexdigest() in said.err
+    assert "broken.mcap" in said.err.splitlines()[-1]
 
 
 def test_a_path_file_comes_from_the_session_itself(tmp_path):

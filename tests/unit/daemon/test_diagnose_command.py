@@ -1,8 +1,10 @@
 """`steerd diagnose` on an imported log: what it finds and writes, and what it refuses in a line."""
 
+import argparse
 import contextlib
 import hashlib
 import io
+import itertools
 import json
 import math
 import re
@@ -14,8 +16,9 @@ from car_model.car_file import load_car
 from car_model.params import DEFAULT_CAR
 from daemon.cli import guarded as main
 from daemon.commands import diagnose as command
-from daemon.diagnose_case import parse_held_out
+from daemon.diagnose_case import make_case, parse_held_out
 from daemon.diagnose_text import COLUMNS, LINES
+from daemon.errors import SteerdError
 
 TRUE = DEFAULT_CAR._replace(steer_delay=DEFAULT_CAR.steer_delay + 0.05)
 MAP = """[columns]
@@ -151,7 +154,7 @@ def test_the_report_needs_nothing_else(told):
     assert not re.search(r"(?:src|href)=\"(?!#)", page)
     assert "<script" not in page
     for heading in ("How large the gap is", "Where it lies", "Which effect", "How sure",
-                    "How far the gap shrinks", "What to drive next"):  # fmt: skip
+                    "How far the gap shrinks", "What next"):  # fmt: skip
         assert f"<h2>{heading}</h2>" in page
 
 
@@ -276,6 +279,74 @@ def test_options_that_make_no_sense(options, code, words, told, tmp_path, monkey
 def test_what_is_kept_back(given, every, files):
     found, paths = parse_held_out(given)
     assert (found, len(paths)) == (every, files)
+
+
+# --- what is looked at and what is kept back
+
+
+def case_of(*words):
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return make_case(parser.parse_args([str(word) for word in words]), lambda share: None)
+
+
+@pytest.fixture(scope="module")
+def four(rows, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("four")
+    return [_import(folder, rows[i * 650 : (i + 1) * 650], f"run{i}") for i in range(4)]
+
+
+def test_of_many_sessions_every_fourth_is_kept_back_whole(four):
+    case = case_of(*four)
+    assert {run.name for run in case.runs} == {"run0.mcap", "run1.mcap", "run2.mcap"}
+    assert {run.name for run in case.held_out()} == {"run3.mcap"}
+    assert case.held_out_of == "every 4th session: run3.mcap"
+    assert not any("blocks" in note for note in case.notes)
+
+
+def test_named_files_are_kept_back_even_if_they_are_given_twice(four):
+    case = case_of(*four, "--runs-held-out", f"{four[1]},{four[2]}")
+    assert {path.name for path in case.sessions} == {"run0.mcap", "run3.mcap"}
+    assert {run.name for run in case.runs} == {"run0.mcap", "run3.mcap"}
+    assert {run.name for run in case.held_out()} == {"run1.mcap", "run2.mcap"}
+    assert any("2 sessions, cut into blocks" in note for note in case.notes)
+
+
+def test_reserved_sessions_are_not_opened_before_they_are_asked_for(four, tmp_path):
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(b"nothing")
+    case = case_of(*four, "--runs-held-out", broken)
+    with pytest.raises(SteerdError, match=r"broken\.mcap"):
+        case.held_out()
+
+
+def test_blocks_of_one_session_share_no_measurement(told):
+    case = case_of(told[0] / "run.mcap")
+    spans = sorted(
+        (run.start + run.pose.t[0], run.start + run.pose.t[-1])
+        for run in (*case.runs, *case.held_out())
+    )
+    assert len(spans) >= 4
+    assert all(a[1] < b[0] for a, b in itertools.pairwise(spans))
+
+
+def test_nothing_is_kept_back_if_told_so(told):
+    case = case_of(told[0] / "run.mcap", "--runs-held-out", "0")
+    assert case.held_out is None
+    assert any("predicted, not measured" in note for note in case.notes)
+
+
+def test_healthy_drives_and_the_named_base_are_taken(four, told):
+    case = case_of(four[0], "--healthy", f"{four[1]},{four[2]}", "--base", told[0] / "car.toml")
+    assert {run.name for run in case.healthy} == {"run1.mcap", "run2.mcap"}
+    assert [effect.name for effect in case.base.effects] == ["steer_delay"]
+    assert not any("default car" in note for note in case.notes)
+
+
+def test_effects_go_by_their_aliases_too(four):
+    case = case_of(four[0], "--only", "servo_lag", "--only", "steer_delay", "--without", "mass")
+    assert case.only == ("steer_lag", "steer_delay")
+    assert case.without == ("mass",)
 
 
 def test_a_cause_without_a_name_writes_no_effect(told):
