@@ -184,7 +184,7 @@ def _print_constants(traced: Traced, constants: _Constants) -> list[str]:
     lines += [f"v{p} = {_source(entries[p], names)}" for p in places if entries[p].args]
     lines += [f"q[{slot}] = v{place}" for place, slot in constants.slots.items()]
     lines = lines or ["pass"]
-    return ["@point", "def constants(p, h, q):", *(f"    {line}" for line in lines), "", ""]
+    return ["@entry", "def constants(p, h, q):", *(f"    {line}" for line in lines), "", ""]
 
 
 def _pieces(traced: Traced) -> dict[str, Piece]:
@@ -221,7 +221,7 @@ def generate(traced: Traced) -> str:
         '"""Printed by sysid.codegen from the equations of car_model."""',
         "",
         "from sysid.choice import greatest, least, select",
-        "from sysid.compile import lanes, point",
+        "from sysid.compile import entry, lanes, point",
         "from sysid.lane_math import abs, atan, cos, exp, sin, sqrt, tan, tanh",
         "",
         f"PARAMETERS = {traced.parameters!r}",

@@ -3,6 +3,28 @@
 Appended, as `loops` is, to the pieces printed for a model. A state has a row of columns for each of
 its numbers; pieces push columns through their exact derivatives. Columns are whatever the caller
 seeds: free parameters and the first state. Every window may be sampled anywhere between its steps.
+
+`march_window` is what Python calls, once for each window; its arguments:
+    p, q: parameters, and their constants for step `h`.
+    h: step [s], `substeps` of which share one command.
+    tableau: (2, stages) reach and weight of each stage.
+    seeds: (parameters, >= n) derivative of each parameter by each column.
+    late, late_columns: dead times in steps with their columns, see `delay_columns`.
+    commands: (rows, 2) all runs one after the other.
+    window: first row, row after the last, row of the first step, steps, and steps of actuators
+        alone before it (over known commands, to settle the steering).
+    t: time into the run [s].
+    first: (7 + MEMORY,) first state; the steer is added to the settled one. Changed.
+    dfirst: (7, >= n) derivative of the first state by each column.
+    stations: (S, 4) step, first reading, row of `y`, and whether poses are late; sorted.
+    shares: (S,) place within the step, 0 to 1 (outside: extended).
+    scale: (rows,) by which each row of derivatives is multiplied.
+    y: readings, written; a pose writes three.
+    jy: (rows, >= n) their derivatives, written.
+    n: columns in use, a multiple of 8.
+
+Whole numbers go from function to function as `np.int64(3)`: for a plain 3, Numba would compile a
+copy of the function for this 3 alone.
 """
 
 # ruff: noqa: TC004  (the printed pieces stand above this text in the compiled module)
@@ -10,7 +32,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid.compile import point
+from sysid.compile import entry, point
 
 if TYPE_CHECKING:
     from sysid.pieces import (
@@ -54,14 +76,14 @@ def seed(w: "Array", row: int, seeds: "Array", n: int) -> None:
             w[(row + parameter) * COLUMNS + i] = seeds[parameter, i]
 
 
-@point
+@entry
 def delay_columns(
     p: "Array", q: "Array", h: float, seeds: "Array", late: "Array", n: int
 ) -> "Array":
     """Dead times in steps, into `late`, and their columns: rows steer, drive, pose."""
     j = np.zeros(max(DELAYS_SLOPES, 1))
     w = np.zeros((3 + PARAMETER_COUNT) * COLUMNS)
-    seed(w, 3, seeds, n)
+    seed(w, np.int64(3), seeds, n)
     delays_jac(late, p, q, h, late, j)
     delays_push(j, w, n)
     for i in range(3 * COLUMNS):
@@ -146,15 +168,15 @@ def march_chassis(
         after[i] = state[i]
     for i in range(1 + MEMORY):
         z[7 + i] = out[3 + i]
-    copy_columns(da, 0, ds, 0, 6, n)
-    copy_columns(w, 7, wa, 13 + MEMORY, 1 + MEMORY, n)
+    copy_columns(da, np.int64(0), ds, np.int64(0), np.int64(6), n)
+    copy_columns(w, np.int64(7), wa, 13 + MEMORY, 1 + MEMORY, n)
     for stage in range(tableau.shape[1]):
         reach, share = tableau[0, stage], h * tableau[1, stage]
         for i in range(6):
             z[i] = state[i] + h * reach * slope[i]
         z[6] = out[0] + reach * (out[1] - out[0])
         if stage == 0:
-            copy_columns(w, 0, ds, 0, 6, n)
+            copy_columns(w, np.int64(0), ds, np.int64(0), np.int64(6), n)
         else:
             stage_columns(w, ds, h * reach, n)
         wheel_columns(w, wa, reach, n)
@@ -185,21 +207,21 @@ def march_memory(
     if not REMEMBERS:
         for i in range(MEMORY):
             after[7 + i] = out[4 + i]
-        copy_columns(da, 7, wa, 14 + MEMORY, MEMORY, n)
+        copy_columns(da, np.int64(7), wa, 14 + MEMORY, MEMORY, n)
         return
     for i in range(6):
         z[i], z[7 + i] = state[i], after[i]
     z[6], z[13] = out[0], out[1]
     for i in range(MEMORY):
         z[14 + i] = out[4 + i]
-    copy_columns(w, 0, ds, 0, 6, n)
-    copy_columns(w, 6, wa, 10 + MEMORY, 1, n)
-    copy_columns(w, 7, da, 0, 6, n)
-    copy_columns(w, 13, wa, 11 + MEMORY, 1, n)
-    copy_columns(w, 14, wa, 14 + MEMORY, MEMORY, n)
+    copy_columns(w, np.int64(0), ds, np.int64(0), np.int64(6), n)
+    copy_columns(w, np.int64(6), wa, 10 + MEMORY, np.int64(1), n)
+    copy_columns(w, np.int64(7), da, np.int64(0), np.int64(6), n)
+    copy_columns(w, np.int64(13), wa, 11 + MEMORY, np.int64(1), n)
+    copy_columns(w, np.int64(14), wa, 14 + MEMORY, MEMORY, n)
     remember_jac(z, p, q, h, after[7:], j)
     remember_push(j, w, n)
-    copy_columns(da, 7, w, 14 + MEMORY, MEMORY, n)
+    copy_columns(da, np.int64(7), w, 14 + MEMORY, MEMORY, n)
 
 
 @point
@@ -229,7 +251,7 @@ def drive_one(
     for i in range(7 + MEMORY):
         z[i] = state[i]
     z[9 + MEMORY] = now
-    copy_columns(wa, 0, ds, 0, 7 + MEMORY, n)
+    copy_columns(wa, np.int64(0), ds, np.int64(0), 7 + MEMORY, n)
     actuators_jac(z, p, q, h, out, j)
     actuators_push(j, wa, n)
 
@@ -275,7 +297,7 @@ def make_work(seeds: "Array", n: int) -> "tuple[Array, ...]":
     seed(wa, 14 + 2 * MEMORY, seeds, n)
     seed(wr, 15 + MEMORY, seeds, n)
     seed(wm, 14 + 2 * MEMORY, seeds, n)
-    seed(wo, 12, seeds, n)
+    seed(wo, np.int64(12), seeds, n)
     return wa, wr, wm, wo
 
 
@@ -312,19 +334,21 @@ def settle(
 ) -> None:
     """Actuators alone over the known commands before a window; `state` gets steer and memory."""
     wa, za, out, j = work[0], points[0], points[3], points[6]
+    if window[4] <= 0:
+        return
     offset = state[6]
     row = 7 + MEMORY
     fetch_one(za, wa, row, commands, window, -window[4], substeps, late, late_columns, n)
     state[6] = za[row]
-    copy_columns(ds, 6, wa, row, 1, n)
+    copy_columns(ds, np.int64(6), wa, row, np.int64(1), n)
     for k in range(-window[4], 0):
         fetch_one(za, wa, row, commands, window, k, substeps, late, late_columns, n)
         drive_one(p, q, h, state, ds, t + k * h, za, wa, out, j, n)
         state[6] = out[2]
-        copy_columns(ds, 6, wa, 12 + MEMORY, 1, n)
+        copy_columns(ds, np.int64(6), wa, 12 + MEMORY, np.int64(1), n)
         for i in range(MEMORY):
             state[7 + i] = out[4 + i]
-        copy_columns(ds, 7, wa, 14 + MEMORY, MEMORY, n)
+        copy_columns(ds, np.int64(7), wa, 14 + MEMORY, MEMORY, n)
     state[6] += offset
 
 
@@ -359,6 +383,23 @@ def read_station(
 
 
 @point
+def seed_state(ds: "Array", dfirst: "Array", first: int, last: int, n: int) -> None:
+    """Add the first state's columns, some of its rows."""
+    for row in range(first, last):
+        for i in range(n):
+            ds[row * COLUMNS + i] += dfirst[row, i]
+
+
+@point
+def pose_rates(late_columns: "Array", n: int) -> "Array":
+    """Columns of a reading's place within its step: nothing moves it, or the poses' dead time."""
+    rates = np.zeros((2, COLUMNS))
+    for i in range(n):
+        rates[1, i] = -late_columns[2 * COLUMNS + i]
+    return rates
+
+
+@entry
 def march_window(
     p: "Array",
     q: "Array",
@@ -380,21 +421,16 @@ def march_window(
     jy: "Array",
     n: int,
 ) -> None:
-    """One window with its stations; see `sensitivities`."""
+    """Readings of one window at its stations, and their derivatives (see the module)."""
     work, points = make_work(seeds, n), make_points()
     wa, wr, wm, wo = work
     za, zr, zm, out, slope, _, j = points
-    state, after = first.copy(), np.zeros(7 + MEMORY)
+    state, after = first, np.zeros(7 + MEMORY)
     ds, da = np.zeros((7 + MEMORY) * COLUMNS), np.zeros((7 + MEMORY) * COLUMNS)
-    pose_columns = np.zeros((2, COLUMNS))
-    pose_columns[1] = -late_columns[2 * COLUMNS : 3 * COLUMNS]
-    for row in range(6):
-        ds[row * COLUMNS : row * COLUMNS + n] = dfirst[row, :n]
-    if window[4] > 0:
-        settle(
-            p, q, h, late, late_columns, commands, window, t, substeps, state, ds, work, points, n
-        )
-    ds[6 * COLUMNS : 6 * COLUMNS + n] += dfirst[6, :n]
+    rates = pose_rates(late_columns, n)
+    seed_state(ds, dfirst, np.int64(0), np.int64(6), n)
+    settle(p, q, h, late, late_columns, commands, window, t, substeps, state, ds, work, points, n)
+    seed_state(ds, dfirst, np.int64(6), np.int64(7), n)
     station, last = 0, window[3] - 1
     for k in range(window[3]):
         fetch_one(za, wa, 7 + MEMORY, commands, window, k, substeps, late, late_columns, n)
@@ -402,70 +438,16 @@ def march_window(
         zr[8 + MEMORY] = t + k * h
         march_chassis(p, q, h, tableau, out, wa, state, ds, after, da, zr, wr, slope, j, n)
         after[6] = out[2]
-        copy_columns(da, 6, wa, 12 + MEMORY, 1, n)
+        copy_columns(da, np.int64(6), wa, 12 + MEMORY, np.int64(1), n)
         march_memory(p, q, h, out, wa, state, ds, after, da, zm, wm, j, n)
         while station < len(stations) and (stations[station, 0] <= k or k == last):
             share = shares[station] + (stations[station, 0] - k)
             read_station(
-                p, q, h, stations[station], share, pose_columns, state, ds, after, da, wo,
-                points, scale, y, jy, n,
+                p, q, h, stations[station], share, rates, state, ds, after, da, wo, points,
+                scale, y, jy, n,
             )  # fmt: skip
             station += 1
         if k % 64 == 0:
             flush_columns(da, n)
         state, after = after, state
         ds, da = da, ds
-
-
-@point
-def sensitivities(
-    p: "Array",
-    q: "Array",
-    h: float,
-    tableau: "Array",
-    seeds: "Array",
-    commands: "Array",
-    windows: "Array",
-    t: "Array",
-    substeps: int,
-    first: "Array",
-    dfirst: "Array",
-    stations: "Array",
-    shares: "Array",
-    spans: "Array",
-    scale: "Array",
-    y: "Array",
-    jy: "Array",
-    n: int,
-) -> None:
-    """Readings of every window at its stations, and their derivatives by the columns.
-
-    Args:
-        p: parameters.
-        q: their constants for step `h`.
-        h: step [s], `substeps` of which share one command.
-        tableau: (2, stages) reach and weight of each stage.
-        seeds: (parameters, >= n) derivative of each parameter by each column.
-        commands: (rows, 2) all runs one after the other.
-        windows: (W, 5) first row, row after the last, row of the first step, steps, and steps of
-            actuators alone before it (over known commands, to settle the steering).
-        t: (W,) time into the run [s].
-        substeps: steps to a command.
-        first: (W, 7 + MEMORY) first states; the steer is added to the settled one.
-        dfirst: (7, >= n) derivative of the first state by each column.
-        stations: (S, 4) step, first reading, row of `y`, and whether poses are late; sorted.
-        shares: (S,) place within the step, 0 to 1 (outside: extended).
-        spans: (W + 1,) which stations belong to which window.
-        scale: (rows,) by which each row of derivatives is multiplied.
-        y: readings, written; a pose writes three.
-        jy: (rows, >= n) their derivatives, written.
-        n: columns in use, a multiple of 8.
-    """
-    late = np.zeros(3)
-    late_columns = delay_columns(p, q, h, seeds, late, n)
-    for w in range(windows.shape[0]):
-        a, b = spans[w], spans[w + 1]
-        march_window(
-            p, q, h, tableau, seeds, late, late_columns, commands, windows[w], t[w], substeps,
-            first[w], dfirst, stations[a:b], shares[a:b], scale, y, jy, n,
-        )  # fmt: skip

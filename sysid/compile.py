@@ -7,13 +7,23 @@ import numba
 
 FAST = {"contract", "nsz"}
 """Licences that keep NaN and infinity; reassociation would keep LLVM from vectorising."""
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": FAST}
 
 
 def point(function: Callable[..., Any]) -> Any:
-    """Compile a piece that works on one state."""
-    return numba.njit(error_model="numpy", fastmath=FAST, cache=True)(function)
+    """Compile a piece that works on one state, for other pieces to call.
+
+    It gets no wrappers for Python or C, which would cost as much to compile as the piece itself,
+    and no place in the cache: it is part of the entries that call it.
+    """
+    return numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)(function)
 
 
 def lanes(function: Callable[..., Any]) -> Any:
-    """Compile a piece whose innermost loop runs over windows."""
-    return numba.njit(error_model="numpy", fastmath=FAST, cache=True)(function)
+    """Compile a piece whose innermost loop runs over windows, for other pieces to call."""
+    return point(function)
+
+
+def entry(function: Callable[..., Any]) -> Any:
+    """Compile what Python calls; the machine code is kept on disk."""
+    return numba.njit(no_cfunc_wrapper=True, cache=True, **_OPTIONS)(function)

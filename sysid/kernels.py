@@ -152,10 +152,12 @@ def march(
     blocks = len(lanes.runs)
     path = np.empty((blocks, steps + 1, first.shape[1] * LANES))
     path[:, 0] = to_lanes(first, blocks)
-    kernels.module.simulate_lanes(
-        parameters, constants_of(kernels, parameters, held.fine), held.fine,
-        TABLEAUS[held.integrator], path, held.rows, lanes.runs, lanes.t, held.substeps,
-    )  # fmt: skip
+    q, tableau = constants_of(kernels, parameters, held.fine), TABLEAUS[held.integrator]
+    for block in range(blocks):
+        kernels.module.simulate_block(
+            parameters, q, held.fine, tableau, path[block], held.rows, lanes.runs[block],
+            lanes.t[block], held.substeps,
+        )  # fmt: skip
     return path
 
 
@@ -179,11 +181,14 @@ def march_back(
     into = np.zeros_like(held.rows)
     slopes = np.zeros(len(parameters))
     first = np.empty((len(path), path.shape[2]))
-    late = kernels.module.adjoint_lanes(
-        parameters, q, h, TABLEAUS[held.integrator], path, *_flat(bars), lanes.windows, held.rows,
-        into, lanes.runs, lanes.t, held.substeps, first, slopes,
-    )  # fmt: skip
-    slopes += delay_slopes(kernels, parameters, np.array([*late, 0.0]))
+    late, (flat, strides) = np.zeros((2, LANES)), _flat(bars)
+    for block in range(len(path)):
+        kernels.module.adjoint_block(
+            parameters, q, h, TABLEAUS[held.integrator], path[block], flat, strides, block * LANES,
+            lanes.windows, held.rows, into, lanes.runs[block], lanes.t[block], held.substeps,
+            first[block], slopes, late,
+        )  # fmt: skip
+    slopes += delay_slopes(kernels, parameters, np.array([*late.sum(axis=1) / h, 0.0]))
     by_window = first.reshape(len(path), -1, LANES).transpose(0, 2, 1)
     return Slopes(slopes, by_window.reshape(-1, by_window.shape[2])[: lanes.windows], into)
 
@@ -287,12 +292,17 @@ def read(
     state[:, :7] = first
     y, jy = np.empty(stations.rows), np.empty((stations.rows, padded))
     scale = np.ones(stations.rows) if scale is None else scale
-    kernels.module.sensitivities(
-        parameters, constants_of(kernels, parameters, held.fine), held.fine,
-        TABLEAUS[held.integrator], _padded(seeds, padded), held.rows, windows.spans, windows.t,
-        held.substeps, state, _padded(dfirst, padded), stations.places, stations.shares,
-        stations.spans, scale, y, jy, padded,
-    )  # fmt: skip
+    q = constants_of(kernels, parameters, held.fine)
+    seeds, dfirst, late = _padded(seeds, padded), _padded(dfirst, padded), np.zeros(3)
+    late_columns = kernels.module.delay_columns(parameters, q, held.fine, seeds, late, padded)
+    march, tableau, bounds = kernels.module.march_window, TABLEAUS[held.integrator], stations.spans
+    for w, t in enumerate(windows.t.tolist()):
+        a, b = bounds[w], bounds[w + 1]
+        march(
+            parameters, q, held.fine, tableau, seeds, late, late_columns, held.rows,
+            windows.spans[w], t, held.substeps, state[w], dfirst, stations.places[a:b],
+            stations.shares[a:b], scale, y, jy, padded,
+        )  # fmt: skip
     return y, jy[:, :columns]
 
 

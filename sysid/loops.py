@@ -7,6 +7,15 @@ end. Rows of 16 lanes are contiguous; a state is 7 + MEMORY rows.
 
 Euler and Runge-Kutta 4 are one loop: stage i starts at `state + h reach[i] slope[i-1]`, with the
 wheels `reach[i]` of the way; the step is the sum of `h weight[i] slope[i]`.
+
+`simulate_block` and `adjoint_block` are what Python calls, once for each 16 windows. The adjoint
+takes the arguments of `simulate_block`, which wrote `path`, and:
+    bars: the loss's derivatives by every state, flat, with `strides` by window, moment and state.
+    window: number of the first lane; only the first `windows` of all lanes are real.
+    into: (rows, 2), to which derivatives by the commands are added.
+    bar: ((7 + MEMORY) * 16,) gets the derivatives by the first states.
+    slopes: those by the parameters, other than through the delays, are added.
+    late_bars: (2, 16), to which those by the dead times of steer and drive are added [1/step].
 """
 
 # ruff: noqa: TC004  (the printed pieces stand above this text in the compiled module)
@@ -14,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid.compile import point
+from sysid.compile import entry, point
 
 if TYPE_CHECKING:
     from sysid.pieces import (
@@ -35,7 +44,7 @@ if TYPE_CHECKING:
     )
 
 
-@point
+@entry
 def delays_at(p: "Array", q: "Array", h: float) -> "Array":
     """Dead times of steer, drive and pose [s]."""
     out, j = np.zeros(3), np.zeros(max(DELAYS_SLOPES, 1))
@@ -44,11 +53,28 @@ def delays_at(p: "Array", q: "Array", h: float) -> "Array":
 
 
 @point
+def delays_in_steps(p: "Array", q: "Array", h: float) -> "Array":
+    """Dead times of steer, drive and pose in steps."""
+    late, j = np.zeros(3), np.zeros(max(DELAYS_SLOPES, 1))
+    delays_jac(late, p, q, h, late, j)
+    for i in range(3):
+        late[i] /= h
+    return late
+
+
+@point
 def copy_rows(to: "Array", first: int, source: "Array", start: int, rows: int) -> None:
     """Copy whole rows of lanes."""
     a, b = first * LANES, start * LANES
     for i in range(rows * LANES):
         to[a + i] = source[b + i]
+
+
+@point
+def clear(to: "Array") -> None:
+    """Set every number to zero."""
+    for i in range(len(to)):
+        to[i] = 0.0
 
 
 @point
@@ -68,8 +94,8 @@ def make_stream(
     The first entry is the oldest command that still arrives late in the windows; before a run's
     first command the first holds, after the last the last.
     """
-    oldest = int(np.floor(np.max(late[:2]))) + substeps
-    newest = steps - int(np.floor(np.min(late[:2])))
+    oldest = int(np.floor(max(late[0], late[1]))) + substeps
+    newest = steps - int(np.floor(min(late[0], late[1])))
     ahead = -(-oldest // substeps)
     stream = np.empty((2, ahead + newest // substeps + 1, LANES))
     for c in range(stream.shape[1]):
@@ -95,7 +121,7 @@ def return_stream(bars: "Array", runs: "Array", into: "Array", ahead: int) -> No
 @point
 def stream_ahead(late: "Array", substeps: int) -> int:
     """How many entries of a stream lie before the windows' first step."""
-    return -(-(int(np.floor(np.max(late[:2]))) + substeps) // substeps)
+    return -(-(int(np.floor(max(late[0], late[1]))) + substeps) // substeps)
 
 
 @point
@@ -152,7 +178,7 @@ def set_stage(
     """Inputs of one stage: state moved along the last slope, wheels on their way."""
     n_in = (9 + MEMORY) * LANES
     if stage == 0:
-        copy_rows(wr, 0, state, 0, 6)
+        copy_rows(wr, np.int64(0), state, np.int64(0), np.int64(6))
     else:
         for i in range(6 * LANES):
             wr[i] = state[i] + step * wr[n_in + i]
@@ -166,7 +192,7 @@ def drive_lanes(
     wa: "Array", state: "Array", t: "Array", k: int, p: "Array", q: "Array", h: float, n: int
 ) -> None:
     """Run the actuators; the delayed commands are in place."""
-    copy_rows(wa, 0, state, 0, 7 + MEMORY)
+    copy_rows(wa, np.int64(0), state, np.int64(0), 7 + MEMORY)
     for lane in range(n):
         wa[(9 + MEMORY) * LANES + lane] = t[lane] + k * h
     actuators_lanes(wa, n, p, q, h)
@@ -176,34 +202,48 @@ def drive_lanes(
 def ready_rates(wa: "Array", wr: "Array", ends: "Array") -> None:
     """Hand what the actuators do to the rates: wheel at both ends, acceleration, memory, time."""
     outputs = 10 + MEMORY
-    copy_rows(ends, 0, wa, outputs, 2)
+    copy_rows(ends, np.int64(0), wa, outputs, np.int64(2))
     copy_rows(wr, 7, wa, outputs + 3, 1 + MEMORY)
-    copy_rows(wr, 8 + MEMORY, wa, 9 + MEMORY, 1)
+    copy_rows(wr, 8 + MEMORY, wa, 9 + MEMORY, np.int64(1))
 
 
 @point
 def remember_step(wm: "Array", ends: "Array", before: "Array", after: "Array", wr: "Array") -> None:
     """Inputs of the memory after a step: chassis and wheel before and after, memory within."""
-    copy_rows(wm, 0, before, 0, 6)
+    copy_rows(wm, np.int64(0), before, np.int64(0), np.int64(6))
     copy_rows(wm, 6, ends, 0, 1)
-    copy_rows(wm, 7, after, 0, 6)
+    copy_rows(wm, np.int64(7), after, np.int64(0), np.int64(6))
     copy_rows(wm, 13, ends, 1, 1)
-    copy_rows(wm, 14, wr, 8, MEMORY)
+    copy_rows(wm, np.int64(14), wr, np.int64(8), MEMORY)
 
 
-@point
+@entry
 def simulate_block(
     p: "Array",
     q: "Array",
     h: float,
     tableau: "Array",
     path: "Array",
-    stream: "Array",
+    commands: "Array",
+    runs: "Array",
     t: "Array",
     substeps: int,
-    late: "Array",
 ) -> None:
-    """March 16 windows: `path[k]` is the state before step k; `path[0]` is given."""
+    """March 16 windows.
+
+    Args:
+        p: parameters.
+        q: their constants for step `h`.
+        h: step [s], `substeps` of which share one command.
+        tableau: (2, stages) reach and weight of each stage.
+        path: (steps + 1, (7 + MEMORY) * 16) states before each step; the first is given.
+        commands: (rows, 2) steer [rad] and speed [m/s], all runs one after the other.
+        runs: (16, 3) first row, row after the last, and row of the first step, by lane.
+        t: (16,) time into the run at the first step [s].
+        substeps: steps to a command.
+    """
+    late = delays_in_steps(p, q, h)
+    stream = make_stream(commands, runs, late, path.shape[0] - 1, substeps)
     n, stages = len(t), tableau.shape[1]
     wa = np.zeros((14 + 2 * MEMORY) * LANES)
     wr = np.zeros((15 + MEMORY) * LANES)
@@ -216,7 +256,7 @@ def simulate_block(
         fetch_commands(wa, 7 + MEMORY, stream, ahead, k, substeps, late, n)
         drive_lanes(wa, state, t, k, p, q, h, n)
         ready_rates(wa, wr, ends)
-        copy_rows(after, 0, state, 0, 6)
+        copy_rows(after, np.int64(0), state, np.int64(0), np.int64(6))
         for stage in range(stages):
             reach = tableau[0, stage]
             set_stage(wr, stage, ends, state, h * reach, reach, n)
@@ -224,44 +264,13 @@ def simulate_block(
             share = h * tableau[1, stage]
             for i in range(6 * n):
                 after[i] += share * wr[n_in + i]
-        copy_rows(after, 6, wa, 12 + MEMORY, 1)
+        copy_rows(after, np.int64(6), wa, 12 + MEMORY, np.int64(1))
         if REMEMBERS:
             remember_step(wm, ends, state, after, wr)
             remember_lanes(wm, n, p, q, h)
-            copy_rows(after, 7, wm, 14 + MEMORY, MEMORY)
+            copy_rows(after, np.int64(7), wm, 14 + MEMORY, MEMORY)
         else:
-            copy_rows(after, 7, wr, 8, MEMORY)
-
-
-@point
-def simulate_lanes(
-    p: "Array",
-    q: "Array",
-    h: float,
-    tableau: "Array",
-    path: "Array",
-    commands: "Array",
-    runs: "Array",
-    t: "Array",
-    substeps: int,
-) -> None:
-    """March every block of 16 windows.
-
-    Args:
-        p: parameters.
-        q: their constants for step `h`.
-        h: step [s], `substeps` of which share one command.
-        tableau: (2, stages) reach and weight of each stage.
-        path: (blocks, steps + 1, (7 + MEMORY) * 16); `path[:, 0]` is given, the rest is written.
-        commands: (rows, 2) steer [rad] and speed [m/s], all runs one after the other.
-        runs: (blocks, 16, 3) first row, row after the last, and row of the first step, by lane.
-        t: (blocks, 16) time into the run at the first step [s].
-        substeps: steps to a command.
-    """
-    late = delays_at(p, q, h) / h
-    for block in range(path.shape[0]):
-        stream = make_stream(commands, runs[block], late, path.shape[1] - 1, substeps)
-        simulate_block(p, q, h, tableau, path[block], stream, t[block], substeps, late)
+            copy_rows(after, np.int64(7), wr, np.int64(8), MEMORY)
 
 
 @point
@@ -280,7 +289,7 @@ def redo_stages(
     for stage in range(stages):
         w, reach = work[stage], tableau[0, stage]
         if stage == 0:
-            copy_rows(w, 0, state, 0, 6)
+            copy_rows(w, np.int64(0), state, np.int64(0), np.int64(6))
         else:
             last = work[stage - 1]
             for i in range(6 * n):
@@ -288,7 +297,7 @@ def redo_stages(
         for lane in range(n):
             start = wa[outputs + lane]
             w[6 * LANES + lane] = start + reach * (wa[outputs + LANES + lane] - start)
-        copy_rows(w, 7, wa, 13 + MEMORY, 1 + MEMORY)
+        copy_rows(w, np.int64(7), wa, 13 + MEMORY, 1 + MEMORY)
         copy_rows(w, 8 + MEMORY, wa, 9 + MEMORY, 1)
         if stage < stages - 1:
             rates_lanes(w, n, p, q, h)
@@ -301,12 +310,12 @@ def back_remember(
     """Through the memory's update; its inputs are in place. `link_bars`: the actuators' outputs."""
     inputs = 14 + MEMORY
     slopes = inputs + MEMORY
-    copy_rows(wm, inputs, bar, 7, MEMORY)
+    copy_rows(wm, inputs, bar, np.int64(7), MEMORY)
     remember_vjp(wm, n, p, q, h)
-    add_rows(link_bars, 0, wm, slopes + 6, 1, 1.0)
+    add_rows(link_bars, np.int64(0), wm, slopes + 6, np.int64(1), 1.0)
     add_rows(link_bars, 1, wm, slopes + 13, 1, 1.0)
-    copy_rows(link_bars, 4, wm, slopes + 14, MEMORY)
-    add_rows(bar, 0, wm, slopes + 7, 6, 1.0)
+    copy_rows(link_bars, np.int64(4), wm, slopes + 14, MEMORY)
+    add_rows(bar, np.int64(0), wm, slopes + 7, np.int64(6), 1.0)
 
 
 @point
@@ -329,14 +338,14 @@ def back_stages(
         for i in range(6 * n):
             w[rows * LANES + i] = share * bar[i]
         if stage < stages - 1:
-            add_rows(w, rows, work[stage + 1], slopes, 6, h * tableau[0, stage + 1])
+            add_rows(w, rows, work[stage + 1], slopes, np.int64(6), h * tableau[0, stage + 1])
         rates_vjp(w, n, p, q, h)
-        add_rows(kept, 0, w, slopes, 6, 1.0)
+        add_rows(kept, np.int64(0), w, slopes, np.int64(6), 1.0)
         at = (slopes + 6) * LANES
         for lane in range(n):
             link_bars[lane] += (1.0 - reach) * w[at + lane]
             link_bars[LANES + lane] += reach * w[at + lane]
-        add_rows(link_bars, 3, w, slopes + 7, 1 + MEMORY, 1.0)
+        add_rows(link_bars, np.int64(3), w, slopes + 7, 1 + MEMORY, 1.0)
 
 
 @point
@@ -359,6 +368,20 @@ def sum_slopes(w: "Array", row: int, slopes: "Array") -> None:
 
 
 @point
+def make_adjoint_work() -> "tuple[Array, ...]":
+    """Workspaces of actuators, their derivatives, memory, wheels, chassis and links."""
+    rows_a = 10 + MEMORY
+    return (
+        np.zeros((rows_a + 4 + MEMORY) * LANES),
+        np.zeros((2 * rows_a + 4 + MEMORY + PARAMETER_COUNT) * LANES),
+        np.zeros((2 * (14 + MEMORY) + MEMORY + PARAMETER_COUNT) * LANES),
+        np.zeros(2 * LANES),
+        np.zeros(6 * LANES),
+        np.zeros((4 + MEMORY) * LANES),
+    )
+
+
+@entry
 def adjoint_block(
     p: "Array",
     q: "Array",
@@ -369,99 +392,53 @@ def adjoint_block(
     strides: "Indices",
     window: int,
     windows: int,
-    stream: "Array",
-    into: "Array",
-    t: "Array",
-    substeps: int,
-    late: "Array",
-    bar: "Array",
-    slopes: "Array",
-    late_bars: "Array",
-) -> None:
-    """Back over 16 windows; `bar` ends as the derivative to the first state."""
-    rows_a, rows_r, states = 10 + MEMORY, 9 + MEMORY, 7 + MEMORY
-    wa = np.zeros((rows_a + 4 + MEMORY) * LANES)
-    wva = np.zeros((2 * rows_a + 4 + MEMORY + PARAMETER_COUNT) * LANES)
-    work = np.zeros((tableau.shape[1], (2 * rows_r + 6 + PARAMETER_COUNT) * LANES))
-    wm = np.zeros((2 * (14 + MEMORY) + MEMORY + PARAMETER_COUNT) * LANES)
-    ends, kept = np.zeros(2 * LANES), np.zeros(6 * LANES)
-    link_bars = np.zeros((4 + MEMORY) * LANES)
-    back, n = rows_a + 4 + MEMORY, len(t)
-    ahead = stream_ahead(late, substeps)
-    for k in range(path.shape[0] - 2, -1, -1):
-        state = path[k]
-        fetch_commands(wa, 7 + MEMORY, stream, ahead, k, substeps, late, n)
-        drive_lanes(wa, state, t, k, p, q, h, n)
-        redo_stages(p, q, h, tableau, state, wa, work, n)
-        link_bars[:] = 0.0
-        copy_rows(link_bars, 2, bar, 6, 1)
-        kept[:] = 0.0
-        if REMEMBERS:
-            copy_rows(ends, 0, wa, rows_a, 2)
-            remember_step(wm, ends, state, path[k + 1], work[0])
-            back_remember(wm, bar, link_bars, p, q, h, n)
-            add_rows(kept, 0, wm, 14 + 2 * MEMORY, 6, 1.0)
-        else:
-            copy_rows(link_bars, 4, bar, 7, MEMORY)
-        add_rows(kept, 0, bar, 0, 6, 1.0)
-        back_stages(p, q, h, tableau, work, bar, kept, link_bars, n)
-        copy_rows(wva, 0, wa, 0, rows_a)
-        copy_rows(wva, rows_a, link_bars, 0, 4 + MEMORY)
-        actuators_vjp(wva, n, p, q, h)
-        set_bars(bar, bars, strides, window, windows, k)
-        add_rows(bar, 0, kept, 0, 6, 1.0)
-        add_rows(bar, 0, wva, back, states, 1.0)
-        return_commands(wva, back + states, stream, into, ahead, k, substeps, late, late_bars, n)
-    sum_slopes(wva, back + rows_a, slopes)
-    sum_slopes(wm, 2 * (14 + MEMORY) + MEMORY, slopes)
-    for stage in range(len(work)):
-        sum_slopes(work[stage], 2 * rows_r + 6, slopes)
-
-
-@point
-def adjoint_lanes(
-    p: "Array",
-    q: "Array",
-    h: float,
-    tableau: "Array",
-    path: "Array",
-    bars: "Array",
-    strides: "Indices",
-    windows: int,
     commands: "Array",
     into: "Array",
     runs: "Array",
     t: "Array",
     substeps: int,
-    first: "Array",
+    bar: "Array",
     slopes: "Array",
-) -> "Array":
-    """Derivatives of a loss, given its derivatives `bars` by every state of `path`.
-
-    Arguments are those of `simulate_lanes`, which wrote `path`. `bars` are flat, with `strides` by
-    window, moment and state; only the first `windows` lanes are real. `first`
-    (blocks, (7 + MEMORY) * 16) gets the derivatives to the first states; those to the commands are
-    added to `into` (rows, 2), those to the parameters, other than through the delays, to `slopes`.
-
-    Returns:
-        Derivatives to the dead times of steer and drive [1/s].
-    """
-    late = delays_at(p, q, h) / h
-    late_bars = np.zeros((2, LANES))
+    late_bars: "Array",
+) -> None:
+    """Back over 16 windows (see the module)."""
+    late = delays_in_steps(p, q, h)
+    stream = make_stream(commands, runs, late, path.shape[0] - 1, substeps)
+    returned = np.zeros(stream.shape)
+    rows_a, rows_r, states = 10 + MEMORY, 9 + MEMORY, 7 + MEMORY
+    wa, wva, wm, ends, kept, link_bars = make_adjoint_work()
+    work = np.zeros((tableau.shape[1], (2 * rows_r + 6 + PARAMETER_COUNT) * LANES))
+    back, n, last = rows_a + 4 + MEMORY, len(t), path.shape[0] - 1
     ahead = stream_ahead(late, substeps)
-    for block in range(path.shape[0]):
-        stream = make_stream(commands, runs[block], late, path.shape[1] - 1, substeps)
-        returned = np.zeros_like(stream)
-        window = block * LANES
-        set_bars(first[block], bars, strides, window, windows, path.shape[1] - 1)
-        adjoint_block(
-            p, q, h, tableau, path[block], bars,
-            strides,
-            window,
-            windows,
-            stream, returned, t[block], substeps, late,
-            first[block], slopes, late_bars,
-        )  # fmt: skip
-        return_stream(returned, runs[block], into, ahead)
-    late_slopes: Array = np.sum(late_bars, axis=1) / h
-    return late_slopes
+    set_bars(bar, bars, strides, window, windows, last)
+    for k in range(last - 1, -1, -1):
+        state = path[k]
+        fetch_commands(wa, 7 + MEMORY, stream, ahead, k, substeps, late, n)
+        drive_lanes(wa, state, t, k, p, q, h, n)
+        redo_stages(p, q, h, tableau, state, wa, work, n)
+        clear(link_bars)
+        copy_rows(link_bars, np.int64(2), bar, np.int64(6), np.int64(1))
+        clear(kept)
+        if REMEMBERS:
+            copy_rows(ends, np.int64(0), wa, rows_a, np.int64(2))
+            remember_step(wm, ends, state, path[k + 1], work[0])
+            back_remember(wm, bar, link_bars, p, q, h, n)
+            add_rows(kept, np.int64(0), wm, 14 + 2 * MEMORY, np.int64(6), 1.0)
+        else:
+            copy_rows(link_bars, np.int64(4), bar, np.int64(7), MEMORY)
+        add_rows(kept, np.int64(0), bar, np.int64(0), np.int64(6), 1.0)
+        back_stages(p, q, h, tableau, work, bar, kept, link_bars, n)
+        copy_rows(wva, np.int64(0), wa, np.int64(0), rows_a)
+        copy_rows(wva, rows_a, link_bars, np.int64(0), 4 + MEMORY)
+        actuators_vjp(wva, n, p, q, h)
+        set_bars(bar, bars, strides, window, windows, k)
+        add_rows(bar, np.int64(0), kept, np.int64(0), np.int64(6), 1.0)
+        add_rows(bar, np.int64(0), wva, back, states, 1.0)
+        return_commands(
+            wva, back + states, stream, returned, ahead, k, substeps, late, late_bars, n
+        )
+    sum_slopes(wva, back + rows_a, slopes)
+    sum_slopes(wm, 2 * (14 + MEMORY) + MEMORY, slopes)
+    for stage in range(len(work)):
+        sum_slopes(work[stage], 2 * rows_r + 6, slopes)
+    return_stream(returned, runs, into, ahead)
