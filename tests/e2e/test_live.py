@@ -98,7 +98,7 @@ def test_arm_start_stop_from_other_terminals_over_natnet(undisturbed, capsys) ->
             watcher.driving(run, 1.0)
             code, said = ask(steerd, "status")
             assert (code, said.startswith("car1: RUNNING")) == (0, True), said
-            watcher.driving(run, 3.0)
+            watcher.driving(run, 1.5)
             assert ask(steerd, "stop")[0] == 0
             assert watcher.stopped(run) is State.STOPPING
         assert go.wait() == 0, go.text
@@ -141,7 +141,7 @@ def test_keys_of_its_own_terminal_over_vrpn(undisturbed, capsys) -> None:
             keys.press("s")
             run.expect("RUNNING")
             with closing(Watcher(steerd.endpoint)) as watcher:
-                watcher.driving(run, 3.0)
+                watcher.driving(run, 2.0)
                 keys.press(" ")
                 assert watcher.stopped(run) is State.STOPPING
             keys.press("q")
@@ -163,7 +163,7 @@ def test_a_dead_terminal_stops_the_car(undisturbed) -> None:
         go = steerd("start", "--connect", steerd.endpoint)
         go.expect("driving")
         with closing(Watcher(steerd.endpoint)) as watcher:
-            watcher.driving(run, 1.5)
+            watcher.driving(run, 1.0)
             killed_ns = time.monotonic_ns()
             go.send(signal.SIGKILL)
             stop = watcher.until(lambda s: s.mode in STOPS, run)
@@ -193,7 +193,7 @@ def test_poses_from_the_bus(undisturbed, capsys) -> None:
         go = steerd("start", "--connect", steerd.endpoint)
         go.expect("driving")
         with closing(Watcher(steerd.endpoint)) as watcher:
-            assert watcher.driving(run, 3.0).mode == State.RUNNING, run.text
+            assert watcher.driving(run, 2.0).mode == State.RUNNING, run.text
             go.send(signal.SIGINT)
             assert watcher.stopped(run) is State.STOPPING
         assert go.wait() == 0, go.text
@@ -236,7 +236,7 @@ def test_an_external_controller_drives_and_its_death_stops_the_car(
     run, record = start_sim_run(steerd, tmp_path, "--controller", "zenoh")
     with closing(Watcher(steerd.endpoint)) as watcher:
         keeper = steerd("control", "--connect", steerd.endpoint, *CIRCLE)
-        watcher.driving(run, 4.0)
+        watcher.driving(run, 2.5)
         assert watcher.seen[-1].mode == State.RUNNING, run.text
         killed_ns = time.monotonic_ns()
         keeper.send(signal.SIGKILL)
@@ -255,7 +255,7 @@ def test_an_external_controller_drives_and_its_death_stops_the_car(
 def test_a_killed_recorder_loses_little_and_stops_the_car(steerd, tmp_path, capsys) -> None:
     run, record = start_sim_run(steerd, tmp_path)
     with closing(Watcher(steerd.endpoint)) as watcher:
-        watcher.driving(run, 1.5)
+        watcher.driving(run, 1.2)
         recorder = run.child("daemon.recorder")
         watcher.until(lambda _: True, run)
         killed_ns = time.monotonic_ns()
