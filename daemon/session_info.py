@@ -190,7 +190,8 @@ class Times:
 
     def of(self, ns: Any) -> Array:
         """Seconds from the start; subtracting first keeps the nanoseconds."""
-        return np.asarray((ns.astype(np.int64) - np.int64(self.start_ns)) * 1e-9)
+        since = ns.astype(np.uint64) - np.uint64(self.start_ns % (1 << 64))  # damaged times wrap
+        return np.asarray(since.astype(np.int64) * 1e-9)
 
 
 def find_table(tables: dict[str, Columns], topic: Topic) -> Columns | None:
