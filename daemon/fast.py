@@ -78,7 +78,7 @@ def run_fast(plan: Plan) -> int:
     factor = run.t_ns / max(clock.now_ns() - began, 1)
     print(board.tally.describe())
     print(f"bytes on the wire: sha256 {run.wire.hexdigest()[:16]}; {factor:.0f} x real time")
-    print(f"session: {path}")
+    print(f"session: {path}\n   next: steerd plot {path}   (or steerd info)")
     loop = run.core.loop
     if loop.faulted:
         print(f"stopped: {loop.supervisor.reason}")

@@ -104,9 +104,8 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         raise SteerdError(f"--duration {args.duration:g}: more than 0 s", "", ExitCode.USAGE)
     if args.view:
         _check_view(args)
-    if args.ros_domain is not None and not 0 <= args.ros_domain <= DOMAIN_MAX:
-        what = f"--ros-domain {args.ros_domain}: 0 to {DOMAIN_MAX}"
-        raise SteerdError(what, "", ExitCode.USAGE)
+    if args.ros_domain is not None:
+        _check_domain(args)
     listen = _choose_endpoint(args)
     return RunOptions(
         car_file=args.car or "",
@@ -144,6 +143,15 @@ def _choose_endpoint(args: argparse.Namespace) -> str:
     if not endpoint.startswith("tls/"):
         raise SteerdError(f"--lab speaks TLS, not {endpoint}", "drop --listen", ExitCode.USAGE)
     return endpoint
+
+
+def _check_domain(args: argparse.Namespace) -> None:
+    if not 0 <= args.ros_domain <= DOMAIN_MAX:
+        what = f"--ros-domain {args.ros_domain}: 0 to {DOMAIN_MAX}"
+        raise SteerdError(what, "", ExitCode.USAGE)
+    if args.lab is not None:
+        what = "a lab's hub lets steerd's own keys through, and none of ROS's"
+        raise SteerdError(what, "drop --lab or --ros-domain", ExitCode.USAGE)
 
 
 def _check_view(args: argparse.Namespace) -> None:

@@ -66,6 +66,18 @@ def test_help_loads_nothing_heavy(heavy: str) -> None:
     assert done.returncode == 0
 
 
+@pytest.mark.parametrize("command", ["run", "operate", "status", "watch"])
+def test_a_terminal_starts_without_filter_and_design(command: str) -> None:
+    """They took `steerd stop` a second of processor time before it said anything."""
+    code = (
+        f"import sys, daemon.commands.{command}\n"
+        "heavy = {'control', 'filterpy', 'matplotlib', 'scipy', 'torch', 'mcap', 'foxglove'}\n"
+        "sys.exit(' '.join(heavy & set(sys.modules)) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_every_command_has_its_help() -> None:
     from daemon.cli import COMMANDS, guarded
 

@@ -79,3 +79,8 @@ def test_a_ros_subscription_finds_and_decodes_the_car(steerd, tmp_path):
 def test_a_domain_that_is_none_is_told(capsys):
     assert guarded(["run", "--sim", "--ros-domain", "233"]) == 2
     assert "0 to 232" in capsys.readouterr().err
+
+
+def test_a_lab_with_keys_shows_nothing_to_ros(tmp_path, capsys):
+    assert guarded(["run", "--sim", "--ros-domain", "0", "--lab", str(tmp_path)]) == 2
+    assert "--ros-domain" in capsys.readouterr().err
