@@ -1,6 +1,6 @@
 """The launch window: a good launch passes, each wiring mistake is found within the first metres."""
 
-from math import cos, pi, sin, tan
+from math import atan, cos, pi, sin, tan
 
 import pytest
 
@@ -106,3 +106,85 @@ def test_every_bound_of_the_launch_exactly():
     assert shown(0.5, 0.5, turned=0.03, expected=0.10)[1] == ""
     assert "heading" in shown(0.5, 0.5, sideways=0.5 * tan(pi / 6) + 1e-9)[1]
     assert shown(0.5, 0.5, sideways=0.5 * tan(pi / 6) - 1e-9)[1] == ""
+
+
+def end_of(x=0.25, y=0.0, wheels=0.25, yaw=0.0, steer=0.0, wheelbase=1.0):
+    """One long step from the origin, heading along x: the state after it, and what was wrong."""
+    start = LaunchInput(0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    step = LaunchInput(1_000_000_000, x, y, yaw, wheels, steer)
+    return step_launch(make_launch_state(start), step, wheelbase)
+
+
+@pytest.mark.parametrize(
+    ("x", "wheels", "judged"),
+    [(0.0, 0.25, True), (0.0, 0.2499, False), (0.25, 0.0, True), (0.2499, 0.0, False)],
+)
+def test_it_is_judged_from_a_quarter_of_a_metre_by_either(x, wheels, judged):
+    assert bool(end_of(x=x, wheels=wheels)[1]) is judged
+
+
+@pytest.mark.parametrize(
+    ("x", "fits"), [(0.7, True), (0.6999, False), (1.4, True), (1.4001, False)]
+)
+def test_the_ratio_of_distances_to_its_last_digit(x, fits):
+    assert ("units" not in end_of(x=x, wheels=1.0)[1]) is fits
+
+
+def test_distances_are_from_where_the_car_stood():
+    far = LaunchInput(0, 10.0, 20.0, 0.0, 0.0, 0.0)
+    step = LaunchInput(1_000_000_000, 10.5, 20.0, 0.0, 0.5, 0.0)
+    state, wrong = step_launch(make_launch_state(far), step, 1.0)
+    assert (wrong, state.done) == ("", True)
+    north = LaunchInput(0, 10.0, 20.0, pi / 2, 0.0, 0.0)
+    step = LaunchInput(1_000_000_000, 10.0, 20.5, pi / 2, 0.5, 0.0)
+    state, wrong = step_launch(make_launch_state(north), step, 1.0)
+    assert (wrong, state.done) == ("", True)
+
+
+@pytest.mark.parametrize(("wheels", "done"), [(0.5, True), (0.4999, False)])
+def test_the_window_ends_at_half_a_metre(wheels, done):
+    assert end_of(x=wheels, wheels=wheels)[0].done is done
+
+
+def test_backwards_counts_as_well_and_is_no_turned_body():
+    state, wrong = end_of(x=-0.5, wheels=-0.5)
+    assert (wrong, state.done) == ("", True)
+    assert "body forward axis" in end_of(x=0.5, wheels=-0.5)[1]
+
+
+@pytest.mark.parametrize(("angle", "found"), [(pi / 6 - 1e-9, False), (pi / 6 + 1e-9, True)])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_thirty_degrees_off_the_heading(angle, found, side):
+    wrong = end_of(x=0.5 * cos(angle), y=side * 0.5 * sin(angle), wheels=0.5)[1]
+    assert ("body forward axis" in wrong) is found
+    if found:
+        assert f"travels {side * 30:.0f} deg" in wrong
+
+
+@pytest.mark.parametrize(
+    ("expected", "turned", "found"),
+    [
+        (0.11, -0.04, True), (-0.11, 0.04, True), (0.11, 0.04, False), (0.09, -0.04, False),
+        (0.11, -0.02, False), (0.11, 0.0, False), (0.5, -0.03, True),
+    ],
+)  # fmt: skip
+def test_turning_is_judged_when_there_is_enough_of_it(expected, turned, found):
+    """Half a metre at an angle whose tangent is twice the turn, wheelbase 1 m."""
+    wrong = end_of(x=0.5, wheels=0.5, yaw=turned, steer=atan(2.0 * expected))[1]
+    assert ("against its steering" in wrong) is found
+
+
+def test_a_launch_that_went_wrong_is_not_done_and_a_done_one_is_left_alone():
+    state, wrong = end_of(x=2.0, wheels=1.0)
+    assert wrong
+    assert not state.done
+    done = end_of(x=0.5, wheels=0.5)[0]
+    after = LaunchInput(2_000_000_000, 99.0, 0.0, 3.0, 0.0, 0.0)
+    assert step_launch(done, after, 1.0) == (done, "")
+
+
+def test_a_clock_that_goes_back_moves_nothing():
+    start = LaunchInput(10_000_000_000, 0.0, 0.0, 0.0, 0.0, 0.0)
+    step = LaunchInput(9_000_000_000, 0.0, 0.0, 0.0, 5.0, 0.0)
+    state, wrong = step_launch(make_launch_state(start), step, 1.0)
+    assert (state.travelled, wrong) == (0.0, "")
