@@ -1,0 +1,50 @@
+"""A lab with certificates, as processes: operators are heard, viewers only watch."""
+
+import signal
+import socket
+
+import pytest
+
+from daemon.cli import guarded
+
+pytest.importorskip("cryptography")
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
+
+
+def free_port() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return str(probe.getsockname()[1])
+
+
+def ask(steerd, *argv):
+    program = steerd(*argv)
+    return program.wait(), program.text
+
+
+def test_operators_command_and_viewers_watch(undisturbed) -> None:
+    def scenario(steerd, folder):
+        lab = folder / "lab"
+        people = ["--operator", "desk", "--viewer", "screen"]
+        where = ["--host", "127.0.0.1", "--port", free_port()]
+        assert guarded(["keys", str(lab), *where, *people]) == 0
+        port, url = steerd.sim(folder)
+        record = folder / "drive.mcap"
+        argv = ("--port", port, "--mocap", url, "--record", record, "--path", "circle:radius=2")
+        run = steerd("run", "--lab", lab / "car1", *argv)
+        run.expect("READY")
+        code, said = ask(steerd, "status", "--lab", lab / "screen")
+        assert (code, said.startswith("car1: ")) == (0, True), said
+        code, said = ask(steerd, "estop", "--lab", lab / "screen")
+        assert (code, "the car stays" in said) == (5, True), said
+        code, said = ask(steerd, "watch", "--lab", lab / "screen", "--seconds", "1.5")
+        assert (code, "state " in said) == (0, True), said
+        code, said = ask(steerd, "status", "--connect", "tls/127.0.0.1:" + where[3])
+        assert (code, "no steerd answers" in said) == (6, True), said
+        assert "ESTOP" not in run.text, run.text
+        assert ask(steerd, "estop", "--lab", lab / "desk")[0] == 0
+        run.send(signal.SIGINT)
+        run.wait()
+        assert "ESTOP" in run.text, run.text
+
+    undisturbed(scenario)
