@@ -73,12 +73,20 @@ class Choice:
 
 def significant(gain: float, se: float) -> bool:
     """Whether a held-out gain is no accident; a likelihood's own spread bounds its error."""
-    own = (2.0 * max(gain, 0.0)) ** 0.5
-    return gain > c.GAIN_MIN and gain > c.GAIN_SE * min(se, 2.0 * own)
+    return gain > c.GAIN_MIN and gain > c.GAIN_SE * bounded(gain, se)
+
+
+def bounded(gain: float, se: float) -> float:
+    """A gain's standard error; blocks that differ for good reasons do not make it larger."""
+    return min(se, c.OWN_SE * (2.0 * max(gain, 0.0)) ** 0.5)
 
 
 def best_pair(
-    engine: Engine, ranked: Sequence[Score], nuisance: Sequence[str], blocks: NDArray[np.int64]
+    engine: Engine,
+    null: Score,
+    ranked: Sequence[Score],
+    nuisance: Sequence[str],
+    blocks: NDArray[np.int64],
 ) -> Score | None:
     """Two causes together, if they predict unseen windows clearly better than the best alone.
 
@@ -95,9 +103,19 @@ def best_pair(
     if best is None:
         return None
     gain, se = gain_of(best, single, blocks)
-    own = (2.0 * max(gain, 0.0)) ** 0.5
-    good = gain > c.PAIR_MIN and gain > c.PAIR_SE * min(se, 2.0 * own)
-    return best if good else None
+    if not all(large(engine, best, name) for name in best.effects):
+        return None
+    first, _ = gain_of(single, null, blocks)
+    least = max(c.PAIR_MIN, c.PAIR_SHARE * first, c.PAIR_SE * bounded(gain, se))
+    return best if gain > least else None
+
+
+def large(engine: Engine, score: Score, name: str) -> bool:
+    """Whether a hypothesis' effect differs from the base's by an amount that matters."""
+    places = engine.superset.places(name)
+    nulls = np.array(engine.superset.nulls[name])
+    size = float(np.linalg.norm(score.fitted.parameters[places] - nulls))
+    return size >= c.LEAST.get(name, 0.0)
 
 
 def near(ranked: Sequence[Score], blocks: NDArray[np.int64]) -> int:
@@ -106,6 +124,12 @@ def near(ranked: Sequence[Score], blocks: NDArray[np.int64]) -> int:
         return 0
     lead, se = gain_of(ranked[0], ranked[1], blocks)
     return int(lead < c.AMBIGUOUS_SE * se_of_lead(lead, se) + c.AMBIGUOUS_NATS)
+
+
+def needless(pair: Score, kept: Score, blocks: NDArray[np.int64]) -> bool:
+    """Whether a pair without one of its effects predicts as well: then that one is no cause."""
+    lead, se = gain_of(pair, kept, blocks)
+    return lead < max(c.PAIR_MIN, c.PAIR_SE * bounded(lead, se))
 
 
 def dropped(engine: Engine, pair: Score, nuisance: Sequence[str]) -> list[tuple[str, Score]]:
@@ -151,7 +175,7 @@ def constancy(engine: Engine, fitted: Fitted) -> tuple[Split, ...]:
         (a, sa), (b, sb) = (_on_part(fitted, part, place) for part in (half, ~half))
         sigmas = abs(a - b) / float(np.hypot(sa, sb))
         apart = abs(a - b) > c.CONSTANT_SHARE * abs(fitted.z[place] - null)
-        found.append(Split(by, a, b, sigmas, sigmas > c.CONSTANT_SIGMA and apart))
+        found.append(Split(by, a, b, sigmas, bool(sigmas > c.CONSTANT_SIGMA and apart)))
     return tuple(found)
 
 
@@ -249,11 +273,18 @@ def choose(
 ) -> Choice:
     """The explanation, its rivals and how sure it is."""
     best = ranked[0]
-    pair = best_pair(engine, ranked, nuisance, blocks) if pairs else None
+    pair = best_pair(engine, null, ranked, nuisance, blocks) if pairs else None
     gain, se = gain_of(pair or best, null, blocks)
     found = significant(gain, se)
     if pair is not None and found:
-        return _two(engine, null, ranked, pair, nuisance, blocks, gain, se)
+        drops = dropped(engine, pair, nuisance)
+        alone = [kept for _, kept in drops if needless(pair, kept, blocks)]
+        if not alone:
+            return _two(engine, null, ranked, pair, drops, nuisance, blocks, gain, se)
+        best = max(alone, key=lambda kept: gain_of(kept, null, blocks)[0])
+        ranked = [best, *(s for s in ranked if s.effects != best.effects)]
+    gain, se = gain_of(best, null, blocks)
+    found = significant(gain, se)
     splits = constancy(engine, best.fitted) if found else ()
     broken = any(split.broken for split in splits)
     rivals: tuple[str, ...] = ()
@@ -269,13 +300,13 @@ def _two(
     null: Score,
     ranked: Sequence[Score],
     pair: Score,
+    drops: Sequence[tuple[str, Score]],
     nuisance: Sequence[str],
     blocks: NDArray[np.int64],
     gain: float,
     se: float,
 ) -> Choice:
     """Two causes: the one whose absence costs more comes first; rivals from swaps."""
-    drops = dropped(engine, pair, nuisance)
     worth = {name: gain_of(pair, without, blocks)[0] for name, without in drops}
     order = sorted(pair.effects, key=lambda name: -worth[name])
     rest = dict(drops)

@@ -7,7 +7,7 @@ handed the prediction before the reserved drives are looked at).
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,13 @@ from car_model.car_file import CarFile
 from car_model.model import Model
 from sim_gap import constants as c
 from sim_gap.candidates import Score, blocks_of, gain_of, scored, singles
-from sim_gap.decide import ALIASES, Choice, Split, choose
+from sim_gap.decide import ALIASES, Choice, Split, choose, large
 from sim_gap.descent import Fitted
 from sim_gap.engine import Engine
-from sim_gap.healthy import learn_healthy
+from sim_gap.healthy import learn_healthy, refine
+from sim_gap.horizons import Horizon, cross_check
 from sim_gap.next_manoeuvre import Manoeuvre, next_manoeuvre
-from sim_gap.noise import Noise, learn_noise, noise_of_section, whitened
+from sim_gap.noise import Noise, learn_noise, louder, noise_of_section, whitened
 from sim_gap.opening import null_fit, open_engine
 from sim_gap.residuals import Gap, gap_of, settled
 from sim_gap.shape import Shape, shape_of
@@ -31,6 +32,7 @@ from sim_gap.superset import Superset, make_superset
 from sim_gap.timeline import Timeline, timeline_of
 from sim_gap.where import Where, locate
 from sysid.dataset import Run
+from sysid.windows import estimate_noise
 
 Array = NDArray[np.float64]
 
@@ -50,12 +52,14 @@ class Options:
     Attributes:
         held_out: drives that are only opened after the prediction is written; or how to get them,
             which is then called after it.
-        healthy: drives of the base car without the gap; they tell how large noise is.
+        healthy: drives of the base car without the gap; they tell how large noise is, and
+            refine a base that is a car file (see `healthy.refine`).
         noise: how large noise is, if it is known (also read from the car file's `[noise]`).
         only: effects to look at; None takes the library.
         without: effects to leave out.
         pairs: whether two causes together are tried.
         jobs: threads for the candidates.
+        horizons: whether the gap is looked at over other horizons too.
         progress: called with a stage's name and the share done.
         written: called with the prediction (JSON) before the reserved drives are opened.
     """
@@ -67,6 +71,7 @@ class Options:
     without: Sequence[str] = ()
     pairs: bool = True
     jobs: int = 1
+    horizons: bool = True
     progress: Callable[[str, float], None] = _silent
     written: Callable[[str], None] = _unheard
 
@@ -111,6 +116,7 @@ class Diagnosis:
         notes: what a reader should know about how this was done.
         values: all effects' parameters of the explanation, by effect, for a car file.
         timeline: the gap window by window.
+        horizons: the gap over other horizons.
     """
 
     verdict: str
@@ -129,6 +135,7 @@ class Diagnosis:
     notes: tuple[str, ...]
     values: dict[str, tuple[float, ...]] = field(default_factory=dict)
     timeline: Timeline | None = None
+    horizons: tuple[Horizon, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +152,7 @@ class _Case:
 def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None:
     if options.noise is not None:
         return options.noise
-    if options.healthy:
+    if options.healthy and not isinstance(base, CarFile):
         return learn_healthy(base, options.healthy)
     return noise_of_section(base.sections.get("noise", {})) if isinstance(base, CarFile) else None
 
@@ -167,6 +174,8 @@ def diagnose(
         FloatingPointError: the base car's simulation diverges.
     """
     options = options or Options()
+    if options.healthy and isinstance(base, CarFile):
+        base = refine(base, options.healthy)
     superset = make_superset(base, runs)
     names = [e.name for e in superset.effects]
     only = tuple(n for n in (options.only or names) if n not in options.without)
@@ -176,11 +185,20 @@ def diagnose(
     nuisance = nuisance_names(superset, runs)
     case = _Case(superset, open_engine(superset, runs), nuisance, options, only)
     known = _known_noise(base, options)
+    known = known and louder(known, estimate_noise(runs))
     engine, null, ranked, noise = _search(case, known)
     options.progress("decide", 0.6)
     blocks = blocks_of(engine)
     choice = choose(engine, scored(engine, null), ranked, nuisance, blocks, options.pairs)
-    return _told(case, engine, choice, noise, known is not None, [run.name for run in runs])
+    told = _told(case, engine, choice, noise, known is not None, [run.name for run in runs])
+    if not options.horizons:
+        return told
+    base_fit = settled(engine, make_space(superset, ()), make_space(superset, ()).centre)
+    best = choice.best.fitted if told.causes else choice.null.fitted
+    found, before, after = cross_check(
+        engine, runs, base_fit, best, noise, (told.before, told.after)
+    )
+    return replace(told, horizons=found, before=before, after=after)
 
 
 def _search(case: _Case, known: Noise | None) -> tuple[Engine, Fitted, list[Score], Noise]:
@@ -215,8 +233,13 @@ def _told(
     gap_before = gap_of(engine, before, choice.blocks)
     best = choice.best.fitted
     gap_best = gap_of(engine, best, choice.blocks)
-    found = choice.found and practical(
-        choice, gap_before, gap_best, gap_of(engine, choice.null.fitted, choice.blocks)
+    sizes = (large(engine, choice.best, name) for name in choice.best.effects)
+    found = (
+        choice.found
+        and all(sizes)
+        and practical(
+            choice, gap_before, gap_best, gap_of(engine, choice.null.fitted, choice.blocks)
+        )
     )
     chosen = choice.best if found else choice.null
     gap_after = gap_best if found else gap_of(engine, choice.null.fitted, choice.blocks)
@@ -247,7 +270,8 @@ def practical(choice: Choice, before: Gap, after: Gap, null: Gap) -> bool:
     """Whether adding the effect matters: a share, millimetres, or overwhelming odds."""
     moved = null.position(1.0) - after.position(1.0)
     share = (null.whitened - after.whitened) / max(null.whitened, 1e-9)
-    return moved >= c.SPEED_MIN or share >= c.SHARE_MIN or choice.gain >= c.GAIN_CLEAR
+    clear = c.GAIN_CLEAR * max(1.0, len(choice.blocks) / c.CLEAR_WINDOWS)
+    return moved >= c.SPEED_MIN or share >= c.SHARE_MIN or choice.gain >= clear
 
 
 def verdict_of(choice: Choice, found: bool, known: bool, before: Gap, after: Gap) -> str:

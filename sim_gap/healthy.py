@@ -12,6 +12,9 @@ import numpy as np
 
 from car_model.car_file import CarFile
 from car_model.model import Model
+from sim_gap import constants as c
+from sim_gap.candidates import blocks_of, gain_of, scored, singles
+from sim_gap.decide import bounded
 from sim_gap.descent import Fitted
 from sim_gap.noise import Noise, learn_noise, noise_section, whitened
 from sim_gap.opening import null_fit, open_engine
@@ -20,6 +23,9 @@ from sim_gap.superset import make_superset
 from sysid.dataset import Run
 
 _ROUNDS = 2
+_REFITS = 4
+NEVER_OWN = frozenset({"grip_patch", "grip_drift", "battery_sag", "mass"})
+"""Effects of a place or a day, and what no pose can tell: no manner of a car."""
 _FAR = 2.5
 """A parameter so many prior standard deviations off is tried again about where it went."""
 
@@ -42,7 +48,10 @@ def learn_healthy(base: CarFile | Model[float], runs: Sequence[Run]) -> Noise:
 
 
 def refine(base: CarFile, runs: Sequence[Run]) -> CarFile:
-    """The base car as drives without a gap show it: its parameters, their errors, and `[noise]`.
+    """The base car as drives without a gap show it: parameters, errors, own effects, `[noise]`.
+
+    An effect of the library that the healthy drives show clearly is the car's own manner and no
+    gap; it becomes part of the base.
 
     Args:
         base: as identified; where its parameters end up is not tied to its standard errors.
@@ -51,7 +60,32 @@ def refine(base: CarFile, runs: Sequence[Run]) -> CarFile:
     noise, fitted = _learn(replace(base, sd={}), runs)
     if np.abs(fitted.prior).max() > _FAR:
         noise, fitted = _learn(replace(_moved(base, fitted, noise), sd={}), runs)
-    return _moved(base, fitted, noise)
+    return _with_own_effects(_moved(base, fitted, noise), runs, noise)
+
+
+def _with_own_effects(base: CarFile, runs: Sequence[Run], noise: Noise) -> CarFile:
+    """The base with what its healthy drives show beyond it, one effect after the other."""
+    for _ in range(c.BUILT_IN):
+        superset = make_superset(base, runs)
+        nuisance = nuisance_names(superset, runs)
+        engine = open_engine(superset, runs)
+        engine = whitened(engine, null_fit(engine, nuisance), noise)
+        null = null_fit(engine, nuisance)
+        taken = {e.name for e in base.effects} | NEVER_OWN
+        only = [e.name for e in superset.effects if e.name not in taken]
+        ranked = singles(engine, null, nuisance, only, most=_REFITS)
+        if not ranked:
+            break
+        gain, se = gain_of(ranked[0], scored(engine, null), blocks_of(engine))
+        if gain < c.BUILT_IN_GAIN or gain < c.GAIN_SE * bounded(gain, se):
+            break
+        found = ranked[0].fitted
+        moved = _moved(base, found, noise)
+        name = ranked[0].name
+        values = tuple(float(v) for v in found.parameters[superset.places(name)])
+        effect = next(e for e in superset.effects if e.name == name)
+        base = replace(moved, effects=(*base.effects, effect), values=(*base.values, values))
+    return base
 
 
 def _moved(base: CarFile, fitted: Fitted, noise: Noise) -> CarFile:

@@ -31,7 +31,10 @@ v a / (g C), 0.06 m/s at 2 m/s, 3 m/s^2 and C = 11, and the base equations know 
 its word it passes for pose latency."""
 _LEAST = np.array([1e-5, 1e-5, WHEEL_LEAST, 1e-4, 1e-3, 1e-3, 1e-3])
 _MOST = np.array([0.05, 0.05, 0.5, 0.5, 20.0, 20.0, 200.0])
-_START = np.array([1e-3, 2e-3, 0.02, 0.02, 0.3, 0.3, 2.0])
+_START = np.array([1e-3, 2e-3, 0.06, 0.05, 0.3, 0.3, 2.0])
+"""First guesses; what an instrument that no drive had is taken to be."""
+LOUDER = 1.3
+"""Instruments that are noisier than known by this factor are believed to be."""
 _ROUNDS = 40
 _KEYS = ("position", "yaw", "wheel_speed", "yaw_rate", "push_along", "push_across", "push_about")
 
@@ -162,6 +165,18 @@ def whitened(engine: Engine, fitted: Fitted, noise: Noise) -> Engine:
 
 
 assert INPUTS[:3] == ("accel", "lateral", "yaw")  # noqa: S101
+
+
+def louder(noise: Noise, signals: Array) -> Noise:
+    """Known noise where these drives' own signals are not clearly noisier; else theirs.
+
+    Args:
+        noise: as learnt on other drives.
+        signals: (4,) `sysid.windows.estimate_noise` of these; what is slow does not show in it.
+    """
+    old = np.array(noise.instruments)
+    a, b, c, d = np.where(signals > LOUDER * old, signals, old).tolist()
+    return replace(noise, instruments=(a, b, c, d))
 
 
 def noise_section(noise: Noise) -> dict[str, float]:

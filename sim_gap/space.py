@@ -24,7 +24,7 @@ EFFECT_WIDER = 3.0
 FLOORS = {
     "lf": 0.002, "lr": 0.002, "c_sf": 0.02, "c_sr": 0.02, "inertia_z": 0.03, "steer_gain": 0.004,
     "steer_bias": 5e-4, "steer_delay": 1e-3, "steer_lag": 2e-3, "speed_gain": 0.002,
-    "speed_lag": 4e-3, "drive_delay": 2e-3,
+    "speed_lag": 4e-3, "drive_delay": 2e-3, "pose_delay": 5e-4,
 }  # fmt: skip
 """Least prior standard deviation: what an identified car is off by because every model is wrong.
 

@@ -3,6 +3,8 @@
 import math
 from typing import Any
 
+import numpy as np
+
 from sim_gap.diagnosis import Cause, Diagnosis
 from sim_gap.residuals import Gap
 
@@ -15,6 +17,8 @@ def _plain(value: Any) -> Any:
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value
@@ -31,6 +35,14 @@ def _gap(gap: Gap) -> dict[str, Any]:
         leads.append(entry)
     low, high = gap.interval
     return {"whitened": gap.whitened, "low": low, "high": high, "errors": leads}
+
+
+def _told_gap(told: Diagnosis, which: str) -> dict[str, Any]:
+    """A gap with its whitened error over other horizons."""
+    horizons = [
+        {"horizon_s": each.seconds, "whitened": getattr(each, which)} for each in told.horizons
+    ]
+    return {**_gap(getattr(told, which)), "horizons": horizons}
 
 
 def _cause(cause: Cause, told: Diagnosis) -> dict[str, Any]:
@@ -56,7 +68,7 @@ def to_json(told: Diagnosis) -> dict[str, Any]:
     return dict(_plain({
         "schema": SCHEMA,
         "verdict": told.verdict,
-        "gap": {"before": _gap(told.before), "after": _gap(told.after)},
+        "gap": {"before": _told_gap(told, "before"), "after": _told_gap(told, "after")},
         "where": {
             "stage": where.stage,
             "equation": [{"name": s.name, "share": s.share} for s in where.equation],

@@ -21,7 +21,8 @@ _PAGE = Path(__file__).resolve().parents[2] / "docs" / "blind-test.md"
 
 def _generate(args: argparse.Namespace) -> str:
     blocks = tuple(args.blocks.split(",")) if args.blocks else ()
-    generate(args.set, args.out, args.limit, args.nonce, args.jobs, blocks, args.cars)
+    whole = tuple(args.whole.split(",")) if args.whole else ()
+    generate(args.set, args.out, args.limit, args.nonce, args.jobs, blocks, args.cars, whole)
     sealed = args.out / "labels.sealed.sha256"
     if not sealed.exists():
         return f"{args.out}: cases with open labels, to tune on"
@@ -48,7 +49,8 @@ def _score(args: argparse.Namespace) -> str:
     scores = score(labels["cases"], verdicts)
     notes = [
         f"Set `{labels['set']}`, nonce {labels['nonce']}, limit {labels['limit']},"
-        f" blocks {labels['blocks'] or 'all'}, cars {labels.get('cars', CARS)}: generates again with these.",
+        f" blocks {labels['blocks'] or 'all'}, cars {labels.get('cars', CARS)},"
+        f" whole {labels.get('whole') or 'none'}: generates again with these.",
         f"Report sets were opened {len(openings)} times so far"
         " (`benchmarks/blind_gap/opened.jsonl`).",
         f"A name is confident from {CONFIDENT} on.",
@@ -72,6 +74,7 @@ def make_parser() -> argparse.ArgumentParser:
     make.add_argument("--out", type=Path, required=True, help="folder that does not exist yet")
     make.add_argument("--limit", type=int, help="cases; every block keeps its share")
     make.add_argument("--blocks", help="only these, by first letters: null,single-rich")
+    make.add_argument("--whole", help="these are kept whole, whatever the limit: null")
     make.add_argument("--nonce", type=int, help="make the same set again")
     make.add_argument("--jobs", type=int, default=1)
     make.add_argument("--cars", type=int, default=CARS, help=f"at most {CARS}")

@@ -198,14 +198,19 @@ def needs_place(case: Case) -> bool:
 
 
 def make_plan(
-    source: Source, limit: int | None = None, blocks: tuple[str, ...] = (), cars: int = CARS
+    source: Source,
+    limit: int | None = None,
+    blocks: tuple[str, ...] = (),
+    cars: int = CARS,
+    whole: tuple[str, ...] = (),
 ) -> list[Case]:
     """The set's cases under opaque names; `limit` keeps every part's share of the whole.
 
     Every case has a rank between 0 and 1, spread evenly within its block; the first `limit` ranks
     stay, and names are dealt out after shuffling, so that neither tells what a case is. `blocks`
     keeps only those whose name starts with one of them; cases keep their seeds. Fewer `cars` than
-    `CARS` share the cases out among the first of them: each car is identified once.
+    `CARS` share the cases out among the first of them: each car is identified once. Blocks that
+    start with one of `whole` are kept whole, whatever the limit leaves of the others.
     """
     cases = [case for part in _PARTS for case in part(source)]
     cases = [_filled(source, case, seed, cars) for seed, case in enumerate(cases)]
@@ -215,6 +220,8 @@ def make_plan(
     for block in sorted({case.block for case in cases}):
         members = rng.permutation(np.flatnonzero(of_case == block))
         ranks[members] = (np.arange(len(members)) + rng.random(len(members))) / len(members)
+        if whole and block.startswith(whole):
+            ranks[members] = 0.0
     kept = np.argsort(ranks)[:limit]
     mixed = rng.permutation(kept)
     return [replace(cases[i], name=f"case-{n:04d}") for n, i in enumerate(mixed, start=1)]

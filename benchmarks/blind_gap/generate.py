@@ -157,6 +157,7 @@ def generate(
     jobs: int = 1,
     blocks: tuple[str, ...] = (),
     cars: int = CARS,
+    whole: tuple[str, ...] = (),
 ) -> Path:
     """Write a set.
 
@@ -168,6 +169,7 @@ def generate(
         jobs: processes.
         blocks: only parts of the bank whose names start so; all if empty.
         cars: number of cars that the cases are shared out among.
+        whole: parts that are kept whole, whatever the limit.
 
     Returns:
         The manifest.
@@ -178,7 +180,7 @@ def generate(
     if nonce is None:
         nonce = secrets.randbits(63) if set_name == "report" else 0
     source = Source(set_name, nonce)
-    plan = make_plan(source, limit, blocks, cars)
+    plan = make_plan(source, limit, blocks, cars, whole)
     out.mkdir(parents=True)
     numbers = sorted({case.car for case in plan})
     tasks = [delayed(write_car)(source, number, out) for number in numbers]
@@ -197,6 +199,7 @@ def generate(
         "limit": limit,
         "blocks": list(blocks),
         "cars": cars,
+        "whole": list(whole),
         "cases": [label for _, label in done],
     }
     return _save(out, manifest, labels)
