@@ -63,10 +63,10 @@ class Tally:
         """Root mean square of the lateral error after settling [m]; 0 without samples."""
         return sqrt(self.square / self.count) if self.count else 0.0
 
-    def describe(self) -> str:
-        """One line for the end of a run."""
+    def describe(self, *, lane: bool = True) -> str:
+        """One line for the end of a run; `lane` says whether there was one to keep."""
         driven = f"drove {self.distance:.1f} m in {self.driven_ns * 1e-9:.1f} s"
-        if not self.count:
+        if not self.count or not lane:
             return driven
         return (
             f"{driven}; lateral error RMS {100 * self.rms:.2f} cm, "

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from daemon.build import Plan, make_world_config
+from daemon.closing import closing_lines
 from daemon.dashboard import Dashboard
 from daemon.errors import ExitCode, SteerdError
 from daemon.recorder import Recording
@@ -76,9 +77,10 @@ def run_fast(plan: Plan) -> int:
     finally:
         recording.writer.finish({"reason": "end of the run", "written": str(recording.written)})
     factor = run.t_ns / max(clock.now_ns() - began, 1)
-    print(board.tally.describe())
+    told, *where_to = closing_lines(plan, board.tally, path)
+    print(told)
     print(f"bytes on the wire: sha256 {run.wire.hexdigest()[:16]}; {factor:.0f} x real time")
-    print(f"session: {path}\n   next: steerd plot {path}   (or steerd info)")
+    print("\n".join(where_to))
     loop = run.core.loop
     if loop.faulted:
         print(f"stopped: {loop.supervisor.reason}")

@@ -191,6 +191,7 @@ def _run_simulated(plan: Plan) -> int:
 
 def _run_live(plan: Plan) -> int:
     from daemon.children import start_crew
+    from daemon.closing import closing_lines
     from daemon.dashboard import Dashboard
     from daemon.operator import Operator
     from daemon.session_meta import default_session_path
@@ -217,9 +218,9 @@ def _run_live(plan: Plan) -> int:
     operator = Operator(boot_id, secrets.randbits(62) + 1, "terminal")
     Terminal(crew, board, operator, clock).run()
     code = crew.end()
-    print(board.tally.describe())
+    told, *where_to = closing_lines(plan, board.tally, session)
+    print(told)
     if board.status.get("state") in ("FAULT_LATCHED", "FAULT_STOP", "ESTOP"):
         print(f"stopped: {board.status.get('reason', '')}")
-    print(f"session: {session}")
-    print(f"   next: steerd plot {session}   (or steerd info)")
+    print("\n".join(where_to))
     return code
