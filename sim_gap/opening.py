@@ -1,6 +1,7 @@
 """A session opened: windows under the base car, and the base at its best within its uncertainty."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -30,6 +31,8 @@ def null_fit(engine: Engine, nuisance: Sequence[str], start: Fitted | None = Non
         FloatingPointError: the base car's simulation diverges.
     """
     space = make_space(engine.superset, nuisance)
-    x = engine.readings.layout.guess.copy() if start is None else start.x.copy()
-    z = space.centre if start is None else start.z
-    return descend(engine, space, z.copy(), x)
+    if start is not None:
+        # A linear step may have left a start where a real car never was; then the poses' own.
+        with suppress(FloatingPointError):
+            return descend(engine, space, start.z.copy(), start.x.copy())
+    return descend(engine, space, space.centre.copy(), engine.readings.layout.guess.copy())
