@@ -156,6 +156,7 @@ def judge(session: Path, frames: list[int], orders: list[int], begin: int, end: 
     """Figures of one drive between two moments [ns]."""
     ticks = open_session(session).columns(m.Tick)
     due, woke, work = (ticks[name] for name in ("due_ns", "woke_ns", "work_ns"))
+    numbers = ticks["seq"].astype(np.int64)
     inside = (due >= begin) & (due < end)
     sent, mocap = np.array(orders), np.array(frames)
     mocap = mocap[(mocap >= begin) & (mocap < end)]
@@ -172,6 +173,7 @@ def judge(session: Path, frames: list[int], orders: list[int], begin: int, end: 
         "late_ms": percentiles((woke - due)[inside]),
         "work_ms": percentiles(work[inside]),
         "ticks": int(inside.sum()),
+        "unrecorded": int(numbers[-1] - numbers[0]) + 1 - numbers.size,
     }
 
 

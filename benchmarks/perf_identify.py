@@ -1,0 +1,61 @@
+"""Paper's method, CMA-ES, least squares and ours to the same held-out error, from one start.
+
+The race of `identify.py` on its sixteen circles, shortened for `make bench`.
+"""
+
+import json
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from identify import FRICTIONS, Judge, circles, ours
+
+from sysid.baselines import fit_least_squares, search_cma
+from sysid.kernels import make_kernels
+from sysid.paper import NAMES, descend_adam, draw_starts, make_problem, paper_runs
+from sysid.torch_sim import PAPER_CAR_DIRECT
+
+TARGET_MM = 10.0
+
+
+def main() -> int:
+    kernels = make_kernels()
+    truth = PAPER_CAR_DIRECT._replace(mu=FRICTIONS["standard"])
+    runs = circles(kernels, truth, np.random.default_rng(0))
+    judge, start = Judge(kernels, truth), draw_starts(np.random.default_rng(1), 1)[0]
+    problem = make_problem(paper_runs(runs), truth)
+    searches = {
+        "paper": lambda: descend_adam(problem, start, 100, judge.watch),
+        "CMA-ES": lambda: search_cma(problem, start, 500, 0, judge.watch),
+        "scipy least_squares": lambda: fit_least_squares(problem, start, judge.watch),
+    }
+    ours(runs, truth, start)  # compiled kernels in memory, for all methods
+    found: dict[str, Any] = {}
+    for name, search in searches.items():
+        judge.start()
+        final = search().final
+        reached = judge.reached(TARGET_MM)
+        found[name] = {
+            "iterations": reached and reached[0],
+            "s": reached and round(reached[1], 3),
+            "all_s": round(judge.log[-1][1], 3),
+            "final_mm": round(judge.error_mm(final), 4),
+        }
+    began = time.process_time()
+    fitted = ours(runs, truth, start)
+    seconds = round(time.process_time() - began, 3)
+    error = judge.error_mm(np.array([getattr(fitted.model.car, name) for name in NAMES]))
+    inside = error <= TARGET_MM
+    found["ours"] = {
+        "iterations": fitted.evaluations if inside else None,
+        "s": seconds if inside else None,
+        "all_s": seconds,
+        "final_mm": round(error, 4),
+    }
+    print(json.dumps({"target_mm": TARGET_MM, "methods": found}))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

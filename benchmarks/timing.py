@@ -1,0 +1,39 @@
+"""CPU time of a call, repeated: median and spread. Neighbours on a machine are noisy, so no wall."""
+
+import os
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np  # noqa: E402
+
+
+class Timed(NamedTuple):
+    """Seconds of CPU time per call: median, and the middle 80 % of the repetitions."""
+
+    median: float
+    low: float
+    high: float
+
+    def scaled(self, factor: float) -> "Timed":
+        return Timed(*(factor * value for value in self))
+
+
+def timed(call: Callable[[], object], repeats: int = 9, least_s: float = 0.02) -> Timed:
+    """Time a call; short ones are called often enough to be seen."""
+    call()
+    count = 1
+    while (took := _cpu(call, count)) < least_s:
+        count = max(2 * count, int(1.2 * count * least_s / max(took, 1e-6)))
+    seconds = [_cpu(call, count) / count for _ in range(repeats)]
+    low, median, high = np.percentile(seconds, [10, 50, 90]).tolist()
+    return Timed(median, low, high)
+
+
+def _cpu(call: Callable[[], object], count: int) -> float:
+    began = time.process_time()
+    for _ in range(count):
+        call()
+    return time.process_time() - began
