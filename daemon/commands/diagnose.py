@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 _LOADED, _DIAGNOSED, _DRIVEN = 0.05, 0.85, 0.95
 """Shares of the work that are done after loading, after the diagnosis, after the closed loop."""
 
+_IDENTIFY = "a base identified from such drives: steerd identify … -o car.toml, --base car.toml"
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd diagnose`."""
@@ -123,6 +125,8 @@ def _check_outputs(args: argparse.Namespace) -> None:
 def _diagnose(
     args: argparse.Namespace, case: "Case", advance: Callable[[float], None]
 ) -> "Diagnosis":
+    from numpy.linalg import LinAlgError
+
     from sim_gap.diagnosis import Options, diagnose
     from sysid.gate import DataError
     from sysid.scale import DaskMissingError, on_cluster
@@ -145,8 +149,10 @@ def _diagnose(
     except DaskMissingError as error:
         raise SteerdError(str(error), "", ExitCode.USAGE) from None
     except FloatingPointError as error:
-        hint = "give the car as identified: --base car.toml"
-        raise SteerdError(str(error), hint, ExitCode.STOPPED) from None
+        raise SteerdError(str(error), _IDENTIFY, ExitCode.STOPPED) from None
+    except LinAlgError:
+        what = "the base car's simulation leaves every bound in some of these windows"
+        raise SteerdError(what, _IDENTIFY, ExitCode.STOPPED) from None
     except (ValueError, OSError) as error:
         raise SteerdError(str(error), "", ExitCode.INVALID) from None
 
