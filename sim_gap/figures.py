@@ -1,7 +1,5 @@
 """The gap report's figures as inline SVG, in the manner of the identification's."""
 
-import io
-import re
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -9,7 +7,6 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
@@ -21,39 +18,14 @@ from sim_gap.shrink import Shrinkage
 from sim_gap.timeline import Timeline
 from sim_gap.where import Regime, Share
 from sim_gap.words import EQUATIONS, NOTHING_THERE, SCALES, told_leads
+from sysid.drawing import AFTER, BEFORE, FAINT, INK, MEASURED, STYLE, make_figure, to_svg
 
 Array = NDArray[np.float64]
 
-INK, FAINT = "#1f2933", "#9aa5b1"
-MEASURED, AFTER, BEFORE = "#1f2933", "#d9480f", "#4c8dca"
 SHOWN_MOST = 12
 """Candidates that are drawn; the rest is in the JSON."""
 Corner = Literal["upper left", "lower right"]
-_WIDTH = 9.6
-_STYLE: dict[Any, Any] = {
-    "font.family": "sans-serif", "font.size": 9.0, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
-    "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False,
-    "axes.grid": True, "grid.color": "#e4e7eb", "grid.linewidth": 0.6, "svg.fonttype": "none",
-    "svg.hashsalt": "steerd", "legend.frameon": False, "axes.titlesize": 9.5,
-    "axes.titlelocation": "left", "axes.axisbelow": True,
-}  # fmt: skip
-
-
-def _svg(figure: Figure, label: str) -> str:
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    markup = text.getvalue()
-    markup = markup[markup.index("<svg") :]
-    markup = re.sub(r' xmlns:(xlink|cc|dc|rdf)="[^"]*"| xlink:href="(?!#)[^"]*"', "", markup)
-    markup = re.sub(r"<metadata>.*?</metadata>", "", markup, flags=re.DOTALL)
-    markup = markup.replace("xlink:href=", "href=")
-    width = f'role="img" aria-label="{label}" width="{figure.get_figwidth() / _WIDTH:.0%}"'
-    return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', width, markup, count=1)
-
-
-def _figure(rows: int, columns: int, height: float) -> tuple[Figure, NDArray[Any]]:
-    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False)
+_STYLE: dict[Any, Any] = {**STYLE, "axes.axisbelow": True}
 
 
 def _plain_log(axis: Axis) -> None:
@@ -74,7 +46,7 @@ def draw_gap(before: Gap, after: Gap, explained: bool) -> str:
     if explained:
         names["with the effect"] = AFTER
     with rc_context(_STYLE):
-        figure, axes = _figure(1, 3, 2.5)
+        figure, axes = make_figure(1, 3, 2.5)
         units = (("position [mm]", 1e3), ("heading [mrad]", 1e3), ("wheel speed [mm/s]", 1e3))
         for i, (axis, (label, scale)) in enumerate(zip(axes[0], units, strict=True)):
             _bars(axis, before, i, scale, -0.2 if explained else 0.0, BEFORE)
@@ -86,7 +58,7 @@ def draw_gap(before: Gap, after: Gap, explained: bool) -> str:
             axis.grid(visible=False, axis="x")
         axes[0, 0].set_ylabel("root mean square")
         _name(axes[0, 0], names, "upper left")
-        return _svg(figure, "Prediction error by horizon, before and after")
+        return to_svg(figure, "Prediction error by horizon, before and after")
 
 
 def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str) -> None:
@@ -106,7 +78,7 @@ def draw_candidates(told: Diagnosis) -> str:
     names = {cause.effect for cause in told.causes}
     rivals = {rival for cause in told.causes for rival in cause.ambiguous_with}
     with rc_context(_STYLE):
-        figure, axes = _figure(1, 1, 0.7 + 0.24 * max(len(rows), 2))
+        figure, axes = make_figure(1, 1, 0.7 + 0.24 * max(len(rows), 2))
         axis = axes[0, 0]
         for place, (effect, gain, se) in enumerate(rows):
             parts = set(effect.split("+"))
@@ -124,20 +96,20 @@ def draw_candidates(told: Diagnosis) -> str:
             del colours["cannot be told from it"]
         if names:
             _name(axis, colours, "lower right")
-        return _svg(figure, "Candidates and their gains")
+        return to_svg(figure, "Candidates and their gains")
 
 
 def draw_where(equation: Sequence[Share], channels: Sequence[Share]) -> str:
     """Shares by equation and by measured channel."""
     with rc_context(_STYLE):
-        figure, axes = _figure(1, 2, 1.9)
+        figure, axes = make_figure(1, 2, 1.9)
         labels = [EQUATIONS.get(s.name, s.name) for s in equation]
         _shares(axes[0, 0], labels, [s.share for s in equation])
         axes[0, 0].set_title("hidden input that would remove the error")
         shown = [s for s in channels if s.share > 5e-3] or list(channels[:1])
         _shares(axes[0, 1], [s.name.replace("_", " ") for s in shown], [s.share for s in shown])
         axes[0, 1].set_title("measurement in which it shows")
-        return _svg(figure, "Where the error lies, by equation and by channel")
+        return to_svg(figure, "Where the error lies, by equation and by channel")
 
 
 def _shares(axis: Axes, labels: Sequence[str], shares: Sequence[float]) -> None:
@@ -156,7 +128,7 @@ def draw_timeline(line: Timeline, stretches: Sequence[Any], explained: bool) -> 
     """Whitened error of each window over its drive's time; stretches that stand out are shaded."""
     runs = list(dict.fromkeys(line.run))[:4]
     with rc_context(_STYLE):
-        figure, axes = _figure(len(runs), 1, 0.6 + 1.5 * len(runs))
+        figure, axes = make_figure(len(runs), 1, 0.6 + 1.5 * len(runs))
         for axis, name in zip(axes[:, 0], runs, strict=True):
             mine = np.array([run == name for run in line.run])
             for stretch in stretches:
@@ -172,7 +144,7 @@ def draw_timeline(line: Timeline, stretches: Sequence[Any], explained: bool) -> 
         colours = {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
         handles = [Line2D([], [], color=c, lw=3.0, label=name) for name, c in colours.items()]
         figure.legend(handles=handles, loc="outside lower left", ncols=2, fontsize=8)
-        return _svg(figure, "The gap over time")
+        return to_svg(figure, "The gap over time")
 
 
 def _steps(axis: Axes, line: Timeline, mine: Array, values: Array, colour: str) -> None:
@@ -184,7 +156,7 @@ def draw_regimes(regimes: Sequence[Regime]) -> str:
     """How much larger the error is in each manner of driving than elsewhere."""
     rows = list(regimes[:6])
     with rc_context(_STYLE):
-        figure, axes = _figure(1, 1, 0.7 + 0.28 * len(rows))
+        figure, axes = make_figure(1, 1, 0.7 + 0.28 * len(rows))
         axis = axes[0, 0]
         for place, r in enumerate(rows):
             colour = AFTER if r.ratio_low > 1.0 else FAINT
@@ -206,13 +178,13 @@ def draw_regimes(regimes: Sequence[Regime]) -> str:
         ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000)
                  if axis.get_xlim()[0] <= t <= axis.get_xlim()[1]]  # fmt: skip
         axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
-        return _svg(figure, "In which manner of driving the error is larger")
+        return to_svg(figure, "In which manner of driving the error is larger")
 
 
 def draw_shrinkage(s: Shrinkage) -> str:
     """Predicted share of the excess error, with its interval, against what was measured."""
     with rc_context(_STYLE):
-        figure, axes = _figure(1, 1, 1.35)
+        figure, axes = make_figure(1, 1, 1.35)
         axis = axes[0, 0]
         axis.plot([100 * s.low, 100 * s.high], [0, 0], color=BEFORE, lw=6.0, alpha=0.4,
                   solid_capstyle="butt")  # fmt: skip
@@ -224,7 +196,7 @@ def draw_shrinkage(s: Shrinkage) -> str:
         axis.set_yticks(range(len(labels)), labels)
         axis.set_ylim(len(labels) - 0.4, -0.6)
         axis.set(xlim=(-2.0, 104.0), xlabel="excess error removed [%]; 100 leaves noise alone")
-        return _svg(figure, "Shrinkage, predicted and measured")
+        return to_svg(figure, "Shrinkage, predicted and measured")
 
 
 def draw_lane(lane: LaneComparison) -> str:
@@ -238,7 +210,7 @@ def draw_lane(lane: LaneComparison) -> str:
         drives.append((lane.with_effect, AFTER, 1.3))
         colours["simulated, with the effect"] = AFTER
     with rc_context(_STYLE):
-        figure, axes = _figure(1, 3, 3.0)
+        figure, axes = make_figure(1, 3, 3.0)
         for drive, colour, width in drives:
             alpha = 0.45 if drive is lane.recorded else 1.0
             for axis, field in ((axes[0, 0], "e1"), (axes[0, 1], "e2")):
@@ -259,7 +231,7 @@ def draw_lane(lane: LaneComparison) -> str:
             axes[0, 0].plot([], [], color=colour, label=label, lw=3.0)
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=3,
                       fontsize=8)  # fmt: skip
-        return _svg(figure, "Lane keeping, recorded and simulated")
+        return to_svg(figure, "Lane keeping, recorded and simulated")
 
 
 def draw_parameters(told: Diagnosis) -> str:
@@ -269,7 +241,7 @@ def draw_parameters(told: Diagnosis) -> str:
     name, (value, sd, unit) = next(iter(cause.parameters.items()))
     scale, small = SCALES.get(unit, (1.0, unit))
     with rc_context(_STYLE):
-        figure, axes = _figure(1, 1, 0.8 + 0.26 * len(splits))
+        figure, axes = make_figure(1, 1, 0.8 + 0.26 * len(splits))
         axis = axes[0, 0]
         axis.axvspan(scale * (value - 2 * sd), scale * (value + 2 * sd), color="#fff0e6", lw=0)
         axis.axvline(scale * value, color=AFTER, lw=1.0)
@@ -280,4 +252,4 @@ def draw_parameters(told: Diagnosis) -> str:
         axis.set_yticks(range(len(splits)), [s.by for s in splits])
         axis.set_ylim(len(splits) - 0.4, -0.6)
         axis.set_xlabel(f"{cause.effect}: {name} [{small or '1'}] on either half; band: ± 2 sd")
-        return _svg(figure, "The effect's parameter on halves of the drives")
+        return to_svg(figure, "The effect's parameter on halves of the drives")

@@ -1,9 +1,6 @@
 """The report's figures as inline SVG: no file, no network, no global state of matplotlib."""
 
-import io
-import re
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -12,6 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sysid.closed_loop import FRICTIONS, Profile
+from sysid.drawing import AFTER, BEFORE, FAINT, INK, MEASURED, STYLE, make_figure, to_svg
 from sysid.fit import Fit
 from sysid.outcome import HeldOut
 from sysid.paper import Course
@@ -20,33 +18,9 @@ from sysid.windows import GROUPS
 
 Array = NDArray[np.float64]
 
-INK, FAINT = "#1f2933", "#9aa5b1"
-MEASURED, AFTER, BEFORE = "#1f2933", "#d9480f", "#4c8dca"
 COLOURS = (AFTER, "#0b7285", BEFORE, "#862e9c", "#5c940d")
 UNITS = {"position": "mm", "yaw": "mrad", "wheel_speed": "mm/s", "yaw_rate": "mrad/s"}
 POINTS_MAX = 1500
-_WIDTH = 9.6
-_STYLE: dict[Any, Any] = {
-    "font.family": "sans-serif", "font.size": 9.0, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
-    "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False,
-    "axes.grid": True, "grid.color": "#e4e7eb", "grid.linewidth": 0.6, "svg.fonttype": "none",
-    "svg.hashsalt": "steerd", "legend.frameon": False, "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-}  # fmt: skip
-
-
-def _svg(figure: Figure) -> str:
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    markup = text.getvalue()
-    markup = markup[markup.index("<svg") :]
-    width = f'width="{figure.get_figwidth() / _WIDTH:.0%}"'
-    return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', width, markup, count=1)
-
-
-def _figure(rows: int, columns: int, height: float) -> tuple[Figure, NDArray[Any]]:
-    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False)
 
 
 def _thin(values: Array) -> Array:
@@ -55,8 +29,8 @@ def _thin(values: Array) -> Array:
 
 def draw_traces(traces: tuple[list[Trace], list[Trace]]) -> str:
     """Held-out windows in the plane, and the heading error as predictions age."""
-    with rc_context(_STYLE):
-        figure, axes = _figure(1, 2, 4.0)
+    with rc_context(STYLE):
+        figure, axes = make_figure(1, 2, 4.0)
         plane, late = axes[0]
         for after, before in zip(*traces, strict=True):
             ahead = after.ahead >= 0.0
@@ -72,7 +46,7 @@ def draw_traces(traces: tuple[list[Trace], list[Trace]]) -> str:
         late.axvline(0.0, color=FAINT, lw=0.8)
         late.set(xlabel="time since the prediction began [s]", ylabel="distance [mm]",
                  title="prediction error of each window", ylim=(0.0, None))  # fmt: skip
-        return _svg(figure)
+        return to_svg(figure)
 
 
 def _name(axes: Axes, colours: dict[str, str]) -> None:
@@ -83,8 +57,8 @@ def _name(axes: Axes, colours: dict[str, str]) -> None:
 
 def draw_held_out(held_out: Sequence[HeldOut]) -> str:
     """Errors at the horizons, before and after, on a logarithmic axis."""
-    with rc_context(_STYLE):
-        figure, axes = _figure(1, 2, 2.6)
+    with rc_context(STYLE):
+        figure, axes = make_figure(1, 2, 2.6)
         places = np.arange(len(held_out))
         for axis, field, scale, unit in (
             (axes[0, 0], "position", 1e3, "mm"),
@@ -97,14 +71,14 @@ def draw_held_out(held_out: Sequence[HeldOut]) -> str:
             axis.set_xticklabels([f"{h.after.horizon:g} s" for h in held_out])
         axes[0, 0].set_title("RMS prediction error on held-out drives")
         _name(axes[0, 1], {"start values": BEFORE, "identified": AFTER})
-        return _svg(figure)
+        return to_svg(figure)
 
 
 def draw_residuals(found: Fit) -> str:
     """Residuals of each kind over time, and their spread against the signal's own noise."""
     present = [int(g) for g in np.unique(found.layout.group)]
-    with rc_context(_STYLE):
-        figure, axes = _figure(len(present), 2, 1.5 * len(present) + 0.4)
+    with rc_context(STYLE):
+        figure, axes = make_figure(len(present), 2, 1.5 * len(present) + 0.4)
         times = _row_times(found)
         for row, group in zip(axes, present, strict=True):
             mine = found.layout.group == group
@@ -121,7 +95,7 @@ def draw_residuals(found: Fit) -> str:
         axes[0, 0].set_title("residuals of the fit")
         axes[0, 1].set_title("their spread; the line is the instrument's own noise")
         axes[-1, 0].set_xlabel("time into each part [s]")
-        return _svg(figure)
+        return to_svg(figure)
 
 
 def _row_times(found: Fit) -> Array:
@@ -138,7 +112,7 @@ def _row_times(found: Fit) -> Array:
 def draw_correlation(found: Fit) -> str:
     """Correlation of the coordinates."""
     labels = found.chart.labels
-    with rc_context({**_STYLE, "axes.grid": False}):
+    with rc_context({**STYLE, "axes.grid": False}):
         figure = Figure(figsize=(6.0, 5.0), layout="constrained")
         axes = figure.subplots()
         image = axes.imshow(found.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
@@ -151,13 +125,13 @@ def draw_correlation(found: Fit) -> str:
                 ink = "white" if abs(value) > 0.6 else INK
                 axes.text(j, i, f"{value:.1f}", ha="center", va="center", fontsize=6.5, color=ink)
         figure.colorbar(image, ax=axes, shrink=0.7)
-        return _svg(figure)
+        return to_svg(figure)
 
 
 def draw_costs(found: Fit) -> str:
     """Cost over steps, one line a stage; each stage has its own scale of weights."""
-    with rc_context(_STYLE):
-        figure, axes = _figure(1, 1, 2.6)
+    with rc_context(STYLE):
+        figure, axes = make_figure(1, 1, 2.6)
         axis, start = axes[0, 0], 0
         for number, costs in enumerate(found.costs):
             steps = start + np.arange(len(costs))
@@ -165,14 +139,14 @@ def draw_costs(found: Fit) -> str:
             start += len(costs) - 1
         axis.set(yscale="log", xlabel="accepted steps", ylabel="cost",
                  title="cost by stage: windows grow, then noise levels settle")  # fmt: skip
-        return _svg(figure)
+        return to_svg(figure)
 
 
 def draw_courses(courses: Sequence[Course]) -> str:
     """The paper's loss curves: every start's, iterations along x, shifted to be positive."""
     floor = min(float(course.losses.min()) for course in courses if len(course.losses))
-    with rc_context(_STYLE):
-        figure, axes = _figure(1, 2, 3.0)
+    with rc_context(STYLE):
+        figure, axes = make_figure(1, 2, 3.0)
         for number, course in enumerate(courses):
             colour = COLOURS[number % len(COLOURS)]
             best = np.minimum.accumulate(course.losses) - floor + 1e-3
@@ -185,14 +159,14 @@ def draw_courses(courses: Sequence[Course]) -> str:
         axes[0, 0].set_title("loss of the batch, and the best so far")
         axes[0, 1].set(xlabel="C_Sf", ylabel="C_Sr", title="stiffness from start (open) to end")
         axes[0, 0].legend(fontsize=8)
-        return _svg(figure)
+        return to_svg(figure)
 
 
 def draw_profiles(profiles: Sequence[Profile]) -> str:
     """Lateral and heading error of each design, a column a floor."""
     names = list(dict.fromkeys(profile.design for profile in profiles))
-    with rc_context(_STYLE):
-        figure, axes = _figure(2, len(FRICTIONS), 4.4)
+    with rc_context(STYLE):
+        figure, axes = make_figure(2, len(FRICTIONS), 4.4)
         for column, floor in enumerate(FRICTIONS):
             for profile in (p for p in profiles if p.friction == floor):
                 colour = (INK, AFTER, BEFORE)[names.index(profile.design) % 3]
@@ -204,4 +178,4 @@ def draw_profiles(profiles: Sequence[Profile]) -> str:
         axes[0, 0].set_ylabel("e1 [mm]")
         axes[1, 0].set_ylabel("e2 [deg]")
         axes[0, 0].legend(fontsize=8, title="designed from")
-        return _svg(figure)
+        return to_svg(figure)
