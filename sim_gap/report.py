@@ -124,7 +124,8 @@ def _sections(subject: Subject, told: Diagnosis, lane: LaneComparison | None) ->
     yield Section(
         "How large the gap is",
         "The car's pose and wheel speed are predicted from a window's start; this is how far the "
-        "prediction is off after so many seconds, with 90 % intervals.",
+        "prediction is off after so many seconds, with 90 % intervals. The start itself is fitted "
+        "to the window, so a wrong model is met best somewhere in its middle.",
         figures.draw_gap(told.before, told.after, explained),
     )
     if told.verdict != "none":
