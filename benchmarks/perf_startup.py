@@ -73,7 +73,9 @@ def main() -> int:
         }
         seconds(identify)  # kernels compiled
         found["identify, kernels ready"] = [
-            seconds([sys.executable, "-c", "from sysid.kernels import make_kernels; make_kernels()"])
+            seconds(
+                [sys.executable, "-c", "from sysid.kernels import make_kernels; make_kernels()"]
+            )
             for _ in range(3)
         ]
         found["identify 20 s of driving, all"] = [seconds(identify) for _ in range(2)]

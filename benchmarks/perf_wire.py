@@ -5,7 +5,6 @@ out. Every comparison is of the same bytes.
 """
 
 import json
-import os
 import sys
 import tempfile
 import time
@@ -39,9 +38,9 @@ def us(time: Timed) -> dict[str, float]:
 
 def vesc() -> dict[str, Any]:
     """Encode a speed order, encode a poll, decode old firmware's telemetry (pyvesc's)."""
-    values = Values(**{name: 1.0 for name in ("temp_fet_c", "motor_current", "input_current",
-                                              "duty", "input_voltage")}, erpm=4321,
-                    tachometer=1000, tachometer_abs=2000, fault=0)  # fmt: skip
+    measured = ("temp_fet_c", "motor_current", "input_current", "duty", "input_voltage")
+    counted = {"erpm": 4321, "tachometer": 1000, "tachometer_abs": 2000, "fault": 0}
+    values = Values(**dict.fromkeys(measured, 1.0), **counted)
     reply = encode_frame(encode_reply(values, FW_3_00))
 
     def receive() -> Any:
@@ -156,7 +155,7 @@ def session() -> dict[str, Any]:
         plain = time.perf_counter() - began
         kept = sum(len(c["header.stamp"]) if "header.stamp" in c else len(next(iter(c.values())))
                    for c in columns)  # fmt: skip
-        size = os.path.getsize(path)
+        size = path.stat().st_size
     return {
         "messages": 2 * ticks, "kept": kept, "raw": raw, "megabytes": round(size / 1e6, 2),
         "write_per_s": round(2 * ticks / wrote), "open_s": round(opened, 3),
@@ -166,7 +165,7 @@ def session() -> dict[str, Any]:
 
 def _plain_reader(path: Path) -> Any:
     """The mcap package's own reader, message by message, undecoded."""
-    from mcap.reader import make_reader  # noqa: TID251
+    from mcap.reader import make_reader
 
     with path.open("rb") as file:
         yield from make_reader(file).iter_messages()

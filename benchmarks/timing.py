@@ -1,4 +1,4 @@
-"""CPU time of a call, repeated: median and spread. Neighbours on a machine are noisy, so no wall."""
+"""CPU time of a call, repeated: median and spread. Neighbours are noisy, so no wall time."""
 
 import os
 import time
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numpy as np  # noqa: E402
+import numpy as np
 
 
 class Timed(NamedTuple):

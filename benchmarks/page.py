@@ -1,0 +1,206 @@
+"""docs/performance.md from what the pieces of `make bench` said."""
+
+from collections.abc import Sequence
+from typing import Any
+
+MISSING = "*Not measured: {0}.*\n"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines) + "\n"
+
+
+def number(value: float | None) -> str:
+    """Three figures that count."""
+    if value is None:
+        return "—"
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def spread(found: dict[str, float]) -> str:
+    """Median, and the middle of the repetitions."""
+    return f"{number(found['median'])} ({number(found['low'])} to {number(found['high'])})"
+
+
+def times(part: float, whole: float) -> str:
+    return f"{number(part / whole)} ×"
+
+
+def simulation(said: dict[str, Any]) -> str:
+    ms = said["ms"]
+    base = ms.get("plain C loop", ms["bare kernel"])["median"]
+    other = "plain C loop" if "plain C loop" in ms else "bare kernel"
+    rows = [[name, spread(ms[name]), times(ms[name]["median"], base)] for name in ms]
+    growth = said["growth_ms"]
+    named = [
+        [name, ", ".join(f"{n}: {number(v)}" for n, v in points)] for name, points in growth.items()
+    ]
+    return (
+        "Value and gradient (to all parameters) of 16 runs × 4000 RK4 steps, one thread, CPU time. "
+        "The torch reference is timed over 200 steps, the paper's way (one run after the other, "
+        "scalar tensors) over 20 steps of one run, and multiplied. Largest relative difference of "
+        f"values and gradients: {said['apart']:.1e}.\n\n"
+        + table(["", "ms, median (10 % to 90 %)", f"of the {other}"], rows)
+        + "\n![growth](performance-growth.svg)\n\n"
+        + table(["growth", "ms by number"], named)
+        + "\nThe reverse sweep gives every slope at once, so more free parameters cost nothing; "
+        "differences cost two drives each. Sixteen runs share one vector lane block: fewer cost "
+        "the same, more grow in a straight line. **Limit:** arithmetic. The C loop does the same "
+        "operations one run at a time; the kernel's lanes win what its stored states "
+        "(7 numbers a step) cost in memory traffic.\n"
+    )
+
+
+def identify(said: dict[str, Any]) -> str:
+    methods = said["methods"]
+    ours = methods["ours"]["all_s"]
+    rows = [
+        [name, number(m["iterations"]), number(m["s"]), number(m["all_s"]),
+         times(m["all_s"], ours), number(m["final_mm"])] for name, m in methods.items()
+    ]  # fmt: skip
+    head = [
+        "",
+        f"iterations to {said['target_mm']:g} mm",
+        "s to it",
+        "s in all",
+        "of ours",
+        "end, mm",
+    ]
+    return (
+        "The paper's sixteen circles with mocap noise, one random start, CPU seconds; every method "
+        "uses the same compiled simulator. The mark is the open-loop error on slaloms that nobody "
+        "fitted. `ours` tells only its end, and its time includes error bars and what the data do "
+        "not tell; docs/identify.md has the whole race.\n\n" + table(head, rows)
+    )
+
+
+def diagnosis(said: dict[str, Any]) -> str:
+    minutes = said["driven_s"] / 60.0
+    rows = [
+        [r["candidates"], r["jobs"], number(r["cpu_s"] / minutes), number(r["wall_s"] / minutes),
+         times(r["wall_s"], said["rows"][-2]["wall_s"]), r["named"]] for r in said["rows"]
+    ]  # fmt: skip
+    head = ["candidates", "jobs", "CPU s", "wall s", "wall, of all on one", "named"]
+    return (
+        "Seconds for a minute of driving in four drives, steering 30 ms late.\n\n"
+        + table(head, rows)
+        + "\n**Limit:** candidates are screened in one pass; only the few that win are fitted "
+        "again, and those share the threads.\n"
+    )
+
+
+def control_path(said: list[dict[str, Any]]) -> str:
+    shown, marks = ("path_ms", "added_ms", "work_ms", "late_ms"), ("p50", "p99", "p999")
+    rows = [
+        [r["rate"], "loaded" if r["busy"] else "idle", "FIFO" if r["fifo"] else "other",
+         *("/".join(number(r[what][p]) for p in marks) for what in shown), r["unrecorded"]]
+        for r in said
+    ]  # fmt: skip
+    head = ["Hz", "cores", "scheduler", "path", "added", "work", "wake late", "ticks not recorded"]
+    shares = [
+        [r["rate"], *(f"{r['cpu_percent'][n]:g} %" for n in r["cpu_percent"])]
+        for r in said if not r["busy"] and r["fifo"]
+    ]  # fmt: skip
+    names = list(said[0]["cpu_percent"])
+    return (
+        "Milliseconds, p50/p99/p99.9. A process between core and simulated hardware stamps the "
+        "mocap datagram and the VESC's bytes. `path`: datagram to the first bytes of the tick "
+        "after it; the core ticks by its own clock, so up to a period of that is waiting. `added`: "
+        "without the wait, from the later of datagram and deadline. `work`: of the core in a tick, "
+        "by its own record. `loaded`: one endless loop per core.\n\n"
+        + table(head, rows)
+        + "\nShare of a core, idle and FIFO:\n\n"
+        + table(["Hz", *names], shares)
+        + "\n**Limit:** some 2,500 Python calls a tick, with caches gone cold in between (the same "
+        "tick costs two thirds of that in virtual time, back to back). "
+        "Under load the core itself still wakes on time with SCHED_FIFO; "
+        "what is late then is the pty, whose bytes a kernel thread of ordinary priority carries.\n"
+    )
+
+
+def virtual(said: dict[str, Any]) -> str:
+    def row(name: str, values: list[float]) -> list[object]:
+        middle = values[len(values) // 2]
+        return [name, f"{number(middle)} × ({number(values[0])} to {number(values[-1])})",
+                f"{1e6 / (middle * 100.0):,.0f}"]  # fmt: skip
+
+    rows = [row(f"loop at {hz} Hz", v) for hz, v in said["loop_hz"].items()]
+    rows += [row("100 Hz, recorded and watched", said["recorded"])]
+    rows += [row(f"100 Hz, physics every {ms} ms", v) for ms, v in said["physics_ms"].items()]
+    seeds = [[s["seeds"], s["workers"], number(s["wall_s"]), f"{number(s['times_real'])} ×"]
+             for s in said["seeds"]]  # fmt: skip
+    return (
+        "Simulated seconds per CPU second: the whole loop, every byte of both protocols encoded, "
+        "framed, parsed and decoded on both sides. Default physics step: 2 ms.\n\n"
+        + table(["", "of real time", "µs per 10 ms"], rows)
+        + "\n"
+        + table(["seeds of 2 s", "processes", "wall s", "of real time, together"], seeds)
+        + "\n**Limit:** the interpreter. A tick of 10 ms is about 2,600 calls of small functions, "
+        "spread flat over estimator (30 %), protocols and simulated VESC (30 %), loop (15 %), "
+        "physics (8 %), mocap (6 %) and the rest; nothing is left that costs a tenth by itself "
+        "but the four predictions and three updates of the filter. At 0.3 µs a call the 80 × that "
+        "was asked for (125 µs a tick) is a budget of 400 calls: it takes another language for "
+        "the filter and the codecs, not another tune of this one.\n"
+    )
+
+
+def wire(said: dict[str, Any]) -> str:
+    others = {"vesc": "pyvesc", "mocap": "natnet", "bus": "msgspec MessagePack"}
+    rows = []
+    for part, other in others.items():
+        for name, found in said[part].items():
+            theirs = found.get("other_us")
+            ratio = times(found["us"]["median"], theirs["median"]) if theirs else "—"
+            rows.append([f"{part} {name}", spread(found["us"]),
+                         spread(theirs) if theirs else "—", other, ratio])  # fmt: skip
+    s = said["session"]
+    return (
+        table(["µs", "here", "there", "(package)", "of it"], rows)
+        + "\npyvesc and natnet are the packages that people use; the bytes are the same. "
+        "MessagePack (msgspec, compiled) is the fast end of what Python can do.\n\n"
+        f"A session of ten minutes at 100 Hz ({s['messages']:,} messages, {s['megabytes']:g} MB "
+        f"compressed; {s['kept']:,} read back): written at {s['write_per_s']:,} messages per CPU "
+        f"second, {number(s['write_per_s'] / 700)} times what a drive makes; opened and read to "
+        f"arrays in {number(s['open_s'])} s, "
+        f"{times(s['open_s'], s['mcap_reader_s'])} of what the mcap package's own reader takes to "
+        "count the messages.\n"
+    )
+
+
+def startup(said: dict[str, Any]) -> str:
+    bare = said["python -c pass"]["median"]
+    rows = [[name, spread(found), times(found["median"], bare)] for name, found in said.items()]
+    return (
+        table(["wall s", "median (least to most)", "of an empty interpreter"], rows)
+        + "\n**Limit:** imports (python-control brings SciPy's signal and Matplotlib), and the "
+        "wait of a second in which filter and VESC show themselves before a car may move.\n"
+    )
+
+
+PARTS = {
+    "simulation": ("Differentiable simulation", simulation),
+    "identify": ("Identification", identify),
+    "diagnosis": ("Diagnosis", diagnosis),
+    "control_path": ("Control path", control_path),
+    "virtual": ("Virtual time", virtual),
+    "wire": ("Wire and file", wire),
+    "startup": ("Start-up", startup),
+}
+
+
+def render(kept: dict[str, Any]) -> str:
+    """The page."""
+    machine = kept["machine"]
+    page = [
+        "# Performance\n",
+        "Written by `make bench` (`benchmarks/run.py`): do not edit. Every figure stands beside "
+        "another of the same run, because machines differ more than programs.\n",
+        f"{machine['cpu']}, {machine['cores']} cores, Linux {machine['kernel']}, Python "
+        f"{machine['python']}, {machine['date']}; load average at the start {machine['load']}.\n",
+    ]
+    for name, (title, write) in PARTS.items():
+        found = kept.get(name, {"failed": "left out"})
+        page.append(f"## {title}\n")
+        page.append(write(found["said"]) if "said" in found else MISSING.format(found["failed"]))
+    return "\n".join(page)
