@@ -7,7 +7,11 @@ import numba
 
 FAST = {"contract", "nsz"}
 """Licences that keep NaN and infinity; reassociation would keep LLVM from vectorising."""
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": FAST}
+
+
+def _njit(**options: Any) -> Any:
+    compiler: Any = numba.njit
+    return compiler(error_model="numpy", fastmath=FAST, **options)
 
 
 def point(function: Callable[..., Any]) -> Any:
@@ -16,7 +20,7 @@ def point(function: Callable[..., Any]) -> Any:
     It gets no wrappers for Python or C, which would cost as much to compile as the piece itself,
     and no place in the cache: it is part of the entries that call it.
     """
-    return numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)(function)
+    return _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
 
 
 def lanes(function: Callable[..., Any]) -> Any:
@@ -26,4 +30,4 @@ def lanes(function: Callable[..., Any]) -> Any:
 
 def entry(function: Callable[..., Any]) -> Any:
     """Compile what Python calls; the machine code is kept on disk."""
-    return numba.njit(no_cfunc_wrapper=True, cache=True, **_OPTIONS)(function)
+    return _njit(no_cfunc_wrapper=True, cache=True)(function)

@@ -43,6 +43,8 @@ _NOISE_SETTLED = 0.03
 """Noise levels that change by a smaller share are settled."""
 _ROUGH_SECONDS = 20.0
 """Windows before the last stage only prepare it: this much of the drives is enough [s]."""
+_MANY = 8
+"""From so many windows of the last stage, a few are fitted before all are."""
 
 
 @dataclass(frozen=True)
@@ -155,11 +157,10 @@ class _Work:
     evaluations: int = 0
     costs: list[tuple[float, ...]] = field(default_factory=list)
 
-    def problem(self, horizon: float, z: Array) -> Problem:
+    def problem(self, horizon: float, z: Array, rough: bool) -> Problem:
         """The stage's problem: windows cut for the pose delay as it is believed now."""
         late = float(delays_of(self.kernels, self.chart.parameters(z))[2])
-        last = horizon == self.options.horizons[-1]
-        most = np.inf if last else _ROUGH_SECONDS
+        most = _ROUGH_SECONDS if rough else np.inf
         layout = make_layout(self.runs, horizon, late, most)
         return Problem(
             self.kernels, self.chart, layout, self.sigma, self.speeds,
@@ -215,12 +216,11 @@ def fit(
     low, high = chart.bounds()
     tried = [parameter_vector(start) for start in (starts or (model,))]
     found, problem = _first_stage(work, [np.clip(chart.coordinates(p), low, high) for p in tried])
-    for horizon in _later_horizons(runs, options):
-        wider = work.problem(horizon, found.z)
+    for horizon, rough in _later_stages(runs, options):
+        wider = work.problem(horizon, found.z, rough)
         x = _carry(problem, found.x, wider)
         problem = wider
-        rough = options.noise is None or horizon != options.horizons[-1]
-        effort = _ROUGH if rough else _FINE
+        effort = _ROUGH if rough or options.noise is None else _FINE
         effort = effort._replace(damping=min(found.damping, _ROUGH.damping))
         found = work.descend(problem, found.z, x, effort)
     if options.noise is None:
@@ -228,22 +228,29 @@ def fit(
     return _report(work, problem, found, signal)
 
 
-def _later_horizons(runs: Sequence[Run], options: Options) -> list[float]:
-    """Windows' lengths after the first stage's."""
+def _later_stages(runs: Sequence[Run], options: Options) -> list[tuple[float, bool]]:
+    """Windows' lengths after the first stage's, and whether a part of the drives is enough.
+
+    The last stage is of everything; from many drives, a few come before it.
+    """
     later = list(options.horizons[1:])
     if not later:
         return []
     last = later.pop()
-    longest = min(last, max(float(np.ptp(run.pose.t)) for run in runs))
-    return [*(h for h in later if _GROWTH * h < longest), last]
+    lengths = [float(np.ptp(run.pose.t)) for run in runs]
+    kept = [h for h in later if _GROWTH * h < min(last, max(lengths))]
+    windows = sum(max(1.0, length / last) for length in lengths)
+    few_first = windows >= _MANY and sum(lengths) > 2.0 * _ROUGH_SECONDS
+    return [*((h, True) for h in kept), *[(last, True)] * few_first, (last, False)]
 
 
 def _first_stage(work: _Work, starts: Sequence[Array]) -> tuple[Descent, Problem]:
     """Short windows from every start; the lowest cost goes on."""
     best: tuple[float, Descent, Problem] | None = None
     for z in starts:
-        problem = work.problem(work.options.horizons[0], z)
-        effort = _FINE if len(work.options.horizons) == 1 else _ROUGH
+        alone = len(work.options.horizons) == 1
+        problem = work.problem(work.options.horizons[0], z, rough=not alone)
+        effort = _FINE if alone else _ROUGH
         try:
             found = work.descend(problem, z, problem.layout.guess.copy(), effort)
         except FloatingPointError:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from car_model.params import GRAVITY
-from sysid.chart import RELATIVE, WHEELBASE, Chart
+from sysid.chart import INVERSE, RELATIVE, WHEELBASE, Chart
 
 Array = NDArray[np.float64]
 
@@ -20,6 +20,13 @@ GAIN_MIN = 8.0
 
 Less can be an artefact: noise that free initial states take for transients looks informative.
 """
+DOUBT = 0.2
+"""No tyre is so stiff that its compliance is known better than this before any data [rad].
+
+Priors lie about the start: circles from a start with large stiffness would seem to tell lengths.
+"""
+EXTREME = 2.0
+"""A stiffness within this factor of a bound is no tyre's."""
 NAMED_MIN = 0.25
 """Coordinates that carry less of a direction are not named in it."""
 
@@ -109,19 +116,36 @@ def _known(name: str, value: float, sd: float, prior_sd: float) -> bool:
 
 
 def _without_untold(chart: Chart, covariance: Array) -> Array:
-    """The covariance with untold directions left as their priors have them."""
+    """The covariance with untold directions left as their priors have them, or doubt does."""
     scaled = covariance / np.outer(chart.spread, chart.spread)
     values, vectors = np.linalg.eigh(scaled)
-    values = np.where(values > GAIN_MIN**-2, 1.0, values)
+    stiff = [name in INVERSE for name in chart.free]
+    wider = np.where(stiff, np.maximum(DOUBT / chart.spread, 1.0), 1.0)
+    values = np.where(values > GAIN_MIN**-2, (wider**2) @ vectors**2, values)
     left: Array = (vectors * values) @ vectors.T * np.outer(chart.spread, chart.spread)
     return left
+
+
+def _doubted(chart: Chart, z: Array, covariance: Array) -> Array:
+    """The covariance with stiffnesses near their bounds in doubt, and what hangs on them.
+
+    A fit that ends there has slid along a valley as far as it goes; how sharp the valley is at its
+    end says nothing about the place along it.
+    """
+    doubted = covariance.copy()
+    low, high = chart.bounds()
+    for i, name in enumerate(chart.free):
+        if name in INVERSE and not EXTREME * low[i] < z[i] < high[i] / EXTREME:
+            along = covariance[:, i] / covariance[i, i]
+            doubted += DOUBT**2 * np.outer(along, along)
+    return doubted
 
 
 def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     """Every free parameter with its standard error and whether the data tell it."""
     parameters = chart.parameters(z)
     sds = standard_errors(chart, z, covariance)
-    careful = standard_errors(chart, z, _without_untold(chart, covariance))
+    careful = standard_errors(chart, z, _doubted(chart, z, _without_untold(chart, covariance)))
     priors = standard_errors(chart, z, np.diag(chart.spread**2))
     moving = [i for i, name in enumerate(chart.names) if priors[i] > 0.0]
     out = {}

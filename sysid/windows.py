@@ -23,7 +23,7 @@ SETTLE = 0.5
 """Known commands that the actuators run through before a window [s]."""
 POSES_MIN = 4
 """A window that sees fewer poses is left out (its initial state would be free)."""
-_WINDOWS_MIN = 8
+_WINDOWS_MIN = 4
 _REACH = 0.12
 """Poses within this time of a window's start give its first guess [s]."""
 
@@ -172,8 +172,10 @@ def make_layout(
     ]
     if not cuts:
         raise ValueError(f"no window of {horizon:g} s sees {POSES_MIN} poses")
-    enough = max(_WINDOWS_MIN, int(most / horizon)) if np.isfinite(most) else len(cuts)
-    keep = min(len(cuts), enough)
+    length = runs[0].h * float(np.mean([cut.span[3] for cut in cuts]))
+    keep = len(cuts)
+    if np.isfinite(most):
+        keep = min(keep, max(_WINDOWS_MIN, round(most / length)))
     chosen = np.linspace(0, len(cuts) - 1, keep).round().astype(int)
     return _assemble(runs, [cuts[i] for i in chosen])
 

@@ -42,7 +42,7 @@ def test_readings_are_thinned_to_one_each_fifty_milliseconds(healthy):
 def test_a_slope_is_the_difference_quotient(healthy, fitted):
     space, z, x = fitted.space, fitted.z, fitted.x
     at = healthy.linear(space, z, x)
-    i = space.chart.labels.index("log steer_gain")
+    i = space.chart.labels.index("steer_gain")
     moved = z.copy()
     moved[i] += 1e-5
     quotient = (at.error - healthy.linear(space, moved, x).error) / 1e-5
