@@ -118,7 +118,6 @@ def _make_profile(options: Mapping[str, Any]) -> Profile:
         lab,
         insecure_lan=bool(options["insecure_lan"]),
         pose_key=options["pose_key"],
-        ros_domain=options["ros_domain"],
     )
 
 

@@ -79,9 +79,7 @@ def make_tls_settings(lab: Lab, *, hub: bool) -> dict[str, Any]:
     }
 
 
-def make_access_settings(
-    lab: Lab, pose_key: str | None = None, ros_domain: int | None = None
-) -> dict[str, Any]:
+def make_access_settings(lab: Lab, pose_key: str | None = None) -> dict[str, Any]:
     """Make the hub's access control: all is denied but what is listed here.
 
     A rule must include the whole key expression that is asked for: a subscriber on ``**`` gets
@@ -89,19 +87,14 @@ def make_access_settings(
 
     Args:
         lab: who may do what.
-        ros_domain: ROS domain in which the car shows itself too; all may read it.
         pose_key: a key beside the car's own under which operators may publish poses.
     """
     wanted = [make_key(lab.car, t) for t in TOPICS if t.direction is Direction.IN and t.on_bus]
     wanted += [pose_key] if pose_key else []
     asked = [f"{ROOT}/*/alive", alive_key(lab.car), make_key(lab.car, "schema/**")]
-    heard = [f"{ROOT}/{lab.car}/**"]
     told = [make_key(lab.car, "*"), make_key(lab.car, "schema/**")]
-    if ros_domain is not None:
-        shown = [f"{ros_domain}/**", f"@ros2_lv/{ros_domain}/**"]
-        asked, heard, told = asked + shown, heard + shown, told + shown
     rules = [
-        _rule("listen", "ingress", ["declare_subscriber"], heard),
+        _rule("listen", "ingress", ["declare_subscriber"], [f"{ROOT}/{lab.car}/**"]),
         _rule("ask", "ingress", _ASKING, asked),
         _rule("tell", "egress", ["put", "reply", "liveliness_token", "declare_queryable"], told),
         _rule("command", "ingress", ["put"], wanted),

@@ -60,12 +60,11 @@ def make_hub_profile(
     *,
     insecure_lan: bool = False,
     pose_key: str | None = None,
-    ros_domain: int | None = None,
 ) -> Profile:
     """Make the profile of a car's hub: plain on loopback, or the lab's with mutual TLS."""
     if lab is None:
         return Profile(True, endpoint, insecure_lan=insecure_lan)
-    access = make_access_settings(lab, pose_key, ros_domain)
+    access = make_access_settings(lab, pose_key)
     settings = {**make_tls_settings(lab, hub=True), **access}
     return Profile(True, endpoint, settings=settings)
 
