@@ -19,7 +19,7 @@ AMBIGUOUS_SE = 2.5
 AMBIGUOUS_NATS = 3.0
 AMBIGUOUS_COS = 0.95
 PAIR_SE = 3.0
-PAIR_MIN = 15.0
+PAIR_MIN = 25.0
 """A second cause gains at least this much on held-out drives [nats]."""
 CONSTANT_SIGMA = 4.0
 CONSTANT_SHARE = 0.35

@@ -32,6 +32,10 @@ ALIASES = {
 """What can never, or hardly, be told apart; always said beside the name."""
 
 
+NEVER_ALONE = {"mass": ("yaw_inertia",), "yaw_inertia": ("mass",)}
+"""Effects that no drive tells apart without a force measurement."""
+
+
 @dataclass(frozen=True)
 class Split:
     """An effect's parameter on two disjoint parts of the drives."""
@@ -240,6 +244,8 @@ def rivals_of(
         if lead < c.AMBIGUOUS_SE * se_of_lead(lead, se) + c.AMBIGUOUS_NATS:
             names.append(other.effects[-1])
     names += [name for name, cos in cosines.items() if cos >= c.AMBIGUOUS_COS]
+    if len(best.effects) == 1:
+        names += NEVER_ALONE.get(best.name, ())
     return tuple(dict.fromkeys(names))
 
 

@@ -16,7 +16,7 @@ from sim_gap import constants as c
 from sim_gap.candidates import blocks_of, gain_of, scored, singles
 from sim_gap.decide import bounded
 from sim_gap.descent import Fitted
-from sim_gap.noise import Noise, learn_noise, noise_section, whitened
+from sim_gap.noise import Noise, learn_noise, noise_of_section, noise_section, whitened
 from sim_gap.opening import null_fit, open_engine
 from sim_gap.space import nuisance_names
 from sim_gap.superset import make_superset
@@ -43,8 +43,17 @@ def _learn(base: CarFile | Model[float], runs: Sequence[Run]) -> tuple[Noise, Fi
 
 
 def learn_healthy(base: CarFile | Model[float], runs: Sequence[Run]) -> Noise:
-    """How large noise is, from drives without the gap (see `noise.noise_section` to keep it)."""
-    return _learn(base, runs)[0]
+    """How large noise is, from drives without the gap (see `noise.noise_section` to keep it).
+
+    What effects of the library would explain in them is no noise, whether or not the base has them.
+    """
+    noise, fitted = _learn(base, runs)
+    if isinstance(base, Model):
+        return noise
+    told = noise_of_section(
+        _with_own_effects(_moved(base, fitted, noise), runs, noise).sections["noise"]
+    )
+    return told or noise
 
 
 def refine(base: CarFile, runs: Sequence[Run]) -> CarFile:
@@ -80,6 +89,7 @@ def _with_own_effects(base: CarFile, runs: Sequence[Run], noise: Noise) -> CarFi
         if gain < c.BUILT_IN_GAIN or gain < c.GAIN_SE * bounded(gain, se):
             break
         found = ranked[0].fitted
+        noise = learn_noise(engine, found, noise)
         moved = _moved(base, found, noise)
         name = ranked[0].name
         values = tuple(float(v) for v in found.parameters[superset.places(name)])

@@ -8,7 +8,7 @@ from benchmarks.blind_gap.bank import CARS, SETS
 from benchmarks.blind_gap.detectability import FILE, save_severities
 from benchmarks.blind_gap.diagnosing import DIAGNOSE, IDENTIFY, diagnose_set
 from benchmarks.blind_gap.generate import generate, key_path
-from benchmarks.blind_gap.inside import diagnose_part
+from benchmarks.blind_gap.inside import diagnose_inside
 from benchmarks.blind_gap.opening import LOG, OpeningError, case_names, load_labels, load_manifest
 from benchmarks.blind_gap.opening import open_labels as unseal_labels
 from benchmarks.blind_gap.report import write_report
@@ -31,8 +31,7 @@ def _generate(args: argparse.Namespace) -> str:
 
 def _run(args: argparse.Namespace) -> str:
     if args.inside:
-        part, parts = (int(number) for number in args.part.split("/"))
-        diagnose_part(args.out, args.verdicts, part - 1, parts)
+        diagnose_inside(args.out, args.verdicts)
     else:
         diagnose_set(args.out, args.verdicts, args.identify, args.diagnose)
     return f"verdicts are in {args.verdicts}; `open` the labels when all are there"
@@ -83,7 +82,6 @@ def make_parser() -> argparse.ArgumentParser:
     ask.add_argument("--identify", default=IDENTIFY, help=IDENTIFY)
     ask.add_argument("--diagnose", default=DIAGNOSE, help=DIAGNOSE)
     ask.add_argument("--inside", action="store_true", help="in this process, not by commands")
-    ask.add_argument("--part", default="1/1", metavar="K/N", help="with --inside: these cars")
     ask.set_defaults(act=_run)
     unseal = commands.add_parser("open", help="unseal the labels, once the verdicts are written")
     unseal.add_argument("--key", type=Path, help="by default OUT.key")

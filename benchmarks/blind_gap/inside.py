@@ -1,8 +1,9 @@
 """The tool asked within this process: no start-up and no loading for each of hundreds of cases.
 
 The same functions that `steerd identify` and `steerd diagnose` call, on the same files; a case's
-time is the processor's. A car's base is identified once for all its cases. The set may be dealt out
-to several processes; each takes every n-th car.
+time is the processor's. A car's base is identified once for all its cases. Several processes may
+work on one set: each car and each case is claimed by a file before it is worked on. After a run
+that was broken off, remove `*.claim` and start again: what has a verdict is kept.
 """
 
 import json
@@ -15,6 +16,8 @@ from typing import Any
 from benchmarks.blind_gap.opening import load_manifest
 from benchmarks.blind_gap.verdicts import verdict_path
 from car_model.car_file import CarFile, default_car_path, load_car
+from car_model.effects import EFFECTS
+from car_model.params import Car
 from sim_gap.diagnosis import Options, diagnose
 from sim_gap.healthy import refine
 from sim_gap.to_json import to_json
@@ -41,9 +44,18 @@ def identify(out: Path, names: Sequence[str]) -> CarFile:
     return refine(base, runs)
 
 
+def _claimed(path: Path) -> bool:
+    """Whether this process is the first to work on something."""
+    try:
+        path.with_suffix(".claim").touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
+
+
 def _ask(out: Path, verdicts: Path, row: Mapping[str, Any], base: CarFile) -> None:
     path = verdict_path(verdicts, row["case"])
-    if path.exists():
+    if path.exists() or not _claimed(path):
         return
     began = process_time()
     try:
@@ -65,20 +77,41 @@ def _encoded(base: CarFile) -> dict[str, Any]:
     }
 
 
-def diagnose_part(out: Path, verdicts: Path, part: int = 0, parts: int = 1) -> None:
-    """Diagnose every case of every `parts`-th car, from the car `part` on.
+def _decoded(text: str) -> CarFile:
+    """The reverse of `_encoded`."""
+    told = json.loads(text)
+    start, own = load_car(default_car_path()), told["effects"]
+    return CarFile(
+        start.path, start.name, Car(**told["car"]),
+        tuple(EFFECTS[name] for name in own), tuple(tuple(v) for v in own.values()),
+        told["sd"], sections={**start.sections, "noise": told["noise"]},
+    )  # fmt: skip
+
+
+def _base(out: Path, verdicts: Path, row: Mapping[str, Any]) -> CarFile | None:
+    """The car's base: kept from before, or identified; None while another process is at it."""
+    kept = verdicts / f"{row['base']}.base.json"
+    if not kept.exists():
+        if not _claimed(kept):
+            return None
+        text = json.dumps(_encoded(identify(out, row["runs"])), indent=1)
+        part = kept.with_suffix(".part")
+        part.write_text(text + "\n")
+        part.replace(kept)
+    return _decoded(kept.read_text())
+
+
+def diagnose_inside(out: Path, verdicts: Path) -> None:
+    """Diagnose every case of a set that no other process has claimed.
 
     Raises:
         OpeningError: there is no set.
     """
     manifest = load_manifest(out)
     verdicts.mkdir(parents=True, exist_ok=True)
-    for row in manifest["cars"][part::parts]:
-        cases = [case for case in manifest["cases"] if case["base"] == row["base"]]
-        if all(verdict_path(verdicts, case["case"]).exists() for case in cases):
-            continue
-        base = identify(out, row["runs"])
-        text = json.dumps(_encoded(base), indent=1)
-        (verdicts / f"{row['base']}.base.json").write_text(text + "\n")
-        for case in cases:
-            _ask(out, verdicts, case, base)
+    left = list(manifest["cars"])
+    for row in [*left, *left]:
+        base = _base(out, verdicts, row)
+        for case in manifest["cases"]:
+            if base is not None and case["base"] == row["base"]:
+                _ask(out, verdicts, case, base)
