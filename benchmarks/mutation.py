@@ -1,0 +1,120 @@
+"""Mutation score of what keeps the car safe: gate, table, watchdogs, guardian, launch, codec.
+
+    pip install mutmut
+    python benchmarks/mutation.py
+    python benchmarks/mutation.py "controller.limits*" --survivors
+
+mutmut changes one operator, constant, argument or call at a time in a copy of the tree, and runs
+the unit tests that reach it. A mutant that no test notices survives. Printed: killed and survived
+by module, with `--survivors` each survivor's change. What docs/safety.md says of them was written
+by a person who looked at each.
+"""
+
+import argparse
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter, defaultdict
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+MODULES = (
+    "controller/limits.py", "daemon/guardian.py", "daemon/launch.py", "daemon/supervisor.py",
+    "daemon/watchdogs.py", "daemon/watchdogs_pose.py", "steer_bus/codec.py",
+)  # fmt: skip
+TESTS = (
+    "tests/unit/controller/test_limits.py", "tests/unit/daemon/test_supervisor.py",
+    "tests/unit/daemon/test_watchdogs.py", "tests/unit/daemon/test_watchdogs_pose.py",
+    "tests/unit/daemon/test_watchdogs_thresholds.py", "tests/unit/daemon/test_launch.py",
+    "tests/unit/daemon/test_guardian.py", "tests/unit/steer_bus/test_codec.py",
+)  # fmt: skip
+ROOMS = (
+    "steer_bus", "car_model", "vesc_link", "mocap_link", "estimator", "controller", "sim_hw",
+    "sysid", "sim_gap", "daemon", "tests", "config",
+)  # fmt: skip
+# The guardian's length is a rule for people; a mutated file holds every mutant at once.
+SELECTION = ("-m", "not realtime", "-k", "not stands_alone", "-p", "no:xdist")
+KILLED = ("killed", "timeout", "segfault", "suspicious", "caught by type check")
+
+
+def make_copy(folder: Path) -> None:
+    """A copy of the tree with mutmut's settings in its pyproject.toml."""
+    for room in ROOMS:
+        shutil.copytree(ROOT / room, folder / room, ignore=shutil.ignore_patterns("__pycache__"))
+    settings = {
+        "source_paths": MODULES,
+        "also_copy": ROOMS,
+        "pytest_add_cli_args_test_selection": TESTS,
+        "pytest_add_cli_args": (*SELECTION, "-p", "no:cacheprovider"),
+    }
+    lines = [f"{key} = {json.dumps(value)}" for key, value in settings.items()]
+    text = (ROOT / "pyproject.toml").read_text() + "\n[tool.mutmut]\n" + "\n".join(lines) + "\n"
+    (folder / "pyproject.toml").write_text(text)
+
+
+def mutmut(folder: Path, *argv: str, timeout: float | None = None) -> str:
+    """Run it there."""
+    command = [sys.executable, "-m", "mutmut", *argv]
+    done = subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, timeout=timeout, check=False
+    )
+    return done.stdout + done.stderr
+
+
+def read_results(folder: Path) -> dict[str, list[tuple[str, str]]]:
+    """(mutant, what became of it) by module."""
+    found = defaultdict(list)
+    for name, fate in re.findall(
+        r"^\s*(\S+__mutmut_\d+): (.+)$", mutmut(folder, "results", "--all", "true"), re.M
+    ):
+        found[re.split(r"\.x[_ǁ]", name)[0]].append((name, fate.strip()))
+    return found
+
+
+def show(folder: Path, name: str) -> str:
+    """The changed lines of a mutant."""
+    lines = mutmut(folder, "show", name).splitlines()
+    return "\n".join(f"    {line}" for line in lines if re.match(r"[-+] ", line))
+
+
+def report(folder: Path, *, survivors: bool) -> float:
+    """Print the scores; the score over all that was tried [0 to 1]."""
+    killed = tried = 0
+    for module, mutants in sorted(read_results(folder).items()):
+        fates = Counter("killed" if fate in KILLED else fate for _, fate in mutants)
+        ran = fates["killed"] + fates["survived"] + fates["no tests"]
+        if ran == 0:
+            continue
+        killed, tried = killed + fates["killed"], tried + ran
+        print(f"{module:<24}{fates['killed']:5} of {ran:<5}{fates['killed'] / ran:7.1%}")
+        for name, fate in mutants:
+            if survivors and fate in ("survived", "no tests"):
+                print(f"  {name.removeprefix(module + '.')}\n{show(folder, name)}")
+    print(f"{'all':<24}{killed:5} of {tried:<5}{killed / max(tried, 1):7.1%}")
+    return killed / max(tried, 1)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("mutants", nargs="*", help='such as "daemon.launch*" (default: all)')
+    parser.add_argument("--survivors", action="store_true", help="show what survived")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--folder", type=Path, help="work there, and keep what is there already")
+    args = parser.parse_args()
+    folder = args.folder or Path(tempfile.mkdtemp(prefix="mutation"))
+    if not (folder / "pyproject.toml").exists():
+        make_copy(folder)
+    said = mutmut(folder, "run", "--max-children", str(args.jobs), *args.mutants)
+    score = report(folder, survivors=args.survivors)
+    if score == 0.0:
+        print(said[-2000:], file=sys.stderr)
+    if args.folder is None:
+        shutil.rmtree(folder)
+    return 0 if score >= 0.9 else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
