@@ -5,13 +5,15 @@
 A real crew (core, recorder, gateway, guardian) drives simulated hardware. Between them sits the
 tap: it passes datagrams and serial bytes on and stamps both (CLOCK_MONOTONIC), so that neither
 the core nor the simulation times itself. The core ticks on its own deadlines; a datagram waits for
-the next one. `path` is all of that; `added` is what remains without the wait, from the later of
+the next one. A machine that stalls rightly stops the car; the drive is then called `stopped`.
+`path` is all of that; `added` is what remains without the wait, from the later of
 datagram and deadline to the bytes. `work` is the core's own work in a tick, as recorded.
 """
 
 import argparse
 import contextlib
 import json
+import math
 import multiprocessing as mp
 import os
 import select
@@ -32,6 +34,7 @@ from daemon.build import make_plan, make_world_config
 from daemon.children import Crew, start_crew
 from daemon.options import RunOptions
 from daemon.records import unpack_records
+from daemon.transitions import State
 from sim_hw.links import spawn_sim
 from steer_bus import messages as m
 from steer_bus import topics
@@ -91,7 +94,9 @@ def free_port() -> int:
 
 
 def cpu_s(pid: int) -> float:
-    """User and system time of a process [s]."""
+    """User and system time of a process [s]; NaN once it is gone."""
+    if not Path(f"/proc/{pid}/stat").exists():
+        return math.nan
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -148,13 +153,16 @@ def loaded(count: int) -> Any:
 def percentiles(values: Any) -> dict[str, float]:
     """p50, p99, p99.9 and the worst [ms]."""
     ms = np.asarray(values) / 1e6
+    if not ms.size:
+        return {"p50": math.nan, "p99": math.nan, "p999": math.nan, "max": math.nan, "n": 0}
     p50, p99, p999 = np.percentile(ms, [50, 99, 99.9]).round(3).tolist()
     return {"p50": p50, "p99": p99, "p999": p999, "max": round(float(ms.max()), 3), "n": ms.size}
 
 
 def judge(session: Path, frames: list[int], orders: list[int], begin: int, end: int) -> Any:
     """Figures of one drive between two moments [ns]."""
-    ticks = open_session(session).columns(m.Tick)
+    drive = open_session(session)
+    ticks, reached = drive.columns(m.Tick), drive.columns(m.Transition)["to_state"]
     due, woke, work = (ticks[name] for name in ("due_ns", "woke_ns", "work_ns"))
     numbers = ticks["seq"].astype(np.int64)
     inside = (due >= begin) & (due < end)
@@ -173,6 +181,7 @@ def judge(session: Path, frames: list[int], orders: list[int], begin: int, end: 
         "late_ms": percentiles((woke - due)[inside]),
         "work_ms": percentiles(work[inside]),
         "ticks": int(inside.sum()),
+        "stopped": bool(np.isin(reached, [State.FAULT_STOP, State.ESTOP]).any()),
         "unrecorded": int(numbers[-1] - numbers[0]) + 1 - numbers.size,
     }
 

@@ -1,6 +1,7 @@
 """docs/performance.md from what the pieces of `make bench` said."""
 
 from collections.abc import Sequence
+from math import isnan
 from typing import Any
 
 MISSING = "*Not measured: {0}.*\n"
@@ -13,7 +14,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 def number(value: float | None) -> str:
     """Three figures that count."""
-    if value is None:
+    if value is None or isnan(value):
         return "—"
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
@@ -94,10 +95,12 @@ def control_path(said: list[dict[str, Any]]) -> str:
     shown, marks = ("path_ms", "added_ms", "work_ms", "late_ms"), ("p50", "p99", "p999")
     rows = [
         [r["rate"], "loaded" if r["busy"] else "idle", "FIFO" if r["fifo"] else "other",
-         *("/".join(number(r[what][p]) for p in marks) for what in shown), r["unrecorded"]]
+         *("/".join(number(r[what][p]) for p in marks) for what in shown),
+         r["unrecorded"], "yes" if r["stopped"] else ""]
         for r in said
     ]  # fmt: skip
-    head = ["Hz", "cores", "scheduler", "path", "added", "work", "wake late", "ticks not recorded"]
+    words = "Hz,cores,scheduler,path,added,work,wake late,ticks not recorded,car stopped"
+    head = words.split(",")
     shares = [
         [r["rate"], *(f"{r['cpu_percent'][n]:g} %" for n in r["cpu_percent"])]
         for r in said if not r["busy"] and r["fifo"]
@@ -108,7 +111,8 @@ def control_path(said: list[dict[str, Any]]) -> str:
         "mocap datagram and the VESC's bytes. `path`: datagram to the first bytes of the tick "
         "after it; the core ticks by its own clock, so up to a period of that is waiting. `added`: "
         "without the wait, from the later of datagram and deadline. `work`: of the core in a tick, "
-        "by its own record. `loaded`: one endless loop per core.\n\n"
+        "by its own record. `loaded`: one endless loop per core; "
+        "a machine that stalls stops the car, as it should.\n\n"
         + table(head, rows)
         + "\nShare of a core, idle and FIFO:\n\n"
         + table(["Hz", *names], shares)
