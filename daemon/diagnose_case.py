@@ -3,21 +3,26 @@
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+
+import numpy as np
 
 from car_model.car_file import CarFile, CarFileError, default_car_path, parse_car
 from car_model.effects import find_effect
 from daemon.drives import load_base, load_drive
 from daemon.errors import ExitCode, SteerdError
 from steer_bus.session_read import SessionError, open_session
-from sysid.cut import blocks, keep_back, moving_parts
+from sysid.cut import cut, moving_parts
 from sysid.dataset import Run
 from sysid.gate import DataError
 
 EVERY = 4
 """Unless said otherwise every 4th block or session is kept back."""
-ENOUGH = 16.0
-"""Shorter drives are diagnosed whole unless `--runs-held-out` says otherwise [s]."""
+BLOCK = 6.5
+"""Least length of a block: the error of predictions 3 s ahead can be told twice in it [s]."""
+FEWEST = 3
+"""Of fewer blocks none is kept back unless `--runs-held-out` says so."""
 LEAST = 5.0
 """Less driving than this tells nothing of a gap [s]."""
 
@@ -186,30 +191,64 @@ def _split(
         words = ", ".join(path.name for path in reserved)
         later = lambda: _moving([load_drive(path, speed) for path in reserved])  # noqa: E731
         return _in_blocks(drives, parts), later, words, _block_notes(drives)
-    if every == 0 or (every is None and seconds < ENOUGH):
+    whole = _whole_sessions(drives, parts, every or EVERY) if every != 0 else None
+    if whole is not None:
+        return whole
+    return _some_blocks(drives, parts, every)
+
+
+Split = tuple[tuple[Run, ...], Later, str, list[str]]
+
+
+def _whole_sessions(drives: Sequence[Run], parts: tuple[Run, ...], every: int) -> Split | None:
+    """Every so many sessions kept back whole; None if there are too few of them."""
+    names = {run.name for run in drives[every - 1 :: every]}
+    kept = tuple(run for run in parts if run.name in names)
+    fitted = tuple(run for run in parts if run.name not in names)
+    if len(drives) < every or not kept or not fitted:
+        return None
+    words = f"every {_ordinal(every)} session: {', '.join(sorted(names))}"
+    return _in_blocks(drives, fitted), lambda: kept, words, _block_notes(drives)
+
+
+def _some_blocks(drives: Sequence[Run], parts: tuple[Run, ...], every: int | None) -> Split:
+    """Every so many blocks kept back, if that is asked for or there are enough of them."""
+    cut_up, notes = cut_blocks(parts), _block_notes(drives)
+    if every is None:
+        every = min(EVERY, len(cut_up)) if len(cut_up) >= FEWEST else 0
+    if every == 0:
         note = "nothing was kept back: the shrinkage is predicted, not measured"
-        return _in_blocks(drives, parts), None, "", [*_block_notes(drives), note]
-    every = every or EVERY
-    if len(drives) >= every:
-        names = {run.name for run in drives[every - 1 :: every]}
-        kept = tuple(run for run in parts if run.name in names)
-        fitted = tuple(run for run in parts if run.name not in names)
-        if kept and fitted:
-            return fitted, lambda: kept, f"every {every}th session: {', '.join(sorted(names))}", []
-    try:
-        fitted, kept = keep_back(parts, every)
-    except DataError as error:
-        raise SteerdError(error.what, "--runs-held-out 0", ExitCode.INVALID) from None
-    return fitted, lambda: kept, f"every {every}th block of 5 s", _block_notes(drives)
+        return _in_blocks(drives, parts), None, "", [*notes, note]
+    if len(cut_up) < every:
+        what = f"only {len(cut_up)} blocks of {BLOCK:g} s: too short to keep every {_ordinal(every)} back"
+        raise SteerdError(what, "--runs-held-out 0, or name a session", ExitCode.INVALID)
+    kept = cut_up[every - 1 :: every]
+    fitted = tuple(b for i, b in enumerate(cut_up) if i % every != every - 1)
+    return fitted, lambda: kept, f"every {_ordinal(every)} block of the drive", notes
+
+
+def _ordinal(number: int) -> str:
+    ends = {1: "st", 2: "nd", 3: "rd"}
+    return f"{number}{'th' if number % 100 in (11, 12, 13) else ends.get(number % 10, 'th')}"
+
+
+def cut_blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
+    """Parts cut into blocks of `BLOCK` seconds or more; no measurement is in two of them."""
+    found: list[Run] = []
+    for part in parts:
+        start, end = float(part.pose.t[0]), min(float(part.pose.t[-1]), part.duration)
+        edges = np.linspace(start, end, max(1, int((end - start) / BLOCK)) + 1)
+        found += [cut(part, low, high - 1e-6) for low, high in pairwise(edges)]
+    return tuple(found)
 
 
 def _in_blocks(drives: Sequence[Run], parts: tuple[Run, ...]) -> tuple[Run, ...]:
     """Few drives are cut, so that parts of them can be left out of fits."""
-    return blocks(parts) if len(drives) < EVERY else parts
+    return cut_blocks(parts) if len(drives) < EVERY else parts
 
 
 def _block_notes(drives: Sequence[Run]) -> list[str]:
     if len(drives) >= EVERY:
         return []
     what = "one session" if len(drives) == 1 else f"{len(drives)} sessions"
-    return [f"{what}, cut into blocks of 5 s: blocks of one drive stand in for further drives"]
+    return [f"{what}, cut into blocks of about {BLOCK:.0f} s: they stand in for further drives"]
