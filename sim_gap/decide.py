@@ -82,7 +82,7 @@ def significant(gain: float, se: float) -> bool:
 
 def bounded(gain: float, se: float) -> float:
     """A gain's standard error; blocks that differ for good reasons do not make it larger."""
-    return min(se, c.OWN_SE * (2.0 * max(gain, 0.0)) ** 0.5)
+    return min(se, c.OWN_SE * float(np.sqrt(2.0 * max(gain, 0.0))))
 
 
 def best_pair(
@@ -91,6 +91,7 @@ def best_pair(
     ranked: Sequence[Score],
     nuisance: Sequence[str],
     blocks: NDArray[np.int64],
+    only: Sequence[str] | None = None,
 ) -> Score | None:
     """Two causes together, if they predict unseen windows clearly better than the best alone.
 
@@ -99,7 +100,7 @@ def best_pair(
     """
     single, best = ranked[0], None
     for first in ranked[: 1 + near(ranked, blocks)]:
-        promises = screen(engine, first.fitted, nuisance)
+        promises = screen(engine, first.fitted, nuisance, only)
         for promise in [p for p in promises[:3] if p.gain > c.PAIR_MIN]:
             pair = refit(engine, first.fitted, nuisance, [promise])
             if pair is not None and (best is None or pair.losses.sum() < best.losses.sum()):
@@ -109,8 +110,8 @@ def best_pair(
     gain, se = gain_of(best, single, blocks)
     if not all(large(engine, best, name) for name in best.effects):
         return None
-    first, _ = gain_of(single, null, blocks)
-    least = max(c.PAIR_MIN, c.PAIR_SHARE * first, c.PAIR_SE * bounded(gain, se))
+    alone, _ = gain_of(single, null, blocks)
+    least = max(c.PAIR_MIN, c.PAIR_SHARE * alone, c.PAIR_SE * bounded(gain, se))
     return best if gain > least else None
 
 
@@ -276,17 +277,18 @@ def choose(
     nuisance: Sequence[str],
     blocks: NDArray[np.int64],
     pairs: bool = True,
+    only: Sequence[str] | None = None,
 ) -> Choice:
     """The explanation, its rivals and how sure it is."""
     best = ranked[0]
-    pair = best_pair(engine, null, ranked, nuisance, blocks) if pairs else None
+    pair = best_pair(engine, null, ranked, nuisance, blocks, only) if pairs else None
     gain, se = gain_of(pair or best, null, blocks)
     found = significant(gain, se)
     if pair is not None and found:
         drops = dropped(engine, pair, nuisance)
         alone = [kept for _, kept in drops if needless(pair, kept, blocks)]
         if not alone:
-            return _two(engine, null, ranked, pair, drops, nuisance, blocks, gain, se)
+            return _two(engine, null, ranked, pair, drops, nuisance, blocks, gain, se, only)
         best = max(alone, key=lambda kept: gain_of(kept, null, blocks)[0])
         ranked = [best, *(s for s in ranked if s.effects != best.effects)]
     gain, se = gain_of(best, null, blocks)
@@ -311,6 +313,7 @@ def _two(
     blocks: NDArray[np.int64],
     gain: float,
     se: float,
+    only: Sequence[str] | None,
 ) -> Choice:
     """Two causes: the one whose absence costs more comes first; rivals from swaps."""
     worth = {name: gain_of(pair, without, blocks)[0] for name, without in drops}
@@ -319,7 +322,7 @@ def _two(
     rivals, sure = [], []
     for name in order:
         kept = rest[name]
-        swaps = _swaps(engine, kept, name, nuisance)
+        swaps = _swaps(engine, kept, name, nuisance, only)
         rivals.append(tuple(n for n in rivals_of(pair, swaps, {}, blocks) if n != name))
         sure.append(confidence_of(pair, swaps, blocks, broken=False))
     ordered = Score(tuple(order), pair.fitted, pair.losses, pair.prior)
@@ -328,10 +331,16 @@ def _two(
     )
 
 
-def _swaps(engine: Engine, kept: Score, name: str, nuisance: Sequence[str]) -> list[Score]:
+def _swaps(
+    engine: Engine,
+    kept: Score,
+    name: str,
+    nuisance: Sequence[str],
+    only: Sequence[str] | None,
+) -> list[Score]:
     """The hypothesis with the dropped effect replaced by the most promising others."""
     promises: list[Promise] = [
-        p for p in screen(engine, kept.fitted, nuisance) if p.effect != name and p.gain > 1.0
+        p for p in screen(engine, kept.fitted, nuisance, only) if p.effect != name and p.gain > 1.0
     ]
     found = [refit(engine, kept.fitted, nuisance, [p]) for p in promises[:3]]
     return [score for score in found if score is not None]

@@ -27,7 +27,7 @@ from sim_gap.opening import null_fit, open_engine
 from sim_gap.residuals import Gap, gap_of, settled
 from sim_gap.shape import Shape, shape_of
 from sim_gap.shrink import Shrinkage, explained_share, measure, predict
-from sim_gap.space import make_space, nuisance_names
+from sim_gap.space import make_space, nuisance_names, telling_effects
 from sim_gap.superset import Superset, make_superset
 from sim_gap.timeline import Timeline, timeline_of
 from sim_gap.where import Where, locate
@@ -178,7 +178,8 @@ def diagnose(
         base = refine(base, options.healthy)
     superset = make_superset(base, runs)
     names = [e.name for e in superset.effects]
-    only = tuple(n for n in (options.only or names) if n not in options.without)
+    telling = telling_effects(superset, runs)
+    only = tuple(n for n in (options.only or telling) if n not in options.without)
     unknown = [n for n in (*only, *options.without) if n not in names]
     if unknown:
         raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
@@ -189,7 +190,7 @@ def diagnose(
     engine, null, ranked, noise = _search(case, known)
     options.progress("decide", 0.6)
     blocks = blocks_of(engine)
-    choice = choose(engine, scored(engine, null), ranked, nuisance, blocks, options.pairs)
+    choice = choose(engine, scored(engine, null), ranked, nuisance, blocks, options.pairs, only)
     told = _told(case, engine, choice, noise, known is not None, [run.name for run in runs])
     if not options.horizons:
         return told

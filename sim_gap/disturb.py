@@ -57,7 +57,7 @@ class _Nominal:
 
     @property
     def steps(self) -> int:
-        return self.path.shape[1] - 1
+        return int(self.path.shape[1]) - 1
 
     def shown(self, path: Array) -> Array:
         """(W, D) readings along a path."""

@@ -190,7 +190,7 @@ class Engine:
         turned = by_x.transpose(0, 2, 1)
         d = turned @ by_x
         d[:, range(STATES), range(STATES)] += self.start_spread**-2
-        inverse = np.linalg.inv(d)
+        inverse: Array = np.linalg.inv(d).astype(float)
         cross = turned @ by_z
         kx = inverse @ cross
         h = by_z.transpose(0, 2, 1) @ by_z - cross.transpose(0, 2, 1) @ kx

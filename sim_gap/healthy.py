@@ -18,7 +18,7 @@ from sim_gap.decide import bounded
 from sim_gap.descent import Fitted
 from sim_gap.noise import Noise, learn_noise, noise_of_section, noise_section, whitened
 from sim_gap.opening import null_fit, open_engine
-from sim_gap.space import nuisance_names
+from sim_gap.space import nuisance_names, telling_effects
 from sim_gap.superset import make_superset
 from sysid.dataset import Run
 
@@ -81,7 +81,7 @@ def _with_own_effects(base: CarFile, runs: Sequence[Run], noise: Noise) -> CarFi
         engine = whitened(engine, null_fit(engine, nuisance), noise)
         null = null_fit(engine, nuisance)
         taken = {e.name for e in base.effects} | NEVER_OWN
-        only = [e.name for e in superset.effects if e.name not in taken]
+        only = [name for name in telling_effects(superset, runs) if name not in taken]
         ranked = singles(engine, null, nuisance, only, most=_REFITS)
         if not ranked:
             break

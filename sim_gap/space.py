@@ -30,6 +30,8 @@ FLOORS = {
 
 Relative for stiffnesses, inertia and gains, else in the parameter's unit.
 """
+NEED_COMMANDS = frozenset({"drive_delay", "longitudinal_load_transfer", "friction_ellipse"})
+"""Effects beside the drive's own that follow the speed command or the acceleration."""
 UNKNOWN = 3.0
 """How much wider the floors are where the car file gives no standard error."""
 
@@ -67,6 +69,19 @@ def nuisance_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     if superset.sd and "drive_delay" in names and "drive_delay" not in superset.sd:
         names.remove("drive_delay")
     return tuple(names)
+
+
+def telling_effects(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Effects that such drives can show: where the measured speed is prescribed, none of the drive.
+
+    What the motor does is then no prediction, a limit on it would only hold the car back from the
+    speed that was measured, and that speed's acceleration is mostly noise.
+    """
+    names = tuple(e.name for e in superset.effects)
+    if all(run.speed_source == "command" for run in runs):
+        return names
+    drive = {e.name for e in superset.effects if e.family == "drive"}
+    return tuple(name for name in names if name not in drive | NEED_COMMANDS)
 
 
 def _spread(superset: Superset, name: str) -> float:

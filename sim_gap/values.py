@@ -43,7 +43,8 @@ def active_model(kernels: Kernels, parameters: Array) -> Model[float]:
 
 def _linkage_places(effects: tuple[Effect, ...]) -> list[int]:
     """Which memory the actuators alone bring about (a linkage's), and not the tyres."""
-    places, start = [], 0
+    places: list[int] = []
+    start = 0
     for effect in effects:
         if effect.linkage is not None:
             places += range(start, start + effect.memory)
