@@ -2,10 +2,11 @@
 
     python benchmarks/stop_latency.py --trials 200
 
-A real guardian over a pty. The core is a process with all of steerd's imports in locked memory of
-its own (forked from one that has loaded them) and, where allowed, SCHED_FIFO; it writes a drive
-frame every 10 ms until it is killed (SIGKILL) or stopped (SIGSTOP, later SIGCONT) at a random phase
-of its period. Counted too: motion frames after the first brake frame.
+A real guardian over a pty. The core is a process with all of steerd's imports, locked memory and,
+where allowed, SCHED_FIFO; it writes a drive frame every 10 ms until it is killed (SIGKILL) or
+stopped (SIGSTOP, later SIGCONT) at a random phase of its period. Counted too: motion frames after
+the first brake frame. A core is started anew for each trial, as `steerd run` does: one forked from
+a warm process would share its memory, dies otherwise, and gave up to 16 ms.
 """
 
 import argparse
@@ -14,28 +15,32 @@ import os
 import pty
 import select
 import signal
+import subprocess
 import sys
 import termios
 import time
-import traceback
 import tty
+from pathlib import Path
 
 import numpy as np
 
-import daemon.core_process  # noqa: F401  (as much memory as the real one)
-from daemon.guard import ProcessGuard
-from daemon.realtime import enter_realtime, settle_memory
+from daemon.realtime import enter_realtime
 from vesc_link.commands import SetCurrentBrake, SetErpm
 from vesc_link.frames import FrameParser, encode_frame
 from vesc_link.packets import decode_command, encode_command
 
 DRIVE = encode_frame(encode_command(SetErpm(4000.0)))
 BRAKE = encode_frame(encode_command(SetCurrentBrake(20.0)))
+ROOT = Path(__file__).parents[1]
 PERIOD_NS, BEFORE_NS, AFTER_NS = 10_000_000, 200_000_000, 150_000_000
 
 
 def be_core(serial_fd: int) -> None:
     """Drive at 100 Hz under a guardian, as `daemon.runner` does."""
+    import daemon.core_process  # noqa: F401  (as much memory as the real one)
+    from daemon.guard import ProcessGuard
+    from daemon.realtime import settle_memory
+
     report = enter_realtime()
     settle_memory()
     guard = ProcessGuard(report.fifo)
@@ -65,14 +70,8 @@ def run_trial(how: str, phase_ns: int) -> tuple[float, int]:
     master, slave = pty.openpty()
     tty.setraw(slave, termios.TCSANOW)
     os.set_blocking(slave, False)
-    core = os.fork()
-    if core == 0:
-        os.close(master)
-        try:
-            be_core(slave)
-        finally:
-            traceback.print_exc()
-            os._exit(1)
+    command = [sys.executable, __file__, "--core", str(slave)]
+    core = subprocess.Popen(command, pass_fds=(slave,), cwd=ROOT)
     os.close(slave)
     log: list[tuple[int, bytes]] = []
     while not log:
@@ -80,13 +79,13 @@ def run_trial(how: str, phase_ns: int) -> tuple[float, int]:
     read_until(master, time.monotonic_ns() + BEFORE_NS + phase_ns, log)
     log.clear()
     hit_ns = time.monotonic_ns()
-    os.kill(core, signal.SIGKILL if how == "kill" else signal.SIGSTOP)
+    core.send_signal(signal.SIGKILL if how == "kill" else signal.SIGSTOP)
     read_until(master, hit_ns + AFTER_NS, log)
     if how == "stop":
-        os.kill(core, signal.SIGCONT)
+        core.send_signal(signal.SIGCONT)
         read_until(master, time.monotonic_ns() + AFTER_NS, log)
-        os.kill(core, signal.SIGKILL)
-    os.waitpid(core, 0)
+        core.kill()
+    core.wait()
     os.close(master)
     return judge(log, hit_ns)
 
@@ -106,19 +105,24 @@ def judge(log: list[tuple[int, bytes]], hit_ns: int) -> tuple[float, int]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=200, help="of each kind")
+    parser.add_argument("--core", type=int, metavar="FD", help=argparse.SUPPRESS)
     parser.add_argument("--only", choices=("kill", "stop"), help="one kind")
     parser.add_argument("--seed", type=int, default=0, help="of the phases")
     parser.add_argument("--raw", action="store_true", help="print each trial's figure too")
     args = parser.parse_args()
+    if args.core is not None:
+        be_core(args.core)
     fifo = enter_realtime(priority=70).fifo
     rng = np.random.default_rng(args.seed)
     for how, bound in (("kill", 20.0), ("stop", 50.0)):
         if args.only not in (None, how):
             continue
-        got = [run_trial(how, int(rng.integers(PERIOD_NS))) for _ in range(args.trials)]
+        got = []
+        for _ in range(args.trials):
+            got.append(run_trial(how, int(rng.integers(PERIOD_NS))))
+            if args.raw:
+                print(how, f"{got[-1][0]:.2f}", got[-1][1], flush=True)
         took = np.array([ms for ms, _ in got])
-        if args.raw:
-            print(" ".join(f"{ms:.2f}" for ms in took))
         print(
             json.dumps(
                 {
