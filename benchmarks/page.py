@@ -116,8 +116,8 @@ def control_path(said: list[dict[str, Any]]) -> str:
         + table(head, rows)
         + "\nShare of a core, idle and FIFO:\n\n"
         + table(["Hz", *names], shares)
-        + "\n**Limit:** some 2,500 Python calls a tick, with caches gone cold in between (the same "
-        "tick costs two thirds of that in virtual time, back to back). "
+        + "\n**Limit:** over a thousand Python calls a tick, with caches gone cold in between (the "
+        "same tick costs two thirds of that in virtual time, back to back). "
         "Under load the core itself still wakes on time with SCHED_FIFO; "
         "what is late then is the pty, whose bytes a kernel thread of ordinary priority carries.\n"
     )
@@ -132,6 +132,7 @@ def virtual(said: dict[str, Any]) -> str:
     rows = [row(f"loop at {hz} Hz", v) for hz, v in said["loop_hz"].items()]
     rows += [row("100 Hz, recorded and watched", said["recorded"])]
     rows += [row(f"100 Hz, physics every {ms} ms", v) for ms, v in said["physics_ms"].items()]
+    each_us = 1e4 / sorted(said["loop_hz"]["100"])[1] / said["calls"]
     seeds = [[s["seeds"], s["workers"], number(s["wall_s"]), f"{number(s['times_real'])} ×"]
              for s in said["seeds"]]  # fmt: skip
     return (
@@ -140,12 +141,13 @@ def virtual(said: dict[str, Any]) -> str:
         + table(["", "of real time", "µs per 10 ms"], rows)
         + "\n"
         + table(["seeds of 2 s", "processes", "wall s", "of real time, together"], seeds)
-        + "\n**Limit:** the interpreter. A tick of 10 ms is about 2,600 calls of small functions, "
-        "spread flat over estimator (30 %), protocols and simulated VESC (30 %), loop (15 %), "
-        "physics (8 %), mocap (6 %) and the rest; nothing is left that costs a tenth by itself "
-        "but the four predictions and three updates of the filter. At 0.3 µs a call the 80 × that "
-        "was asked for (125 µs a tick) is a budget of 400 calls: it takes another language for "
-        "the filter and the codecs, not another tune of this one.\n"
+        + f"\n**Limit:** the interpreter. A tick of 10 ms is {number(said['calls'])} calls of "
+        f"small functions at {number(each_us)} µs each with what they do, spread flat over estimator "
+        "(30 %), protocols and simulated VESC (30 %), loop (15 %), physics (8 %), mocap (6 %) and "
+        "the rest; nothing is left that costs a tenth by itself but the four predictions and three "
+        f"updates of the filter. The 80 × that was asked for, 125 µs a tick, is a budget of "
+        f"{number(125.0 / each_us)} calls: it takes another language for filter and codecs, not "
+        "another tune of this one.\n"
     )
 
 

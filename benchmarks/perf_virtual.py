@@ -73,6 +73,22 @@ def speed(rate: int, step_ms: int, record: Path | None = None) -> list[float]:
     return sorted(round(value, 2) for value in found)
 
 
+def calls_per_tick() -> float:
+    """Calls of functions, Python's and C's, in a tick of a plain drive."""
+    run, count, ticks = make_run(100, 2, None), 0, 100
+    until(run, BEGIN_NS)
+
+    def note(frame: Any, event: str, arg: Any) -> None:
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    sys.setprofile(note)
+    for _ in range(ticks):
+        run.step()
+    sys.setprofile(None)
+    return count / ticks
+
+
 def one_seed(seed: int) -> float:
     """Drive with a seed; simulated seconds."""
     run = make_run(100, 2, None, seed)
@@ -95,6 +111,7 @@ def main() -> int:
         recorded = speed(100, 2, Path(folder) / "drive.mcap")
     cores = os.cpu_count() or 1
     found = {
+        "calls": calls_per_tick(),
         "loop_hz": {str(rate): speed(rate, 2) for rate in RATES},
         "recorded": recorded,
         "physics_ms": {str(step): speed(100, step) for step in STEPS_MS},
