@@ -220,7 +220,7 @@ def _some_blocks(drives: Sequence[Run], parts: tuple[Run, ...], every: int | Non
         note = "nothing was kept back: the shrinkage is predicted, not measured"
         return _in_blocks(drives, parts), None, "", [*notes, note]
     if len(cut_up) < every:
-        what = f"only {len(cut_up)} blocks of {BLOCK:g} s: too short to keep every {_ordinal(every)} back"
+        what = f"only {len(cut_up)} blocks: too short to keep every {_ordinal(every)} back"
         raise SteerdError(what, "--runs-held-out 0, or name a session", ExitCode.INVALID)
     kept = cut_up[every - 1 :: every]
     fitted = tuple(b for i, b in enumerate(cut_up) if i % every != every - 1)
