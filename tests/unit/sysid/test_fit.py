@@ -35,6 +35,7 @@ def test_a_minute_of_driving_tells_eleven_parameters(minute, truth):
     assert np.allclose(np.diag(found.correlation), 1.0)
 
 
+@pytest.mark.slow
 def test_errors_have_the_size_that_the_fit_claims(make_drive, truth):
     pulls = [_pulls(fit([make_drive(truth, 12.0, s)], Model(DEFAULT_CAR)), truth) for s in range(5)]
     rms = float(np.sqrt(np.mean(np.square(pulls))))
@@ -70,6 +71,25 @@ def test_circles_fix_two_sums_and_no_parameter(make_circles):
     assert all(found.estimates[name].manoeuvre for name in found.unidentified)
 
 
+@pytest.mark.parametrize("stiffness", [(3.15, 9.6), (6.7, 4.1), (8.0, 6.3)])
+def test_circles_from_a_far_start_tell_no_length_either(make_circles, stiffness):
+    base = PAPER_CAR._replace(
+        steer_delay=0.0, steer_lag=0.0, steer_rate=1e3, speed_lag=0.0, accel_max=1e3,
+        decel_max=1e3, lf=0.24, lr=0.31, c_sf=stiffness[0], c_sr=stiffness[1],
+    )  # fmt: skip
+    found = fit(make_circles(), Model(base), options=Options(free=TYRES))
+    assert set(found.unidentified) == set(TYRES)
+
+
+@pytest.mark.parametrize("far", [(0.325, 0.214, 2.939, 2.824), (0.324, 0.324, 7.0, 7.0)])
+def test_a_start_in_the_long_valley_of_similar_cars_arrives(make_drive, truth, far):
+    run = make_drive(truth, 60.0, 4 if far[2] < 3.0 else 80)
+    start = Model(DEFAULT_CAR._replace(**dict(zip(TYRES, far, strict=True))))
+    found = fit([run], Model(DEFAULT_CAR), starts=[start])
+    assert found.evaluations < 60
+    assert np.abs(_pulls(found, truth)).max() < 4.0
+
+
 def test_known_wheelbase_is_kept(make_drive):
     run = make_drive(Model(DEFAULT_CAR), 8.0, 5)
     options = Options(free=TYRES, wheelbase=0.3302)
@@ -79,6 +99,7 @@ def test_known_wheelbase_is_kept(make_drive):
     assert found.estimates["lf"].sd == pytest.approx(found.estimates["lr"].sd)
 
 
+@pytest.mark.slow
 def test_effects_are_fitted_with_the_car(make_drive):
     ((effect, values),) = parse_effects("steer_asymmetry=0.08")
     run = make_drive(Model(DEFAULT_CAR, (effect,), (values,)), 10.0, 6)

@@ -43,7 +43,7 @@ def _inputs(model, count=5, steps=40, history=4, seed=0):
     return [torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in arrays]
 
 
-@pytest.fixture(params=["base", "rich"])
+@pytest.fixture(params=["base", pytest.param("rich", marks=pytest.mark.slow)])
 def any_model(request, rich_model):
     car = DEFAULT_CAR._replace(steer_delay=0.013, drive_delay=0.004)
     return Model(car) if request.param == "base" else rich_model

@@ -108,7 +108,8 @@ def test_json_is_the_schema(outcome):
     }  # fmt: skip
 
 
-def test_the_report_needs_nothing_else(outcome, truth):
+def test_the_report_needs_nothing_else(outcome, truth, monkeypatch):
+    monkeypatch.setattr("sysid.closed_loop.SECONDS", 3.0)
     page = render_report(replace(outcome, truth=truth.car))
     assert page.count("<svg") == 6
     for outside in ("<script", "<link", "<img", "src=", "@import"):
@@ -124,7 +125,7 @@ def test_the_papers_method_tells_its_spread(make_circles):
     assert len(outcome.courses) == 2
     assert outcome.rows["c_sf"].sd > 0.0
     assert not outcome.rows["c_sf"].identifiable
-    assert "soft" not in render_report(outcome) or outcome.fit is None
+    assert outcome.fit is None
 
 
 def test_further_starts_lie_about_the_first():
@@ -139,6 +140,7 @@ def _square(x):
     return x * x
 
 
+@pytest.mark.realtime
 def test_work_side_by_side_keeps_its_order():
     assert map_jobs(_square, range(5), jobs=2) == [0, 1, 4, 9, 16]
 

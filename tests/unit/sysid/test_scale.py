@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from joblib import Parallel, delayed
 
-from car_model.effects import EFFECTS
 from car_model.params import DEFAULT_CAR
 from sysid.kernels import Held, lane_view, make_kernels, make_lanes, march
 from sysid.scale import on_cluster
@@ -17,7 +16,7 @@ def _square(value):
 
 
 def test_a_compiled_car_travels_without_its_code():
-    kernels = make_kernels((EFFECTS["steer_lag"],))
+    kernels = make_kernels()
     data = pickle.dumps(kernels)
     assert len(data) < 5_000
     again = pickle.loads(data)
@@ -25,7 +24,7 @@ def test_a_compiled_car_travels_without_its_code():
     held = Held(np.tile([0.1, 1.5], (50, 1)), 0.01)
     lanes = make_lanes(np.array([[0, 50, 0]]), np.zeros(1))
     first = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
-    parameters = np.array([*DEFAULT_CAR, 0.02])
+    parameters = np.array(DEFAULT_CAR)
     paths = [march(each, parameters, first, held, lanes, 50) for each in (kernels, again)]
     np.testing.assert_array_equal(lane_view(paths[0], 1), lane_view(paths[1], 1))
 

@@ -1,0 +1,55 @@
+"""`steerd collect` in real time: on a port as on a car, and with its own simulated hardware."""
+
+import numpy as np
+import pytest
+
+from steer_bus import messages as m
+from steer_bus.session_read import open_session
+from sysid.dataset import load_run
+
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
+PLAN = ("--plan", "steps", "--box", "14", "--duration", "4")
+
+
+def collect(steerd, record, *more):
+    return steerd("collect", "--listen", steerd.endpoint, "--record", record, *PLAN, *more)
+
+
+def check_drive(record):
+    """The session holds an exciting drive that identification can read."""
+    asked = open_session(record).columns(m.Actuation)
+    driven = asked["mode"] == m.ActuationMode.SPEED
+    assert np.ptp(asked["steer"][driven]) > 0.05
+    run = load_run(record)
+    assert run.duration > 2.5
+    assert run.servo_frame == 0.02
+    assert np.ptp(run.pose.values[:, 0]) > 1.0
+
+
+def test_a_car_on_a_port_drives_the_plan(undisturbed):
+    def scenario(steerd, folder):
+        port, url = steerd.sim(folder)
+        record = folder / "drive.mcap"
+        run = collect(steerd, record, "--port", port, "--mocap", url)
+        run.expect("READY")
+        steerd("arm", "--connect", steerd.endpoint)
+        run.expect("ARMED")
+        go = steerd("start", "--connect", steerd.endpoint)
+        assert run.expect("RUNNING|FAULT")[0] == "RUNNING", run.text
+        assert run.wait() == 0, run.text
+        assert go.wait() == 0, go.text
+        assert "end of the run" in run.text
+        check_drive(record)
+
+    undisturbed(scenario)
+
+
+def test_simulated_hardware_in_real_time_drives_it_too(undisturbed):
+    def scenario(steerd, folder):
+        record = folder / "drive.mcap"
+        run = collect(steerd, record, "--sim", "--auto-arm")
+        assert run.wait() == 0, run.text
+        assert "end of the run" in run.text
+        check_drive(record)
+
+    undisturbed(scenario)
