@@ -142,7 +142,8 @@ def virtual(said: dict[str, Any]) -> str:
         + "\n"
         + table(["seeds of 2 s", "processes", "wall s", "of real time, together"], seeds)
         + f"\n**Limit:** the interpreter. A tick of 10 ms is {number(said['calls'])} calls of "
-        f"small functions at {number(each_us)} µs each with what they do, spread flat over estimator "
+        f"small functions at {number(each_us)} µs each with what they do, spread flat over "
+        "the estimator "
         "(30 %), protocols and simulated VESC (30 %), loop (15 %), physics (8 %), mocap (6 %) and "
         "the rest; nothing is left that costs a tenth by itself but the four predictions and three "
         f"updates of the filter. The 80 × that was asked for, 125 µs a tick, is a budget of "
