@@ -109,9 +109,13 @@ def device_number(code: str, scale: float | None, value: Number) -> Number:
 
 def _saturated(code: str, value: Number) -> Number:
     if code == "f":
-        return 0.0 if abs(value) < _SMALLEST_F32 else value
+        return _flushed(value)
     low, high = _RANGES[code]
     return min(max(int(value), low), high)
+
+
+def _flushed(value: Number) -> Number:
+    return 0.0 if abs(value) < _SMALLEST_F32 else value
 
 
 def _auto_f32(value: float) -> float:
@@ -125,13 +129,26 @@ def host_numbers(fields: Sequence[Field], values: Sequence[Number]) -> Sequence[
 
 def device_numbers(fields: Sequence[Field], values: Sequence[Number]) -> Sequence[Number]:
     """`device_number` of each field, all rounded at once."""
-    measured = [i for i, f in enumerate(fields) if f.code == "f" or f.scale is not None]
+    measured, scales, ranges = _device_layout(tuple(fields))
     singles = _to_f32s([values[i] for i in measured])
-    products = [one * (fields[i].scale or 1.0) for i, one in zip(measured, singles, strict=True)]
+    products = _to_f32s([one * scale for one, scale in zip(singles, scales, strict=True)])
     numbers = list(values)
-    for i, product in zip(measured, _to_f32s(products), strict=True):
+    for i, product in zip(measured, products, strict=True):
         numbers[i] = product
-    return [_saturated(f.code, n) for f, n in zip(fields, numbers, strict=True)]
+    return [
+        int(min(max(number, limits[0]), limits[1])) if limits else _flushed(number)
+        for limits, number in zip(ranges, numbers, strict=True)
+    ]
+
+
+@lru_cache(maxsize=64)
+def _device_layout(
+    fields: tuple[Field, ...],
+) -> tuple[tuple[int, ...], tuple[float, ...], tuple[tuple[int, int] | None, ...]]:
+    """Which fields are measured in single precision, their scales, and what each field holds."""
+    measured = tuple(i for i, f in enumerate(fields) if f.code == "f" or f.scale is not None)
+    scales = tuple(fields[i].scale or 1.0 for i in measured)
+    return measured, scales, tuple(None if f.code == "f" else _RANGES[f.code] for f in fields)
 
 
 def pack_fields(
