@@ -30,6 +30,7 @@ TESTS = (
     "tests/unit/daemon/test_watchdogs.py", "tests/unit/daemon/test_watchdogs_pose.py",
     "tests/unit/daemon/test_watchdogs_thresholds.py", "tests/unit/daemon/test_launch.py",
     "tests/unit/daemon/test_guardian.py", "tests/unit/steer_bus/test_codec.py",
+    "tests/unit/steer_bus/test_codec_fresh.py", "tests/unit/daemon/test_watchdogs_words.py",
 )  # fmt: skip
 ROOMS = (
     "steer_bus", "car_model", "vesc_link", "mocap_link", "estimator", "controller", "sim_hw",

@@ -188,3 +188,12 @@ def test_a_clock_that_goes_back_moves_nothing():
     step = LaunchInput(9_000_000_000, 0.0, 0.0, 0.0, 5.0, 0.0)
     state, wrong = step_launch(make_launch_state(start), step, 1.0)
     assert (state.travelled, wrong) == (0.0, "")
+
+
+def test_what_is_said_is_said_to_the_letter():
+    units = end_of(x=2.0, wheels=1.0)[1]
+    assert units == "mocap moved 2.00 m, wheels 1.00 m: units, body or gear ratio"
+    turned = end_of(y=0.5, x=0.0, wheels=0.5)[1]
+    assert turned == "the car travels 90 deg off its mocap heading: body forward axis"
+    against = end_of(x=0.5, wheels=0.5, yaw=-0.1, steer=atan(0.5))[1]
+    assert against == "the car turns against its steering: servo direction, or mocap handedness"
