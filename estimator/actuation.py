@@ -86,7 +86,7 @@ def drive(
     car: Car[float], history: History, steer: float, speed: float, start_ns: int, end_ns: int
 ) -> Driven:
     """Steering and drive from `start_ns` to `end_ns`, from angle `steer` and `speed`."""
-    piece, times = _piece(car), history.times
+    piece, times, known = _piece(car), history.times, len(history.times)
     steer_late, drive_late = dead_times(car)
     turn = bisect_right(times, start_ns - steer_late)
     push = bisect_right(times, start_ns - drive_late)
@@ -94,7 +94,8 @@ def drive(
     now, by_steer, by_speed, turned_by_steer = steer, 1.0, 1.0, 0.0
     begin = start_ns
     while begin < end_ns:
-        next_turn, next_push = _due(times, turn, steer_late), _due(times, push, drive_late)
+        next_turn = times[turn] + steer_late if turn < known else _NEVER_NS
+        next_push = times[push] + drive_late if push < known else _NEVER_NS
         end = min(next_turn, next_push, end_ns)
         h = (end - begin) * SECONDS
         steering = history.commands[turn - 1] if turn else None
@@ -127,11 +128,6 @@ def drive(
         accel_by_speed=(by_speed - 1.0) / span,
         steered=steered,
     )
-
-
-def _due(times: tuple[int, ...], index: int, late_ns: int) -> int:
-    """When the command at `index` reaches its actuator [ns]."""
-    return times[index] + late_ns if index < len(times) else _NEVER_NS
 
 
 @lru_cache(maxsize=32)

@@ -10,10 +10,8 @@ the equations serves mean and covariance alike. The whole step is recorded once 
 (`car_model.tape`), zeros of sparse matrices left out.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -183,10 +181,12 @@ def predicted(
     in any order of arrival takes the same steps.
     """
     span = end_ns - start_ns
-    count = min(math.ceil(span / LONGEST_STEP_NS), MOST_STEPS)
-    marks = [start_ns + span * i // count for i in range(count + 1)] if count else []
-    for begin, end in pairwise(marks):
+    count = min(-(-span // LONGEST_STEP_NS), MOST_STEPS)
+    begin = start_ns
+    for i in range(1, count + 1):
+        end = start_ns + span * i // count
         belief = _step(kalman, car, config, history, belief, begin, end)
+        begin = end
     return belief
 
 

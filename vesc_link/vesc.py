@@ -158,7 +158,8 @@ class VescLink:
             return b""
         number = command_number(step)
         self._tries[number] = self._tries.get(number, 0) + 1
-        return self._send(step, t_ns)
+        self._note_sent(step, t_ns)
+        return self._frame(step)
 
     def _connect_step(self) -> Command | None:
         firmware = self.firmware
@@ -191,12 +192,14 @@ class VescLink:
         parts = [self._frame(command) for command in self._motion(drive)]
         room = WRITE_LIMIT - sum(map(len, parts))
         for command in self._polls(t_ns):
-            if command_number(command) in self._open or len(self._frame(command)) > room:
+            frame = self._frame(command)
+            if command_number(command) in self._open or len(frame) > room:
                 continue
             if self._queue and command is self._queue[0]:
                 self._queue.popleft()
-            parts.append(self._send(command, t_ns))
-            room -= len(parts[-1])
+            self._note_sent(command, t_ns)
+            parts.append(frame)
+            room -= len(frame)
         return b"".join(parts)
 
     def _motion(self, drive: e.Drive) -> list[Command]:
@@ -235,7 +238,7 @@ class VescLink:
     def _frame(self, command: Command) -> bytes:
         return _frame_of(command, self.firmware or FW_7_01)
 
-    def _send(self, command: Command, t_ns: int) -> bytes:
+    def _note_sent(self, command: Command, t_ns: int) -> None:
         if expects_reply(command):
             number = command_number(command)
             earliest = self._just_expired.pop(number, t_ns)
@@ -243,7 +246,6 @@ class VescLink:
             self._open[number] = _Request(command, t_ns, earliest if still_possible else t_ns)
         if isinstance(command, c.GetValuesSetupSelective):
             self._uptime_due_ns = t_ns + UPTIME_PERIOD_NS
-        return self._frame(command)
 
     def _expire(self, t_ns: int) -> None:
         for number, request in list(self._open.items()):
