@@ -29,7 +29,8 @@ TESTS = (
     "tests/unit/controller/test_limits.py", "tests/unit/daemon/test_supervisor.py",
     "tests/unit/daemon/test_watchdogs.py", "tests/unit/daemon/test_watchdogs_pose.py",
     "tests/unit/daemon/test_watchdogs_thresholds.py", "tests/unit/daemon/test_launch.py",
-    "tests/unit/daemon/test_guardian.py", "tests/unit/steer_bus/test_codec.py",
+    "tests/unit/daemon/test_guardian.py", "tests/unit/daemon/test_supervisor_start.py",
+    "tests/unit/steer_bus/test_codec.py",
     "tests/unit/steer_bus/test_codec_fresh.py", "tests/unit/daemon/test_watchdogs_words.py",
 )  # fmt: skip
 ROOMS = (
