@@ -106,7 +106,16 @@ def find_phase(run: Run, rough: Fit, options: Options) -> Pulse:
     best, alike = _middle(tried)
     others = tried[~alike]
     sure = float(others.min() - tried.min()) if len(others) else 0.0
-    return Pulse(run.name, float(phases[0] + best * step), sure)
+    return Pulse(run.name, _on_grid(float(phases[0] + best * step), run.h, step), sure)
+
+
+def _on_grid(phase: float, h: float, step: float) -> float:
+    """The nearest phase whose pulses fall between steps of the grid, if it is as good as this one.
+
+    A pulse within a step would be blurred over it, and 2 ms of blur pass for inertia.
+    """
+    near = h * round(phase / h)
+    return near if abs(near - phase) <= 0.5 * step + 1e-9 else phase
 
 
 def _problem(run: Run, rough: Fit, options: Options) -> Problem:

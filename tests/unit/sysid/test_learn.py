@@ -109,7 +109,8 @@ def test_json_is_the_schema(outcome):
 
 
 def test_the_report_needs_nothing_else(outcome, truth, monkeypatch):
-    monkeypatch.setattr("sysid.closed_loop.SECONDS", 3.0)
+    monkeypatch.setattr("sysid.closed_loop.SECONDS", 2.0)
+    monkeypatch.setattr("sysid.closed_loop.FRICTIONS", {"standard": 1.0})
     page = render_report(replace(outcome, truth=truth.car))
     assert page.count("<svg") == 6
     for outside in ("<script", "<link", "<img", "src=", "@import"):
