@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from sim_gap.descent import Fitted, covariance_of, total
 from sim_gap.engine import Engine
+from sim_gap.readings import SPACING
 from sim_gap.space import Space
 
 Array = NDArray[np.float64]
@@ -18,6 +19,7 @@ _SETTLE_ROUNDS = 4
 _SETTLED = 0.5
 """Starts are at their best when a step takes no more than this off the squares."""
 _BOOTSTRAPS = 200
+_HALF_SLOT = 0.5 * SPACING
 
 
 @dataclass(frozen=True)
@@ -113,12 +115,17 @@ def _at_lead(engine: Engine, error: Array, lead: float) -> tuple[Array, Array, A
     """Position, yaw and speed errors of all windows near `lead` (speed from the wheel)."""
     padded, readings = engine.padded, engine.readings
     t, channel = readings.t[padded.row], readings.channel[padded.row]
-    near = (np.abs(t - lead) < 0.026) & (padded.there > 0.0)
-    square = error**2
-    planar = near & (channel <= 1)
+    away = np.where(padded.there > 0.0, np.abs(t - lead), np.inf)
+    planar = _nearest(away, channel <= 1)
     count = np.maximum(planar.sum(axis=1), 1) / 2.0
-    seen = planar.any(axis=1)
-    position = np.sqrt((square * planar).sum(axis=1) / count)[seen]
-    turn = near & (channel == 2)
-    wheel = near & (channel == 3)
+    position = np.sqrt((error**2 * planar).sum(axis=1) / count)[planar.any(axis=1)]
+    turn, wheel = _nearest(away, channel == 2), _nearest(away, channel == 3)
     return position, error[turn], error[wheel]
+
+
+def _nearest(away: Array, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Rows within half a slot of the lead; the last slot of windows may lie before it."""
+    there = wanted & np.isfinite(away)
+    if not there.any():
+        return there
+    return np.asarray(there & (away < max(0.0, away[there].min() - _HALF_SLOT) + _HALF_SLOT + 1e-3))
