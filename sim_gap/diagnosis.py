@@ -22,7 +22,7 @@ from sim_gap.engine import Engine
 from sim_gap.healthy import learn_healthy, refine
 from sim_gap.horizons import Horizon, cross_check
 from sim_gap.next_manoeuvre import Manoeuvre, next_manoeuvre
-from sim_gap.noise import Noise, learn_noise, louder, noise_of_section, whitened
+from sim_gap.noise import Noise, learn_noise, louder, noise_floor, noise_of_section, whitened
 from sim_gap.opening import null_fit, open_engine
 from sim_gap.residuals import Gap, gap_of, settled
 from sim_gap.shape import Shape, shape_of
@@ -147,6 +147,7 @@ class _Case:
     nuisance: tuple[str, ...]
     options: Options
     only: tuple[str, ...]
+    floor: float
 
 
 def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None:
@@ -184,9 +185,11 @@ def diagnose(
     if unknown:
         raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
     nuisance = nuisance_names(superset, runs)
-    case = _Case(superset, open_engine(superset, runs), nuisance, options, only)
+    signals, opened = estimate_noise(runs), open_engine(superset, runs)
+    floor = noise_floor(opened, float(signals[2]))
+    case = _Case(superset, opened, nuisance, options, only, floor)
     known = _known_noise(base, options)
-    known = known and louder(known, estimate_noise(runs))
+    known = known and louder(known, signals)
     engine, null, ranked, noise = _search(case, known)
     options.progress("decide", 0.6)
     blocks = blocks_of(engine)
@@ -244,7 +247,7 @@ def _told(
     )
     chosen = choice.best if found else choice.null
     gap_after = gap_best if found else gap_of(engine, choice.null.fitted, choice.blocks)
-    verdict = verdict_of(choice, found, known, gap_before, gap_after)
+    verdict = verdict_of(choice, found, known, gap_before, gap_after, case.floor)
     case.options.progress("where", 0.75)
     where = locate(engine, before, chosen.fitted, noise, choice.blocks, names)
     causes = _causes(engine, choice, verdict) if found and verdict != "unexplained" else ()
@@ -275,12 +278,14 @@ def practical(choice: Choice, before: Gap, after: Gap, null: Gap) -> bool:
     return moved >= c.SPEED_MIN or share >= c.SHARE_MIN or choice.gain >= clear
 
 
-def verdict_of(choice: Choice, found: bool, known: bool, before: Gap, after: Gap) -> str:
-    """`none`, `explained`, `partial` or `unexplained`."""
-    left = after.interval[0] > c.EXCESS_LEFT
+def verdict_of(
+    choice: Choice, found: bool, known: bool, before: Gap, after: Gap, floor: float
+) -> str:
+    """`none`, `explained`, `partial` or `unexplained`; `floor` is what noise alone leaves."""
+    left = after.interval[0] > c.EXCESS_LEFT * floor
     if not found:
         return "unexplained" if known and left else "none"
-    share = explained_share(before.whitened, after.whitened, 1.0)
+    share = explained_share(before.whitened, after.whitened, floor)
     if known and left and share < c.EXPLAINED_MIN:
         return "partial" if share >= c.PARTIAL_MIN else "unexplained"
     return "partial" if any(split.broken for split in choice.splits) else "explained"

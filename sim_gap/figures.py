@@ -47,6 +47,7 @@ def draw_gap(before: Gap, after: Gap, explained: bool) -> str:
         names["with the effect"] = AFTER
     with rc_context(_STYLE):
         figure, axes = make_figure(1, 3, 2.5)
+        gaps = (before, after) if explained else (before,)
         units = (("position [mm]", 1e3), ("heading [mrad]", 1e3), ("wheel speed [mm/s]", 1e3))
         for i, (axis, (label, scale)) in enumerate(zip(axes[0], units, strict=True)):
             _bars(axis, before, i, scale, -0.2 if explained else 0.0, BEFORE)
@@ -54,11 +55,20 @@ def draw_gap(before: Gap, after: Gap, explained: bool) -> str:
                 _bars(axis, after, i, scale, 0.2, AFTER)
             leads = [before.errors[j][0] for j in told_leads(before)]
             axis.set_xticks(range(len(leads)), [f"{lead:g} s" for lead in leads])
-            axis.set(title=label, ylim=(0.0, None))
+            axis.set(title=label, yscale="log", ylim=_limits(gaps, i, scale))
+            _plain_log(axis.yaxis)
             axis.grid(visible=False, axis="x")
         axes[0, 0].set_ylabel("root mean square")
         _name(axes[0, 0], names, "upper left")
         return to_svg(figure, "Prediction error by horizon, before and after")
+
+
+def _limits(gaps: Sequence[Gap], i: int, scale: float) -> tuple[float, float]:
+    """Of a logarithmic axis that holds all bars and their intervals."""
+    values = [gap.errors[j][1 + i] for gap in gaps for j in told_leads(gap)]
+    highs = [gap.intervals[j][i][1] for gap in gaps for j in told_leads(gap)]
+    low = max(min((v for v in values if v > 0.0), default=1e-4), 1e-7)
+    return 0.4 * scale * low, 2.0 * scale * max([low, *values, *highs])
 
 
 def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str) -> None:

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from sim_gap.constants import NOISE_KEPT
 from sim_gap.descent import Fitted
 from sim_gap.disturb import INPUTS, Responses, responses
-from sim_gap.engine import Engine, Linear
+from sim_gap.engine import FREE_STATES, Engine, Linear
 
 Array = NDArray[np.float64]
 
@@ -177,6 +178,22 @@ def louder(noise: Noise, signals: Array) -> Noise:
     old = np.array(noise.instruments)
     a, b, c, d = np.where(signals > LOUDER * old, signals, old).tolist()
     return replace(noise, instruments=(a, b, c, d))
+
+
+def noise_floor(engine: Engine, wheel: float) -> float:
+    """What noise alone should leave of the whitened error per degree of freedom.
+
+    Wheel speed is trusted less than it deserves (`WHEEL_LEAST`), so its readings leave less.
+
+    Args:
+        engine: the windows.
+        wheel: noise of the wheel speed's own signal [m/s].
+    """
+    counts = instrument_rows(engine).sum(axis=(1, 2))
+    worth = np.array([1.0, 1.0, min(1.0, (wheel / WHEEL_LEAST) ** 2), 1.0])
+    free = FREE_STATES * engine.readings.count
+    share = (counts @ worth - free) / max(float(counts.sum()) - free, 1.0)
+    return NOISE_KEPT * float(max(share, 0.1))
 
 
 def noise_section(noise: Noise) -> dict[str, float]:

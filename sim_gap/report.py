@@ -22,6 +22,7 @@ from sim_gap.words import (
     lane_words,
     manoeuvre_words,
     residual_words,
+    short,
     shrink_words,
     summary_of,
     told_leads,
@@ -89,7 +90,8 @@ def render_report(subject: Subject, told: Diagnosis, lane: LaneComparison | None
 
 
 def _cards(subject: Subject, told: Diagnosis) -> Iterator[Card]:
-    last = (told_leads(told.before) or [0])[-1]
+    leads = told_leads(told.before) or [0]
+    last = min(leads, key=lambda i: abs(told.before.errors[i][0] - 1.0))
     before, after = told.before.errors[last], told.after.errors[last]
     lead = f"position error after {before[0]:g} s"
     if told.causes:
@@ -98,11 +100,11 @@ def _cards(subject: Subject, told: Diagnosis) -> Iterator[Card]:
         more = f" and {told.causes[1].effect}" if len(told.causes) > 1 else ""
         yield Card("cause", f"{first.effect}{more}", f"confidence {first.confidence:.0%}")
         yield Card("how large", value_words(value, sd, unit), f"{first.effect}: {parameter} ± sd")
-        figure = f"{1e3 * before[1]:.2g} → {1e3 * after[1]:.2g} mm"
+        figure = f"{short(1e3 * before[1])} → {short(1e3 * after[1])} mm"
         yield Card(lead, figure, "base car → with the effect")
         yield _shrunk(told)
         return
-    yield Card(lead, f"{1e3 * before[1]:.2g} mm", "root mean square, base car")
+    yield Card(lead, f"{short(1e3 * before[1])} mm", "root mean square, base car")
     low, high = told.before.interval
     text = f"1 is noise alone; 90 %: {low:.2g} to {high:.2g}"
     yield Card("error over noise", f"{told.before.whitened:.2g}", text)

@@ -78,6 +78,11 @@ def ambiguity(cause: Cause) -> str:
     return "; ".join(parts)
 
 
+def short(value: float) -> str:
+    """Two digits, and never an exponent."""
+    return f"{value:.2g}" if abs(value) < 99.5 else f"{value:.0f}"
+
+
 def told_leads(gap: Gap) -> list[int]:
     """Which leads have errors: windows may end just before the last."""
     return [i for i, row in enumerate(gap.errors) if row[1] > 0.0]
@@ -88,11 +93,11 @@ def gap_words(told: Diagnosis) -> Iterator[str]:
     for i in told_leads(told.before):
         before, after = told.before.errors[i], told.after.errors[i]
         if not told.causes:
-            yield f"{before[0]:g} s: {1e3 * before[1]:.2g} mm, {1e3 * before[2]:.2g} mrad"
+            yield f"{before[0]:g} s: {short(1e3 * before[1])} mm, {short(1e3 * before[2])} mrad"
             continue
         yield (
-            f"{before[0]:g} s: {1e3 * before[1]:.2g} → {1e3 * after[1]:.2g} mm, "
-            f"{1e3 * before[2]:.2g} → {1e3 * after[2]:.2g} mrad"
+            f"{before[0]:g} s: {short(1e3 * before[1])} → {short(1e3 * after[1])} mm, "
+            f"{short(1e3 * before[2])} → {short(1e3 * after[2])} mrad"
         )
 
 
