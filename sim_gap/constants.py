@@ -29,6 +29,9 @@ PARTIAL_MIN = 0.5
 """Shares of the excess that make a verdict `explained` or `partial`."""
 EXCESS_LEFT = 1.25
 """Whitened error that known noise leaves at most, sampling included, per what it should leave."""
+EXCESS_ALONE = 1.5
+"""The same where no effect explains anything: noise that differs from the healthy drives' is no
+gap."""
 NOISE_KEPT = 0.84
 """What known noise leaves per degree of freedom of an instrument that is as good as believed:
 healthy tuning drives with poses alone gave 0.80 to 0.87."""

@@ -284,7 +284,8 @@ def verdict_of(
     """`none`, `explained`, `partial` or `unexplained`; `floor` is what noise alone leaves."""
     left = after.interval[0] > c.EXCESS_LEFT * floor
     if not found:
-        return "unexplained" if known and left else "none"
+        alone = after.interval[0] > c.EXCESS_ALONE * floor
+        return "unexplained" if known and alone else "none"
     share = explained_share(before.whitened, after.whitened, floor)
     if known and left and share < c.EXPLAINED_MIN:
         return "partial" if share >= c.PARTIAL_MIN else "unexplained"

@@ -46,10 +46,12 @@ def draw_gap(before: Gap, after: Gap, explained: bool) -> str:
     if explained:
         names["with the effect"] = AFTER
     with rc_context(_STYLE):
-        figure, axes = make_figure(1, 3, 2.5)
         gaps = (before, after) if explained else (before,)
-        units = (("position [mm]", 1e3), ("heading [mrad]", 1e3), ("wheel speed [mm/s]", 1e3))
-        for i, (axis, (label, scale)) in enumerate(zip(axes[0], units, strict=True)):
+        units = ("position [mm]", "heading [mrad]", "wheel speed [mm/s]")
+        there = [i for i in range(3) if any(row[1 + i] > 0.0 for row in before.errors)] or [0]
+        figure, axes = make_figure(1, len(there), 2.5)
+        for axis, i in zip(axes[0], there, strict=True):
+            label, scale = units[i], 1e3
             _bars(axis, before, i, scale, -0.2 if explained else 0.0, BEFORE)
             if explained:
                 _bars(axis, after, i, scale, 0.2, AFTER)
