@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import floor
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,8 @@ EVERY = 4
 """Unless said otherwise every 4th block or session is kept back."""
 BLOCK = 6.5
 """Least length of a block: the error of predictions 3 s ahead can be told twice in it [s]."""
+_OVER = 0.45
+"""A block may be so much longer than whole seconds; more would make one window more of it [s]."""
 FEWEST = 3
 """Of fewer blocks none is kept back unless `--runs-held-out` says so."""
 LEAST = 5.0
@@ -238,8 +241,14 @@ def cut_blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
     for part in parts:
         start, end = float(part.pose.t[0]), min(float(part.pose.t[-1]), part.duration)
         edges = np.linspace(start, end, max(1, int((end - start) / BLOCK)) + 1)
-        found += [cut(part, low, high - 1e-6) for low, high in pairwise(edges)]
+        found += [cut(part, low, _whole_windows(low, high)) for low, high in pairwise(edges)]
     return tuple(found)
+
+
+def _whole_windows(low: float, high: float) -> float:
+    """Where a block ends: its windows of about a second must not be shorter than that."""
+    whole = floor(high - low)
+    return min(high - 1e-6, low + whole + _OVER) if whole else high
 
 
 def _in_blocks(drives: Sequence[Run], parts: tuple[Run, ...]) -> tuple[Run, ...]:
@@ -251,4 +260,4 @@ def _block_notes(drives: Sequence[Run]) -> list[str]:
     if len(drives) >= EVERY:
         return []
     what = "one session" if len(drives) == 1 else f"{len(drives)} sessions"
-    return [f"{what}, cut into blocks of about {BLOCK:.0f} s: they stand in for further drives"]
+    return [f"{what}, cut into blocks of {BLOCK:g} s or more: they stand in for further drives"]

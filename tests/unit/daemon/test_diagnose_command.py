@@ -89,7 +89,7 @@ def test_the_screen_names_the_cause_on_one_screen(told):
     assert max(map(len, lines[:-1])) <= COLUMNS
     assert "steer_delay: delay = " in screen
     assert "the default car is assumed" in screen
-    assert "cut into blocks of about" in screen
+    assert "cut into blocks of 6.5 s or more" in screen
     assert lines[-1].startswith("next ")
     assert "steerd run --sim --fast --duration 20 --car" in lines[-1]
 
@@ -328,6 +328,13 @@ def test_blocks_of_one_session_share_no_measurement(told):
     )
     assert len(spans) >= 3
     assert all(a[1] < b[0] for a, b in itertools.pairwise(spans))
+
+
+def test_windows_of_blocks_reach_a_second_ahead(told):
+    from sysid.windows import make_layout
+
+    layout = make_layout(case_of(told[0] / "run.mcap").runs, 1.0)
+    assert (layout.spans[:, 3] * layout.h).min() >= 0.99
 
 
 def test_too_few_blocks_for_what_is_asked_are_refused(told):
