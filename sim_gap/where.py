@@ -24,6 +24,12 @@ CHANNELS: tuple[str, ...] = ("x", "y", "yaw", "wheel_speed", "yaw_rate")
 _UNITS = {"speed": "m/s", "lateral_acceleration": "m/s^2", "steering_rate": "rad/s",
           "longitudinal_acceleration": "m/s^2", "x": "m", "y": "m", "heading": "rad",
           "run_time": "s"}  # fmt: skip
+_VARIES = {"speed": 0.2, "lateral_acceleration": 0.5, "steering_rate": 0.1,
+           "longitudinal_acceleration": 0.3, "x": 0.5, "y": 0.5, "heading": 0.5,
+           "run_time": 5.0}  # fmt: skip
+"""What a variable must spread over (5th to 95th percentile) before anything is said of its bins."""
+_WORTH_TELLING = 1.5
+"""Lower end of a regime's ratio before the sentence names it."""
 BIN_LEAST = 8
 _BINS = 3
 _SIZES = np.array([0.3, 0.3, 3.0, 0.01, 0.1])
@@ -196,6 +202,8 @@ def regimes(engine: Engine, fitted: Fitted, blocks: NDArray[np.int64]) -> tuple[
     each, found = ratios(fitted), []
     excess = np.maximum(np.minimum(each, 100.0) - 1.0, 0.0)
     for name, values in conditions(engine, fitted).items():
+        if np.subtract(*np.quantile(values, [0.95, 0.05])) < _VARIES[name]:
+            continue
         edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
         for low, high in pairwise(edges):
             inside = (values >= low) & ((values < high) | (high == edges[-1]))
@@ -245,7 +253,7 @@ def sentence_of(equation: Sequence[Share], found: Sequence[Regime]) -> str:
     }  # fmt: skip
     text = f"The error lies in {words[equation[0].name]} ({equation[0].share:.0%} of what hidden"
     text += " inputs would remove)"
-    if not found or found[0].ratio_low <= 1.1:
+    if not found or found[0].ratio_low <= _WORTH_TELLING:
         return f"{text}; it is much the same at every speed, place and time."
     r = found[0]
     name = r.variable.replace("_", " ")
