@@ -1,16 +1,27 @@
 """Windows, whitening and descent: numbers against their definitions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sim_gap.candidates import blocks_of, folds_of, held_out
+from sim_gap.constants import NOISE_KEPT
 from sim_gap.descent import descend, step_within
 from sim_gap.disturb import INPUTS, responses
 from sim_gap.engine import make_engine, take_windows
-from sim_gap.noise import Noise, learn_noise, noise_of_section, noise_section, whitened
+from sim_gap.noise import (
+    Noise,
+    learn_noise,
+    louder,
+    noise_floor,
+    noise_of_section,
+    noise_section,
+    whitened,
+)
 from sim_gap.readings import SPACING, make_readings
 from sim_gap.residuals import robust_mean, settled
-from sim_gap.space import BOX, make_space, nuisance_names
+from sim_gap.space import BOX, make_space, nuisance_names, telling_effects
 from sim_gap.superset import make_superset
 from sysid.windows import speed_range
 
@@ -50,6 +61,37 @@ def test_a_slope_is_the_difference_quotient(healthy, fitted):
     assert np.abs(quotient - at.by_z[:, :, i]).max() < 1e-3 * scale
 
 
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("steer_delay", (0.0134,)),
+        ("steer_backlash", (0.02,)),
+        ("steer_rate_limit", (1.5,)),
+        ("tyre_relaxation", (0.03,)),
+        ("mocap_latency", (0.021,)),
+        ("marker_offset", (0.02, 0.01)),
+        ("grip_drift", (0.3,)),
+    ],
+)
+def test_readings_without_derivatives_are_the_same_numbers(healthy, effect, values):
+    space = make_space(healthy.superset, (), [effect])
+    x = healthy.readings.layout.guess.copy()
+    x[:, 6] = 0.002
+    z = np.array(values)
+    alone, finite = healthy.missed(space, z, x)
+    assert finite
+    assert np.abs(alone - healthy.linear(space, z, x).error).max() < 1e-12
+
+
+def test_derivatives_of_a_near_point_give_the_same_losses(healthy, fitted):
+    space, z, x = fitted.space, fitted.z, fitted.x
+    linear = healthy.linear(space, z, x)
+    whole = healthy.eliminate(linear, x)
+    parts = healthy.reduce_by(healthy.tangent(linear), linear.error, x)
+    assert np.allclose(whole.square, parts.square)
+    assert np.allclose(whole.g, parts.g)
+
+
 def test_effects_at_their_nulls_change_no_bit(healthy, fitted):
     names = [e.name for e in healthy.superset.effects if e.name != "grip_patch"]
     wide = make_space(healthy.superset, (), names[:12])
@@ -81,6 +123,30 @@ def test_noise_survives_a_car_file():
     assert noise_of_section({}) is None
     with pytest.raises(ValueError, match="position"):
         noise_of_section({"yaw": 1.0})
+
+
+def test_drives_noisier_than_known_are_believed():
+    known = Noise((1e-3, 2e-3, 0.06, 0.05), (0.4, 0.3, 2.0))
+    heard = louder(known, np.array([2e-3, 2.1e-3, 0.01, 0.0]))
+    assert heard.instruments == (2e-3, 2e-3, 0.06, 0.05)
+    assert heard.pushes == known.pushes
+
+
+def test_a_wheel_that_is_trusted_little_leaves_little(healthy):
+    there = healthy.padded.there.sum()
+    quiet, loud = noise_floor(healthy, 1e-3), noise_floor(healthy, 0.06)
+    assert loud == pytest.approx(NOISE_KEPT)
+    wheel = (healthy.readings.layout.group == 2).sum()
+    assert quiet < loud * (1.0 - 0.9 * wheel / there)
+
+
+def test_prescribed_speed_tells_nothing_of_the_drive(healthy, drive):
+    runs = drive("", 1, 4.0)
+    assert "accel_limit" in telling_effects(healthy.superset, runs)
+    measured = [replace(run, speed_source="wheel") for run in runs]
+    left = telling_effects(healthy.superset, measured)
+    assert not {"accel_limit", "rolling_drag", "drive_delay"} & set(left)
+    assert "tyre_friction" in left
 
 
 def test_a_push_along_the_car_shows_in_speed_and_nowhere_before(healthy, fitted):

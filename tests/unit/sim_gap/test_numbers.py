@@ -7,7 +7,7 @@ import pytest
 
 from sim_gap import constants as c
 from sim_gap.candidates import Score, gain_of
-from sim_gap.decide import confidence_of, rivals_of, significant
+from sim_gap.decide import confidence_of, needless, rivals_of, significant
 from sim_gap.residuals import interval_of, robust_mean
 from sim_gap.shrink import explained_share
 from sim_gap.where import Regime, Share, sentence_of
@@ -59,6 +59,17 @@ def test_a_near_equal_is_a_rival_and_lowers_confidence():
     assert confidence_of(best, [best, far], BLOCKS, broken=True) == pytest.approx(
         alone * c.CONFIDENCE_BROKEN
     )
+
+
+def test_a_pair_needs_both():
+    pair = score("a", np.zeros(12))
+    assert needless(pair, score("b", np.full(12, 0.5)), BLOCKS)
+    assert not needless(pair, score("b", np.full(12, 10.0)), BLOCKS)
+
+
+def test_mass_is_never_named_alone():
+    best = score("mass", np.zeros(12))
+    assert rivals_of(best, [best], {}, BLOCKS) == ("yaw_inertia",)
 
 
 def test_robust_mean_keeps_one_and_bounds_the_rest():
