@@ -10,7 +10,7 @@ from jinja2 import Environment, FileSystemLoader, select_autoescape
 from car_model.effects import EFFECTS
 from sim_gap import figures
 from sim_gap.closed_loop import LaneComparison
-from sim_gap.diagnosis import Diagnosis
+from sim_gap.diagnosis import Cause, Diagnosis
 from sim_gap.words import (
     EQUATIONS,
     FAMILIES,
@@ -96,7 +96,7 @@ def _cards(subject: Subject, told: Diagnosis) -> Iterator[Card]:
     lead = f"position error after {before[0]:g} s"
     if told.causes:
         first = told.causes[0]
-        parameter, (value, sd, unit) = next(iter(first.parameters.items()))
+        parameter, (value, sd, unit) = _surest(first)
         more = f" and {told.causes[1].effect}" if len(told.causes) > 1 else ""
         yield Card("cause", f"{first.effect}{more}", f"confidence {first.confidence:.0%}")
         yield Card("how large", value_words(value, sd, unit), f"{first.effect}: {parameter} ± sd")
@@ -111,6 +111,17 @@ def _cards(subject: Subject, told: Diagnosis) -> Iterator[Card]:
     if told.candidates:
         effect, gain, se = max(told.candidates, key=lambda row: row[1])
         yield Card("best candidate", effect, f"gains {gain:.0f} ± {se:.0f} nats: not enough")
+
+
+def _surest(cause: Cause) -> tuple[str, tuple[float, float, str]]:
+    """The parameter that is furthest from doing nothing, in its standard errors."""
+    nulls = {p.name: p.null for p in EFFECTS[cause.effect].parameters}
+
+    def sigmas(item: tuple[str, tuple[float, float, str]]) -> float:
+        name, (value, sd, _) = item
+        return abs(value - nulls[name]) / max(sd, 1e-12)
+
+    return max(cause.parameters.items(), key=sigmas)
 
 
 def _shrunk(told: Diagnosis) -> Card:
