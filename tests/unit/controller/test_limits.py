@@ -241,3 +241,10 @@ def test_rates_are_per_second():
 def test_steer_bound_at_walking_pace_is_already_finite():
     assert steer_bound(LIMITS, 0.5) == atan(0.75 / 0.25)
     assert pass_gate(nan, 0.0).clips == 0
+
+
+@pytest.mark.parametrize("steer", [0.0, 0.01, 0.5, -0.5])
+def test_what_left_the_gate_is_what_it_remembers(steer):
+    out = pass_gate(steer, 5.0, last=(0.1, 1.0))
+    assert out.state.order == out.order
+    assert out.state.t_ns == STEP_NS
