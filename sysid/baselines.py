@@ -7,11 +7,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from sysid.course import NAMES, BaselineMissingError, Course
 from sysid.paper import (
     HIGH,
     LOW,
-    NAMES,
-    Course,
     PaperProblem,
     Watch,
     _never,
@@ -29,10 +28,6 @@ LENGTH_SCALE = 28.57
 _SCALE = np.array([LENGTH_SCALE, LENGTH_SCALE, 1.0, 1.0])
 EVERY = 50
 """Least squares compares positions every 0.1 s."""
-
-
-class BaselineMissingError(ImportError):
-    """The optional extra `baselines` is not installed."""
 
 
 def _optuna() -> Any:

@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sysid.closed_loop import FRICTIONS, Profile
+from sysid.course import Course
 from sysid.drawing import AFTER, BEFORE, FAINT, INK, MEASURED, STYLE, make_figure, to_svg
 from sysid.fit import Fit
 from sysid.outcome import HeldOut
-from sysid.paper import Course
 from sysid.validation import Trace
 from sysid.windows import GROUPS
 

@@ -4,24 +4,26 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import isnan
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from car_model.model import Model
 from car_model.params import PARAMETERS, Car, wheelbase
-from sysid.baselines import search_cma
+from sysid.course import NAMES, Course
 from sysid.cut import blocks, keep_back, moving_parts
 from sysid.dataset import Run
 from sysid.excitation import measure_excitation
 from sysid.fit import Fit, Options, fit
 from sysid.outcome import HeldOut, Outcome, Row
-from sysid.paper import NAMES, Course, PaperRun, descend_adam, draw_starts, make_problem
-from sysid.paper import paper_runs as cut_paper_runs
 from sysid.scale import map_jobs
 from sysid.servo import Pulse, rough_fit, settle_servo
 from sysid.tells import MANOEUVRES, RELATIVE_MAX
 from sysid.validation import HORIZONS, errors_at, trace_windows
+
+if TYPE_CHECKING:
+    from sysid.paper import PaperRun
 
 Array = NDArray[np.float64]
 
@@ -164,10 +166,13 @@ def _fit_ours(task: Task, runs: Sequence[Run]) -> Fit:
 
 
 def _course(
-    item: tuple[int, Array], runs: tuple[PaperRun, ...], method: str, iterations: int | None
+    item: tuple[int, Array], runs: "tuple[PaperRun, ...]", method: str, iterations: int | None
 ) -> Course:
     """One start. The problem is made where the work is done: compiled code does not travel."""
     number, start = item
+    from sysid.baselines import search_cma
+    from sysid.paper import descend_adam, make_problem
+
     problem = make_problem(runs)
     if method == "paper":
         return descend_adam(problem, start, iterations or 100)
@@ -176,7 +181,9 @@ def _course(
 
 def _search(task: Task) -> tuple[Course, ...]:
     """The paper's method or its baseline from random starts."""
-    runs = cut_paper_runs(task.runs)
+    from sysid.paper import draw_starts, paper_runs  # torch: a second that our method need not wait
+
+    runs = paper_runs(task.runs)
     starts = draw_starts(np.random.default_rng(task.seed), max(task.starts, 1))
     work = partial(_course, runs=runs, method=task.method, iterations=task.iterations)
     courses = map_jobs(work, list(enumerate(starts)), task.jobs, task.dask)

@@ -6,9 +6,9 @@ from math import isnan
 from typing import Any, NamedTuple
 
 from car_model.params import Car
+from sysid.course import Course
 from sysid.excitation import Excitation
 from sysid.fit import Fit
-from sysid.paper import Course
 from sysid.servo import Pulse
 from sysid.tells import Combination
 from sysid.validation import Prediction, Trace

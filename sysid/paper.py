@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from car_model.params import Car
 from sysid.chamfer import chamfer
+from sysid.course import NAMES, Course
 from sysid.dataset import Run
 from sysid.kernels import Kernels, make_kernels
 from sysid.soft_dtw import PAPER_GAMMA, soft_dtw, squared_distances
@@ -28,7 +29,6 @@ from sysid.windows import guess_state
 
 Array = NDArray[np.float64]
 
-NAMES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
 LOW = np.array([0.1, 0.1, 2.0, 2.0])
 HIGH = np.array([0.35, 0.35, 10.0, 10.0])
 """Starts are uniform in between (the paper's 2.857 to 10, divided by 28.57, for the lengths)."""
@@ -57,24 +57,6 @@ class PaperRun(NamedTuple):
     commands: Array
     path: Array
     first: Array
-
-
-class Course(NamedTuple):
-    """How one start went.
-
-    Attributes:
-        start: (4,) in the order of `NAMES`.
-        losses: loss of each iteration's batch.
-        path: (iterations + 1, 4) parameters.
-        final: (4,) the last ones (Adam), or the best (CMA-ES).
-        diverged: a loss was not finite, which ended it.
-    """
-
-    start: Array
-    losses: Array
-    path: Array
-    final: Array
-    diverged: bool = False
 
 
 Watch = Callable[[int, Array, float], bool]

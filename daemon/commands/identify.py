@@ -188,7 +188,7 @@ def _parse_fix(text: str) -> tuple[list[str], dict[str, float]]:
 
 
 def _learn(task: "Task") -> "Outcome":
-    from sysid.baselines import BaselineMissingError
+    from sysid.course import BaselineMissingError
     from sysid.gate import DataError
     from sysid.learn import learn
     from sysid.scale import DaskMissingError
