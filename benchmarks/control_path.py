@@ -162,7 +162,9 @@ def percentiles(values: Any) -> dict[str, float]:
 def judge(session: Path, frames: list[int], orders: list[int], begin: int, end: int) -> Any:
     """Figures of one drive between two moments [ns]."""
     drive = open_session(session)
-    ticks, reached = drive.columns(m.Tick), drive.columns(m.Transition)["to_state"]
+    ticks, changes = drive.columns(m.Tick), drive.columns(m.Transition)
+    epoch = int(ticks["stamp_ns"][0] - ticks["woke_ns"][0])
+    reached = changes["to_state"][changes["stamp_ns"] - epoch < end]
     due, woke, work = (ticks[name] for name in ("due_ns", "woke_ns", "work_ns"))
     numbers = ticks["seq"].astype(np.int64)
     inside = (due >= begin) & (due < end)
