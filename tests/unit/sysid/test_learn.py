@@ -8,6 +8,7 @@ import pytest
 
 from car_model.model import Model
 from car_model.params import DEFAULT_CAR
+from sysid.closed_loop import compare_designs
 from sysid.cut import blocks, cut, keep_back, moving_parts, smooth_speed, with_wheel_speed
 from sysid.excitation import measure_excitation
 from sysid.fit import Options
@@ -111,6 +112,9 @@ def test_json_is_the_schema(outcome):
 def test_the_report_needs_nothing_else(outcome, truth, monkeypatch):
     monkeypatch.setattr("sysid.closed_loop.SECONDS", 2.0)
     monkeypatch.setattr("sysid.closed_loop.FRICTIONS", {"standard": 1.0})
+    monkeypatch.setattr(
+        "sysid.report.compare_designs", lambda plant, cars: compare_designs(plant, {"true": plant})
+    )
     page = render_report(replace(outcome, truth=truth.car))
     assert page.count("<svg") == 6
     for outside in ("<script", "<link", "<img", "src=", "@import"):
