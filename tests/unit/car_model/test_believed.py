@@ -10,7 +10,9 @@ from car_model.params import DEFAULT_CAR, wheelbase
 
 def believed(text):
     chosen = parse_effects(text)
-    return believed_car(Model(DEFAULT_CAR, tuple(e for e, _ in chosen), tuple(v for _, v in chosen)))
+    return believed_car(
+        Model(DEFAULT_CAR, tuple(e for e, _ in chosen), tuple(v for _, v in chosen))
+    )
 
 
 def test_no_effect_changes_nothing():
