@@ -235,6 +235,6 @@ def _why(told: Diagnosis) -> Iterator[Section]:
         text = "A real cause has one value everywhere. Fitted on halves of the drives, " + (
             f"it differs by {', '.join(broken)}: it behaves like this effect there only."
             if broken
-            else "no two halves disagree by more than four standard errors and a third of the effect."
+            else "no two halves differ by more than four standard errors and a third of it."
         )
     yield Section("How sure", text, figure, heads, rows, words=True)
