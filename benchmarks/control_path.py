@@ -123,7 +123,7 @@ def told(crew: Crew, heard: bytearray, seconds: float) -> bool:
 
 def wait_moving(crew: Crew) -> None:
     heard = bytearray()
-    for _ in range(150):
+    for _ in range(60):
         if told(crew, heard, 0.2):
             return
     raise TimeoutError("the car never drove")
@@ -238,6 +238,14 @@ def measure(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]
     return {"rate": rate, "busy": busy, "fifo": granted, **found, "cpu_percent": shares}
 
 
+def tried(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]:
+    """One drive, begun again where the machine stalled before the car moved."""
+    for _ in range(2):
+        with contextlib.suppress(TimeoutError):
+            return measure(rate, seconds, busy, fifo)
+    return measure(rate, seconds, busy, fifo)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=8.0, help="measured in each drive")
@@ -246,7 +254,7 @@ def main() -> int:
     for rate in args.rates:
         for busy in (False, True):
             for fifo in (True, False):
-                print(json.dumps(measure(rate, args.seconds, busy, fifo)), flush=True)
+                print(json.dumps(tried(rate, args.seconds, busy, fifo)), flush=True)
     return 0
 
 
