@@ -230,7 +230,7 @@ def _write(
         write_whole(args.report, report)
     if args.output:
         try:
-            car = save_car(args.output, base, learned(outcome))
+            car = save_car(args.output, base, {**_given(args.fix), **learned(outcome)})
         except CarFileError as error:
             raise SteerdError(str(error), error.hint, ExitCode.INVALID) from None
         if runs:
@@ -273,6 +273,14 @@ def learned(outcome: "Outcome") -> dict[str, Any]:
     if outcome.fit is not None:
         updates |= _effect_updates(outcome, names)
     return updates
+
+
+def _given(text: str) -> dict[str, Any]:
+    """What the user stated: the file that comes out is of that car."""
+    from car_model.car_file import Learned
+
+    _, values = _parse_fix(text)
+    return {name: Learned(value, None, "given with --fix") for name, value in values.items()}
 
 
 def _servo_wait(outcome: "Outcome") -> str:

@@ -74,7 +74,8 @@ FREE = ["--free", "c_sf,c_sr,steer_gain,steer_lag,speed_lag"]
 def test_a_drive_becomes_a_car_file_json_and_report(rows, importer, tmp_path, capsys):
     session = importer(rows)
     capsys.readouterr()
-    assert main(["identify", str(session), *FREE, *_outputs(tmp_path)]) == 0
+    given = ["--fix", "mass=3.2"]
+    assert main(["identify", str(session), *FREE, *given, *_outputs(tmp_path)]) == 0
     screen = capsys.readouterr().out
     assert "next: steerd run --sim --car" in screen
     car = load_car(tmp_path / "car.toml")
@@ -82,7 +83,8 @@ def test_a_drive_becomes_a_car_file_json_and_report(rows, importer, tmp_path, ca
     assert car.car.c_sf == pytest.approx(TRUE.c_sf, rel=0.1)
     assert car.sd["steer_gain"] > 0.0
     assert "run.mcap" in car.source["steer_gain"]
-    assert car.car.mass == DEFAULT_CAR.mass
+    assert car.car.mass == 3.2
+    assert car.car.cog_height == DEFAULT_CAR.cog_height
     result = json.loads((tmp_path / "o.json").read_text())
     last = result["held_out"]["horizons"][-1]
     assert last["position"] < 0.5 * last["position_before"]
