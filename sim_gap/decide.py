@@ -123,6 +123,21 @@ def large(engine: Engine, score: Score, name: str) -> bool:
     return size >= c.LEAST.get(name, 0.0)
 
 
+def at_bound(engine: Engine, score: Score) -> tuple[str, ...]:
+    """Effects with a parameter at a bound that is not its null: beyond what any car has."""
+    found = []
+    for effect in engine.superset.effects:
+        if effect.name not in score.effects:
+            continue
+        values = score.fitted.parameters[engine.superset.places(effect.name)]
+        for value, q in zip(values.tolist(), effect.parameters, strict=True):
+            edge = 1e-6 * (q.high - q.low)
+            ends = [end for end in (q.low, q.high) if end != q.null]
+            if any(abs(value - end) <= edge for end in ends):
+                found.append(effect.name)
+    return tuple(dict.fromkeys(found))
+
+
 def near(ranked: Sequence[Score], blocks: NDArray[np.int64]) -> int:
     """1 if the second single is hardly worse than the first, else 0."""
     if len(ranked) < 2:

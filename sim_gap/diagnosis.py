@@ -16,7 +16,7 @@ from car_model.car_file import CarFile
 from car_model.model import Model
 from sim_gap import constants as c
 from sim_gap.candidates import Score, blocks_of, gain_of, scored, singles
-from sim_gap.decide import ALIASES, Choice, Split, choose, large
+from sim_gap.decide import ALIASES, Choice, Split, at_bound, choose, large
 from sim_gap.descent import Fitted
 from sim_gap.engine import Engine
 from sim_gap.healthy import learn_healthy, refine
@@ -248,6 +248,9 @@ def _told(
     chosen = choice.best if found else choice.null
     gap_after = gap_best if found else gap_of(engine, choice.null.fitted, choice.blocks)
     verdict = verdict_of(choice, found, known, gap_before, gap_after, case.floor)
+    extreme = at_bound(engine, choice.best)
+    if verdict == "explained" and extreme:
+        verdict = "partial"
     case.options.progress("where", 0.75)
     where = locate(engine, before, chosen.fitted, noise, choice.blocks, names)
     causes = _causes(engine, choice, verdict) if found and verdict != "unexplained" else ()
@@ -266,7 +269,8 @@ def _told(
     return Diagnosis(
         verdict, gap_before, gap_after, where, causes, tuple(table), shrinkage, following,
         shape_of(engine, chosen.fitted, noise), choice.splits, _moved(base.fitted), noise, known,
-        _notes(case, known, choice), values, timeline_of(engine, before, chosen.fitted, names),
+        _notes(case, known, choice, extreme if found else ()), values,
+        timeline_of(engine, before, chosen.fitted, names),
     )  # fmt: skip
 
 
@@ -344,7 +348,7 @@ def _moved(null: Fitted) -> dict[str, float]:
     return dict(sorted(scores.items(), key=lambda item: -abs(item[1])))
 
 
-def _notes(case: _Case, known: bool, choice: Choice) -> tuple[str, ...]:
+def _notes(case: _Case, known: bool, choice: Choice, extreme: Sequence[str]) -> tuple[str, ...]:
     notes = []
     if not case.superset.sd:
         notes.append("the car file gives no standard errors: ordinary ones were assumed")
@@ -354,4 +358,5 @@ def _notes(case: _Case, known: bool, choice: Choice) -> tuple[str, ...]:
         notes.append("fewer than four runs: held-out parts are blocks of the same drives")
     notes += [f"{s.by}: {s.first:.4g} against {s.second:.4g} ({s.sigmas:.1f} sigma)"
               for s in choice.splits if s.broken]  # fmt: skip
+    notes += [f"{name} is at its bound: not this, but what it makes up for" for name in extreme]
     return tuple(notes)

@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -12,8 +13,12 @@ from benchmarks.blind_gap.bank import CARS, Source, make_plan
 from benchmarks.blind_gap.diagnosing import diagnose_set, expand
 from benchmarks.blind_gap.effects import EFFECTS, OUTSIDE, SIZES
 from benchmarks.blind_gap.generate import generate, key_path, load_car, make_runs
+from benchmarks.blind_gap.inside import _claimed, _decoded, _encoded
 from benchmarks.blind_gap.opening import OpeningError, load_labels, load_log, open_labels
 from benchmarks.blind_gap.seal import KEY_BYTES, SealError, seal, unseal
+from car_model.car_file import default_car_path
+from car_model.car_file import load_car as load_default_car
+from car_model.effects import find_effect
 from steer_bus.messages import Actuation, MocapPose, VescTelemetry
 from steer_bus.session import open_session
 
@@ -40,6 +45,14 @@ def test_limit_keeps_shares():
     assert len(few) == 200
     for kind, count in all_kinds.items():
         assert abs(kinds[kind] - count * 200 / len(plan)) <= 6
+
+
+def test_whole_parts_stay_beside_a_limit():
+    plan = make_plan(Source("report", 1), 200, ("null", "single"), 4, ("null",))
+    everything = make_plan(Source("report", 1), None, ("null",))
+    assert len(plan) == 200
+    assert sum(case.kind == "null" for case in plan) == len(everything)
+    assert {case.car for case in plan} == set(range(4))
 
 
 def test_names_do_not_follow_the_plan():
@@ -194,6 +207,23 @@ def test_whole_chain_with_a_stand_in_tool(small_set, tmp_path, capsys):
     assert "nonce 3" in page.read_text()
     assert "opened 1 times" in page.read_text()
     (small_set / "labels.json").unlink()
+
+
+def test_a_base_is_kept_and_read_again(tmp_path):
+    car = load_default_car(default_car_path())
+    effects = (find_effect("steer_backlash"),)
+    base = replace(
+        car, effects=effects, values=((0.01,),), sd={"lf": 0.002},
+        sections={**car.sections, "noise": {"position": 1e-3}},
+    )  # fmt: skip
+    again = _decoded(json.dumps(_encoded(base)))
+    assert again.model == base.model
+    assert (again.sd, again.sections["noise"]) == (base.sd, base.sections["noise"])
+
+
+def test_two_processes_never_work_on_one_case(tmp_path):
+    assert _claimed(tmp_path / "case-0001.json")
+    assert not _claimed(tmp_path / "case-0001.json")
 
 
 def test_failing_tool_leaves_its_reason(small_set, tmp_path):

@@ -5,9 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from car_model.effects import find_effect
 from sim_gap import constants as c
 from sim_gap.candidates import Score, gain_of
-from sim_gap.decide import confidence_of, needless, rivals_of, significant
+from sim_gap.decide import at_bound, confidence_of, needless, rivals_of, significant
 from sim_gap.residuals import interval_of, robust_mean
 from sim_gap.shrink import explained_share
 from sim_gap.where import Regime, Share, sentence_of
@@ -65,6 +66,19 @@ def test_a_pair_needs_both():
     pair = score("a", np.zeros(12))
     assert needless(pair, score("b", np.full(12, 0.5)), BLOCKS)
     assert not needless(pair, score("b", np.full(12, 10.0)), BLOCKS)
+
+
+def test_a_value_at_its_bound_is_told():
+    effect = find_effect("yaw_inertia")
+    engine = SimpleNamespace(superset=SimpleNamespace(effects=(effect,), places=lambda name: [0]))
+
+    def at(value: float) -> tuple[str, ...]:
+        fitted = SimpleNamespace(parameters=np.array([value]))
+        return at_bound(engine, Score((effect.name,), fitted, np.zeros(1), 0.0))
+
+    assert at(effect.parameters[0].high) == ("yaw_inertia",)
+    assert at(1.5) == ()
+    assert at(effect.parameters[0].null) == ()
 
 
 def test_mass_is_never_named_alone():
