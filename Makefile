@@ -37,7 +37,7 @@ types: install    ## mypy --strict
 layers: install   ## which room may import which
 	$(BIN)/lint-imports --no-cache
 
-unit: install     ## the quick tests, half a minute: no processes, no statistics over many seeds
+unit: install     ## the quick tests, half a minute: no processes, no statistics, no whole commands
 	$(PYTEST) -n 2 -m "not realtime and not slow" tests/unit
 
 all-tests: install

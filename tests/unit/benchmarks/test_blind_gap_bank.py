@@ -22,6 +22,8 @@ from car_model.effects import find_effect
 from steer_bus.messages import Actuation, MocapPose, VescTelemetry
 from steer_bus.session import open_session
 
+pytestmark = pytest.mark.slow
+
 NOW = datetime(2030, 1, 1, tzinfo=UTC)
 KEY, OTHER = bytes(range(KEY_BYTES)), bytes(KEY_BYTES)
 

@@ -23,6 +23,8 @@ from steer_bus.messages import Actuation, MocapPose, State, Tick, Transition, Ve
 from steer_bus.session import open_session
 from steer_bus.topics import find_topic
 
+pytestmark = pytest.mark.slow
+
 SECOND = 1_000_000_000
 KEPT = (MocapPose, Actuation, State, Tick, Transition, VescTelemetry)
 SEEDS = (1, 2)

@@ -20,6 +20,8 @@ from daemon.diagnose_case import make_case, parse_held_out
 from daemon.diagnose_text import COLUMNS, LINES
 from daemon.errors import SteerdError
 
+pytestmark = pytest.mark.slow
+
 TRUE = DEFAULT_CAR._replace(steer_delay=DEFAULT_CAR.steer_delay + 0.05)
 MAP = """[columns]
 t = "t"

@@ -10,6 +10,8 @@ from car_model.car_file import load_car
 from car_model.params import DEFAULT_CAR
 from daemon.cli import guarded as main
 
+pytestmark = pytest.mark.slow
+
 TRUE = DEFAULT_CAR._replace(steer_gain=0.93, speed_lag=0.14, c_sf=4.3)
 MAP = """[columns]
 t = "t"

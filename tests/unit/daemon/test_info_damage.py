@@ -22,6 +22,8 @@ from steer_bus.codec import encode, schema_text
 from steer_bus.messages import MocapPose
 from steer_bus.session import SessionWriter, open_session
 
+pytestmark = pytest.mark.slow
+
 MAGIC = b"\x89MCAP0\r\n"
 TOPIC = "/steerd/blue/mocap"
 

@@ -8,6 +8,8 @@ import pytest
 from sim_gap.diagnosis import Options, diagnose
 from sim_gap.to_json import to_json
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def late_steering(drive, base):

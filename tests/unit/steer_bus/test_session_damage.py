@@ -16,6 +16,8 @@ from steer_bus.messages import WORLD, ClockSample, State, make_header
 from steer_bus.records import MAGIC
 from steer_bus.session import SessionError, open_session, recover
 
+pytestmark = pytest.mark.slow
+
 
 def read_all(path):
     session = open_session(path)

@@ -19,6 +19,8 @@ from sysid.report import render_report
 from sysid.scale import map_jobs
 from sysid.validation import predict_errors
 
+pytestmark = pytest.mark.slow
+
 FREE = ("lf", "lr", "c_sf", "c_sr", "steer_gain", "speed_gain", "speed_lag", "steer_lag")
 DEFAULT = Model(DEFAULT_CAR)
 
