@@ -32,8 +32,7 @@ def test_a_car_on_a_port_drives_the_plan(undisturbed):
         record = folder / "drive.mcap"
         run = collect(steerd, record, "--port", port, "--mocap", url)
         run.expect("READY")
-        steerd("arm", "--connect", steerd.endpoint)
-        run.expect("ARMED")
+        steerd("arm", "--connect", steerd.endpoint).expect("armed:")
         go = steerd("start", "--connect", steerd.endpoint)
         assert run.expect("RUNNING|FAULT")[0] == "RUNNING", run.text
         assert run.wait() == 0, run.text

@@ -176,7 +176,6 @@ def test_too_short_a_lane_drive_is_said(tmp_path):
     assert "less than 9 s" in why
 
 
-@pytest.mark.realtime
 @pytest.mark.skipif(BROWSER is None, reason="no chromium on this machine")
 def test_the_report_is_drawn_without_an_error(late, tmp_path):
     page, picture = late[0] / "gap.html", tmp_path / "gap.png"
