@@ -69,7 +69,9 @@ def parse(words):
 
 def is_prose(command):
     """A name of a command rather than a line to type: placeholders in it."""
-    return bool(re.search(r"…|\b(COMMAND|SESSION|NAME|DEV|DIR|URL|MAP\.toml|FILE\.toml)\b", command))
+    return bool(
+        re.search(r"…|\b(COMMAND|SESSION|NAME|DEV|DIR|URL|MAP\.toml|FILE\.toml)\b", command)
+    )
 
 
 @pytest.fixture(scope="module")
