@@ -25,6 +25,8 @@ from controller.lane_controller import (
     to_command,
 )
 
+pytestmark = pytest.mark.slow
+
 RATE_HZ = 100.0
 SUBSTEPS = 4
 SLOW_SERVO = DEFAULT_CAR._replace(steer_lag=0.08, steer_delay=DEFAULT_CAR.steer_delay + 0.03)
