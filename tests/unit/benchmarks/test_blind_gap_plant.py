@@ -10,6 +10,8 @@ from benchmarks.blind_gap.drives import LEAD, make_noise, make_orders, make_rout
 from benchmarks.blind_gap.effects import EFFECTS, OUTSIDE, Place
 from benchmarks.blind_gap.plant import STEP, TICK, Noise, Orders, simulate
 
+pytestmark = pytest.mark.slow
+
 SECONDS = 3.0
 
 

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 import torch
 
 from car_model.params import Car
@@ -13,6 +14,8 @@ from daemon.virtual import make_virtual_run
 from sysid.kernels import make_kernels
 from sysid.torch_kernel import simulate
 from sysid.torch_sim import PAPER_CAR_DIRECT, simulate_reference
+
+pytestmark = pytest.mark.slow
 
 CALLS = 50_000
 TICK_CALLS_MOST = 150_000

@@ -17,6 +17,8 @@ from daemon.options import RunOptions
 from daemon.transitions import State
 from daemon.virtual import make_virtual_run
 
+pytestmark = pytest.mark.slow
+
 LIMITS = Limits(0.33, 0.31, 0.26)
 
 

@@ -8,6 +8,8 @@ from sysid import paper
 from sysid.baselines import fit_least_squares, search_cma
 from sysid.torch_sim import PAPER_CAR_DIRECT
 
+pytestmark = pytest.mark.slow
+
 TRUE = np.array([PAPER_CAR_DIRECT.lf, PAPER_CAR_DIRECT.lr, 4.718, 5.4562])
 START = np.array([0.2, 0.14, 6.5, 4.0])
 
