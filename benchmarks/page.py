@@ -119,7 +119,8 @@ def control_path(said: list[dict[str, Any]]) -> str:
         + "\n**Limit:** over a thousand Python calls a tick, with caches gone cold in between (the "
         "same tick costs two thirds of that in virtual time, back to back). "
         "Under load the core still wakes on time with SCHED_FIFO; "
-        "what is late then is probably the pty, whose bytes a kernel thread of ordinary priority carries (not verified).\n"
+        "what is late then is probably the pty, whose bytes a kernel thread of ordinary priority "
+        "carries (not verified).\n"
     )
 
 
