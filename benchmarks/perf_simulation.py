@@ -142,7 +142,11 @@ def draw(growth: dict[str, list[tuple[int, float]]], path: str) -> None:
             if name.endswith(by):
                 n, seconds = zip(*points, strict=True)
                 axis.loglog(n, np.multiply(seconds, 1e3), "o-", label=name.rsplit(",", 1)[0])
+        here = [points for name, points in growth.items() if name.endswith(by)]
+        shown = sorted({n for points in here for n, _ in points})
         axis.set(xlabel=by)
+        axis.set_xticks(shown, [str(n) for n in shown])
+        axis.set_xticks([], minor=True)
         axis.grid(visible=True, which="both", alpha=0.3)
         axis.legend(fontsize="small")
     figure.axes[0].set(ylabel="value and gradient [ms]")

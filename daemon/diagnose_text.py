@@ -23,11 +23,18 @@ _MARGIN = 12
 
 
 def describe(
-    case: Case, told: Diagnosis, lane: LaneComparison | None, why: str, written: Path | None
+    case: Case,
+    told: Diagnosis,
+    lane: LaneComparison | None,
+    why: str,
+    written: Path | None,
+    report: Path | None = None,
 ) -> str:
     """The screen; what matters least is left out where it would not fit."""
     must = [line for label, text in _rows(case, told, lane, why) for line in _wrap(label, text)]
-    last = [f"{'next':<{_MARGIN}}{_next(told, lane, written)}"]  # to be copied: never broken
+    last = [
+        f"{'next':<{_MARGIN}}{_next(told, lane, written, report)}"
+    ]  # to be copied: never broken
     notes = [
         line for note in (*case.notes, *told.notes) for line in _wrap("note", _shortened(note))
     ]
@@ -72,8 +79,12 @@ def _rows(
     yield "drive next", manoeuvre_words(told)
 
 
-def _next(told: Diagnosis, lane: LaneComparison | None, written: Path | None) -> str:
+def _next(
+    told: Diagnosis, lane: LaneComparison | None, written: Path | None, report: Path | None
+) -> str:
     """The command to type next."""
+    if not told.causes and report is not None:
+        return f"open {report} in a browser: it shows where the error lies"
     if not told.causes and written is not None:
         return f"--report gap.html shows where the error lies; {written} is the base as it was"
     if not told.causes:

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from jinja2 import Environment, FileSystemLoader, select_autoescape
-
 from car_model.effects import EFFECTS
 from sim_gap import figures
 from sim_gap.closed_loop import LaneComparison
@@ -28,8 +26,9 @@ from sim_gap.words import (
     told_leads,
     value_words,
 )
+from sysid.page import render_page
 
-TEMPLATE = "gap.html"
+TEMPLATE = Path(__file__).parent / "templates" / "gap.html"
 
 
 @dataclass(frozen=True)
@@ -72,13 +71,8 @@ class Section(NamedTuple):
 
 def render_report(subject: Subject, told: Diagnosis, lane: LaneComparison | None) -> str:
     """The whole page."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent / "templates"),
-        autoescape=select_autoescape(),
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(TEMPLATE).render(
+    return render_page(
+        TEMPLATE,
         subject=subject,
         told=told,
         family=FAMILIES[told.verdict],

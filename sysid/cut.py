@@ -139,6 +139,7 @@ def keep_back(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[
     fitted = tuple(b for i, b in enumerate(every_block) if i % every != every - 1)
     if not kept or not fitted:
         count = len(every_block)
-        what = f"only {count} blocks of {BLOCK:g} s: too short to keep every {every}th back"
+        only = f"only {count} block{'s' * (count != 1)} of {BLOCK:g} s"
+        what = f"{only}: too short to keep every {every}th back"
         raise DataError(what, "record more drives, or name one with --held-out FILE")
     return fitted, kept

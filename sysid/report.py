@@ -5,14 +5,13 @@ from math import degrees, isnan
 from pathlib import Path
 from typing import NamedTuple
 
-from jinja2 import Environment, FileSystemLoader, select_autoescape
-
 from car_model.params import Car
 from sysid import figures
 from sysid.closed_loop import Profile, compare_designs
 from sysid.outcome import Outcome
+from sysid.page import render_page
 
-TEMPLATE = "report.html"
+TEMPLATE = Path(__file__).parent / "templates" / "report.html"
 
 
 class Section(NamedTuple):
@@ -26,13 +25,8 @@ class Section(NamedTuple):
 def render_report(outcome: Outcome) -> str:
     """The whole page."""
     profiles = compare_designs(*_designs(outcome))
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent / "templates"),
-        autoescape=select_autoescape(),
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(TEMPLATE).render(
+    return render_page(
+        TEMPLATE,
         outcome=outcome,
         headline=_headline(outcome),
         rows={name: row for name, row in outcome.rows.items() if row.free},

@@ -138,7 +138,7 @@ def write_report(s: Scores, path: Path, title: str, notes: Iterable[str]) -> Non
     Raises:
         OSError: the disk does not take them.
     """
-    folder = path.parent / "images"
+    folder = path.parent / "img"
     folder.mkdir(parents=True, exist_ok=True)
     plot_calibration(s, folder / "blind-test-calibration.svg")
     plot_confusion(s, folder / "blind-test-confusion.svg")

@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json == "-":
         print(json.dumps(data, indent=1))
     else:
-        print(describe(case, told, lane, why, args.output))
+        print(describe(case, told, lane, why, args.output, args.report))
     return ExitCode.OK
 
 

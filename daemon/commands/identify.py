@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daemon.drives import load_drive
 from daemon.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
@@ -105,24 +106,6 @@ def _held_out(given: list[str]) -> tuple[list[Path], int]:
     return [Path(each) for each in given], 4
 
 
-def _load(path: Path, speed: str) -> "Run":
-    from steer_bus.session_read import SessionError
-    from sysid.cut import with_wheel_speed
-    from sysid.dataset import load_run
-    from sysid.gate import DataError
-
-    try:
-        run = load_run(path)
-        return with_wheel_speed(run) if speed == "wheel" else run
-    except SessionError as error:
-        code = ExitCode(error.exit_code)
-        raise SteerdError(str(error), error.hint, code) from None
-    except DataError as error:
-        raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
-    except OSError as error:
-        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
-
-
 def make_task(args: argparse.Namespace, base: "CarFile", files: list[Path], every: int) -> "Task":
     """Everything that is to be done, checked.
 
@@ -143,8 +126,8 @@ def make_task(args: argparse.Namespace, base: "CarFile", files: list[Path], ever
     if args.wheelbase is not None and not 0.05 <= args.wheelbase <= 2.0:
         raise SteerdError(f"--wheelbase {args.wheelbase:g}: in metres", "", _USAGE)
     return Task(
-        runs=tuple(_load(path, args.speed) for path in args.sessions),
-        held_out=tuple(_load(path, args.speed) for path in files),
+        runs=tuple(load_drive(path, args.speed) for path in args.sessions),
+        held_out=tuple(load_drive(path, args.speed) for path in files),
         every=every,
         model=fit_wheelbase(model, args.wheelbase),
         options=Options(free=free_names(free, fixed, DEFAULT_FREE), wheelbase=args.wheelbase),

@@ -193,13 +193,13 @@ def test_refuses_what_is_no_verdict(text):
 
 def test_report_says_what_was_met(tmp_path):
     s = scored(*singles(), (label("null", block="null-rich"), NONE))
-    page = make_report(s, "A title", ["a note"], "images")
+    page = make_report(s, "A title", ["a note"], "img")
     assert "| false alarms on nulls | 0.0 % (0/1; 0 to 79) | ≤ 2 % | yes |" in page
     assert "| detection, rich, medium | 75.0 % (3/4; 30 to 95) | ≥ 90 % | no |" in page
     assert "| detection, rich, large | - | ≥ 98 % | - |" in page
     write_report(s, tmp_path / "page.md", "A title", [])
     for name in ("calibration", "confusion"):
-        picture = (tmp_path / "images" / f"blind-test-{name}.svg").read_text()
+        picture = (tmp_path / "img" / f"blind-test-{name}.svg").read_text()
         assert picture.rstrip().endswith("</svg>")
 
 
