@@ -1,26 +1,32 @@
 """From the death of a control core to the first brake byte on a pty, and from its freezing.
 
-    python benchmarks/stop_latency.py --trials 200
+    python benchmarks/stop_latency.py --trials 200 --log stop.jsonl
 
 A real guardian over a pty. The core is a process with all of steerd's imports, locked memory and,
 where allowed, SCHED_FIFO; it writes a drive frame every 10 ms until it is killed (SIGKILL) or
 stopped (SIGSTOP, later SIGCONT) at a random phase of its period. Counted too: motion frames after
 the first brake frame. A core is started anew for each trial, as `steerd run` does: one forked from
 a warm process would share its memory, dies otherwise, and gave up to 16 ms.
+
+Each trial is one line of the log; the same command again goes on where it ended. Watchers, one a
+CPU and above everything in priority, note when the machine itself stood still (`stall_ms`).
 """
 
 import argparse
+import contextlib
 import json
 import os
 import pty
 import select
 import signal
+import struct
 import subprocess
 import sys
 import termios
 import time
 import tty
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +39,10 @@ DRIVE = encode_frame(encode_command(SetErpm(4000.0)))
 BRAKE = encode_frame(encode_command(SetCurrentBrake(20.0)))
 ROOT = Path(__file__).parents[1]
 PERIOD_NS, BEFORE_NS, AFTER_NS = 10_000_000, 200_000_000, 150_000_000
+BOUND_MS = {"kill": 20.0, "stop": 50.0}
+STALL_NS = 1_000_000
+"""A watcher that wakes later than this has been held up by no program of ours."""
+GAP = struct.Struct("=qq")
 
 
 def be_core(serial_fd: int) -> None:
@@ -57,6 +67,41 @@ def be_core(serial_fd: int) -> None:
         pause.poll(max(0, (due - time.monotonic_ns()) // 1_000_000))
 
 
+def be_watcher(cpu: int, pipe_fd: int) -> None:
+    """Wake every millisecond on one CPU, and tell when that came late."""
+    os.sched_setaffinity(0, {cpu})
+    enter_realtime(priority=90)
+    pause, hangs_up = select.poll(), select.POLLERR | select.POLLHUP
+    pause.register(pipe_fd, hangs_up)
+    while True:
+        began = time.monotonic_ns()
+        if pause.poll(1):
+            return
+        ended = time.monotonic_ns()
+        if ended - began > 1_000_000 + STALL_NS:
+            os.write(pipe_fd, GAP.pack(began, ended))
+
+
+class Watchers:
+    """One watcher a CPU; what they saw."""
+
+    def __init__(self) -> None:
+        self._read_fd, write_fd = os.pipe()
+        os.set_blocking(self._read_fd, False)
+        for cpu in sorted(os.sched_getaffinity(0)):
+            command = [sys.executable, __file__, "--watch", str(cpu), str(write_fd)]
+            subprocess.Popen(command, pass_fds=(write_fd,), cwd=ROOT)
+        os.close(write_fd)
+
+    def worst_ms(self, begin_ns: int, end_ns: int) -> float:
+        """The longest stall of a CPU that touched an interval, beyond the watcher's own pause."""
+        data = b""
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(self._read_fd, GAP.size * 2048)
+        gaps = [g for g in GAP.iter_unpack(data) if g[0] < end_ns and g[1] > begin_ns]
+        return max((b - a - 1_000_000 for a, b in gaps), default=0) / 1e6
+
+
 def read_until(master: int, end_ns: int, log: list[tuple[int, bytes]]) -> None:
     """Read the pty until a moment, noting when bytes came."""
     while (left := end_ns - time.monotonic_ns()) > 0:
@@ -65,8 +110,8 @@ def read_until(master: int, end_ns: int, log: list[tuple[int, bytes]]) -> None:
             log.append((time.monotonic_ns(), data))
 
 
-def run_trial(how: str, phase_ns: int) -> tuple[float, int]:
-    """One trial: milliseconds to the first brake frame, motion frames after it."""
+def run_trial(how: str, phase_ns: int, watchers: Watchers) -> dict[str, Any]:
+    """One trial: milliseconds to the first brake frame (None: never), motion frames after it."""
     master, slave = pty.openpty()
     tty.setraw(slave, termios.TCSANOW)
     os.set_blocking(slave, False)
@@ -87,58 +132,83 @@ def run_trial(how: str, phase_ns: int) -> tuple[float, int]:
         core.kill()
     core.wait()
     os.close(master)
-    return judge(log, hit_ns)
+    first_ns, late = judge(log, hit_ns)
+    return {
+        "how": how,
+        "ms": None if first_ns is None else round((first_ns - hit_ns) / 1e6, 3),
+        "motion_after_brake": late,
+        "stall_ms": round(watchers.worst_ms(hit_ns, first_ns or hit_ns + AFTER_NS), 2),
+        "runnable": Path("/proc/loadavg").read_text(encoding="ascii").split()[3],
+    }
 
 
-def judge(log: list[tuple[int, bytes]], hit_ns: int) -> tuple[float, int]:
-    parser, first, late = FrameParser(), float("nan"), 0
+def judge(log: list[tuple[int, bytes]], hit_ns: int) -> tuple[int | None, int]:
+    """When the first brake frame came, and how many motion frames followed it."""
+    parser, first, late = FrameParser(), None, 0
     for t_ns, data in log:
         for payload in parser.feed(data, t_ns):
-            braked = first == first
             if isinstance(decode_command(payload), SetErpm):
-                late += braked
-            elif not braked:
-                first = (t_ns - hit_ns) / 1e6
+                late += first is not None
+            elif first is None:
+                first = t_ns
     return first, late
+
+
+def summarise(how: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """What docs/safety.md says of one kind; a trial without a brake frame counts as endless."""
+    took = np.array([np.inf if row["ms"] is None else row["ms"] for row in rows])
+    p50, p99 = np.percentile(took, (50, 99), method="higher")
+    return {
+        "what": "SIGKILL" if how == "kill" else "SIGSTOP",
+        "fifo": all(row["fifo"] for row in rows),
+        "trials": len(rows),
+        "ms_p50": round(float(p50), 2),
+        "ms_p99": round(float(p99), 2),
+        "ms_max": round(float(took.max()), 2),
+        "within_bound": int((took <= BOUND_MS[how]).sum()),
+        "bound_ms": BOUND_MS[how],
+        "motion_after_brake": sum(row["motion_after_brake"] for row in rows),
+        "trials_with_a_stall": sum(row["stall_ms"] > 0 for row in rows),
+        "missed": [row for row in rows if row["ms"] is None or row["ms"] > BOUND_MS[how]],
+    }
+
+
+def load_log(path: Path | None) -> list[dict[str, Any]]:
+    """The trials that are there already."""
+    if path is None or not path.exists():
+        return []
+    return [json.loads(line) for line in path.read_text(encoding="ascii").splitlines()]
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=200, help="of each kind")
     parser.add_argument("--core", type=int, metavar="FD", help=argparse.SUPPRESS)
+    parser.add_argument("--watch", type=int, nargs=2, help=argparse.SUPPRESS)
     parser.add_argument("--only", choices=("kill", "stop"), help="one kind")
     parser.add_argument("--seed", type=int, default=0, help="of the phases")
-    parser.add_argument("--raw", action="store_true", help="print each trial's figure too")
+    parser.add_argument("--log", type=Path, help="append each trial here; go on where it ends")
     args = parser.parse_args()
     if args.core is not None:
         be_core(args.core)
+    if args.watch is not None:
+        be_watcher(*args.watch)
+        return 0
+    rows, watchers = load_log(args.log), Watchers()
     fifo = enter_realtime(priority=70).fifo
-    rng = np.random.default_rng(args.seed)
-    for how, bound in (("kill", 20.0), ("stop", 50.0)):
-        if args.only not in (None, how):
-            continue
-        got = []
-        for _ in range(args.trials):
-            got.append(run_trial(how, int(rng.integers(PERIOD_NS))))
-            if args.raw:
-                print(how, f"{got[-1][0]:.2f}", got[-1][1], flush=True)
-        took = np.array([ms for ms, _ in got])
-        print(
-            json.dumps(
-                {
-                    "what": "SIGKILL" if how == "kill" else "SIGSTOP",
-                    "fifo": fifo,
-                    "trials": len(got),
-                    "ms_p50": round(float(np.percentile(took, 50)), 2),
-                    "ms_p99": round(float(np.percentile(took, 99)), 2),
-                    "ms_max": round(float(took.max()), 2),
-                    "within_bound": int((took <= bound).sum()),
-                    "bound_ms": bound,
-                    "motion_after_brake": sum(late for _, late in got),
-                }
-            ),
-            flush=True,
-        )
+    kinds = [how for how in BOUND_MS if args.only in (None, how)]
+    for trial in range(args.trials):
+        for how in kinds:
+            if sum(row["how"] == how for row in rows) > trial:
+                continue
+            rng = np.random.default_rng([args.seed, trial, how == "stop"])
+            row = run_trial(how, int(rng.integers(PERIOD_NS)), watchers)
+            rows.append({"trial": trial, "seed": args.seed, "fifo": fifo, **row})
+            if args.log is not None:
+                with args.log.open("a", encoding="ascii") as file:
+                    file.write(json.dumps(rows[-1]) + "\n")
+    for how in kinds:
+        print(json.dumps(summarise(how, [row for row in rows if row["how"] == how])), flush=True)
     return 0
 
 
