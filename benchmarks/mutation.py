@@ -1,6 +1,6 @@
 """Mutation score of what keeps the car safe: gate, table, watchdogs, guardian, launch, codec.
 
-    pip install mutmut
+    pip install --group bench
     python benchmarks/mutation.py
     python benchmarks/mutation.py "controller.limits*" --survivors
 

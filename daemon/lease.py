@@ -53,7 +53,7 @@ def accept(lease: Lease, asked: OperatorRequest, t_ns: int, idle: bool) -> tuple
         kind = RequestKind(asked.kind)
     except ValueError:
         return replace(lease, refused=lease.refused + 1), Request.UNKNOWN
-    own = asked.lease_id == lease.holder and asked.seq > lease.seq
+    own = asked.lease_id == lease.holder != 0 and asked.seq > lease.seq
     takes = idle and asked.lease_id not in (0, lease.holder)
     if asked.boot_id == lease.boot_id and (own or takes):
         taken = replace(lease, holder=asked.lease_id, seq=asked.seq, renewed_ns=t_ns)

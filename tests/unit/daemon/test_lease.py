@@ -66,6 +66,13 @@ def test_others_and_old_requests_are_refused_and_counted(asked):
     assert lease == Lease(BOOT, ANN, 10, T0, refused=1)
 
 
+@pytest.mark.parametrize("kind", [RequestKind.ARM, RequestKind.CLEAR, RequestKind.KEEPALIVE])
+def test_nobody_is_no_holder_even_while_nobody_holds(kind):
+    lease, got = accept(Lease(BOOT), ask(kind, who=0), T0, idle=False)
+    assert got == Request.NONE
+    assert lease == Lease(BOOT, refused=1)
+
+
 @pytest.mark.parametrize("kind", [RequestKind.STOP, RequestKind.ESTOP])
 @pytest.mark.parametrize("asked", [{"who": BOB}, {"seq": 1}, {"boot": 0}, {"who": 0}])
 def test_a_stop_is_anybody_s(kind, asked):

@@ -1,0 +1,52 @@
+"""A share of the fuzzing in every run: seeded damage to good inputs; `fuzz.py` is the long form."""
+
+import numpy as np
+import pytest
+
+from tests.safety.fuzz import NAMES, damage, find_failure
+from tests.safety.fuzz_targets import BOOT, TARGETS, cut, glue, make_file, request_seeds
+
+RUNS = {"session": 300}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_damaged_raises_what_it_must_not(name: str) -> None:
+    target = TARGETS[name]
+    assert find_failure(target.check, target.seeds(), RUNS.get(name, 1500), seed=1) is None
+
+
+def test_every_target_is_named_and_begins_with_inputs_that_are_good() -> None:
+    assert set(NAMES) == set(TARGETS)
+    for target in TARGETS.values():
+        for data in target.seeds():
+            target.check(data)
+
+
+def test_a_target_that_breaks_is_found_out() -> None:
+    def check(data: bytes) -> None:
+        if BOOT.to_bytes(8, "little") not in data:
+            raise IndexError("a decoder that trusts its input")
+
+    seeds = [data for data in request_seeds() if BOOT.to_bytes(8, "little") in data]
+    found = find_failure(check, seeds, 1000, seed=0)
+    assert found is not None
+    assert isinstance(found[1], IndexError)
+
+
+def test_damage_is_seeded_and_changes_lengths_and_bytes() -> None:
+    good = bytes(range(100))
+    one = [damage(np.random.default_rng(k), good, good) for k in range(50)]
+    assert one == [damage(np.random.default_rng(k), good, good) for k in range(50)]
+    assert len({len(data) for data in one}) > 10
+    assert sum(data != good for data in one) > 45
+
+
+def test_a_script_is_its_pieces() -> None:
+    pieces = [(1, b"ab"), (4, b""), (9, bytes(300))]
+    assert list(cut(glue(7, *pieces))) == pieces
+    assert list(cut(glue(7, *pieces)[:-1]))[-1] == (9, bytes(299))
+
+
+def test_pieces_make_a_session_with_right_checksums() -> None:
+    loose = TARGETS["session"].seeds()[2]
+    assert make_file(loose).count(b"\x89MCAP0\r\n") == 2
