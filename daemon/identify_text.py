@@ -33,6 +33,10 @@ def _data(outcome: Outcome) -> Iterator[str]:
     for pulse in outcome.pulses:
         certain = "" if pulse.sure > _CERTAIN else " (hardly told)"
         yield f"servo      {pulse.run}: 50 Hz pulses at {1e3 * pulse.phase:.0f} ms{certain}"
+    for ramp in outcome.ramps:
+        limit = f"ramp of {ramp.rate:.1f} m/s2" if ramp.rate else "no ramp"
+        certain = "" if ramp.sure > _CERTAIN else " (hardly told)"
+        yield f"motor      {ramp.run}: {limit}{certain}"
     yield f"method     {outcome.method} ({name}{effort}), {outcome.seconds:.1f} s"
 
 

@@ -50,6 +50,7 @@ def cut(run: Run, low: float, high: float) -> Run:
         yaw_rate=part(run.yaw_rate),
         throttle=part(run.throttle),
         steer=part(run.steer),
+        asked=part(run.asked),
         start=run.start + zero,
     )
 

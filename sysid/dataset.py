@@ -4,6 +4,7 @@
 (`gate`), with a typed error that says what is wrong and what to do.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +28,8 @@ Twice as long serves smooth drives (RK4 is good to 1e-3 mm), but blurs dead time
 """
 SERVO_FRAME = 0.02
 """Period of a VESC's servo signal [s]; steerd itself drives servos through nothing else."""
+RAMP_ERPM = 25_000.0
+"""A VESC's own limit of its speed setpoint's slope [ERPM/s] (`s_pid_ramp_erpms_s`, since 5.03)."""
 
 
 class Signal(NamedTuple):
@@ -57,6 +60,9 @@ class Run:
         steer: the commanded angles at their own times; may be empty.
         servo_frame: period of the pulses that carry them to the servo [s]; 0 where none are known
             to do so (see `servo`).
+        asked: the commanded speeds at their own times; may be empty.
+        speed_ramp: how fast the motor controller's setpoint may follow them [m/s^2]; 0 where it is
+            not known to be limited (see `ramp`).
         start: where in its drive this part begins [s]; what drifts counts from the drive's start.
     """
 
@@ -70,6 +76,8 @@ class Run:
     throttle: Signal = field(default_factory=_none)
     steer: Signal = field(default_factory=_none)
     servo_frame: float = 0.0
+    asked: Signal = field(default_factory=_none)
+    speed_ramp: float = 0.0
     start: float = 0.0
 
     @property
@@ -124,6 +132,7 @@ def make_run(
     throttle: Signal | None = None,
     h: float = GRID,
     servo_frame: float = 0.0,
+    speed_ramp: float = 0.0,
 ) -> Run:
     """Put a drive's signals on one clock and grid, and check them.
 
@@ -137,6 +146,7 @@ def make_run(
         throttle: open-loop motor command.
         h: step of the command grid [s].
         servo_frame: period of the servo's pulses [s]; 0 where it has none.
+        speed_ramp: limit of the motor controller's setpoint [m/s^2]; 0 where it has none.
 
     Raises:
         DataError: no fit should see these data.
@@ -163,7 +173,9 @@ def make_run(
     check_run(name, edges[-1], pose.t, pose.values, asked.values)
     run_speed = _speed_input(source, asked, rolled, pose, edges)
     commands = np.column_stack([hold_means(steer, edges), run_speed])
-    return Run(name, h, commands, pose, source, rolled, gyro, motor, steer, servo_frame)
+    return Run(
+        name, h, commands, pose, source, rolled, gyro, motor, steer, servo_frame, asked, speed_ramp
+    )
 
 
 def _speed_input(source: str, asked: Signal, rolled: Signal, pose: Signal, edges: Array) -> Array:
@@ -197,8 +209,14 @@ def load_run(path: Path | str, h: float = GRID) -> Run:
             )
     tables = session.tables(wanted)
     columns = {name: tables[key] for name, key in by_name.items() if key in tables}
-    frame = SERVO_FRAME if "steerd.scaling" in session.contents.metadata else 0.0
-    return make_run(path.name, **_signals(session, columns), h=h, servo_frame=frame)
+    scaling = session.contents.metadata.get("steerd.scaling", {})
+    return make_run(
+        path.name,
+        **_signals(session, columns),
+        h=h,
+        servo_frame=SERVO_FRAME if scaling else 0.0,
+        speed_ramp=_speed_ramp(scaling) if scaling else 0.0,
+    )
 
 
 _SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL, THROTTLE)
@@ -238,6 +256,11 @@ def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]
         table = columns[THROTTLE.name]
         found["throttle"] = Signal(seconds(table["t_ns"], epoch), table["throttle"].astype(float))
     return found
+
+
+def _speed_ramp(scaling: Mapping[str, str]) -> float:
+    """Limit of the motor controller's setpoint [m/s^2] under the session's scaling."""
+    return RAMP_ERPM / abs(float(scaling.get("erpm_gain", F1TENTH.erpm_gain)))
 
 
 def _wheel_speed(session: Session, erpm: NDArray[Any]) -> Array:

@@ -17,6 +17,7 @@ from sysid.dataset import Run
 from sysid.excitation import measure_excitation
 from sysid.fit import Fit, Options, fit
 from sysid.outcome import HeldOut, Outcome, Row
+from sysid.ramp import Ramp, settle_ramp
 from sysid.scale import map_jobs
 from sysid.servo import Pulse, rough_fit, settle_servo
 from sysid.tells import MANOEUVRES, RELATIVE_MAX
@@ -98,7 +99,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         BaselineMissingError: CMA-ES without Optuna.
     """
     began = clock()
-    task, pulses = _settled(task)
+    task, pulses, ramps = _settled(task)
     parts = moving_parts(task.runs)
     if task.held_out:
         fitted, kept = blocks(parts), moving_parts(task.held_out)
@@ -135,17 +136,27 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         notes=_notes(found),
         truth=task.truth,
         pulses=pulses,
+        ramps=ramps,
     )
 
 
-def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...]]:
-    """The task with steering as servos saw it. The paper's methods take commands as they are."""
-    if task.method != "ours" or not any(run.servo_frame for run in task.runs):
-        return task, ()
+def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...]]:
+    """The task with commands as servos and motor controllers let them through.
+
+    The paper's methods take commands as they are.
+    """
+    known = any(run.servo_frame or run.speed_ramp for run in task.runs)
+    if task.method != "ours" or not known:
+        return task, (), ()
     rough = rough_fit(task.runs, task.model, task.options)
-    runs, pulses = settle_servo(task.runs, rough, task.options)
-    held_out, others = settle_servo(task.held_out, rough, task.options)
-    return replace(task, runs=runs, held_out=held_out), (*pulses, *others)
+    settled, pulses, ramps = [], [], []
+    for drives in (task.runs, task.held_out):
+        limited, rates = settle_ramp(drives, rough, task.options)
+        pulsed, phases = settle_servo(limited, rough, task.options)
+        settled.append(pulsed)
+        pulses += phases
+        ramps += rates
+    return replace(task, runs=settled[0], held_out=settled[1]), tuple(pulses), tuple(ramps)
 
 
 def _fit_one(

@@ -9,6 +9,7 @@ from car_model.params import Car
 from sysid.course import Course
 from sysid.excitation import Excitation
 from sysid.fit import Fit
+from sysid.ramp import Ramp
 from sysid.servo import Pulse
 from sysid.tells import Combination
 from sysid.validation import Prediction, Trace
@@ -74,6 +75,7 @@ class Outcome:
         notes: what a person should know.
         truth: the simulated car, where the sessions are simulated.
         pulses: phases of the servo's pulses, by drive.
+        ramps: limits of the motor controller's setpoint, by drive.
     """
 
     method: str
@@ -92,6 +94,7 @@ class Outcome:
     notes: tuple[str, ...] = ()
     truth: Car[float] | None = None
     pulses: tuple[Pulse, ...] = ()
+    ramps: tuple[Ramp, ...] = ()
 
     @property
     def unidentified(self) -> dict[str, str]:

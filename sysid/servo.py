@@ -94,15 +94,9 @@ def find_phase(run: Run, rough: Fit, options: Options) -> Pulse:
     """The likeliest phase of a drive's pulses, all free parameters adapted to each."""
     step = run.servo_frame / PHASES
     phases = step * (np.arange(PHASES) + 0.5)
-    plain = _problem(run, rough, options)
-    x = plain.layout.guess.copy()
-    at = plain.evaluate(rough.z, x)
-    limit = robust_limit(at.error)
-    x += solve(normal_equations(plain, at, limit), 0.0, np.ones(len(rough.z), bool))[1]
-    at = plain.evaluate(rough.z, x)
-    limit = robust_limit(at.error)
-    candidates = [_problem(latch(run, float(phase)), rough, options) for phase in phases]
-    tried = np.array([_profile(problem, rough.z, x, limit) for problem in candidates])
+    x, limit = settle_states(run, rough, options)
+    candidates = [rough_problem(latch(run, float(phase)), rough, options) for phase in phases]
+    tried = np.array([stepped_loss(problem, rough.z, x, limit) for problem in candidates])
     best, alike = _middle(tried)
     others = tried[~alike]
     sure = float(others.min() - tried.min()) if len(others) else 0.0
@@ -118,7 +112,7 @@ def _on_grid(phase: float, h: float, step: float) -> float:
     return near if abs(near - phase) <= 0.5 * step + 1e-9 else phase
 
 
-def _problem(run: Run, rough: Fit, options: Options) -> Problem:
+def rough_problem(run: Run, rough: Fit, options: Options) -> Problem:
     """The drive in windows of 2 s, as the rough fit sees it."""
     parts = moving_parts([run])
     kernels = make_kernels(rough.model.effects)
@@ -130,11 +124,28 @@ def _problem(run: Run, rough: Fit, options: Options) -> Problem:
     )  # fmt: skip
 
 
-def _profile(problem: Problem, z: Array, x: Array, limit: float) -> float:
+def settle_states(run: Run, rough: Fit, options: Options) -> tuple[Array, float]:
+    """Initial states (W, 7) of a drive's windows under the rough fit, and where outliers begin."""
+    plain = rough_problem(run, rough, options)
+    x = plain.layout.guess.copy()
+    at = plain.evaluate(rough.z, x)
+    limit = robust_limit(at.error)
+    x += solve(normal_equations(plain, at, limit), 0.0, np.ones(len(rough.z), bool))[1]
+    return x, robust_limit(plain.evaluate(rough.z, x).error)
+
+
+def profile_loss(problem: Problem, z: Array, x: Array, limit: float) -> float:
     """Loss at the minimum over coordinates and initial states of the linearised problem."""
     at = problem.evaluate(z, x)
     ahead = gain_ahead(problem, normal_equations(problem, at, limit), z)
     return cost_of(at, limit) - 0.5 * ahead
+
+
+def stepped_loss(problem: Problem, z: Array, x: Array, limit: float) -> float:
+    """As `profile_loss`, after a step towards the minimum: for what moves it far."""
+    normal = normal_equations(problem, problem.evaluate(z, x), limit)
+    dz, dx = solve(normal, 0.0, np.zeros(len(z), bool))
+    return profile_loss(problem, z + dz, x + dx, limit)
 
 
 def _middle(losses: Array) -> tuple[float, NDArray[np.bool_]]:
