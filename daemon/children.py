@@ -216,6 +216,7 @@ def _start_recorder(
         "attachments": make_attachments(plan),
         "start_ns": epoch_ns,
         "disk_free_min": plan.settings.record.disk_free_min_mb * 1_000_000,
+        "flush_ns": plan.settings.record.flush_ms * 1_000_000,
     }
     return spawn("daemon.recorder", {"pipe": pipe_fd}, job)
 

@@ -21,6 +21,8 @@ from mocap_link.ingest import IngestConfig
 from vesc_link.scaling import Scaling, steer_limits
 
 S = TypeVar("S")
+FLUSH_MS, DISK_FREE_MIN_MB = (10, 250), 100
+"""What no car file may leave."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,13 @@ class BrakeSettings:
 
 @dataclass(frozen=True)
 class RecordSettings:
-    """What the recorder must be able to do before the car may drive."""
+    """What the recorder must be able to do before the car may drive.
+
+    Attributes:
+        required: whether a lost recorder stops the car (W26); it keeps it from being armed too.
+        flush_ms: at most so much of a session is lost when everything is killed; 10 to 250.
+        disk_free_min_mb: less free space ends the recording in good order; at least 100.
+    """
 
     required: bool = True
     flush_ms: int = 250
@@ -119,7 +127,7 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
         filter=take.make("estimator", lambda: load_filter_config(take.section("estimator"))),
         thresholds=take.make("safety", lambda: _thresholds(safety)),
         deadman=deadman,
-        record=take.make("record", lambda: _convert(take.section("record"), RecordSettings)),
+        record=take.make("record", lambda: _record(take.section("record"))),
     )
     if settings.controller.speed > settings.limits.speed_max:
         raise SteerdError(
@@ -171,6 +179,16 @@ def _positive_brakes(brakes: BrakeSettings) -> BrakeSettings:
     if brakes.uuid and len(bytes.fromhex(brakes.uuid)) != 12:
         raise ValueError(f"uuid = {brakes.uuid!r}: 24 hex digits, as `steerd status` shows them")
     return brakes
+
+
+def _record(table: Mapping[str, Any]) -> RecordSettings:
+    record = _convert(table, RecordSettings)
+    if not FLUSH_MS[0] <= record.flush_ms <= FLUSH_MS[1]:
+        raise ValueError(f"flush_ms = {record.flush_ms}: {FLUSH_MS[0]} to {FLUSH_MS[1]} ms")
+    if record.disk_free_min_mb < DISK_FREE_MIN_MB:
+        text = f"disk_free_min_mb = {record.disk_free_min_mb}: at least {DISK_FREE_MIN_MB} MB"
+        raise ValueError(text)
+    return record
 
 
 _FRAME_KEYS = {"world_yaw_deg": "world_yaw", "mount_yaw_deg": "mount_yaw"}

@@ -49,7 +49,7 @@ class Core:
         flags: what the runner reports; stays until it is taken back.
         last: the latest tick's result, or None.
         source: the mocap source's state as last told, for people.
-        error: the first exception that the loop raised, or None.
+        error: the first exception that nothing expected, or None.
     """
 
     def __init__(self, loop: Loop, link: VescLink, outbox: Outbox) -> None:
@@ -59,7 +59,7 @@ class Core:
         self.flags = 0
         self.last: TickResult | None = None
         self.source: SourceStatus | None = None
-        self.error: Exception | None = None
+        self.error: BaseException | None = None
         self._uptime_ms = -1
         self._seq = 0
         self._told_ns = -DIAGNOSTICS_PERIOD_NS
@@ -124,6 +124,11 @@ class Core:
         """The frame with which a guardian stops the car."""
         current = self.loop.setup.settings.brakes.brake_current_a
         return encode_frame(encode_command(SetCurrentBrake(current)))
+
+    def strand(self, error: BaseException) -> None:
+        """An exception that nothing caught, of a thread or a destructor: stop for good (W29)."""
+        self.flags |= Flag.EXCEPTION
+        self.error = self.error or error
 
     def make_farewell(self) -> bytes:
         """Frames for a car at rest: let the motor go, give the VESC its own limits back."""
@@ -191,8 +196,7 @@ class Core:
         try:
             return self.loop.tick(due_ns, now_ns, flags)
         except Exception as error:
-            self.flags |= Flag.EXCEPTION
-            self.error = self.error or error
+            self.strand(error)
             return tick_blind(self.loop, error, now_ns, bool(flags & Flag.LINKED))
 
     def _wire(self, drive: e.Drive, now_ns: int) -> bytes:

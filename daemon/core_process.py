@@ -4,6 +4,7 @@ import json
 import os
 import socket
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -115,6 +116,7 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
         sinks,
         leased=bool(job["leased"]),
     )
+    strand_on_strays(core)
     requests = tuple(socket.socket(fileno=fds[name]) for name in ("parent", "asking"))
     for end in requests:
         end.setblocking(False)
@@ -127,12 +129,26 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
         _opener(plan.options.port or "", port),
         mocap,
         ends,
-        ProcessGuard(report.fifo, simulated=plan.options.simulated),
+        ProcessGuard(
+            report.fifo,
+            simulated=plan.options.simulated,
+            silent_s=plan.settings.thresholds.guardian,
+        ),
         make_notify(os.environ),
     )
     settle_memory()
     runner.run()
     return core
+
+
+def strand_on_strays(core: Core) -> None:
+    """What is raised in a thread or a destructor has no caller; the car stops for it (W29)."""
+
+    def take(error: BaseException | None) -> None:
+        core.strand(error or RuntimeError("an exception without a value"))
+
+    sys.unraisablehook = lambda stray: take(stray.exc_value)
+    threading.excepthook = lambda stray: take(stray.exc_value)
 
 
 def _tell(fd: int, what: Mapping[str, Any]) -> None:

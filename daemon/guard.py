@@ -8,11 +8,12 @@ from typing import Protocol
 
 from daemon.guardian import STALE_NS, STALE_NS_NO_RT, HeartbeatPage, make_page_fd
 from daemon.lifeline import Lifeline
+from daemon.thresholds import Thresholds
 
 START_NS = 1_000_000_000
 """A guardian that has just been started gets this long to show itself."""
-SILENT_NS = 50_000_000
 STALE_NS_SIMULATED = 300_000_000
+SILENT_S = Thresholds().guardian
 
 
 class Guard(Protocol):
@@ -49,9 +50,17 @@ class ProcessGuard:
     Args:
         realtime: whether the core has a fixed priority; without, the heartbeat may be later.
         simulated: the hardware is simulated; a machine that hiccups must not end the run.
+        silent_s: how long the guardian itself may be silent (W16) [s].
     """
 
-    def __init__(self, realtime: bool, *, simulated: bool = False) -> None:
+    def __init__(
+        self,
+        realtime: bool,
+        *,
+        simulated: bool = False,
+        silent_s: float = SILENT_S,
+    ) -> None:
+        self._silent_ns = round(silent_s * 1e9)
         self._stale_ns = STALE_NS if realtime else STALE_NS_NO_RT
         if simulated:
             self._stale_ns = STALE_NS_SIMULATED
@@ -88,12 +97,12 @@ class ProcessGuard:
         return self._page is not None and self._page.may_write(tick_ns, now_ns, self._stale_ns)
 
     def silent(self, now_ns: int) -> bool:
-        """Whether the guardian is gone or has not shown itself for 50 ms."""
+        """Whether the guardian is gone or has not shown itself for a while (W16)."""
         if self._page is None or self._process is None:
             return False
         if now_ns - self._started_ns < START_NS and not self._page.guardian_ns:
             return False
-        stale = now_ns - self._page.guardian_ns > max(SILENT_NS, self._stale_ns)
+        stale = now_ns - self._page.guardian_ns > max(self._silent_ns, self._stale_ns)
         return stale or self._process.poll() is not None
 
     def tripped(self) -> bool:

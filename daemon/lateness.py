@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from daemon.findings import Finding, Severity, make_finding
+from daemon.thresholds import Thresholds
 
 WINDOW_NS = 1_000_000_000
 
@@ -21,7 +22,13 @@ class LatenessRules(NamedTuple):
     share: float
 
 
-ON_HARDWARE = LatenessRules(25_000_000, 3, 0.02)
+def make_rules(thresholds: Thresholds) -> LatenessRules:
+    """What a car file allows on hardware."""
+    late_ns = round(thresholds.late * 1e9)
+    return LatenessRules(late_ns, thresholds.late_run, thresholds.late_share)
+
+
+ON_HARDWARE = make_rules(Thresholds())
 IN_SIMULATION = LatenessRules(250_000_000, 25, 0.5)
 """Nobody stands in a simulated lane, and a laptop hiccups: late ticks are counted and told."""
 

@@ -32,7 +32,7 @@ from daemon.checks import (
 from daemon.config import Settings
 from daemon.findings import Finding, make_finding, summarise
 from daemon.flags import Flag, reported_findings
-from daemon.lateness import IN_SIMULATION, ON_HARDWARE, Lateness, step_lateness
+from daemon.lateness import IN_SIMULATION, Lateness, make_rules, step_lateness
 from daemon.launch import LaunchInput, LaunchState, make_launch_state, step_launch
 from daemon.lease import (
     Lease,
@@ -154,6 +154,7 @@ class Loop:
         self._launch: LaunchState | None = None
         self._watchdogs = WatchdogState()
         self._lateness = Lateness()
+        self._late_rules = IN_SIMULATION if setup.simulated else make_rules(s.thresholds)
         self._asked = Request.NONE
         self._not_finite = False
         self._started_ns = 0
@@ -273,9 +274,8 @@ class Loop:
         flags: int,
     ) -> tuple[Finding, ...]:
         reported = list(reported_findings(flags))
-        rules = IN_SIMULATION if self.setup.simulated else ON_HARDWARE
         self._lateness, late = step_lateness(
-            self._lateness, due_ns, now_ns, self.setup.period_ns, rules
+            self._lateness, due_ns, now_ns, self.setup.period_ns, self._late_rules
         )
         reported += [late] if late else []
         reported += self._judge_launch(estimate, now_ns)

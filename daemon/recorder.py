@@ -18,7 +18,7 @@ from daemon.records import Record, unpack_records
 from daemon.signals import ignore_terminal_signals
 from daemon.views import Views
 from steer_bus.clock import MonotonicClock
-from steer_bus.session import AttachedFile, SessionWriter
+from steer_bus.session import FLUSH_NS, AttachedFile, SessionWriter
 from steer_bus.session_read import SessionError
 from steer_bus.topics import TOPICS, make_session_topic
 
@@ -43,7 +43,12 @@ class Recording:
         ]
         classes = {self._topics[topic.name]: topic.message for topic in TOPICS}
         self.writer = SessionWriter(
-            path, classes, meta["metadata"], attachments, int(meta["start_ns"])
+            path,
+            classes,
+            meta["metadata"],
+            attachments,
+            int(meta["start_ns"]),
+            int(meta.get("flush_ns", FLUSH_NS)),
         )
         self.written = 0
         self._views = Views()

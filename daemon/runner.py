@@ -28,9 +28,6 @@ from vesc_link.transport import LinkDown, Port, PortError
 REOPEN_NS = 200_000_000
 MOCAP_TIMER_NS = 10_000_000
 CLOCK_NS = 1_000_000_000
-PIPE_FULL_NS = 1_000_000_000
-SUSPEND_NS = 50_000_000
-
 
 OpenPort = Callable[[], Port]
 """Opens the serial port; raises PortError."""
@@ -81,6 +78,7 @@ class Runner:
         self._port: Port | None = None
         self._period_ns = core.loop.setup.period_ns
         self._reopen_ns = self._mocap_ns = self._clock_ns = 0
+        self._clogged = 0
         self._slept_ns = sleep_lag_ns()
         self.signals = 0
         self.error: PortError | None = None
@@ -207,18 +205,18 @@ class Runner:
         self._core.outbox.post(topics.CLOCK, ClockSample(header, realtime, now_ns, 0), now_ns)
 
     def _watch_processes(self, now_ns: int) -> None:
-        ends, core = self._ends, self._core
-        for pipe, flag in ((ends.recorder, Flag.RECORDER_LOST), (ends.gateway, Flag.GATEWAY_LOST)):
-            if pipe is not None:
-                full = pipe.full_since_ns
-                stuck = full is not None and now_ns - full > PIPE_FULL_NS
-                core.flags |= flag if pipe.dead or stuck else 0
+        ends, core, settings = self._ends, self._core, self._core.loop.setup.settings
+        th = settings.thresholds
+        if settings.record.required and _is_lost(ends.recorder, th.recorder_full, now_ns):
+            core.flags |= Flag.RECORDER_LOST
+        if _is_lost(ends.gateway, th.gateway_full, now_ns):
+            core.flags |= Flag.GATEWAY_LOST
         if self._port is not None:
             self._watch_guardian(now_ns)
         if self._guard.tripped():
             core.flags |= Flag.GUARDIAN_TRIPPED
         lag = sleep_lag_ns()
-        if lag - self._slept_ns > SUSPEND_NS:
+        if lag - self._slept_ns > th.suspend_step * 1e9:
             core.flags |= Flag.SUSPENDED
         self._slept_ns = lag
 
@@ -269,11 +267,27 @@ class Runner:
         try:
             if wire:
                 self._port.write(wire)
+            clogged = self._is_clogged(self._port, engaged)
         except LinkDown:
             self._lose_port()
+            return
+        if clogged:
+            self._lose_port()
+
+    def _is_clogged(self, port: Port, engaged: bool) -> bool:
+        """Whether an armed car's device has not taken its bytes for some ticks (W8).
+
+        Raises:
+            LinkDown: the device is gone.
+        """
+        th = self._core.loop.setup.settings.thresholds
+        waits = engaged and port.out_queue() > th.out_queue
+        self._clogged = self._clogged + 1 if waits else 0
+        return self._clogged >= th.out_ticks
 
     def _lose_port(self) -> None:
         port, self._port = self._port, None
+        self._clogged = 0
         if port is not None:
             with contextlib.suppress(OSError):
                 port.close()
@@ -299,3 +313,11 @@ class Runner:
         self._core.outbox.flush(now)
         if not isinstance(self._mocap, BusPoseSource):
             self._mocap.close()
+
+
+def _is_lost(pipe: PipeWriter | None, patience_s: float, now_ns: int) -> bool:
+    """Whether a reader is gone, or has taken nothing for too long (W26, W27)."""
+    if pipe is None:
+        return False
+    full_ns = pipe.full_since_ns
+    return pipe.dead or (full_ns is not None and now_ns - full_ns > patience_s * 1e9)

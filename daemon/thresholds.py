@@ -65,7 +65,14 @@ BOUNDS: Mapping[str, Bound] = {
     "lease_warn": Bound(0.05, 0.3, "s"),
     "lease": Bound(0.1, 0.3, "s"),
     "suspend_step": Bound(0.01, 0.05, "s"),
-    "source_step": Bound(0.005, 0.05, "s"),
+    "out_queue": Bound(64, 256, "B"),
+    "out_ticks": Bound(1, 3, "ticks"),
+    "late": Bound(0.005, 0.025, "s"),
+    "late_run": Bound(1, 3, "ticks"),
+    "late_share": Bound(0.0, 0.02, ""),
+    "guardian": Bound(0.02, 0.05, "s"),
+    "recorder_full": Bound(0.1, 1.0, "s"),
+    "gateway_full": Bound(0.1, 1.0, "s"),
 }
 
 
@@ -138,7 +145,14 @@ class Thresholds:
     lease_warn: float = 0.15
     lease: float = 0.30
     suspend_step: float = 0.05
-    source_step: float = 0.02
+    out_queue: int = 256
+    out_ticks: int = 3
+    late: float = 0.025
+    late_run: int = 3
+    late_share: float = 0.02
+    guardian: float = 0.05
+    recorder_full: float = 1.0
+    gateway_full: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse what the bounds do not allow."""

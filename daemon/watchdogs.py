@@ -2,8 +2,8 @@
 
 ``INSTANT`` holds what trips at once, ``TIMED`` what must hold for a while; three more remember a
 little. "Older than" is strict, "for so long" includes the instant. Comparisons are written so that
-NaN trips. Frame-wise watchdogs live in ``watchdogs_pose``; the runner reports W8, W15, W16, W26,
-W27 and W29 itself (``WatchdogInput.reported``).
+NaN trips. Frame-wise watchdogs live in ``watchdogs_pose``; the runner reports W8, W15, W16, W26 to
+W29 itself (``WatchdogInput.reported``), under thresholds of the same table.
 """
 
 from collections.abc import Callable
@@ -52,8 +52,6 @@ class WatchdogInput(NamedTuple):
         fet_temperature: [C].
         motor_temperature: [C]; NaN without a sensor, which is allowed.
         current_share: |motor current| over its limit.
-        suspend_step: change of CLOCK_BOOTTIME - CLOCK_MONOTONIC since the last tick [s].
-        source_step: change of the mocap clock against its fit [s].
         reported: what the runner found itself.
     """
 
@@ -83,8 +81,6 @@ class WatchdogInput(NamedTuple):
     fet_temperature: float
     motor_temperature: float
     current_share: float
-    suspend_step: float = 0.0
-    source_step: float = 0.0
     reported: tuple[Finding, ...] = ()
 
 
@@ -213,17 +209,9 @@ def _check_lease(th: Thresholds, i: WatchdogInput, say: Say) -> None:
         say(make_finding("W25", words, _WARN if i.lease_age <= th.lease else None))
 
 
-def _check_clock(th: Thresholds, i: WatchdogInput, say: Say) -> None:
-    if not abs(i.suspend_step) <= th.suspend_step:
-        say(make_finding("W28", f"clocks moved apart by {i.suspend_step:.3f} s"))
-    if not abs(i.source_step) <= th.source_step:
-        say(make_finding("W28", f"mocap clock stepped by {i.source_step:.3f} s", _WARN))
-
-
 INSTANT: tuple[Check, ...] = (
     _check_mocap_age, _check_pose, _check_innovation, _check_estimate, _check_telemetry,
     _check_vesc, _check_battery, _check_temperature, _check_path, _check_fence, _check_lease,
-    _check_clock,
 )  # fmt: skip
 
 

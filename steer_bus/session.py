@@ -63,6 +63,7 @@ class SessionWriter:
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[AttachedFile] = (),
         start_ns: int = 0,
+        flush_ns: int = FLUSH_NS,
     ) -> None:
         """Create ``path`` + ``.partial`` and write what is known at the start.
 
@@ -72,6 +73,7 @@ class SessionWriter:
             metadata: records such as ``steerd.session`` and ``steerd.vehicle``.
             attachments: files to keep inside.
             start_ns: UNIX time of the attachments [ns].
+            flush_ns: how often :meth:`tick` flushes [ns].
 
         Raises:
             SessionError: if a file of this name exists or cannot be created.
@@ -94,6 +96,7 @@ class SessionWriter:
         self._channels = {topic: self._add_topic(topic, cls) for topic, cls in topics.items()}
         self._sequences = dict.fromkeys(self._channels, 0)
         self._last_log_ns = 0
+        self._flush_ns = flush_ns
         self._flushed_ns = self._synced_ns = -(1 << 62)
         self._file.flush()
         _sync_folder(path)
@@ -137,7 +140,7 @@ class SessionWriter:
             raise _disk_error(self.partial, error) from error
 
     def tick(self, t_ns: int) -> bool:
-        """Flush if a quarter of a second has passed; say whether :meth:`sync` is due.
+        """Flush if it is time (a quarter of a second by default); say whether :meth:`sync` is due.
 
         Args:
             t_ns: monotonic time now [ns].
@@ -145,7 +148,7 @@ class SessionWriter:
         Raises:
             SessionError: if the disk does not take it.
         """
-        if t_ns - self._flushed_ns >= FLUSH_NS:
+        if t_ns - self._flushed_ns >= self._flush_ns:
             self.flush()
             self._flushed_ns = t_ns
         if t_ns - self._synced_ns < SYNC_NS:

@@ -31,7 +31,7 @@ TH = Thresholds(
     blocked_current=0.5, blocked_speed=0.0625, blocked_hold=1.0,
     saturated=0.984375, saturated_warn=0.5, saturated_hold=1.0,
     brake_decel=4.0, stop_share=0.5, stop_lag=0.125, stop_window=0.25, stop_speed=0.125,
-    lease_warn=0.125, lease=0.25, suspend_step=0.046875, source_step=0.03125,
+    lease_warn=0.125, lease=0.25,
 )  # fmt: skip
 CALM = WatchdogInput(
     t_ns=10**9, state=State.RUNNING, pose=PoseWatch(), mocap_age=0.0, telemetry_age=0.0,
@@ -86,10 +86,6 @@ INSTANT = [
     ({}, "heading_error", 0.5, up(0.5), "W18", WARN),
     ({}, "heading_error", -0.5, down(-0.5), "W18", WARN),
     ({}, "lease_age", 0.125, up(0.125), "W25", WARN),
-    ({}, "suspend_step", 0.046875, up(0.046875), "W28", HARD),
-    ({}, "suspend_step", -0.046875, down(-0.046875), "W28", HARD),
-    ({}, "source_step", 0.03125, up(0.03125), "W28", WARN),
-    ({}, "source_step", -0.03125, down(-0.03125), "W28", WARN),
 ]
 
 
@@ -126,7 +122,6 @@ def test_warning_becomes_a_trip(name, edge, beyond, id, severity):
         ("fet_temperature", "W14"),
         ("lateral_error", "W17"),
         ("heading_error", "W18"),
-        ("suspend_step", "W28"),
     ],
 )
 def test_nan_trips_at_once(name, id):

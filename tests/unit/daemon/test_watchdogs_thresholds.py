@@ -43,7 +43,8 @@ def test_ceilings_are_these_and_changing_one_is_a_decision():
         "lateral": 0.6, "lateral_max": 1.0, "overspeed_ratio": 1.3, "overspeed_margin": 0.3,
         "overspeed_hold": 0.1, "mismatch_speed": 1.0, "mismatch_hold": 0.4, "blocked_hold": 2.0,
         "saturated_hold": 2.0, "stop_lag": 0.3, "stop_window": 0.5, "lease": 0.3,
-        "suspend_step": 0.05,
+        "suspend_step": 0.05, "out_queue": 256, "out_ticks": 3, "late": 0.025, "late_run": 3,
+        "late_share": 0.02, "guardian": 0.05, "recorder_full": 1.0, "gateway_full": 1.0,
     }  # fmt: skip
     assert {name: BOUNDS[name].high for name in highest} == highest
     lowest = {"cell": 3.1, "fence_delay": 0.1, "fence_margin": 0.1, "stop_share": 0.3}
@@ -63,9 +64,7 @@ def test_defaults_are_those_of_the_safety_page():
     assert (th.mismatch_speed, th.mismatch_share, th.mismatch_hold) == (0.5, 0.3, 0.2)
     assert (th.blocked_current, th.blocked_speed, th.blocked_hold) == (0.5, 0.08, 1.0)
     assert (th.saturated, th.saturated_warn, th.saturated_hold) == (0.98, 0.5, 1.0)
-    assert (th.stop_share, th.stop_window, th.suspend_step, th.source_step) == (
-        0.5,
-        0.3,
-        0.05,
-        0.02,
-    )
+    assert (th.stop_share, th.stop_window, th.suspend_step) == (0.5, 0.3, 0.05)
+    assert (th.out_queue, th.out_ticks, th.guardian) == (256, 3, 0.05)
+    assert (th.late, th.late_run, th.late_share) == (0.025, 3, 0.02)
+    assert (th.recorder_full, th.gateway_full) == (1.0, 1.0)

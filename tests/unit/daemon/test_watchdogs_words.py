@@ -54,8 +54,6 @@ def said(seconds=0.0, th=TH, **changes):
         ({"lateral_error": -0.25}, "W17", "0.25 m"),
         ({"heading_error": 0.6}, "W18", "34 deg"),
         ({"lease_age": 2.0}, "W25", "not renewed for 2000 ms"),
-        ({"suspend_step": 0.3}, "W28", "clocks moved apart by 0.300 s"),
-        ({"source_step": -0.125}, "W28", "mocap clock stepped by -0.125 s"),
     ],
 )
 def test_what_is_said_at_once(changes, id, words):
