@@ -27,8 +27,9 @@ _EDGE = 0.08
 """Half width of a patch's edge [m]."""
 _LOAD_TIME = 0.012
 """How fast wheel loads follow the accelerations [s]."""
-_MEMORY = 8
-"""Slip memory of four wheels, filtered accelerations along and across, servo, wheel angle."""
+_MEMORY = 9
+"""Slip memory of four wheels, filtered accelerations along and across, servo, angle behind its
+play, front wheels' angle of the step before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,6 +255,16 @@ def _motor(car: PlantCar, s: Array, command: float, t: float, cut: bool) -> floa
 
 
 @njit(cache=True)
+def _steered(car: PlantCar, s: Array, m: Array, steer: float) -> None:
+    """What turning the front wheels adds to their slip is not felt yet."""
+    if car.relaxation > 0.0:
+        for wheel in range(2):
+            m[wheel] -= _slip(car, s, wheel, _angle(car, wheel, steer, 0.0))[2]
+            m[wheel] += _slip(car, s, wheel, _angle(car, wheel, m[8], 0.0))[2]
+    m[8] = steer
+
+
+@njit(cache=True)
 def _remember(car: PlantCar, before: Array, s: Array, m: Array, steer: float) -> None:
     """Slip memory and load filter after a step."""
     ax = (s[3] - before[3]) / STEP - s[5] * s[4]
@@ -353,8 +364,10 @@ def _simulate(
         line[step] = now
         if step == 0:
             m[6] = m[7] = car.steer_gain * now[0] + car.steer_bias
+            m[8] = _wheel_angle(car, s, m, t)
         _servo(car, m, _late(line, step, car.steer_delay, 0), held[step] > 0.0)
         angle = _wheel_angle(car, s, m, t)
+        _steered(car, s, m, angle)
         accel = _motor(car, s, _late(line, step, car.drive_delay, 1), t, cut[step] > 0.0)
         _rk4(car, s, m, process[step], angle, accel, t, scratch)
         _remember(car, states[step], s, m, angle)

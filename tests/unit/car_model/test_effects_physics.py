@@ -93,16 +93,37 @@ def test_the_ellipse_takes_what_acceleration_uses() -> None:
     slips, accel = Axles(0.05, 0.04), 3.0
     whole = lateral_forces(CAR, slips, axle_loads(CAR, accel))
     left = math.sqrt(1.0 - (accel / (CAR.mu * GRAVITY)) ** 2)
-    found = tyres("friction_ellipse", (1.0,), slips, accel)
+    found = tyres("friction_ellipse", (1.0, 0.5), slips, accel)
     assert found == pytest.approx((whole.front * left, whole.rear * left))
+
+
+def test_rear_wheel_drive_takes_grip_from_the_rear_alone() -> None:
+    slips, accel = Axles(0.05, 0.04), 3.0
+    whole = lateral_forces(CAR, slips, axle_loads(CAR, accel))
+    left = math.sqrt(1.0 - (2.0 * accel / (CAR.mu * GRAVITY)) ** 2)
+    found = tyres("friction_ellipse", (1.0, 1.0), slips, accel)
+    assert found == pytest.approx((whole.front, whole.rear * left))
 
 
 def test_lateral_transfer_costs_grip_with_the_square_of_lateral_acceleration() -> None:
     slips = Axles(0.05, 0.05)
     whole = lateral_forces(CAR, slips, axle_loads(CAR, 0.0))
     lateral = (whole.front + whole.rear) / (CAR.mass * GRAVITY)
-    found = tyres("lateral_load_transfer", (0.5,), slips)
+    found = tyres("lateral_load_transfer", (0.5, 0.6), slips)
     assert found.front == pytest.approx(whole.front / (1.0 + 0.5 * lateral**2))
+
+
+def test_what_falls_with_load_across_the_car_does_so_along_it() -> None:
+    """Two wheels with mu (1 - e (load - 1)) lose e s^2 with s moved; one axle e s under it."""
+    e, moved, accel = 0.4, 0.5, 2.0
+    pair = sum(0.5 * load * (1.0 - e * (load - 1.0)) for load in (1.0 + moved, 1.0 - moved))
+    assert pair == pytest.approx(1.0 - e * moved**2)
+    slips = Axles(1e-6, 1e-6)
+    still, loads = axle_loads(CAR, 0.0), axle_loads(CAR, accel)
+    whole = lateral_forces(CAR, slips, loads)
+    found = tyres("lateral_load_transfer", (e * moved**2, moved), slips, accel)
+    assert found.rear == pytest.approx(whole.rear * (1.0 - e * (loads.rear / still.rear - 1.0)))
+    assert found.front > whole.front
 
 
 def test_drag_is_the_deceleration_of_a_car_left_to_roll() -> None:
