@@ -63,7 +63,7 @@ def _open(outcome: Outcome) -> Iterator[str]:
         by_hint.setdefault(hint, []).append(name)
     for hint, names in by_hint.items():
         yield f"   {', '.join(names)}: {hint}"
-    for c in outcome.combinations:
+    for c in (each for each in outcome.combinations if each.known):
         yield f"   known all the same: {c.text} = {c.value:.5g} ± {c.sd:.2g} m"
 
 

@@ -18,6 +18,7 @@ from sysid.chart import Chart, make_chart
 from sysid.dataset import Run
 from sysid.descend import Descent, Effort, descend
 from sysid.gate import check_excited
+from sysid.honest import doubted, score_spread, widened
 from sysid.kernels import Kernels, delays_of, make_kernels, model_of, parameter_vector
 from sysid.objective import Evaluation, Problem, information
 from sysid.tells import Combination, Direction, Estimate, combinations, directions, estimates
@@ -58,6 +59,7 @@ class Options:
         integrator: `rk4` or `euler`.
         substeps: integration steps to a command; None chooses stable ones.
         noise: (4,) known noise levels, see `windows.GROUPS`; None estimates them.
+        doubts: parameters that may be off by so much whatever the data say (see `honest`).
     """
 
     free: tuple[str, ...] | None = None
@@ -66,6 +68,7 @@ class Options:
     integrator: str = "rk4"
     substeps: int | None = None
     noise: tuple[float, ...] | None = None
+    doubts: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,10 +312,13 @@ def _settle_noise(work: _Work, problem: Problem, found: Descent) -> Descent:
 def _report(work: _Work, problem: Problem, found: Descent, signal: Array) -> Fit:
     chart = work.chart
     told = information(found.normal)
-    covariance: Array = np.linalg.inv(told).astype(float)
-    sd = np.sqrt(np.diag(covariance))
     parameters = chart.parameters(found.z)
+    spread = score_spread(problem, found.at, found.normal, found.limit)
+    covariance = widened(np.linalg.inv(told), spread)
+    covariance += doubted(problem, found.x, parameters, found.limit, work.options.doubts)
+    sd = np.sqrt(np.diag(covariance))
     pace = float(np.median(np.abs(np.concatenate([run.commands[:, 1] for run in work.runs]))))
+    pace *= model_of(work.kernels, parameters).car.speed_gain
     return Fit(
         model=model_of(work.kernels, parameters),
         parameters=parameters,

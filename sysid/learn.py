@@ -29,6 +29,12 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 METHODS: tuple[str, ...] = ("ours", "paper", "cma-es")
+TIMES: dict[str, float] = {
+    "drive_delay": 1e-3, "steer_delay": 1e-3, "pose_delay": 1e-4, "steer_lag": 1e-4,
+}  # fmt: skip
+"""Doubts about times [s] that drives cannot remove: a command's stamp says when it left, not when
+the motor controller took it over with its next tick, some 1 ms later; clocks of mocap and computer
+agree to 0.1 ms; within a step of the grid the servo's course is not known."""
 START_SPREAD = 0.3
 """Further starts lie about the first with this relative standard deviation."""
 
@@ -100,6 +106,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     """
     began = clock()
     task, pulses, ramps = _settled(task)
+    task = replace(task, options=replace(task.options, doubts=_doubts(task, pulses)))
     parts = moving_parts(task.runs)
     if task.held_out:
         fitted, kept = blocks(parts), moving_parts(task.held_out)
@@ -156,7 +163,15 @@ def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...]]:
         settled.append(pulsed)
         pulses += phases
         ramps += rates
-    return replace(task, runs=settled[0], held_out=settled[1]), tuple(pulses), tuple(ramps)
+    task = replace(task, runs=settled[0], held_out=settled[1])
+    return task, tuple(pulses), tuple(ramps)
+
+
+def _doubts(task: Task, pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...]:
+    """What no log tells about the times of commands and poses."""
+    wait = max((pulse.blur for pulse in pulses), default=0.0)
+    doubts = {**TIMES, "steer_delay": float(np.hypot(TIMES["steer_delay"], wait))}
+    return (*task.options.doubts, *doubts.items())
 
 
 def _fit_one(

@@ -43,11 +43,14 @@ class Pulse(NamedTuple):
         run: the drive's name.
         phase: of the pulses after the drive's first command [s].
         sure: by how much the log-likelihood falls at the best phase that is told apart from it.
+        blur: by how much it may be off: phases between the same two commands look alike, but for a
+            dead time (standard deviation) [s].
     """
 
     run: str
     phase: float
     sure: float
+    blur: float = 0.0
 
 
 def latch(run: Run, phase: float) -> Run:
@@ -100,7 +103,8 @@ def find_phase(run: Run, rough: Fit, options: Options) -> Pulse:
     best, alike = _middle(tried)
     others = tried[~alike]
     sure = float(others.min() - tried.min()) if len(others) else 0.0
-    return Pulse(run.name, _on_grid(float(phases[0] + best * step), run.h, step), sure)
+    phase = _on_grid(float(phases[0] + best * step), run.h, step)
+    return Pulse(run.name, phase, sure, float(step * alike.sum() / np.sqrt(12.0)))
 
 
 def _on_grid(phase: float, h: float, step: float) -> float:

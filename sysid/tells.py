@@ -27,6 +27,8 @@ Priors lie about the start: circles from a start with large stiffness would seem
 """
 EXTREME = 2.0
 """A stiffness within this factor of a bound is no tyre's."""
+SUM_MAX = 0.02
+"""A sum is called known when its standard error, doubts included, is below this share of it."""
 NAMED_MIN = 0.25
 """Coordinates that carry less of a direction are not named in it."""
 
@@ -77,11 +79,13 @@ class Combination:
         text: the sum.
         value: its value.
         sd: its standard error.
+        known: whether that is small enough to call the sum known.
     """
 
     text: str
     value: float
     sd: float
+    known: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +189,8 @@ def combinations(
     """The two sums that a steady circle at `speed` fixes, with their standard errors.
 
     In steady turning `tan(steer) R = L + (v^2 / mu g)(1/Cf - 1/Cr)` and the slip at the centre of
-    gravity is `lr - v^2 / (mu g Cr)` over R: linear in the coordinates.
+    gravity is `lr - v^2 / (mu g Cr)` over R: linear in the coordinates. Where other parameters are
+    free as well (the steering's gain), a circle need not fix them: see `Combination.known`.
     """
     p = dict(zip(chart.names, chart.parameters(z), strict=True))
     share = speed**2 / (p["mu"] * GRAVITY)
@@ -197,10 +202,12 @@ def combinations(
         WHEELBASE: p["lf"] + p["lr"], "lr": p["lr"],
         "1/c_sf": 1.0 / p["c_sf"], "1/c_sr": 1.0 / p["c_sr"],
     }  # fmt: skip
+    careful = _doubted(chart, z, _without_untold(chart, covariance))
     out = []
     for text, parts in weights.items():
         row = np.array([parts.get(label, 0.0) for label in chart.labels])
         if np.any(row):
-            value = sum(weight * known[label] for label, weight in parts.items())
-            out.append(Combination(text, float(value), float(np.sqrt(row @ covariance @ row))))
+            value = float(sum(weight * known[label] for label, weight in parts.items()))
+            sd, doubt = (float(np.sqrt(row @ c @ row)) for c in (covariance, careful))
+            out.append(Combination(text, value, sd, max(sd, doubt) < SUM_MAX * abs(value)))
     return tuple(out)
