@@ -7,6 +7,8 @@ PYTEST := $(BIN)/python -m pytest -q
 
 # Small matrices: more BLAS threads than one only get in each other's way.
 export OPENBLAS_NUM_THREADS ?= 1
+# The tests start Python hundreds of times: let it keep what it compiled, whatever the shell says.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help install demo test lint types layers unit all-tests safety bench clean
 help:            ## this list

@@ -7,6 +7,7 @@ A model that a record cannot hold (one that branches on a value) runs as it is.
 """
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from car_model.model import Model, Moment, aim, car_now, drive_actuators, memory_size
@@ -36,8 +37,12 @@ class Steps(NamedTuple):
     unrolled: bool
 
 
+@lru_cache(maxsize=64)
 def make_steps(model: Model[float]) -> Steps:
-    """The halves of a step of this model, unrolled where that is possible."""
+    """The halves of a step of this model, unrolled where that is possible.
+
+    Kept: a second car of the same make (the next seed, the next fault) costs nothing.
+    """
     try:
         return Steps(
             _unrolled(model, _actuate), _unrolled(model, _glide), _unrolled(model, _follow), True
