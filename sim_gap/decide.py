@@ -117,8 +117,8 @@ def best_pair(
 
 def large(engine: Engine, score: Score, name: str) -> bool:
     """Whether a hypothesis' effect differs from the base's by an amount that matters."""
-    places = engine.superset.places(name)
-    nulls = np.array(engine.superset.nulls[name])
+    places = engine.superset.places(name)[: c.SIZED_BY_FIRST.get(name)]
+    nulls = np.array(engine.superset.nulls[name])[: len(places)]
     size = float(np.linalg.norm(score.fitted.parameters[places] - nulls))
     return size >= c.LEAST.get(name, 0.0)
 
@@ -129,8 +129,9 @@ def at_bound(engine: Engine, score: Score) -> tuple[str, ...]:
     for effect in engine.superset.effects:
         if effect.name not in score.effects:
             continue
-        values = score.fitted.parameters[engine.superset.places(effect.name)]
-        for value, q in zip(values.tolist(), effect.parameters, strict=True):
+        kept = c.SIZED_BY_FIRST.get(effect.name)
+        values = score.fitted.parameters[engine.superset.places(effect.name)][:kept]
+        for value, q in zip(values.tolist(), effect.parameters[:kept], strict=True):
             edge = 1e-6 * (q.high - q.low)
             ends = [end for end in (q.low, q.high) if end != q.null]
             if any(abs(value - end) <= edge for end in ends):

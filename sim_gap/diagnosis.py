@@ -328,7 +328,7 @@ def _shrinkage(
     case: _Case, engine: Engine, before: Fitted, chosen: Score, choice: Choice, noise: Noise
 ) -> Shrinkage:
     """Predict, hand the prediction out, then measure on the reserved drives."""
-    share, low, high = predict(before, chosen, choice.blocks)
+    share, low, high = predict(before, chosen, case.floor, choice.blocks)
     text = json.dumps(
         {"effects": chosen.effects, "values": _values(engine, chosen),
          "predicted": share, "low": low, "high": high}, sort_keys=True,
@@ -339,7 +339,7 @@ def _shrinkage(
         return Shrinkage(share, None, low, high, digest, text, None, None)
     held_out = case.options.held_out
     other = open_engine(case.superset, held_out() if callable(held_out) else held_out)
-    return measure(other, chosen, noise, (share, low, high), digest, text)
+    return measure(other, chosen, noise, case.floor, (share, low, high), digest, text)
 
 
 def _moved(null: Fitted) -> dict[str, float]:

@@ -17,7 +17,7 @@ from sim_gap.residuals import Gap
 from sim_gap.shrink import Shrinkage
 from sim_gap.timeline import Timeline
 from sim_gap.where import Regime, Share
-from sim_gap.words import EQUATIONS, NOTHING_THERE, SCALES, told_leads
+from sim_gap.words import EQUATIONS, SCALES, told_leads
 from sysid.drawing import AFTER, BEFORE, FAINT, INK, MEASURED, STYLE, make_figure, to_svg
 
 Array = NDArray[np.float64]
@@ -202,7 +202,7 @@ def draw_shrinkage(s: Shrinkage) -> str:
                   solid_capstyle="butt")  # fmt: skip
         axis.plot(100 * s.predicted, 0, "o", color=BEFORE, ms=8)
         labels = ["predicted"]
-        if s.measured is not None and s.before and s.before.whitened >= NOTHING_THERE:
+        if s.measured is not None:
             axis.plot(100 * s.measured, 1, "D", color=AFTER, ms=8)
             labels.append("measured")
         axis.set_yticks(range(len(labels)), labels)

@@ -16,8 +16,9 @@ from sim_gap import constants as c
 from sim_gap.candidates import blocks_of, gain_of, scored, singles
 from sim_gap.decide import bounded
 from sim_gap.descent import Fitted
-from sim_gap.noise import Noise, learn_noise, noise_of_section, noise_section, whitened
+from sim_gap.noise import Noise, calibrated, learn_noise, noise_of_section, noise_section, whitened
 from sim_gap.opening import null_fit, open_engine
+from sim_gap.residuals import ratios, robust_mean, settled
 from sim_gap.space import nuisance_names, telling_effects
 from sim_gap.superset import make_superset
 from sysid.dataset import Run
@@ -39,7 +40,9 @@ def _learn(base: CarFile | Model[float], runs: Sequence[Run]) -> tuple[Noise, Fi
         noise = learn_noise(engine, fitted, noise)
         engine = whitened(engine, fitted, noise)
         fitted = null_fit(engine, nuisance, fitted)
-    return learn_noise(engine, fitted, noise), fitted
+    noise = learn_noise(engine, fitted, noise)
+    fitted = null_fit(whitened(engine, fitted, noise), nuisance, fitted)
+    return calibrated(noise, robust_mean(ratios(fitted))), fitted
 
 
 def learn_healthy(base: CarFile | Model[float], runs: Sequence[Run]) -> Noise:
@@ -90,6 +93,8 @@ def _with_own_effects(base: CarFile, runs: Sequence[Run], noise: Noise) -> CarFi
             break
         found = ranked[0].fitted
         noise = learn_noise(engine, found, noise)
+        left = settled(whitened(engine, found, noise), found.space, found.z, found.x)
+        noise = calibrated(noise, robust_mean(ratios(left)))
         moved = _moved(base, found, noise)
         name = ranked[0].name
         values = tuple(float(v) for v in found.parameters[superset.places(name)])

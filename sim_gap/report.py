@@ -12,7 +12,6 @@ from sim_gap.diagnosis import Cause, Diagnosis
 from sim_gap.words import (
     EQUATIONS,
     FAMILIES,
-    NOTHING_THERE,
     ambiguity,
     cause_words,
     headline,
@@ -120,8 +119,7 @@ def _surest(cause: Cause) -> tuple[str, tuple[float, float, str]]:
 
 def _shrunk(told: Diagnosis) -> Card:
     s, label = told.shrinkage, "excess error removed"
-    there = s.before is not None and s.before.whitened >= NOTHING_THERE
-    if s.measured is None or not there:
+    if s.measured is None:
         return Card(label, f"{s.predicted:.0%}", "predicted")
     return Card(label, f"{s.measured:.0%}", f"measured; predicted {s.predicted:.0%}")
 

@@ -1,12 +1,13 @@
 """How far the gap shrinks: told before the reserved drives are opened, then measured there."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_gap.candidates import Score, blocks_of
-from sim_gap.descent import Fitted
+from sim_gap.descent import Fitted, curvature, step_within
 from sim_gap.engine import Engine
 from sim_gap.noise import Noise, whitened
 from sim_gap.residuals import Gap, gap_of, interval_of, ratios, robust_mean, settled
@@ -14,8 +15,11 @@ from sim_gap.space import make_space
 
 Array = NDArray[np.float64]
 
-_EXCESS_LEAST = 0.05
-"""Below this there is hardly an excess to take a share of."""
+_EXCESS_LEAST = 0.01
+"""Below this there is no excess to take a share of."""
+_SIGMAS = 2.0
+"""How far noise alone may be from what it leaves on average, and an excess from nothing, in
+standard errors."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,8 @@ class Shrinkage:
 
     Attributes:
         predicted: on windows left out of the fit; `low` and `high` its 90 % interval.
-        measured: on the reserved drives, None without them.
+        measured: on the reserved drives, None without them or where they hold too little of the gap
+            to tell (then `before` says how little).
         digest: SHA-256 of `text`, the prediction as it was written.
         before: the gap on the reserved drives; `after` with the explanation.
     """
@@ -45,21 +50,73 @@ def explained_share(before: float, after: float, floor: float) -> float:
     return float(np.clip((before - after) / excess, 0.0, 1.0))
 
 
-def predict(before: Fitted, chosen: Score, blocks: NDArray[np.int64]) -> tuple[float, float, float]:
+def floor_of(best: float, draws: Array, floor: float) -> float:
+    """What noise leaves on just these drives.
+
+    On average it is `floor`; on few windows it is more or less than that, by the same amount with
+    and without an effect. What the effect leaves at its best tells by how much, as long as noise
+    alone may be so far off; what is left beyond counts as excess.
+
+    Args:
+        best: whitened error that the effect leaves when it is fitted to these drives.
+        draws: bootstrap of it.
+        floor: what noise leaves on average.
+    """
+    reach = _SIGMAS * float(draws.std())
+    return float(np.clip(best, floor - reach, floor + reach))
+
+
+class _Shares(NamedTuple):
+    """A share of the excess with its interval, and whether there is an excess to speak of."""
+
+    share: float
+    low: float
+    high: float
+    told: bool
+
+
+def _shares(
+    before: Array, after: Array, best: Array, floor: float, blocks: NDArray[np.int64]
+) -> _Shares:
+    """The share that is gone, of windows' whitened errors before, after and at best."""
+    drawn = [interval_of(values, blocks) for values in (before, after, best)]
+    level = floor_of(robust_mean(best), drawn[2], floor)
+    share = explained_share(robust_mean(before), robust_mean(after), level)
+    # Windows drawn anew carry their own noise: the floor moves with what the best leaves of them.
+    moved = level + drawn[2] - robust_mean(best)
+    draws = [
+        explained_share(float(b), float(a), float(f))
+        for b, a, f in zip(*drawn[:2], moved, strict=True)
+    ]
+    low, high = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
+    excess = robust_mean(before) - level
+    told = excess > max(_EXCESS_LEAST, _SIGMAS * float((drawn[0] - moved).std()))
+    return _Shares(share, low, high, told)
+
+
+def predict(
+    before: Fitted, chosen: Score, floor: float, blocks: NDArray[np.int64]
+) -> tuple[float, float, float]:
     """Expected share on unseen drives with its 90 % interval, from windows left out."""
-    base = ratios(before)
     after = np.expm1(chosen.losses / before.at.dof)
-    share = explained_share(robust_mean(base), robust_mean(after), 1.0)
-    draws = zip(interval_of(base, blocks), interval_of(after, blocks), strict=True)
-    shares = [explained_share(float(a), float(b), 1.0) for a, b in draws]
-    low, high = (float(v) for v in np.percentile(shares, [5.0, 95.0]))
-    return share, low, high
+    found = _shares(ratios(before), after, ratios(chosen.fitted), floor, blocks)
+    return found.share, found.low, found.high
+
+
+def _at_best(fitted: Fitted) -> Array:
+    """Windows' whitened errors were the hypothesis fitted to them: one Newton step on."""
+    space, at = fitted.space, fitted.at
+    slope = at.weight @ at.g + (space.centre - fitted.z) / space.spread**2
+    dz = step_within(curvature(space, at), slope, fitted.z, space.low, space.high)
+    square = at.square - 2.0 * at.g @ dz + np.einsum("i,wij,j->w", dz, at.h, dz)
+    return np.asarray(np.maximum(square, 0.0) / at.dof)
 
 
 def measure(
     engine: Engine,
     chosen: Score,
     noise: Noise,
+    floor: float,
     predicted: tuple[float, float, float],
     digest: str,
     text: str,
@@ -73,5 +130,6 @@ def measure(
     after = settled(engine, chosen.fitted.space, chosen.fitted.z, best.x)
     blocks = blocks_of(engine)
     gaps = gap_of(engine, before, blocks), gap_of(engine, after, blocks)
-    share = explained_share(gaps[0].whitened, gaps[1].whitened, 1.0)
+    found = _shares(ratios(before), ratios(after), _at_best(after), floor, blocks)
+    share = found.share if found.told else None
     return Shrinkage(predicted[0], share, predicted[1], predicted[2], digest, text, *gaps)

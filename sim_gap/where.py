@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from sim_gap.descent import Fitted
 from sim_gap.disturb import INPUTS, responses
 from sim_gap.engine import Engine
-from sim_gap.noise import Noise, covariance, shapes
+from sim_gap.noise import Noise, covariance, shapes, slip_shape
 from sim_gap.residuals import interval_of, ratios, robust_mean
 
 Array = NDArray[np.float64]
@@ -98,7 +98,8 @@ def equation_shares(engine: Engine, fitted: Fitted, noise: Noise) -> tuple[Share
     shaped = shapes(engine, seen, range(len(INPUTS)))
     at = engine.linear(fitted.space, fitted.z, fitted.x)
     wide = at.by_x * engine.start_spread[:, None, :]
-    known = covariance(engine, noise, shaped[:3]) + wide @ wide.transpose(0, 2, 1)
+    known = covariance(engine, noise, [*shaped[:3], slip_shape(engine, at.error)])
+    known += wide @ wide.transpose(0, 2, 1)
     moved = fitted.x - engine.readings.layout.guess
     error = at.error + np.einsum("wij,wj->wi", at.by_x, moved)
     some = np.unique(np.linspace(0, len(error) - 1, 50).round().astype(int))

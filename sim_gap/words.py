@@ -12,8 +12,6 @@ SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad"), "m": (1e3, "mm"), "1": (1.0, "
 """Small units for small numbers; what is not listed stays in SI."""
 LARGE = 1000.0
 """From here on the larger unit reads better."""
-NOTHING_THERE = 1.05
-"""Whitened error up to which drives show no gap."""
 EQUATIONS = {
     "accel": "longitudinal equation",
     "lateral": "side-slip equation",
@@ -107,10 +105,10 @@ def shrink_words(told: Diagnosis, held_out_of: str) -> str:
         return "no effect was found that could be added"
     s = told.shrinkage
     text = f"predicted {s.predicted:.0%} of the excess error ({s.low:.0%} to {s.high:.0%})"
-    if s.measured is None:
+    if s.before is None:
         return f"{text}; not measured: nothing was kept back"
-    if s.before is not None and s.before.whitened < NOTHING_THERE:
-        return f"{text}; {held_out_of} shows no gap that could shrink"
+    if s.measured is None:
+        return f"{text}; {held_out_of} shows too little of the gap to measure it there"
     return f"{text}, measured {s.measured:.0%} on {held_out_of}"
 
 

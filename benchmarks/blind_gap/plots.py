@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from benchmarks.blind_gap.effects import FAMILY
-from benchmarks.blind_gap.score import NO_GAP, NOT_NAMED, OUTSIDE, Scores
+from benchmarks.blind_gap.score import NO_GAP, NOT_NAMED, OUTSIDE, Rate, Scores
 
 _STYLE: dict[Any, Any] = {"svg.hashsalt": "blind_gap", "font.size": 9}
 _SAVE: dict[str, Any] = {"bbox_inches": "tight", "metadata": {"Date": None}}
@@ -22,16 +22,18 @@ def plot_calibration(scores: Scores, path: Path) -> None:
     with plt.rc_context(_STYLE):
         figure, axes = plt.subplots(figsize=(4.2, 3.8))
         axes.plot([0, 1], [0, 1], color="0.7", linewidth=1)
-        sure = [b.confidence for b in scores.bins]
-        right = [b.right for b in scores.bins]
-        sizes = [12 + 4 * b.count for b in scores.bins]
-        axes.scatter(sure, right, s=sizes, alpha=0.8)
-        for b in scores.bins:
-            axes.annotate(str(b.count), (b.confidence, b.right), xytext=(4, -10),
+        bins = scores.reliability.bins
+        for b in bins:
+            low, high = Rate(round(b.right * b.count), b.count).interval
+            axes.plot([b.confidence] * 2, [low, high], color="tab:blue", linewidth=1, alpha=0.6)
+            axes.annotate(str(b.count), (b.confidence, b.right), xytext=(5, -9),
                           textcoords="offset points", fontsize=7)  # fmt: skip
-        axes.set(xlabel="confidence given", ylabel="share of names right",
+        axes.scatter([b.confidence for b in bins], [b.right for b in bins],
+                     s=[12 + 3 * b.count**0.8 for b in bins], alpha=0.9)  # fmt: skip
+        axes.set(xlabel="confidence given", ylabel="share of names right (95 % interval)",
                  xlim=(0, 1.03), ylim=(-0.03, 1.03))  # fmt: skip
-        axes.set_title(f"calibration error {100 * scores.ece:.1f} points")
+        axes.set_title(f"calibration error {100 * scores.reliability.ece:.1f} points,"
+                       f" Brier score {scores.reliability.brier:.3f}", fontsize=9)  # fmt: skip
         figure.savefig(path, **_SAVE)
         plt.close(figure)
 

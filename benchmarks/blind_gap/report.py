@@ -53,6 +53,7 @@ _STRONG, _GENTLE = "rich, medium and large", "gentle, all"
 def _targets(s: Scores) -> str:
     none = Rate(0, 0)
     wrong = next(r for name, r in s.outside.items() if name.startswith("confident"))
+    told = f" ({s.shrinkage.count} cases)"
     rows = [
         _share("false alarms on nulls", s.alarms["all nulls"], 0.02, upper=True),
         _share("detection, rich, medium", s.detection.get("rich, medium", none), 0.90),
@@ -70,8 +71,8 @@ def _targets(s: Scores) -> str:
         _share("outside the library: confident wrong name", wrong, 0.05, upper=True),
         _size("parameter error, median", 100 * s.parameters.median, 5.0, " %"),
         _size("parameter error, 90th percentile", 100 * s.parameters.p90, 20.0, " %"),
-        _size("shrinkage error, median", s.shrinkage.median, 5.0, " points"),
-        _size("shrinkage error, 90th percentile", s.shrinkage.p90, 15.0, " points"),
+        _size(f"shrinkage error, median{told}", s.shrinkage.median, 5.0, " points"),
+        _size(f"shrinkage error, 90th percentile{told}", s.shrinkage.p90, 15.0, " points"),
     ]
     return _table(("metric", "reached (counts; 95 % interval)", "target", "met"), rows)
 
@@ -100,6 +101,31 @@ def _by_effect(s: Scores) -> str:
     return _table(("effect", "detected", "top-1", "parameter error", "90th percentile"), rows)
 
 
+def _points(value: float, interval: tuple[float, float]) -> str:
+    return f"{100 * value:.1f} points ({100 * interval[0]:.1f} to {100 * interval[1]:.1f})"
+
+
+def _calibration(s: Scores) -> str:
+    """The confidences' figures and their bins."""
+    r = s.reliability
+    if not r.count:
+        return "No cause was named.\n"
+    low, high = r.brier_interval
+    text = (
+        f"First causes named: {r.count}, nulls and defects outside the library included. Expected"
+        f" calibration error {_points(r.ece, r.ece_interval)}; confidences that were exactly right"
+        f" would show {100 * r.ece_chance[0]:.1f} on average and {100 * r.ece_chance[1]:.1f} one"
+        f" time in twenty. Brier score {r.brier:.3f} ({low:.3f} to {high:.3f}); always saying the"
+        f" share of right names would score {r.brier_plain:.3f}.\n\n"
+    )
+    rows = [
+        [f"{b.low:.1f} to {b.high:.1f}", _number(b.confidence, 2),
+         _rate(Rate(round(b.right * b.count), b.count))]
+        for b in r.bins
+    ]  # fmt: skip
+    return text + _table(("confidence", "mean", "names right"), rows)
+
+
 def make_report(s: Scores, title: str, notes: Iterable[str], pictures: str) -> str:
     """The page as Markdown; `pictures` is the folder of the figures as seen from the page."""
     median, p90, longest = s.seconds
@@ -126,7 +152,9 @@ def make_report(s: Scores, title: str, notes: Iterable[str], pictures: str) -> s
         _rates("control", s.controls),
         "## By effect\nMedium and large, all drives.\n",
         _by_effect(s),
-        f"## Calibration and confusion\n![calibration]({pictures}/blind-test-calibration.svg)\n\n"
+        "## Calibration and confusion\n",
+        _calibration(s),
+        f"![calibration]({pictures}/blind-test-calibration.svg)\n\n"
         f"![confusion by family]({pictures}/blind-test-confusion.svg)\n",
     ]
     return "\n".join(parts)

@@ -11,6 +11,7 @@ from math import isfinite, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.blind_gap.effects import EFFECTS, FAMILY, SIZES
 from benchmarks.blind_gap.verdicts import Cause, Verdict
@@ -18,10 +19,13 @@ from benchmarks.blind_gap.verdicts import Cause, Verdict
 CONFIDENT = 0.8
 """A name given with at least this confidence counts as confident."""
 BINS = 10
+DRAWS = 2000
+"""Bootstrap draws of what calibration is uncertain by."""
 NOT_NAMED, NO_GAP = "not named", "no gap"
 OUTSIDE = "outside"
 _Z = 1.96
 
+Array = NDArray[np.float64]
 Label = Mapping[str, Any]
 
 
@@ -109,6 +113,31 @@ class Bin:
 
 
 @dataclass(frozen=True, slots=True)
+class Reliability:
+    """How well confidences tell how often a name is right.
+
+    Attributes:
+        bins: of equal width, those that hold cases.
+        count: named causes.
+        ece: expected calibration error, the bins' mean distance weighed by their cases.
+        ece_interval: 95 % interval of it (bootstrap over cases).
+        ece_chance: what a tool whose confidences are exactly right shows on as many cases, mean
+            and 95th percentile: few cases in a bin are never right to the point.
+        brier: mean square of confidence minus outcome; `brier_interval` its 95 % interval.
+        brier_plain: the same for one confidence for all, the share of right names.
+    """
+
+    bins: tuple[Bin, ...]
+    count: int
+    ece: float
+    ece_interval: tuple[float, float]
+    ece_chance: tuple[float, float]
+    brier: float
+    brier_interval: tuple[float, float]
+    brier_plain: float
+
+
+@dataclass(frozen=True, slots=True)
 class Scores:
     """Everything that the report prints; rates are keyed by row titles."""
 
@@ -123,8 +152,7 @@ class Scores:
     parameters: Spread
     shrinkage: Spread
     by_effect: dict[str, tuple[Rate, Rate, Spread]]
-    bins: tuple[Bin, ...]
-    ece: float
+    reliability: Reliability
     confusion: dict[tuple[str, str], int]
     seconds: tuple[float, float, float]
     missing: int = 0
@@ -171,22 +199,44 @@ def shrinkage_error(case: Scored) -> float:
     return float("nan") if cause is None else 100.0 * abs(cause.predicted - cause.measured)
 
 
-def calibration(cases: Iterable[Scored]) -> tuple[tuple[Bin, ...], float]:
-    """Confidence against being right, over every case with a named cause.
+def _bins(sure: Array, right: Array) -> tuple[Bin, ...]:
+    """Bins of equal width that hold cases."""
+    place = np.minimum((sure * BINS).astype(int), BINS - 1)
+    return tuple(
+        Bin(i / BINS, (i + 1) / BINS, int((place == i).sum()),
+            float(sure[place == i].mean()), float(right[place == i].mean()))
+        for i in np.unique(place).tolist()
+    )  # fmt: skip
 
-    Returns:
-        Bins of equal width that hold cases, and the expected calibration error.
-    """
+
+def _ece(sure: Array, right: Array) -> float:
+    return sum(b.count * abs(b.confidence - b.right) for b in _bins(sure, right)) / len(sure)
+
+
+def calibration(cases: Iterable[Scored]) -> Reliability:
+    """Confidence against being right, over every case with a named cause."""
     named = [(c.first.confidence, c.named_right) for c in cases if c.first is not None]
-    pairs = [(confidence, right) for confidence, right in named if isfinite(confidence)]
-    bins = []
-    for index in range(BINS):
-        held = [p for p in pairs if min(int(p[0] * BINS), BINS - 1) == index]
-        if held:
-            sure, right = (float(np.mean([p[i] for p in held])) for i in (0, 1))
-            bins.append(Bin(index / BINS, (index + 1) / BINS, len(held), sure, right))
-    error = sum(b.count * abs(b.confidence - b.right) for b in bins)
-    return tuple(bins), error / len(pairs) if pairs else float("nan")
+    pairs = np.array([p for p in named if isfinite(p[0])], dtype=float).reshape(-1, 2)
+    sure, right = pairs.T
+    if not len(sure):
+        nan = float("nan")
+        return Reliability((), 0, nan, (nan, nan), (nan, nan), nan, (nan, nan), nan)
+    rng, square = np.random.default_rng(0), (sure - right) ** 2
+    drawn = rng.integers(len(sure), size=(DRAWS, len(sure)))
+    again = [_ece(sure[d], right[d]) for d in drawn]
+    ideal = [_ece(sure, (rng.random(len(sure)) < sure).astype(float)) for _ in drawn]
+    return Reliability(
+        _bins(sure, right), len(sure), _ece(sure, right), _middle(again),
+        (float(np.mean(ideal)), float(np.percentile(ideal, 95.0))),
+        float(square.mean()), _middle(square[drawn].mean(axis=1)),
+        float(right.mean() * (1.0 - right.mean())),
+    )  # fmt: skip
+
+
+def _middle(draws: Iterable[float]) -> tuple[float, float]:
+    """The 95 % interval of draws."""
+    low, high = np.percentile(np.array(list(draws)), [2.5, 97.5])
+    return float(low), float(high)
 
 
 def _told(case: Scored) -> str:
@@ -317,7 +367,6 @@ def score(labels: Sequence[Label], verdicts: Mapping[str, Verdict]) -> Scores:
     found = {row: [c for c in held if c.detected] for row, held in groups.items()}
     strong = [c for c in singles if c.size != "small"]
     judged = [c for c in cases if c.label["kind"] in ("single", "pair", "null", "outside")]
-    bins, ece = calibration(judged)
     pairs, controls = kinds.get("pair", []), kinds.get("control", [])
     return Scores(
         {row: rate(held, lambda c: c.detected) for row, held in groups.items()},
@@ -333,8 +382,7 @@ def score(labels: Sequence[Label], verdicts: Mapping[str, Verdict]) -> Scores:
         spread(parameter_error(c) for c in strong),
         spread(shrinkage_error(c) for c in singles + pairs),
         _by_effect(singles),
-        bins,
-        ece,
+        calibration(judged),
         confusion(cases),
         _times(cases),
         sum(case.verdict is None for case in cases),

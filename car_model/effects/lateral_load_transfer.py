@@ -4,7 +4,7 @@ A tyre's coefficient falls with its load, mu (1 - e (Fz / Fz0 - 1)). Across the 
 of an axle then lose e s^2 (a_y / g)^2 together, where s is the load that a lateral acceleration of
 1 g moves per side: k = e s^2. Along the car the same tyre gives back less (or more) than the load
 that moves between the axles. Near a bend's steady state it looks like friction; the lateral
-acceleration is the one that the tyre forces give.
+acceleration a_y is the one that the weakened tyre forces give.
 """
 
 from collections.abc import Sequence
@@ -31,14 +31,15 @@ def _forces(
 ) -> Axles[T]:
     """Weaker with the square of the lateral acceleration, and under the load that braking moves."""
     lateral = (forces.front + forces.rear) / (car.mass * GRAVITY)
-    left = 1.0 + p[0] * lateral * lateral
+    # 1 - k a^2 with a = lateral (1 - k a^2), solved for itself.
+    left = 2.0 / (1.0 + ops.sqrt(ops.maximum(1.0 + 4.0 * p[0] * lateral * lateral, _FLOOR)))
     falls = p[0] / (p[1] * p[1])
     per_load = (car.lf + car.lr) / (car.mass * GRAVITY)
     front = 1.0 - falls * (per_load * loads.front / car.lr - 1.0)
     rear = 1.0 - falls * (per_load * loads.rear / car.lf - 1.0)
     return Axles(
-        ops.maximum(front, _FLOOR) * forces.front / left,
-        ops.maximum(rear, _FLOOR) * forces.rear / left,
+        ops.maximum(front, _FLOOR) * forces.front * left,
+        ops.maximum(rear, _FLOOR) * forces.rear * left,
     )
 
 
@@ -47,9 +48,9 @@ EFFECT = Effect(
     stage=Stage.FORCES,
     family="tyre",
     summary="grip falls as load moves to the outer wheels",
-    equation="F -> F (1 - k / moved^2 (Fz / Fz0 - 1)) / (1 + k (a_y / g)^2)",
+    equation="F -> F (1 - k / moved^2 (Fz / Fz0 - 1)) (1 - k (a_y / g)^2)",
     parameters=(
-        EffectParameter("k", 0.0, 0.0, 5.0, "1", 0.5, "loss of grip at 1 g, first order"),
+        EffectParameter("k", 0.0, 0.0, 5.0, "1", 0.5, "grip lost per (a_y / g)^2"),
         EffectParameter(
             "moved", _MOVED, 0.3, 1.5, "1", 0.1, "load moved at 1 g per load of a side: 2 h / track"
         ),

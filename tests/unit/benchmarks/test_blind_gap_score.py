@@ -71,8 +71,8 @@ def test_singles():
 
 def test_calibration():
     s = scored(*singles())
-    assert [(b.count, b.right) for b in s.bins] == [(2, 0.0), (1, 1.0)]
-    assert s.ece == pytest.approx((2 * 0.55 + 0.05) / 3)
+    assert [(b.count, b.right) for b in s.reliability.bins] == [(2, 0.0), (1, 1.0)]
+    assert s.reliability.ece == pytest.approx((2 * 0.55 + 0.05) / 3)
 
 
 def test_confusion():

@@ -108,9 +108,9 @@ def test_rear_wheel_drive_takes_grip_from_the_rear_alone() -> None:
 def test_lateral_transfer_costs_grip_with_the_square_of_lateral_acceleration() -> None:
     slips = Axles(0.05, 0.05)
     whole = lateral_forces(CAR, slips, axle_loads(CAR, 0.0))
-    lateral = (whole.front + whole.rear) / (CAR.mass * GRAVITY)
     found = tyres("lateral_load_transfer", (0.5, 0.6), slips)
-    assert found.front == pytest.approx(whole.front / (1.0 + 0.5 * lateral**2))
+    lateral = (found.front + found.rear) / (CAR.mass * GRAVITY)
+    assert found.front == pytest.approx(whole.front * (1.0 - 0.5 * lateral**2))
 
 
 def test_what_falls_with_load_across_the_car_does_so_along_it() -> None:
