@@ -29,6 +29,7 @@ _SHORTEST_NS = 100_000
 """Shortest sleep, for when a host leaves bytes lying."""
 _READY_SECONDS = 20.0
 _STOP_SECONDS = 5.0
+_PRIORITY = 40
 
 
 @dataclass(frozen=True)
@@ -134,10 +135,15 @@ def stop_on_signals() -> Iterator[int]:
         os.close(write_fd)
 
 
-def serve(config: WorldConfig, options: SimOptions | None = None) -> None:
-    """Offer simulated hardware in this process until SIGTERM or SIGINT."""
-    with stop_on_signals() as stop_fd, SimHardware(config, options) as hardware:
-        hardware.run(stop_fd)
+def go_first() -> None:
+    """Ask for a fixed priority, below a control core's: a real VESC minds no busy machine either.
+
+    For processes that do nothing else. Where it is not allowed, other programs may delay the
+    simulated hardware, and the core then stops the car for it.
+    """
+    with contextlib.suppress(OSError):
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(0, policy, os.sched_param(_PRIORITY))
 
 
 class SpawnedSim(NamedTuple):
@@ -200,6 +206,7 @@ def spawn_sim(config: WorldConfig, options: SimOptions | None = None) -> Spawned
 def _child(config: WorldConfig, options: SimOptions | None, pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for our parent, who then closes us
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # by way of SimHardware.close
+    go_first()
     with SimHardware(config, options) as hardware:
         pipe.send((hardware.port, hardware.mocap_url))
         hardware.run(pipe.fileno())

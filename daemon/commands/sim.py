@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
-    from sim_hw.links import SimHardware, SimOptions, fault_windows, stop_on_signals
+    from sim_hw.links import SimHardware, SimOptions, fault_windows, go_first, stop_on_signals
 
     options = RunOptions(
         args.car or "", simulated=True, seed=args.seed, effects=tuple(args.effect), path="line"
@@ -39,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
         faults = fault_windows(args.fault)
     except ValueError as error:
         raise SteerdError(f"--fault: {error}", "", ExitCode.USAGE) from None
+    go_first()
     with stop_on_signals() as stop, SimHardware(world, SimOptions(faults, args.link_dir)) as sim:
         print(f"VESC:  {sim.port}")
         print(f"mocap: {sim.mocap_url}")

@@ -1,9 +1,10 @@
 """The simulated hardware in its own process, met by other programs through the real wires."""
 
-import multiprocessing as mp
 import os
 import select
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -16,7 +17,7 @@ from mocap_link.natnet_frame import Frame
 from mocap_link.source import parse_mocap_url
 from mocap_link.vrpn import check_cookie, encode_cookie
 from sim_hw.faults import Fault
-from sim_hw.links import SimHardware, SimOptions, SpawnedSim, fault_windows, serve, spawn_sim
+from sim_hw.links import SimHardware, SimOptions, SpawnedSim, fault_windows, spawn_sim
 from sim_hw.mocap_config import MULTICAST, MocapConfig
 from sim_hw.vesc_config import VescConfig
 from sim_hw.world import WorldConfig
@@ -209,14 +210,14 @@ def test_hardware_in_this_process_stops_at_its_pipe_and_its_signal(tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_serving_process_leaves_in_order_at_sigterm(tmp_path: Path, idle: int) -> None:
-    options = SimOptions(link_dir=tmp_path)
-    child = mp.get_context("spawn").Process(target=serve, args=(WorldConfig(), options))
-    child.start()
-    until(lambda: (tmp_path / "vesc").exists(), idle, 20.0)
-    child.terminate()
-    child.join(DEADLINE)
-    assert child.exitcode == 0
+def test_simulated_hardware_alone_leaves_in_order_at_sigterm(tmp_path: Path, idle: int) -> None:
+    argv = [sys.executable, "-m", "daemon.cli", "sim", "--link-dir", str(tmp_path)]
+    with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as child:
+        until(lambda: (tmp_path / "vesc").exists(), idle, 20.0)
+        child.terminate()
+        told, _ = child.communicate(timeout=DEADLINE)
+    assert child.returncode == 0
+    assert f"--port {tmp_path / 'vesc'} --mocap" in told
     assert list(tmp_path.iterdir()) == []
 
 

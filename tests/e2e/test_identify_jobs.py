@@ -9,7 +9,7 @@ from car_model.params import DEFAULT_CAR
 from daemon.cli import guarded as main
 from sysid.kernels import Held, lane_view, make_kernels, make_lanes, march
 
-pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("ignore")]
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 MAP = """[columns]
 t = "t"
 x = "x"

@@ -91,7 +91,7 @@ def free_endpoint() -> str:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
-@pytest.mark.realtime
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("port", "mocap", "code", "words"),
     [
@@ -120,7 +120,7 @@ def give_up_override() -> None:
         LIBC.prctl(24, capability, 0, 0, 0)
 
 
-@pytest.mark.realtime
+@pytest.mark.slow
 def test_a_port_without_permission_says_which_group(place) -> None:
     ours, theirs = os.openpty()
     os.fchmod(theirs, 0)
@@ -132,7 +132,7 @@ def test_a_port_without_permission_says_which_group(place) -> None:
     is_clear(said, ["Permission denied", "dialout"])
 
 
-@pytest.mark.realtime
+@pytest.mark.slow
 def test_a_busy_endpoint_is_told_in_a_line(place) -> None:
     before = sorted(place.iterdir())
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -144,14 +144,14 @@ def test_a_busy_endpoint_is_told_in_a_line(place) -> None:
     assert sorted(place.iterdir()) == before
 
 
-@pytest.mark.realtime
+@pytest.mark.slow
 def test_nobody_answers(capsys) -> None:
     for command in ("status", "arm", "start", "stop", "disarm", "control"):
         assert guarded([command, "--connect", free_endpoint()]) == 6
         is_clear(capsys.readouterr().err, ["no steerd answers", "steerd run"])
 
 
-@pytest.mark.realtime
+@pytest.mark.slow
 def test_a_second_run_on_the_same_port_is_refused(steerd, tmp_path) -> None:
     port, url = steerd.sim(tmp_path)
     argv = ("run", "--port", port, "--mocap", url)

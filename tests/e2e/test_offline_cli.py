@@ -191,7 +191,7 @@ raise SystemExit(guarded(sys.argv[1:]))
 """
 
 
-@pytest.mark.realtime
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["info", "recover"])
 def test_damage_within_a_gigabyte(tmp_path, command):
     """The safety page's bounds for one file: 1 GiB of address space, 60 s."""

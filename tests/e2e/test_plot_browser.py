@@ -25,7 +25,7 @@ FLAGS = [
 ]
 
 pytestmark = [
-    pytest.mark.realtime,
+    pytest.mark.slow,
     pytest.mark.skipif(BROWSER is None, reason="no chromium on this machine"),
 ]
 

@@ -25,7 +25,7 @@ from daemon.transitions import State
 from sim_hw.device import Logged
 from sim_hw.faults import Fault
 from sim_hw.judge import MotorFrame, read_motor_frames
-from sim_hw.links import SimHardware
+from sim_hw.links import SimHardware, go_first
 from steer_bus import topics
 from steer_bus.clock import MonotonicClock
 from steer_bus.codec import decode
@@ -40,8 +40,7 @@ CLOCK = MonotonicClock()
 def serve_hardware(config: Any, pipe: Connection) -> None:
     """Simulated hardware in its own process, with faults and its byte log on request."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
+    go_first()
     with SimHardware(config) as hardware:
         start_ns = hardware.world.t_ns
         pipe.send((hardware.port, hardware.mocap_url))

@@ -147,12 +147,10 @@ def _square(x):
     return x * x
 
 
-@pytest.mark.realtime
 def test_work_side_by_side_keeps_its_order():
     assert map_jobs(_square, range(5), jobs=2) == [0, 1, 4, 9, 16]
 
 
-@pytest.mark.realtime
 @pytest.mark.filterwarnings("ignore")
 def test_dask_gives_the_same_answer(make_circles):
     distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")

@@ -34,7 +34,7 @@ def test_without_an_address_work_stays_here():
         assert Parallel(n_jobs=1)(delayed(_square)(i) for i in range(4)) == [0, 1, 4, 9]
 
 
-@pytest.mark.realtime
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_work_inside_goes_to_the_cluster():
     distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
