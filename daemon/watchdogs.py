@@ -241,8 +241,9 @@ def _is_mismatched(th: Thresholds, i: WatchdogInput) -> bool:
 
 
 def _is_blocked(th: Thresholds, i: WatchdogInput) -> bool:
-    pushes = i.current_share > th.blocked_current and abs(i.speed) < th.blocked_speed
-    return pushes and i.state == State.RUNNING
+    # The wheels' own speed: a filter that disbelieves its sensors would go on "driving".
+    stands = not abs(i.speed_erpm) >= th.blocked_speed
+    return stands and i.current_share > th.blocked_current and i.state == State.RUNNING
 
 
 TIMED: tuple[Timed, ...] = (
@@ -275,7 +276,7 @@ TIMED: tuple[Timed, ...] = (
         "W22",
         _is_blocked,
         lambda th: th.blocked_hold,
-        lambda i: f"{i.current_share:.0%} of the current limit at {i.speed:.2f} m/s",
+        lambda i: f"{i.current_share:.0%} of the current limit at {i.speed_erpm:.2f} m/s",
     ),
 )
 NEVER = -1

@@ -14,6 +14,7 @@ from daemon.flags import Flag
 from steer_bus import topics
 from steer_bus.codec import encode
 from steer_bus.messages import BODY, DriveCommand, OperatorRequest, RequestKind, make_header
+from tests.safety import catalogue_car as car
 from tests.safety.rig import BOOT_ID, LEASE_ID, MS, Rig
 
 FRAME, TRANSIT = 0.010, 0.006
@@ -65,6 +66,8 @@ class Ailment:
             ``red`` is never armed, ``launch`` is stopped in the launch window.
         rearms: whether the stop is one that a person asked for, after which the car stays armed.
         unseen: phases in which a standing car cannot see what would otherwise be ``red``.
+        lane_m: how far it may get beside its path; more where nothing can steer it.
+        within_m: how far it may get from where it was.
     """
 
     code: str
@@ -82,6 +85,8 @@ class Ailment:
     cold: str = ""
     unseen: str = ""
     rearms: bool = False
+    lane_m: float = 0.40
+    within_m: float = inf
 
 
 def hardware(fault: str, **params: Any) -> Act:
@@ -231,6 +236,10 @@ def _raise(*_: object) -> Any:
     raise BoomError("injected")
 
 
+def _strand(rig: Rig) -> None:
+    rig.run.core.strand(BoomError("injected"))
+
+
 def _break_controller(rig: Rig) -> None:
     rig.run.core.loop._wish = _raise  # type: ignore[method-assign]
 
@@ -277,6 +286,7 @@ def _host() -> tuple[Ailment, ...]:
         Ailment("H12c", "one tick 20 ms late", _late(20.0), LIVE),
         Ailment("H13", "exception in the controller", _break_controller, HARD, cold="red"),
         Ailment("H13b", "exception in the filter", _break_estimator, HARD, cold="red"),
+        Ailment("H13c", "exception in a thread", _strand, HARD, cold="red"),
         Ailment("H14", "NaN from the controller", _give_nan, HARD, cold="launch"),
         Ailment("H17", "suspended", raise_flag(Flag.SUSPENDED), HARD),
     )
@@ -350,5 +360,23 @@ def _network() -> tuple[Ailment, ...]:
     )
 
 
-AILMENTS = (*_mocap(), *_vesc(), *_host(), *_network())
+def _car() -> tuple[Ailment, ...]:
+    """Car, lane and filter. What cannot be seen at rest begins to matter when the car moves."""
+    lost = {"P4": SAFE, "P7": SAFE}
+    return (
+        Ailment("C1", "steering jams at full lock", car.jam(-0.31), HARD, 0.2, lane_m=0.6),
+        Ailment("C2", "steering jams, a little off", car.jam(0.06), HARD, 1.0, at={"P4": SAFE}),
+        Ailment("C3", "motor runs at twice the order", car.surge, HARD, 0.7, lane_m=1.2),
+        Ailment("C4", "wheels blocked", car.hit_a_wall, HARD, 0.12),
+        Ailment("C5", "fence ahead", car.fence_off, HARD, 1.5, within_m=car.FENCE_M),
+        Ailment("C6", "filter diverges", car.diverge, HARD, cold="red"),
+        Ailment("C7", "VESC restarts behind its port", car.restart_quietly, HARD, 1.0 + 0.02),
+        Ailment("C8", "controller at full lock", car.stuck(-0.31), HARD, 0.7, at=lost, lane_m=1.2),
+        Ailment(
+            "C9", "controller steers a little", car.stuck(0.06), HARD, 1.3, at=lost, lane_m=0.8
+        ),
+    )
+
+
+AILMENTS = (*_mocap(), *_vesc(), *_host(), *_network(), *_car())
 BY_CODE = {ailment.code: ailment for ailment in AILMENTS}

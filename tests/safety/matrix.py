@@ -27,7 +27,6 @@ SOFT_DECEL, HARD_DECEL = 1.5, 3.5
 SLACK_M = 0.06
 SPEED_LAG_S = 0.1
 """How far a VESC's speed loop stays behind the ramp."""
-LANE_M = 0.40
 LAUNCH_M = 0.80
 """The launch window of 0.5 m, and a stop from 0.5 m/s after up to 0.3 s."""
 UPWARD = {State.SELF_TEST, State.ARMED, State.RUNNING}
@@ -53,7 +52,7 @@ class Outcome:
         way_m: driven from the fault to rest, and `allowed_m` of it.
         off_m: largest true distance from the path.
         states: states that followed, in order.
-        reason: why the first of them.
+        reason: why the first of them; `reasons` of all.
         wrong: verdicts that failed, in words; empty for a good cell.
     """
 
@@ -65,6 +64,7 @@ class Outcome:
     off_m: float
     states: tuple[str, ...]
     reason: str
+    reasons: tuple[str, ...]
     wrong: tuple[str, ...]
 
 
@@ -209,6 +209,7 @@ def judge(rig: Rig, ailment: Ailment, phase: str, t_fault: int, seen: int) -> Ou
         facts.off_m,
         tuple(state.name for state in facts.states),
         facts.reasons[0] if facts.reasons else "",
+        facts.reasons,
         wrong,
     )
 
@@ -224,8 +225,11 @@ def judge_moving(f: Facts, phase: str) -> Iterator[str]:
         return
     if not f.rig.resting:
         yield f"(d) never came to rest: {f.rig.track[-1].speed:.2f} m/s"
-    if f.off_m > LANE_M:
+    if f.off_m > f.ailment.lane_m:
         yield f"(g) left the lane by {f.off_m:.2f} m"
+    far = max(hypot(m.x - f.rig.track[0].x, m.y - f.rig.track[0].y) for m in f.rig.track)
+    if far > f.ailment.within_m:
+        yield f"(h) got {far:.2f} m away"
     if phase == "P8":
         if any(frame.effort is Effort.DRIVE for frame in f.frames):
             yield "(b) a drive frame in FAULT_STOP"
@@ -310,5 +314,5 @@ def judge_cold(f: Facts, _phase: str) -> Iterator[str]:
         case _ if f.must is Must.LIVE_ON:
             if not driven or State.FAULT_STOP in f.states:
                 yield f"(f) cannot drive: {f.states} {f.reasons[-1:]}"
-    if f.ailment.obeys and f.off_m > LANE_M:
+    if f.ailment.obeys and f.off_m > f.ailment.lane_m:
         yield f"(g) left the lane by {f.off_m:.2f} m"

@@ -19,6 +19,7 @@ from daemon.thresholds import BOUNDS, Thresholds
 from tests.safety.catalogue import AILMENTS, BY_CODE, Must
 from tests.safety.matrix import MOVING, Outcome, list_cells, run_cell
 from tests.safety.rig import PHASES
+from tests.safety.trace import write_trace
 
 PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
 
@@ -113,6 +114,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         text = PAGE.read_text(encoding="utf-8")
         text = replace_section(text, "matrix", write_matrix(outcomes))
         text = replace_section(text, "watchdogs", write_watchdogs())
+        text = replace_section(text, "trace", write_trace())
         text = replace_section(text, "thresholds", write_thresholds())
         PAGE.write_text(text, encoding="utf-8")
     return 1 if bad else 0

@@ -203,6 +203,8 @@ def test_vesc_says_so(status, fault, expected):
     assert brief(look(status=status, fault_code=fault)) == expected
 
 
+STUCK = {"current_share": up(0.5), "speed_erpm": 0.0, "speed_mocap": 0.0, "speed": 2.0}
+"""The wheels stand and the motor pushes, whatever the filter believes."""
 HELD = [
     ("W9", FED_S, {"status": 1}, HARD, []),
     ("W13", 0.5, {"cell_voltage": down(3.25)}, SOFT, [("W13", WARN)]),
@@ -214,8 +216,8 @@ HELD = [
     ("W20", 0.0625, {"speed_mocap": up(0.625), "speed_erpm": 0.5, "speed_limit": 0.5}, HARD, []),
     ("W21", 0.1875, {"speed_erpm": 1.0, "speed_mocap": up(1.5)}, HARD, []),
     ("W21", 0.1875, {"speed_erpm": 3.0, "speed_mocap": up(4.0), "speed_limit": 6.0}, HARD, []),
-    ("W22", 1.0, {"current_share": up(0.5), "speed": down(0.0625)}, HARD, []),
-    ("W22", 1.0, {"current_share": up(0.5), "speed": -down(0.0625)}, HARD, []),
+    ("W22", 1.0, {**STUCK, "speed_erpm": down(0.0625)}, HARD, []),
+    ("W22", 1.0, {**STUCK, "speed_erpm": -down(0.0625)}, HARD, []),
 ]
 NOT_HELD = [
     {"cell_voltage": 3.25},
@@ -224,10 +226,16 @@ NOT_HELD = [
     {"speed_mocap": 0.625, "speed_erpm": 0.5, "speed_limit": 0.5},
     {"speed_erpm": 1.0, "speed_mocap": 1.5},
     {"speed_erpm": 3.0, "speed_mocap": 4.0, "speed_limit": 6.0},
-    {"current_share": 0.5, "speed": 0.0},
-    {"current_share": 1.0, "speed": 0.0625},
-    {"current_share": 1.0, "speed": 0.0, "state": State.ARMED},
+    {**STUCK, "current_share": 0.5},
+    {**STUCK, "speed_erpm": 0.0625},
+    {**STUCK, "state": State.ARMED},
 ]
+
+
+def test_wheels_of_unknown_speed_count_as_blocked():
+    first, last = hold(1.0, **{**STUCK, "speed_erpm": nan})
+    assert first == []
+    assert ("W22", HARD) in last
 
 
 @pytest.mark.parametrize(("id", "seconds", "changes", "severity", "warned"), HELD)

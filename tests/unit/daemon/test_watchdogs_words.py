@@ -72,7 +72,7 @@ def test_what_is_said_at_once(changes, id, words):
         (0.2, {"speed_mocap": 0.5}, "W21", "wheels 1.50, mocap 0.50 m/s"),
         (
             1.0,
-            {"current_share": 0.75, "speed": 0.01},
+            {"current_share": 0.75, "speed_erpm": 0.01, "speed_mocap": 0.0},
             "W22",
             "75% of the current limit at 0.01 m/s",
         ),

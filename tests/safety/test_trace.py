@@ -1,0 +1,47 @@
+"""Every watchdog of the safety page is there, speaks in its cell, and is missed there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from daemon.findings import WATCHDOGS
+from daemon.thresholds import BOUNDS
+from tests.safety.catalogue import BY_CODE
+from tests.safety.trace import TRACES, find_code, run_trace, speaks
+
+PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
+SPEC = Path(__file__).parents[2].parent / "shared" / "spec" / "safety.md"
+
+
+def test_every_watchdog_is_traced_and_every_threshold_belongs_to_one() -> None:
+    assert list(TRACES) == [f"W{k}" for k in range(1, 30)]
+    assert set(TRACES) == {id for id in WATCHDOGS if id.startswith("W")}
+    used = {name for trace in TRACES.values() for name in trace.thresholds}
+    assert used == set(BOUNDS)
+    for trace in TRACES.values():
+        assert callable(find_code(trace.code))
+        assert trace.cell[0] in BY_CODE
+
+
+def test_every_watchdog_of_the_spec_page_is_traced() -> None:
+    if not SPEC.exists():
+        pytest.skip("the spec page is not here")
+    named = re.findall(r"^\| (W\d+) ", SPEC.read_text(encoding="utf-8"), re.M)
+    assert named == list(TRACES)
+
+
+def test_the_page_shows_every_trace() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    table = text[text.index("<!-- trace: begin -->") : text.index("<!-- trace: end -->")]
+    assert re.findall(r"^\| (W\d+) ", table, re.M) == list(TRACES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("id", TRACES)
+def test_it_speaks_in_its_cell_and_is_missed_there(id: str) -> None:
+    shown, without = run_trace(id)
+    assert speaks(id, shown), shown
+    assert not shown.wrong or TRACES[id].behind, shown
+    assert not speaks(id, without)
+    assert without.wrong or without.reasons != shown.reasons

@@ -1,0 +1,237 @@
+"""From each watchdog of the safety page to its code, its thresholds and the cell that shows it.
+
+A cell is driven twice: as it is, where a transition must name the watchdog; and with the watchdog
+struck dumb, where the cell must fail or another watchdog must step in. So a watchdog that nothing
+needs, or that never speaks, is found out.
+"""
+
+import importlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+from daemon.findings import WATCHDOGS, Finding, summarise
+from daemon.thresholds import BOUNDS, Thresholds
+from tests.safety.catalogue import BY_CODE
+from tests.safety.matrix import Outcome, run_cell
+
+
+class Trace(NamedTuple):
+    """Where a watchdog lives and how it is shown.
+
+    Attributes:
+        code: ``module:name``.
+        thresholds: of the car file's `[safety]`; none where there is nothing to choose.
+        cell: (fault, phase) in which it speaks.
+        behind: watchdogs that would speak earlier in this cell, struck dumb to let it speak.
+        also: other tests of it.
+    """
+
+    code: str
+    thresholds: tuple[str, ...]
+    cell: tuple[str, str]
+    behind: tuple[str, ...] = ()
+    also: str = ""
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(text.split())
+
+
+_HERE = "daemon.watchdogs:"
+_RUNNER = "`test_runner_watchdogs.py`"
+TRACES = {
+    "W1": Trace(
+        _HERE + "_check_mocap_age",
+        _names("mocap_warn mocap_blind mocap_shortest mocap_longest"),
+        ("M1", "P5"),
+        also="live: mocap silent",
+    ),
+    "W2": Trace(
+        _HERE + "_check_pose",
+        _names("freeze_warn freeze_frames freeze_speed"),
+        ("M2", "P5"),
+        also="live: mocap frozen",
+    ),
+    "W3": Trace(
+        "daemon.watchdogs_pose:is_sane",
+        _names("invalid_frames quaternion_tolerance"),
+        ("M8", "P5"),
+        also="live: mocap NaN",
+    ),
+    "W4": Trace(
+        "daemon.watchdogs_pose:_is_jump",
+        _names("jump_speed jump_margin yaw_step jump_frames jump_window"),
+        ("M4", "P5"),
+        also="live: mocap jumps",
+    ),
+    "W5": Trace(
+        _HERE + "_check_innovation",
+        _names("nis_frames nis_share nis_window mocap_rate"),
+        ("C1", "P5"),
+    ),
+    "W6": Trace(_HERE + "_check_estimate", _names("sigma_position sigma_yaw"), ("C6", "P5")),
+    "W7": Trace(
+        _HERE + "_check_telemetry",
+        _names("telemetry_warn telemetry"),
+        ("V4", "P5"),
+        also="live: VESC mute",
+    ),
+    "W8": Trace(
+        "daemon.runner:Runner._is_clogged",
+        _names("out_queue out_ticks"),
+        ("V1", "P5"),
+        also=_RUNNER + "; live: unplugged",
+    ),
+    "W9": Trace(_HERE + "_step_vesc", (), ("V18", "P5")),
+    "W10": Trace(_HERE + "_check_vesc", (), ("V19", "P5"), also="live: kill switch"),
+    "W11": Trace(_HERE + "_check_vesc", (), ("V13", "P5"), also="live: VESC fault"),
+    "W12": Trace(_HERE + "_step_vesc", (), ("C7", "P5"), also="live: VESC reboots"),
+    "W13": Trace(_HERE + "_check_battery", _names("cell_warn cell cell_hold"), ("V16b", "P5")),
+    "W14": Trace(
+        _HERE + "_check_temperature", _names("fet_warn fet motor_warn motor"), ("V17b", "P5")
+    ),
+    "W15": Trace(
+        "daemon.lateness:step_lateness",
+        _names("late late_run late_share"),
+        ("H12b", "P5"),
+        also="`test_lateness.py`; live: SIGSTOP core",
+    ),
+    "W16": Trace(
+        "daemon.guard:ProcessGuard.silent",
+        _names("guardian"),
+        ("H6", "P5"),
+        also=_RUNNER + "; live: SIGKILL guardian",
+    ),
+    "W17": Trace(
+        _HERE + "_check_path",
+        _names("lateral_warn lateral lateral_hold lateral_max"),
+        ("C9", "P5"),
+    ),
+    "W18": Trace(_HERE + "_check_path", _names("heading_warn heading"), ("C8", "P6")),
+    "W19": Trace(
+        _HERE + "_check_fence",
+        _names("fence_warn fence_delay fence_margin brake_decel"),
+        ("C5", "P5"),
+    ),
+    "W20": Trace(
+        _HERE + "_is_fast", _names("overspeed_ratio overspeed_margin overspeed_hold"), ("C3", "P5")
+    ),
+    "W21": Trace(
+        _HERE + "_is_mismatched",
+        _names("mismatch_speed mismatch_share mismatch_hold"),
+        ("V21", "P5"),
+    ),
+    "W22": Trace(
+        _HERE + "_is_blocked",
+        _names("blocked_current blocked_speed blocked_hold"),
+        ("C4", "P5"),
+        behind=("W5",),
+    ),
+    "W23": Trace(
+        _HERE + "_step_saturation",
+        _names("saturated saturated_warn saturated_hold"),
+        ("C8", "P4"),
+    ),
+    "W24": Trace(
+        _HERE + "_step_stop",
+        _names("stop_share stop_lag stop_window stop_speed brake_decel"),
+        ("V5", "P5"),
+    ),
+    "W25": Trace(
+        _HERE + "_check_lease", _names("lease_warn lease"), ("Z8", "P5"), also="live: operator gone"
+    ),
+    "W26": Trace(
+        "daemon.runner:_is_lost",
+        _names("recorder_full"),
+        ("H7", "P5"),
+        also=_RUNNER + "; live: SIGKILL recorder",
+    ),
+    "W27": Trace(
+        "daemon.runner:_is_lost",
+        _names("gateway_full"),
+        ("H8", "P5"),
+        also=_RUNNER + "; live: SIGKILL gateway",
+    ),
+    "W28": Trace(
+        "daemon.runner:Runner._watch_processes", _names("suspend_step"), ("H17", "P5"), also=_RUNNER
+    ),
+    "W29": Trace(
+        "daemon.blind:tick_blind", (), ("H13", "P5"), also="H13b, H13c; " + _RUNNER
+    ),
+}  # fmt: skip
+
+
+def find_code(code: str) -> Any:
+    """What ``module:name`` names.
+
+    Raises:
+        AttributeError: there is no such thing.
+    """
+    module, _, path = code.partition(":")
+    found: Any = importlib.import_module(module)
+    for name in path.split("."):
+        found = getattr(found, name)
+    return found
+
+
+@contextmanager
+def struck_dumb(*ids: str) -> Iterator[None]:
+    """While this lasts, the supervisor hears nothing of these watchdogs."""
+
+    def deaf(findings: Sequence[Finding]) -> tuple[int, str]:
+        return summarise(finding for finding in findings if finding.id not in ids)
+
+    with patch("daemon.loop.summarise", deaf), patch("daemon.blind.summarise", deaf):
+        yield
+
+
+def run_trace(id: str) -> tuple[Outcome, Outcome]:
+    """A watchdog's cell as it is, and without the watchdog."""
+    trace = TRACES[id]
+    code, phase = trace.cell
+    with struck_dumb(*trace.behind):
+        shown = run_cell(BY_CODE[code], phase)
+    with struck_dumb(id, *trace.behind):
+        return shown, run_cell(BY_CODE[code], phase)
+
+
+def speaks(id: str, outcome: Outcome) -> bool:
+    """Whether a transition of the cell names the watchdog."""
+    return any(reason.startswith(f"{id} ") for reason in outcome.reasons)
+
+
+def write_trace() -> list[str]:
+    """The table for docs/safety.md; drives every watchdog's cell twice."""
+    lines = [
+        "| watchdog | code | thresholds: default, range | shown by | without it |",
+        "|---|---|---|---|---|",
+    ]
+    for id, trace in TRACES.items():
+        shown, without = run_trace(id)
+        behind = f" (without {', '.join(trace.behind)})" if trace.behind else ""
+        ms = f"{shown.stop_s * 1e3:.0f} ms" if shown.stop_s < 10.0 else "by the VESC's timeout"
+        cell = f"{' '.join(trace.cell)}{behind}, {ms}" + (f"; {trace.also}" if trace.also else "")
+        code = trace.code.replace(":", " ").removeprefix("daemon.").replace(" ", "`: `")
+        lines.append(
+            f"| {id} {WATCHDOGS[id].name} | `{code}` | {_ranges(trace.thresholds)} "
+            f"| {cell} | {_loss(without)} |"
+        )
+    return lines
+
+
+def _ranges(names: Sequence[str]) -> str:
+    default = Thresholds()
+    parts = []
+    for name in names:
+        low, high, unit = BOUNDS[name]
+        parts.append(f"`{name}` {getattr(default, name):.3g}, {low:.3g}–{high:.3g} {unit}".strip())
+    return "; ".join(parts) or "none: at once"
+
+
+def _loss(without: Outcome) -> str:
+    """What became of the cell without its watchdog."""
+    others = [reason for reason in without.reasons if reason not in ("stop asked for", "stopped")]
+    told = others[0].split(":")[0] if others else "nobody else"
+    return f"**fails**, {told}" if without.wrong else told
