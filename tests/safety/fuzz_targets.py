@@ -10,7 +10,7 @@ import struct
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -204,7 +204,11 @@ def check_natnet(script: bytes) -> None:
         return
     if isinstance(message, Frame):
         again = natnet.decode(natnet.encode(message, version), version)
-        assert repr(again) == repr(message)
+        # A reader believes the length about the precise stamp; a writer of before 4.1 sends none.
+        kept = (
+            message if version >= (4, 1) else replace(message, precision_secs=0, precision_frac=0)
+        )
+        assert repr(again) == repr(kept)
         lean = natnet.decode(data, version, detail=False)
         assert isinstance(lean, Frame)
         assert repr(lean.rigid_bodies) == repr(message.rigid_bodies)
