@@ -9,10 +9,12 @@ vector-Jacobian product. What depends on parameters and step alone is computed o
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import inf
 from typing import NamedTuple
 
 from car_model.tape import Entry, Node, gradient, needed, source_of
-from sysid.trace import Piece, Traced
+from sysid.special import BRISK, Range, specialise
+from sysid.trace import CHASSIS, Piece, Traced
 
 LANES = 16
 """Windows that one call of a lane piece works on."""
@@ -187,10 +189,18 @@ def _print_constants(traced: Traced, constants: _Constants) -> list[str]:
     return ["@entry", "def constants(p, h, q):", *(f"    {line}" for line in lines), "", ""]
 
 
+def brisk_rates(traced: Traced) -> Piece:
+    """The rates of a car that is on the move: without the equations for walking pace."""
+    rates = traced.rates
+    speed = rates.inputs[CHASSIS.index("speed")]
+    return Piece(rates.inputs, specialise(rates.outputs, {speed.place: Range(BRISK, inf)}))
+
+
 def _pieces(traced: Traced) -> dict[str, Piece]:
     return {
         "actuators": traced.actuators,
         "rates": traced.rates,
+        "brisk": brisk_rates(traced),
         "remember": traced.remember,
         "observe": traced.observe,
     }
@@ -231,6 +241,7 @@ def generate(traced: Traced) -> str:
         f"CONSTANTS = {len(constants.slots)}",
         f"LANES = {LANES}",
         f"COLUMNS = {COLUMNS}",
+        f"BRISK = {BRISK}",
         "",
         "",
     ]

@@ -37,6 +37,7 @@ from sysid.compile import entry, point
 if TYPE_CHECKING:
     from sysid.pieces import (
         ACTUATORS_SLOPES,
+        BRISK,
         COLUMNS,
         DELAYS_SLOPES,
         MEMORY,
@@ -48,6 +49,8 @@ if TYPE_CHECKING:
         Array,
         actuators_jac,
         actuators_push,
+        brisk_jac,
+        brisk_push,
         delays_jac,
         delays_push,
         observe_jac,
@@ -180,8 +183,12 @@ def march_chassis(
         else:
             stage_columns(w, ds, h * reach, n)
         wheel_columns(w, wa, reach, n)
-        rates_jac(z, p, q, h, slope, j)
-        rates_push(j, w, n)
+        if z[3] > BRISK:
+            brisk_jac(z, p, q, h, slope, j)
+            brisk_push(j, w, n)
+        else:
+            rates_jac(z, p, q, h, slope, j)
+            rates_push(j, w, n)
         for i in range(6):
             after[i] += share * slope[i]
         gather_columns(w, da, share, n)

@@ -156,7 +156,9 @@ def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...]]:
     if task.method != "ours" or not known:
         return task, (), ()
     rough = rough_fit(task.runs, task.model, task.options)
-    settled, pulses, ramps = [], [], []
+    settled: list[tuple[Run, ...]] = []
+    pulses: list[Pulse] = []
+    ramps: list[Ramp] = []
     for drives in (task.runs, task.held_out):
         limited, rates = settle_ramp(drives, rough, task.options)
         pulsed, phases = settle_servo(limited, rough, task.options)

@@ -27,6 +27,7 @@ from sysid.compile import entry, point
 
 if TYPE_CHECKING:
     from sysid.pieces import (
+        BRISK,
         DELAYS_SLOPES,
         LANES,
         MEMORY,
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
         Indices,
         actuators_lanes,
         actuators_vjp,
+        brisk_lanes,
+        brisk_vjp,
         delays_jac,
         rates_lanes,
         rates_vjp,
@@ -64,10 +67,11 @@ def delays_in_steps(p: "Array", q: "Array", h: float) -> "Array":
 
 @point
 def copy_rows(to: "Array", first: int, source: "Array", start: int, rows: int) -> None:
-    """Copy whole rows of lanes."""
-    a, b = first * LANES, start * LANES
-    for i in range(rows * LANES):
-        to[a + i] = source[b + i]
+    """Copy whole rows of lanes; one by one, as a call of memmove costs more than it copies."""
+    for row in range(rows):
+        a, b = (first + row) * LANES, (start + row) * LANES
+        for lane in range(LANES):
+            to[a + lane] = source[b + lane]
 
 
 @point
@@ -188,6 +192,24 @@ def set_stage(
 
 
 @point
+def is_brisk(w: "Array") -> bool:
+    """Whether no lane of a rates' workspace is near walking pace (see `special`)."""
+    slow = 0
+    for lane in range(LANES):
+        slow += 0 if w[3 * LANES + lane] > BRISK else 1
+    return slow == 0
+
+
+@point
+def find_rates(w: "Array", n: int, p: "Array", q: "Array", h: float) -> None:
+    """The rates of all lanes."""
+    if is_brisk(w):
+        brisk_lanes(w, n, p, q, h)
+    else:
+        rates_lanes(w, n, p, q, h)
+
+
+@point
 def drive_lanes(
     wa: "Array", state: "Array", t: "Array", k: int, p: "Array", q: "Array", h: float, n: int
 ) -> None:
@@ -260,7 +282,7 @@ def simulate_block(
         for stage in range(stages):
             reach = tableau[0, stage]
             set_stage(wr, stage, ends, state, h * reach, reach, n)
-            rates_lanes(wr, n, p, q, h)
+            find_rates(wr, n, p, q, h)
             share = h * tableau[1, stage]
             for i in range(6 * n):
                 after[i] += share * wr[n_in + i]
@@ -300,7 +322,7 @@ def redo_stages(
         copy_rows(w, np.int64(7), wa, 13 + MEMORY, 1 + MEMORY)
         copy_rows(w, 8 + MEMORY, wa, 9 + MEMORY, 1)
         if stage < stages - 1:
-            rates_lanes(w, n, p, q, h)
+            find_rates(w, n, p, q, h)
 
 
 @point
@@ -339,7 +361,10 @@ def back_stages(
             w[rows * LANES + i] = share * bar[i]
         if stage < stages - 1:
             add_rows(w, rows, work[stage + 1], slopes, np.int64(6), h * tableau[0, stage + 1])
-        rates_vjp(w, n, p, q, h)
+        if is_brisk(w):
+            brisk_vjp(w, n, p, q, h)
+        else:
+            rates_vjp(w, n, p, q, h)
         add_rows(kept, np.int64(0), w, slopes, np.int64(6), 1.0)
         at = (slopes + 6) * LANES
         for lane in range(n):
@@ -353,6 +378,12 @@ def set_bars(
     bar: "Array", bars: "Array", strides: "Indices", window: int, windows: int, k: int
 ) -> None:
     """Derivatives to the states of moment `k` as rows; lanes without a window get none."""
+    if strides[0] == 1 and window + LANES <= windows:
+        for row in range(7 + MEMORY):
+            at, to = window + k * strides[1] + row * strides[2], row * LANES
+            for lane in range(LANES):
+                bar[to + lane] = bars[at + lane]
+        return
     for row in range(7 + MEMORY):
         for lane in range(LANES):
             at = (window + lane) * strides[0] + k * strides[1] + row * strides[2]

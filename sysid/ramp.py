@@ -53,7 +53,7 @@ def ramped(run: Run) -> Run:
     """The drive with its speed commands as the ramp lets them through; without one, as it is."""
     if not run.speed_ramp or not len(run.asked.t) or run.speed_source != "command":
         return run
-    edges: Array = np.arange(len(run.commands) + 1) * run.h
+    edges: Array = np.arange(len(run.commands) + 1).astype(float) * run.h
     speed = _means(_setpoint(run.asked, run.speed_ramp, float(edges[-1])), edges)
     return replace(run, commands=np.column_stack([run.commands[:, 0], speed]))
 

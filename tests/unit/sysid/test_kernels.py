@@ -24,6 +24,7 @@ from sysid.kernels import (
     parameter_vector,
     read,
 )
+from sysid.special import BRISK
 from sysid.torch_kernel import simulate
 from sysid.torch_sim import PAPER_CAR_DIRECT, PAPER_STEP, simulate_reference
 
@@ -57,6 +58,23 @@ def test_kernel_equals_reference_in_value_and_gradient(any_model, integrator):
     fast = simulate(kernels, p, first, commands, H, **options)
     slow = simulate_reference(p, first, commands, H, effects=any_model.effects, **options)
     assert fast.shape == slow.shape == (5, 41, 7 + kernels.memory)
+    assert torch.max(torch.abs(fast - slow)) < 1e-9
+    weight = torch.tensor(np.random.default_rng(1).normal(size=tuple(slow.shape)))
+    wanted = torch.autograd.grad((weight * slow).sum(), [p, first, commands])
+    got = torch.autograd.grad((weight * fast).sum(), [p, first, commands])
+    for a, b in zip(got, wanted, strict=True):
+        assert torch.max(torch.abs(a - b)) < 1e-9 * torch.max(torch.abs(b))
+
+
+@pytest.mark.parametrize("slowest", [0.3, 0.8])
+def test_on_the_move_and_through_walking_pace(any_model, slowest):
+    """Above walking pace a block takes the short equations, below it all of them."""
+    p, first, commands = _inputs(any_model, steps=30)
+    first.data[:, 3] = torch.linspace(slowest, 1.5, 5, dtype=torch.float64)
+    commands.data[..., 1] = torch.clamp(commands.data[..., 1], min=slowest)
+    fast = simulate(make_kernels(any_model.effects), p, first, commands, H, history=4)
+    slow = simulate_reference(p, first, commands, H, effects=any_model.effects, history=4)
+    assert bool((slow[..., 3] > BRISK).all()) == (slowest > BRISK)
     assert torch.max(torch.abs(fast - slow)) < 1e-9
     weight = torch.tensor(np.random.default_rng(1).normal(size=tuple(slow.shape)))
     wanted = torch.autograd.grad((weight * slow).sum(), [p, first, commands])
