@@ -28,9 +28,9 @@ CONSTANT_SHARE = 0.35
 EXPLAINED_MIN = 0.9
 PARTIAL_MIN = 0.5
 """Shares of the excess that make a verdict `explained` or `partial`."""
-EXCESS_LEFT = 1.25
+EXCESS_LEFT = 1.1
 """Whitened error that known noise leaves at most, sampling included, per what it should leave."""
-EXCESS_ALONE = 1.5
+EXCESS_ALONE = 1.2
 """The same where no effect explains anything: noise that differs from the healthy drives' is no
 gap."""
 NOISE_KEPT = 0.97
@@ -42,18 +42,21 @@ REFITS_ROUGH = 4
 CONFIDENCE_SLOPE = 0.8
 CONFIDENCE_NATS = 4.0
 """A rival counts exp(-slope (best - gain) / (paired standard error + nats))."""
-CONFIDENCE_MOST = 0.98
-CONFIDENCE_PARTIAL = 0.6
-"""No name is surer than this when part of the gap stays."""
-CONFIDENCE_BROKEN = 0.5
-"""Times this when halves disagree."""
+DOUBT_LEAST = 0.01
+"""Rivals further behind than this count as so far."""
+CONFIDENCE_AT_ONE = 0.0
+CONFIDENCE_PER_SURETY = 1.0
+CONFIDENCE_BROKEN = -1.0
+CONFIDENCE_PARTIAL = -0.5
+"""Log-odds of a name: at a doubt of 1, per e-fold less, where halves disagree, where part of the
+gap stays."""
 GAIN_CLEAR = 32.0
 """A held-out gain that matters however small its millimetres are [nats], of `CLEAR_WINDOWS`
 windows; in proportion of more."""
 CLEAR_WINDOWS = 72
 OWN_SE = 1.5
 """A gain's standard error is no larger than this times a likelihood ratio's own, sqrt(2 gain)."""
-PAIR_SHARE = 0.03
+PAIR_SHARE = 0.01
 """A second cause also gains this share of what the first does: less is how the first is wrong."""
 BUILT_IN = 3
 """Effects that a healthy car may turn out to have, at most."""
@@ -65,7 +68,7 @@ LEAST = {
     "drive_delay": 0.004, "drive_lag": 0.0055, "speed_scale": 0.0032, "rolling_drag": 0.07,
     "battery_sag": 0.025, "tyre_saturation": 0.2, "tyre_friction": 0.02,
     "cornering_stiffness": 0.034, "tyre_balance": 0.029, "tyre_relaxation": 0.003,
-    "friction_ellipse": 0.16, "lateral_load_transfer": 0.3, "longitudinal_load_transfer": 0.02,
+    "friction_ellipse": 0.16, "lateral_load_transfer": 0.4, "longitudinal_load_transfer": 0.02,
     "grip_drift": 0.27, "scrub": 0.39, "mass": 0.16, "cog_offset": 0.012, "yaw_inertia": 0.063,
     "floor_slope": 0.004, "mocap_latency": 0.002, "marker_offset": 0.0038, "mocap_yaw": 0.0012,
 }  # fmt: skip

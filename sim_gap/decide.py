@@ -58,7 +58,7 @@ class Choice:
         blocks: (W,) windows that follow each other.
         rivals: for each effect of the best, what it cannot be told from.
         splits: the constancy test of the first effect.
-        confidence: of each effect.
+        doubts: what counts against each effect's name.
         gain: held-out gain of the best over the base [nats]; `se` its standard error.
         found: whether that is a gap.
     """
@@ -69,7 +69,7 @@ class Choice:
     blocks: NDArray[np.int64]
     rivals: tuple[tuple[str, ...], ...]
     splits: tuple[Split, ...]
-    confidence: tuple[float, ...]
+    doubts: tuple[float, ...]
     gain: float
     se: float
     found: bool
@@ -271,19 +271,30 @@ def se_of_lead(lead: float, se: float) -> float:
     return min(se, 2.0 * float(np.sqrt(2.0 * max(lead, 1.0))))
 
 
-def confidence_of(
-    best: Score, others: Sequence[Score], blocks: NDArray[np.int64], broken: bool
-) -> float:
-    """How sure the name is, from the leads over all rivals (see `constants`)."""
+def doubt_of(best: Score, others: Sequence[Score], blocks: NDArray[np.int64]) -> float:
+    """How much all rivals together count against a name, the less the further they fall behind."""
     doubt = 0.0
     for other in others:
         if other.effects == best.effects:
             continue
         lead, se = gain_of(best, other, blocks)
         scaled = max(lead, 0.0) / (se_of_lead(lead, se) + c.CONFIDENCE_NATS)
-        doubt += float(np.exp(-c.CONFIDENCE_SLOPE * scaled * 2.0))
-    sure = min(1.0 / (1.0 + doubt), c.CONFIDENCE_MOST)
-    return sure * (c.CONFIDENCE_BROKEN if broken else 1.0)
+        doubt += float(np.exp(-2.0 * c.CONFIDENCE_SLOPE * scaled))
+    return doubt
+
+
+def confidence_of(doubt: float, broken: bool = False, partial: bool = False) -> float:
+    """How sure a name is: the share of right names among tuning cases of such doubt.
+
+    Args:
+        doubt: see `doubt_of`.
+        broken: whether halves of the drives disagree about the effect.
+        partial: whether part of the gap stays.
+    """
+    surety = -float(np.log(max(doubt, c.DOUBT_LEAST)))
+    odds = c.CONFIDENCE_AT_ONE + c.CONFIDENCE_PER_SURETY * surety
+    odds += c.CONFIDENCE_BROKEN * broken + c.CONFIDENCE_PARTIAL * partial
+    return float(1.0 / (1.0 + np.exp(-odds)))
 
 
 def choose(
@@ -310,13 +321,12 @@ def choose(
     gain, se = gain_of(best, null, blocks)
     found = significant(gain, se)
     splits = constancy(engine, best.fitted) if found else ()
-    broken = any(split.broken for split in splits)
     rivals: tuple[str, ...] = ()
     if found:
         cosines = look_alikes(engine, best.fitted, nuisance)
         rivals = rivals_of(best, ranked, cosines, blocks)
-    sure = confidence_of(best, ranked, blocks, broken)
-    return Choice(null, tuple(ranked), best, blocks, (rivals,), splits, (sure,), gain, se, found)
+    doubt = doubt_of(best, ranked, blocks)
+    return Choice(null, tuple(ranked), best, blocks, (rivals,), splits, (doubt,), gain, se, found)
 
 
 def _two(
@@ -335,15 +345,15 @@ def _two(
     worth = {name: gain_of(pair, without, blocks)[0] for name, without in drops}
     order = sorted(pair.effects, key=lambda name: -worth[name])
     rest = dict(drops)
-    rivals, sure = [], []
+    rivals, doubts = [], []
     for name in order:
         kept = rest[name]
         swaps = _swaps(engine, kept, name, nuisance, only)
         rivals.append(tuple(n for n in rivals_of(pair, swaps, {}, blocks) if n != name))
-        sure.append(confidence_of(pair, swaps, blocks, broken=False))
+        doubts.append(doubt_of(pair, swaps, blocks))
     ordered = Score(tuple(order), pair.fitted, pair.losses, pair.prior)
     return Choice(
-        null, tuple(ranked), ordered, blocks, tuple(rivals), (), tuple(sure), gain, se, True
+        null, tuple(ranked), ordered, blocks, tuple(rivals), (), tuple(doubts), gain, se, True
     )
 
 

@@ -16,7 +16,7 @@ from car_model.car_file import CarFile
 from car_model.model import Model
 from sim_gap import constants as c
 from sim_gap.candidates import Score, blocks_of, gain_of, scored, singles
-from sim_gap.decide import ALIASES, Choice, Split, at_bound, choose, large
+from sim_gap.decide import ALIASES, Choice, Split, at_bound, choose, confidence_of, large
 from sim_gap.descent import Fitted
 from sim_gap.engine import Engine
 from sim_gap.healthy import learn_healthy, refine
@@ -302,25 +302,24 @@ def _values(engine: Engine, score: Score) -> dict[str, tuple[float, ...]]:
 
 
 def _causes(engine: Engine, choice: Choice, verdict: str) -> tuple[Cause, ...]:
-    most = c.CONFIDENCE_PARTIAL if verdict == "partial" else 1.0
+    broken, partial = any(split.broken for split in choice.splits), verdict == "partial"
     fitted = choice.best.fitted
     sd = dict(zip(fitted.space.chart.free, np.sqrt(np.diag(fitted.covariance)), strict=True))
     p, names = fitted.parameters, engine.superset.kernels.names
     effects = {e.name: e for e in engine.superset.effects}
     causes = []
-    for name, rivals, sure in zip(
-        choice.best.effects, choice.rivals, choice.confidence, strict=True
-    ):
+    for name, rivals, doubt in zip(choice.best.effects, choice.rivals, choice.doubts, strict=True):
         effect = effects[name]
         places = engine.superset.places(name)
         parameters = {
             q.name: (float(p[i]), float(sd[names[i]]), q.unit)
             for q, i in zip(effect.parameters, places, strict=True)
         }
+        sure = confidence_of(doubt, broken, partial)
+        alias = ALIASES.get(name, "")
         causes.append(
-            Cause(name, effect.stage.value, effect.family, parameters, min(sure, most), rivals,
-                  ALIASES.get(name, ""))
-        )  # fmt: skip
+            Cause(name, effect.stage.value, effect.family, parameters, sure, rivals, alias)
+        )
     return tuple(causes)
 
 

@@ -40,7 +40,7 @@ EFFECT = Effect(
     summary="accelerating and braking take lateral grip away",
     equation="F -> F sqrt(1 - share (2 part accel / (mu g))^2), part: rear, or 1 - rear in front",
     parameters=(
-        EffectParameter("share", 0.0, 0.0, 4.0, "1", 0.5, "1: the textbook ellipse at mu"),
+        EffectParameter("share", 0.0, 0.0, 9.0, "1", 0.5, "1: the textbook ellipse at mu"),
         EffectParameter("rear", 0.5, 0.0, 1.0, "1", 0.15, "rear axle's part of drive and braking"),
     ),
     forces=_forces,

@@ -1,4 +1,7 @@
-"""A linkage that bends: less (or more) wheel angle towards the ends."""
+"""A linkage that bends: less (or more) wheel angle towards the ends.
+
+The lower bound is 1 / (3 x 0.34^2): beyond it the wheels would turn back at the ends.
+"""
 
 from collections.abc import Sequence
 
@@ -19,7 +22,7 @@ EFFECT = Effect(
     equation="wheel = steer + cubic steer^3",
     parameters=(
         EffectParameter(
-            "cubic", 0.0, -2.5, 4.0, "1/rad^2", 1.0, "at -1 the wheels turn 12 % less at 0.34 rad"
+            "cubic", 0.0, -2.85, 4.0, "1/rad^2", 1.0, "at -1 the wheels turn 12 % less at 0.34 rad"
         ),
     ),
     linkage=_linkage,

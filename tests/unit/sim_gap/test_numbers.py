@@ -8,7 +8,7 @@ import pytest
 from car_model.effects import find_effect
 from sim_gap import constants as c
 from sim_gap.candidates import Score, gain_of
-from sim_gap.decide import at_bound, confidence_of, needless, rivals_of, significant
+from sim_gap.decide import at_bound, confidence_of, doubt_of, needless, rivals_of, significant
 from sim_gap.residuals import interval_of, robust_mean
 from sim_gap.shrink import explained_share
 from sim_gap.where import Regime, Share, sentence_of
@@ -54,12 +54,11 @@ def test_a_near_equal_is_a_rival_and_lowers_confidence():
     best = score("a", np.zeros(12))
     near, far = score("b", np.full(12, 0.2)), score("c", np.full(12, 20.0))
     assert rivals_of(best, [best, near, far], {"d": 0.97, "e": 0.5}, BLOCKS) == ("b", "d")
-    alone = confidence_of(best, [best, far], BLOCKS, broken=False)
+    alone = confidence_of(doubt_of(best, [best, far], BLOCKS))
     assert alone > 0.9
-    assert confidence_of(best, [best, near, far], BLOCKS, broken=False) < 0.8 * alone
-    assert confidence_of(best, [best, far], BLOCKS, broken=True) == pytest.approx(
-        alone * c.CONFIDENCE_BROKEN
-    )
+    assert confidence_of(doubt_of(best, [best, near, far], BLOCKS)) < 0.8 * alone
+    assert confidence_of(doubt_of(best, [best, far], BLOCKS), broken=True) < alone
+    assert confidence_of(0.0, partial=True) < confidence_of(0.0) < 1.0
 
 
 def test_a_pair_needs_both():
