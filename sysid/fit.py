@@ -39,7 +39,7 @@ _ROUGH, _FINE = Effort(8, 0.5, 3e-3, 1e-4), Effort(20, 0.1, 1e-7)
 _GROWTH = 1.5
 """A last stage whose windows are no more than so much longer than a stage's replaces it."""
 _SPEED_OF_COMMANDS = ("speed_gain", "speed_lag", "drive_delay", "accel_max", "decel_max")
-_NOISE_ROUNDS = 3
+_NOISE_ROUNDS = 12
 _NOISE_SETTLED = 0.03
 """Noise levels that change by a smaller share are settled."""
 _ROUGH_SECONDS = 20.0
@@ -305,8 +305,8 @@ def _settle_noise(work: _Work, problem: Problem, found: Descent) -> Descent:
         effort = _FINE._replace(damping=found.damping)
         found = work.descend(problem, found.z, found.x, effort, at)
         if change < _NOISE_SETTLED:
-            break
-    return found
+            return found
+    return found._replace(converged=False)
 
 
 def _report(work: _Work, problem: Problem, found: Descent, signal: Array) -> Fit:
