@@ -37,7 +37,6 @@ class Lateness(NamedTuple):
     """Ticks that were later than one period: in a row, and over the current second."""
 
     run: int = 0
-    ticks: int = 0
     missed: int = 0
     window_ns: int = 0
     total: int = 0
@@ -50,10 +49,9 @@ def step_lateness(
     late = woke_ns - due_ns
     missed = late > period_ns
     if due_ns - state.window_ns > WINDOW_NS:
-        state = state._replace(ticks=0, missed=0, window_ns=due_ns)
+        state = state._replace(missed=0, window_ns=due_ns)
     state = Lateness(
         run=state.run + 1 if missed else 0,
-        ticks=state.ticks + 1,
         missed=state.missed + missed,
         window_ns=state.window_ns,
         total=state.total + missed,

@@ -6,7 +6,15 @@ import pytest
 
 from controller.limits import LimitError
 from daemon.findings import Severity
-from daemon.lateness import IN_SIMULATION, ON_HARDWARE, Lateness, make_rules, step_lateness
+from daemon.lateness import (
+    IN_SIMULATION,
+    ON_HARDWARE,
+    WINDOW_NS,
+    Lateness,
+    LatenessRules,
+    make_rules,
+    step_lateness,
+)
 from daemon.thresholds import Thresholds
 
 MS, PERIOD = 1_000_000, 10_000_000
@@ -24,6 +32,42 @@ def run(late_ms, rules=ON_HARDWARE):
 def test_in_time_nothing_is_said_and_a_missed_tick_is_a_warning():
     assert run([0, 10])[0] == [None, None]
     assert run([10.1])[0] == [Severity.WARN]
+
+
+def test_the_rules_are_the_thresholds():
+    assert make_rules(Thresholds()) == ON_HARDWARE == LatenessRules(25_000_000, 3, 0.02)
+    assert make_rules(replace(Thresholds(), late=0.0125)).late_ns == 12_500_000
+
+
+@pytest.mark.parametrize(
+    ("late_ms", "words"),
+    [
+        ([12.3], "12.3 ms"),
+        ([31.4], "a tick 31 ms late"),
+        ([1499.6], "a tick 1500 ms late"),
+        ([12, 12, 12], "3 ticks in a row missed"),
+        ([12, 0, 12, 0, 12], "3 of 100 ticks missed"),
+    ],
+)
+def test_what_is_said(late_ms, words):
+    state, found = Lateness(), None
+    for k, ms in enumerate(late_ms):
+        state, found = step_lateness(state, k * PERIOD, k * PERIOD + round(ms * MS), PERIOD)
+    assert found is not None
+    assert f": {words}; " in found.text
+
+
+def test_a_second_ends_after_a_second_and_the_next_begins_where_it_ended():
+    begun = Lateness(missed=2, window_ns=WINDOW_NS)
+    late = WINDOW_NS + 12 * MS
+    same, found = step_lateness(begun, 2 * WINDOW_NS, WINDOW_NS + late, PERIOD)
+    assert (same.missed, same.window_ns) == (3, WINDOW_NS)
+    assert found is not None
+    assert found.severity is Severity.HARD
+    new, found = step_lateness(begun, 2 * WINDOW_NS + 1, WINDOW_NS + late + 1, PERIOD)
+    assert (new.missed, new.window_ns) == (1, 2 * WINDOW_NS + 1)
+    assert found is not None
+    assert found.severity is Severity.WARN
 
 
 def test_one_very_late_tick_trips_at_its_edge():
