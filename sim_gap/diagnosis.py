@@ -286,13 +286,15 @@ def verdict_of(
     choice: Choice, found: bool, known: bool, before: Gap, after: Gap, floor: float
 ) -> str:
     """`none`, `explained`, `partial` or `unexplained`; `floor` is what noise alone leaves."""
-    left = after.interval[0] > c.EXCESS_LEFT * floor
+    most = c.EXCESS_LEFT * floor
     if not found:
         alone = after.interval[0] > c.EXCESS_ALONE * floor
         return "unexplained" if known and alone else "none"
     share = explained_share(before.whitened, after.whitened, floor)
-    if known and left and share < c.EXPLAINED_MIN:
-        return "partial" if share >= c.PARTIAL_MIN else "unexplained"
+    if known and after.interval[0] > most and share < c.PARTIAL_MIN:
+        return "unexplained"
+    if known and after.whitened > most and share < c.EXPLAINED_MIN:
+        return "partial"
     return "partial" if any(split.broken for split in choice.splits) else "explained"
 
 
