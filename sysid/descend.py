@@ -138,11 +138,13 @@ def _improve(
 ) -> tuple[tuple[Array, Array, Evaluation, float] | None, float]:
     """The first damped step that lowers the cost, or None, and the damping for the next."""
     z, x, cost = here
+    eased = max(0.1 * damping, DAMPING_MIN)
     while damping < DAMPING_MAX:
         z_new, x_new = _trial(problem, normal, z, x, damping)
         at = problem.evaluate(z_new, x_new)
         lower = cost_of(at, limit)
         if lower < cost:
-            return (z_new, x_new, at, lower), max(0.1 * damping, DAMPING_MIN)
+            return (z_new, x_new, at, lower), eased
         damping *= GROWTH
+        eased = damping
     return None, damping

@@ -220,11 +220,13 @@ def fit(
     tried = [parameter_vector(start) for start in (starts or (model,))]
     found, problem = _first_stage(work, [np.clip(chart.coordinates(p), low, high) for p in tried])
     for horizon, rough in _later_stages(runs, options):
+        if options.noise is None and len(work.costs) > 1:
+            work.sigma = residual_noise(problem, found)
         wider = work.problem(horizon, found.z, rough)
         x = _carry(problem, found.x, wider)
         problem = wider
         effort = _ROUGH if rough or options.noise is None else _FINE
-        effort = effort._replace(damping=min(found.damping, _ROUGH.damping))
+        effort = effort._replace(damping=found.damping)
         found = work.descend(problem, found.z, x, effort)
     if options.noise is None:
         found = _settle_noise(work, problem, found)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sysid.chart import make_chart
 from sysid.objective import (
+    COLUMN_STATES,
     STATES,
     Evaluation,
     Normal,
@@ -52,7 +53,7 @@ def _scores(problem: Problem, at: Evaluation, normal: Normal, limit: float) -> l
     What initial states can explain is taken out.
     """
     n, layout = len(at.prior_z), problem.layout
-    inner = np.linalg.solve(normal.d, normal.b.transpose(0, 2, 1))
+    inner = np.linalg.solve(normal.d, normal.b.transpose(0, 2, 1))[:, COLUMN_STATES]
     pull = np.clip(at.error, -limit, limit)
     place = np.maximum((row_times(layout) / BIN).astype(np.int64), 0)
     found = []

@@ -264,6 +264,7 @@ def read(
     windows: Windows,
     stations: Stations,
     scale: Array | None = None,
+    spare: int = 0,
 ) -> tuple[Array, Array]:
     """Instrument readings and their derivatives.
 
@@ -277,9 +278,10 @@ def read(
         windows: the windows.
         stations: where to read.
         scale: (rows,) by which each row of derivatives is multiplied.
+        spare: this many more columns of derivatives, for the caller to fill.
 
     Returns:
-        Readings (rows,) and (scaled) derivatives (rows, columns).
+        Readings (rows,) and (scaled) derivatives (rows, columns + spare).
 
     Raises:
         ValueError: more columns than a kernel holds.
@@ -290,7 +292,7 @@ def read(
     padded = -(-columns // 8) * 8
     state = np.zeros((len(first), 7 + kernels.memory))
     state[:, :7] = first
-    y, jy = np.empty(stations.rows), np.empty((stations.rows, padded))
+    y, jy = np.empty(stations.rows), np.empty((stations.rows, -(-(columns + spare) // 8) * 8))
     scale = np.ones(stations.rows) if scale is None else scale
     q = constants_of(kernels, parameters, held.fine)
     seeds, dfirst, late = _padded(seeds, padded), _padded(dfirst, padded), np.zeros(3)
@@ -303,7 +305,7 @@ def read(
             windows.spans[w], t, held.substeps, state[w], dfirst, stations.places[a:b],
             stations.shares[a:b], scale, y, jy, padded,
         )  # fmt: skip
-    return y, jy[:, :columns]
+    return y, jy[:, : columns + spare]
 
 
 def _padded(matrix: Array, columns: int) -> Array:

@@ -18,6 +18,9 @@ from sysid.windows import GROUPS, Layout
 Array = NDArray[np.float64]
 
 STATES = 7
+COLUMN_STATES = (3, 4, 5, 6, 0, 1, 2)
+"""Which state each of the last seven columns of slopes belongs to: the place and heading last."""
+PLACED = 3
 STATE_SPREAD = np.array([0.1, 0.1, 0.2, 0.5, 2.0, 0.2, 0.01])
 """Prior standard deviation of an initial state about its first guess (poses tell it far better).
 
@@ -34,7 +37,8 @@ class Evaluation(NamedTuple):
 
     Attributes:
         error: (R,) whitened measurement minus prediction.
-        slopes: (R, n + 7) whitened derivative of the prediction by `z` and its window's state.
+        slopes: (R, n + 7) whitened derivative of the prediction by `z` and its window's state, the
+            latter in the order of `COLUMN_STATES`.
         prior_z: (n,) whitened deviation of the coordinates from their prior.
         prior_x: (W, 7) the same for the initial states.
         finite: whether the simulation stayed finite.
@@ -103,14 +107,33 @@ class Problem:
         key = (late, held.fine)
         if key not in self._stations:
             self._stations = {key: layout.stations(late, held.fine)}
-        seeds = np.zeros((len(parameters), n + STATES))
+        # Without effects nothing depends on where the car is: moved and turned starts move and turn
+        # the poses, and these columns need no simulation.
+        spare = 0 if self.kernels.effects else PLACED
+        used = n + STATES - spare
+        seeds = np.zeros((len(parameters), used))
         seeds[:, :n] = self.chart.slopes(z)
-        dfirst = np.zeros((STATES, n + STATES))
-        dfirst[:, n:] = np.eye(STATES)
-        windows = layout.kernel_windows(substeps)
-        return read(
-            self.kernels, parameters, seeds, x, dfirst, held, windows, self._stations[key], scale
-        )
+        dfirst = np.zeros((STATES, used))
+        dfirst[COLUMN_STATES[: used - n], range(n, used)] = 1.0
+        y, jy = read(
+            self.kernels, parameters, seeds, x, dfirst, held, layout.kernel_windows(substeps),
+            self._stations[key], scale, spare,
+        )  # fmt: skip
+        if spare:
+            self._place(y, jy[:, used:], x, scale)
+        return y, jy
+
+    def _place(self, y: Array, jy: Array, x: Array, scale: Array) -> None:
+        """Derivatives of the readings by the place and heading at their window's start."""
+        seen = self.layout.seen
+        poses = seen.kind == 0
+        row, start = seen.row[poses], x[seen.window[poses]]
+        near, turned = scale[row], scale[row + 2]
+        jy[:] = 0.0
+        jy[row, 0] = jy[row + 1, 1] = near
+        jy[row, 2] = (start[:, 1] - y[row + 1]) * near
+        jy[row + 1, 2] = (y[row] - start[:, 0]) * near
+        jy[row + 2, 2] = turned
 
     def rescaled(self, at: Evaluation, sigma: Array) -> Evaluation:
         """Take other noise levels, and give the same evaluation under them."""
@@ -159,6 +182,8 @@ def normal_equations(problem: Problem, at: Evaluation, limit: float) -> Normal:
     for w in range(count):
         part = slopes[bounds[w] : bounds[w + 1]]
         squares[w], pulls[w] = part.T @ part, part.T @ error[bounds[w] : bounds[w + 1]]
+    order = [*range(n), *(n + np.argsort(COLUMN_STATES))]
+    squares, pulls = squares[:, order][:, :, order], pulls[:, order]
     spread = problem.spread_x
     d = squares[:, n:, n:].copy()
     d[:, range(STATES), range(STATES)] += 1.0 / spread**2
