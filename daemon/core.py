@@ -4,7 +4,7 @@ Joins the VESC's protocol, the loop and the way out for messages. The real-time 
 time drive the same object.
 """
 
-from daemon.blind import tick_blind
+from daemon.blind import describe_error, tick_blind
 from daemon.checks import VescSelf
 from daemon.flags import Flag
 from daemon.loop import Loop, TickResult
@@ -66,11 +66,18 @@ class Core:
         self._work_ns = 0
         self._limits_before: McConfTemp | None = None
         self._expected = True
+        self._mourned = False
 
     # --- events
 
     def on_serial(self, t_ns: int, data: bytes) -> None:
-        """Bytes from the VESC."""
+        """Bytes from the VESC; never raises."""
+        try:
+            self._on_serial(t_ns, data)
+        except Exception as error:
+            self.strand(error)
+
+    def _on_serial(self, t_ns: int, data: bytes) -> None:
         epoch = self.outbox.epoch_ns
         for event in self.link.on_bytes(t_ns, data):
             match event:
@@ -126,7 +133,7 @@ class Core:
         return encode_frame(encode_command(SetCurrentBrake(current)))
 
     def strand(self, error: BaseException) -> None:
-        """An exception that nothing caught, of a thread or a destructor: stop for good (W29)."""
+        """An exception that nothing expects, wherever it was raised: stop for good (W29)."""
         self.flags |= Flag.EXCEPTION
         self.error = self.error or error
 
@@ -138,11 +145,14 @@ class Core:
         return frames
 
     def on_poses(self, samples: list[PoseSample]) -> None:
-        """Mocap samples, in order of arrival."""
-        for sample in samples:
-            self.loop.on_pose(sample)
-            message = make_mocap(sample, self.outbox.epoch_ns)
-            self.outbox.post(topics.MOCAP, message, sample.t_arrival_ns, sample.t_valid_ns)
+        """Mocap samples, in order of arrival; never raises."""
+        try:
+            for sample in samples:
+                self.loop.on_pose(sample)
+                message = make_mocap(sample, self.outbox.epoch_ns)
+                self.outbox.post(topics.MOCAP, message, sample.t_arrival_ns, sample.t_valid_ns)
+        except Exception as error:
+            self.strand(error)
 
     def on_request(self, name: str, data: bytes, t_ns: int) -> bool:
         """A message for the car from outside; False if it is not one."""
@@ -214,14 +224,16 @@ class Core:
 
     def _tell(self, result: TickResult, now_ns: int) -> None:
         stamp_ns = now_ns + self.outbox.epoch_ns
+        if self.error is not None and not self._mourned:
+            self._mourned = True
+            self._log(_ERROR, f"W29 {describe_error(self.error)}", now_ns)
         changed = result.supervisor.state is not result.old
         if changed:
             transition = make_transition(result.old, result.supervisor, stamp_ns)
             self.outbox.post(topics.TRANSITION, transition, now_ns)
             level = _ERROR if result.supervisor.state in _ALARM else _INFO
             text = f"{result.supervisor.state.name}: {result.supervisor.reason}"
-            log = Log(make_time(stamp_ns), level, "steerd", text, "", "", 0)
-            self.outbox.post(topics.LOG, log, now_ns)
+            self._log(level, text, now_ns)
         if changed or now_ns - self._told_ns >= DIAGNOSTICS_PERIOD_NS:
             self._told_ns = now_ns
             diagnostics = make_diagnostics(
@@ -233,6 +245,10 @@ class Core:
                 stamp_ns,
             )
             self.outbox.post(topics.DIAGNOSTICS, diagnostics, now_ns)
+
+    def _log(self, level: int, text: str, now_ns: int) -> None:
+        log = Log(make_time(now_ns + self.outbox.epoch_ns), level, "steerd", text, "", "", 0)
+        self.outbox.post(topics.LOG, log, now_ns)
 
     def _waiting(self, action: Action, waiting: str) -> str:
         """What the loop waits for, made concrete where only the links know."""

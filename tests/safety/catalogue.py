@@ -240,6 +240,14 @@ def _strand(rig: Rig) -> None:
     rig.run.core.strand(BoomError("injected"))
 
 
+def _break_parser(rig: Rig) -> None:
+    rig.run.core.link.on_bytes = _raise  # type: ignore[method-assign]
+
+
+def _break_watch(rig: Rig) -> None:
+    rig.run.core.loop.perception.on_pose = _raise  # type: ignore[method-assign]
+
+
 def _break_controller(rig: Rig) -> None:
     rig.run.core.loop._wish = _raise  # type: ignore[method-assign]
 
@@ -287,6 +295,8 @@ def _host() -> tuple[Ailment, ...]:
         Ailment("H13", "exception in the controller", _break_controller, HARD, cold="red"),
         Ailment("H13b", "exception in the filter", _break_estimator, HARD, cold="red"),
         Ailment("H13c", "exception in a thread", _strand, HARD, cold="red"),
+        Ailment("H13d", "exception at a reply", _break_parser, HARD, FRAME, cold="red"),
+        Ailment("H13e", "exception at a pose", _break_watch, HARD, 2 * FRAME, cold="red"),
         Ailment("H14", "NaN from the controller", _give_nan, HARD, cold="launch"),
         Ailment("H17", "suspended", raise_flag(Flag.SUSPENDED), HARD),
     )

@@ -158,7 +158,7 @@ TRACES = {
         "daemon.runner:Runner._watch_processes", _names("suspend_step"), ("H17", "P5"), also=_RUNNER
     ),
     "W29": Trace(
-        "daemon.blind:tick_blind", (), ("H13", "P5"), also="H13b, H13c; " + _RUNNER
+        "daemon.blind:tick_blind", (), ("H13", "P5"), also="H13b to H13e; " + _RUNNER
     ),
 }  # fmt: skip
 

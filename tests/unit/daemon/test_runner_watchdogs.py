@@ -15,9 +15,10 @@ from daemon.core_process import strand_on_strays
 from daemon.errors import SteerdError
 from daemon.flags import Flag
 from daemon.options import RunOptions
-from daemon.records import PipeWriter
+from daemon.records import PipeWriter, read_message
 from daemon.runner import Ends, Runner
 from daemon.transitions import State
+from steer_bus import topics
 from vesc_link.transport import LinkDown
 
 SECOND = 1_000_000_000
@@ -73,9 +74,9 @@ def plan():
     return make_plan(RunOptions(car_file="", path="line", speed=1.0))
 
 
-def make_runner(plan, **record):
+def make_runner(plan, sinks=(), **record):
     settings = replace(plan.settings, record=replace(plan.settings.record, **record))
-    core = make_core(replace(plan, settings=settings), 1, 0, (), leased=True)
+    core = make_core(replace(plan, settings=settings), 1, 0, sinks, leased=True)
     pipes = [PipeWriter(-1), PipeWriter(-1)]
     clock = SimpleNamespace(now_ns=lambda: 0, realtime_ns=lambda: 0)
     guard, port = FakeGuard(), FakePort()
@@ -194,6 +195,20 @@ def test_w29_an_exception_without_a_caller_stops_the_car_for_good(plan, monkeypa
         gc.collect()
     assert isinstance(core.error, LookupError)
     assert core.flags == Flag.LINKED | Flag.EXCEPTION
+
+
+def test_w29_what_was_raised_while_a_reply_came_in_is_told_once(plan):
+    told = []
+    r = make_runner(plan, (lambda records, _: told.extend(records),))
+    r.core.link.on_bytes = lambda *_: [][1]
+    r.core.on_serial(0, b"x")
+    assert r.core.flags == Flag.LINKED | Flag.EXCEPTION
+    for t_ns in (0, 10_000_000):
+        r.core.tick(t_ns, t_ns)
+        r.core.outbox.flush(t_ns)
+    logs = [read_message(record).msg for record in told if record.topic is topics.LOG]
+    (said,) = [text for text in logs if "W29" in text]
+    assert said.startswith("W29 IndexError at <lambda>:")
 
 
 @pytest.mark.parametrize(
