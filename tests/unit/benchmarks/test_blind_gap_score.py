@@ -73,6 +73,19 @@ def test_calibration():
     s = scored(*singles())
     assert [(b.count, b.right) for b in s.reliability.bins] == [(2, 0.0), (1, 1.0)]
     assert s.reliability.ece == pytest.approx((2 * 0.55 + 0.05) / 3)
+    assert s.reliability.count == 3
+    assert s.reliability.brier_plain == pytest.approx(2 / 9)
+    low, high = s.reliability.ece_interval
+    assert low < s.reliability.ece < high
+
+
+def test_the_brier_score_is_the_mean_square():
+    right = (label("single", ["steer_lag"]), told(cause("steer_lag", 0.9)))
+    wrong = (label("single", ["steer_lag"]), told(cause("steer_delay", 0.6)))
+    r = scored(right, right, right, wrong).reliability
+    assert r.brier == pytest.approx((3 * 0.1**2 + 0.6**2) / 4)
+    assert r.brier_interval[0] < r.brier < r.brier_interval[1]
+    assert 0.0 < r.ece_chance[0] < r.ece_chance[1]
 
 
 def test_confusion():

@@ -12,11 +12,13 @@ from sim_gap.disturb import INPUTS, responses
 from sim_gap.engine import make_engine, take_windows
 from sim_gap.noise import (
     Noise,
+    calibrated,
     learn_noise,
     louder,
     noise_floor,
     noise_of_section,
     noise_section,
+    slip_shape,
     whitened,
 )
 from sim_gap.readings import SPACING, make_readings
@@ -123,6 +125,36 @@ def test_noise_survives_a_car_file():
     assert noise_of_section({}) is None
     with pytest.raises(ValueError, match="position"):
         noise_of_section({"yaw": 1.0})
+    older = {key: v for key, v in noise_section(noise).items() if key != "wheel_slip"}
+    assert noise_of_section(older) == noise
+
+
+def test_a_slipping_wheel_is_off_by_speed_times_acceleration(healthy):
+    error, _ = healthy.missed(*_at_base(healthy))
+    shape = slip_shape(healthy, error)
+    wheel = (healthy.readings.channel[healthy.padded.row] == 3) & (healthy.padded.there > 0)
+    slip = np.sqrt(np.diagonal(shape, axis1=1, axis2=2))
+    assert (slip[~wheel] == 0.0).all()
+    speed = healthy.pad(healthy.readings.layout.values) - error
+    for w in range(3):
+        t = healthy.readings.t[healthy.padded.row[w, wheel[w]]]
+        v = speed[w, wheel[w]]
+        assert slip[w, wheel[w]] == pytest.approx(np.abs(v * np.gradient(v, t)))
+
+
+def test_calibrated_noise_leaves_one(healthy):
+    space, z, x = _at_base(healthy)
+    noise = Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
+    fitted = settled(healthy, space, z, x)
+    first = settled(whitened(healthy, fitted, noise), space, z, x)
+    left = robust_mean(first.at.square / first.at.dof)
+    again = settled(whitened(healthy, fitted, calibrated(noise, left)), space, z, x)
+    assert robust_mean(again.at.square / again.at.dof) == pytest.approx(1.0, abs=0.03)
+
+
+def _at_base(engine):
+    space = make_space(engine.superset, ())
+    return space, space.centre, engine.readings.layout.guess
 
 
 def test_drives_noisier_than_known_are_believed():

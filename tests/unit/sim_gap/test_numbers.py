@@ -10,7 +10,7 @@ from sim_gap import constants as c
 from sim_gap.candidates import Score, gain_of
 from sim_gap.decide import at_bound, confidence_of, doubt_of, needless, rivals_of, significant
 from sim_gap.residuals import interval_of, robust_mean
-from sim_gap.shrink import explained_share
+from sim_gap.shrink import explained_share, floor_of
 from sim_gap.where import Regime, Share, sentence_of
 
 BLOCKS = np.repeat(np.arange(4), 3)
@@ -101,6 +101,23 @@ def test_interval_holds_the_mean():
 )
 def test_share_of_the_excess(before, after, share):
     assert explained_share(before, after, 1.0) == pytest.approx(share)
+
+
+def test_noise_leaves_on_few_drives_what_the_best_fit_shows_within_two_errors():
+    draws = np.array([-0.1, 0.1] * 50)
+    assert floor_of(1.05, draws, 1.0) == 1.05
+    assert floor_of(1.5, draws, 1.0) == pytest.approx(1.2)
+    assert floor_of(0.5, draws, 1.0) == pytest.approx(0.8)
+
+
+def test_the_shape_of_an_effect_may_lie_at_its_bound():
+    effect = find_effect("lateral_load_transfer")
+    engine = SimpleNamespace(
+        superset=SimpleNamespace(effects=(effect,), places=lambda name: [0, 1])
+    )
+    for values, told in (((1.0, 1.5), ()), ((5.0, 0.6), (effect.name,))):
+        fitted = SimpleNamespace(parameters=np.array(values))
+        assert at_bound(engine, Score((effect.name,), fitted, np.zeros(1), 0.0)) == told
 
 
 def test_the_sentence_names_equation_and_regime():
