@@ -16,7 +16,7 @@ from sim_gap.diagnosis import Diagnosis
 from sim_gap.residuals import Gap
 from sim_gap.shrink import Shrinkage
 from sim_gap.timeline import Timeline
-from sim_gap.where import Regime, Share
+from sim_gap.where import Regime, Share, range_words
 from sim_gap.words import EQUATIONS, SCALES, told_leads
 from sysid.drawing import AFTER, BEFORE, FAINT, INK, MEASURED, STYLE, make_figure, to_svg
 
@@ -176,12 +176,7 @@ def draw_regimes(regimes: Sequence[Regime]) -> str:
             axis.plot([max(r.ratio_low, 1e-3), max(r.ratio_high, 1e-3)], [place, place],
                       color=colour, lw=2.0)  # fmt: skip
             axis.plot(ratio, place, "o", color=colour)
-        labels = [
-            f"{r.variable.replace('_', ' ')} {r.low:.2g} to {r.high:.2g} {r.unit}".replace(
-                "^2", "²"
-            )
-            for r in rows
-        ]
+        labels = [f"{r.variable.replace('_', ' ')} {range_words(r)}" for r in rows]
         axis.set_yticks(range(len(rows)), labels)
         axis.set_ylim(len(rows) - 0.4, -0.6)
         axis.axvline(1.0, color=INK, lw=0.8, ls=":")

@@ -113,7 +113,10 @@ def readings_of(
     k = np.clip(np.floor(at).astype(np.int64), 0, last)
     share = (at - k)[:, None]
     a, b = path[seen.window, k, :7], path[seen.window, k + 1, :7]
-    state: State[Any] = State(*(a + share * (b - a)).T)
+    with np.errstate(
+        invalid="ignore"
+    ):  # a car that spun away reads nothing; such a step is refused
+        state: State[Any] = State(*(a + share * (b - a)).T)
     shown = observe(NUMPY, active_model(kernels, parameters), state)
     out = np.empty(len(readings.layout.values))
     pose = seen.kind == 0

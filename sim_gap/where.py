@@ -1,5 +1,6 @@
 """Where the gap lies: which equation, channel, stretch of time and manner of driving."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -246,6 +247,15 @@ def stretches(
     return tuple(sorted(found, key=lambda s: -s.share)[:12])
 
 
+def range_words(regime: Regime) -> str:
+    """From where to where, with the digits that tell the two apart: "1.98 to 2.02 m/s"."""
+    span = regime.high - regime.low
+    places = min(max(1 - math.floor(math.log10(span)), 0), 4) if span > 0.0 else 2
+    places = 0 if span >= 10.0 else places
+    unit = regime.unit.replace("^2", "²")
+    return f"{regime.low:.{places}f} to {regime.high:.{places}f} {unit}"
+
+
 def sentence_of(equation: Sequence[Share], found: Sequence[Regime]) -> str:
     """The localisation in one sentence."""
     words = {
@@ -259,8 +269,7 @@ def sentence_of(equation: Sequence[Share], found: Sequence[Regime]) -> str:
     r = found[0]
     name = r.variable.replace("_", " ")
     return (
-        f"{text}; it is {r.ratio:.1f} times as large when {name} is {r.low:.2g} to {r.high:.2g} "
-        f"{r.unit} as elsewhere."
+        f"{text}; it is {r.ratio:.1f} times as large when {name} is {range_words(r)} as elsewhere."
     )
 
 

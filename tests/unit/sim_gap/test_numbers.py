@@ -11,7 +11,7 @@ from sim_gap.candidates import Score, gain_of
 from sim_gap.decide import at_bound, confidence_of, doubt_of, needless, rivals_of, significant
 from sim_gap.residuals import interval_of, robust_mean
 from sim_gap.shrink import explained_share, floor_of
-from sim_gap.where import Regime, Share, sentence_of
+from sim_gap.where import Regime, Share, range_words, sentence_of
 
 BLOCKS = np.repeat(np.arange(4), 3)
 
@@ -120,11 +120,19 @@ def test_the_shape_of_an_effect_may_lie_at_its_bound():
         assert at_bound(engine, Score((effect.name,), fitted, np.zeros(1), 0.0)) == told
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [(1.98, 2.02, "1.980 to 2.020 s"), (68.2, 120.4, "68 to 120 s"), (2.0, 2.0, "2.00 to 2.00 s")],
+)
+def test_a_range_shows_the_digits_that_tell_its_ends_apart(low, high, words):
+    assert range_words(Regime("run_time", "s", low, high, 2.0, 1.5, 3.0, 0.5)) == words
+
+
 def test_the_sentence_names_equation_and_regime():
     shares = [Share("steer", 0.8), Share("yaw", 0.2)]
     hard = Regime("lateral_acceleration", "m/s^2", 3.0, 5.0, 4.2, 3.0, 6.0, 0.9)
     text = sentence_of(shares, [hard])
     assert "steering actuator (80%" in text
-    assert "4.2 times as large when lateral acceleration is 3 to 5 m/s^2" in text
+    assert "4.2 times as large when lateral acceleration is 3.0 to 5.0 m/s²" in text
     even = Regime("speed", "m/s", 1.0, 2.0, 1.2, 0.8, 1.6, 0.3)
     assert "much the same at every speed" in sentence_of(shares, [even])
