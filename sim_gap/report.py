@@ -19,6 +19,7 @@ from sim_gap.words import (
     lane_words,
     manoeuvre_words,
     residual_words,
+    share_words,
     short,
     shrink_words,
     summary_of,
@@ -120,8 +121,9 @@ def _surest(cause: Cause) -> tuple[str, tuple[float, float, str]]:
 def _shrunk(told: Diagnosis) -> Card:
     s, label = told.shrinkage, "excess error removed"
     if s.measured is None:
-        return Card(label, f"{s.predicted:.0%}", "predicted")
-    return Card(label, f"{s.measured:.0%}", f"measured; predicted {s.predicted:.0%}")
+        return Card(label, share_words(s.predicted), "predicted")
+    said = f"measured; predicted {share_words(s.predicted)}"
+    return Card(label, share_words(s.measured), said)
 
 
 def _sections(subject: Subject, told: Diagnosis, lane: LaneComparison | None) -> Iterator[Section]:

@@ -99,17 +99,23 @@ def gap_words(told: Diagnosis) -> Iterator[str]:
         )
 
 
+def share_words(share: float) -> str:
+    """A share in percent; nearly all is not all."""
+    return ">99%" if 0.99 < share < 1.0 else f"{share:.0%}"
+
+
 def shrink_words(told: Diagnosis, held_out_of: str) -> str:
     """Predicted and measured shrinkage."""
     if not told.causes:
         return "no effect was found that could be added"
     s = told.shrinkage
-    text = f"predicted {s.predicted:.0%} of the excess error ({s.low:.0%} to {s.high:.0%})"
+    low, best, high = map(share_words, (s.low, s.predicted, s.high))
+    text = f"predicted {best} of the excess error ({low} to {high})"
     if s.before is None:
         return f"{text}; not measured: nothing was kept back"
     if s.measured is None:
         return f"{text}; {held_out_of} shows too little of the gap to measure it there"
-    return f"{text}, measured {s.measured:.0%} on {held_out_of}"
+    return f"{text}, measured {share_words(s.measured)} on {held_out_of}"
 
 
 def manoeuvre_words(told: Diagnosis) -> str:

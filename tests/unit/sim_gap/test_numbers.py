@@ -12,6 +12,7 @@ from sim_gap.decide import at_bound, confidence_of, doubt_of, needless, rivals_o
 from sim_gap.residuals import interval_of, robust_mean
 from sim_gap.shrink import explained_share, floor_of
 from sim_gap.where import Regime, Share, range_words, sentence_of
+from sim_gap.words import share_words
 
 BLOCKS = np.repeat(np.arange(4), 3)
 
@@ -136,3 +137,10 @@ def test_the_sentence_names_equation_and_regime():
     assert "4.2 times as large when lateral acceleration is 3.0 to 5.0 m/s²" in text
     even = Regime("speed", "m/s", 1.0, 2.0, 1.2, 0.8, 1.6, 0.3)
     assert "much the same at every speed" in sentence_of(shares, [even])
+
+
+@pytest.mark.parametrize(
+    ("share", "words"), [(0.0, "0%"), (0.987, "99%"), (0.9995, ">99%"), (1.0, "100%")]
+)
+def test_nearly_all_is_not_all(share, words):
+    assert share_words(share) == words
