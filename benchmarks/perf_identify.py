@@ -5,18 +5,27 @@ The race of `identify.py` on its sixteen circles, shortened for `make bench`.
 
 import json
 import sys
-import time
 from typing import Any
 
 import numpy as np
-from identify import FRICTIONS, Judge, circles, ours
+from identify import FRICTIONS, TARGET_MM, Judge, circles, ours, ours_watched
 
 from sysid.baselines import fit_least_squares, search_cma
 from sysid.kernels import make_kernels
-from sysid.paper import NAMES, descend_adam, draw_starts, make_problem, paper_runs
+from sysid.paper import descend_adam, draw_starts, make_problem, paper_runs
 from sysid.torch_sim import PAPER_CAR_DIRECT
 
-TARGET_MM = 10.0
+
+def row(judge: Judge, final: np.ndarray, seconds: float) -> dict[str, Any]:
+    """Iterations and seconds to the mark, and the end."""
+    reached = judge.reached()
+    return {
+        "iterations": reached and reached[0],
+        "s": reached and round(reached[1], 3),
+        "all_s": round(seconds, 3),
+        "final_mm": round(judge.error_mm(final), 4),
+        "slalom_mm": round(judge.slalom_mm(final), 4),
+    }
 
 
 def main() -> int:
@@ -35,24 +44,9 @@ def main() -> int:
     for name, search in searches.items():
         judge.start()
         final = search().final
-        reached = judge.reached(TARGET_MM)
-        found[name] = {
-            "iterations": reached and reached[0],
-            "s": reached and round(reached[1], 3),
-            "all_s": round(judge.log[-1][1], 3),
-            "final_mm": round(judge.error_mm(final), 4),
-        }
-    began = time.process_time()
-    fitted = ours(runs, truth, start)
-    seconds = round(time.process_time() - began, 3)
-    error = judge.error_mm(np.array([getattr(fitted.model.car, name) for name in NAMES]))
-    inside = error <= TARGET_MM
-    found["ours"] = {
-        "iterations": fitted.evaluations if inside else None,
-        "s": seconds if inside else None,
-        "all_s": seconds,
-        "final_mm": round(error, 4),
-    }
+        found[name] = row(judge, final, judge.log[-1][1])
+    final, seconds = ours_watched(judge, runs, truth, start)
+    found["ours"] = row(judge, final, seconds)
     print(json.dumps({"target_mm": TARGET_MM, "methods": found}))
     return 0
 

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 DAMPING_MIN = 1e-10
 DAMPING_MAX = 1e6
+DAMPED = 1.0
+"""Steps damped by more are short wherever the minimum is."""
 GROWTH = 10.0
 DROP_MIN = 0.01
 """A step that lowers the cost by less changes nothing that the data could tell."""
@@ -108,7 +110,8 @@ def descend(
         costs.append(new[3])
         limit = robust_limit(at.error)
         normal = normal_equations(problem, at, limit)
-        if size < effort.step or drop < effort.drop * new[3] + DROP_MIN:
+        short = size < effort.step or drop < effort.drop * new[3] + DROP_MIN
+        if short and damping < DAMPED:  # short by itself, not cut short
             converged = True
             break
     return Descent(z, x, at, limit, normal, tuple(costs), converged, damping)

@@ -35,7 +35,8 @@ TYRES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
 """What the paper identifies."""
 HORIZONS: tuple[float, ...] = (0.5, 2.0, 8.0, np.inf)
 """Windows' lengths [s], one stage each; lengths near that of the longest drive are passed over."""
-_ROUGH, _FINE = Effort(8, 0.5, 3e-3, 1e-4), Effort(20, 0.1, 1e-7)
+_FIRST, _ROUGH = Effort(100, 0.5, 1e-5, 1e-4), Effort(20, 0.5, 3e-3, 1e-4)
+_FINE = Effort(20, 0.1, 1e-7)
 _GROWTH = 1.5
 """A last stage whose windows are no more than so much longer than a stage's replaces it."""
 _SPEED_OF_COMMANDS = ("speed_gain", "speed_lag", "drive_delay", "accel_max", "decel_max")
@@ -255,7 +256,7 @@ def _first_stage(work: _Work, starts: Sequence[Array]) -> tuple[Descent, Problem
     for z in starts:
         alone = len(work.options.horizons) == 1
         problem = work.problem(work.options.horizons[0], z, rough=not alone)
-        effort = _FINE if alone else _ROUGH
+        effort = _FINE if alone else _FIRST
         try:
             found = work.descend(problem, z, problem.layout.guess.copy(), effort)
         except FloatingPointError:

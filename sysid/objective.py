@@ -85,6 +85,10 @@ class Problem:
     def evaluate(self, z: Array, x: Array) -> Evaluation:
         """Errors and derivatives at coordinates `z` and initial states `x`."""
         self.evaluations += 1
+        with np.errstate(over="ignore", invalid="ignore"):  # far starts may diverge
+            return self._evaluate(z, x)
+
+    def _evaluate(self, z: Array, x: Array) -> Evaluation:
         parameters = self.chart.parameters(z)
         scale = 1.0 / self.sigma[self.layout.group]
         y, jy = self._read(parameters, z, x, scale)
@@ -152,7 +156,8 @@ def cost_of(at: Evaluation, limit: float) -> float:
     if not at.finite:
         return np.inf
     size = np.abs(at.error)
-    loss = np.where(size <= limit, 0.5 * size**2, limit * (size - 0.5 * limit))
+    near = np.minimum(size, limit)
+    loss = near * (size - 0.5 * near)
     return float(loss.sum() + 0.5 * (at.prior_z**2).sum() + 0.5 * (at.prior_x**2).sum())
 
 
