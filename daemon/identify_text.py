@@ -10,11 +10,11 @@ _CERTAIN = 10.0
 """A phase whose log-likelihood leads by more is told."""
 
 
-def describe(outcome: Outcome, written: Path | None = None) -> str:
+def describe(outcome: Outcome, written: Path | None = None, *, axles_measured: bool = False) -> str:
     """The screen, most telling last: what to do next."""
     parts = [
         _data(outcome), _parameters(outcome), _open(outcome), _validation(outcome),
-        _next(outcome, written),
+        _next(outcome, written, axles_measured),
     ]  # fmt: skip
     return "\n\n".join("\n".join(lines) for lines in map(list, parts) if lines)
 
@@ -80,10 +80,13 @@ def _validation(outcome: Outcome) -> Iterator[str]:
         )
 
 
-def _next(outcome: Outcome, written: Path | None) -> Iterator[str]:
+def _next(outcome: Outcome, written: Path | None, axles_measured: bool) -> Iterator[str]:
     yield from (f"note: {note}" for note in outcome.notes)
     if not improved(outcome):
         yield "next: these values predict no better than the start; keep the old car file"
+        if not axles_measured:
+            yield "      measure the distance of the axles and give it as --wheelbase M: a longer"
+            yield "      car, a smaller steering gain and a slower one look much alike"
     elif written is not None:
         yield f"next: steerd run --sim --car {written}   (on the car: --port and --mocap for --sim)"
         names = " ".join(outcome.sessions)

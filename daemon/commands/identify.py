@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
         report = _render(outcome) if args.report else None
     good = improved(outcome)
     _write(args, base, outcome, report, task.runs)
-    print(describe(outcome, args.output))
+    print(describe(outcome, args.output, axles_measured=args.wheelbase is not None))
     return ExitCode.OK if good else ExitCode.STOPPED
 
 

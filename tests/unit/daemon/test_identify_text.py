@@ -1,0 +1,64 @@
+"""The end of what `steerd identify` says: whether to drive with it, and what to do if not."""
+
+from math import nan
+
+import pytest
+
+from car_model.params import DEFAULT_CAR
+from daemon.identify_text import describe, improved
+from sysid.excitation import Excitation
+from sysid.outcome import HeldOut, Outcome, Row
+from sysid.validation import Prediction
+
+DRIVEN = Excitation(60.0, 100.0, 1.0, 2.0, 0.1, 1.0, 0.4, 0.4, 3.0, ())
+
+
+def outcome(*positions: tuple[float, float]) -> Outcome:
+    """With position errors after and before at 0.5 s and so on [m]."""
+    held_out = tuple(
+        HeldOut(Prediction(0.5 * k, after, 0.01, 9), Prediction(0.5 * k, before, 0.01, 9))
+        for k, (after, before) in enumerate(positions, 1)
+    )
+    rows = {"lf": Row(0.2, 0.16, 0.01, "m", True, True)}
+    return Outcome(
+        "ours",
+        ("a.mcap",),
+        "b.mcap",
+        DEFAULT_CAR,
+        DEFAULT_CAR,
+        rows,
+        (),
+        held_out,
+        DRIVEN,
+        ([], []),
+    )
+
+
+@pytest.mark.parametrize(
+    ("positions", "better"),
+    [
+        (((0.2, 0.1), (0.3, 0.9)), True),  # the longest prediction decides
+        (((0.1, 0.2), (1.01, 1.0)), True),  # 2 % are noise
+        (((0.1, 0.2), (1.03, 1.0)), False),
+        (((0.1, 0.2), (nan, nan)), True),  # nothing so long was kept back: the one before
+        (((nan, nan),), False),
+    ],
+)
+def test_the_longest_known_prediction_decides(positions, better):
+    assert improved(outcome(*positions)) is better
+
+
+def test_a_result_that_helps_is_driven_with(tmp_path):
+    said = describe(outcome((0.1, 0.4)), tmp_path / "car.toml")
+    assert "0.5 s     100.0 mm" in said
+    assert "4.0 x" in said
+    assert f"steerd run --sim --car {tmp_path / 'car.toml'}" in said
+
+
+def test_a_result_that_does_not_help_is_not_and_the_axles_may_be_why():
+    worse = outcome((0.4, 0.1))
+    said = describe(worse)
+    assert "keep the old car file" in said
+    assert "--wheelbase" in said
+    assert "--car" not in said
+    assert "--wheelbase" not in describe(worse, axles_measured=True)
