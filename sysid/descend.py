@@ -35,12 +35,14 @@ class Effort(NamedTuple):
         step: end when a step is shorter, in standard deviations of the coordinates.
         drop: end when a step lowers the cost by a smaller share.
         damping: of the first step, relative to the diagonal.
+        patient: whether a step that is short because it was damped is no end.
     """
 
     iterations: int
     step: float
     drop: float
     damping: float = 1e-7
+    patient: bool = False
 
 
 class Descent(NamedTuple):
@@ -111,7 +113,7 @@ def descend(
         limit = robust_limit(at.error)
         normal = normal_equations(problem, at, limit)
         short = size < effort.step or drop < effort.drop * new[3] + DROP_MIN
-        if short and damping < DAMPED:  # short by itself, not cut short
+        if short and not (effort.patient and damping >= DAMPED):
             converged = True
             break
     return Descent(z, x, at, limit, normal, tuple(costs), converged, damping)

@@ -35,12 +35,12 @@ TYRES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
 """What the paper identifies."""
 HORIZONS: tuple[float, ...] = (0.5, 2.0, 8.0, np.inf)
 """Windows' lengths [s], one stage each; lengths near that of the longest drive are passed over."""
-_FIRST, _ROUGH = Effort(100, 0.5, 1e-5, 1e-4), Effort(20, 0.5, 3e-3, 1e-4)
+_FIRST, _ROUGH = Effort(100, 0.5, 1e-5, 1e-4, patient=True), Effort(20, 0.5, 3e-3, 1e-4)
 _FINE = Effort(20, 0.1, 1e-7)
 _GROWTH = 1.5
 """A last stage whose windows are no more than so much longer than a stage's replaces it."""
 _SPEED_OF_COMMANDS = ("speed_gain", "speed_lag", "drive_delay", "accel_max", "decel_max")
-_NOISE_ROUNDS = 12
+_NOISE_ROUNDS = 6
 _NOISE_SETTLED = 0.03
 """Noise levels that change by a smaller share are settled."""
 _ROUGH_SECONDS = 20.0
@@ -221,13 +221,11 @@ def fit(
     tried = [parameter_vector(start) for start in (starts or (model,))]
     found, problem = _first_stage(work, [np.clip(chart.coordinates(p), low, high) for p in tried])
     for horizon, rough in _later_stages(runs, options):
-        if options.noise is None and len(work.costs) > 1:
-            work.sigma = residual_noise(problem, found)
         wider = work.problem(horizon, found.z, rough)
         x = _carry(problem, found.x, wider)
         problem = wider
         effort = _ROUGH if rough or options.noise is None else _FINE
-        effort = effort._replace(damping=found.damping)
+        effort = effort._replace(damping=min(found.damping, effort.damping))
         found = work.descend(problem, found.z, x, effort)
     if options.noise is None:
         found = _settle_noise(work, problem, found)
@@ -305,7 +303,7 @@ def _settle_noise(work: _Work, problem: Problem, found: Descent) -> Descent:
         noise = residual_noise(problem, found)
         change = float(np.abs(np.log(noise / problem.sigma)).max())
         at = problem.rescaled(found.at, noise)
-        effort = _FINE._replace(damping=found.damping)
+        effort = _FINE._replace(damping=min(found.damping, _ROUGH.damping))
         found = work.descend(problem, found.z, found.x, effort, at)
         if change < _NOISE_SETTLED:
             return found

@@ -271,7 +271,7 @@ def _notes(found: Fit | None) -> tuple[str, ...]:
         worst = max(poor, key=lambda group: poor[group])
         notes.append(
             f"residuals of {worst} are {poor[worst]:.0f} times its noise: something is not in the "
-            "model; `steerd diagnose` looks for it, and the errors below are too small"
+            "model; `steerd diagnose` looks for it, and values may be off by more than their sd"
         )
     return tuple(notes)
 

@@ -58,7 +58,7 @@ class Estimate:
 
     Attributes:
         value: the estimate.
-        sd: its standard error (with the weak prior).
+        sd: its standard error (with the weak prior); of what is not told, with all doubts.
         prior_sd: what was known before.
         identifiable: whether the data tell it; if not, the value is largely the prior's.
         manoeuvre: what would tell it; empty when it is told.
@@ -155,9 +155,10 @@ def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     out = {}
     for i in moving:
         name, value, sd = chart.names[i], float(parameters[i]), float(sds[i])
-        known = _known(name, value, float(careful[i]), float(priors[i]))
+        doubt = float(careful[i])
+        known = _known(name, value, doubt, float(priors[i]))
         hint = "" if known else MANOEUVRES.get(name, "a drive that lets this effect show")
-        out[name] = Estimate(value, sd, float(priors[i]), known, hint)
+        out[name] = Estimate(value, sd if known else max(sd, doubt), float(priors[i]), known, hint)
     return out
 
 
