@@ -35,6 +35,8 @@ TIMES: dict[str, float] = {
 """Doubts about times [s] that drives cannot remove: a command's stamp says when it left, not when
 the motor controller took it over with its next tick, some 1 ms later; clocks of mocap and computer
 agree to 0.1 ms; within a step of the grid the servo's course is not known."""
+POOR = 2.0
+"""Residuals so many times the noise say that the car is not explained, or another one is meant."""
 START_SPREAD = 0.3
 """Further starts lie about the first with this relative standard deviation."""
 
@@ -266,11 +268,12 @@ def _notes(found: Fit | None) -> tuple[str, ...]:
     if found is None:
         return ("sd is the spread over the starts: this method has no error bars",)
     notes = [] if found.converged else ["the last stage did not converge"]
-    poor = {group: ratio for group, ratio in found.misfit.items() if ratio > 3.0}
+    poor = {group: ratio for group, ratio in found.misfit.items() if ratio > POOR}
     if poor:
         worst = max(poor, key=lambda group: poor[group])
+        size = f"{poor[worst]:.{1 if poor[worst] < 10.0 else 0}f}"
         notes.append(
-            f"residuals of {worst} are {poor[worst]:.0f} times its noise: something is not in the "
+            f"residuals of {worst} are {size} times its noise: something is not in the "
             "model; `steerd diagnose` looks for it, and values may be off by more than their sd"
         )
     return tuple(notes)
