@@ -15,6 +15,9 @@ TURNING = 0.03
 SPEED_SPAN, STEER_RATE, ONE_SIDE, LATERAL = 0.4, 0.2, 0.05, 1.0
 """Below these a session is called poor: [m/s], [rad/s], share of time, [m/s^2]."""
 
+NEAR, NEAR_SHARE = 0.2, 0.3
+"""A car obeys when it goes as fast as asked within [m/s] and this share of what was asked."""
+
 
 class Excitation(NamedTuple):
     """What drives did.
@@ -57,6 +60,21 @@ def measure_excitation(runs: Sequence[Run]) -> Excitation:
         float(np.std(steer)), steer_rate, left, right, lateral,
         tuple(_lacking(float(high - low), steer_rate, min(left, right), lateral)),
     )  # fmt: skip
+
+
+def obeyed(runs: Sequence[Run]) -> float:
+    """Share of the time in which the cars went about as fast as they were asked to.
+
+    1 where no speed was asked for.
+    """
+    near = [np.empty(0, bool)]
+    for run in runs:
+        if run.speed_source == "command":
+            t, speed = pose_speed(run.pose)
+            asked = run.commands[np.clip((t / run.h).astype(int), 0, len(run.commands) - 1), 1]
+            near.append(np.abs(speed - asked) <= NEAR + NEAR_SHARE * np.abs(asked))
+    told = np.concatenate(near)
+    return float(told.mean()) if len(told) else 1.0
 
 
 def _smooth_rate(run: Run) -> Array:

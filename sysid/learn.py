@@ -14,7 +14,7 @@ from car_model.params import PARAMETERS, Car, wheelbase
 from sysid.course import NAMES, Course
 from sysid.cut import blocks, keep_back, moving_parts
 from sysid.dataset import Run
-from sysid.excitation import measure_excitation
+from sysid.excitation import measure_excitation, obeyed
 from sysid.fit import Fit, Options, fit
 from sysid.outcome import HeldOut, Outcome, Row
 from sysid.ramp import Ramp, settle_ramp
@@ -37,6 +37,8 @@ the motor controller took it over with its next tick, some 1 ms later; clocks of
 agree to 0.1 ms; within a step of the grid the servo's course is not known."""
 POOR = 2.0
 """Residuals so many times the noise say that the car is not explained, or another one is meant."""
+OBEYED = 0.5
+"""A car that obeys its speed command for less of the time is better taken at its measured speed."""
 START_SPREAD = 0.3
 """Further starts lie about the first with this relative standard deviation."""
 
@@ -142,7 +144,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         fit=found,
         courses=courses,
         seconds=seconds,
-        notes=_notes(found),
+        notes=_notes(found, obeyed(parts)),
         truth=task.truth,
         pulses=pulses,
         ramps=ramps,
@@ -264,10 +266,17 @@ def _told(
     return out
 
 
-def _notes(found: Fit | None) -> tuple[str, ...]:
+def _notes(found: Fit | None, share: float) -> tuple[str, ...]:
+    notes = []
+    if share < OBEYED:
+        notes.append(
+            f"the car went about as fast as it was asked in {share:.0%} of the time only: "
+            "`--speed wheel` takes the measured speed instead"
+        )
     if found is None:
-        return ("sd is the spread over the starts: this method has no error bars",)
-    notes = [] if found.converged else ["the last stage did not converge"]
+        return (*notes, "sd is the spread over the starts: this method has no error bars")
+    if not found.converged:
+        notes.append("the last stage did not converge")
     poor = {group: ratio for group, ratio in found.misfit.items() if ratio > POOR}
     if poor:
         worst = max(poor, key=lambda group: poor[group])

@@ -1,11 +1,14 @@
 """Bad drives are refused with a reason; good ones come out on one clock and grid."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid.dataset import Signal, hold_means, load_run, make_run
+from sysid.excitation import obeyed
 from sysid.gate import DataError, noise_of
 from sysid.windows import make_layout
 
@@ -128,3 +131,12 @@ def test_a_session_without_poses_says_what_to_do(tmp_path):
     SessionWriter(path, topics, {"steerd.session": {}}).finish({"reason": "test"})
     with pytest.raises(DataError, match="no topic 'mocap'"):
         load_run(path)
+
+
+def test_a_car_that_goes_its_own_speed_is_told():
+    drive = _make(*_good())
+    assert obeyed([drive]) == 1.0
+    slow = replace(drive, commands=drive.commands * [1.0, 3.0])
+    assert obeyed([slow]) == 0.0
+    assert obeyed([drive, slow]) == pytest.approx(0.5)
+    assert obeyed([replace(slow, speed_source="wheel")]) == 1.0
