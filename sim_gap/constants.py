@@ -52,6 +52,8 @@ CONFIDENCE_PARTIAL = -0.8
 gap stays. A logistic regression on the 92 names given in the tuning sets 21 and 22 (92 % right),
 with a weak prior about 0, 1, -1, -0.5.
 """
+PARTIAL_MOST = 0.75
+"""No name is surer while part of the gap has none: what makes that part may make it all."""
 GAIN_CLEAR = 32.0
 """A held-out gain that matters however small its millimetres are [nats], of `CLEAR_WINDOWS`
 windows; in proportion of more."""

@@ -286,6 +286,9 @@ def doubt_of(best: Score, others: Sequence[Score], blocks: NDArray[np.int64]) ->
 def confidence_of(doubt: float, broken: bool = False, partial: bool = False) -> float:
     """How sure a name is: the share of right names among tuning cases of such doubt.
 
+    Beside a gap that nothing explains it is no more than `PARTIAL_MOST`: tuning cases hold few
+    defects outside the library, and reality holds many.
+
     Args:
         doubt: see `doubt_of`.
         broken: whether halves of the drives disagree about the effect.
@@ -294,7 +297,8 @@ def confidence_of(doubt: float, broken: bool = False, partial: bool = False) -> 
     surety = -float(np.log(max(doubt, c.DOUBT_LEAST)))
     odds = c.CONFIDENCE_AT_ONE + c.CONFIDENCE_PER_SURETY * surety
     odds += c.CONFIDENCE_BROKEN * broken + c.CONFIDENCE_PARTIAL * partial
-    return float(1.0 / (1.0 + np.exp(-odds)))
+    most = c.PARTIAL_MOST if partial else 1.0
+    return min(float(1.0 / (1.0 + np.exp(-odds))), most)
 
 
 def choose(

@@ -8,6 +8,7 @@ import pytest
 from car_model.effects import find_effect
 from sim_gap import constants as c
 from sim_gap.candidates import Score, gain_of
+from sim_gap.constants import PARTIAL_MOST
 from sim_gap.decide import at_bound, confidence_of, doubt_of, needless, rivals_of, significant
 from sim_gap.residuals import interval_of, robust_mean
 from sim_gap.shrink import explained_share, floor_of
@@ -59,7 +60,8 @@ def test_a_near_equal_is_a_rival_and_lowers_confidence():
     assert alone > 0.9
     assert confidence_of(doubt_of(best, [best, near, far], BLOCKS)) < 0.8 * alone
     assert confidence_of(doubt_of(best, [best, far], BLOCKS), broken=True) < alone
-    assert confidence_of(0.0, partial=True) < confidence_of(0.0) < 1.0
+    assert confidence_of(0.0, partial=True) == PARTIAL_MOST < confidence_of(0.0) < 1.0
+    assert confidence_of(5.0, partial=True) < confidence_of(5.0) < PARTIAL_MOST
 
 
 def test_a_pair_needs_both():
