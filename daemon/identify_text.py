@@ -41,17 +41,18 @@ def _data(outcome: Outcome) -> Iterator[str]:
 
 
 def _parameters(outcome: Outcome) -> Iterator[str]:
-    yield f"{'':11}{'value':>10} {'sd':>10}  {'start':>10}"
-    for name, row in outcome.rows.items():
-        if row.free:
-            yield _line(name, row)
+    rows = outcome.free_rows
+    width = max([13, *(len(name) + 1 for name in rows)])
+    yield f"{'':{width - 2}}{'value':>10} {'sd':>10}  {'start':>10}"
+    for name, row in rows.items():
+        yield _line(f"{name:<{width}}", row)
 
 
 def _line(name: str, row: Row) -> str:
     sd = "?" if row.sd is None else f"{row.sd:.2g}"
     told = "" if row.identifiable else "  not told by these data"
     value = f"{row.value:.5g}" if row.identifiable else f"({row.value:.3g})"
-    return f"{name:<13}{value:>10} {sd:>8}  {row.before:>10.5g} {row.unit}{told}".rstrip()
+    return f"{name}{value:>10} {sd:>8}  {row.before:>10.5g} {row.unit}{told}".rstrip()
 
 
 def _open(outcome: Outcome) -> Iterator[str]:

@@ -148,6 +148,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         truth=task.truth,
         pulses=pulses,
         ramps=ramps,
+        effect_rows=_effect_rows(task.model, found),
     )
 
 
@@ -242,6 +243,21 @@ def _rows(
         sd, known, hint = told[p.name][1:] if p.name in told else (None, False, "")
         rows[p.name] = Row(value, before, sd, p.unit, p.name in told, known, hint)
     return car, rows
+
+
+def _effect_rows(model: Model[float], found: Fit | None) -> dict[str, Row]:
+    """A row for each free parameter of the car file's effects."""
+    pairs = ((e, p) for e in model.effects for p in e.parameters)
+    before = [value for values in model.values for value in values]
+    rows = {}
+    for (effect, p), start in zip(pairs, before, strict=True):
+        name = f"{effect.name}.{p.name}"
+        if found is not None and name in found.estimates:
+            told = found.estimates[name]
+            rows[name] = Row(
+                told.value, start, told.sd, p.unit, True, told.identifiable, told.manoeuvre
+            )
+    return rows
 
 
 def _told(

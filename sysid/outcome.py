@@ -1,7 +1,6 @@
 """What an identification came to, whatever the method: for the screen, JSON and the report."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isnan
 from typing import Any, NamedTuple
 
@@ -64,7 +63,8 @@ class Outcome:
         sessions: fitted files.
         held_out_of: what the prediction errors were measured on, in words.
         before, after: the car.
-        rows: every parameter of the car.
+        rows: every parameter of the car; effect_rows: those of its effects that were free, as
+            `effect.parameter`.
         combinations: sums that the data fix.
         held_out: prediction errors.
         excitation: of the fitted drives.
@@ -83,7 +83,7 @@ class Outcome:
     held_out_of: str
     before: Car[float]
     after: Car[float]
-    rows: Mapping[str, Row]
+    rows: dict[str, Row]
     combinations: tuple[Combination, ...]
     held_out: tuple[HeldOut, ...]
     excitation: Excitation
@@ -95,11 +95,17 @@ class Outcome:
     truth: Car[float] | None = None
     pulses: tuple[Pulse, ...] = ()
     ramps: tuple[Ramp, ...] = ()
+    effect_rows: dict[str, Row] = field(default_factory=dict)
+
+    @property
+    def free_rows(self) -> dict[str, Row]:
+        """What was fitted."""
+        return {n: r for n, r in (self.rows | self.effect_rows).items() if r.free}
 
     @property
     def unidentified(self) -> dict[str, str]:
         """Free parameters that the data leave open, and what would tell them."""
-        return {n: r.manoeuvre for n, r in self.rows.items() if r.free and not r.identifiable}
+        return {n: r.manoeuvre for n, r in self.free_rows.items() if not r.identifiable}
 
 
 def _number(value: float | None) -> float | None:

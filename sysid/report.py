@@ -29,7 +29,7 @@ def render_report(outcome: Outcome) -> str:
         TEMPLATE,
         outcome=outcome,
         headline=_headline(outcome),
-        rows={name: row for name, row in outcome.rows.items() if row.free},
+        rows=outcome.free_rows,
         fixed={name: row for name, row in outcome.rows.items() if not row.free},
         degrees=degrees,
         isnan=isnan,
@@ -48,7 +48,7 @@ def _designs(outcome: Outcome) -> tuple[Car[float], dict[str, Car[float]]]:
 
 def _headline(outcome: Outcome) -> str:
     """What was learnt, in two sentences."""
-    free = [row for row in outcome.rows.values() if row.free]
+    free = list(outcome.free_rows.values())
     told = sum(row.identifiable for row in free)
     text = f"{told} of {len(free)} free parameters are told by the data."
     known = [h for h in outcome.held_out if not isnan(h.after.position)]

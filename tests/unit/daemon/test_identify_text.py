@@ -1,5 +1,6 @@
 """The end of what `steerd identify` says: whether to drive with it, and what to do if not."""
 
+from dataclasses import replace
 from math import nan
 
 import pytest
@@ -46,6 +47,14 @@ def outcome(*positions: tuple[float, float]) -> Outcome:
 )
 def test_the_longest_known_prediction_decides(positions, better):
     assert improved(outcome(*positions)) is better
+
+
+def test_parameters_of_effects_stand_beside_the_cars():
+    row = Row(0.02, 1.0, 0.99, "1", True, False, "ramp to the limit")
+    said = describe(replace(outcome((0.1, 0.4)), effect_rows={"tyre_saturation.q": row}))
+    assert "tyre_saturation.q     (0.02)     0.99           1 1  not told by these data" in said
+    assert "   tyre_saturation.q: ramp to the limit" in said
+    assert "lf                       0.2     0.01        0.16 m" in said
 
 
 def test_a_result_that_helps_is_driven_with(tmp_path):
