@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from math import degrees, isnan
 from pathlib import Path
 
+from sysid.learn import POOR
 from sysid.outcome import Outcome, Row
 
 _CERTAIN = 10.0
@@ -85,15 +86,24 @@ def _next(outcome: Outcome, written: Path | None, axles_measured: bool) -> Itera
     yield from (f"note: {note}" for note in outcome.notes)
     if not improved(outcome):
         yield "next: these values predict no better than the start; keep the old car file"
-        if not axles_measured:
-            yield "      measure the distance of the axles and give it as --wheelbase M: a longer"
-            yield "      car, a smaller steering gain and a slower one look much alike"
+        yield from _why(outcome, axles_measured)
     elif written is not None:
         yield f"next: steerd run --sim --car {written}   (on the car: --port and --mocap for --sim)"
         names = " ".join(outcome.sessions)
         yield f"      steerd diagnose {names} --base {written}   (what this model still misses)"
     else:
         yield "next: repeat with -o car.toml, which writes a car file to drive with"
+
+
+def _why(outcome: Outcome, axles_measured: bool) -> Iterator[str]:
+    """What to try where the fit did not help."""
+    poor = outcome.fit is None or max(outcome.fit.misfit.values(), default=0.0) > POOR
+    if poor and not axles_measured:
+        yield "      measure the distance of the axles and give it as --wheelbase M: a longer"
+        yield "      car, a smaller steering gain and a slower one look much alike"
+    elif not poor and outcome.unidentified:
+        yield "      the start explains these drives, and they tell too little to better it: steerd"
+        yield "      collect --plan mixed drives what tells more"
 
 
 def improved(outcome: Outcome) -> bool:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import nan
+from types import SimpleNamespace
 
 import pytest
 
@@ -71,3 +72,12 @@ def test_a_result_that_does_not_help_is_not_and_the_axles_may_be_why():
     assert "--wheelbase" in said
     assert "--car" not in said
     assert "--wheelbase" not in describe(worse, axles_measured=True)
+
+
+def test_drives_that_tell_too_little_are_not_blamed_on_the_axles():
+    row = Row(0.2, 0.16, 0.1, "m", True, False, "bends")
+    fitted = SimpleNamespace(misfit={"position": 1.1}, iterations=3)
+    said = describe(replace(outcome((0.4, 0.1)), rows={"lf": row}, fit=fitted))
+    assert "keep the old car file" in said
+    assert "tell too little" in said
+    assert "--wheelbase" not in said
