@@ -89,7 +89,7 @@ def diagnosis(said: dict[str, Any]) -> str:
         "Seconds for a minute of driving in four drives, steering 30 ms late.\n\n"
         + table(head, rows)
         + "\n**Limit:** candidates are screened in one pass; only the few that win are fitted "
-        "again, and those share the threads.\n"
+        "again. Workers bring nothing to a minute of driving: what is left to share is too short.\n"
     )
 
 
@@ -120,9 +120,8 @@ def control_path(said: list[dict[str, Any]]) -> str:
         + table(["Hz", *names], shares)
         + "\n**Limit:** over a thousand Python calls a tick, with caches gone cold in between (the "
         "same tick costs two thirds of that in virtual time, back to back). "
-        "Under load the core still wakes on time with SCHED_FIFO; "
-        "what is late then is probably the pty, whose bytes a kernel thread of ordinary priority "
-        "carries (not verified).\n"
+        "With SCHED_FIFO a loaded machine makes no difference, now that the simulated hardware "
+        "asks for a fixed priority as well; before, it was what came late.\n"
     )
 
 
