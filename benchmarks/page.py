@@ -47,7 +47,8 @@ def simulation(said: dict[str, Any]) -> str:
         + table(["growth", "ms by number"], named)
         + "\nThe reverse sweep gives every slope at once, so more free parameters cost nothing; "
         "differences cost two drives each. Sixteen runs share one vector lane block: fewer cost "
-        "the same, more grow in a straight line. **Limit:** arithmetic. The C loop does the same "
+        "the same, more cost a block each, and about twice that from 64 on (their stored states "
+        "probably leave the cache). **Limit:** arithmetic. The C loop does the same "
         "operations one run at a time; the kernel's lanes win what its stored states "
         "(7 numbers a step) cost in memory traffic.\n"
     )
