@@ -26,7 +26,7 @@ def test_every_watchdog_is_traced_and_every_threshold_belongs_to_one() -> None:
 
 def test_every_watchdog_of_the_spec_page_is_traced() -> None:
     if not SPEC.exists():
-        pytest.skip("the spec page is not here")
+        pytest.skip("the safety page (../shared/spec/safety.md) is not here")
     named = re.findall(r"^\| (W\d+) ", SPEC.read_text(encoding="utf-8"), re.M)
     assert named == list(TRACES)
 
