@@ -250,7 +250,7 @@ def _innovation(s: _Tables) -> Panel:
     if curves:
         t = curves[0].t[[0, -1]]
         curves += (Curve("95 % (3 d.o.f.)", "bound", t, np.full(2, NIS_95)),)
-    return Panel("pose innovation, normalised squared", "", curves)
+    return Panel("pose innovation (NIS)", "", curves)
 
 
 def _disagreement(s: _Tables, track: Track | None) -> Panel:
