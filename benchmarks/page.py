@@ -112,7 +112,7 @@ def control_path(said: list[dict[str, Any]]) -> str:
     return (
         "Milliseconds, p50/p99/p99.9. A process between core and simulated hardware stamps the "
         "mocap datagram and the VESC's bytes. `path`: datagram to the first bytes of the tick "
-        "after it; the core ticks by its own clock, so up to a period of that is waiting. `added`: "
+        "after it; the core moves its ticks to just behind punctual poses. `added`: "
         "without the wait, from the later of datagram and deadline. `work`: of the core in a tick, "
         "by its own record. `loaded`: one endless loop per core; "
         "a machine that stalls stops the car, as it should.\n\n"

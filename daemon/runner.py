@@ -1,7 +1,8 @@
 """Real time: one thread, one select, absolute deadlines.
 
 Serial port, mocap sockets and requests are handled as they arrive; at each deadline the core ticks
-and one write goes out. A tick that comes late is skipped to the next, never caught up in a burst.
+and one write goes out. The deadlines follow the poses (`daemon.pacing`). A tick that comes late is
+skipped to the next, never caught up in a burst.
 """
 
 import contextlib
@@ -15,11 +16,13 @@ from daemon.core import Core
 from daemon.flags import Flag
 from daemon.gateway_wire import REQUEST_MAX, unpack_request
 from daemon.guard import Guard, sleep_lag_ns
+from daemon.pacing import Pace, step_pace
 from daemon.records import PipeWriter
 from daemon.sd_notify import ALIVE, READY, STOPPING, Notify, say_nothing
 from daemon.transitions import is_engaged
 from mocap_link.sessions import BusPoseSource
 from mocap_link.sockets import MocapReceiver
+from mocap_link.source import PoseSample
 from steer_bus import topics
 from steer_bus.clock import Clock
 from steer_bus.messages import BODY, ClockSample, make_header
@@ -79,6 +82,7 @@ class Runner:
         self._period_ns = core.loop.setup.period_ns
         self._reopen_ns = self._mocap_ns = self._clock_ns = 0
         self._clogged = 0
+        self._pose_ns = -1
         self._slept_ns = sleep_lag_ns()
         self.signals = 0
         self.error: PortError | None = None
@@ -89,7 +93,7 @@ class Runner:
         """Run until asked to quit and parked, or until the planned drive is over."""
         self._notify(READY)
         due = self._clock.now_ns()
-        work_ns = 0
+        work_ns, pace = 0, Pace()
         while not self._done():
             self._wait(due)
             now = self._clock.now_ns()
@@ -99,7 +103,8 @@ class Runner:
             self._core.outbox.flush(now)
             after = self._clock.now_ns()
             work_ns = after - now
-            due += self._period_ns
+            pace = step_pace(pace, due, self._pose_ns, self._period_ns)
+            due += self._period_ns + pace.shift_ns
             if after > due:
                 due += (after - due) // self._period_ns * self._period_ns
         self._leave()
@@ -136,9 +141,14 @@ class Runner:
             with contextlib.suppress(BlockingIOError):
                 self.signals += len(os.read(fd, 16))
         elif not isinstance(self._mocap, BusPoseSource) and fd in self._mocap.fds():
-            self._core.on_poses(self._mocap.read_ready(fd))
+            self._on_poses(self._mocap.read_ready(fd))
         else:
             self._read_requests(fd)
+
+    def _on_poses(self, samples: list[PoseSample]) -> None:
+        if samples:
+            self._pose_ns = samples[-1].t_arrival_ns
+        self._core.on_poses(samples)
 
     def _read_requests(self, fd: int) -> None:
         for end in self._ends.requests:
@@ -157,7 +167,7 @@ class Runner:
         now = self._clock.now_ns()
         if name == topics.EXTERNAL_POSE.name and isinstance(self._mocap, BusPoseSource):
             sample = self._mocap.on_message(data, now)
-            self._core.on_poses([sample] if sample else [])
+            self._on_poses([sample] if sample else [])
         else:
             self._core.on_request(name, data, now)
 
@@ -193,7 +203,7 @@ class Runner:
         self._mocap.ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
         self._mocap.ingest.stationary = seen.may_rebase
         samples = self._mocap.on_timer(self._clock.now_ns())
-        self._core.on_poses(samples or [])
+        self._on_poses(samples or [])
         source = self._core.source = self._mocap.status()
         self._core.flags &= ~Flag.MOCAP_REFUSED
         self._core.flags |= Flag.MOCAP_REFUSED if source.refused else 0

@@ -1,0 +1,73 @@
+"""When to tick next: in step with mocap, so that a pose is acted on as it arrives.
+
+A loop with a clock of its own meets a pose at any phase, and the pose waits up to a period for its
+tick. Mocap keeps time too, so the deadlines are moved, by little and little, to right behind
+the arrivals: a phase-locked loop of first order. What arrives can stretch or shrink a period by
+`SLEW` at most and never stop the ticks; without poses, or with poses that keep no time with the
+ticks (120 Hz against 100 Hz, a jittery network), the deadlines stay where they are.
+"""
+
+from typing import NamedTuple
+
+SLEW = 0.01
+"""A period changes by this share at most."""
+MARGIN_NS = 100_000
+"""A deadline stands this far behind a punctual arrival; jitter adds to it."""
+_JITTERS = 3.0
+"""And so many times the arrivals' mean jitter further."""
+_SHARE = 16
+"""Jitter above a period's sixteenth: no phase to follow."""
+_MEMORY = 32
+"""Arrivals over which jitter is averaged."""
+_LATER, _EARLIER = 2, 8
+"""Shares of an error taken back at once: a pose just missed waits a period, one early its lead."""
+
+
+class Pace(NamedTuple):
+    """How the arrivals stand to the deadlines.
+
+    Attributes:
+        arrival_ns: the newest arrival that was looked at; -1: none yet.
+        lead_ns: by how much the next one should come before its deadline; negative: after.
+        jitter_ns: how far arrivals miss that, on average; a whole period to begin with.
+        shift_ns: how far the next deadline is moved, later if positive.
+    """
+
+    arrival_ns: int = -1
+    lead_ns: int = 0
+    jitter_ns: float = 0.0
+    shift_ns: int = 0
+
+
+def step_pace(pace: Pace, due_ns: int, arrival_ns: int, period_ns: int) -> Pace:
+    """Look at the newest arrival after the tick that was due at `due_ns`.
+
+    Args:
+        pace: the state before.
+        due_ns: the tick's deadline.
+        arrival_ns: when the newest pose arrived, on the same clock; -1: none yet.
+        period_ns: between two ticks.
+    """
+    if arrival_ns == pace.arrival_ns:
+        return pace._replace(shift_ns=0)
+    lead = _wrapped(due_ns - arrival_ns, period_ns)
+    if pace.arrival_ns < 0:
+        return Pace(arrival_ns, lead, float(period_ns))
+    missed = abs(_wrapped(lead - pace.lead_ns, period_ns))
+    jitter = pace.jitter_ns + (missed - pace.jitter_ns) / _MEMORY
+    shift = _shift(lead, jitter, period_ns)
+    return Pace(arrival_ns, lead + shift, jitter, shift)
+
+
+def _shift(lead_ns: int, jitter_ns: float, period_ns: int) -> int:
+    """How far to move the next deadline, given where this one stood."""
+    if jitter_ns * _SHARE > period_ns:
+        return 0
+    error = MARGIN_NS + _JITTERS * jitter_ns - lead_ns
+    most = SLEW * period_ns
+    return round(max(-most, min(most, error / (_LATER if error > 0.0 else _EARLIER))))
+
+
+def _wrapped(span_ns: int, period_ns: int) -> int:
+    """The span's place within a period, from half of one before to half of one after."""
+    return (span_ns + period_ns // 2) % period_ns - period_ns // 2
