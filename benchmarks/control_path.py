@@ -4,10 +4,10 @@
 
 A real crew (core, recorder, gateway, guardian) drives simulated hardware. Between them sits the
 tap: it passes datagrams and serial bytes on and stamps both (CLOCK_MONOTONIC), so that neither
-the core nor the simulation times itself. The core moves its deadlines to just behind the datagrams,
-which wait for the next one. A machine that stalls rightly stops the car; the drive is then called `stopped`.
-`path` is all of that; `added` is what remains without the wait, from the later of
-datagram and deadline to the bytes. `work` is the core's own work in a tick, as recorded.
+the core nor the simulation times itself. The core moves its deadlines to just behind the
+datagrams, which wait for the next one. A machine that stalls rightly stops the car; the drive is
+then called `stopped`. `path` is all of that; `added` is what remains without the wait, from the
+later of datagram and deadline to the bytes. `work` is the core's own work in a tick, as recorded.
 """
 
 import argparse
