@@ -73,11 +73,11 @@ def bare(kernels: Kernels, runs: int, steps: int) -> Callable[[], Any]:
     lanes = make_lanes(np.stack([low, low + steps, low], axis=1), np.zeros(runs))
     held = Held(commands.reshape(-1, 2), H)
     parameters = np.array(CAR)
-    bars = np.zeros((-(-runs // 16), steps + 1, 7 * 16))
+    bars = np.zeros((steps + 1, 7, lanes.breadth))
 
     def call() -> Any:
         path = march(kernels, parameters, first, held, lanes, steps)
-        np.multiply(path[..., :32], 2.0, out=bars[..., :32])
+        np.multiply(path[:, :2], 2.0, out=bars[:, :2])
         return march_back(kernels, parameters, path, _seen(bars, runs), held, lanes)
 
     return call

@@ -127,4 +127,4 @@ def _aimed(at: _Nominal, kind: int, low: int, high: int) -> Array:
     first = first_states(kernels, engine.readings, at.parameters, at.x, sub)
     held = Held(commands.reshape(-1, 2), layout.h, sub)
     path = march(kernels, at.parameters, first, held, make_lanes(runs, layout.t), at.steps)
-    return np.asarray(lane_view(path, at.count))
+    return np.ascontiguousarray(lane_view(path, at.count))

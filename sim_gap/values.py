@@ -83,7 +83,7 @@ def first_states(
         lanes = make_lanes(before, layout.t - settle * layout.h)
         held = Held(layout.commands, layout.h, substeps)
         path = march(kernels, parameters, calm, held, lanes, settle * substeps)
-        last = lane_view(path[:, -1:], len(x))[:, 0]
+        last = lane_view(path[-1:], len(x))[:, 0]
         kept = [6, *(7 + i for i in _linkage_places(kernels.effects))]
         out[:, kept] = last[:, kept]
     out[:, 6] += x[:, 6]
@@ -99,7 +99,9 @@ def paths(
     lanes = make_lanes(layout.spans[:, :3], layout.t)
     held = Held(layout.commands, layout.h, substeps)
     steps = int(layout.spans[:, 3].max()) * substeps
-    return np.asarray(lane_view(march(kernels, parameters, first, held, lanes, steps), len(x)))
+    return np.ascontiguousarray(
+        lane_view(march(kernels, parameters, first, held, lanes, steps), len(x))
+    )
 
 
 def readings_of(

@@ -13,11 +13,10 @@ from math import inf
 from typing import NamedTuple
 
 from car_model.tape import Entry, Node, gradient, needed, source_of
+from sysid.rows import LANES
 from sysid.special import BRISK, Range, specialise
 from sysid.trace import CHASSIS, Piece, Traced
 
-LANES = 16
-"""Windows that one call of a lane piece works on."""
 COLUMNS = 72
 """Most sensitivity columns; a row is 9 cache lines, so that rows do not share cache sets."""
 

@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid.compile import entry, point
+from sysid.compile import entry, maker, point
 
 if TYPE_CHECKING:
     from sysid.pieces import (
@@ -294,7 +294,7 @@ def sample(
     observe_push(j, w, n)
 
 
-@point
+@maker
 def make_work(seeds: "Array", n: int) -> "tuple[Array, ...]":
     """Column rows of actuators, rates, memory and readings, with the parameters' seeds in place."""
     wa = np.zeros((14 + 2 * MEMORY + PARAMETER_COUNT) * COLUMNS)
@@ -308,7 +308,7 @@ def make_work(seeds: "Array", n: int) -> "tuple[Array, ...]":
     return wa, wr, wm, wo
 
 
-@point
+@maker
 def make_points() -> "tuple[Array, ...]":
     """Inputs of the three pieces, outputs of actuators, rates and readings, and all slopes."""
     return (
@@ -397,7 +397,7 @@ def seed_state(ds: "Array", dfirst: "Array", first: int, last: int, n: int) -> N
             ds[row * COLUMNS + i] += dfirst[row, i]
 
 
-@point
+@maker
 def pose_rates(late_columns: "Array", n: int) -> "Array":
     """Columns of a reading's place within its step: nothing moves it, or the poses' dead time."""
     rates = np.zeros((2, COLUMNS))

@@ -18,8 +18,14 @@ def point(function: Callable[..., Any]) -> Any:
     """Compile a piece that works on one state, for other pieces to call.
 
     It gets no wrappers for Python or C, which would cost as much to compile as the piece itself,
-    and no place in the cache: it is part of the entries that call it.
+    and no place in the cache: it is part of the entries that call it. It makes no arrays: without
+    that right, Numba counts no references, whose atomic increments cost more than the equations.
     """
+    return _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)(function)
+
+
+def maker(function: Callable[..., Any]) -> Any:
+    """Compile a piece that makes arrays, for entries to call once."""
     return _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
 
 
@@ -29,5 +35,5 @@ def lanes(function: Callable[..., Any]) -> Any:
 
 
 def entry(function: Callable[..., Any]) -> Any:
-    """Compile what Python calls; the machine code is kept on disk."""
-    return _njit(no_cfunc_wrapper=True, cache=True)(function)
+    """Compile what Python calls, without its lock; the machine code is kept on disk."""
+    return _njit(no_cfunc_wrapper=True, cache=True, nogil=True)(function)

@@ -16,13 +16,17 @@ from numpy.typing import NDArray
 from car_model.effect import Effect
 from car_model.model import Model, memory_size
 from car_model.params import Car
-from sysid.codegen import COLUMNS, LANES
+from sysid.codegen import COLUMNS
 from sysid.modules import load_module
+from sysid.rows import LANES
+from sysid.side_by_side import share_out, threads
 from sysid.trace import parameter_names
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+CACHE_LINE = 64
+"""Bytes."""
 TABLEAUS: dict[str, Array] = {
     "euler": np.array([[0.0], [1.0]]),
     "rk4": np.array([[0.0, 0.5, 0.5, 1.0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]]),
@@ -98,17 +102,22 @@ def constants_of(kernels: Kernels, parameters: Array, h: float) -> Array:
 
 
 class Lanes(NamedTuple):
-    """Windows arranged side by side: blocks of 16, the last filled up with copies.
+    """Windows arranged side by side: blocks of `LANES`, the last filled up with copies.
 
     Attributes:
         windows: how many lanes are real ones.
-        runs: (blocks, 16, 3) rows of the commands: first, after the last, at the first step.
-        t: (blocks, 16) time into the run [s].
+        runs: (blocks, LANES, 3) rows of the commands: first, after the last, at the first step.
+        t: (blocks, LANES) time into the run [s].
     """
 
     windows: int
     runs: Indices
     t: Array
+
+    @property
+    def breadth(self) -> int:
+        """How many lanes there are."""
+        return self.t.size
 
 
 def make_lanes(runs: Indices, t: Array) -> Lanes:
@@ -118,19 +127,18 @@ def make_lanes(runs: Indices, t: Array) -> Lanes:
     return Lanes(count, runs[pick].reshape(-1, LANES, 3), t[pick].reshape(-1, LANES))
 
 
-def to_lanes(first: Array, blocks: int) -> Array:
-    """(W, states) to (blocks, states * 16); lanes without a window repeat the last."""
-    pick = np.minimum(np.arange(blocks * LANES), len(first) - 1)
-    packed = first[pick].reshape(blocks, LANES, -1).transpose(0, 2, 1)
-    return np.ascontiguousarray(packed).reshape(blocks, -1)
-
-
 def lane_view(path: Any, count: int) -> Any:
-    """(blocks, moments, states * 16) seen as (count, moments, states), without a copy."""
-    blocks, moments, width = path.shape
-    seen = path.reshape(blocks, moments, width // LANES, LANES)
-    seen = seen.transpose(0, 3, 1, 2) if isinstance(path, np.ndarray) else seen.permute(0, 3, 1, 2)
-    return seen.reshape(blocks * LANES, moments, -1)[:count] if blocks > 1 else seen[0, :count]
+    """(moments, states, lanes) seen as (count, moments, states), without a copy."""
+    seen = path.transpose(2, 0, 1) if isinstance(path, np.ndarray) else path.permute(2, 0, 1)
+    return seen[:count]
+
+
+def empty_path(moments: int, states: int, lanes: int) -> Array:
+    """(moments, states, lanes) unset numbers; a row of lanes begins with a cache line."""
+    size, line = moments * states * lanes, CACHE_LINE // 8
+    space = np.empty(size + line)
+    first = -(space.ctypes.data // 8) % line
+    return space[first : first + size].reshape(moments, states, lanes)
 
 
 def march(
@@ -147,24 +155,27 @@ def march(
         steps: integration steps, the same for all.
 
     Returns:
-        (blocks, steps + 1, (7 + memory) * 16); see `lane_view`.
+        (steps + 1, 7 + memory, lanes); see `lane_view`.
     """
-    blocks = len(lanes.runs)
-    path = np.empty((blocks, steps + 1, first.shape[1] * LANES))
-    path[:, 0] = to_lanes(first, blocks)
+    path = empty_path(steps + 1, first.shape[1], lanes.breadth)
+    path[0] = first[np.minimum(np.arange(lanes.breadth), len(first) - 1)].T
     q, tableau = constants_of(kernels, parameters, held.fine), TABLEAUS[held.integrator]
-    for block in range(blocks):
+
+    def block(number: int, _worker: int) -> None:
         kernels.module.simulate_block(
-            parameters, q, held.fine, tableau, path[block], held.rows, lanes.runs[block],
-            lanes.t[block], held.substeps,
+            parameters, q, held.fine, tableau, path.reshape(-1), lanes.breadth, number * LANES,
+            held.rows, lanes.runs[number], lanes.t[number], held.substeps,
         )  # fmt: skip
+
+    share_out(block, len(lanes.runs), steps)
     return path
 
 
 class Slopes(NamedTuple):
     """Derivatives of a loss.
 
-    By parameters (P,), first states (W, 7 + memory) and commands (rows, 2).
+    By parameters (P,), first states (W, 7 + memory) and commands (rows, 2); the last empty unless
+    they were wanted.
     """
 
     parameters: Array
@@ -173,24 +184,44 @@ class Slopes(NamedTuple):
 
 
 def march_back(
-    kernels: Kernels, parameters: Array, path: Array, bars: Array, held: Held, lanes: Lanes
+    kernels: Kernels,
+    parameters: Array,
+    path: Array,
+    bars: Array,
+    held: Held,
+    lanes: Lanes,
+    commands: bool = True,
 ) -> Slopes:
-    """The adjoint of `march`; `bars` (W, moments, states): the loss's derivative by the states."""
-    h = held.fine
-    q = constants_of(kernels, parameters, h)
-    into = np.zeros_like(held.rows)
-    slopes = np.zeros(len(parameters))
-    first = np.empty((len(path), path.shape[2]))
-    late, (flat, strides) = np.zeros((2, LANES)), _flat(bars)
-    for block in range(len(path)):
+    """The adjoint of `march`.
+
+    Args:
+        kernels: the compiled car.
+        parameters: (P,).
+        path: what it returned.
+        bars: (W, moments, states) the loss's derivatives by the states.
+        held: the commands.
+        lanes: the windows.
+        commands: whether derivatives by the commands are wanted.
+    """
+    h, blocks = held.fine, len(lanes.runs)
+    q, tableau = constants_of(kernels, parameters, h), TABLEAUS[held.integrator]
+    workers = min(threads(), blocks)
+    into = np.zeros((workers, *held.rows.shape) if commands else (workers, 0, 2))
+    slopes, first = np.zeros((blocks, len(parameters))), np.empty((blocks, path.shape[1] * LANES))
+    late, (flat, strides) = np.zeros((blocks, 2 * LANES)), _flat(bars)
+
+    def block(number: int, worker: int) -> None:
         kernels.module.adjoint_block(
-            parameters, q, h, TABLEAUS[held.integrator], path[block], flat, strides, block * LANES,
-            lanes.windows, held.rows, into, lanes.runs[block], lanes.t[block], held.substeps,
-            first[block], slopes, late,
+            parameters, q, h, tableau, path.reshape(-1), lanes.breadth, number * LANES, flat,
+            strides, lanes.windows, held.rows, into[worker], lanes.runs[number], lanes.t[number],
+            held.substeps, first[number], slopes[number], late[number],
         )  # fmt: skip
-    slopes += delay_slopes(kernels, parameters, np.array([*late.sum(axis=1) / h, 0.0]))
-    by_window = first.reshape(len(path), -1, LANES).transpose(0, 2, 1)
-    return Slopes(slopes, by_window.reshape(-1, by_window.shape[2])[: lanes.windows], into)
+
+    share_out(block, blocks, len(path))
+    lateness = late.reshape(blocks, 2, LANES).sum(axis=(0, 2)) / h
+    total = slopes.sum(axis=0) + delay_slopes(kernels, parameters, np.array([*lateness, 0.0]))
+    by_window = first.reshape(blocks, -1, LANES).transpose(0, 2, 1).reshape(lanes.breadth, -1)
+    return Slopes(total, by_window[: lanes.windows], into.sum(axis=0))
 
 
 def _flat(bars: Array) -> tuple[Array, Indices]:

@@ -18,7 +18,7 @@ import numba
 import platformdirs
 
 from car_model.effect import Effect
-from sysid import choice, columns, compile, lane_math, loops
+from sysid import choice, columns, compile, delayed, lane_math, loops, rows
 from sysid.codegen import generate
 from sysid.trace import trace
 
@@ -38,11 +38,12 @@ def _text(module: ModuleType) -> str:
 
 def module_source(effects: Sequence[Effect] = ()) -> str:
     """The whole source of a model's module: printed pieces, then the loops around them."""
-    return "\n".join([generate(trace(tuple(effects))), _text(loops), _text(columns)])
+    loaded = (_text(module) for module in (delayed, loops, columns))
+    return "\n".join([generate(trace(tuple(effects))), *loaded])
 
 
 def _fingerprint(source: str) -> str:
-    parts = [source, *(_text(m) for m in (lane_math, choice, compile)), numba.__version__]
+    parts = [source, *(_text(m) for m in (lane_math, choice, compile, rows)), numba.__version__]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 

@@ -2,7 +2,8 @@
 
 Below walking pace the tyre equations fade into kinematic ones, which cost as much again and count
 for nothing above it. What is computed from bounded inputs is bounded too (interval arithmetic);
-a choice that its bounds decide is no choice, and what then is multiplied by zero is dropped.
+a choice that its bounds decide is no choice, and what then is multiplied by zero is dropped. The
+inverse of a product becomes a product of inverses, which are shared: divisions take the longest.
 """
 
 from collections.abc import Mapping, Sequence
@@ -72,6 +73,15 @@ def _decided(op: str, nodes: Sequence[Node], ranges: Sequence[Range]) -> Node | 
     return nodes[smaller] if op == "min" else nodes[1 - smaller]
 
 
+def _written(op: str, nodes: Sequence[Node]) -> Node:
+    """The operation recorded, the inverse of a product as a product of inverses."""
+    inner = nodes[0].entry
+    if op != "inverse" or inner.op != "mul":
+        return apply(op, *nodes)
+    one, other = (_written(op, [Node(nodes[0].tape, place)]) for place in inner.args)
+    return one * other
+
+
 def specialise(outputs: Sequence[Node], known: Mapping[int, Range]) -> tuple[Node, ...]:
     """The same outputs under bounds of some inputs (by place), on the same record."""
     tape = outputs[0].tape
@@ -87,7 +97,7 @@ def specialise(outputs: Sequence[Node], known: Mapping[int, Range]) -> tuple[Nod
         nodes = [made[a] for a in entry.args]
         ranges = [bounds[a] for a in entry.args]
         chosen = _decided(entry.op, nodes, ranges)
-        made[place] = apply(entry.op, *nodes) if chosen is None else chosen
+        made[place] = _written(entry.op, nodes) if chosen is None else chosen
         result = made[place].entry
         fixed = result.op == "const"
         bounds[place] = Range(result.value, result.value) if fixed else _range(entry.op, ranges)

@@ -73,10 +73,13 @@ class _Simulate(torch.autograd.Function):
     def backward(ctx: Any, bars: Tensor) -> Any:
         """March back."""
         kernels, parameters, path, held, lanes = ctx.state
-        slopes = march_back(kernels, parameters, path, bars.numpy(), held, lanes)
-        commands = slopes.commands.reshape(lanes.windows, -1, 2)
-        pieces = (slopes.parameters, np.ascontiguousarray(slopes.first), commands)
-        return (*(torch.from_numpy(piece) for piece in pieces), None)
+        wanted = ctx.needs_input_grad[2]
+        slopes = march_back(kernels, parameters, path, bars.numpy(), held, lanes, wanted)
+        pieces = [slopes.parameters, np.ascontiguousarray(slopes.first)]
+        if wanted:
+            pieces.append(slopes.commands.reshape(lanes.windows, -1, 2))
+        gradients = [torch.from_numpy(piece) for piece in pieces]
+        return (*gradients, *[None] * (4 - len(gradients)))
 
 
 def _array(tensor: Tensor) -> Any:

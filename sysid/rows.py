@@ -1,0 +1,152 @@
+"""Rows of lanes moved as vectors.
+
+A loop over a few numbers is unrolled before LLVM could vectorise it; the numbers then go one by
+one, and the wide load that follows waits for many narrow stores. That cost more than the equations.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+LANES = 8
+"""Windows side by side: one vector of AVX-512, two of AVX2; half as many give away its breadth."""
+_ROW = ir.VectorType(ir.DoubleType(), LANES)
+_PREFETCH = "llvm.prefetch.p0"
+_ARRAY = types.Array(types.float64, 1, "C")
+
+
+class _Rows:
+    """Rows of arrays, while machine code is being written."""
+
+    def __init__(self, context: Any, builder: ir.IRBuilder, signature: Any) -> None:
+        self.context, self.builder, self.types = context, builder, signature.args
+
+    def _place(self, args: Any, i: int) -> ir.Instruction:
+        array = self.context.make_array(self.types[i])(self.context, self.builder, args[i])
+        first = self.builder.gep(array.data, [args[i + 1]])
+        return self.builder.bitcast(first, _ROW.as_pointer())
+
+    def load(self, args: Any, i: int) -> ir.Instruction:
+        """The row of array `args[i]` that begins at number `args[i + 1]`."""
+        return self.builder.load(self._place(args, i), align=8)
+
+    def store(self, row: ir.Instruction, args: Any, i: int) -> None:
+        """Write a row there."""
+        self.builder.store(row, self._place(args, i), align=8)
+
+    def every(self, number: ir.Value) -> ir.Instruction:
+        """A row of one number."""
+        undefined = ir.Constant(_ROW, ir.Undefined)
+        one = self.builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
+        first = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+        return self.builder.shuffle_vector(one, undefined, first)
+
+    def times(self, row: ir.Instruction, scale: ir.Value) -> ir.Instruction:
+        """A row times a number, or times another row."""
+        other = scale if scale.type == _ROW else self.every(scale)
+        return self.builder.fmul(row, other, flags=("contract", "nsz"))
+
+    def plus(self, a: ir.Instruction, b: ir.Instruction) -> ir.Instruction:
+        """Sum of two rows."""
+        return self.builder.fadd(a, b, flags=("contract", "nsz"))
+
+
+def _written(arrays: int, numbers: int, write: Callable[[_Rows, Any], None]) -> Any:
+    """Signature and code of an operation on rows (array, place) followed by plain numbers."""
+    arguments = (_ARRAY, types.int64) * arrays + (types.float64,) * numbers
+
+    def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> Any:
+        write(_Rows(context, builder, signature), args)
+        return context.get_dummy_value()
+
+    return types.void(*arguments), codegen
+
+
+def _copy(_typing: Any, _to: Any, _a: Any, _source: Any, _b: Any) -> Any:
+    """Into the first row: `to = source`."""
+    return _written(2, 0, lambda rows, args: rows.store(rows.load(args, 2), args, 0))
+
+
+def _mix(
+    _typing: Any, _to: Any, _a: Any, _x: Any, _b: Any, _y: Any, _c: Any, _p: Any, _q: Any
+) -> Any:
+    """Into the first row: `to = p x + q y`."""
+
+    def write(rows: _Rows, args: Any) -> None:
+        one, other = rows.load(args, 2), rows.load(args, 4)
+        mixed = rows.plus(rows.times(one, args[6]), rows.times(other, args[7]))
+        rows.store(mixed, args, 0)
+
+    return _written(3, 2, write)
+
+
+def _add(_typing: Any, _to: Any, _a: Any, _source: Any, _b: Any, _scale: Any) -> Any:
+    """Into the first row: `to += scale source`."""
+
+    def write(rows: _Rows, args: Any) -> None:
+        rows.store(rows.plus(rows.load(args, 0), rows.times(rows.load(args, 2), args[4])), args, 0)
+
+    return _written(2, 1, write)
+
+
+def _shift(_typing: Any, _to: Any, _a: Any, _source: Any, _b: Any, _number: Any) -> Any:
+    """Into the first row: `to = source + number`."""
+
+    def write(rows: _Rows, args: Any) -> None:
+        rows.store(rows.plus(rows.load(args, 2), rows.every(args[4])), args, 0)
+
+    return _written(2, 1, write)
+
+
+def _gather(
+    _typing: Any, _to: Any, _a: Any, _x: Any, _b: Any, _y: Any, _c: Any, _scale: Any
+) -> Any:
+    """Into the first row: `to += scale x y`."""
+
+    def write(rows: _Rows, args: Any) -> None:
+        product = rows.times(rows.times(rows.load(args, 2), args[6]), rows.load(args, 4))
+        rows.store(rows.plus(rows.load(args, 0), product), args, 0)
+
+    return _written(3, 1, write)
+
+
+def _above(_typing: Any, _array: Any, _a: Any, _bound: Any) -> Any:
+    """Whether all of a row lies above a number."""
+
+    def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> Any:
+        rows = _Rows(context, builder, signature)
+        over = builder.fcmp_ordered(">", rows.load(args, 0), rows.every(args[2]))
+        bits = ir.IntType(LANES)
+        return builder.icmp_signed("==", builder.bitcast(over, bits), ir.Constant(bits, -1))
+
+    return types.boolean(_ARRAY, types.int64, types.float64), codegen
+
+
+def _expect(_typing: Any, _array: Any, _a: Any) -> Any:
+    """Ask the memory for a place that is needed soon; it may lie outside the array."""
+
+    def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> Any:
+        number, byte = ir.IntType(32), ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+        prefetch = builder.module.globals.get(_PREFETCH) or ir.Function(
+            builder.module, kind, _PREFETCH
+        )
+        array = context.make_array(signature.args[0])(context, builder, args[0])
+        place = builder.bitcast(builder.gep(array.data, [args[1]]), byte)
+        # to read, into every cache, data
+        builder.call(prefetch, [place, *(ir.Constant(number, n) for n in (0, 3, 1))])
+        return context.get_dummy_value()
+
+    return types.void(_ARRAY, types.int64), codegen
+
+
+copy_row: Any = intrinsic(_copy)
+mix_row: Any = intrinsic(_mix)
+add_row: Any = intrinsic(_add)
+shift_row: Any = intrinsic(_shift)
+gather_row: Any = intrinsic(_gather)
+row_above: Any = intrinsic(_above)
+expect: Any = intrinsic(_expect)

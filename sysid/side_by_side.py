@@ -1,0 +1,58 @@
+"""Independent pieces of compiled work on several threads of this process.
+
+Compiled kernels hold no lock of Python's. How many threads: what Numba would take, all cores unless
+`NUMBA_NUM_THREADS` says otherwise; joblib and Dask set that for their workers, so that workers on
+all cores do not start threads on all cores each. The caller does its share, and then waits: on a
+busy machine this costs no more than doing all of it, unlike threads that wait by spinning.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any
+
+import numba
+
+WORTHWHILE = 1000
+"""Steps for each thread below which waking it (some 50 us) costs more than it brings."""
+
+
+def threads() -> int:
+    """How many threads may work."""
+    settings: Any = numba.config
+    return int(settings.NUMBA_NUM_THREADS)
+
+
+@lru_cache(maxsize=1)
+def _helpers(count: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(count, thread_name_prefix="sysid")
+
+
+# a forked process inherits the pool but none of its threads
+os.register_at_fork(after_in_child=_helpers.cache_clear)
+
+
+def share_out(work: Callable[[int, int], None], count: int, steps: int) -> None:
+    """Do `work(piece, worker)` for all pieces; no two must write the same, other than by worker.
+
+    Args:
+        work: a call of a compiled function that lets go of Python's lock; workers are numbered from
+            0, fewer than `threads()`.
+        count: pieces.
+        steps: how long a piece is, in steps of a simulation.
+    """
+    most = min(threads(), count, max(1, count * steps // WORTHWHILE))
+    if most == 1:
+        for i in range(count):
+            work(i, 0)
+        return
+
+    def part(number: int) -> None:
+        for i in range(number, count, most):
+            work(i, number)
+
+    others = [_helpers(threads() - 1).submit(part, number) for number in range(1, most)]
+    part(0)
+    for other in others:
+        other.result()
