@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 SLEW = 0.01
 """A period changes by this share at most."""
-MARGIN_NS = 100_000
-"""A deadline stands this far behind a punctual arrival; jitter adds to it."""
+MARGIN_NS = 300_000
+"""A deadline stands this far behind a punctual arrival, time to take it in; jitter adds to it."""
 _JITTERS = 3.0
 """And so many times the arrivals' mean jitter further."""
 _SHARE = 16

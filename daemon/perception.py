@@ -79,6 +79,8 @@ class Perception:
             self.accepted_ns = sample.t_arrival_ns
             self._measurements.append(make_pose(sample.t_valid_ns, sample.x, sample.y, sample.yaw))
             self._track.append((sample.t_valid_ns, sample.x, sample.y))
+            # Now, not in the tick: the pose comes just before its deadline (`daemon.pacing`).
+            self._fuse(sample.t_arrival_ns)
 
     def on_telemetry(self, telemetry: Telemetry) -> None:
         """Take motor telemetry; its wheel speed is valid in the middle of the exchange."""
@@ -101,14 +103,20 @@ class Perception:
 
     def estimate(self, now_ns: int) -> Estimate | None:
         """Fuse all that arrived and predict to now; None before the first belief."""
-        self._state = step(self._filter, self._state, now_ns, self._measurements, self._commands)
-        self._measurements, self._commands = [], []
+        self._fuse(now_ns)
         estimate = predict_to(self._filter, self._state, now_ns)
         if estimate is not None:
             self._note_innovations(estimate)
         while len(self._track) > 2 and self._track[1][0] <= now_ns - _SPEED_SPAN_NS:
             self._track.popleft()
         return estimate
+
+    def _fuse(self, now_ns: int) -> None:
+        """Give the filter what came since the last time; how often does not change the belief."""
+        if self._measurements or self._commands:
+            new, sent = self._measurements, self._commands
+            self._state = step(self._filter, self._state, now_ns, new, sent)
+            self._measurements, self._commands = [], []
 
     def _note_innovations(self, estimate: Estimate) -> None:
         pose = estimate.health.pose

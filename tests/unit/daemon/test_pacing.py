@@ -43,7 +43,7 @@ def test_a_punctual_pose_waits_little_from_any_phase(period_ms: int, phase: floa
     _, waits, _ = drive(period, arrivals(period, phase, 0.02 * MS, 5))
     settled = np.array(waits[TICKS // 2 :])
     assert settled.min() > 0
-    assert np.quantile(settled, 0.99) < 3 * MARGIN_NS
+    assert np.quantile(settled, 0.99) < MARGIN_NS + MS // 5
 
 
 @pytest.mark.parametrize("ratio", [0.5, 2.0])
@@ -51,7 +51,7 @@ def test_poses_twice_or_half_as_often_are_followed_too(ratio: float) -> None:
     period = 5 * MS
     _, waits, _ = drive(period, arrivals(period * ratio, 0.4, 0.02 * MS, 6))
     settled = np.array(waits[TICKS // 2 :]) % period
-    assert np.quantile(settled, 0.99) < 3 * MARGIN_NS
+    assert np.quantile(settled, 0.99) < MARGIN_NS + MS // 5
 
 
 def test_lost_poses_do_not_move_what_is_in_step() -> None:
@@ -59,13 +59,13 @@ def test_lost_poses_do_not_move_what_is_in_step() -> None:
     _, waits, _ = drive(period, arrivals(period, 0.3, 0.02 * MS, 7, share=0.8))
     fresh = [wait for wait in waits[TICKS // 2 :] if wait < period // 2]
     assert len(fresh) > 0.7 * TICKS / 2
-    assert max(fresh) < 3 * MARGIN_NS
+    assert max(fresh) < MARGIN_NS + MS // 5
 
 
 def test_a_mocap_clock_that_is_a_little_fast_is_followed() -> None:
     period = 10 * MS
     dues, waits, _ = drive(period, arrivals(period / 1.002, 0.3, 0.02 * MS, 8))
-    assert max(waits[TICKS // 2 :]) < 5 * MARGIN_NS
+    assert max(waits[TICKS // 2 :]) < MARGIN_NS + MS // 2
     assert np.diff(dues[TICKS // 2 :]).mean() == pytest.approx(period / 1.002, rel=2e-4)
 
 

@@ -8,6 +8,7 @@ import pytest
 from daemon import runner as runner_module
 from daemon.build import make_core, make_plan
 from daemon.options import RunOptions
+from daemon.pacing import MARGIN_NS
 from daemon.runner import Ends, Runner
 from steer_bus import topics
 from steer_bus.codec import decode
@@ -81,7 +82,7 @@ def test_a_pose_is_acted_on_as_it_comes(monkeypatch):
     woke, arrivals, period = ticks_of(monkeypatch, 10 * MS)
     newest = arrivals[np.searchsorted(arrivals, woke[250:], side="right") - 1]
     waits = woke[250:] - newest
-    assert waits.max() < 3 * MS // 10
+    assert 0 < waits.min() <= waits.max() < MARGIN_NS + MS // 5
     assert np.diff(woke).mean() == pytest.approx(period, rel=2e-3)
 
 
