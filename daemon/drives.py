@@ -21,12 +21,13 @@ def load_drive(path: Path, speed: str = "command") -> "Run":
         SteerdError: it cannot be read, or is not fit for a fit.
     """
     from steer_bus.session_read import SessionError
+    from sysid.beat import steadied
     from sysid.cut import with_wheel_speed
     from sysid.dataset import load_run
     from sysid.gate import DataError
 
     try:
-        run = load_run(path)
+        run = steadied(load_run(path))
         return with_wheel_speed(run) if speed == "wheel" else run
     except SessionError as error:
         code = ExitCode(error.exit_code)

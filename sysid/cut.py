@@ -2,8 +2,8 @@
 
 Below walking pace motor controllers do not follow a speed, and the yaw mode is so stiff that the
 smallest step would be needed throughout; a fit looks at the rest. Times within a part count from
-the part's first command; the commands of the half second before it come along, so that the
-steering's past is known.
+the part's first command; the commands of the half second before it (`Run.history`) come along, so
+that the steering's past is known.
 """
 
 from collections.abc import Sequence
@@ -13,9 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.dataset import Run, Signal, pose_speed
+from sysid.dataset import HISTORY, Run, Signal, pose_speed
 from sysid.gate import DataError
-from sysid.windows import SETTLE
 
 Array = NDArray[np.float64]
 
@@ -32,9 +31,9 @@ BLOCK = 5.4
 def cut(run: Run, low: float, high: float) -> Run:
     """The part of a drive between two times [s].
 
-    Commands begin up to half a second earlier; measurements lie in [low, high].
+    Commands begin up to the run's `history` earlier; measurements lie in [low, high].
     """
-    first = max(0, round((low - SETTLE) / run.h))
+    first = max(0, round((low - run.history) / run.h))
     last = min(len(run.commands), round(high / run.h))
     zero = first * run.h
 
@@ -101,10 +100,10 @@ def moving_parts(runs: Sequence[Run]) -> tuple[Run, ...]:
         DataError: there is none.
     """
     parts = [
-        cut(run, low + SETTLE, high)
+        cut(run, low + HISTORY, high)
         for run in map(smooth_speed, runs)
         for low, high in _spans(run)
-        if high - low - SETTLE >= SHORTEST
+        if high - low - HISTORY >= SHORTEST
     ]
     if not parts:
         names = ", ".join(run.name for run in runs)

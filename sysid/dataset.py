@@ -7,7 +7,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from steer_bus.session import Session, open_session
 from steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, split_key
 from sysid.gate import DataError, check_run, check_times
 from vesc_link.scaling import F1TENTH
+
+if TYPE_CHECKING:
+    from sysid.beat import Beat
 
 Array = NDArray[np.float64]
 
@@ -30,6 +33,8 @@ SERVO_FRAME = 0.02
 """Period of a VESC's servo signal [s]; steerd itself drives servos through nothing else."""
 RAMP_ERPM = 25_000.0
 """A VESC's own limit of its speed setpoint's slope [ERPM/s] (`s_pid_ramp_erpms_s`, since 5.03)."""
+HISTORY = 0.5
+"""Known commands that the actuators run through before a window [s]."""
 
 
 class Signal(NamedTuple):
@@ -64,6 +69,9 @@ class Run:
         speed_ramp: how fast the motor controller's setpoint may follow them [m/s^2]; 0 where it is
             not known to be limited (see `ramp`).
         start: where in its drive this part begins [s]; what drifts counts from the drive's start.
+        history: so many of the commands before a window count [s]: a linkage with play remembers
+            the last turn.
+        beat: how late its steering was logged, which is undone in `commands` and `steer`.
     """
 
     name: str
@@ -79,6 +87,8 @@ class Run:
     asked: Signal = field(default_factory=_none)
     speed_ramp: float = 0.0
     start: float = 0.0
+    history: float = HISTORY
+    beat: "Beat | None" = None
 
     @property
     def duration(self) -> float:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.dataset import Run, Signal, pose_speed
+from sysid.dataset import HISTORY, Run, Signal, pose_speed
 from sysid.gate import noise_of
 from sysid.kernels import Stations, Windows
 
@@ -19,8 +19,6 @@ GROUPS: tuple[str, ...] = ("position", "yaw", "wheel_speed", "yaw_rate")
 """Measurements that share a noise level: [m], [rad], [m/s], [rad/s]."""
 FLOORS = np.array([1e-5, 1e-5, 1e-4, 1e-4])
 """No instrument is better, and simulated ones may have no noise at all."""
-SETTLE = 0.5
-"""Known commands that the actuators run through before a window [s]."""
 POSES_MIN = 4
 """A window that sees fewer poses is left out (its initial state would be free)."""
 _WINDOWS_MIN = 4
@@ -131,7 +129,8 @@ def _between(signal: Signal, low: float, high: float) -> tuple[Array, Array]:
 
 def _cut_run(run: Run, number: int, low: int, horizon: float, pose_delay: float) -> list[_Cut]:
     edges = _edges(run, horizon, pose_delay)
-    settle, rows = round(SETTLE / run.h), len(run.commands)
+    least, most = round(HISTORY / run.h), round(run.history / run.h)
+    rows = len(run.commands)
     cuts = []
     for a, b in itertools.pairwise(edges):
         start, end = a * run.h, b * run.h + (1e-9 if b == edges[-1] else 0.0)
@@ -142,6 +141,7 @@ def _cut_run(run: Run, number: int, low: int, horizon: float, pose_delay: float)
         if run.speed_source == "command":
             kinds.append((1, *_between(run.wheel, start, end)))
         kinds.append((2, *_between(run.yaw_rate, start, end)))
+        settle = max(least, min(most, int(a)))
         span = (low, low + rows, low + int(a), int(b - a), settle)
         guess = guess_state(run.pose, start + pose_delay)
         cuts.append(_Cut(number, span, start, tuple(kinds), guess))
@@ -209,7 +209,7 @@ def _assemble(runs: Sequence[Run], cuts: Sequence[_Cut]) -> Layout:
         group=np.concatenate(groups),
         bounds=np.array(bounds),
         guess=np.array([cut.guess for cut in cuts]),
-        has_past=spans[:, 2] - spans[:, 0] >= spans[:, 4] // 2,
+        has_past=spans[:, 2] - spans[:, 0] >= round(HISTORY / runs[0].h) // 2,
     )
 
 

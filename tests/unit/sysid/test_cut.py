@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sysid.cut import blocks, keep_back, moving_parts
-from sysid.dataset import Signal, make_run
-from sysid.windows import SETTLE, make_layout
+from sysid.dataset import HISTORY, Signal, make_run
+from sysid.windows import make_layout
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def test_windows_of_blocks_tell_the_time_of_the_drive(drive):
     assert whole[0] == pytest.approx(cut[0])
     assert np.ptp(cut) > 18.0
     assert np.all(np.diff(cut) > 0.5)
-    assert cut[0] == pytest.approx(parts[0].start + SETTLE, abs=0.02)
+    assert cut[0] == pytest.approx(parts[0].start + HISTORY, abs=0.02)
 
 
 def test_what_is_kept_back_keeps_its_time(drive):
