@@ -14,14 +14,17 @@ seeds: free parameters and the first state. Every window may be sampled anywhere
     window: first row, row after the last, row of the first step, steps, and steps of actuators
         alone before it (over known commands, to settle the steering).
     t: time into the run [s].
-    first: (7 + MEMORY,) first state; the steer is added to the settled one. Changed.
+    first: (7 + MEMORY,) first state; the steer is added to the settled one.
     dfirst: (7, >= n) derivative of the first state by each column.
     stations: (S, 4) step, first reading, row of `y`, and whether poses are late; sorted.
     shares: (S,) place within the step, 0 to 1 (outside: extended).
     scale: (rows,) by which each row of derivatives is multiplied.
     y: readings, written; a pose writes three.
-    jy: (rows, >= n) their derivatives, written.
-    n: columns in use, a multiple of 8.
+    jy: (rows * width,) their derivatives, written.
+    width: columns of `jy`, at least n.
+    placed: 0, or the first of three columns of `jy` for derivatives by the place and heading of the
+        window's start: a car that is the same everywhere moves and turns with it.
+    n: columns in use, a multiple of LANES.
 
 Whole numbers go from function to function as `np.int64(3)`: for a plain 3, Numba would compile a
 copy of the function for this 3 alone.
@@ -32,14 +35,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid.compile import entry, maker, point
+from sysid.compile import apart, entry, maker, point
+from sysid.rows import add_row, copy_row, mix_row, scale_row, shift_row
 
 if TYPE_CHECKING:
+    from sysid.delayed import spot
     from sysid.pieces import (
         ACTUATORS_SLOPES,
         BRISK,
         COLUMNS,
         DELAYS_SLOPES,
+        LANES,
         MEMORY,
         OBSERVE_SLOPES,
         PARAMETER_COUNT,
@@ -47,6 +53,7 @@ if TYPE_CHECKING:
         REMEMBER_SLOPES,
         REMEMBERS,
         Array,
+        Indices,
         actuators_jac,
         actuators_push,
         brisk_jac,
@@ -67,11 +74,11 @@ def copy_columns(to: "Array", first: int, source: "Array", start: int, rows: int
     """Copy rows of `n` columns."""
     for row in range(rows):
         a, b = (first + row) * COLUMNS, (start + row) * COLUMNS
-        for i in range(n):
-            to[a + i] = source[b + i]
+        for i in range(0, n, LANES):
+            copy_row(to, a + i, source, b + i)
 
 
-@point
+@apart
 def seed(w: "Array", row: int, seeds: "Array", n: int) -> None:
     """Put the parameters' seeds below a piece's rows."""
     for parameter in range(PARAMETER_COUNT):
@@ -114,12 +121,12 @@ def fetch_one(
     for channel in range(2):
         whole = int(np.floor(late[channel]))
         newer, older = (k - whole) // substeps, (k - whole - 1) // substeps
-        new = commands[min(max(start + newer, low), high - 1), channel]
-        old = commands[min(max(start + older, low), high - 1), channel]
+        new = commands[spot(min(max(start + newer, low), high - 1)), channel]
+        old = commands[spot(min(max(start + older, low), high - 1)), channel]
         z[row + channel] = new + (late[channel] - whole) * (old - new)
         a, b = (row + channel) * COLUMNS, channel * COLUMNS
-        for i in range(n):
-            w[a + i] = (old - new) * late_columns[b + i]
+        for i in range(0, n, LANES):
+            scale_row(w, a + i, late_columns, b + i, old - new)
 
 
 @point
@@ -127,8 +134,8 @@ def stage_columns(w: "Array", before: "Array", step: float, n: int) -> None:
     """Rates' input columns of the chassis: the start's, moved along the last slope's."""
     for row in range(6):
         a, b = row * COLUMNS, (9 + MEMORY + row) * COLUMNS
-        for i in range(n):
-            w[a + i] = before[a + i] + step * w[b + i]
+        for i in range(0, n, LANES):
+            mix_row(w, a + i, before, a + i, w, b + i, 1.0, step)
 
 
 @point
@@ -136,16 +143,16 @@ def gather_columns(w: "Array", after: "Array", share: float, n: int) -> None:
     """Add a stage's slope columns to the step."""
     for row in range(6):
         a, b = row * COLUMNS, (9 + MEMORY + row) * COLUMNS
-        for i in range(n):
-            after[a + i] += share * w[b + i]
+        for i in range(0, n, LANES):
+            add_row(after, a + i, w, b + i, share)
 
 
 @point
 def wheel_columns(w: "Array", wa: "Array", reach: float, n: int) -> None:
     """Columns of the wheel on its way."""
     start, end = (10 + MEMORY) * COLUMNS, (11 + MEMORY) * COLUMNS
-    for i in range(n):
-        w[6 * COLUMNS + i] = wa[start + i] + reach * (wa[end + i] - wa[start + i])
+    for i in range(0, n, LANES):
+        mix_row(w, 6 * COLUMNS + i, wa, start + i, wa, end + i, 1.0 - reach, reach)
 
 
 @point
@@ -231,13 +238,14 @@ def march_memory(
     copy_columns(da, np.int64(7), w, 14 + MEMORY, MEMORY, n)
 
 
-@point
+@apart
 def flush_columns(ds: "Array", n: int) -> None:
     """Decayed columns become zero: denormal numbers would slow a long window threefold."""
     for row in range(4, 7 + MEMORY):
         a = row * COLUMNS
-        for i in range(n):
-            ds[a + i] = (ds[a + i] + 1e-100) - 1e-100
+        for i in range(0, n, LANES):
+            shift_row(ds, a + i, ds, a + i, 1e-100)
+            shift_row(ds, a + i, ds, a + i, -1e-100)
 
 
 @point
@@ -269,7 +277,8 @@ def sample(
     q: "Array",
     h: float,
     share: float,
-    rate: "Array",
+    rates: "Array",
+    rate: int,
     state: "Array",
     ds: "Array",
     after: "Array",
@@ -283,13 +292,15 @@ def sample(
     """What the instruments read `share` of a step after `state`, and its columns.
 
     The place runs straight from `state` with columns `ds` (share 0) to `after` with `da` (1); the
-    share itself has columns `rate`. `seen` gets the five readings, rows 7 to 11 of `w` theirs.
+    share itself has the columns at `rates[rate]`. `seen` gets the five readings, rows 7 to 11 of
+    `w` theirs.
     """
     for row in range(7):
         a, move = row * COLUMNS, after[row] - state[row]
         z[row] = state[row] + share * move
-        for i in range(n):
-            w[a + i] = ds[a + i] + share * (da[a + i] - ds[a + i]) + move * rate[i]
+        for i in range(0, n, LANES):
+            mix_row(w, a + i, ds, a + i, da, a + i, 1.0 - share, share)
+            add_row(w, a + i, rates, rate + i, move)
     observe_jac(z, p, q, h, seen, j)
     observe_push(j, w, n)
 
@@ -360,13 +371,27 @@ def settle(
 
 
 @point
+def place_columns(
+    seen: "Array", start: "Array", scale: "Array", row: int, jy: "Array", to: int, width: int
+) -> None:
+    """Derivatives of a pose by the place and heading of its window's start."""
+    near, turned = scale[spot(row)], scale[spot(row + 2)]
+    jy[spot(to)] = near
+    jy[spot(to + 2)] = (start[1] - seen[1]) * near
+    jy[spot(to + width + 1)] = scale[spot(row + 1)]
+    jy[spot(to + width + 2)] = (seen[0] - start[0]) * scale[spot(row + 1)]
+    jy[spot(to + 2 * width + 2)] = turned
+
+
+@point
 def read_station(
     p: "Array",
     q: "Array",
     h: float,
-    station: "Array",
+    stations: "Indices",
+    number: int,
     share: float,
-    pose_columns: "Array",
+    rates: "Array",
     state: "Array",
     ds: "Array",
     after: "Array",
@@ -376,20 +401,31 @@ def read_station(
     scale: "Array",
     y: "Array",
     jy: "Array",
+    width: int,
+    placed: int,
+    start: "Array",
     n: int,
 ) -> None:
     """One station's readings and their columns into their rows."""
-    seen, rate = points[5], pose_columns[station[3]]
-    sample(p, q, h, share, rate, state, ds, after, da, points[2], seen, wo, points[6], n)
-    channel, row = station[1], station[2]
-    for c in range(3 if station[3] == 1 else 1):
-        y[row + c] = seen[channel + c]
-        b, unit = (7 + channel + c) * COLUMNS, scale[row + c]
-        for i in range(n):
-            jy[row + c, i] = unit * wo[b + i]
+    seen, late = points[5], stations[number, 3]
+    sample(
+        p, q, h, share, rates, late * COLUMNS, state, ds, after, da, points[2], seen, wo,
+        points[6], n,
+    )  # fmt: skip
+    channel, row = stations[number, 1], stations[number, 2]
+    count = 3 if late == 1 else 1
+    for c in range(count):
+        y[spot(row + c)] = seen[channel + c]
+        b, unit, to = (7 + channel + c) * COLUMNS, scale[spot(row + c)], (row + c) * width
+        for i in range(0, n, LANES):
+            scale_row(jy, to + i, wo, b + i, unit)
+        for i in range(placed, placed + 3 if placed else 0):
+            jy[spot(to + i)] = 0.0
+    if placed and late == 1:
+        place_columns(seen, start, scale, row, jy, row * width + placed, width)
 
 
-@point
+@apart
 def seed_state(ds: "Array", dfirst: "Array", first: int, last: int, n: int) -> None:
     """Add the first state's columns, some of its rows."""
     for row in range(first, last):
@@ -400,9 +436,9 @@ def seed_state(ds: "Array", dfirst: "Array", first: int, last: int, n: int) -> N
 @maker
 def pose_rates(late_columns: "Array", n: int) -> "Array":
     """Columns of a reading's place within its step: nothing moves it, or the poses' dead time."""
-    rates = np.zeros((2, COLUMNS))
+    rates = np.zeros(2 * COLUMNS)
     for i in range(n):
-        rates[1, i] = -late_columns[2 * COLUMNS + i]
+        rates[COLUMNS + i] = -late_columns[2 * COLUMNS + i]
     return rates
 
 
@@ -426,13 +462,15 @@ def march_window(
     scale: "Array",
     y: "Array",
     jy: "Array",
+    width: int,
+    placed: int,
     n: int,
 ) -> None:
     """Readings of one window at its stations, and their derivatives (see the module)."""
     work, points = make_work(seeds, n), make_points()
     wa, wr, wm, wo = work
     za, zr, zm, out, slope, _, j = points
-    state, after = first, np.zeros(7 + MEMORY)
+    state, after, start = first.copy(), np.zeros(7 + MEMORY), first
     ds, da = np.zeros((7 + MEMORY) * COLUMNS), np.zeros((7 + MEMORY) * COLUMNS)
     rates = pose_rates(late_columns, n)
     seed_state(ds, dfirst, np.int64(0), np.int64(6), n)
@@ -450,8 +488,8 @@ def march_window(
         while station < len(stations) and (stations[station, 0] <= k or k == last):
             share = shares[station] + (stations[station, 0] - k)
             read_station(
-                p, q, h, stations[station], share, rates, state, ds, after, da, wo, points,
-                scale, y, jy, n,
+                p, q, h, stations, station, share, rates, state, ds, after, da, wo, points,
+                scale, y, jy, width, placed, start, n,
             )  # fmt: skip
             station += 1
         if k % 64 == 0:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid.compile import entry, maker, point
+from sysid.compile import apart, entry, maker, point
 from sysid.rows import add_row, gather_row, mix_row
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def make_stream(
     return stream
 
 
-@point
+@apart
 def return_stream(bars: "Array", runs: "Array", into: "Array", ahead: int) -> None:
     """The reverse of `make_stream`."""
     length = len(bars) // (2 * LANES)

@@ -25,6 +25,8 @@ from sysid.trace import parameter_names
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+PLACED = 3
+"""Of a window's first state: its place and heading."""
 CACHE_LINE = 64
 """Bytes."""
 TABLEAUS: dict[str, Array] = {
@@ -295,7 +297,7 @@ def read(
     windows: Windows,
     stations: Stations,
     scale: Array | None = None,
-    spare: int = 0,
+    placed: bool = False,
 ) -> tuple[Array, Array]:
     """Instrument readings and their derivatives.
 
@@ -309,10 +311,11 @@ def read(
         windows: the windows.
         stations: where to read.
         scale: (rows,) by which each row of derivatives is multiplied.
-        spare: this many more columns of derivatives, for the caller to fill.
+        placed: whether the derivatives by place and heading of the windows' starts follow as three
+            more columns; right for a car without effects, which is the same everywhere.
 
     Returns:
-        Readings (rows,) and (scaled) derivatives (rows, columns + spare).
+        Readings (rows,) and (scaled) derivatives (rows, columns), three more if `placed`.
 
     Raises:
         ValueError: more columns than a kernel holds.
@@ -320,23 +323,32 @@ def read(
     columns = seeds.shape[1]
     if columns > COLUMNS:
         raise ValueError(f"{columns} columns; a kernel holds {COLUMNS}")
-    padded = -(-columns // 8) * 8
+    padded, more = _whole_rows(columns), PLACED if placed else 0
+    width = max(padded, _whole_rows(columns + more))
     state = np.zeros((len(first), 7 + kernels.memory))
     state[:, :7] = first
-    y, jy = np.empty(stations.rows), np.empty((stations.rows, -(-(columns + spare) // 8) * 8))
+    y, jy = np.empty(stations.rows), np.empty((stations.rows, width))
     scale = np.ones(stations.rows) if scale is None else scale
     q = constants_of(kernels, parameters, held.fine)
     seeds, dfirst, late = _padded(seeds, padded), _padded(dfirst, padded), np.zeros(3)
     late_columns = kernels.module.delay_columns(parameters, q, held.fine, seeds, late, padded)
-    march, tableau, bounds = kernels.module.march_window, TABLEAUS[held.integrator], stations.spans
-    for w, t in enumerate(windows.t.tolist()):
+    tableau, bounds, flat = TABLEAUS[held.integrator], stations.spans, jy.reshape(-1)
+
+    def window(w: int, _worker: int) -> None:
         a, b = bounds[w], bounds[w + 1]
-        march(
+        kernels.module.march_window(
             parameters, q, held.fine, tableau, seeds, late, late_columns, held.rows,
-            windows.spans[w], t, held.substeps, state[w], dfirst, stations.places[a:b],
-            stations.shares[a:b], scale, y, jy, padded,
+            windows.spans[w], windows.t[w], held.substeps, state[w], dfirst,
+            stations.places[a:b], stations.shares[a:b], scale, y, flat, width,
+            columns if placed else 0, padded,
         )  # fmt: skip
-    return y, jy[:, : columns + spare]
+
+    share_out(window, len(first), int(windows.spans[:, 3].mean()))
+    return y, jy[:, : columns + more]
+
+
+def _whole_rows(columns: int) -> int:
+    return -(-columns // LANES) * LANES
 
 
 def _padded(matrix: Array, columns: int) -> Array:

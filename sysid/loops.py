@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid.compile import entry, maker, point
+from sysid.compile import apart, entry, maker, point
 from sysid.rows import add_row, copy_row, expect, mix_row, row_above, shift_row
 
 if TYPE_CHECKING:
@@ -315,7 +315,7 @@ def expect_moment(
             expect(bars, (window + lane) * strides[0] + k * strides[1])
 
 
-@point
+@apart
 def sum_slopes(w: "Array", row: int, slopes: "Array") -> None:
     """Add a workspace's derivatives to the parameters, over its lanes."""
     for parameter in range(PARAMETER_COUNT):

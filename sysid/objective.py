@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.chart import Chart
-from sysid.kernels import Held, Kernels, Stations, delays_of, model_of, read
+from sysid.kernels import PLACED, Held, Kernels, Stations, delays_of, model_of, read
 from sysid.stability import stable_substeps
 from sysid.windows import GROUPS, Layout
 
@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 STATES = 7
 COLUMN_STATES = (3, 4, 5, 6, 0, 1, 2)
 """Which state each of the last seven columns of slopes belongs to: the place and heading last."""
-PLACED = 3
 STATE_SPREAD = np.array([0.1, 0.1, 0.2, 0.5, 2.0, 0.2, 0.01])
 """Prior standard deviation of an initial state about its first guess (poses tell it far better).
 
@@ -113,31 +112,16 @@ class Problem:
             self._stations = {key: layout.stations(late, held.fine)}
         # Without effects nothing depends on where the car is: moved and turned starts move and turn
         # the poses, and these columns need no simulation.
-        spare = 0 if self.kernels.effects else PLACED
-        used = n + STATES - spare
+        placed = not self.kernels.effects
+        used = n + STATES - (PLACED if placed else 0)
         seeds = np.zeros((len(parameters), used))
         seeds[:, :n] = self.chart.slopes(z)
         dfirst = np.zeros((STATES, used))
         dfirst[COLUMN_STATES[: used - n], range(n, used)] = 1.0
-        y, jy = read(
+        return read(
             self.kernels, parameters, seeds, x, dfirst, held, layout.kernel_windows(substeps),
-            self._stations[key], scale, spare,
+            self._stations[key], scale, placed,
         )  # fmt: skip
-        if spare:
-            self._place(y, jy[:, used:], x, scale)
-        return y, jy
-
-    def _place(self, y: Array, jy: Array, x: Array, scale: Array) -> None:
-        """Derivatives of the readings by the place and heading at their window's start."""
-        seen = self.layout.seen
-        poses = seen.kind == 0
-        row, start = seen.row[poses], x[seen.window[poses]]
-        near, turned = scale[row], scale[row + 2]
-        jy[:] = 0.0
-        jy[row, 0] = jy[row + 1, 1] = near
-        jy[row, 2] = (start[:, 1] - y[row + 1]) * near
-        jy[row + 1, 2] = (y[row] - start[:, 0]) * near
-        jy[row + 2, 2] = turned
 
     def rescaled(self, at: Evaluation, sigma: Array) -> Evaluation:
         """Take other noise levels, and give the same evaluation under them."""

@@ -92,6 +92,15 @@ def _add(_typing: Any, _to: Any, _a: Any, _source: Any, _b: Any, _scale: Any) ->
     return _written(2, 1, write)
 
 
+def _scale(_typing: Any, _to: Any, _a: Any, _source: Any, _b: Any, _scale: Any) -> Any:
+    """Into the first row: `to = scale source`."""
+
+    def write(rows: _Rows, args: Any) -> None:
+        rows.store(rows.times(rows.load(args, 2), args[4]), args, 0)
+
+    return _written(2, 1, write)
+
+
 def _shift(_typing: Any, _to: Any, _a: Any, _source: Any, _b: Any, _number: Any) -> Any:
     """Into the first row: `to = source + number`."""
 
@@ -146,6 +155,7 @@ def _expect(_typing: Any, _array: Any, _a: Any) -> Any:
 copy_row: Any = intrinsic(_copy)
 mix_row: Any = intrinsic(_mix)
 add_row: Any = intrinsic(_add)
+scale_row: Any = intrinsic(_scale)
 shift_row: Any = intrinsic(_shift)
 gather_row: Any = intrinsic(_gather)
 row_above: Any = intrinsic(_above)
