@@ -119,7 +119,7 @@ def control_path(said: list[dict[str, Any]]) -> str:
         + table(head, rows)
         + "\nShare of a core, idle and FIFO:\n\n"
         + table(["Hz", *names], shares)
-        + "\n**Limit:** some hundreds of Python calls a tick, with caches gone cold in between (the "
+        + "\n**Limit:** hundreds of Python calls a tick, with caches gone cold in between (the "
         "same tick costs two thirds of that in virtual time, back to back). A pose is taken in and "
         "fused while its deadline is still to come; that is in `path`, not in `work`. "
         "With SCHED_FIFO a loaded machine makes no difference, now that the simulated hardware "
