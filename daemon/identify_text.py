@@ -1,7 +1,7 @@
 """The one screen that `steerd identify` prints."""
 
 from collections.abc import Iterator
-from math import degrees, isnan
+from math import degrees, isfinite, isnan
 from pathlib import Path
 
 from sysid.learn import POOR
@@ -38,6 +38,13 @@ def _data(outcome: Outcome) -> Iterator[str]:
         limit = f"ramp of {ramp.rate:.1f} m/s2" if ramp.rate else "no ramp"
         certain = "" if ramp.sure > _CERTAIN else " (hardly told)"
         yield f"motor      {ramp.run}: {limit}{certain}"
+    for beat in outcome.beats:
+        late, drift = 1e3 * beat.period, 1e3 * abs(beat.drift) * beat.period
+        yield f"log        {beat.run}: steering stored 0 to {late:.0f} ms late"
+        yield f"           (two timers drift apart by {drift:.1f} ms/s), undone"
+    for step in outcome.manners:
+        gain = f"gains {step.gain:.0f} ± {step.se:.0f} nats"
+        yield f"manner     {step.effect}: these drives show it ({gain})"
     yield f"method     {outcome.method} ({name}{effort}), {outcome.seconds:.1f} s"
 
 
@@ -80,6 +87,17 @@ def _validation(outcome: Outcome) -> Iterator[str]:
             f"   {a.horizon:.1f} s   {a.position * 1e3:7.1f} mm {degrees(a.heading):6.2f} deg   "
             f"(start {b.position * 1e3:.1f} mm {degrees(b.heading):.2f} deg: {h.factor:.1f} x)"
         )
+    yield from _regimes(outcome)
+
+
+def _regimes(outcome: Outcome) -> Iterator[str]:
+    if len(outcome.regimes) < 2:
+        return
+    told = [
+        f"{1e3 * r.median:.0f} mm {f'to {r.high:g}' if isfinite(r.high) else f'above {r.low:g}'}"
+        for r in outcome.regimes
+    ]
+    yield f"   median after 1 s by lateral acceleration [m/s2]: {', '.join(told)}"
 
 
 def _next(outcome: Outcome, written: Path | None, axles_measured: bool) -> Iterator[str]:

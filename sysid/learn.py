@@ -16,12 +16,14 @@ from sysid.cut import blocks, keep_back, moving_parts
 from sysid.dataset import Run
 from sysid.excitation import measure_excitation, obeyed
 from sysid.fit import Fit, Options, fit
+from sysid.manners import Step, choose
 from sysid.outcome import HeldOut, Outcome, Row
 from sysid.ramp import Ramp, settle_ramp
+from sysid.reach import ROUGH, SHORT, holds, reached, reaching, remembering, unstopped
 from sysid.scale import map_jobs
 from sysid.servo import Pulse, rough_fit, settle_servo
 from sysid.tells import MANOEUVRES, RELATIVE_MAX
-from sysid.validation import HORIZONS, errors_at, trace_windows
+from sysid.validation import HORIZONS, by_lateral_acceleration, errors_at, trace_windows
 
 if TYPE_CHECKING:
     from sysid.paper import PaperRun
@@ -39,6 +41,8 @@ POOR = 2.0
 """Residuals so many times the noise say that the car is not explained, or another one is meant."""
 OBEYED = 0.5
 """A car that obeys its speed command for less of the time is better taken at its measured speed."""
+REGIME = 1.0
+"""Errors are told by lateral acceleration so far ahead [s]."""
 START_SPREAD = 0.3
 """Further starts lie about the first with this relative standard deviation."""
 
@@ -59,6 +63,8 @@ class Task:
         seed: of the random starts.
         jobs, dask: where to work, see `scale.map_jobs`.
         truth: the simulated car, if it is known.
+        effects: candidates; those that the drives show are fitted with the car (see `manners`).
+        first: where the fit starts, if not at `model`.
     """
 
     runs: tuple[Run, ...]
@@ -73,6 +79,8 @@ class Task:
     jobs: int = 1
     dask: str | None = None
     truth: Car[float] | None = None
+    effects: tuple[str, ...] = ()
+    first: Model[float] | None = None
 
 
 def fit_wheelbase(model: Model[float], length: float | None) -> Model[float]:
@@ -108,8 +116,9 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         FloatingPointError: no start gives a finite simulation.
         BaselineMissingError: CMA-ES without Optuna.
     """
-    began = clock()
-    task, pulses, ramps = _settled(task)
+    began, given = clock(), task.model.car
+    task = _opened(task)
+    task, pulses, ramps, rough = _settled(task)
     task = replace(task, options=replace(task.options, doubts=_doubts(task, pulses)))
     parts = moving_parts(task.runs)
     if task.held_out:
@@ -118,13 +127,15 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     else:
         fitted, kept = keep_back(parts, task.every)
         words = f"every {task.every}th block of 5 s, not fitted"
+    manners: tuple[Step, ...] = ()
     if task.method == "ours":
+        task, manners = _shaped(task, fitted, rough)
         found: Fit | None = _fit_ours(task, fitted)
         courses: tuple[Course, ...] = ()
     else:
         found, courses = None, _search(task)
     seconds = clock() - began
-    car, rows = _rows(task.model, found, courses)
+    car, rows = _rows(task, given, found, courses)
     after = task.model._replace(car=car)
     if found is not None:
         after = after._replace(values=found.model.values)
@@ -144,22 +155,38 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         fit=found,
         courses=courses,
         seconds=seconds,
-        notes=_notes(found, obeyed(parts)),
+        notes=_notes(found, obeyed(parts), task.options),
         truth=task.truth,
         pulses=pulses,
         ramps=ramps,
         effect_rows=_effect_rows(task.model, found),
+        beats=tuple(run.beat for run in (*task.runs, *task.held_out) if run.beat),
+        manners=manners,
+        regimes=by_lateral_acceleration(traces[0], REGIME),
     )
 
 
-def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...]]:
+def _opened(task: Task) -> Task:
+    """The task with a past as long, and end stops as wide, as the drives need."""
+    if task.method != "ours":
+        return task
+    runs, held_out = (
+        tuple(remembering(drives, task.model, task.effects))
+        for drives in (task.runs, task.held_out)
+    )
+    model = unstopped(task.model, runs, task.options.free or ())
+    return replace(task, runs=runs, held_out=held_out, model=model)
+
+
+def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...], Fit | None]:
     """The task with commands as servos and motor controllers let them through.
 
-    The paper's methods take commands as they are.
+    And the rough car that told them, if one was needed. The paper's methods take commands as they
+    are.
     """
     known = any(run.servo_frame or run.speed_ramp for run in task.runs)
     if task.method != "ours" or not known:
-        return task, (), ()
+        return task, (), (), None
     rough = rough_fit(task.runs, task.model, task.options)
     settled: list[tuple[Run, ...]] = []
     pulses: list[Pulse] = []
@@ -171,7 +198,23 @@ def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...]]:
         pulses += phases
         ramps += rates
     task = replace(task, runs=settled[0], held_out=settled[1])
-    return task, tuple(pulses), tuple(ramps)
+    return task, tuple(pulses), tuple(ramps), rough
+
+
+def _shaped(task: Task, runs: Sequence[Run], rough: Fit | None) -> tuple[Task, tuple[Step, ...]]:
+    """The task with the effects that the drives show, and windows as long as the car then holds."""
+    short = replace(task.options, horizons=SHORT)
+    if rough is None or task.effects:
+        rough = fit(runs, task.model, options=replace(task.options, horizons=ROUGH))
+    if not task.effects:
+        return replace(task, options=reaching(task.options, rough)), ()
+    manners = choose(runs, rough, short, task.effects)
+    if not manners.steps:
+        return replace(task, options=reaching(task.options, rough)), ()
+    model, free = manners.nulled(task.model), (*(task.options.free or NAMES), *manners.free)
+    better = fit(runs, model, options=replace(short, free=free), starts=[manners.model])
+    options = replace(task.options if holds(better) else short, free=free)
+    return replace(task, model=model, options=options, first=better.model), manners.steps
 
 
 def _doubts(task: Task, pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...]:
@@ -190,9 +233,10 @@ def _fit_one(
 def _fit_ours(task: Task, runs: Sequence[Run]) -> Fit:
     """The fit of lowest cost over the starts."""
     if task.starts <= 1:
-        return fit(runs, task.model, options=task.options)
+        starts = [task.first] if task.first else []
+        return fit(runs, task.model, options=task.options, starts=starts)
     free = task.options.free or NAMES
-    models = scatter(task.model, free, task.starts, task.seed)
+    models = scatter(task.first or task.model, free, task.starts, task.seed)
     work = partial(_fit_one, runs=runs, prior=task.model, options=task.options)
     fits = map_jobs(work, models, task.jobs, task.dask)
     return min(fits, key=lambda found: float(np.nansum(np.log(found.noise))))
@@ -231,15 +275,17 @@ def _best(courses: Sequence[Course]) -> Course:
 
 
 def _rows(
-    model: Model[float], found: Fit | None, courses: Sequence[Course]
+    task: Task, given: Car[float], found: Fit | None, courses: Sequence[Course]
 ) -> tuple[Car[float], dict[str, Row]]:
     """The learnt car and a row for each of its parameters."""
     told = _told(found, courses)
     values = {name: each[0] for name, each in told.items() if name in Car._fields}
-    car = model.car._replace(**values)
+    car = task.model.car._replace(**values)
+    if task.model.car.steer_max != given.steer_max:
+        car = reached(car, task.runs)
     rows = {}
     for p in PARAMETERS:
-        before, value = float(getattr(model.car, p.name)), float(getattr(car, p.name))
+        before, value = float(getattr(given, p.name)), float(getattr(car, p.name))
         sd, known, hint = told[p.name][1:] if p.name in told else (None, False, "")
         rows[p.name] = Row(value, before, sd, p.unit, p.name in told, known, hint)
     return car, rows
@@ -282,7 +328,7 @@ def _told(
     return out
 
 
-def _notes(found: Fit | None, share: float) -> tuple[str, ...]:
+def _notes(found: Fit | None, share: float, options: Options) -> tuple[str, ...]:
     notes = []
     if share < OBEYED:
         notes.append(
@@ -293,15 +339,25 @@ def _notes(found: Fit | None, share: float) -> tuple[str, ...]:
         return (*notes, "sd is the spread over the starts: this method has no error bars")
     if not found.converged:
         notes.append("the last stage did not converge")
+    if options.horizons == SHORT:
+        notes.append(
+            f"this model does not hold for longer: fitted over windows of {SHORT[-1]:g} s at most"
+        )
     poor = {group: ratio for group, ratio in found.misfit.items() if ratio > POOR}
     if poor:
         worst = max(poor, key=lambda group: poor[group])
         size = f"{poor[worst]:.{1 if poor[worst] < 10.0 else 0}f}"
         notes.append(
             f"residuals of {worst} are {size} times its noise: something is not in the "
-            "model; `steerd diagnose` looks for it, and values may be off by more than their sd"
+            f"model; {_remedy(found)}, and values may be off by more than their sd"
         )
     return tuple(notes)
+
+
+def _remedy(found: Fit) -> str:
+    """What finds out what is missing."""
+    auto = "" if found.model.effects else "`--effects auto` learns what real cars usually have, "
+    return f"{auto}`steerd diagnose` looks for it"
 
 
 def free_names(

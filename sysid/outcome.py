@@ -1,17 +1,19 @@
 """What an identification came to, whatever the method: for the screen, JSON and the report."""
 
 from dataclasses import dataclass, field
-from math import isnan
+from math import isfinite, isnan
 from typing import Any, NamedTuple
 
 from car_model.params import Car
+from sysid.beat import Beat
 from sysid.course import Course
 from sysid.excitation import Excitation
 from sysid.fit import Fit
+from sysid.manners import Step
 from sysid.ramp import Ramp
 from sysid.servo import Pulse
 from sysid.tells import Combination
-from sysid.validation import Prediction, Trace
+from sysid.validation import Prediction, Regime, Trace
 
 SCHEMA = "steerd.identify/1"
 REPORTED: tuple[str, ...] = (
@@ -76,6 +78,9 @@ class Outcome:
         truth: the simulated car, where the sessions are simulated.
         pulses: phases of the servo's pulses, by drive.
         ramps: limits of the motor controller's setpoint, by drive.
+        beats: how late slow logs stored the steering, by drive.
+        manners: effects that the drives showed, in the order in which they were taken.
+        regimes: prediction errors after 1 s by lateral acceleration.
     """
 
     method: str
@@ -96,6 +101,9 @@ class Outcome:
     pulses: tuple[Pulse, ...] = ()
     ramps: tuple[Ramp, ...] = ()
     effect_rows: dict[str, Row] = field(default_factory=dict)
+    beats: tuple[Beat, ...] = ()
+    manners: tuple[Step, ...] = ()
+    regimes: tuple[Regime, ...] = ()
 
     @property
     def free_rows(self) -> dict[str, Row]:
@@ -114,6 +122,7 @@ def _number(value: float | None) -> float | None:
 
 def encode_outcome(outcome: Outcome) -> dict[str, Any]:
     """The outcome as JSON values: schema `steerd.identify/1`; what is not known is null."""
+    rows = {name: outcome.rows[name] for name in REPORTED} | outcome.effect_rows
     return {
         "schema": SCHEMA,
         "parameters": {
@@ -123,8 +132,7 @@ def encode_outcome(outcome: Outcome) -> dict[str, Any]:
                 "unit": row.unit,
                 "identifiable": row.identifiable,
             }
-            for name in REPORTED
-            for row in (outcome.rows[name],)
+            for name, row in rows.items()
         },
         "combinations": [c.__dict__ for c in outcome.combinations],
         "held_out": {
@@ -137,7 +145,17 @@ def encode_outcome(outcome: Outcome) -> dict[str, Any]:
                     "heading_before": _number(h.before.heading),
                 }
                 for h in outcome.held_out
-            ]
+            ],
+            "regimes": [
+                {
+                    "lateral_accel_low": r.low,
+                    "lateral_accel_high": r.high if isfinite(r.high) else None,
+                    "predictions": r.windows,
+                    "median": r.median,
+                    "rms": r.rms,
+                }
+                for r in outcome.regimes
+            ],
         },
         "excitation": outcome.excitation._asdict(),
     }

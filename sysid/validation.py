@@ -6,6 +6,7 @@ neither profits from a better start.
 """
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,10 @@ _ROOM = 1.15
 _NEAR = 0.05
 """Poses this close to a horizon count for it [s]."""
 _STATES = 7
+LATERAL: tuple[float, ...] = (0.0, 2.0, 4.0, 6.0, np.inf)
+"""Edges of the classes of lateral acceleration [m/s^2]: rolling, lively, hard, at the limit."""
+_STEADY = 0.2
+"""A lateral acceleration is read over so much time [s]."""
 
 
 class Prediction(NamedTuple):
@@ -167,6 +172,55 @@ def errors_at(traces: Sequence[Trace], horizons: Sequence[float]) -> tuple[Predi
         heading = float(np.sqrt(np.mean(_angles(off[near, 2]) ** 2)))
         out.append(Prediction(horizon, position, heading, int(near.sum())))
     return tuple(out)
+
+
+class Regime(NamedTuple):
+    """Prediction error where the car was driven within some range of lateral acceleration.
+
+    Attributes:
+        low, high: of the greatest lateral acceleration on the way [m/s^2].
+        windows: how many predictions.
+        median, rms: of the position error at the horizon [m].
+    """
+
+    low: float
+    high: float
+    windows: int
+    median: float
+    rms: float
+
+
+def by_lateral_acceleration(traces: Sequence[Trace], horizon: float) -> tuple[Regime, ...]:
+    """Where a car predicts well and where not: errors at a horizon by how hard it was driven."""
+    found = [(_lateral(trace, horizon), _off_at(trace, horizon)) for trace in traces]
+    lateral, off = np.array(found).reshape(-1, 2).T
+    regimes = []
+    for low, high in pairwise(LATERAL):
+        mine = off[(lateral >= low) & (lateral < high) & np.isfinite(off)]
+        if len(mine):
+            median, rms = float(np.median(mine)), float(np.sqrt(np.mean(mine**2)))
+            regimes.append(Regime(low, high, len(mine), median, rms))
+    return tuple(regimes)
+
+
+def _off_at(trace: Trace, horizon: float) -> float:
+    """Position error at a horizon [m]; NaN where no pose is near it."""
+    i = int(np.argmin(np.abs(trace.ahead - horizon)))
+    if abs(trace.ahead[i] - horizon) > _NEAR:
+        return float("nan")
+    return float(np.hypot(*(trace.measured[i, :2] - trace.predicted[i, :2])))
+
+
+def _lateral(trace: Trace, horizon: float) -> float:
+    """Greatest lateral acceleration up to a horizon [m/s^2], from the measured poses."""
+    near = (trace.ahead >= -1e-9) & (trace.ahead <= horizon)
+    t, pose = trace.ahead[near], trace.measured[near]
+    if len(t) < 2 or t[-1] - t[0] < _STEADY:
+        return 0.0
+    edges = np.arange(t[0], t[-1] + 1e-9, _STEADY)
+    x, y, yaw = (np.interp(edges, t, pose[:, i]) for i in range(3))
+    turned = np.abs(_angles(np.diff(yaw)))
+    return float((np.hypot(np.diff(x), np.diff(y)) * turned).max() / _STEADY**2)
 
 
 def predict_errors(

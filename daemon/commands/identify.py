@@ -44,6 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="command",
         help="wheel: the speed command was not obeyed, take the measured speed instead",
     )
+    what.add_argument(
+        "--effects",
+        metavar="auto|A,B,…",
+        help="of these effects (auto: a real car's usual ones), learn those that the drives show",
+    )
     what.add_argument("--method", choices=("ours", "paper", "cma-es"), default="ours")
     what.add_argument("--starts", type=int, metavar="N", help="starts (ours: 1, others: 5)")
     what.add_argument("--iterations", type=int, metavar="N", help="of the paper's methods")
@@ -115,6 +120,7 @@ def make_task(args: argparse.Namespace, base: "CarFile", files: list[Path], ever
     from car_model.params import Car
     from sysid.fit import DEFAULT_FREE, Options
     from sysid.learn import Task, fit_wheelbase, free_names
+    from sysid.reach import level_loads, scale_inertia
 
     fixed, values = _parse_fix(args.fix)
     model = base.model._replace(car=base.car._replace(**values))
@@ -125,11 +131,19 @@ def make_task(args: argparse.Namespace, base: "CarFile", files: list[Path], ever
             raise SteerdError(f"{name} is no parameter of the car", f"one of {known}", _USAGE)
     if args.wheelbase is not None and not 0.05 <= args.wheelbase <= 2.0:
         raise SteerdError(f"--wheelbase {args.wheelbase:g}: in metres", "", _USAGE)
+    candidates = _candidates(args.effects)
+    model = fit_wheelbase(model, args.wheelbase)
+    stated = {*free, *fixed}
+    if "inertia_z" not in stated:
+        model = scale_inertia(model, base.model)
+    runs = tuple(load_drive(path, args.speed) for path in args.sessions)
+    if "cog_height" not in stated:
+        model = level_loads(model, runs)
     return Task(
-        runs=tuple(load_drive(path, args.speed) for path in args.sessions),
+        runs=runs,
         held_out=tuple(load_drive(path, args.speed) for path in files),
         every=every,
-        model=fit_wheelbase(model, args.wheelbase),
+        model=model,
         options=Options(free=free_names(free, fixed, DEFAULT_FREE), wheelbase=args.wheelbase),
         method=args.method,
         starts=args.starts or _STARTS[args.method],
@@ -138,7 +152,22 @@ def make_task(args: argparse.Namespace, base: "CarFile", files: list[Path], ever
         jobs=args.jobs,
         dask=args.dask,
         truth=_truth(args.sessions[0]),
+        effects=candidates,
     )
+
+
+def _candidates(given: str | None) -> tuple[str, ...]:
+    """Effects to look for."""
+    from car_model.effects import find_effect
+    from sysid.manners import CANDIDATES
+
+    if given in (None, "", "auto"):
+        return CANDIDATES if given == "auto" else ()
+    try:
+        return tuple(find_effect(name).name for name in str(given).split(",") if name)
+    except ValueError as error:
+        what, _, hint = str(error).partition("; ")
+        raise SteerdError(what, hint or "`steerd effects` lists them", _USAGE) from None
 
 
 def _truth(path: Path) -> "Car[float] | None":
