@@ -93,26 +93,40 @@ def best_pair(
     blocks: NDArray[np.int64],
     only: Sequence[str] | None = None,
 ) -> Score | None:
-    """Two causes together, if they predict unseen windows clearly better than the best alone.
+    """Two causes together, if they predict unseen windows clearly better than the best alone."""
+    best = promising_pair(engine, ranked, nuisance, blocks, only)
+    if best is None or not _all_large(engine, best):
+        return None
+    return best if needs_both(best, ranked[0], null, blocks) else None
+
+
+def promising_pair(
+    engine: Engine,
+    ranked: Sequence[Score],
+    nuisance: Sequence[str],
+    blocks: NDArray[np.int64],
+    only: Sequence[str] | None = None,
+) -> Score | None:
+    """The best two causes.
 
     The rest of the library is looked at again from the best single, and from the second where it is
     hardly worse, so that a swap of the first cause is tried too.
     """
-    single, best = ranked[0], None
+    best = None
     for first in ranked[: 1 + near(ranked, blocks)]:
         promises = screen(engine, first.fitted, nuisance, only)
-        for promise in [p for p in promises[:3] if p.gain > c.PAIR_MIN]:
+        for promise in [p for p in promises[:3] if p.gain > c.PAIR_PROMISE]:
             pair = refit(engine, first.fitted, nuisance, [promise])
             if pair is not None and (best is None or pair.losses.sum() < best.losses.sum()):
                 best = pair
-    if best is None:
-        return None
-    gain, se = gain_of(best, single, blocks)
-    if not all(large(engine, best, name) for name in best.effects):
-        return None
+    return best
+
+
+def needs_both(pair: Score, single: Score, null: Score, blocks: NDArray[np.int64]) -> bool:
+    """Whether a second cause gains enough beyond the best alone."""
+    gain, se = gain_of(pair, single, blocks)
     alone, _ = gain_of(single, null, blocks)
-    least = max(c.PAIR_MIN, c.PAIR_SHARE * alone, c.PAIR_SE * bounded(gain, se))
-    return best if gain > least else None
+    return gain > max(c.PAIR_MIN, c.PAIR_SHARE * alone, c.PAIR_SE * bounded(gain, se))
 
 
 def large(engine: Engine, score: Score, name: str) -> bool:
@@ -319,7 +333,7 @@ def choose(
         drops = dropped(engine, pair, nuisance)
         alone = [kept for _, kept in drops if needless(pair, kept, blocks)]
         if not alone:
-            return _two(engine, null, ranked, pair, drops, nuisance, blocks, gain, se, only)
+            return _two(engine, null, ranked, pair, nuisance, blocks, only)
         best = max(alone, key=lambda kept: gain_of(kept, null, blocks)[0])
         ranked = [best, *(s for s in ranked if s.effects != best.effects)]
     gain, se = gain_of(best, null, blocks)
@@ -338,27 +352,36 @@ def _two(
     null: Score,
     ranked: Sequence[Score],
     pair: Score,
-    drops: Sequence[tuple[str, Score]],
     nuisance: Sequence[str],
     blocks: NDArray[np.int64],
-    gain: float,
-    se: float,
     only: Sequence[str] | None,
+    swapped: int = 0,
 ) -> Choice:
-    """Two causes: the one whose absence costs more comes first; rivals from swaps."""
-    worth = {name: gain_of(pair, without, blocks)[0] for name, without in drops}
+    """Two causes: the one whose absence costs more comes first; rivals from swaps.
+
+    A swap that predicts better takes the pair's place.
+    """
+    rest = dict(dropped(engine, pair, nuisance))
+    worth = {name: gain_of(pair, without, blocks)[0] for name, without in rest.items()}
     order = sorted(pair.effects, key=lambda name: -worth[name])
-    rest = dict(drops)
-    rivals, doubts = [], []
-    for name in order:
-        kept = rest[name]
-        swaps = _swaps(engine, kept, name, nuisance, only)
-        rivals.append(tuple(n for n in rivals_of(pair, swaps, {}, blocks) if n != name))
-        doubts.append(doubt_of(pair, swaps, blocks))
+    swaps = {name: _swaps(engine, rest[name], name, nuisance, only) for name in order}
+    better = max(
+        (s for found in swaps.values() for s in found if _all_large(engine, s)),
+        key=lambda s: gain_of(s, pair, blocks)[0], default=pair,
+    )  # fmt: skip
+    if swapped < c.SWAPS and gain_of(better, pair, blocks)[0] > c.AMBIGUOUS_NATS:
+        return _two(engine, null, ranked, better, nuisance, blocks, only, swapped + 1)
+    rivals = [
+        tuple(n for n in rivals_of(pair, swaps[name], {}, blocks) if n != name) for name in order
+    ]
+    doubts = tuple(doubt_of(pair, swaps[name], blocks) for name in order)
     ordered = Score(tuple(order), pair.fitted, pair.losses, pair.prior)
-    return Choice(
-        null, tuple(ranked), ordered, blocks, tuple(rivals), (), tuple(doubts), gain, se, True
-    )
+    gain, se = gain_of(pair, null, blocks)
+    return Choice(null, tuple(ranked), ordered, blocks, tuple(rivals), (), doubts, gain, se, True)
+
+
+def _all_large(engine: Engine, score: Score) -> bool:
+    return all(large(engine, score, name) for name in score.effects)
 
 
 def _swaps(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_gap.engine import Engine, Reduced, Tangent
+from sim_gap.engine import Engine, Reduced, Tangent, take_windows
 from sim_gap.space import Space
 
 Array = NDArray[np.float64]
@@ -18,6 +18,12 @@ _TRUST = 0.4
 """Derivatives are taken anew when a step gains this much more or less than it promised."""
 _STALE, _STALE_LAST = 100.0, 2.0
 """And after this many nats; at the end already after fewer."""
+_LOST = 5.0
+"""A window that leaves more than this of its whitened error may sit in a wrong start ..."""
+_FOUND = 10.0
+"""... and is taken up anew from the poses if that gains so much of its squares."""
+_RETURNS = 3
+"""Steps of such a start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +131,24 @@ class _Search:
             self.cost = total(self.space, self.at, self.z)
         self.stale = 0.0
 
+    def restart(self) -> bool:
+        """Take lost windows up anew from the poses' own starts, where that is better.
+
+        The likelihood forgives a spun window, so nothing pulls its start back by itself.
+        """
+        lost = self.at.square > _LOST * self.at.dof
+        if not lost.any():
+            return False
+        part = take_windows(self.engine, lost)
+        x, square = _from_poses(part, self.space, self.z)
+        better = square < self.at.square[lost] - _FOUND
+        if not better.any():
+            return False
+        self.x = self.x.copy()
+        self.x[np.flatnonzero(lost)[better]] = x[better]
+        self.fresh()
+        return True
+
     def move(self, dz: Array) -> float:
         """Try a step; give what it gains, and take it if it does."""
         x = self.x + self.at.dx - self.at.kx @ dz
@@ -174,15 +198,39 @@ def descend(
     tangent = engine.tangent(linear)
     at = engine.reduce_by(tangent, linear.error, x)
     now = _Search(engine, space, z, x, tangent, at, total(space, at, z))
+    now.restart()
+    _walk(now, steps, enough)
+    if now.restart():
+        _walk(now, steps, enough)
+    if now.stale > _STALE_LAST:
+        now.fresh()
+    return Fitted(space, now.z, now.x, now.at, now.cost, covariance_of(space, now.at), now.tangent)
+
+
+def _walk(now: _Search, steps: int, enough: float) -> None:
+    """Steps until one promises and gains too little."""
     for _ in range(steps):
         promised, gained = now.step()
         if max(gained, promised) < enough:
             break
         if abs(gained - promised) > _TRUST * promised or now.stale > _STALE:
             now.fresh()
-    if now.stale > _STALE_LAST:
-        now.fresh()
-    return Fitted(space, now.z, now.x, now.at, now.cost, covariance_of(space, now.at), now.tangent)
+
+
+def _from_poses(part: Engine, space: Space, z: Array) -> tuple[Array, Array]:
+    """Starts (W, 7) of some windows, settled from the poses' guesses, and what they leave (W,)."""
+    x = part.readings.layout.guess.copy()
+    best, square = x.copy(), np.full(len(x), np.inf)
+    for _ in range(_RETURNS):
+        linear = part.linear(space, z, x)
+        if not linear.finite:
+            break
+        at = part.reduce_by(part.tangent(linear), linear.error, x)
+        better = at.square < square
+        # The square is that after the step which follows; it is kept as if that step held.
+        best[better], square[better] = (x + at.dx)[better], at.square[better]
+        x = x + at.dx
+    return best, square
 
 
 def covariance_of(space: Space, at: Reduced) -> Array:

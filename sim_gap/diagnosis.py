@@ -24,7 +24,7 @@ from sim_gap.horizons import Horizon, cross_check
 from sim_gap.next_manoeuvre import Manoeuvre, next_manoeuvre
 from sim_gap.noise import Noise, learn_noise, louder, noise_floor, noise_of_section, whitened
 from sim_gap.opening import null_fit, open_engine
-from sim_gap.residuals import Gap, gap_of, settled
+from sim_gap.residuals import Gap, gap_of, ratios, robust_mean, settled
 from sim_gap.shape import Shape, shape_of
 from sim_gap.shrink import Shrinkage, explained_share, measure, predict
 from sim_gap.space import make_space, nuisance_names, telling_effects
@@ -237,17 +237,14 @@ def _told(
     gap_before = gap_of(engine, before, choice.blocks)
     best = choice.best.fitted
     gap_best = gap_of(engine, best, choice.blocks)
+    gap_null = gap_of(engine, choice.null.fitted, choice.blocks)
+    level = case.floor if known else np.inf
     sizes = (large(engine, choice.best, name) for name in choice.best.effects)
-    found = (
-        choice.found
-        and all(sizes)
-        and practical(
-            choice, gap_before, gap_best, gap_of(engine, choice.null.fitted, choice.blocks)
-        )
-    )
-    chosen = choice.best if found else choice.null
-    gap_after = gap_best if found else gap_of(engine, choice.null.fitted, choice.blocks)
-    verdict = verdict_of(choice, found, known, gap_before, gap_after, case.floor)
+    matters = practical(choice, gap_before, gap_best, gap_null, level)
+    found = choice.found and all(sizes) and matters
+    chosen, gap_after = (choice.best, gap_best) if found else (choice.null, gap_null)
+    mostly = share_of_most(before, chosen.fitted, case.floor)
+    verdict = verdict_of(choice, found, known, gap_before, gap_after, case.floor, mostly)
     extreme = at_bound(engine, choice.best)
     if verdict == "explained" and extreme:
         verdict = "partial"
@@ -274,24 +271,62 @@ def _told(
     )  # fmt: skip
 
 
-def practical(choice: Choice, before: Gap, after: Gap, null: Gap) -> bool:
-    """Whether adding the effect matters: a share, millimetres, or overwhelming odds."""
+def practical(choice: Choice, before: Gap, after: Gap, null: Gap, floor: float) -> bool:
+    """Whether adding the effect matters: a share, millimetres, or overwhelming odds.
+
+    Beside the base with its parameters free in their uncertainty stands the base as it is: where
+    that leaves clearly more than noise, a share of the excess is enough.
+
+    Args:
+        choice: the explanation.
+        before: the gap of the base as it is.
+        after: of the explanation.
+        null: of the base with its parameters free.
+        floor: what noise alone leaves; infinite if that is not known.
+    """
     moved = null.position(1.0) - after.position(1.0)
     share = (null.whitened - after.whitened) / max(null.whitened, 1e-9)
     clear = c.GAIN_CLEAR * max(1.0, len(choice.blocks) / c.CLEAR_WINDOWS)
-    return moved >= c.SPEED_MIN or share >= c.SHARE_MIN or choice.gain >= clear
+    seen = before.interval[0] > c.EXCESS_LEFT * floor and (
+        explained_share(before.whitened, after.whitened, floor) >= c.SHARE_MIN
+    )
+    return seen or moved >= c.SPEED_MIN or share >= c.SHARE_MIN or choice.gain >= clear
+
+
+def share_of_most(before: Fitted, after: Fitted, floor: float) -> float:
+    """Share of the excess that is gone from all windows but the worst few."""
+    left = ratios(after)
+    kept = left <= np.quantile(left, 1.0 - c.SPARED)
+    return explained_share(robust_mean(ratios(before)[kept]), robust_mean(left[kept]), floor)
 
 
 def verdict_of(
-    choice: Choice, found: bool, known: bool, before: Gap, after: Gap, floor: float
+    choice: Choice,
+    found: bool,
+    known: bool,
+    before: Gap,
+    after: Gap,
+    floor: float,
+    mostly: float = 0.0,
 ) -> str:
-    """`none`, `explained`, `partial` or `unexplained`; `floor` is what noise alone leaves."""
+    """`none`, `explained`, `partial` or `unexplained`.
+
+    Args:
+        choice: the explanation.
+        found: whether it counts as a gap.
+        known: whether noise is known from elsewhere.
+        before: the base's gap; `after` the explanation's.
+        after: see `before`.
+        floor: what noise alone leaves.
+        mostly: share of the excess that is gone from all windows but the worst few: a car that
+            locks its wheels now and then may be explained the rest of the time.
+    """
     most = c.EXCESS_LEFT * floor
     if not found:
         alone = after.interval[0] > c.EXCESS_ALONE * floor
         return "unexplained" if known and alone else "none"
     share = explained_share(before.whitened, after.whitened, floor)
-    if known and after.interval[0] > most and share < c.PARTIAL_MIN:
+    if known and after.interval[0] > most and max(share, mostly) < c.PARTIAL_MIN:
         return "unexplained"
     if known and after.whitened > most and share < c.EXPLAINED_MIN:
         return "partial"

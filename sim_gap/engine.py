@@ -240,7 +240,7 @@ def make_engine(superset: Superset, readings: Readings, sigma: Array) -> Engine:
     return Engine(superset, readings, padded, white, substeps)
 
 
-def take_windows(engine: Engine, chosen: Array) -> Engine:
+def take_windows(engine: Engine, chosen: NDArray[np.bool_]) -> Engine:
     """The engine on some of its windows (boolean mask (W,))."""
     layout, index = engine.readings.layout, np.flatnonzero(chosen)
     rows = np.concatenate([np.arange(layout.bounds[w], layout.bounds[w + 1]) for w in index])
@@ -248,7 +248,7 @@ def take_windows(engine: Engine, chosen: Array) -> Engine:
     new_row[rows] = np.arange(len(rows))
     new_window = np.full(len(layout.spans), -1)
     new_window[index] = np.arange(len(index))
-    kept = chosen.astype(bool)[layout.seen.window]
+    kept = chosen[layout.seen.window]
     seen = layout.seen
     cut = replace(
         layout,

@@ -24,13 +24,24 @@ def open_engine(superset: Superset, runs: Sequence[Run]) -> Engine:
     return make_engine(superset, readings, np.maximum(estimate_noise(runs), _ROUGH_NOISE))
 
 
-def null_fit(engine: Engine, nuisance: Sequence[str], start: Fitted | None = None) -> Fitted:
+def null_fit(
+    engine: Engine,
+    nuisance: Sequence[str],
+    start: Fitted | None = None,
+    effects: Sequence[str] = (),
+) -> Fitted:
     """The base with its parameters free within their uncertainty.
+
+    Args:
+        engine: the windows.
+        nuisance: base parameters that are free.
+        start: a fit of the same coordinates to go on from.
+        effects: manners of the base that are free as well.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.
     """
-    space = make_space(engine.superset, nuisance)
+    space = make_space(engine.superset, nuisance, effects)
     if start is not None:
         # A linear step may have left a start where a real car never was; then the poses' own.
         with suppress(FloatingPointError):

@@ -20,6 +20,8 @@ _EXCESS_LEAST = 0.01
 _SIGMAS = 2.0
 """How far noise alone may be from what it leaves on average, and an excess from nothing, in
 standard errors."""
+_WIDE = 0.5
+"""A share whose 90 % interval is wider than this tells nothing of the drives it was taken from."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ def _shares(
     low, high = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
     excess = robust_mean(before) - level
     told = excess > max(_EXCESS_LEAST, _SIGMAS * float((drawn[0] - moved).std()))
+    told = told and high - low <= _WIDE
     return _Shares(share, low, high, told)
 
 

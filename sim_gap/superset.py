@@ -60,14 +60,15 @@ def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset
     """The superset about a base car.
 
     Where a run has no speed command its measured speed is prescribed, as in `sysid.fit`. The
-    acceleration of a measured speed is mostly noise, so loads do not follow it then.
+    acceleration of a measured speed is mostly noise, so loads and slip do not follow it then.
     """
     sd = dict(base.sd) if isinstance(base, CarFile) else {}
     model = base.model if isinstance(base, CarFile) else base
+    own = dict(zip((e.name for e in model.effects), model.values, strict=True))
     if any(run.speed_source != "command" for run in runs):
         model = prescribe_speed(model)
         model = model._replace(car=model.car._replace(cog_height=0.0))
-    own = dict(zip((e.name for e in model.effects), model.values, strict=True))
+        own.pop("wheel_slip", None)
     effects = tuple(EFFECTS.values())
     nulls = {e.name: own.get(e.name, e.nulls) for e in effects}
     full: Model[float] = Model(Car(*model.car), effects, tuple(nulls[e.name] for e in effects))

@@ -14,7 +14,7 @@ from benchmarks.blind_gap.opening import open_labels as unseal_labels
 from benchmarks.blind_gap.report import write_report
 from benchmarks.blind_gap.score import CONFIDENT, score
 from benchmarks.blind_gap.seal import SealError
-from benchmarks.blind_gap.verdicts import VerdictError, load_verdicts
+from benchmarks.blind_gap.verdicts import VerdictError, load_verdicts, with_own
 
 _PAGE = Path(__file__).resolve().parents[2] / "docs" / "blind-test.md"
 
@@ -44,7 +44,9 @@ def _open(args: argparse.Namespace) -> str:
 
 def _score(args: argparse.Namespace) -> str:
     labels, openings = load_labels(args.out, args.verdicts, args.log)
-    verdicts = load_verdicts(args.verdicts, case_names(load_manifest(args.out)))
+    manifest = load_manifest(args.out)
+    bases = {row["case"]: row["base"] for row in manifest["cases"]}
+    verdicts = with_own(load_verdicts(args.verdicts, case_names(manifest)), args.verdicts, bases)
     scores = score(labels["cases"], verdicts)
     notes = [
         f"Set `{labels['set']}`, nonce {labels['nonce']}, limit {labels['limit']},"

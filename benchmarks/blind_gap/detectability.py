@@ -192,6 +192,27 @@ def save_severities(path: Path = FILE) -> None:
     path.write_text(json.dumps(measure(), indent=1) + "\n")
 
 
+def sigmas(measured: dict[str, float], strength: float) -> float:
+    """How many standard deviations a strength alone is off the healthy car's in the reference.
+
+    Interpolated (and continued) in logarithms between the strengths that were measured.
+
+    Args:
+        measured: an effect's row of the table.
+        strength: positive; what is capped at the strong end counts as that.
+    """
+    strongest = measured["strongest_sigma"]
+    known = {measured["five_sigma"]: FIVE_SIGMA}
+    for name, multiple in zip(("small", "medium", "large"), MULTIPLES, strict=True):
+        known.setdefault(measured[name], min(FIVE_SIGMA * multiple, strongest))
+    at = np.log(sorted(known))
+    norm = np.log([known[value] for value in sorted(known)])
+    x = float(np.log(strength))
+    i = int(np.clip(np.searchsorted(at, x), 1, len(at) - 1))
+    slope = (norm[i] - norm[i - 1]) / (at[i] - at[i - 1])
+    return min(float(np.exp(norm[i - 1] + slope * (x - at[i - 1]))), strongest)
+
+
 def load_severities(path: Path = FILE) -> dict[str, dict[str, float]]:
     """The measured table.
 

@@ -123,6 +123,12 @@ def _slippery(car: PlantCar, p: float) -> PlantCar:
     return _saturate(softer, (1.0 - p * p) / p**4)
 
 
+def _roll_out(car: PlantCar, deceleration: float) -> PlantCar:
+    """What slows a car left to roll by so much: its drag has to slow the wheels' inertia too."""
+    whole = (car.mass + 4.0 * car.wheel_mass) / car.mass
+    return car._replace(drag=car.drag + whole * deceleration)
+
+
 def _stiffness(car: PlantCar, ratio: float) -> PlantCar:
     return car._replace(stiff_front=ratio * car.stiff_front, stiff_rear=ratio * car.stiff_rear)
 
@@ -200,7 +206,7 @@ _LIST = (
          _least("accel_max", "brake_max"), null=20.0),
     _one("speed_scale", "drive", "scale", "1", (0.001, 0.15), (0.02, 0.05, 0.08),
          _times("wheel_scale"), null=1.0, value=_ratio),
-    _one("rolling_drag", "drive", "drag", "m/s^2", (0.01, 1.5), (0.2, 0.4, 0.8), _add("drag")),
+    _one("rolling_drag", "drive", "drag", "m/s^2", (0.01, 1.5), (0.2, 0.4, 0.8), _roll_out),
     _one("battery_sag", "drive", "rate", "1/min", (0.005, 0.8), (0.05, 0.1, 0.2),
          _add("sag_rate")),
     _one("tyre_saturation", "tyre", "q", "1", (0.05, 8.0), (0.5, 1.0, 3.0), _saturate,

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.blind_gap.detectability import load_severities, sigmas
 from benchmarks.blind_gap.effects import EFFECTS, FAMILY, SIZES
 from benchmarks.blind_gap.verdicts import Cause, Verdict
 
@@ -21,6 +22,8 @@ CONFIDENT = 0.8
 BINS = 10
 DRAWS = 2000
 """Bootstrap draws of what calibration is uncertain by."""
+PAIR_SIGMAS = 7.5
+"""An effect of a pair that is weaker than this alone is weaker than a small single one."""
 NOT_NAMED, NO_GAP = "not named", "no gap"
 OUTSIDE = "outside"
 _Z = 1.96
@@ -177,7 +180,9 @@ def spread(values: Iterable[float]) -> Spread:
 def parameter_error(case: Scored) -> float:
     """Relative error of a rightly named effect's parameters: |estimate - truth| / |truth - null|.
 
-    NaN if the effect is not named, or its parameters mean something else in the plant.
+    The truth is what was added to the healthy car; of an effect that the base car already had, what
+    it had is taken off the estimate. NaN if the effect is not named, or its parameters mean
+    something else in the plant.
     """
     cause = case.first
     for truth in case.label["truths"]:
@@ -189,6 +194,9 @@ def parameter_error(case: Scored) -> float:
         told = np.array([cause.parameters[p] for p in effect.comparable])
         true = np.array([truth["parameters"][p] for p in effect.comparable])
         null = np.array([effect.null[p] for p in effect.comparable])
+        own = case.verdict.own.get(cause.effect) if case.verdict else None
+        if own is not None:
+            told = told - np.array(own[: len(null)]) + null
         return float(np.linalg.norm(told - true) / np.linalg.norm(true - null))
     return float("nan")
 
@@ -279,6 +287,25 @@ def one_named(case: Scored) -> bool:
     """Whether at least one of the first two causes is hidden in the case."""
     causes = case.verdict.causes[:2] if case.verdict and case.verdict.detected else ()
     return any(cause.effect in case.truths for cause in causes)
+
+
+def _pair_rates(pairs: Sequence[Scored]) -> dict[str, Rate]:
+    """Pairs; those whose weaker effect would hardly show even alone are told apart."""
+    table = load_severities()
+
+    def shows(case: Scored) -> bool:
+        return all(
+            sigmas(table[t["effect"]], t["strength"]) >= PAIR_SIGMAS for t in case.label["truths"]
+        )
+
+    clear = [case for case in pairs if shows(case)]
+    return {
+        "detected": rate(pairs, lambda c: c.detected),
+        "both named": rate(pairs, both_named),
+        "at least one": rate(pairs, one_named),
+        f"both named, where each alone is {PAIR_SIGMAS:g} sigma": rate(clear, both_named),
+        "both named, of the others": rate([c for c in pairs if c not in clear], both_named),
+    }
 
 
 def _groups(singles: Sequence[Scored]) -> dict[str, list[Scored]]:
@@ -375,8 +402,7 @@ def score(labels: Sequence[Label], verdicts: Mapping[str, Verdict]) -> Scores:
         {row: rate(held, _covered) for row, held in found.items()},
         {row: _mean_size(held) for row, held in found.items()},
         _alarms(kinds.get("null", [])),
-        {"detected": rate(pairs, lambda c: c.detected), "both named": rate(pairs, both_named),
-         "at least one": rate(pairs, one_named)},
+        _pair_rates(pairs),
         _outside_rates(kinds.get("outside", [])),
         {**_controls(controls), "names right with swapped labels": _swapped(singles)},
         spread(parameter_error(c) for c in strong),

@@ -1,8 +1,8 @@
 """Verdicts of the diagnosis (schema `steerd.gap/1`), as far as the score needs them."""
 
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,8 @@ class Verdict:
     verdict: str
     causes: tuple[Cause, ...] = ()
     seconds: float = float("nan")
+    own: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    """Effects that the base car had before, parameters in order: a cause's values hold them too."""
 
     @property
     def detected(self) -> bool:
@@ -113,6 +115,23 @@ def load_verdicts(folder: Path, cases: Iterable[str]) -> dict[str, Verdict]:
         except VerdictError as error:
             raise VerdictError(f"{path.name}: {error}") from error
     return found
+
+
+def with_own(
+    verdicts: Mapping[str, Verdict], folder: Path, bases: Mapping[str, str]
+) -> dict[str, Verdict]:
+    """Verdicts with the effects that their base cars had, from `BASE.base.json` beside them.
+
+    Args:
+        verdicts: by case.
+        folder: where bases were kept.
+        bases: name of each case's base.
+    """
+    own: dict[str, Mapping[str, Sequence[float]]] = {}
+    for base in set(bases.values()):
+        kept = folder / f"{base}.base.json"
+        own[base] = json.loads(kept.read_text())["effects"] if kept.exists() else {}
+    return {case: replace(v, own=own[bases[case]]) for case, v in verdicts.items()}
 
 
 def digest_verdicts(folder: Path, cases: Iterable[str]) -> tuple[str, list[str]]:

@@ -1,4 +1,7 @@
-"""A floor that is not level: gravity pulls the same way in the world, whatever the heading."""
+"""A floor that is not level: gravity pulls the same way in the world, whatever the heading.
+
+Along the path it has to spin up wheels and motor as well as move the car, across it has not.
+"""
 
 from collections.abc import Sequence
 
@@ -25,7 +28,7 @@ def _rates(
     push = GRAVITY * (p[1] * along - p[0] * across)
     speed = ops.maximum(state.speed, SPEED_KINEMATIC)
     return rates._replace(
-        speed=rates.speed + pull,
+        speed=rates.speed + pull / (1.0 + p[2]),
         slip_angle=rates.slip_angle + dynamic_share(ops, state.speed) * push / speed,
     )
 
@@ -35,10 +38,13 @@ EFFECT = Effect(
     stage=Stage.FORCES,
     family="ground",
     summary="the floor is not level",
-    equation="acceleration += g (x, y) in the world",
+    equation="acceleration += g (x, y) in the world, along the path / (1 + spinning)",
     parameters=(
         EffectParameter("x", 0.0, -0.1, 0.1, "rad", 0.01, "downhill towards world x"),
         EffectParameter("y", 0.0, -0.1, 0.1, "rad", 0.01, "downhill towards world y"),
+        EffectParameter(
+            "spinning", 0.0, 0.0, 1.0, "1", 0.15, "inertia of wheels and motor per mass of the car"
+        ),
     ),
     rates=_rates,
     aliases=("slope", "tilt"),

@@ -27,7 +27,9 @@ CONTRACT = set(
 STEP = 0.01
 SHORT = 15
 """Steps of a run over scalar tensors, which are slow one by one."""
-SHAPES = {("lateral_load_transfer", "moved"), ("friction_ellipse", "rear")}
+SHAPES = {
+    ("lateral_load_transfer", "moved"), ("friction_ellipse", "rear"), ("floor_slope", "spinning"),
+}  # fmt: skip
 """Parameters that do nothing until another of their effect does something."""
 EVERY = [pytest.param(effect, id=name) for name, effect in EFFECTS.items()]
 

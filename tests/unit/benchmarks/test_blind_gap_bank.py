@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.blind_gap.__main__ import main
 from benchmarks.blind_gap.bank import CARS, Source, make_plan
+from benchmarks.blind_gap.detectability import load_severities, sigmas
 from benchmarks.blind_gap.diagnosing import diagnose_set, expand
 from benchmarks.blind_gap.effects import EFFECTS, OUTSIDE, SIZES
 from benchmarks.blind_gap.generate import generate, key_path, load_car, make_runs
@@ -26,6 +27,16 @@ pytestmark = pytest.mark.slow
 
 NOW = datetime(2030, 1, 1, tzinfo=UTC)
 KEY, OTHER = bytes(range(KEY_BYTES)), bytes(KEY_BYTES)
+
+
+@pytest.mark.parametrize("effect", ["steer_delay", "steer_rate_limit", "cog_offset"])
+def test_strength_in_sigmas_goes_through_what_was_measured(effect):
+    row = load_severities()[effect]
+    assert sigmas(row, row["five_sigma"]) == pytest.approx(5.0)
+    assert sigmas(row, row["small"]) == pytest.approx(7.5)
+    assert sigmas(row, row["large"]) == pytest.approx(min(60.0, row["strongest_sigma"]))
+    weaker = row["five_sigma"] * (0.5 if row["large"] > row["small"] else 1.01)
+    assert sigmas(row, weaker) < 5.0
 
 
 def test_plan_holds_the_grid():

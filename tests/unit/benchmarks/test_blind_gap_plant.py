@@ -51,6 +51,13 @@ def test_straight_stays_straight():
     assert trace.states[-1, 3] == pytest.approx(2.0, abs=1e-3)
 
 
+def test_rolling_drag_is_the_deceleration_of_a_car_left_to_roll():
+    car = EFFECTS["rolling_drag"].apply(PlantCar(), {"drag": 0.5})
+    coasting = replace(constant(0.0, 3.0, 2.0), cut=np.ones(LEAD + 2000))
+    speed = drive(car, coasting, noise=quiet(2.0)).states[:, 3]
+    assert (speed[1000] - speed[2000]) / (1000 * STEP) == pytest.approx(0.5, rel=0.02)
+
+
 def test_left_and_right_are_mirror_images():
     orders = eventful()
     left = drive(PlantCar(), orders, noise=quiet(6.0))
@@ -131,7 +138,9 @@ def test_outside_defect_shows(name):
     assert np.abs(changed.poses - base.poses).max() > 2e-3
 
 
-SHAPES = {"friction_ellipse": {"rear"}, "lateral_load_transfer": {"moved"}}
+SHAPES = {
+    "friction_ellipse": {"rear"}, "lateral_load_transfer": {"moved"}, "floor_slope": {"spinning"},
+}  # fmt: skip
 """What the library leaves open about an effect's shape, and the plant does not vary."""
 
 

@@ -1,20 +1,24 @@
 """Scores of hand-made verdicts are the numbers worked out by hand."""
 
 import json
+from dataclasses import replace
 from math import isnan, nan
 
 import pytest
 
 from benchmarks.blind_gap.report import make_report, write_report
 from benchmarks.blind_gap.score import Rate, Scored, score
-from benchmarks.blind_gap.verdicts import Cause, Verdict, VerdictError, read_verdict
+from benchmarks.blind_gap.verdicts import Cause, Verdict, VerdictError, read_verdict, with_own
 
 N = iter(range(1000))
 
 
+STRENGTHS = {"steer_bias": 0.015, "mass": 1.5, "cog_offset": 0.015}
+
+
 def label(kind, effects=(), size="medium", block="single-rich", control="", outside="", values=()):
     truths = [
-        {"effect": e, "size": size, "parameters": v}
+        {"effect": e, "size": size, "parameters": v, "strength": STRENGTHS.get(e, 1.0)}
         for e, v in zip(effects, values or [{}] * len(effects), strict=True)
     ]
     return {
@@ -121,7 +125,10 @@ def test_pairs_look_at_two_causes():
         NONE,
     ]
     s = scored(*((label("pair", truth, block="pair-random"), v) for v in answers))
-    assert s.pairs == {"detected": Rate(3, 4), "both named": Rate(1, 4), "at least one": Rate(2, 4)}
+    assert list(s.pairs.values())[:3] == [Rate(3, 4), Rate(1, 4), Rate(2, 4)]
+    weak = label("pair", ["steer_bias", "cog_offset"], block="pair-random")
+    s = scored((weak, NONE), (label("pair", truth, block="pair-random"), answers[0]))
+    assert list(s.pairs.values()) == [Rate(1, 2), Rate(1, 2), Rate(1, 2), Rate(1, 1), Rate(0, 1)]
 
 
 def test_outside_counts_confident_names_only():
@@ -158,6 +165,21 @@ def test_vector_parameters_and_nulls():
     other = label("single", ["tyre_friction"], values=[{"ratio": 0.8}])
     s = scored((other, told(cause("tyre_friction", value={"ratio": 0.7}))))
     assert s.parameters.count == 0
+
+
+def test_what_the_base_had_before_is_no_part_of_what_was_added():
+    bend = label("single", ["steer_nonlinearity"], values=[{"cubic": -1.0}])
+    verdict = told(cause("steer_nonlinearity", value={"cubic": -1.3}))
+    own = replace(verdict, own={"steer_nonlinearity": [-0.35]})
+    assert scored((bend, verdict)).parameters.median == pytest.approx(0.3)
+    assert scored((bend, own)).parameters.median == pytest.approx(0.05)
+
+
+def test_own_effects_are_those_of_the_cases_base(tmp_path):
+    (tmp_path / "car-01.base.json").write_text('{"effects": {"wheel_slip": [0.004]}}')
+    told_of = with_own({"a": NONE, "b": NONE}, tmp_path, {"a": "car-01", "b": "car-02"})
+    assert told_of["a"].own == {"wheel_slip": [0.004]}
+    assert told_of["b"].own == {}
 
 
 def test_wilson_interval():

@@ -74,7 +74,7 @@ def test_effects_and_notes_are_read() -> None:
     )
     file = parse_car(text, HERE)
     assert file.effects == (EFFECTS["steer_backlash"], EFFECTS["floor_slope"])
-    assert file.values == ((0.02,), (0.0, 0.01))
+    assert file.values == ((0.02,), (0.0, 0.01, 0.0))
     assert file.sd == {"lf": 0.001, "steer_backlash.play": 0.003}
     assert file.source == {"lf": "tape", "steer_backlash.play": "diagnose"}
 

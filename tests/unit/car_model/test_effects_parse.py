@@ -12,13 +12,13 @@ def test_one_value() -> None:
 def test_values_in_order_and_by_name() -> None:
     assert parse_effect("grip_patch=1,-2, 0.5,0.3")[1] == (1.0, -2.0, 0.5, 0.3)
     assert parse_effect("grip_patch:drop=0.3,x=2")[1] == (2.0, 0.0, 0.5, 0.3)
-    assert parse_effect("floor_slope=0.01")[1] == (0.01, 0.0)
+    assert parse_effect("floor_slope=0.01")[1] == (0.01, 0.0, 0.0)
 
 
 def test_several_effects() -> None:
     found = parse_effects("floor_slope=0.01,0.02,backlash:play=0.02,mu=0.6")
     assert [(e.name, v) for e, v in found] == [
-        ("floor_slope", (0.01, 0.02)),
+        ("floor_slope", (0.01, 0.02, 0.0)),
         ("steer_backlash", (0.02,)),
         ("tyre_friction", (0.6,)),
     ]

@@ -147,12 +147,33 @@ def test_scrub_with_drag_one_takes_the_power_of_slip() -> None:
 
 
 def test_slope_pulls_downhill_whatever_the_heading() -> None:
-    model = Model(CAR, (EFFECTS["floor_slope"],), ((0.01, 0.0),))
+    model = Model(CAR, (EFFECTS["floor_slope"],), ((0.01, 0.0, 0.0),))
     for yaw, sign in ((0.0, 1.0), (math.pi, -1.0), (math.pi / 2, 0.0)):
         moment = start(model, ORIGIN._replace(speed=2.0, yaw=yaw), 0.0)
         moment = glide(FLOAT, model, CAR, moment, 0.0, 0.0, 0.01)
         gained = (moment.state.speed - 2.0) / 0.01
         assert gained == pytest.approx(sign * 0.01 * GRAVITY, abs=1e-3)
+
+
+def test_slope_spins_the_wheels_up_along_the_path_and_not_across() -> None:
+    values = ((0.01, 0.0, 0.25),)
+    model = Model(CAR, (EFFECTS["floor_slope"],), values)
+    rates = {}
+    for yaw in (0.0, math.pi / 2):
+        moment = start(model, ORIGIN._replace(speed=2.0, yaw=yaw), 0.0)
+        rates[yaw] = glide(FLOAT, model, CAR, moment, 0.0, 0.0, 0.001).state
+    assert (rates[0.0].speed - 2.0) / 0.001 == pytest.approx(0.01 * GRAVITY / 1.25, rel=1e-2)
+    across = 2.0 * rates[math.pi / 2].slip_angle / 0.001
+    assert across == pytest.approx(-0.01 * GRAVITY, rel=0.1)
+
+
+def test_slip_leaves_the_car_behind_its_wheels_while_they_accelerate_it() -> None:
+    model = Model(CAR, (EFFECTS["wheel_slip"],), ((0.01,),))
+    for accel in (3.0, -3.0):
+        moment = start(model, ORIGIN._replace(speed=2.0), 0.0)
+        moved = glide(FLOAT, model, CAR, moment, 0.0, accel, 0.001).state
+        speed = (moved.x - ORIGIN.x) / 0.001
+        assert speed == pytest.approx(2.0 * (1.0 - 0.01 * accel), rel=2e-3)
 
 
 def test_a_patch_is_slippery_inside_and_not_outside() -> None:

@@ -212,6 +212,14 @@ def test_starts_at_their_best_lower_the_error(healthy):
     assert after <= before
 
 
+def test_a_lost_window_is_taken_up_anew_from_the_poses(healthy, fitted):
+    spun = fitted.x.copy()
+    spun[3] += [2.0, -2.0, 3.0, -2.0, 40.0, 2.0, 0.0]
+    again = descend(healthy, fitted.space, fitted.z.copy(), spun)
+    assert again.cost == pytest.approx(fitted.cost, rel=1e-3)
+    assert again.at.square[3] == pytest.approx(fitted.at.square[3], rel=0.1)
+
+
 def test_leaving_windows_out_costs_something(healthy, fitted):
     losses = held_out(fitted, folds_of(healthy))
     assert losses.sum() >= fitted.at.loss.sum()

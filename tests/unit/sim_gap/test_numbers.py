@@ -9,8 +9,17 @@ from car_model.effects import find_effect
 from sim_gap import constants as c
 from sim_gap.candidates import Score, gain_of
 from sim_gap.constants import PARTIAL_MOST
-from sim_gap.decide import at_bound, confidence_of, doubt_of, needless, rivals_of, significant
-from sim_gap.residuals import interval_of, robust_mean
+from sim_gap.decide import (
+    at_bound,
+    confidence_of,
+    doubt_of,
+    needless,
+    needs_both,
+    rivals_of,
+    significant,
+)
+from sim_gap.diagnosis import practical, share_of_most
+from sim_gap.residuals import Gap, interval_of, robust_mean
 from sim_gap.shrink import explained_share, floor_of
 from sim_gap.where import Regime, Share, range_words, sentence_of
 from sim_gap.words import share_words
@@ -68,6 +77,42 @@ def test_a_pair_needs_both():
     pair = score("a", np.zeros(12))
     assert needless(pair, score("b", np.full(12, 0.5)), BLOCKS)
     assert not needless(pair, score("b", np.full(12, 10.0)), BLOCKS)
+
+
+@pytest.mark.parametrize(
+    ("gains", "alone", "needed"),
+    [
+        ([2.0] * 12, 20.0, True),
+        ([0.9] * 12, 20.0, False),  # too little
+        ([24.0] + [0.0] * 11, 20.0, False),  # of one block
+        ([2.0] * 12, 6000.0, False),  # less than how such a first cause is wrong
+    ],
+)
+def test_a_second_cause_needs_a_gain_of_its_own(gains, alone, needed):
+    pair, first = score("a+b", np.zeros(12)), score("a", gains)
+    null = score("", gains, prior=alone)
+    assert needs_both(pair, first, null, BLOCKS) == needed
+
+
+def test_a_few_lost_windows_do_not_hide_that_all_others_are_explained():
+    def fit(ratios):
+        square = np.array(ratios) * 10.0
+        return SimpleNamespace(at=SimpleNamespace(square=square, dof=np.full(len(ratios), 10.0)))
+
+    before, after = fit([1.6] * 57 + [40.0] * 3), fit([1.0] * 57 + [39.0] * 3)
+    assert share_of_most(before, after, 1.0) == pytest.approx(1.0)
+    assert share_of_most(before, fit([1.5] * 57 + [40.0] * 3), 1.0) < 0.2
+
+
+def test_what_the_base_leaves_as_it_is_matters_in_practice():
+    def gap(whitened, low=0.0):
+        return Gap(whitened, (low, whitened), ((1.0, 0.003, 0.0, 0.0),), ())
+
+    choice = SimpleNamespace(gain=20.0, blocks=BLOCKS)
+    after, null = gap(0.98), gap(1.0)
+    assert practical(choice, gap(1.7, 1.4), after, null, 0.97)
+    assert not practical(choice, gap(1.1, 1.0), after, null, 0.97)
+    assert not practical(choice, gap(1.7, 1.4), after, null, np.inf)
 
 
 def test_a_value_at_its_bound_is_told():
