@@ -16,7 +16,7 @@ from steer_bus.columns import Columns
 from steer_bus.messages import ActuationMode
 from steer_bus.session import Session, open_session
 from steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, split_key
-from sysid.gate import DataError, check_run, check_times
+from sysid.gate import DataError, check_run, check_times, noise_of
 from vesc_link.scaling import F1TENTH
 
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ SERVO_FRAME = 0.02
 """Period of a VESC's servo signal [s]; steerd itself drives servos through nothing else."""
 RAMP_ERPM = 25_000.0
 """A VESC's own limit of its speed setpoint's slope [ERPM/s] (`s_pid_ramp_erpms_s`, since 5.03)."""
+SHARP = 0.02
+"""Poses whose speed is less noisy tell it better than a wheel, whose slip is larger [m/s]."""
 HISTORY = 0.5
 """Known commands that the actuators run through before a window [s]."""
 
@@ -149,7 +151,8 @@ def make_run(
     Args:
         name: for messages.
         steer: commanded road-wheel angle [rad], each held until the next.
-        speed: commanded speed [m/s]; without it the wheel's or the pose's speed is prescribed.
+        speed: commanded speed [m/s]; without it a measured speed is prescribed, that of the poses
+            if they are sharp enough, else the wheel's.
         pose: (M, 3) x, y, yaw; yaw may wrap.
         wheel: reported speed [m/s].
         yaw_rate: gyro [rad/s].
@@ -179,13 +182,23 @@ def make_run(
     edges: Array = np.arange(steps + 1).astype(float) * h
     moved = [Signal(s.t - zero, s.values) for s in (steer, asked, rolled, gyro, motor)]
     steer, asked, rolled, gyro, motor = moved
-    source = "command" if len(asked.t) else "wheel" if len(rolled.t) else "pose"
+    source = "command" if len(asked.t) else _measured_source(rolled, pose)
     check_run(name, edges[-1], pose.t, pose.values, asked.values)
     run_speed = _speed_input(source, asked, rolled, pose, edges)
     commands = np.column_stack([hold_means(steer, edges), run_speed])
     return Run(
         name, h, commands, pose, source, rolled, gyro, motor, steer, servo_frame, asked, speed_ramp
     )
+
+
+def _measured_source(rolled: Signal, pose: Signal) -> str:
+    """Which measurement tells the speed: sharp poses do, a wheel that spins or skids does not."""
+    if not len(rolled.t):
+        return "pose"
+    blur = max(noise_of(pose.t, pose.values[:, i]) for i in (0, 1))
+    span = 4.0 * float(np.median(np.diff(pose.t))) if len(pose.t) > 1 else 0.0
+    sharp = 0.0 < 2.0**0.5 * blur < SHARP * span
+    return "pose" if sharp else "wheel"
 
 
 def _speed_input(source: str, asked: Signal, rolled: Signal, pose: Signal, edges: Array) -> Array:

@@ -8,6 +8,7 @@ One compiled car holds all candidates: at its null an effect changes nothing.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from car_model.model import Model
 from sysid.chart import make_chart
 from sysid.dataset import Run
 from sysid.descend import Effort, descend
-from sysid.fit import Fit, Options
+from sysid.fit import Fit, Options, residual_noise
 from sysid.kernels import Kernels, delays_of, make_kernels, model_of, parameter_vector
 from sysid.objective import Problem, cost_of, normal_equations, robust_limit, solve
 from sysid.windows import Layout, make_layout, speed_range
@@ -34,7 +35,7 @@ CANDIDATES: tuple[str, ...] = (
 """Manners that any car may have and that no parameter of the base equations stands for."""
 HORIZON = 1.0
 """Length of the windows [s]."""
-SECONDS = 80.0
+SECONDS = 240.0
 """Windows of this much driving are enough to choose by [s]."""
 READINGS = 20.0
 """So many of a window's readings count: errors of a model hang together."""
@@ -44,6 +45,8 @@ GAIN_SE = 2.0
 """Nor one whose gain is not so many times its standard error over the windows."""
 _LEFT = 0.02
 """An effect nearer to its null than this share of its ordinary size was not needed."""
+_ESCAPES = 6
+"""So often a search may begin a round again from a better point."""
 _TRIAL = Effort(8, 0.5, 1e-3, 1e-3, patient=True)
 _SETTLE = Effort(20, 0.3, 1e-3, 1e-3, patient=True)
 
@@ -92,6 +95,7 @@ class _Point(NamedTuple):
     parameters: Array
     x: Array
     losses: Array
+    noise: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +136,8 @@ class _Search:
         low, high = chart.bounds()
         z = np.clip(chart.coordinates(start.parameters), low, high)
         found = descend(problem, z, start.x, effort)
-        return _Point(taken, chart.parameters(found.z), found.x, self.losses(found.at.error))
+        losses, noise = self.losses(found.at.error), residual_noise(problem, found)
+        return _Point(taken, chart.parameters(found.z), found.x, losses, noise)
 
     def begun(self, effect: Effect, start: _Point) -> _Point:
         """The start with the effect switched on where its null has no slope, or is a bound.
@@ -180,17 +185,41 @@ def choose(
         options: of the fit; `free` names the base's free parameters.
         names: candidates.
     """
-    search, start = _open(runs, rough, options, names)
-    point = search.settled((), start, _SETTLE)
+    search, point = _open(runs, rough, options, names)
     steps: list[Step] = []
+    escapes = _ESCAPES
     while True:
-        best = _best(search, point, [n for n in names if n not in point.taken])
+        point = search.settled(point.taken, point, _SETTLE)
+        # Errors in units of what is left of them: of those at the start, none would be seen later.
+        search = replace(search, sigma=point.noise)
+        point = search.settled(point.taken, point, _SETTLE)
+        tried = _tried(search, point, [n for n in names if n not in point.taken])
+        freed = _freed(search, point, tried) if escapes else None
+        if freed is not None:
+            point, escapes = freed, escapes - 1
+            continue
+        best = _best(search, point, tried)
         if best is None:
             break
-        gained = point.losses - best.losses
-        steps.append(Step(best.taken[-1], *_gain(gained)))
-        point = search.settled(best.taken, best, _SETTLE)
-    return _closed(search, rough, point, steps)
+        steps.append(Step(best.taken[-1], *_gain(point.losses - best.losses)))
+        point = best
+    point = _pruned(search, point)
+    kept = tuple(step for step in steps if step.effect in point.taken)
+    return _closed(search, rough, point, kept)
+
+
+def _pruned(search: _Search, point: _Point) -> _Point:
+    """The point without effects that later ones have made idle."""
+    for name in point.taken:
+        effect = find_effect(name)
+        bare = point.parameters.copy()
+        bare[[search.kernels.names.index(n) for n in search.names(name)]] = effect.nulls
+        left = tuple(each for each in point.taken if each != name)
+        with suppress(FloatingPointError):
+            without = search.settled(left, point._replace(parameters=bare), _TRIAL)
+            if float((without.losses - point.losses).sum()) < GAIN:
+                point = without
+    return point
 
 
 def _open(
@@ -207,7 +236,7 @@ def _open(
     search = _Search(
         kernels, layout, rough.noise, speed_range(runs), prior, rough.chart.free, options
     )
-    return search, _Point((), prior, layout.guess.copy(), np.empty(0))
+    return search, _Point((), prior, layout.guess.copy(), np.empty(0), rough.noise)
 
 
 def _gain(gained: Array) -> tuple[float, float]:
@@ -215,21 +244,46 @@ def _gain(gained: Array) -> tuple[float, float]:
     return float(gained.sum()), float(np.sqrt(len(gained)) * gained.std())
 
 
-def _best(search: _Search, point: _Point, names: Sequence[str]) -> _Point | None:
-    """The candidate that gains most, if it gains enough."""
-    found: tuple[float, _Point] | None = None
+def _tried(search: _Search, point: _Point, names: Sequence[str]) -> list[_Point]:
+    """Every candidate on top of a point; one that sends the simulation off is left out."""
+    found: list[_Point] = []
     for name in names:
-        effect = find_effect(name)
-        try:
-            tried = search.settled((*point.taken, name), search.begun(effect, point), _TRIAL)
-        except FloatingPointError:
-            continue
-        gain, se = _gain(point.losses - tried.losses)
-        if gain < GAIN or gain < GAIN_SE * se or not search.left(effect, tried):
-            continue
-        if found is None or gain > found[0]:
-            found = gain, tried
-    return found[1] if found else None
+        start = search.begun(find_effect(name), point)
+        with suppress(FloatingPointError):
+            found.append(search.settled((*point.taken, name), start, _TRIAL))
+    return found
+
+
+def _freed(search: _Search, point: _Point, tried: Sequence[_Point]) -> _Point | None:
+    """A better point without any candidate: where a descent had stuck, at a kink of play say.
+
+    A candidate that ends at its null and yet gains has only moved the others.
+    """
+    idle = [t for t in tried if not search.left(find_effect(t.taken[-1]), t) and _gains(point, t)]
+    if not idle:
+        return None
+    return min(idle, key=lambda t: float(t.losses.sum()))._replace(taken=point.taken)
+
+
+def _gains(point: _Point, tried: _Point) -> bool:
+    gain, se = _gain(point.losses - tried.losses)
+    return gain >= GAIN and gain >= GAIN_SE * se
+
+
+def _best(search: _Search, point: _Point, tried: Sequence[_Point]) -> _Point | None:
+    """The candidate that gains most, if it gains enough; of equals, the one that says least."""
+    found = [t for t in tried if search.left(find_effect(t.taken[-1]), t) and _gains(point, t)]
+    if not found:
+        return None
+    best = min(found, key=lambda tried: float(tried.losses.sum()))
+    equals = [tried for tried in found if _behind(tried, best)]
+    return min(equals, key=lambda t: (len(search.names(t.taken[-1])), float(t.losses.sum())))
+
+
+def _behind(tried: _Point, best: _Point) -> bool:
+    """Whether a candidate lies behind the best by no more than chance would have it."""
+    gap, se = _gain(tried.losses - best.losses)
+    return gap <= se
 
 
 def _closed(search: _Search, rough: Fit, point: _Point, steps: Sequence[Step]) -> Manners:

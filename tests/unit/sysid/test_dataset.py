@@ -140,3 +140,15 @@ def test_a_car_that_goes_its_own_speed_is_told():
     assert obeyed([slow]) == 0.0
     assert obeyed([drive, slow]) == pytest.approx(0.5)
     assert obeyed([replace(slow, speed_source="wheel")]) == 1.0
+
+
+@pytest.mark.parametrize(("blur", "source"), [(1e-4, "pose"), (2e-3, "wheel")])
+def test_sharp_poses_tell_a_speed_that_nobody_asked_for_better_than_a_wheel(blur, source):
+    rng = np.random.default_rng(4)
+    t = np.arange(0.0, 8.0, 0.01)
+    path = np.column_stack([t, np.sin(t), 0.2 * np.sin(t)]) + rng.normal(0.0, blur, (len(t), 3))
+    spun = Signal(t, np.full(len(t), 1.4))
+    run = make_run("r", Signal(t, 0.1 * np.sin(t)), None, Signal(t, path), wheel=spun)
+    assert run.speed_source == source
+    speed = run.commands[300:500, 1].mean()
+    assert speed == pytest.approx(1.4, abs=1e-6) if source == "wheel" else speed < 1.25
