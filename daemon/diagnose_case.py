@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import floor
 from pathlib import Path
@@ -17,6 +17,7 @@ from steer_bus.session_read import SessionError, open_session
 from sysid.cut import cut, moving_parts
 from sysid.dataset import Run
 from sysid.gate import DataError
+from sysid.reach import remembering
 
 EVERY = 4
 """Unless said otherwise every 4th block or session is kept back."""
@@ -86,7 +87,9 @@ def make_case(args: argparse.Namespace, advance: Callable[[float], None]) -> Cas
         drives.append(load_drive(path, args.speed))
         advance((number + 1) / len(sessions))
     base, words, notes = find_base(args.base, sessions)
+    drives = remembering(drives, base.model, ())
     healthy = [load_drive(Path(name), args.speed) for name in _listed(args.healthy)]
+    healthy = remembering(healthy, base.model, ())
     runs, later, told, more = _split(drives, every, reserved, args.speed)
     return Case(
         sessions, runs, later, told, _moving(healthy) if healthy else (), base, words, only,
@@ -192,7 +195,11 @@ def _split(
         raise SteerdError(what, "drive `steerd collect --plan mixed`", ExitCode.INVALID)
     if reserved:
         words = ", ".join(path.name for path in reserved)
-        later = lambda: _moving([load_drive(path, speed) for path in reserved])  # noqa: E731
+        past = drives[0].history
+
+        def later() -> Sequence[Run]:
+            return _moving([replace(load_drive(path, speed), history=past) for path in reserved])
+
         return _in_blocks(drives, parts), later, words, _block_notes(drives)
     whole = _whole_sessions(drives, parts, every or EVERY) if every != 0 else None
     if whole is not None:
