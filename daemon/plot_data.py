@@ -285,8 +285,8 @@ def _timing(s: _Tables) -> Panel:
 def _latency(s: _Tables) -> Panel:
     curves: list[Curve] = []
     for topic, since, until, name, role in (
-        (topics.MOCAP, "t_valid_ns", "t_arrival_ns", "pose: exposure to arrival", "estimate"),
-        (topics.VESC, "t_sent_ns", "t_received_ns", "VESC: question to answer", "measured"),
+        (topics.MOCAP, "t_valid_ns", "t_arrival_ns", "pose, from exposure", "estimate"),
+        (topics.VESC, "t_sent_ns", "t_received_ns", "VESC, from question", "measured"),
     ):
         table = s.table(topic)
         if table is not None:
