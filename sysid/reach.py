@@ -23,8 +23,8 @@ SHORT: tuple[float, ...] = (0.5, 1.0, 2.0)
 """Windows for a model that does not [s]."""
 MISFIT = 10.0
 """Residuals so many times the noise after 2 s are the model's ..."""
-OFF = 0.005
-"""... if they are larger than this, too: no model is right to the noise of a good mocap [m]."""
+OFF: dict[str, float] = {"position": 0.005, "yaw": 0.01}
+"""... if they are larger than this, too: no model is right to the noise of a mocap [m, rad]."""
 HISTORY = 4.0
 """Commands before a window that a linkage with play may remember [s]."""
 _ROOM = 1.5
@@ -33,8 +33,8 @@ _ROOM = 1.5
 
 def holds(found: Fit) -> bool:
     """Whether the model explains the fit's windows but for noise."""
-    place = GROUPS.index("position")
-    return found.misfit["position"] <= MISFIT or float(found.noise[place]) <= OFF
+    left = {name: float(found.noise[GROUPS.index(name)]) for name in OFF}
+    return all(found.misfit[name] <= MISFIT or left[name] <= OFF[name] for name in OFF)
 
 
 def reaching(options: Options, rough: Fit) -> Options:

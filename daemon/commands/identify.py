@@ -259,10 +259,12 @@ def with_noise(car: "CarFile", runs: "tuple[Run, ...]") -> str:
 
     from sim_gap.healthy import learn_healthy
     from sim_gap.noise import noise_section
+    from sysid.reach import remembering
 
     document = tomlkit.parse(car.text)
     try:
-        document["noise"] = noise_section(learn_healthy(car, runs))
+        drives = remembering(runs, car.model, ())
+        document["noise"] = noise_section(learn_healthy(car, drives))
     except (ValueError, FloatingPointError):
         return car.text
     return tomlkit.dumps(document)
