@@ -1,16 +1,18 @@
 """The end of what `steerd identify` says: whether to drive with it, and what to do if not."""
 
 from dataclasses import replace
-from math import nan
+from math import inf, nan
 from types import SimpleNamespace
 
 import pytest
 
 from car_model.params import DEFAULT_CAR
 from daemon.identify_text import describe, improved
+from sysid.beat import Beat
 from sysid.excitation import Excitation
+from sysid.manners import Step
 from sysid.outcome import HeldOut, Outcome, Row
-from sysid.validation import Prediction
+from sysid.validation import Prediction, Regime
 
 DRIVEN = Excitation(60.0, 100.0, 1.0, 2.0, 0.1, 1.0, 0.4, 0.4, 3.0, ())
 
@@ -81,3 +83,22 @@ def test_drives_that_tell_too_little_are_not_blamed_on_the_axles():
     assert "keep the old car file" in said
     assert "tell too little" in said
     assert "--wheelbase" not in said
+
+
+def test_what_was_undone_and_found_stands_on_the_screen():
+    told = replace(
+        outcome((0.1, 0.2), (0.2, 0.9)),
+        beats=(Beat("a.mcap", 0.1, 0.45, -0.019, 40.0),),
+        manners=(Step("steer_backlash", 97.4, 26.0),),
+        regimes=(Regime(0.0, 2.0, 5, 0.02, 0.03), Regime(6.0, inf, 4, 0.15, 0.2)),
+    )
+    lines = describe(told).splitlines()
+    assert "log        a.mcap: steering stored 0 to 100 ms late" in lines
+    assert any("1.9 ms/s" in line for line in lines)
+    assert "manner     steer_backlash: these drives show it (gains 97 ± 26 nats)" in lines
+    assert any(line.endswith("[m/s2]: 20 mm to 2, 150 mm above 6") for line in lines)
+
+
+def test_one_class_of_lateral_acceleration_tells_nothing():
+    alone = replace(outcome((0.1, 0.2)), regimes=(Regime(0.0, 2.0, 5, 0.02, 0.03),))
+    assert "lateral acceleration" not in describe(alone).split("prediction of")[1]
