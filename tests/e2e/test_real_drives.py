@@ -1,0 +1,37 @@
+"""What the recorded drives show whoever looks: clocks that drift apart, speeds that poses tell."""
+
+from pathlib import Path
+
+import pytest
+
+from daemon.cli import guarded
+from daemon.drives import load_drive
+
+ROOT = Path(__file__).resolve().parents[2]
+DART = ROOT.parent / "shared" / "data" / "dart"
+FREE = ("10_01_01", "10_02_28", "10_12_05", "10_27_02")
+
+
+def imported(tmp_path, name):
+    source = DART / f"rubber_free__09_16_2024_{name}.csv"
+    if not source.exists():
+        pytest.skip(f"the recorded drives are not here: ../shared/data/dart/{source.name}")
+    out = tmp_path / f"{name}.mcap"
+    the_map = ROOT / "examples" / "import-dart.toml"
+    assert guarded(["import", "csv", str(source), "--map", str(the_map), "-o", str(out)]) == 0
+    return load_drive(out)
+
+
+def test_four_drives_of_a_morning_were_logged_late_by_the_same_two_timers(tmp_path, capsys):
+    beats = [imported(tmp_path, name).beat for name in FREE]
+    capsys.readouterr()
+    assert all(beat is not None for beat in beats)
+    drifts = [beat.drift * beat.period for beat in beats]
+    assert all(-2.2e-3 < drift < -1.2e-3 for drift in drifts)
+
+
+def test_a_spinning_encoder_is_not_the_speed_where_poses_are_sharp(tmp_path, capsys):
+    run = imported(tmp_path, FREE[0])
+    capsys.readouterr()
+    assert run.speed_source == "pose"
+    assert len(run.wheel.t) > 1000
