@@ -90,6 +90,10 @@ def _validation(outcome: Outcome) -> Iterator[str]:
     yield from _regimes(outcome)
 
 
+def _class(low: float, high: float) -> str:
+    return f"to {high:g}" if isfinite(high) else f"above {low:g}"
+
+
 def _decimals(length: float) -> int:
     """Of millimetres: one below a centimetre."""
     return 1 if length < 0.01 else 0
@@ -99,7 +103,7 @@ def _regimes(outcome: Outcome) -> Iterator[str]:
     if len(outcome.regimes) < 2:
         return
     told = [
-        f"{1e3 * r.median:.{_decimals(r.median)}f} mm {f'to {r.high:g}' if isfinite(r.high) else f'above {r.low:g}'}"
+        f"{1e3 * r.median:.{_decimals(r.median)}f} mm {_class(r.low, r.high)}"
         for r in outcome.regimes
     ]
     yield f"   median after 1 s by lateral acceleration [m/s2]: {', '.join(told)}"
