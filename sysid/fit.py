@@ -45,6 +45,12 @@ _NOISE_SETTLED = 0.03
 """Noise levels that change by a smaller share are settled."""
 _ROUGH_SECONDS = 20.0
 """Windows before the last stage only prepare it: this much of the drives is enough [s]."""
+_DOUBTFUL = 1.1
+"""Errors larger than the noise by this factor: another start may lead to another minimum."""
+_BETTER = 0.85
+"""A second start is believed when its cost is below this share of the first one's."""
+_PLAIN = {"lf": 0.16, "lr": 0.16, "c_sf": 5.0, "c_sr": 5.0, "steer_gain": 1.0}
+"""Any car of this scale."""
 _MANY = 8
 """From so many windows of the last stage, a few are fitted before all are."""
 
@@ -217,19 +223,58 @@ def fit(
     signal = estimate_noise(runs)
     sigma = np.array(options.noise) if options.noise is not None else signal
     work = _Work(kernels, chart, runs, options, sigma, speed_range(runs))
-    low, high = chart.bounds()
     tried = [parameter_vector(start) for start in (starts or (model,))]
-    found, problem = _first_stage(work, [np.clip(chart.coordinates(p), low, high) for p in tried])
-    for horizon, rough in _later_stages(runs, options):
-        wider = work.problem(horizon, found.z, rough)
-        x = _carry(problem, found.x, wider)
-        problem = wider
-        effort = _ROUGH if rough or options.noise is None else _FINE
-        effort = effort._replace(damping=min(found.damping, effort.damping))
-        found = work.descend(problem, found.z, x, effort)
+    later = _later_stages(runs, options)
+    rough = [horizon for horizon, few in later if few]
+    found, problem = _prepare(work, tried, rough)
+    others = _other_starts(work, tried) if rough and _misses(found) > _DOUBTFUL else []
+    if others:
+        second = _prepare(work, others, rough)
+        if second[0].costs[-1] < _BETTER * found.costs[-1]:
+            found, problem = second
+    for horizon, few in later:
+        if not few:
+            effort = _ROUGH if options.noise is None else _FINE
+            found, problem = _widen(work, found, problem, (horizon, few), effort)
     if options.noise is None:
         found = _settle_noise(work, problem, found)
     return _report(work, problem, found, signal)
+
+
+def _prepare(
+    work: _Work, starts: Sequence[Array], rough: Sequence[float]
+) -> tuple[Descent, Problem]:
+    """The stages that a part of the drives is enough for, from the best of some parameters."""
+    low, high = work.chart.bounds()
+    places = [np.clip(work.chart.coordinates(p), low, high) for p in starts]
+    found, problem = _first_stage(work, places)
+    for horizon in rough:
+        found, problem = _widen(work, found, problem, (horizon, True), _ROUGH)
+    return found, problem
+
+
+def _widen(
+    work: _Work, found: Descent, problem: Problem, stage: tuple[float, bool], effort: Effort
+) -> tuple[Descent, Problem]:
+    """The next stage, from where the last one ended."""
+    wider = work.problem(stage[0], found.z, stage[1])
+    x = _carry(problem, found.x, wider)
+    effort = effort._replace(damping=min(found.damping, effort.damping))
+    return work.descend(wider, found.z, x, effort), wider
+
+
+def _misses(found: Descent) -> float:
+    """Root mean square of the errors in units of the noise, outliers bounded."""
+    return float(np.sqrt(np.mean(np.minimum(np.abs(found.at.error), found.limit) ** 2)))
+
+
+def _other_starts(work: _Work, tried: Sequence[Array]) -> list[Array]:
+    """The car as believed, and a plain one with its actuators: what has not been tried."""
+    plain = work.chart.prior.copy()
+    for name, value in _PLAIN.items():
+        if name in work.chart.free:
+            plain[work.chart.names.index(name)] = value
+    return [p for p in (work.chart.prior, plain) if not any(np.array_equal(p, q) for q in tried)]
 
 
 def _later_stages(runs: Sequence[Run], options: Options) -> list[tuple[float, bool]]:
@@ -299,9 +344,11 @@ def _settle_noise(work: _Work, problem: Problem, found: Descent) -> Descent:
     Where the model does not explain everything, residuals are many times the instruments' noise;
     weighed by the latter, most of them would count as outliers and the descent would crawl.
     """
-    for _ in range(_NOISE_ROUNDS):
+    for number in range(_NOISE_ROUNDS):
         noise = residual_noise(problem, found)
         change = float(np.abs(np.log(noise / problem.sigma)).max())
+        if number and change < _NOISE_SETTLED:
+            return found
         at = problem.rescaled(found.at, noise)
         effort = _FINE._replace(damping=min(found.damping, _ROUGH.damping))
         found = work.descend(problem, found.z, found.x, effort, at)
@@ -332,7 +379,7 @@ def _report(work: _Work, problem: Problem, found: Descent, signal: Array) -> Fit
         z=found.z,
         states=found.x,
         combinations=combinations(chart, found.z, covariance, pace),
-        directions=directions(chart, told),
+        directions=directions(chart, found.z, told),
         costs=tuple(work.costs),
         iterations=sum(len(costs) - 1 for costs in work.costs),
         evaluations=work.evaluations,

@@ -158,19 +158,15 @@ class Normal(NamedTuple):
 def normal_equations(problem: Problem, at: Evaluation, limit: float) -> Normal:
     """Gauss-Newton equations with Huber's weights."""
     n, bounds = len(at.prior_z), problem.layout.bounds
-    slopes, error = at.slopes, at.error
-    far = np.flatnonzero(np.abs(error) > limit)
-    if len(far):
-        weight = np.sqrt(limit / np.abs(error[far]))
-        slopes, error = slopes.copy(), error.copy()
-        slopes[far] *= weight[:, None]
-        error[far] *= weight
+    weight = limit / np.maximum(np.abs(at.error), limit)
     count = len(bounds) - 1
     squares = np.empty((count, n + STATES, n + STATES))
     pulls = np.empty((count, n + STATES))
     for w in range(count):
-        part = slopes[bounds[w] : bounds[w + 1]]
-        squares[w], pulls[w] = part.T @ part, part.T @ error[bounds[w] : bounds[w + 1]]
+        mine = slice(bounds[w], bounds[w + 1])
+        slopes = at.slopes[mine]
+        weighed = slopes * weight[mine, None]
+        squares[w], pulls[w] = weighed.T @ slopes, weighed.T @ at.error[mine]
     order = [*range(n), *(n + np.argsort(COLUMN_STATES))]
     squares, pulls = squares[:, order][:, :, order], pulls[:, order]
     spread = problem.spread_x

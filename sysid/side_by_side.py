@@ -2,8 +2,8 @@
 
 Compiled kernels hold no lock of Python's. How many threads: what Numba would take, all cores unless
 `NUMBA_NUM_THREADS` says otherwise; joblib and Dask set that for their workers, so that workers on
-all cores do not start threads on all cores each. The caller does its share, and then waits: on a
-busy machine this costs no more than doing all of it, unlike threads that wait by spinning.
+all cores do not start threads on all cores each. Who is ready takes the next piece, and nobody waits by spinning: on a
+busy machine this costs no more than doing all of it alone.
 """
 
 import os
@@ -48,8 +48,10 @@ def share_out(work: Callable[[int, int], None], count: int, steps: int) -> None:
             work(i, 0)
         return
 
+    todo = iter(range(count))
+
     def part(number: int) -> None:
-        for i in range(number, count, most):
+        for i in todo:
             work(i, number)
 
     others = [_helpers(threads() - 1).submit(part, number) for number in range(1, most)]

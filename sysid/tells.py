@@ -90,7 +90,7 @@ class Combination:
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """A direction in the coordinates (scaled by their priors) and how well it is known.
+    """A direction in the coordinates (scaled by what they could be) and how well it is known.
 
     Attributes:
         text: its largest parts.
@@ -119,14 +119,26 @@ def _known(name: str, value: float, sd: float, prior_sd: float) -> bool:
     return sd < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior_sd)
 
 
-def _without_untold(chart: Chart, covariance: Array) -> Array:
+def _scale(chart: Chart, z: Array) -> Array:
+    """By how much each coordinate could be off before any data (n,).
+
+    For a compliance no more than lets a gain of `GAIN_MIN` mean that it is known: what noise passes
+    for tells it to a share of itself (a sixth, on circles), and against the wide prior of a start
+    with soft tyres that would look like knowledge.
+    """
+    stiff = np.array([name in INVERSE for name in chart.free])
+    own = GAIN_MIN * RELATIVE_MAX * np.abs(z)
+    return np.where(stiff, np.minimum(chart.spread, own), chart.spread)
+
+
+def _without_untold(chart: Chart, z: Array, covariance: Array) -> Array:
     """The covariance with untold directions left as their priors have them, or doubt does."""
-    scaled = covariance / np.outer(chart.spread, chart.spread)
-    values, vectors = np.linalg.eigh(scaled)
+    scale = _scale(chart, z)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     stiff = [name in INVERSE for name in chart.free]
-    wider = np.where(stiff, np.maximum(DOUBT / chart.spread, 1.0), 1.0)
+    wider = np.where(stiff, np.maximum(DOUBT, chart.spread), chart.spread) / scale
     values = np.where(values > GAIN_MIN**-2, (wider**2) @ vectors**2, values)
-    left: Array = (vectors * values) @ vectors.T * np.outer(chart.spread, chart.spread)
+    left: Array = (vectors * values) @ vectors.T * np.outer(scale, scale)
     return left
 
 
@@ -149,7 +161,7 @@ def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     """Every free parameter with its standard error and whether the data tell it."""
     parameters = chart.parameters(z)
     sds = standard_errors(chart, z, covariance)
-    careful = standard_errors(chart, z, _doubted(chart, z, _without_untold(chart, covariance)))
+    careful = standard_errors(chart, z, _doubted(chart, z, _without_untold(chart, z, covariance)))
     priors = standard_errors(chart, z, np.diag(chart.spread**2))
     moving = [i for i, name in enumerate(chart.names) if priors[i] > 0.0]
     out = {}
@@ -162,9 +174,10 @@ def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     return out
 
 
-def directions(chart: Chart, information: Array) -> tuple[Direction, ...]:
-    """Singular directions of the data's information, weakest first."""
-    scaled = information * np.outer(chart.spread, chart.spread)
+def directions(chart: Chart, z: Array, information: Array) -> tuple[Direction, ...]:
+    """Singular directions of the data's information at `z`, weakest first."""
+    scale = _scale(chart, z)
+    scaled = information * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     found = []
     for value, vector in zip(values, vectors.T, strict=True):
@@ -203,7 +216,7 @@ def combinations(
         WHEELBASE: p["lf"] + p["lr"], "lr": p["lr"],
         "1/c_sf": 1.0 / p["c_sf"], "1/c_sr": 1.0 / p["c_sr"],
     }  # fmt: skip
-    careful = _doubted(chart, z, _without_untold(chart, covariance))
+    careful = _doubted(chart, z, _without_untold(chart, z, covariance))
     out = []
     for text, parts in weights.items():
         row = np.array([parts.get(label, 0.0) for label in chart.labels])

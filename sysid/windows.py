@@ -95,7 +95,6 @@ class _Cut(NamedTuple):
     span: tuple[int, int, int, int, int]
     t: float
     kinds: tuple[tuple[int, Array, Array], ...]
-    guess: Array
 
 
 def guess_state(pose: Signal, t: float) -> Array:
@@ -143,8 +142,7 @@ def _cut_run(run: Run, number: int, low: int, horizon: float, pose_delay: float)
         kinds.append((2, *_between(run.yaw_rate, start, end)))
         settle = max(least, min(most, int(a)))
         span = (low, low + rows, low + int(a), int(b - a), settle)
-        guess = guess_state(run.pose, start + pose_delay)
-        cuts.append(_Cut(number, span, start, tuple(kinds), guess))
+        cuts.append(_Cut(number, span, start, tuple(kinds)))
     return cuts
 
 
@@ -177,10 +175,10 @@ def make_layout(
     if np.isfinite(most):
         keep = min(keep, max(_WINDOWS_MIN, round(most / length)))
     chosen = np.linspace(0, len(cuts) - 1, keep).round().astype(int)
-    return _assemble(runs, [cuts[i] for i in chosen])
+    return _assemble(runs, [cuts[i] for i in chosen], pose_delay)
 
 
-def _assemble(runs: Sequence[Run], cuts: Sequence[_Cut]) -> Layout:
+def _assemble(runs: Sequence[Run], cuts: Sequence[_Cut], pose_delay: float) -> Layout:
     window, t, kinds, rows, values, groups, bounds = [], [], [], [], [], [], [0]
     row = 0
     for w, cut in enumerate(cuts):
@@ -208,7 +206,7 @@ def _assemble(runs: Sequence[Run], cuts: Sequence[_Cut]) -> Layout:
         values=np.concatenate(values),
         group=np.concatenate(groups),
         bounds=np.array(bounds),
-        guess=np.array([cut.guess for cut in cuts]),
+        guess=np.array([guess_state(runs[c.run].pose, c.t + pose_delay) for c in cuts]),
         has_past=spans[:, 2] - spans[:, 0] >= round(HISTORY / runs[0].h) // 2,
     )
 
