@@ -121,12 +121,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     task, pulses, ramps, rough = _settled(task)
     task = replace(task, options=replace(task.options, doubts=_doubts(task, pulses)))
     parts = moving_parts(task.runs)
-    if task.held_out:
-        fitted, kept = blocks(parts), moving_parts(task.held_out)
-        words = ", ".join(run.name for run in task.held_out)
-    else:
-        fitted, kept = keep_back(parts, task.every)
-        words = f"every {task.every}th block of 5 s, not fitted"
+    fitted, kept, words = _split(task, parts)
     manners: tuple[Step, ...] = ()
     if task.method == "ours":
         task, manners = _shaped(task, fitted, rough)
@@ -164,6 +159,14 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         manners=manners,
         regimes=by_lateral_acceleration(traces[0], REGIME),
     )
+
+
+def _split(task: Task, parts: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...], str]:
+    """What is fitted, what is kept back, and the latter in words."""
+    if task.held_out:
+        words = ", ".join(run.name for run in task.held_out)
+        return blocks(parts), moving_parts(task.held_out), words
+    return *keep_back(parts, task.every), f"every {task.every}th block of 5 s, not fitted"
 
 
 def _opened(task: Task) -> Task:
