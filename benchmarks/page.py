@@ -38,7 +38,8 @@ def simulation(said: dict[str, Any]) -> str:
         [name, ", ".join(f"{n}: {number(v)}" for n, v in points)] for name, points in growth.items()
     ]
     return (
-        "Value and gradient (to all parameters) of 16 runs × 4000 RK4 steps, one thread, CPU time. "
+        "Value and gradient (to all parameters) of 16 runs × 4000 RK4 steps: CPU time on one "
+        "thread, the last row wall time on all cores. "
         "The torch reference is timed over 200 steps, the paper's way (one run after the other, "
         "scalar tensors) over 20 steps of one run, and multiplied. Largest relative difference of "
         f"values and gradients: {said['apart']:.1e}.\n\n"
@@ -46,11 +47,11 @@ def simulation(said: dict[str, Any]) -> str:
         + "\n![growth](performance-growth.svg)\n\n"
         + table(["growth", "ms by number"], named)
         + "\nThe reverse sweep gives every slope at once, so more free parameters cost nothing; "
-        "differences cost two drives each. Sixteen runs share one vector lane block: fewer cost "
-        "the same, more cost a block each, and about twice that from 64 on (their stored states "
-        "probably leave the cache). **Limit:** arithmetic. The C loop does the same "
-        "operations one run at a time; the kernel's lanes win what its stored states "
-        "(7 numbers a step) cost in memory traffic.\n"
+        "differences cost two drives each. Eight runs share one vector and are a block: fewer "
+        "cost the same, more cost a block each; blocks are shared out among threads. **Limit:** "
+        "of the bare kernel arithmetic, most of it inside the printed equations; through "
+        "torch the third that is torch's own, which fills arrays as large as the path with zeros "
+        "for each slice of it in the loss. The C loop does the same operations one run at a time.\n"
     )
 
 

@@ -2,8 +2,8 @@
 
 Compiled kernels hold no lock of Python's. How many threads: what Numba would take, all cores unless
 `NUMBA_NUM_THREADS` says otherwise; joblib and Dask set that for their workers, so that workers on
-all cores do not start threads on all cores each. Who is ready takes the next piece, and nobody waits by spinning: on a
-busy machine this costs no more than doing all of it alone.
+all cores do not start threads on all cores each. Who is ready takes the next piece, and nobody
+waits by spinning: on a busy machine this costs little more than doing all of it alone.
 """
 
 import os

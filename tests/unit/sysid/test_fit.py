@@ -6,10 +6,16 @@ import pytest
 from car_model.effects import parse_effects
 from car_model.model import Model
 from car_model.params import DEFAULT_CAR, PAPER_CAR
+from sysid.chart import make_chart
 from sysid.dataset import Run, Signal, make_run
 from sysid.fit import DEFAULT_FREE, TYRES, Options, fit
 from sysid.gate import DataError
+from sysid.kernels import parameter_vector
 from sysid.stability import stable_substeps
+from sysid.tells import directions, estimates
+
+SLID = (0.18917528114233922, 0.29462271010112046, 5.025340279936621, 2.177483451231206)
+"""Lengths and stiffnesses of a start in the long valley of long, sliding cars that steer more."""
 
 
 def _pulls(found, truth):
@@ -186,3 +192,22 @@ def test_slow_driving_and_stiff_cars_get_more_steps():
         )
         > 2
     )
+
+
+def test_a_rough_fit_that_misses_tries_other_starts(make_drive, truth):
+    """From here short windows lead into another minimum, 300 standard errors away."""
+    start = DEFAULT_CAR._replace(**dict(zip(TYRES, SLID, strict=True)))
+    found = fit([make_drive(truth, 60.0, 6072)], Model(DEFAULT_CAR), starts=[Model(start)])
+    assert found.misfit["position"] < 1.1
+    assert found.model.car.c_sf == pytest.approx(truth.car.c_sf, rel=5e-3)
+
+
+def test_noise_that_passes_for_transients_tells_no_compliance():
+    """Known to a third of itself, after a start with tyres three times as soft."""
+    p = parameter_vector(Model(DEFAULT_CAR._replace(c_sf=3.0)))
+    chart = make_chart((), p, TYRES)
+    z = chart.coordinates(parameter_vector(Model(DEFAULT_CAR._replace(c_sf=9.0))))
+    sd = np.array([1e-5, 1e-5, 0.3 * z[2], 1e-3])
+    told = {d.text: d.told for d in directions(chart, z, np.diag(sd**-2))}
+    assert sum(told.values()) == 3
+    assert not estimates(chart, z, np.diag(sd**2))["c_sf"].identifiable
