@@ -87,13 +87,14 @@ def make_case(args: argparse.Namespace, advance: Callable[[float], None]) -> Cas
         drives.append(load_drive(path, args.speed))
         advance((number + 1) / len(sessions))
     base, words, notes = find_base(args.base, sessions)
+    beats = tuple(" ".join(drive.beat.describe()) for drive in drives if drive.beat)
     drives = remembering(drives, base.model, ())
     healthy = [load_drive(Path(name), args.speed) for name in _listed(args.healthy)]
     healthy = remembering(healthy, base.model, ())
     runs, later, told, more = _split(drives, every, reserved, args.speed)
     return Case(
         sessions, runs, later, told, _moving(healthy) if healthy else (), base, words, only,
-        without, (*notes, *more),
+        without, (*notes, *beats, *more),
     )  # fmt: skip
 
 

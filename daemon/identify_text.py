@@ -39,9 +39,9 @@ def _data(outcome: Outcome) -> Iterator[str]:
         certain = "" if ramp.sure > _CERTAIN else " (hardly told)"
         yield f"motor      {ramp.run}: {limit}{certain}"
     for beat in outcome.beats:
-        late, drift = 1e3 * beat.period, 1e3 * abs(beat.drift) * beat.period
-        yield f"log        {beat.run}: steering stored 0 to {late:.0f} ms late"
-        yield f"           (two timers drift apart by {drift:.1f} ms/s), undone"
+        found, undone = beat.describe()
+        yield f"log        {found}"
+        yield f"           {undone}"
     for step in outcome.manners:
         gain = f"gains {step.gain:.0f} ± {step.se:.0f} nats"
         yield f"manner     {step.effect}: these drives show it ({gain})"

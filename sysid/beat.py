@@ -66,6 +66,12 @@ class Beat(NamedTuple):
         waited: Array = self.period * np.mod(self.phase + self.drift * t, 1.0)
         return waited
 
+    def describe(self) -> tuple[str, str]:
+        """What was found, and what was done about it."""
+        late, drift = 1e3 * self.period, 1e3 * abs(self.drift) * self.period
+        found = f"{self.run}: steering stored 0 to {late:.0f} ms late"
+        return found, f"(two timers drift apart by {drift:.1f} ms/s), undone"
+
 
 def log_period(steer: Signal) -> float:
     """Period at which a steering log is refreshed [s]; 0 where it has none worth correcting."""

@@ -50,6 +50,7 @@ def test_a_drifting_wait_is_found_and_undone() -> None:
     off = (told - true + 0.05) % 0.1 - 0.05
     off -= np.median(off)  # a wait that all share is a dead time: the fit finds it
     assert np.sqrt(np.mean(off**2)) < 0.012
+    assert beat.describe()[0] == "drive: steering stored 0 to 100 ms late"
     undone = steadied(run)
     assert undone.beat == beat
     assert len(undone.commands) == len(run.commands)
