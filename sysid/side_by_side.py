@@ -57,4 +57,5 @@ def share_out(work: Callable[[int, int], None], count: int, steps: int) -> None:
     others = [_helpers(threads() - 1).submit(part, number) for number in range(1, most)]
     part(0)
     for other in others:
-        other.result()
+        if not other.cancel():  # it has not begun: nothing is left for it
+            other.result()
