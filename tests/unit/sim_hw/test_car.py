@@ -78,7 +78,7 @@ def test_force_below_drag_does_not_move_a_car_at_rest_and_above_it_does() -> Non
 
 def test_brake_holds_on_a_slope_where_coasting_rolls() -> None:
     slope = EFFECTS["floor_slope"]
-    model = Model(DEFAULT_CAR, (slope,), ((-0.15, 0.0),))
+    model = Model(DEFAULT_CAR, (slope,), ((-0.15, 0.0, 0.0),))
     braked, free = make_car(model), make_car(model)
     for _ in range(500):
         braked.step(0.0, Demand(Drive.BRAKE, 3.4))
