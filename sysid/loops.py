@@ -323,6 +323,14 @@ def sum_slopes(w: "Array", row: int, slopes: "Array") -> None:
             slopes[parameter] += w[(row + parameter) * LANES + lane]
 
 
+@apart
+def sum_all_slopes(wva: "Array", wm: "Array", wr: "Array", slopes: "Array") -> None:
+    """Add those of actuators, memory and rates."""
+    sum_slopes(wva, 2 * (10 + MEMORY) + 4 + MEMORY, slopes)
+    sum_slopes(wm, 2 * (14 + MEMORY) + MEMORY, slopes)
+    sum_slopes(wr, 2 * (9 + MEMORY) + 6, slopes)
+
+
 @maker
 def make_adjoint_work(stages: int) -> "tuple[Array, ...]":
     """Workspaces of actuators, their derivatives, rates, memory; and what goes between them."""
@@ -397,8 +405,6 @@ def adjoint_block(
         gather_lateness(wva, row, stream, ahead, k, substeps, late, late_bars)
         if len(into):
             return_commands(wva, row, returned, ahead, k, substeps, late)
-    sum_slopes(wva, back + rows_a, slopes)
-    sum_slopes(wm, 2 * (14 + MEMORY) + MEMORY, slopes)
-    sum_slopes(wr, 2 * (9 + MEMORY) + 6, slopes)
+    sum_all_slopes(wva, wm, wr, slopes)
     if len(into):
         return_stream(returned, runs, into, ahead)
