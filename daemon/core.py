@@ -62,8 +62,9 @@ class Core:
         self.error: BaseException | None = None
         self._uptime_ms = -1
         self._seq = 0
+        self._ticked: m.Tick | None = None
+        self._wrote = b""
         self._told_ns = -DIAGNOSTICS_PERIOD_NS
-        self._work_ns = 0
         self._limits_before: McConfTemp | None = None
         self._expected = True
         self._mourned = False
@@ -174,19 +175,34 @@ class Core:
     # --- the tick
 
     def tick(self, due_ns: int, now_ns: int, work_ns: int = 0) -> bytes:
-        """Decide, tell, and give the bytes of this tick's one write."""
-        flags, epoch = int(self.flags), self.outbox.epoch_ns
+        """Decide, and give the bytes of this tick's one write; `tell` comes after the write."""
+        flags = int(self.flags)
         self.flags &= ~(Flag.REBOOTED | Flag.SUSPENDED)
         self.on_serial(now_ns, b"")
         self._seq += 1
-        header = m.make_header(now_ns + epoch, m.BODY)
-        tick = m.Tick(header, due_ns, now_ns, work_ns, self._seq & 0xFFFFFFFF, flags)
+        self.last = self._decide(due_ns, now_ns, flags)
+        self._wrote = self._wire(self.last.order.drive, now_ns)
+        header = m.make_header(now_ns + self.outbox.epoch_ns, m.BODY)
+        self._ticked = m.Tick(header, due_ns, now_ns, work_ns, self._seq & 0xFFFFFFFF, flags)
+        return self._wrote
+
+    def tell(self) -> None:
+        """Tell of the tick, when its bytes are on their way: a car cannot wait, messages can.
+
+        Never raises: what cannot be told stops the car.
+        """
+        try:
+            if self.last is not None and self._ticked is not None:
+                self._tell_tick(self.last, self._ticked)
+        except Exception as error:
+            self.strand(error)
+
+    def _tell_tick(self, result: TickResult, tick: m.Tick) -> None:
+        now_ns, epoch = tick.woke_ns, self.outbox.epoch_ns
         self.outbox.post(topics.TICK, tick, now_ns)
-        result = self.last = self._decide(due_ns, now_ns, flags)
         drive = result.order.drive
-        wire = self._wire(drive, now_ns)
-        stamp_ns = now_ns + epoch
-        self.outbox.post(topics.ACTUATION, make_actuation(drive, wire, self._seq, stamp_ns), now_ns)
+        told = make_actuation(drive, self._wrote, self._seq, now_ns + epoch)
+        self.outbox.post(topics.ACTUATION, told, now_ns)
         state = make_state(
             result.estimate,
             result.report,
@@ -199,7 +215,7 @@ class Core:
         )
         self.outbox.post(topics.STATE, state, now_ns)
         self._tell(result, now_ns)
-        return wire
+        self.outbox.flush(now_ns)
 
     def _decide(self, due_ns: int, now_ns: int, flags: int) -> TickResult:
         """What the loop decides; if it raises, the car brakes in this very tick and for good."""

@@ -120,7 +120,7 @@ class Dashboard:
 
     def _numbers(self, s: m.State) -> Table:
         table = Table.grid(padding=(0, 3))
-        late_ms = (self.tick.woke_ns - self.tick.due_ns) * 1e-6 if self.tick else 0.0
+        late_ms = max(self.tick.woke_ns - self.tick.due_ns, 0) * 1e-6 if self.tick else 0.0
         work_ms = self.tick.work_ns * 1e-6 if self.tick else 0.0
         table.add_row(
             "pose", f"x {s.x:+7.3f} m", f"y {s.y:+7.3f} m", f"yaw {degrees(s.yaw):+7.1f}°"

@@ -1,4 +1,7 @@
-"""The core's way out for messages: encode once, count per topic, hand to every sink."""
+"""The core's way out for messages: count per topic, encode once, hand to every sink.
+
+Messages are values: what is posted while a pose waits for its tick is encoded after it.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,7 +17,7 @@ Sink = Callable[[list[Record], int], None]
 
 @dataclass(slots=True)
 class Outbox:
-    """Messages of the current tick, encoded.
+    """Messages of the current tick.
 
     Attributes:
         epoch_ns: UNIX time minus monotonic time, fixed for the session [ns].
@@ -37,11 +40,16 @@ class Outbox:
         self._last_ns = max(self._last_ns, t_ns)
         publish_ns = (t_ns if valid_ns is None else valid_ns) + self.epoch_ns
         log_ns = self._last_ns + self.epoch_ns
-        self._pending.append(Record(topic, count, log_ns, publish_ns, encode(message), message))
+        self._pending.append(Record(topic, count, log_ns, publish_ns, b"", message))
 
     def flush(self, t_ns: int) -> None:
-        """Hand everything queued to the sinks."""
+        """Encode everything queued and hand it to the sinks.
+
+        Raises:
+            CodecError: a message cannot be encoded; what was queued with it is lost.
+        """
         if self._pending:
-            records, self._pending = self._pending, []
+            queued, self._pending = self._pending, []
+            records = [record._replace(data=encode(record.message)) for record in queued]
             for sink in self.sinks:
                 sink(records, t_ns)

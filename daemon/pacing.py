@@ -1,18 +1,20 @@
 """When to tick next: in step with mocap, so that a pose is acted on as it arrives.
 
 A loop with a clock of its own meets a pose at any phase, and the pose waits up to a period for its
-tick. Mocap keeps time too, so the deadlines are moved, by little and little, to right behind
-the arrivals: a phase-locked loop of first order. What arrives can stretch or shrink a period by
-`SLEW` at most and never stop the ticks; without poses, or with poses that keep no time with the
-ticks (120 Hz against 100 Hz, a jittery network), the deadlines stay where they are.
+tick. Mocap keeps time too, so the deadlines are moved, by little and little, to shortly behind
+the arrivals: a phase-locked loop of first order. A pose that comes shortly before its deadline is
+acted on at once; the deadline is for the pose that does not come. What arrives can stretch or
+shrink a period by `SLEW` at most and never stop the ticks or make more of them; without poses, or
+with poses that keep no time with the ticks (120 Hz against 100 Hz, a jittery network), the
+deadlines stay where they are and every tick waits for its own.
 """
 
 from typing import NamedTuple
 
 SLEW = 0.01
 """A period changes by this share at most."""
-MARGIN_NS = 300_000
-"""A deadline stands this far behind a punctual arrival, time to take it in; jitter adds to it."""
+MARGIN = 0.2
+"""A deadline stands this share of a period behind a punctual arrival: room for one that is late."""
 _JITTERS = 3.0
 """And so many times the arrivals' mean jitter further."""
 _SHARE = 16
@@ -20,7 +22,7 @@ _SHARE = 16
 _MEMORY = 32
 """Arrivals over which jitter is averaged."""
 _LATER, _EARLIER = 2, 8
-"""Shares of an error taken back at once: a pose just missed waits a period, one early its lead."""
+"""Shares of an error taken back at once: a pose that misses its deadline waits a whole period."""
 
 
 class Pace(NamedTuple):
@@ -59,11 +61,26 @@ def step_pace(pace: Pace, due_ns: int, arrival_ns: int, period_ns: int) -> Pace:
     return Pace(arrival_ns, lead + shift, jitter, shift)
 
 
+def at_once_ns(pace: Pace, period_ns: int) -> int:
+    """A pose that comes at most so long before a deadline [ns] is that deadline's: tick now.
+
+    None is while the deadlines stand in no step with the poses: 0.
+    """
+    if pace.jitter_ns * _SHARE > period_ns or pace.arrival_ns < 0:
+        return 0
+    return min(round(2.0 * _lead(pace.jitter_ns, period_ns)), period_ns // 2)
+
+
+def _lead(jitter_ns: float, period_ns: int) -> float:
+    """How far ahead of its deadline a punctual pose should come."""
+    return MARGIN * period_ns + _JITTERS * jitter_ns
+
+
 def _shift(lead_ns: int, jitter_ns: float, period_ns: int) -> int:
     """How far to move the next deadline, given where this one stood."""
     if jitter_ns * _SHARE > period_ns:
         return 0
-    error = MARGIN_NS + _JITTERS * jitter_ns - lead_ns
+    error = _lead(jitter_ns, period_ns) - lead_ns
     most = SLEW * period_ns
     return round(max(-most, min(most, error / (_LATER if error > 0.0 else _EARLIER))))
 

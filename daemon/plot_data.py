@@ -180,8 +180,7 @@ def _figures(s: _Tables, track: Track | None) -> tuple[tuple[str, str], ...]:
         if running.any():
             facts.append(("fastest", f"{np.nanmax(state['speed'][running]):.2f} m/s"))
     if tick is not None and len(tick["due_ns"]):
-        late = (tick["woke_ns"] - tick["due_ns"]).astype(float) * 1e-6
-        facts.append(("tick late, 99 %", f"{np.quantile(late, 0.99):.2f} ms"))
+        facts.append(("tick late, 99 %", f"{np.quantile(_late_ms(tick), 0.99):.2f} ms"))
     return tuple(facts)
 
 
@@ -275,11 +274,17 @@ def _timing(s: _Tables) -> Panel:
     table = s.table(topics.TICK)
     if table is None:
         return Panel("", "", ())
-    late = (table["woke_ns"] - table["due_ns"]).astype(float) * 1e-6
+    late = _late_ms(table)
     work = table["work_ns"].astype(float) * 1e-6
     t = s.times(table)
     curves = (*make_curve("late", "command", t, late), *make_curve("work", "estimate", t, work))
     return Panel("control tick", "ms", curves)
+
+
+def _late_ms(ticks: Mapping[str, Array]) -> Array:
+    """How far past their deadlines ticks began; one that came with its pose was not late."""
+    past = ticks["woke_ns"].astype(np.int64) - ticks["due_ns"].astype(np.int64)
+    return np.maximum(past, 0).astype(np.float64) * 1e-6
 
 
 def _latency(s: _Tables) -> Panel:

@@ -1,8 +1,8 @@
 """Real time: one thread, one select, absolute deadlines.
 
-Serial port, mocap sockets and requests are handled as they arrive; at each deadline the core ticks
-and one write goes out. The deadlines follow the poses (`daemon.pacing`). A tick that comes late is
-skipped to the next, never caught up in a burst.
+Serial port, mocap sockets and requests are handled as they arrive; with its pose, or at its
+deadline if none comes, the core ticks and one write goes out. The deadlines follow the poses
+(`daemon.pacing`). A tick that comes late is skipped to the next, never caught up in a burst.
 """
 
 import contextlib
@@ -16,7 +16,7 @@ from daemon.core import Core
 from daemon.flags import Flag
 from daemon.gateway_wire import REQUEST_MAX, unpack_request
 from daemon.guard import Guard, sleep_lag_ns
-from daemon.pacing import Pace, step_pace
+from daemon.pacing import Pace, at_once_ns, step_pace
 from daemon.records import PipeWriter
 from daemon.sd_notify import ALIVE, READY, STOPPING, Notify, say_nothing
 from daemon.transitions import is_engaged
@@ -95,14 +95,15 @@ class Runner:
         due = self._clock.now_ns()
         work_ns, pace = 0, Pace()
         while not self._done():
-            self._wait(due)
+            self._wait(due, due - at_once_ns(pace, self._period_ns))
             now = self._clock.now_ns()
-            self._housekeeping(now)
+            self._raise_flags()
             wire = self._core.tick(due, now, work_ns)
             self._write(wire, now)
-            self._core.outbox.flush(now)
+            self._core.tell()
             after = self._clock.now_ns()
             work_ns = after - now
+            self._housekeeping(after)
             pace = step_pace(pace, due, self._pose_ns, self._period_ns)
             due += self._period_ns + pace.shift_ns
             if after > due:
@@ -119,8 +120,8 @@ class Runner:
         over = self.signals > 0 or planned
         return self.signals > 2 or (over and loop.at_rest)
 
-    def _wait(self, due_ns: int) -> None:
-        """Handle what arrives until the deadline."""
+    def _wait(self, due_ns: int, early_ns: int) -> None:
+        """Handle what arrives until the deadline, or until a pose has come since `early_ns`."""
         while True:
             left_ns = due_ns - self._clock.now_ns()
             fds = [self._ends.stop_fd, *(s.fileno() for s in self._ends.requests)]
@@ -131,7 +132,7 @@ class Runner:
             ready, _, _ = select.select(fds, [], [], max(left_ns, 0) * 1e-9)
             for fd in ready:
                 self._take(fd)
-            if left_ns <= 0:
+            if left_ns <= 0 or early_ns <= self._pose_ns:
                 return
 
     def _take(self, fd: int) -> None:
@@ -183,7 +184,19 @@ class Runner:
 
     # --- what is not an arrival
 
+    def _raise_flags(self) -> None:
+        """What the very next tick must know."""
+        lag = sleep_lag_ns()
+        if lag - self._slept_ns > self._core.loop.setup.settings.thresholds.suspend_step * 1e9:
+            self._core.flags |= Flag.SUSPENDED
+        self._slept_ns = lag
+        if self.signals:
+            self._core.flags |= Flag.QUIT
+        if self.signals > 1:
+            self._core.flags |= Flag.ABORT
+
     def _housekeeping(self, now_ns: int) -> None:
+        """What has time until after the tick."""
         if self._port is None and now_ns >= self._reopen_ns:
             self._try_open(now_ns)
         if now_ns >= self._mocap_ns:
@@ -193,10 +206,6 @@ class Runner:
             self._clock_ns = now_ns + CLOCK_NS
             self._tell_clock(now_ns)
         self._watch_processes(now_ns)
-        flags = self._core.flags
-        flags |= Flag.QUIT if self.signals else 0
-        flags |= Flag.ABORT if self.signals > 1 else 0
-        self._core.flags = flags
 
     def _tend_mocap(self, now_ns: int) -> None:
         seen = self._core.loop.perception
@@ -225,10 +234,6 @@ class Runner:
             self._watch_guardian(now_ns)
         if self._guard.tripped():
             core.flags |= Flag.GUARDIAN_TRIPPED
-        lag = sleep_lag_ns()
-        if lag - self._slept_ns > th.suspend_step * 1e9:
-            core.flags |= Flag.SUSPENDED
-        self._slept_ns = lag
 
     def _watch_guardian(self, now_ns: int) -> None:
         """A guardian that is slow to start is a red check until it shows itself, no fault."""

@@ -65,7 +65,7 @@ class VirtualRun:
         data = self.core.tick(due, now)
         if data and self.core.flags & Flag.LINKED:
             self._write(now, data)
-        self.core.outbox.flush(now)
+        self.core.tell()
         self._pass(due + self.period_ns * (1 + late_ns // self.period_ns))
 
     def _pass(self, end: int) -> None:

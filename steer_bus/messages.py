@@ -68,7 +68,10 @@ class RequestKind(IntEnum):
 
 @message("steerd_msgs/msg/Tick")
 class Tick:
-    """Timing of one control tick; ``work_ns`` is the work of the tick before it."""
+    """Timing of one control tick; ``work_ns`` is the work of the tick before it.
+
+    ``due_ns`` is the deadline. A tick that comes with its pose wakes before it.
+    """
 
     header: Header
     due_ns: Nanosecond

@@ -155,7 +155,7 @@ TRACES = {
         also=_RUNNER + "; live: SIGKILL gateway",
     ),
     "W28": Trace(
-        "daemon.runner:Runner._watch_processes", _names("suspend_step"), ("H17", "P5"), also=_RUNNER
+        "daemon.runner:Runner._raise_flags", _names("suspend_step"), ("H17", "P5"), also=_RUNNER
     ),
     "W29": Trace(
         "daemon.blind:tick_blind", (), ("H13", "P5"), also="H13b to H13e; " + _RUNNER

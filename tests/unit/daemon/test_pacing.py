@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daemon.pacing import MARGIN_NS, SLEW, Pace, step_pace
+from daemon.pacing import MARGIN, SLEW, Pace, at_once_ns, step_pace
 
 MS = 1_000_000
 TICKS = 2000
@@ -38,12 +38,14 @@ def arrivals(every: float, phase: float, jitter: float, seed: int, share: float 
 
 @pytest.mark.parametrize("period_ms", [2, 5, 10])
 @pytest.mark.parametrize("phase", [0.02, 0.3, 0.5, 0.7, 0.98])
-def test_a_punctual_pose_waits_little_from_any_phase(period_ms: int, phase: float) -> None:
+def test_a_punctual_pose_comes_shortly_before_its_deadline_from_any_phase(
+    period_ms: int, phase: float
+) -> None:
     period = period_ms * MS
     _, waits, _ = drive(period, arrivals(period, phase, 0.02 * MS, 5))
     settled = np.array(waits[TICKS // 2 :])
     assert settled.min() > 0
-    assert np.quantile(settled, 0.99) < MARGIN_NS + MS // 5
+    assert np.quantile(settled, 0.99) < MARGIN * period + MS // 5
 
 
 @pytest.mark.parametrize("ratio", [0.5, 2.0])
@@ -51,7 +53,7 @@ def test_poses_twice_or_half_as_often_are_followed_too(ratio: float) -> None:
     period = 5 * MS
     _, waits, _ = drive(period, arrivals(period * ratio, 0.4, 0.02 * MS, 6))
     settled = np.array(waits[TICKS // 2 :]) % period
-    assert np.quantile(settled, 0.99) < MARGIN_NS + MS // 5
+    assert np.quantile(settled, 0.99) < MARGIN * period + MS // 5
 
 
 def test_lost_poses_do_not_move_what_is_in_step() -> None:
@@ -59,13 +61,13 @@ def test_lost_poses_do_not_move_what_is_in_step() -> None:
     _, waits, _ = drive(period, arrivals(period, 0.3, 0.02 * MS, 7, share=0.8))
     fresh = [wait for wait in waits[TICKS // 2 :] if wait < period // 2]
     assert len(fresh) > 0.7 * TICKS / 2
-    assert max(fresh) < MARGIN_NS + MS // 5
+    assert max(fresh) < MARGIN * period + MS // 5
 
 
 def test_a_mocap_clock_that_is_a_little_fast_is_followed() -> None:
     period = 10 * MS
     dues, waits, _ = drive(period, arrivals(period / 1.002, 0.3, 0.02 * MS, 8))
-    assert max(waits[TICKS // 2 :]) < MARGIN_NS + MS // 2
+    assert max(waits[TICKS // 2 :]) < MARGIN * period + MS // 2
     assert np.diff(dues[TICKS // 2 :]).mean() == pytest.approx(period / 1.002, rel=2e-4)
 
 
@@ -105,3 +107,36 @@ def test_no_arrivals_whatever_bend_a_period_by_more_than_the_slew(
     frames = np.cumsum(steps).tolist()
     dues, _, _ = drive(period, frames, 80)
     assert np.abs(np.diff(dues) - period).max() <= SLEW * period + 1
+
+
+@pytest.mark.parametrize("period_ms", [2, 5, 10])
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
+def test_only_the_pose_that_belongs_to_a_deadline_makes_its_tick(
+    period_ms: int, ratio: float
+) -> None:
+    period = period_ms * MS
+    frames = arrivals(period * ratio, 0.4, 0.02 * MS, 12)
+    dues, waits, paces = drive(period, frames)
+    stretch = range(TICKS // 2, TICKS - 1)
+    room = {at_once_ns(paces[k], period) for k in stretch}
+    assert max(room) < period // 2
+    early = [[due - f for f in frames if due - period < f <= due] for due in dues[-200:]]
+    for lead, pace in zip(early[1:], paces[-200:-1], strict=True):
+        assert sum(wait <= at_once_ns(pace, period) for wait in lead) <= 1
+    fresh = [waits[k + 1] for k in stretch if waits[k + 1] < period / 2]
+    assert all(wait <= min(room) for wait in fresh)
+
+
+@pytest.mark.parametrize(
+    ("every", "jitter"), [(1e9 / 120, 0.0), (5 * MS, 1.5 * MS)], ids=["rhythm", "network"]
+)
+def test_poses_that_are_not_followed_make_no_ticks(every: float, jitter: float) -> None:
+    period = 5 * MS
+    _, _, paces = drive(period, arrivals(every, 0.3, jitter, 13))
+    assert {at_once_ns(pace, period) for pace in paces[50:]} == {0}
+    assert at_once_ns(Pace(), period) == 0
+
+
+@given(jitter=st.floats(0.0, 1e9), period=st.integers(MS, 20 * MS))
+def test_no_pose_is_early_by_more_than_half_a_period(jitter: float, period: int) -> None:
+    assert 0 <= at_once_ns(Pace(0, 0, jitter), period) <= period // 2

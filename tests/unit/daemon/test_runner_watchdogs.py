@@ -166,10 +166,10 @@ def test_w28_a_machine_that_slept(plan, monkeypatch, slept_ns, flag):
     monkeypatch.setattr(runner_module, "sleep_lag_ns", lambda: 0)
     r = make_runner(plan)
     monkeypatch.setattr(runner_module, "sleep_lag_ns", lambda: slept_ns)
-    r.it._watch_processes(0)
+    r.it._raise_flags()
     assert r.core.flags == Flag.LINKED | flag
     r.core.flags &= ~Flag.SUSPENDED
-    r.it._watch_processes(0)
+    r.it._raise_flags()
     assert r.core.flags == Flag.LINKED, "told once"
 
 
@@ -205,10 +205,21 @@ def test_w29_what_was_raised_while_a_reply_came_in_is_told_once(plan):
     assert r.core.flags == Flag.LINKED | Flag.EXCEPTION
     for t_ns in (0, 10_000_000):
         r.core.tick(t_ns, t_ns)
-        r.core.outbox.flush(t_ns)
+        r.core.tell()
     logs = [read_message(record).msg for record in told if record.topic is topics.LOG]
     (said,) = [text for text in logs if "W29" in text]
     assert said.startswith("W29 IndexError at <lambda>:")
+
+
+def test_w29_what_cannot_be_told_stops_the_car_and_the_core_lives(plan):
+    def refuse(_records, _t_ns):
+        raise LookupError("no such sink")
+
+    r = make_runner(plan, (refuse,))
+    r.core.tick(0, 0)
+    r.core.tell()
+    assert isinstance(r.core.error, LookupError)
+    assert r.core.flags & Flag.EXCEPTION
 
 
 @pytest.mark.parametrize(
