@@ -4,10 +4,10 @@
 
 A real crew (core, recorder, gateway, guardian) drives simulated hardware. Between them sits the
 tap: it passes datagrams and serial bytes on and stamps both (CLOCK_MONOTONIC), so that neither
-the core nor the simulation times itself. The core moves its deadlines to just behind the
-datagrams, which wait for the next one. A machine that stalls rightly stops the car; the drive is
-then called `stopped`. `path` is all of that; `added` is what remains without the wait, from the
-later of datagram and deadline to the bytes. `work` is the core's own work in a tick, as recorded.
+the core nor the simulation times itself: `path`. In step with mocap, the core ticks as a pose
+comes in; before that, poses wait for the next deadline. `work` is the core's own work in a tick,
+as recorded; `late`, how far past its deadline a tick began. A machine that stalls rightly stops
+the car; the drive is then called `stopped`.
 """
 
 import argparse
@@ -176,11 +176,9 @@ def judge(session: Path, frames: list[int], orders: list[int], begin: int, end: 
     tick, mocap = tick[kept], mocap[kept]
     answer = np.searchsorted(sent, woke[tick])
     kept = answer < sent.size
-    out, late, start = sent[answer[kept]], mocap[kept], np.maximum(due[tick], mocap)[kept]
     return {
-        "path_ms": percentiles(out - late),
-        "added_ms": percentiles(out - start),
-        "late_ms": percentiles((woke - due)[inside]),
+        "path_ms": percentiles(sent[answer[kept]] - mocap[kept]),
+        "late_ms": percentiles(np.maximum(woke - due, 0)[inside]),
         "work_ms": percentiles(work[inside]),
         "ticks": int(inside.sum()),
         "stopped": bool(np.isin(reached, [State.FAULT_STOP, State.ESTOP]).any()),

@@ -31,6 +31,7 @@ PIECES: dict[str, tuple[str, ...]] = {
     "identify": ("perf_identify.py",),
     "diagnosis": ("perf_diagnosis.py",),
     "control_path": ("control_path.py", "--seconds", "6"),
+    "control_floor": ("control_floor.py",),
     "virtual": ("perf_virtual.py",),
     "wire": ("perf_wire.py",),
     "startup": ("perf_startup.py",),
