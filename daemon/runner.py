@@ -95,7 +95,8 @@ class Runner:
         due = self._clock.now_ns()
         work_ns, pace = 0, Pace()
         while not self._done():
-            self._wait(due, due - at_once_ns(pace, self._period_ns))
+            # Only a pose that came since the last tick makes one.
+            self._wait(due, max(due - at_once_ns(pace, self._period_ns), self._pose_ns + 1))
             now = self._clock.now_ns()
             self._raise_flags()
             wire = self._core.tick(due, now, work_ns)
@@ -147,8 +148,8 @@ class Runner:
             self._read_requests(fd)
 
     def _on_poses(self, samples: list[PoseSample]) -> None:
-        if samples:
-            self._pose_ns = samples[-1].t_arrival_ns
+        if samples:  # never ahead of now: a wrong stamp must not bring ticks without waiting
+            self._pose_ns = min(samples[-1].t_arrival_ns, self._clock.now_ns())
         self._core.on_poses(samples)
 
     def _read_requests(self, fd: int) -> None:

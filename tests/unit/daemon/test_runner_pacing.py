@@ -21,12 +21,12 @@ STOP, MOCAP = 3, 4
 class World:
     """Time passes only in `select`; a frame comes every `every_ns`, each tick takes 0.4 ms.
 
-    After 300 frames some are lost.
+    After 300 frames some are lost, and stamps may be wrong from then on.
     """
 
-    def __init__(self, every_ns: int, lost: int = 0) -> None:
+    def __init__(self, every_ns: int, lost: int = 0, ahead_ns: int = 0) -> None:
         self.t_ns, self.every_ns, self.next_ns = 0, every_ns, 3 * MS
-        self.lost, self.sent = lost, 0
+        self.lost, self.sent, self.ahead_ns = lost, 0, ahead_ns
         self.ingest = SimpleNamespace(wheel_speed=None, stationary=False)
 
     def now_ns(self) -> int:
@@ -51,7 +51,8 @@ class World:
         self.sent += 1
         missing = self.lost if self.sent == 300 else 0
         self.next_ns += self.every_ns * (1 + missing)
-        return [SimpleNamespace(t_arrival_ns=arrival)]
+        wrong = self.ahead_ns if self.sent > 300 else 0
+        return [SimpleNamespace(t_arrival_ns=arrival + wrong)]
 
     def on_timer(self, _t_ns):
         return []
@@ -63,7 +64,7 @@ class World:
         pass
 
 
-def ticks_of(monkeypatch, every_ns: int, count: int = 400, lost: int = 0):
+def ticks_of(monkeypatch, every_ns: int, count: int = 400, **wrong: int):
     """The ticks of a run, the frames' arrivals, and the period."""
     told: list[Tick] = []
 
@@ -72,7 +73,7 @@ def ticks_of(monkeypatch, every_ns: int, count: int = 400, lost: int = 0):
         world.t_ns += 4 * MS // 10
 
     plan = make_plan(RunOptions(car_file="", path="line", speed=1.0, rate_hz=100.0))
-    world = World(every_ns, lost)
+    world = World(every_ns, **wrong)
     core = make_core(plan, 1, 0, (sink,), leased=True)
     arrivals: list[int] = []
     core.on_poses = lambda samples: arrivals.extend(s.t_arrival_ns for s in samples)
@@ -105,6 +106,13 @@ def test_a_pose_that_does_not_come_is_not_waited_for(monkeypatch):
     assert set(woke(ticks[-50:])) <= set(arrivals)
 
 
+@pytest.mark.parametrize("ahead_ns", [3 * MS, 1_000 * MS, -3 * MS, -1_000 * MS])
+def test_stamps_that_are_wrong_bring_no_tick_without_waiting(monkeypatch, ahead_ns):
+    ticks, _, period = ticks_of(monkeypatch, 10 * MS, ahead_ns=ahead_ns)
+    assert np.diff(woke(ticks)).min() >= period // 2
+    assert all(abs(t.due_ns - t.woke_ns) <= period // 2 for t in ticks)
+
+
 def test_two_poses_a_period_make_one_tick(monkeypatch):
     ticks, _, period = ticks_of(monkeypatch, 5 * MS)
     assert np.diff(woke(ticks[250:])).min() > 0.9 * period
@@ -115,20 +123,41 @@ def test_a_mocap_of_another_rhythm_leaves_the_ticks_alone(monkeypatch):
     assert set(np.diff(woke(ticks))) == {period}
 
 
-def test_the_bytes_leave_before_anybody_is_told(monkeypatch):
-    told: list[str] = []
+def runner_with(monkeypatch, world: World, told: list[str]) -> Runner:
+    """A runner whose core only says what it is asked for."""
     core = SimpleNamespace(
         loop=SimpleNamespace(setup=SimpleNamespace(period_ns=10 * MS)),
         tick=lambda *_: told.append("decided") or b"order",
         tell=lambda: told.append("told"),
         on_poses=lambda _samples: None,
     )
-    world = World(10 * MS)
     monkeypatch.setattr(runner_module.select, "select", world.select)
     it = Runner(core, world, lambda: None, world, Ends(None, None, (), STOP), SimpleNamespace())
     it._write = lambda wire, _t_ns: told.append(wire.decode())
     it._raise_flags = it._leave = lambda: None
     it._housekeeping = lambda _t_ns: told.append("tidied")
+    return it
+
+
+def test_the_bytes_leave_before_anybody_is_told(monkeypatch):
+    told: list[str] = []
+    it = runner_with(monkeypatch, World(10 * MS), told)
     it._done = lambda: len(told) >= 8
     it.run()
     assert told == ["decided", "order", "told", "tidied"] * 2
+
+
+def test_a_pose_makes_one_tick_only(monkeypatch):
+    """A tick so late that it has seen the pose of the next one, again and again."""
+    world, early = World(10 * MS), []
+    it = runner_with(monkeypatch, world, [])
+
+    def wait_too_long(due_ns: int, early_ns: int) -> None:
+        early.append(early_ns > it._pose_ns)
+        world.t_ns = due_ns + 8 * MS
+        it._on_poses([SimpleNamespace(t_arrival_ns=due_ns + 7 * MS)])
+
+    it._wait = wait_too_long
+    it._done = lambda: len(early) >= 400
+    it.run()
+    assert all(early)
