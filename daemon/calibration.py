@@ -9,7 +9,7 @@ so two least squares give the body's place (r_x, r_y), its heading error and the
 delay is the one at which poses and wheels agree best while the speed changes. Pure.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from math import atan2, cos, sin
 
@@ -131,12 +131,9 @@ def calibrate_mount(drive: Drive, car: Car[float]) -> Calibration:
         hint = "check [mocap] units, [vesc] erpm_gain, and that this body is on this car"
         raise SteerdError(what, hint)
     parts = [_solve(motion, drive, slip, keep)[0] for keep in _leave_out(motion.good)]
-    columns = {f.name: np.array([getattr(p, f.name) for p in parts]) for f in fields(Mount)}
-    factor = (BLOCKS - 1) / BLOCKS
-    sd = {
-        name: float(np.sqrt(factor * np.sum((column - column.mean()) ** 2)))
-        for name, column in columns.items()
-    }
+    names = [f.name for f in fields(Mount)]
+    rows = [np.array([getattr(part, name) for name in names]) for part in parts]
+    sd = dict(zip(names, _jackknife(rows), strict=True))
     # What the slip leaves open is the same in every part, so the parts do not show it.
     sd["rear_x"] = float(np.hypot(sd["rear_x"], _open_by_slip(motion, slip)))
     seconds = float(motion.good.sum()) / RATE
@@ -248,10 +245,14 @@ def _doubts(m: _Motion, drive: Drive) -> list[str]:
     wheel = np.interp(m.t[m.good], drive.t_wheel, drive.wheel)
     if float(np.std(wheel)) < SPEED_SPREAD_MIN:
         doubts.append("its speed hardly changes, so the delay is uncertain: vary the speed")
-    lateral = np.abs(m.yaw_rate * np.hypot(m.vx, m.vy))[m.good]
-    if float(np.quantile(lateral, 0.95)) > 2.0:
-        doubts.append("it corners with more than 2 m/s²: tyre slip blurs the result, drive slower")
-    return doubts
+    return [*doubts, *_slip_doubts((m.yaw_rate * np.hypot(m.vx, m.vy))[m.good])]
+
+
+def _slip_doubts(lateral: Array) -> list[str]:
+    """Doubts of a drive with these lateral accelerations [m/s^2]."""
+    if float(np.quantile(np.abs(lateral), 0.95)) <= 2.0:
+        return []
+    return ["it corners with more than 2 m/s²: tyre slip blurs the result, drive slower"]
 
 
 # -- steering ------------------------------------------------------------------------------------
@@ -269,6 +270,7 @@ class Steering:
         clipped_left, clipped_right: whether commands beyond them had no effect.
         residual: [rad, rms].
         sd_gain, sd_bias: standard errors.
+        doubts: what the drive cannot tell well, one sentence each.
     """
 
     gain: float
@@ -281,8 +283,17 @@ class Steering:
     residual: float
     sd_gain: float
     sd_bias: float
+    doubts: tuple[str, ...]
 
 
+STEADY_BEFORE, STEADY_AFTER = 0.25, 0.15
+"""The command's course about a sample that counts: the servo's lag before it, what the velocities
+were differentiated over behind it [s]."""
+STEADY = 0.02
+"""Over that time the command keeps so near to a straight line where one delay explains the wheels;
+a step has one angle asked for and another one reached [rad]."""
+SD_GAIN_MAX = 0.05
+"""A gain that is known no better is none to drive with."""
 CLIP = 0.035
 """Wheels that stay so far behind the commands at their ends have met a stop [rad]."""
 
@@ -314,22 +325,32 @@ def calibrate_steering(
     slip = (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
     angle = np.arctan(length * w / v) + slip * v * w
 
-    def fit(delay: float) -> tuple[Array, Array, Array]:
-        asked = np.interp(t - delay, t_command, command)
-        inner = np.abs(asked - np.median(asked)) <= 0.5 * np.ptp(asked) / 2
-        rows = np.column_stack([asked[inner], np.ones(inner.sum())])
-        return (*_least(rows, angle[inner]), asked)
-
+    hint = "drive a figure of eight"
     if np.std(np.interp(t, t_command, command)) < 0.02:
-        hint = "drive a figure of eight"
         raise SteerdError("the steering is hardly used in this drive", hint)
+    low, high = (np.interp(t, t_command, command).min(), np.interp(t, t_command, command).max())
+    steady = _steady(t, t_command, command)
+    if steady.sum() < 200:
+        raise SteerdError("the steering swings too fast for the car to follow", hint)
+
+    def fit(delay: float, keep: Mask = steady) -> tuple[Array, Array, Array]:
+        asked = np.interp(t - delay, t_command, command)
+        # The outer quarters may lie beyond a stop, unless nothing else was driven.
+        inner = keep & (np.abs(asked - (low + high) / 2) <= (high - low) / 4)
+        used = inner if np.std(asked[inner]) > 0.1 * (high - low) else keep
+        rows = np.column_stack([asked[used], np.ones(used.sum())])
+        return (*_least(rows, angle[used]), asked)
+
     delay = _best(lambda tau: float(np.mean(fit(tau)[1] ** 2)))
     (gain, bias), left, asked = fit(delay)
+    sd_gain, sd_bias = _jackknife([fit(delay, part)[0] for part in _leave_out(steady)])
     if gain < 0.1:
         what = f"the car turns {gain:+.2f} times what was asked for"
         hint = "a negative figure: change the sign of [vesc] servo_gain; else see `steerd probe`"
         raise SteerdError(what, hint, ExitCode.INVALID)
-    spread = float(np.std(left)) / np.sqrt(max(len(left) / (RATE * WINDOW), 1.0))
+    if sd_gain > SD_GAIN_MAX:
+        what = f"this drive tells the steering gain to ±{sd_gain:.2f} only"
+        raise SteerdError(what, f"{hint}, slowly", ExitCode.STOPPED)
     ends = [_end(angle, gain * asked + bias, side) for side in (1.0, -1.0)]
     return Steering(
         gain=float(gain),
@@ -340,9 +361,26 @@ def calibrate_steering(
         clipped_left=ends[0][1],
         clipped_right=ends[1][1],
         residual=float(np.sqrt(np.mean(left**2))),
-        sd_gain=spread / float(np.std(asked)),
-        sd_bias=spread,
+        sd_gain=sd_gain,
+        sd_bias=sd_bias,
+        doubts=tuple(_slip_doubts(v * w)),
     )
+
+
+def _steady(t: Array, t_command: Array, command: Array) -> Mask:
+    """Where the command neither steps nor swings, so that the wheels can have followed it."""
+    offsets = np.arange(-STEADY_BEFORE, STEADY_AFTER, 0.02)
+    around = np.stack([np.interp(t + dt, t_command, command) for dt in offsets])
+    share = ((offsets - offsets[0]) / np.ptp(offsets))[:, None]
+    line = (1.0 - share) * around[0] + share * around[-1]
+    return np.asarray(np.abs(around - line).max(axis=0) < STEADY, dtype=np.bool_)
+
+
+def _jackknife(parts: Sequence[Array]) -> tuple[float, ...]:
+    """Standard errors of values from what they are without each part in turn."""
+    values = np.array(parts)
+    spread = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
+    return tuple(np.sqrt((len(parts) - 1) / len(parts) * spread).tolist())
 
 
 def _end(angle: Array, predicted: Array, side: float) -> tuple[float, bool]:

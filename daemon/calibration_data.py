@@ -12,6 +12,7 @@ from daemon.errors import SteerdError
 from daemon.options import decode_options
 from daemon.session_info import find_table, load_session, read_tables
 from daemon.session_motion import Array, Track, make_track
+from daemon.translate import of_car_file
 from mocap_link.frame import FrameConfig, make_planar_pose
 from mocap_link.mocap_url import parse_mocap_url
 from steer_bus import topics
@@ -57,7 +58,7 @@ def load_recorded(path: Path) -> Recorded:
     try:
         settings = make_settings(parse_car(text, Path(f"{path.name}:car.toml")))
     except CarFileError as error:
-        raise SteerdError(str(error), error.hint) from None
+        raise of_car_file(error) from None
     tables, problems = read_tables(session)
     poses = find_table(tables, topics.MOCAP)
     if poses is None or not (good := poses["reject"] == "").any():
@@ -91,8 +92,15 @@ def _bare(settings: Settings, session: Session) -> FrameConfig:
 
 
 def body_track(r: Recorded) -> tuple[Array, Array, Array, Array]:
-    """The body itself: times from the first pose [s], x, y [m], yaw [rad]."""
+    """The body itself: times from the first pose [s], x, y [m], yaw [rad].
+
+    Raises:
+        SteerdError: an imported log, whose poses are the car's already.
+    """
     p = r.poses
+    if not np.isfinite(p["z_raw"]).all():
+        hint = "an imported log's body is placed by its map's [frame]"
+        raise SteerdError("the session holds the car's poses only, not its body's", hint)
     raw = zip(*(p[name].tolist() for name in ("x_raw", "y_raw", "z_raw")), strict=True)
     turns = zip(*(p[name].tolist() for name in ("qw", "qx", "qy", "qz")), strict=True)
     placed = [make_planar_pose(r.frame, at, q) for at, q in zip(raw, turns, strict=True)]
@@ -122,7 +130,7 @@ def make_drive(r: Recorded) -> Drive:
     """Poses and wheel speed for `calibrate_mount`.
 
     Raises:
-        SteerdError: the session holds no wheel speed.
+        SteerdError: the session holds no wheel speed, or no poses of the body.
     """
     return Drive(*body_track(r), *wheel_speed(r))
 

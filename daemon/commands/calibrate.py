@@ -36,9 +36,12 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: session, port or car file cannot be used.
     """
+    from daemon.outputs import check_outputs
+
     if bool(args.session) == bool(args.port):
         hint = "steerd calibrate servo DRIVE.mcap, or steerd calibrate servo --port DEV"
         raise SteerdError("name a session or a port", hint, ExitCode.USAGE)
+    check_outputs({"-o": args.output})
     return _from_keys(args) if args.port else _from_session(args)
 
 
@@ -54,6 +57,8 @@ def _from_session(args: argparse.Namespace) -> int:
     )
     scaling = servo_scaling(found, r.settings.scaling)
     print("\n".join(_describe(found, scaling)))
+    for doubt in found.doubts:
+        print(f"warning: {doubt}", file=sys.stderr)
     text = load_text(args.car) if args.car else r.text
     return _finish(args, text, servo_values(scaling))
 

@@ -115,8 +115,10 @@ def _calibrate(args: argparse.Namespace) -> int:
     from daemon.calibration import calibrate_mount
     from daemon.calibration_data import load_recorded, make_drive
     from daemon.car_edit import edit_text, load_text
+    from daemon.outputs import check_outputs
     from daemon.whole_file import write_whole
 
+    check_outputs({"-o": args.output})
     r = load_recorded(args.session)
     found = calibrate_mount(make_drive(r), r.settings.file.car)
     values = new_values(found, r)

@@ -13,7 +13,7 @@ from daemon.calibration import (
     calibrate_steering,
     slip_per_accel,
 )
-from daemon.errors import SteerdError
+from daemon.errors import ExitCode, SteerdError
 
 CAR = load_car(default_car_path()).car
 TRUTH = Mount(np.radians(3.0), 0.21, -0.015, 1.07, 0.018)
@@ -125,6 +125,45 @@ def test_steering_that_meets_its_stops():
     assert found.clipped_right
     assert (found.left, found.right) == pytest.approx((0.2, -0.2), abs=0.01)
     assert found.gain == pytest.approx(1.0, rel=0.05)
+
+
+def stepped(hold, *, seed=0, speed=1.0):
+    """A drive in bends that change at once, more of them to the left; truth: 1, 0, 60 ms."""
+    t = np.arange(0.0, 60.0, 0.01)
+    rng = np.random.default_rng(seed)
+    levels = rng.choice([0.14, 0.12, 0.09, 0.05, -0.09], size=int(60 / hold) + 1)
+    command = levels[(t / hold).astype(int)]
+    wheel = np.interp(t - 0.06, t, command)
+    for _ in range(2):  # the servo's lag, and what differentiating smooths
+        wheel = np.convolve(np.pad(wheel, 10, mode="edge"), np.ones(21) / 21, "valid")
+    v = np.full_like(t, speed)
+    slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
+    w = np.tan(wheel) / (CAR.lf + CAR.lr) * v / (1 + slip * v**2 / (CAR.lf + CAR.lr))
+    return t, v, w + 0.02 * rng.normal(size=t.size), t, command
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_steps_of_steering_do_not_dilute_the_gain(seed):
+    found = calibrate_steering(*stepped(1.0, seed=seed), CAR)
+    assert found.gain == pytest.approx(1.0, abs=0.02)
+    assert abs(found.gain - 1.0) < 4 * found.sd_gain + 0.005
+    assert found.bias == pytest.approx(0.0, abs=0.002)
+
+
+def test_steering_that_is_never_followed_or_hardly_told_is_refused():
+    with pytest.raises(SteerdError, match="swings too fast"):
+        calibrate_steering(*stepped(0.1), CAR)
+    t, v, w, tc, command = steered(1.0, 0.0, 0.05, amplitude=0.04)
+    noisy = w + np.repeat(np.random.default_rng(1).normal(scale=0.06, size=40), 100)
+    with pytest.raises(SteerdError, match="tells the steering gain to") as caught:
+        calibrate_steering(t, v, noisy, tc, command, CAR)
+    assert caught.value.code == ExitCode.STOPPED
+
+
+def test_a_drive_too_quick_for_the_steering_is_doubted():
+    assert calibrate_steering(*stepped(1.5), CAR).doubts == ()
+    (doubt,) = calibrate_steering(*stepped(1.5, speed=3.0), CAR).doubts
+    assert "drive slower" in doubt
 
 
 def test_steering_that_tells_nothing():

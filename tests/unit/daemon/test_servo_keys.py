@@ -42,7 +42,7 @@ def steering(**change):
     values = {
         "gain": 0.9, "bias": 0.02, "delay": 0.05, "left": 0.25, "right": -0.2,
         "clipped_left": False, "clipped_right": False, "residual": 0.001, "sd_gain": 0.0,
-        "sd_bias": 0.0,
+        "sd_bias": 0.0, "doubts": (),
     }  # fmt: skip
     return Steering(**{**values, **change})
 
