@@ -8,7 +8,7 @@ import tomlkit
 
 from car_model.car_file import CarFileError, load_car, parse_car
 from daemon.config import make_settings
-from daemon.errors import ExitCode, SteerdError
+from daemon.translate import of_car_file
 from daemon.whole_file import write_whole
 
 Values = Mapping[tuple[str, str], float | str]
@@ -24,9 +24,7 @@ def load_text(path: Path) -> str:
     try:
         return load_car(path).text
     except CarFileError as error:
-        unreadable = isinstance(error.__cause__, OSError)
-        code = ExitCode.UNREADABLE if unreadable else ExitCode.INVALID
-        raise SteerdError(str(error), error.hint, code) from None
+        raise of_car_file(error) from None
 
 
 def edit_text(text: str, values: Values) -> str:
@@ -47,7 +45,7 @@ def edit_text(text: str, values: Values) -> str:
     try:
         make_settings(parse_car(new, Path("the new car file")))
     except CarFileError as error:
-        raise SteerdError(str(error), error.hint) from None
+        raise of_car_file(error) from None
     return new
 
 

@@ -13,8 +13,9 @@ from car_model.car_file import CarFile, CarFileError, load_car
 from car_model.params import wheelbase
 from controller.config import ControllerConfig, load_controller_config
 from controller.limits import Limits
-from daemon.errors import ExitCode, SteerdError
+from daemon.errors import SteerdError
 from daemon.thresholds import Thresholds
+from daemon.translate import of_car_file
 from estimator.config import FilterConfig, load_filter_config
 from mocap_link.frame import FrameConfig
 from mocap_link.ingest import IngestConfig
@@ -94,10 +95,7 @@ def load_settings(path: Path | str, speed: float | None = None) -> Settings:
     try:
         car_file = load_car(path)
     except CarFileError as error:
-        unreadable = isinstance(error.__cause__, OSError)
-        code = ExitCode.UNREADABLE if unreadable else ExitCode.INVALID
-        place = f"{error.path}: {error.where}" if error.where else str(error.path)
-        raise SteerdError(f"{place}: {error.what}", error.hint, code) from None
+        raise of_car_file(error) from None
     return make_settings(car_file, speed)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from car_model.car_file import CarFile, CarFileError, default_car_path, parse_car
 from car_model.effects import find_effect
-from daemon.drives import load_base, load_drive
+from daemon.drives import is_same, load_base, load_drive, refuse_copies, without_reserved
 from daemon.errors import ExitCode, SteerdError
 from steer_bus.session_read import SessionError, open_session
 from sysid.cut import cut, moving_parts
@@ -79,7 +79,10 @@ def make_case(args: argparse.Namespace, advance: Callable[[float], None]) -> Cas
     if only is not None and not set(only) - set(without):
         raise SteerdError("--only and --without leave no effect", "", ExitCode.USAGE)
     every, reserved = parse_held_out(args.runs_held_out)
-    sessions = _without_reserved(args.sessions, reserved)
+    refuse_copies(reserved)
+    sessions = without_reserved(args.sessions, reserved, "diagnose")
+    sound = [Path(name) for name in _listed(args.healthy)]
+    _refuse_healthy(sound, (*sessions, *reserved))
     for path in reserved:
         _check_there(path)
     drives = []
@@ -89,7 +92,7 @@ def make_case(args: argparse.Namespace, advance: Callable[[float], None]) -> Cas
     base, words, notes = find_base(args.base, sessions)
     beats = tuple(" ".join(drive.beat.describe()) for drive in drives if drive.beat)
     drives = remembering(drives, base.model, ())
-    healthy = [load_drive(Path(name), args.speed) for name in _listed(args.healthy)]
+    healthy = [load_drive(path, args.speed) for path in sound]
     healthy = remembering(healthy, base.model, ())
     runs, later, told, more = _split(drives, every, reserved, args.speed)
     return Case(
@@ -129,13 +132,13 @@ def parse_held_out(given: Sequence[str]) -> tuple[int | None, tuple[Path, ...]]:
     return None, tuple(Path(name) for name in listed)
 
 
-def _without_reserved(given: Sequence[Path], reserved: Sequence[Path]) -> tuple[Path, ...]:
-    kept = {path.resolve() for path in reserved}
-    sessions = tuple(path for path in dict.fromkeys(given) if path.resolve() not in kept)
-    if not sessions:
-        what = "every session is kept back: nothing is left to diagnose"
-        raise SteerdError(what, "name another session", ExitCode.USAGE)
-    return sessions
+def _refuse_healthy(healthy: Sequence[Path], others: Sequence[Path]) -> None:
+    """A drive that is to be explained would teach the noise its own gap."""
+    refuse_copies(healthy)
+    for path in healthy:
+        if any(is_same(path, each) for each in others):
+            what = f"--healthy {path} is one of the drives to explain: its gap would pass for noise"
+            raise SteerdError(what, "name a drive without the gap", ExitCode.USAGE)
 
 
 def _check_there(path: Path) -> None:

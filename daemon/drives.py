@@ -1,9 +1,13 @@
 """Sessions as drives for the offline tools; what cannot be used is one clear line."""
 
+import filecmp
+from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daemon.errors import ExitCode, SteerdError
+from daemon.translate import of_car_file, of_session
 
 if TYPE_CHECKING:
     from car_model.car_file import CarFile
@@ -20,18 +24,20 @@ def load_drive(path: Path, speed: str = "command") -> "Run":
     Raises:
         SteerdError: it cannot be read, or is not fit for a fit.
     """
+    from daemon.session_info import load_session
+    from daemon.session_text import print_warnings
     from steer_bus.session_read import SessionError
     from sysid.beat import steadied
     from sysid.cut import with_wheel_speed
     from sysid.dataset import load_run
     from sysid.gate import DataError
 
+    print_warnings([f"{path.name}: {warning.message}" for warning in load_session(path).warnings])
     try:
         run = steadied(load_run(path))
         return with_wheel_speed(run) if speed == "wheel" else run
     except SessionError as error:
-        code = ExitCode(error.exit_code)
-        raise SteerdError(str(error), error.hint, code) from None
+        raise of_session(error) from None
     except DataError as error:
         raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
     except OSError as error:
@@ -49,6 +55,49 @@ def load_base(path: Path) -> "CarFile":
     try:
         return load_car(path)
     except CarFileError as error:
-        unreadable = isinstance(error.__cause__, OSError)
-        code = ExitCode.UNREADABLE if unreadable else ExitCode.INVALID
-        raise SteerdError(str(error), error.hint, code) from None
+        raise of_car_file(error) from None
+
+
+def is_same(one: Path, other: Path) -> bool:
+    """Whether two names mean one session: the same file, or a copy of it."""
+    if one.resolve() == other.resolve():
+        return True
+    try:
+        if one.stat().st_size != other.stat().st_size:
+            return False
+        return filecmp.cmp(one, other, shallow=False)
+    except OSError:
+        return False  # whoever reads it says why it cannot be read
+
+
+def refuse_copies(paths: Sequence[Path]) -> None:
+    """A drive that counts twice passes for more data than there are.
+
+    Raises:
+        SteerdError: one drive is named twice.
+    """
+    for one, other in combinations(paths, 2):
+        if is_same(one, other):
+            copy = f"{other} is a copy of {one}" if one != other else f"{one} is named twice"
+            raise SteerdError(copy, "name each drive once", ExitCode.USAGE)
+
+
+def without_reserved(
+    given: Sequence[Path], reserved: Sequence[Path], purpose: str
+) -> tuple[Path, ...]:
+    """The sessions that are not kept back: of `*.mcap` those that no other option names.
+
+    Args:
+        given: the sessions of the command line.
+        reserved: those to keep back.
+        purpose: what would be done with the others.
+
+    Raises:
+        SteerdError: one drive is named twice, or none is left.
+    """
+    refuse_copies(given)
+    kept = tuple(path for path in given if not any(is_same(path, each) for each in reserved))
+    if not kept:
+        what = f"every session is kept back: nothing is left to {purpose}"
+        raise SteerdError(what, "name another session", ExitCode.USAGE)
+    return kept

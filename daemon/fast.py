@@ -13,6 +13,7 @@ from daemon.recorder import Recording
 from daemon.records import Record
 from daemon.session_meta import default_session_path, make_attachments, make_metadata
 from daemon.transitions import State
+from daemon.translate import of_session
 from daemon.virtual import EPOCH_NS, VirtualRun, drive, make_virtual_run
 from sim_hw.world import World
 from steer_bus.clock import MonotonicClock
@@ -43,8 +44,7 @@ def make_recording(plan: Plan, path: Path) -> Recording:
     try:
         return Recording(path, plan.options.car, meta)
     except SessionError as error:
-        hint = error.hint or "choose another file with --record"
-        raise SteerdError(str(error), hint, ExitCode.UNREADABLE) from None
+        raise of_session(error, "choose another file with --record") from None
 
 
 def run_fast(plan: Plan) -> int:
@@ -72,10 +72,15 @@ def run_fast(plan: Plan) -> int:
                 print(f"{t_ns * 1e-9:8.2f} s  {line}")
 
     run = make_virtual_run(plan, (sink,), world)
+    reason = "interrupted"
     try:
         with_progress(run, plan.options.duration_s, lambda tick: drive(run, tick))
+        reason = "end of the run"
+    except KeyboardInterrupt:
+        print(f"interrupted; what was driven so far: {path}", file=sys.stderr)
+        raise
     finally:
-        recording.writer.finish({"reason": "end of the run", "written": str(recording.written)})
+        recording.writer.finish({"reason": reason, "written": str(recording.written)})
     factor = run.t_ns / max(clock.now_ns() - began, 1)
     told, *where_to = closing_lines(plan, board.tally, path)
     print(told)

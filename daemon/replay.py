@@ -23,6 +23,7 @@ from daemon.loop import Loop
 from daemon.options import decode_options
 from daemon.session_meta import csv_file
 from daemon.telling import CLOCK_KINDS, make_actuation, read_actuation
+from daemon.translate import of_car_file
 from mocap_link.source import PoseSample, RawPose
 from steer_bus import messages as m
 from steer_bus import topics
@@ -118,11 +119,12 @@ def make_replay_plan(session: Session, name: str) -> tuple[Plan, int, int, bool]
         text = session.attachment("car.toml").decode()
     except (KeyError, ValueError, msgspec.ValidationError, SessionError) as error:
         hint = "only sessions of `steerd run` hold what a replay needs"
-        raise SteerdError(f"{name} cannot be replayed: {error}", hint) from None
+        why = f"it says nothing of its {error.args[0]}" if isinstance(error, KeyError) else error
+        raise SteerdError(f"{name} cannot be replayed: {why}", hint) from None
     try:
         settings = make_settings(parse_car(text, Path(f"{name}:car.toml")), options.speed)
     except CarFileError as error:
-        raise SteerdError(str(error), error.hint) from None
+        raise of_car_file(error) from None
     if csv_file(options.path) is not None:
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / "path.csv"

@@ -18,6 +18,7 @@ from daemon.session_motion import (
     make_track,
 )
 from daemon.transitions import State as Supervised
+from daemon.translate import of_session
 from steer_bus.columns import Columns
 from steer_bus.messages import ActuationMode, Transition
 from steer_bus.session import Session, SessionError, SessionInfo, TopicInfo, open_session
@@ -103,8 +104,7 @@ def load_session(path: Path) -> Session:
     try:
         session = open_session(path)
     except SessionError as error:
-        what = str(error).removesuffix(f" ({error.hint})") if error.hint else str(error)
-        raise SteerdError(what, error.hint, ExitCode(error.exit_code)) from error
+        raise of_session(error) from error
     if not session.info().count and not session.info().metadata:
         why = session.warnings[0].message if session.warnings else "no messages"
         raise SteerdError(f"{path} holds no session ({why})", "", ExitCode.INVALID)
@@ -124,7 +124,7 @@ def make_session_report(session: Session) -> SessionReport:
         track, signals = _motion(tables, times)
         states = _states(session, info.start_ns)
     except SessionError as error:
-        raise SteerdError(str(error), "", ExitCode(error.exit_code)) from error
+        raise of_session(error) from error
     steer, wheel, gyro, speed, lateral = signals
     about = info.metadata.get("steerd.session", {})
     cars = sorted({key[0] for topic in info.topics if (key := split_key(topic.name))})

@@ -1,7 +1,9 @@
 """A session's report on one screen, and as JSON."""
 
 import math
+import sys
 import textwrap
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
@@ -13,6 +15,7 @@ from steer_bus.topics import split_key
 WIDTH = 96
 TOPICS_SHOWN = 18
 STATES_SHOWN = 10
+WARNINGS_SHOWN = 10
 _LABEL = 12
 
 
@@ -20,6 +23,14 @@ def clean(text: str, length: int = 200) -> str:
     """Text from a file, safe for a terminal: no control characters, not too long."""
     shown = "".join(c if c.isprintable() else "?" for c in text[:length])
     return shown + ("…" if len(text) > length else "")
+
+
+def print_warnings(texts: Sequence[str]) -> None:
+    """What is wrong or doubtful in a session's file, on standard error; the work goes on."""
+    for text in texts[:WARNINGS_SHOWN]:
+        print(f"warning: {clean(text)}", file=sys.stderr)
+    if len(texts) > WARNINGS_SHOWN:
+        print(f"warning: and {len(texts) - WARNINGS_SHOWN} more", file=sys.stderr)
 
 
 def format_report(report: SessionReport) -> str:

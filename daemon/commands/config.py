@@ -102,4 +102,7 @@ def _read(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise SteerdError(f"{path}: {error}", "", ExitCode.UNREADABLE) from None
+        why = getattr(error, "strerror", None) or "this is no text"
+        raise SteerdError(
+            f"{path}: {why}", "name F1TENTH's vesc.yaml", ExitCode.UNREADABLE
+        ) from None

@@ -90,10 +90,14 @@ def run(args: argparse.Namespace) -> int:
 
     _check_outputs(args)
     with show_progress("diagnosing", 1.0) as advance:
+        advance(0.0, "reading the drives")
         case = make_case(args, lambda share: advance(_LOADED * share))
-        told = _diagnose(args, case, lambda share: advance(_between(_LOADED, _DIAGNOSED, share)))
+        told = _diagnose(
+            args, case, lambda stage, share: advance(_between(_LOADED, _DIAGNOSED, share), stage)
+        )
+        advance(_DIAGNOSED, "driving the lane again")
         lane, why = (None, "") if args.no_closed_loop else _lane(case, told)
-        advance(_DRIVEN)
+        advance(_DRIVEN, "drawing the report" if args.report else "")
         data = make_json(case, told, lane, why)
         report = _render(case, told, lane, why) if args.report else None
     _write(args, case, told, data, report)
@@ -110,20 +114,26 @@ def _between(low: float, high: float, share: float) -> float:
 
 def _check_outputs(args: argparse.Namespace) -> None:
     """What cannot be written is told before the work, not after it."""
+    from daemon.outputs import check_outputs
+
     named = args.json if args.json != "-" else None
     if named is not None and named.endswith(".mcap"):
         what = f"--json {named}: that is a session"
         raise SteerdError(what, "put --json last, or --json gap.json", ExitCode.USAGE)
-    for path in (named and Path(named), args.report, args.output, args.prediction):
-        if path and not path.parent.is_dir():
-            what = f"{path}: there is no folder {path.parent}"
-            raise SteerdError(what, "choose another folder", ExitCode.UNREADABLE)
+    check_outputs(
+        {
+            "--json": Path(named) if named else None,
+            "--report": args.report,
+            "-o": args.output,
+            "--prediction": args.prediction,
+        }
+    )
     if args.jobs < 1:
         raise SteerdError(f"--jobs {args.jobs}: 1 or more", "", ExitCode.USAGE)
 
 
 def _diagnose(
-    args: argparse.Namespace, case: "Case", advance: Callable[[float], None]
+    args: argparse.Namespace, case: "Case", advance: Callable[[str, float], None]
 ) -> "Diagnosis":
     from numpy.linalg import LinAlgError
 
@@ -138,7 +148,7 @@ def _diagnose(
         without=case.without,
         pairs=not args.no_pairs,
         jobs=args.jobs,
-        progress=lambda stage, share: advance(share),
+        progress=advance,
         written=lambda text: _announce(text, args.prediction),
     )
     try:
@@ -208,6 +218,7 @@ def _write(
 ) -> None:  # fmt: skip
     """Every file whole or not at all."""
     from car_model.car_file import CarFileError, save_car
+    from daemon.translate import of_car_file
     from daemon.whole_file import write_whole
 
     if args.json and args.json != "-":
@@ -218,7 +229,7 @@ def _write(
         try:
             save_car(args.output, case.base, learned(case, told))
         except CarFileError as error:
-            raise SteerdError(str(error), error.hint, ExitCode.INVALID) from None
+            raise of_car_file(error) from None
 
 
 def learned(case: "Case", told: "Diagnosis") -> dict[str, Any]:

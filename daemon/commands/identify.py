@@ -14,18 +14,16 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daemon.drives import load_drive
 from daemon.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
     from car_model.car_file import CarFile
-    from car_model.params import Car
     from sysid.dataset import Run
     from sysid.learn import Task
     from sysid.outcome import Outcome
 
-_USAGE = ExitCode.USAGE
-_STARTS = {"ours": 1, "paper": 5, "cma-es": 5}
+_FIT, _DRAW, _NOISE = 2.0, 1.0, 8.0
+"""About what the fit, the report's figures and the noise cost, in sessions read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     out = parser.add_argument_group("output")
     out.add_argument("-o", "--output", type=Path, metavar="CAR.toml", help="car file to write")
-    out.add_argument("--json", type=Path, metavar="FILE", help="the result for programs")
+    out.add_argument(
+        "--json", type=Path, metavar="FILE", help="the result for programs; -: to the terminal"
+    )
     out.add_argument("--report", type=Path, metavar="FILE.html", help="the result with figures")
     where = parser.add_argument_group("where")
     where.add_argument("--jobs", type=int, default=1, metavar="N", help="processes")
@@ -75,128 +75,39 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: a session, the car file or an option cannot be used.
     """
+    from car_model.car_file import default_car_path
+    from daemon.drives import load_base
+    from daemon.identify_case import make_task
     from daemon.identify_text import describe, improved
+    from daemon.outputs import check_outputs
     from daemon.progress import show_progress
+    from sysid.outcome import encode_outcome
 
-    base = _load_base(args)
-    files, every = _held_out(args.held_out)
-    count = len(args.sessions) + len(files)
-    with show_progress("identifying", count + 3.0) as advance:
-        task = make_task(args, base, files, every)
-        advance(float(count))
+    named = None if _to_screen(args) else args.json
+    check_outputs({"-o": args.output, "--json": named, "--report": args.report})
+    base = load_base(args.car or default_car_path())
+    read = float(len(args.sessions) + len(args.held_out))
+    drawn = read + _FIT + (_DRAW if args.report else 0.0)
+    with show_progress("identifying", drawn + (_NOISE if args.output else 0.0)) as advance:
+        advance(0.0, "reading the drives")
+        task = make_task(args, base)
+        advance(read, "fitting the car")
         outcome = _learn(task)
-        advance(count + 2.0)
+        advance(read + _FIT, "drawing the report" if args.report else "")
         report = _render(outcome) if args.report else None
-    good = improved(outcome)
-    _write(args, base, outcome, report, task.runs)
-    print(describe(outcome, args.output, axles_measured=args.wheelbase is not None))
-    return ExitCode.OK if good else ExitCode.STOPPED
+        advance(drawn, "learning the noise for diagnose" if args.output else "")
+        car = _car_text(args, base, outcome, task.runs) if args.output else None
+    result = json.dumps(encode_outcome(outcome), indent=1) + "\n"
+    _write({args.report: report, named: result, args.output: car})
+    if _to_screen(args):
+        print(result, end="")
+    else:
+        print(describe(outcome, args.output, axles_measured=args.wheelbase is not None))
+    return ExitCode.OK if improved(outcome) else ExitCode.STOPPED
 
 
-def _load_base(args: argparse.Namespace) -> "CarFile":
-    from car_model.car_file import CarFileError, default_car_path, load_car
-
-    try:
-        return load_car(args.car or default_car_path())
-    except CarFileError as error:
-        raise SteerdError(str(error), error.hint, ExitCode.INVALID) from None
-
-
-def _held_out(given: list[str]) -> tuple[list[Path], int]:
-    """Files, or the k of every k-th block."""
-    if len(given) == 1 and given[0].isdigit():
-        if int(given[0]) < 2:
-            raise SteerdError("--held-out K: every K-th block, 2 or more", "", _USAGE)
-        return [], int(given[0])
-    return [Path(each) for each in given], 4
-
-
-def make_task(args: argparse.Namespace, base: "CarFile", files: list[Path], every: int) -> "Task":
-    """Everything that is to be done, checked.
-
-    Raises:
-        SteerdError: a session or an option cannot be used.
-    """
-    from car_model.params import Car
-    from sysid.fit import DEFAULT_FREE, Options
-    from sysid.learn import Task, fit_wheelbase, free_names
-    from sysid.reach import level_loads, scale_inertia
-
-    fixed, values = _parse_fix(args.fix)
-    model = base.model._replace(car=base.car._replace(**values))
-    free = [part for part in (args.free or "").split(",") if part]
-    for name in (*free, *fixed):
-        if name not in Car._fields and "." not in name:
-            known = ", ".join(Car._fields)
-            raise SteerdError(f"{name} is no parameter of the car", f"one of {known}", _USAGE)
-    if args.wheelbase is not None and not 0.05 <= args.wheelbase <= 2.0:
-        raise SteerdError(f"--wheelbase {args.wheelbase:g}: in metres", "", _USAGE)
-    candidates = _candidates(args.effects)
-    model = fit_wheelbase(model, args.wheelbase)
-    stated = {*free, *fixed}
-    if "inertia_z" not in stated:
-        model = scale_inertia(model, base.model)
-    runs = tuple(load_drive(path, args.speed) for path in args.sessions)
-    if "cog_height" not in stated:
-        model = level_loads(model, runs)
-    return Task(
-        runs=runs,
-        held_out=tuple(load_drive(path, args.speed) for path in files),
-        every=every,
-        model=model,
-        options=Options(free=free_names(free, fixed, DEFAULT_FREE), wheelbase=args.wheelbase),
-        method=args.method,
-        starts=args.starts or _STARTS[args.method],
-        iterations=args.iterations,
-        seed=args.seed,
-        jobs=args.jobs,
-        dask=args.dask,
-        truth=_truth(args.sessions[0]),
-        effects=candidates,
-    )
-
-
-def _candidates(given: str | None) -> tuple[str, ...]:
-    """Effects to look for."""
-    from car_model.effects import find_effect
-    from sysid.manners import CANDIDATES
-
-    if given in (None, "", "auto"):
-        return CANDIDATES if given == "auto" else ()
-    try:
-        return tuple(find_effect(name).name for name in str(given).split(",") if name)
-    except ValueError as error:
-        what, _, hint = str(error).partition("; ")
-        raise SteerdError(what, hint or "`steerd effects` lists them", _USAGE) from None
-
-
-def _truth(path: Path) -> "Car[float] | None":
-    """The simulated car of a session that was recorded in simulation."""
-    from car_model.params import Car
-    from steer_bus.session_read import open_session
-
-    metadata = open_session(path).info().metadata
-    vehicle = metadata.get("steerd.vehicle", {})
-    if metadata.get("steerd.session", {}).get("mode") != "sim":
-        return None
-    try:
-        return Car(**{name: float(vehicle[name]) for name in Car._fields})
-    except (KeyError, ValueError):
-        return None
-
-
-def _parse_fix(text: str) -> tuple[list[str], dict[str, float]]:
-    """Names to keep, and the values given for some of them."""
-    names, values = [], {}
-    for part in (p for p in text.split(",") if p):
-        name, equals, number = part.partition("=")
-        names.append(name)
-        if equals:
-            try:
-                values[name] = float(number)
-            except ValueError:
-                raise SteerdError(f"--fix {part}: not a number", "", _USAGE) from None
-    return names, values
+def _to_screen(args: argparse.Namespace) -> bool:
+    return str(args.json) == "-"
 
 
 def _learn(task: "Task") -> "Outcome":
@@ -210,7 +121,7 @@ def _learn(task: "Task") -> "Outcome":
     except DataError as error:
         raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
     except (BaselineMissingError, DaskMissingError) as error:
-        raise SteerdError(str(error), "", _USAGE) from None
+        raise SteerdError(str(error), "", ExitCode.USAGE) from None
     except FloatingPointError as error:
         hint = "give start values nearer to the car: --car FILE.toml, --wheelbase"
         raise SteerdError(str(error), hint, ExitCode.STOPPED) from None
@@ -224,29 +135,28 @@ def _render(outcome: "Outcome") -> str:
     return render_report(outcome)
 
 
-def _write(
-    args: argparse.Namespace,
-    base: "CarFile",
-    outcome: "Outcome",
-    report: str | None,
-    runs: "tuple[Run, ...]" = (),
-) -> None:
+def _write(texts: dict[Path | None, str | None]) -> None:
     """Every file whole or not at all."""
-    from car_model.car_file import CarFileError, save_car
     from daemon.whole_file import write_whole
-    from sysid.outcome import encode_outcome
 
-    if args.json:
-        write_whole(args.json, json.dumps(encode_outcome(outcome), indent=1) + "\n")
-    if args.report and report is not None:
-        write_whole(args.report, report)
-    if args.output:
-        try:
-            car = save_car(args.output, base, {**_given(args.fix), **learned(outcome)})
-        except CarFileError as error:
-            raise SteerdError(str(error), error.hint, ExitCode.INVALID) from None
-        if runs:
-            write_whole(args.output, with_noise(car, runs))
+    for path, text in texts.items():
+        if path is not None and text is not None:
+            write_whole(path, text)
+
+
+def _car_text(
+    args: argparse.Namespace, base: "CarFile", outcome: "Outcome", runs: "tuple[Run, ...]"
+) -> str:
+    """The car file that comes out; nothing of it is written before all of it is known."""
+    from car_model.car_file import CarFileError, parse_car, updated_text
+    from daemon.identify_case import given_values
+    from daemon.translate import of_car_file
+
+    try:
+        text = updated_text(base, {**given_values(args.fix), **learned(outcome)})
+        return with_noise(parse_car(text, args.output), runs)
+    except CarFileError as error:
+        raise of_car_file(error) from None
 
 
 def with_noise(car: "CarFile", runs: "tuple[Run, ...]") -> str:
@@ -287,14 +197,6 @@ def learned(outcome: "Outcome") -> dict[str, Any]:
     if outcome.fit is not None:
         updates |= _effect_updates(outcome, names)
     return updates
-
-
-def _given(text: str) -> dict[str, Any]:
-    """What the user stated: the file that comes out is of that car."""
-    from car_model.car_file import Learned
-
-    _, values = _parse_fix(text)
-    return {name: Learned(value, None, "given with --fix") for name, value in values.items()}
 
 
 def _servo_wait(outcome: "Outcome") -> str:

@@ -5,7 +5,6 @@ steerd info SESSION.mcap --json
 """
 
 import argparse
-import sys
 from pathlib import Path
 
 from daemon.errors import ExitCode
@@ -24,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
         SteerdError: the file cannot be read or holds no session.
     """
     from daemon.session_info import load_session, make_session_report
-    from daemon.session_text import clean, format_report, make_json
+    from daemon.session_text import format_report, make_json, print_warnings
 
     report = make_session_report(load_session(args.session))
     if args.json:
@@ -33,8 +32,5 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(make_json(report), indent=1, allow_nan=False))
         return ExitCode.OK
     print(format_report(report))
-    for warning in report.warnings[:10]:
-        print(f"warning: {clean(warning)}", file=sys.stderr)
-    if len(report.warnings) > 10:
-        print(f"warning: and {len(report.warnings) - 10} more", file=sys.stderr)
+    print_warnings(report.warnings)
     return ExitCode.OK

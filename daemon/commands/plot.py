@@ -8,7 +8,7 @@ steerd plot SESSION.mcap -o DRIVE.html
 import argparse
 from pathlib import Path
 
-from daemon.errors import ExitCode, SteerdError
+from daemon.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,18 +25,19 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: the session cannot be read, or the page not be written.
     """
+    from daemon.outputs import check_outputs
     from daemon.plot_data import make_drawing
     from daemon.plot_page import make_page
     from daemon.session_info import load_session, make_session_report
+    from daemon.session_text import print_warnings
+    from daemon.whole_file import write_whole
 
     session = load_session(args.session)
-    page = make_page(make_session_report(session), make_drawing(session))
     output = args.output or args.session.with_suffix(".html")
-    if output.resolve() == args.session.resolve():
-        raise SteerdError(f"{output} is the session itself", "name a page with -o", ExitCode.USAGE)
-    try:
-        output.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise SteerdError(f"{output}: {error.strerror}", "", ExitCode.UNREADABLE) from None
+    check_outputs({"-o": output})
+    report = make_session_report(session)
+    print_warnings(report.warnings)
+    page = make_page(report, make_drawing(session))
+    write_whole(output, page)
     print(f"{output}: {len(page.encode()) / 1e6:.1f} MB; open it in a browser")
     return ExitCode.OK

@@ -4,10 +4,10 @@ steerd recover SESSION.mcap.partial
 """
 
 import argparse
-import sys
 from pathlib import Path
 
 from daemon.errors import ExitCode, SteerdError
+from daemon.translate import of_session
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from daemon.import_session import check_output
     from daemon.session_info import load_session
-    from daemon.session_text import clean
+    from daemon.session_text import print_warnings
     from steer_bus.session import SessionError, recover
 
     source: Path = args.session
@@ -41,9 +41,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         report = recover(source, out)
     except SessionError as error:
-        raise SteerdError(str(error), "", ExitCode(error.exit_code)) from error
-    for warning in report.warnings[:10]:
-        print(f"warning: {clean(warning.message)}", file=sys.stderr)
+        raise of_session(error) from error
+    print_warnings([warning.message for warning in report.warnings])
     print(f"saved    {report.messages} messages, {session.info().duration_s:.1f} s")
     print(
         f"lost     {report.lost_bytes} bytes that make no sense, and what was not yet on the disk"

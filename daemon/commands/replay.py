@@ -3,8 +3,6 @@
 import argparse
 from pathlib import Path
 
-from daemon.errors import ExitCode, SteerdError
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd replay`."""
@@ -15,12 +13,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
     from daemon.replay import describe, expect_same, replay
-    from steer_bus.session_read import SessionError, open_session
+    from daemon.session_info import load_session
+    from daemon.session_text import print_warnings
 
-    try:
-        session = open_session(args.session)
-    except SessionError as error:
-        raise SteerdError(str(error), error.hint, ExitCode(error.exit_code)) from None
+    session = load_session(args.session)
+    print_warnings([warning.message for warning in session.warnings])
     going, differences = replay(session, args.session.name)
     count = first_ns = 0
     for difference in differences:

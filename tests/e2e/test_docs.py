@@ -10,6 +10,7 @@ import importlib
 import re
 import shlex
 import signal
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -92,7 +93,9 @@ def workplace(tmp_path, monkeypatch, drive_fast, driven):
                     session = drive_fast("--path figure8 --speed 1 --duration 16").session
                     driven["session"] = session.read_bytes()
                 Path(word).write_bytes(driven["session"])
-        Path("car.toml").write_bytes((ROOT / "config" / "f1tenth.toml").read_bytes())
+        cars = [word for before, word in pairwise(words) if before == "--car"]
+        for name in ("car.toml", *cars):
+            Path(name).write_bytes((ROOT / "config" / "f1tenth.toml").read_bytes())
         Path("vesc.yaml").write_text(make_vesc_yaml(F1TENTH))
         Path("examples").symlink_to(ROOT / "examples")
 

@@ -259,6 +259,9 @@ OPTIONS = [
     (["--report", "nowhere/gap.html"], 3, "nowhere"),
     (["--json", "drive.mcap"], 2, "that is a session"),
     (["--runs-held-out", "{run}"], 2, "every session is kept back"),
+    (["--healthy", "{run}"], 2, "its gap would pass for noise"),
+    (["{run}"], 2, "named twice"),
+    (["--report", "."], 3, "that is a folder"),
 ]
 
 

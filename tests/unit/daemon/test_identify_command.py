@@ -1,5 +1,6 @@
 """`steerd identify` on imported logs: good ones, and every kind that no fit should see."""
 
+import contextlib
 import json
 import math
 
@@ -168,11 +169,28 @@ def test_a_truncated_session_is_used_or_refused_but_never_crashes(rows, importer
 
 @pytest.mark.parametrize(
     "args",
-    [["--free", "lenght"], ["--fix", "mass=heavy"], ["--wheelbase", "324"], ["--held-out", "1"]],
+    [
+        ["--free", "lenght"],
+        ["--free", "mass.scale"],
+        ["--fix", "mass=heavy"],
+        ["--fix", "lenght=3"],
+        ["--fix", "mass=-3"],
+        ["--fix", "mass=nan"],
+        ["--wheelbase", "324"],
+        ["--held-out", "1"],
+        ["--held-out", "-3"],
+        ["--held-out", "4", "--held-out", "last.mcap"],
+        ["--starts", "0"],
+        ["--jobs", "0"],
+        ["--iterations", "0"],
+        ["--seed", "-1"],
+    ],
 )
 def test_options_that_make_no_sense(args, rows, importer, capsys):
     assert main(["identify", str(importer(rows)), *args]) == 2
-    assert capsys.readouterr().err.startswith("steerd: ")
+    error = capsys.readouterr().err
+    assert error.startswith("steerd: ")
+    assert "Traceback" not in error
 
 
 def test_an_output_that_cannot_be_written(rows, importer, tmp_path, capsys):
@@ -180,3 +198,68 @@ def test_an_output_that_cannot_be_written(rows, importer, tmp_path, capsys):
     gone = str(tmp_path / "nowhere" / "o.json")
     assert main(["identify", str(session), *FREE, "--json", gone]) == 3
     assert "nowhere" in capsys.readouterr().err
+
+
+def test_a_drive_does_not_judge_its_own_fit(rows, importer, tmp_path, capsys):
+    session = importer(rows)
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes(session.read_bytes())
+    for other in (session, copy):
+        assert main(["identify", str(session), "--held-out", str(other), *FREE]) == 2
+        assert "every session is kept back" in capsys.readouterr().err
+        assert main(["identify", str(session), str(other), *FREE]) == 2
+        assert "name each drive once" in capsys.readouterr().err
+
+
+def test_of_a_folder_the_held_out_session_is_not_fitted(rows, importer, capsys):
+    one, two = importer(rows[:1500], "one"), importer(rows[1500:], "two")
+    capsys.readouterr()
+    assert main(["identify", str(one), str(two), "--held-out", str(two), *FREE]) == 0
+    screen = capsys.readouterr().out
+    assert "prediction of two.mcap" in screen
+    assert "two.mcap" not in screen.partition("prediction of")[0]
+
+
+def test_a_car_file_that_is_missing_is_told_once(tmp_path, capsys):
+    argv = ["identify", str(tmp_path / "a.mcap"), "--car", str(tmp_path / "none.toml")]
+    assert main(argv) == 3
+    error = capsys.readouterr().err
+    assert error.count("check the path") == 1
+
+
+def test_json_to_the_terminal_is_all_that_is_printed(rows, importer, tmp_path, capsys, monkeypatch):
+    session = importer(rows)
+    monkeypatch.chdir(tmp_path)
+    capsys.readouterr()
+    assert main(["identify", str(session), *FREE, "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["schema"] == "steerd.identify/1"
+    assert not (tmp_path / "-").exists()
+
+
+def test_the_noise_is_a_step_with_a_name_and_comes_before_any_file(
+    rows, importer, tmp_path, monkeypatch
+):
+    steps, out = [], tmp_path / "out"
+    out.mkdir()
+
+    @contextlib.contextmanager
+    def shown(label, total):
+        yield lambda done, step="": steps.append((done / total, step))
+
+    def interrupted(car, runs):
+        raise KeyboardInterrupt
+
+    session = importer(rows)
+    monkeypatch.setattr("daemon.progress.show_progress", shown)
+    monkeypatch.setattr("daemon.commands.identify.with_noise", interrupted)
+    assert main(["identify", str(session), *FREE, *_outputs(out)]) == 130
+    assert list(out.iterdir()) == []
+    assert [step for _, step in steps] == [
+        "reading the drives",
+        "fitting the car",
+        "drawing the report",
+        "learning the noise for diagnose",
+    ]
+    shares = [share for share, _ in steps]
+    assert shares == sorted(shares)
+    assert shares[-1] < 0.5, "the noise takes longer than all before it"

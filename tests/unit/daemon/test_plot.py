@@ -145,5 +145,5 @@ def test_the_command_line(tmp_path, capsys):
     assert guarded(["plot", str(path), "-o", str(path)]) == 2
     assert guarded(["plot", str(path), "-o", str(tmp_path / "no" / "a.html")]) == 3
     assert guarded(["plot", str(tmp_path / "none.mcap")]) == 3
-    assert "No such file" in capsys.readouterr().err
+    assert "there is no folder" in capsys.readouterr().err
     assert load_session(path).info().clean
