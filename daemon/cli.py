@@ -7,6 +7,7 @@ import argparse
 import importlib
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 
 from daemon.errors import ExitCode, SteerdError
@@ -115,6 +116,10 @@ def guarded(argv: Sequence[str]) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.OK
+    except Exception:
+        traceback.print_exc()
+        print("steerd: this is a bug in steerd; please report the lines above", file=sys.stderr)
+        return ExitCode.INTERNAL
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The control core as a process: no zenoh, no mcap, no torch, no thread but the one in sigwait."""
 
+import contextlib
 import json
 import os
 import socket
@@ -152,7 +153,8 @@ def strand_on_strays(core: Core) -> None:
 
 
 def _tell(fd: int, what: Mapping[str, Any]) -> None:
-    os.write(fd, json.dumps(what).encode() + b"\n")
+    with contextlib.suppress(BrokenPipeError):  # Ctrl-C took who asked; there is nobody to tell
+        os.write(fd, json.dumps(what).encode() + b"\n")
 
 
 def main() -> int:

@@ -5,6 +5,7 @@ stopped for late ticks, or nearly so.
 """
 
 import argparse
+import sys
 
 from daemon.errors import ExitCode, SteerdError
 
@@ -24,6 +25,7 @@ def run(args: argparse.Namespace) -> int:
     if not (0.1 <= args.seconds <= 3600.0 and 20.0 <= args.rate <= 1000.0):
         hint = "--seconds 0.1 to 3600, --rate 20 to 1000"
         raise SteerdError("nothing to measure", hint, ExitCode.USAGE)
+    print(f"measuring for {args.seconds:g} s …", file=sys.stderr, flush=True)
     report = enter_realtime()
     settle_memory()
     period_ns = round(1e9 / args.rate)
