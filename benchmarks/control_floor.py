@@ -113,9 +113,9 @@ def ticking(rest: Callable[[int], None]) -> dict[str, float]:
         spent.append(CLOCK.now_ns() - began)
         return wire
 
-    def timed_tell() -> None:
+    def timed_tell(written: bytes) -> None:
         began = CLOCK.now_ns()
-        tell()
+        tell(written)
         spent[-1] += CLOCK.now_ns() - began
 
     run.core.tick, run.core.tell = timed_tick, timed_tell  # type: ignore[method-assign]

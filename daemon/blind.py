@@ -37,7 +37,7 @@ def tick_blind(loop: "Loop", error: BaseException, now_ns: int, linked: bool) ->
     finding = make_finding("W29", describe_error(error))
     bits, text = summarise((finding,))
     facts = Is(bits) | Is.IDENTIFIED | Is.SLOWING | (Is.LINKED if linked else Is(0))
-    settings, speed = loop.setup.settings, loop.perception.wheel_speed
+    settings, speed = loop.setup.settings, loop.perception.recent_wheel_speed(now_ns)
     old = loop.supervisor.state
     conditions = Conditions(int(facts), speed, 0, text)
     loop.supervisor, action = step(loop.supervisor, conditions, 0, now_ns)

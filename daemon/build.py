@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from daemon.loop import LoopSetup
 
 NS = 1_000_000_000
+SLOWEST_HZ, SLOWEST_SIMULATED_HZ = 50.0, 20.0
+"""The guardian brakes a car whose core has not ticked for 30 ms; a simulated one, for 300 ms."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +83,10 @@ def make_plan(
     Raises:
         SteerdError: any of them is refused, with the reason.
     """
-    if not 20.0 <= options.rate_hz <= 1000.0:
-        raise SteerdError(f"--rate {options.rate_hz:g}: 20 to 1000 Hz", "", ExitCode.USAGE)
+    slowest = SLOWEST_HZ if options.port and not options.simulated else SLOWEST_SIMULATED_HZ
+    if not slowest <= options.rate_hz <= 1000.0:
+        what = f"--rate {options.rate_hz:g}: {slowest:g} to 1000 Hz"
+        raise SteerdError(what, "", ExitCode.USAGE)
     try:
         check_car_name(options.car)
     except ValueError as error:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from daemon.config import BrakeSettings
 from daemon.findings import Finding, Severity
+from daemon.flags import Flag
 from daemon.thresholds import Thresholds
 
 STANDING_SPEED = 0.05
@@ -16,7 +17,7 @@ class VescSelf(NamedTuple):
     """What the VESC told about itself; None where it did not.
 
     Attributes:
-        expected: its UUID is the car file's, or the file names none.
+        expected: its UUID is the car file's, or the file names none and it is the run's first.
         uuid: hex.
         firmware: (major, minor).
         timeout_ms: after which it stops the motor by itself; 0 never.
@@ -40,11 +41,13 @@ class Lane(NamedTuple):
 
 
 def red_vesc(vesc: VescSelf | None, brakes: BrakeSettings) -> Iterator[str]:
-    """What is wrong with the VESC's own timeout."""
+    """What is wrong with the VESC: which it is, its own timeout."""
     if vesc is None:
         return
-    if not vesc.expected:
+    if not vesc.expected and brakes.uuid:
         yield f"VESC {vesc.uuid} is not the one of the car file: fix [vesc] uuid, or the port"
+    elif not vesc.expected:
+        yield f"VESC {vesc.uuid} is not the one this run began with: plug that in, or start anew"
     if vesc.timeout_ms is None or vesc.timeout_brake_current is None:
         yield "the VESC did not tell its timeout (firmware before 3.55?): update its firmware"
         return
@@ -57,6 +60,12 @@ def red_vesc(vesc: VescSelf | None, brakes: BrakeSettings) -> Iterator[str]:
         )
     if not vesc.timeout_brake_current > 0.0:
         yield f"the VESC would coast on timeout: set Timeout Brake Current above 0 A {_TOOL}"
+
+
+def red_flags(flags: int) -> Iterator[str]:
+    """What the core found out about the VESC since it is linked."""
+    if flags & Flag.UNBOUNDED:
+        yield "the VESC does not take this session's speed limit: power it off and on"
 
 
 def red_lane(lane: Lane, thresholds: Thresholds) -> Iterator[str]:

@@ -5,7 +5,7 @@ time drive the same object.
 """
 
 from daemon.blind import describe_error, tick_blind
-from daemon.checks import VescSelf
+from daemon.checks import VescSelf, red_vesc
 from daemon.flags import Flag
 from daemon.loop import Loop, TickResult
 from daemon.outbox import Outbox
@@ -31,10 +31,12 @@ from vesc_link.events import DriveBrake, DriveSilent
 from vesc_link.frames import encode_frame
 from vesc_link.identity import McConfTemp
 from vesc_link.packets import encode_command
-from vesc_link.session_limits import make_restored_limits, make_session_limits
+from vesc_link.session_limits import limits_hold, make_restored_limits, make_session_limits
 from vesc_link.vesc import VescLink
 
 DIAGNOSTICS_PERIOD_NS = 500_000_000
+BOUND_TRIES = 3
+"""A frame may be lost; a VESC that will not take the session's limits is told so to people."""
 _INFO, _WARN, _ERROR = 20, 30, 40
 _ALARM = (State.FAULT_STOP, State.FAULT_LATCHED, State.ESTOP)
 
@@ -63,9 +65,10 @@ class Core:
         self._uptime_ms = -1
         self._seq = 0
         self._ticked: m.Tick | None = None
-        self._wrote = b""
         self._told_ns = -DIAGNOSTICS_PERIOD_NS
         self._limits_before: McConfTemp | None = None
+        self._bound_tries = 0
+        self._uuid: bytes | None = None
         self._expected = True
         self._mourned = False
 
@@ -93,8 +96,9 @@ class Core:
                     self._uptime_ms = event.uptime_ms
                 case e.Rebooted():
                     self.flags |= Flag.REBOOTED
+                    self._bound_tries = 0
                 case e.Identity():
-                    self._expected = event.expected
+                    self._know(event)
                     self._tell_identity(t_ns)
                 case e.AppConfRead():
                     self._tell_identity(t_ns)
@@ -102,6 +106,14 @@ class Core:
                     self._bound_session(event.limits)
                 case _:
                     pass
+
+    def _know(self, event: e.Identity) -> None:
+        """One run drives one VESC: the first that is the car file's, if that names one."""
+        uuid = event.version.uuid
+        if event.expected and self._uuid is None:
+            self._uuid = uuid
+        self._expected = event.expected and uuid == self._uuid
+        self._bound_tries = 0
 
     def _tell_identity(self, t_ns: int) -> None:
         version, appconf = self.link.version, self.link.appconf
@@ -119,14 +131,24 @@ class Core:
         self.outbox.post(topics.IDENTITY, message, t_ns)
 
     def _bound_session(self, limits: McConfTemp) -> None:
-        """Give the VESC this session's limits, in RAM only: it holds them whatever happens here."""
-        if self._limits_before is None:
-            self._limits_before = limits
-            scaling = self.loop.setup.settings.scaling
-            erpm_max = abs(scaling.erpm_gain) * self.loop.setup.settings.limits.speed_max * 1.2
-            bounds = make_session_limits(limits, min(erpm_max, scaling.erpm_max))
+        """Give the VESC this session's limits, in RAM only: it holds them whatever happens here.
+
+        It loses them when it starts anew, so that whatever is read is compared with them.
+        """
+        if not self._expected:
+            return
+        self._limits_before = self._limits_before or limits
+        scaling = self.loop.setup.settings.scaling
+        erpm_max = abs(scaling.erpm_gain) * self.loop.setup.settings.limits.speed_max * 1.2
+        bounds = make_session_limits(limits, min(erpm_max, scaling.erpm_max))
+        if limits_hold(bounds, limits):
+            self.flags &= ~Flag.UNBOUNDED
+        elif self._bound_tries < BOUND_TRIES:
+            self._bound_tries += 1
             self.link.request(bounds)
             self.link.request(GetMcConfTemp())
+        else:
+            self.flags |= Flag.UNBOUNDED
 
     def brake_frame(self) -> bytes:
         """The frame with which a guardian stops the car."""
@@ -141,7 +163,7 @@ class Core:
     def make_farewell(self) -> bytes:
         """Frames for a car at rest: let the motor go, give the VESC its own limits back."""
         frames = encode_frame(encode_command(SetCurrent(0.0)))
-        if self._limits_before is not None:
+        if self._limits_before is not None and self._expected:
             frames += encode_frame(encode_command(make_restored_limits(self._limits_before)))
         return frames
 
@@ -175,33 +197,33 @@ class Core:
     # --- the tick
 
     def tick(self, due_ns: int, now_ns: int, work_ns: int = 0) -> bytes:
-        """Decide, and give the bytes of this tick's one write; `tell` comes after the write."""
+        """Decide, and give the bytes of this tick's one write; then `tell` what was written."""
         flags = int(self.flags)
         self.flags &= ~(Flag.REBOOTED | Flag.SUSPENDED)
         self.on_serial(now_ns, b"")
         self._seq += 1
         self.last = self._decide(due_ns, now_ns, flags)
-        self._wrote = self._wire(self.last.order.drive, now_ns)
+        wire = self._wire(self.last.order.drive, now_ns)
         header = m.make_header(now_ns + self.outbox.epoch_ns, m.BODY)
         self._ticked = m.Tick(header, due_ns, now_ns, work_ns, self._seq & 0xFFFFFFFF, flags)
-        return self._wrote
+        return wire
 
-    def tell(self) -> None:
+    def tell(self, written: bytes) -> None:
         """Tell of the tick, when its bytes are on their way: a car cannot wait, messages can.
 
         Never raises: what cannot be told stops the car.
         """
         try:
             if self.last is not None and self._ticked is not None:
-                self._tell_tick(self.last, self._ticked)
+                self._tell_tick(self.last, self._ticked, written)
         except Exception as error:
             self.strand(error)
 
-    def _tell_tick(self, result: TickResult, tick: m.Tick) -> None:
+    def _tell_tick(self, result: TickResult, tick: m.Tick, written: bytes) -> None:
         now_ns, epoch = tick.woke_ns, self.outbox.epoch_ns
         self.outbox.post(topics.TICK, tick, now_ns)
         drive = result.order.drive
-        told = make_actuation(drive, self._wrote, self._seq, now_ns + epoch)
+        told = make_actuation(drive, written, self._seq, now_ns + epoch)
         self.outbox.post(topics.ACTUATION, told, now_ns)
         state = make_state(
             result.estimate,
@@ -274,6 +296,8 @@ class Core:
             return "the serial port to open"
         if self.loop.vesc is None:
             return "the VESC to answer: is it powered, and is this its port?"
+        if not self.loop.vesc.expected:
+            return next(red_vesc(self.loop.vesc, self.loop.setup.settings.brakes))
         if self.loop.perception.accepted_ns is None:
             detail = f" ({self.source.detail})" if self.source and self.source.detail else ""
             return f"a first pose of the car from mocap{detail}"

@@ -23,6 +23,7 @@ class Flag:
     QUIT = 512
     ABORT = 1024
     GUARDIAN_TRIPPED = 2048
+    UNBOUNDED = 4096
 
 
 _REPORTS = (

@@ -1,9 +1,9 @@
 """The guardian: a process that brakes the car when the control core dies or freezes.
 
-Standard library only. It holds a duplicate of the serial fd and a page of shared memory into which
-the core writes its heartbeat. Core gone, or heartbeat too old while motor bytes may flow: set
-``tripped``, then write the brake frame at once and every 10 ms for 2 s. A core that wakes up again
-looks at ``tripped`` before each write: no stale motion frame leaves it. Disarmed, it is silent.
+It holds a duplicate of the serial fd and a page of shared memory for the core's heartbeat. Core
+gone, or heartbeat too old while motor bytes may flow: set ``tripped``, then write the brake frame
+at once and every 10 ms for 2 s. A core that wakes up again looks at ``tripped`` before each write:
+no stale motion frame leaves it. Disarmed, it is silent. Standard library only.
 """
 
 import argparse
@@ -93,13 +93,15 @@ def make_page_fd() -> int:
 def wait_for_fault(
     page: HeartbeatPage, core: Lifeline, stale_ns: int, now: Callable[[], int]
 ) -> bool:
-    """Watch the core until it ends or freezes; return whether the car must be braked."""
+    """Watch until the core ends, freezes or lets an unarmed car go: whether to brake the car."""
     while True:
         t_ns = now()
         page.watch(t_ns)
         beat_ns = page.beat_ns
         if page.engaged and t_ns - beat_ns > stale_ns:
             return True
+        if page.clean and not page.engaged:
+            return False
         left_ms = (beat_ns + stale_ns - t_ns) // 1_000_000 + 1 if page.engaged else 10
         if core.poll(max(1, min(10, left_ms))):
             return page.engaged and not page.clean
@@ -121,10 +123,9 @@ def brake(page: HeartbeatPage, serial_fd: int, frame: bytes, now: Callable[[], i
 def guardian_main(
     serial_fd: int, page_fd: int, core_pidfd: int, frame: bytes, stale_ns: int = STALE_NS
 ) -> None:
-    """Guard until the core has ended or the car was braked.
+    """Guard until nothing is left to guard or the car was braked.
 
-    ``serial_fd`` is a non-blocking duplicate of the core's, ``page_fd`` from ``make_page_fd``,
-    ``frame`` one whole brake frame, ``stale_ns`` the age of a heartbeat that means frozen.
+    ``serial_fd`` is a non-blocking duplicate of the core's, ``frame`` a whole brake frame.
     """
     for quiet in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(quiet, signal.SIG_IGN)  # they reach the whole group; the core stops the car

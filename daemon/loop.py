@@ -25,6 +25,7 @@ from daemon.checks import (
     Lane,
     VescSelf,
     red_findings,
+    red_flags,
     red_lane,
     red_motion,
     red_vesc,
@@ -195,10 +196,10 @@ class Loop:
     def tick(self, due_ns: int, now_ns: int, flags: int) -> TickResult:
         """Decide what goes on the wire now."""
         estimate = self.perception.estimate(now_ns)
-        speed = best_speed(estimate, self.perception.wheel_speed)
+        speed = best_speed(estimate, self.perception.recent_wheel_speed(now_ns))
         wish, report = self._wish(estimate, now_ns)
         findings = self._watch(estimate, report, speed, due_ns, now_ns, flags)
-        red = self._red(report, findings, speed, now_ns)
+        red = self._red(report, findings, speed, now_ns, flags)
         bits, text = summarise(findings)
         facts = bits | self._facts(estimate, red, now_ns, flags)
         conditions = Conditions(facts, speed, self._timeout_ns(), text)
@@ -363,11 +364,12 @@ class Loop:
         findings: tuple[Finding, ...],
         speed: float,
         now_ns: int,
+        flags: int,
     ) -> list[str]:
         """Pre-arm checks that fail, the most telling first."""
         settings = self.setup.settings
         alive = valid_command(self.remote, now_ns) is not None
-        red = list(red_vesc(self.vesc, settings.brakes))
+        red = [*red_vesc(self.vesc, settings.brakes), *red_flags(flags)]
         if report is None:
             red.append("no estimate yet: mocap must see the car for a moment, standing")
         red += red_findings(findings)

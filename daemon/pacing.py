@@ -13,8 +13,10 @@ from typing import NamedTuple
 
 SLEW = 0.01
 """A period changes by this share at most."""
-MARGIN = 0.2
+MARGIN = 0.1
 """A deadline stands this share of a period behind a punctual arrival: room for one that is late."""
+STEADY = 32
+"""After so many arrivals in a row where they should be, ticks and poses are in step."""
 _JITTERS = 3.0
 """And so many times the arrivals' mean jitter further."""
 _SHARE = 16
@@ -33,12 +35,14 @@ class Pace(NamedTuple):
         lead_ns: by how much the next one should come before its deadline; negative: after.
         jitter_ns: how far arrivals miss that, on average; a whole period to begin with.
         shift_ns: how far the next deadline is moved, later if positive.
+        steady: arrivals in a row that came where they should.
     """
 
     arrival_ns: int = -1
     lead_ns: int = 0
     jitter_ns: float = 0.0
     shift_ns: int = 0
+    steady: int = 0
 
 
 def step_pace(pace: Pace, due_ns: int, arrival_ns: int, period_ns: int) -> Pace:
@@ -58,17 +62,24 @@ def step_pace(pace: Pace, due_ns: int, arrival_ns: int, period_ns: int) -> Pace:
     missed = abs(_wrapped(lead - pace.lead_ns, period_ns))
     jitter = pace.jitter_ns + (missed - pace.jitter_ns) / _MEMORY
     shift = _shift(lead, jitter, period_ns)
-    return Pace(arrival_ns, lead + shift, jitter, shift)
+    in_place = abs(lead - _lead(jitter, period_ns)) <= _room(jitter, period_ns)
+    return Pace(arrival_ns, lead + shift, jitter, shift, pace.steady + 1 if in_place else 0)
 
 
 def at_once_ns(pace: Pace, period_ns: int) -> int:
     """A pose that comes at most so long before a deadline [ns] is that deadline's: tick now.
 
-    None is while the deadlines stand in no step with the poses: 0.
+    None is until ticks and poses are in step: 0.
     """
-    if pace.jitter_ns * _SHARE > period_ns or pace.arrival_ns < 0:
+    if pace.jitter_ns * _SHARE > period_ns or pace.steady < STEADY:
         return 0
-    return min(round(2.0 * _lead(pace.jitter_ns, period_ns)), period_ns // 2)
+    ahead = _lead(pace.jitter_ns, period_ns) + _room(pace.jitter_ns, period_ns)
+    return min(round(ahead), period_ns // 2)
+
+
+def _room(jitter_ns: float, period_ns: int) -> float:
+    """How far from its place an arrival may come and still be the one that is meant."""
+    return period_ns / _SHARE + _JITTERS * jitter_ns
 
 
 def _lead(jitter_ns: float, period_ns: int) -> float:

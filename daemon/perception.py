@@ -80,7 +80,8 @@ class Perception:
             self._measurements.append(make_pose(sample.t_valid_ns, sample.x, sample.y, sample.yaw))
             self._track.append((sample.t_valid_ns, sample.x, sample.y))
             # Now, not in the tick: the pose comes just before its deadline (`daemon.pacing`).
-            self._fuse(sample.t_arrival_ns)
+            stamps = (measurement.t_ns for measurement in self._measurements)
+            self._fuse(max(sample.t_arrival_ns, *stamps))
 
     def on_telemetry(self, telemetry: Telemetry) -> None:
         """Take motor telemetry; its wheel speed is valid in the middle of the exchange."""
@@ -134,6 +135,10 @@ class Perception:
             return nan
         return erpm_to_speed(self._scaling, self.telemetry.values.erpm)
 
+    def recent_wheel_speed(self, now_ns: int) -> float:
+        """The same; NaN once no reply has told it for `BLIND_S`."""
+        return self.wheel_speed if self.telemetry_age(now_ns) <= BLIND_S else nan
+
     @property
     def mocap_speed(self) -> float:
         """Speed by mocap alone over the last 100 ms [m/s]; NaN while unknown."""
@@ -160,7 +165,7 @@ def best_speed(estimate: Estimate | None, wheel_speed: float) -> float:
     would call the car moving for ever.
     """
     if estimate is None or not estimate.health.sound:
-        return wheel_speed
+        return wheel_speed  # which must be a recent one
     health = estimate.health
     fed = min(health.pose.age_s, health.wheel_speed.age_s) <= BLIND_S
     return estimate.state.speed if fed else nan

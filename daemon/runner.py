@@ -43,7 +43,7 @@ class Ends:
     Attributes:
         recorder: pipe to the recorder, or None when nothing is recorded.
         gateway: pipe to the gateway, or None.
-        requests: sockets on which requests arrive.
+        requests: sockets on which requests arrive, the parent's first.
         stop_fd: yields a byte for each stop signal.
     """
 
@@ -77,6 +77,7 @@ class Runner:
         self._open_port = open_port
         self._mocap = mocap
         self._ends = ends
+        self._parent = ends.requests[0] if ends.requests else None
         self._guard = guard
         self._port: Port | None = None
         self._period_ns = core.loop.setup.period_ns
@@ -100,8 +101,7 @@ class Runner:
             now = self._clock.now_ns()
             self._raise_flags()
             wire = self._core.tick(due, now, work_ns)
-            self._write(wire, now)
-            self._core.tell()
+            self._core.tell(self._write(wire, now))
             after = self._clock.now_ns()
             work_ns = after - now
             self._housekeeping(after)
@@ -132,9 +132,16 @@ class Runner:
                 fds += self._mocap.fds()
             ready, _, _ = select.select(fds, [], [], max(left_ns, 0) * 1e-9)
             for fd in ready:
-                self._take(fd)
+                self._try(self._take, fd)
             if left_ns <= 0 or early_ns <= self._pose_ns:
                 return
+
+    def _try(self, take: Callable[[int], None], what: int) -> None:
+        """Take in what comes from outside; an error that nothing expects stops the car (W29)."""
+        try:
+            take(what)
+        except Exception as error:
+            self._core.strand(error)
 
     def _take(self, fd: int) -> None:
         if self._port is not None and fd == self._port.fd:
@@ -176,7 +183,7 @@ class Runner:
     def _hang_up(self, end: socket.socket) -> None:
         """A process that could ask is gone: the gateway, or the parent, whose end means quit."""
         rest = tuple(other for other in self._ends.requests if other is not end)
-        if end is self._ends.requests[0]:
+        if end is self._parent:
             self.signals += 1
         else:
             self._core.flags |= Flag.GATEWAY_LOST
@@ -202,7 +209,7 @@ class Runner:
             self._try_open(now_ns)
         if now_ns >= self._mocap_ns:
             self._mocap_ns = now_ns + MOCAP_TIMER_NS
-            self._tend_mocap(now_ns)
+            self._try(self._tend_mocap, now_ns)
         if now_ns >= self._clock_ns:
             self._clock_ns = now_ns + CLOCK_NS
             self._tell_clock(now_ns)
@@ -247,7 +254,8 @@ class Runner:
 
     def _try_open(self, now_ns: int) -> None:
         self._reopen_ns = now_ns + REOPEN_NS
-        if is_engaged(self._core.loop.supervisor.state):
+        loop = self._core.loop
+        if is_engaged(loop.supervisor.state) and not loop.at_rest:
             return  # a port that comes back does not bring motion back
         try:
             self._port = self._open_port()
@@ -270,25 +278,27 @@ class Runner:
             return
         self._core.on_serial(self._clock.now_ns(), data)
 
-    def _write(self, wire: bytes, tick_ns: int) -> None:
+    def _write(self, wire: bytes, tick_ns: int) -> bytes:
+        """Beat for the guardian and write a tick's bytes; gives back what was written."""
         if self._port is None:
-            return
+            return b""
         last = self._core.last
         engaged = last is not None and is_engaged(last.supervisor.state)
         self._guard.beat(tick_ns, engaged)
         moves = last is not None and last.order.command is not None
         if moves and not self._guard.may_write(tick_ns, self._clock.now_ns()):
             self._core.flags |= Flag.GUARDIAN_TRIPPED
-            return
+            return b""
         try:
             if wire:
                 self._port.write(wire)
             clogged = self._is_clogged(self._port, engaged)
         except LinkDown:
             self._lose_port()
-            return
+            return b""
         if clogged:
             self._lose_port()
+        return wire
 
     def _is_clogged(self, port: Port, engaged: bool) -> bool:
         """Whether an armed car's device has not taken its bytes for some ticks (W8).
@@ -304,6 +314,8 @@ class Runner:
     def _lose_port(self) -> None:
         port, self._port = self._port, None
         self._clogged = 0
+        if not is_engaged(self._core.loop.supervisor.state):
+            self._guard.say_clean()  # it holds the port too, which must come free to be reopened
         if port is not None:
             with contextlib.suppress(OSError):
                 port.close()
@@ -315,15 +327,17 @@ class Runner:
     # --- the end
 
     def _leave(self) -> None:
-        """The wheels stand: give the VESC its own limits back, and leave in good order."""
+        """Leave; where the wheels stand, in good order: the VESC gets its own limits back.
+
+        Where they do not, the guardian hears nothing but the end of this process, and brakes.
+        """
         self._notify(STOPPING)
         now = self._clock.now_ns()
         if self._port is not None:
-            self._guard.say_clean()
-            farewell = self._core.make_farewell()
-            with contextlib.suppress(PortError):
-                if farewell:
-                    self._port.write(farewell)
+            if self._core.loop.at_rest:
+                self._guard.say_clean()
+                with contextlib.suppress(PortError):
+                    self._port.write(self._core.make_farewell())
             with contextlib.suppress(OSError):
                 self._port.close()
         self._core.outbox.flush(now)

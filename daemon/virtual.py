@@ -65,7 +65,7 @@ class VirtualRun:
         data = self.core.tick(due, now)
         if data and self.core.flags & Flag.LINKED:
             self._write(now, data)
-        self.core.tell()
+        self.core.tell(data)
         self._pass(due + self.period_ns * (1 + late_ns // self.period_ns))
 
     def _pass(self, end: int) -> None:
@@ -126,8 +126,8 @@ class VirtualRun:
 
     def _try_open(self) -> None:
         """As the runner does it: every 200 ms, and never while motor bytes may flow."""
-        name = self.world.serial_name
-        if name is None or is_engaged(self.core.loop.supervisor.state):
+        name, loop = self.world.serial_name, self.core.loop
+        if name is None or (is_engaged(loop.supervisor.state) and not loop.at_rest):
             return
         self._opened = name
         self.core.link.reset()

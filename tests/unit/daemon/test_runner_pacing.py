@@ -118,6 +118,13 @@ def test_two_poses_a_period_make_one_tick(monkeypatch):
     assert np.diff(woke(ticks[250:])).min() > 0.9 * period
 
 
+@pytest.mark.parametrize("hz", [50, 95, 102, 250, 300, 333.3, 400, 500, 600, 800, 960, 1000])
+def test_no_rhythm_of_mocap_makes_ticks_uneven(monkeypatch, hz):
+    ticks, _, period = ticks_of(monkeypatch, round(1e9 / hz), count=900)
+    spans = np.diff(woke(ticks[400:])) / period
+    assert 0.8 < spans.min() <= spans.max() < 1.2
+
+
 def test_a_mocap_of_another_rhythm_leaves_the_ticks_alone(monkeypatch):
     ticks, _, period = ticks_of(monkeypatch, 1_000_000_000 // 120)
     assert set(np.diff(woke(ticks))) == {period}
@@ -128,12 +135,12 @@ def runner_with(monkeypatch, world: World, told: list[str]) -> Runner:
     core = SimpleNamespace(
         loop=SimpleNamespace(setup=SimpleNamespace(period_ns=10 * MS)),
         tick=lambda *_: told.append("decided") or b"order",
-        tell=lambda: told.append("told"),
+        tell=lambda written: told.append(f"told of {written.decode()}"),
         on_poses=lambda _samples: None,
     )
     monkeypatch.setattr(runner_module.select, "select", world.select)
     it = Runner(core, world, lambda: None, world, Ends(None, None, (), STOP), SimpleNamespace())
-    it._write = lambda wire, _t_ns: told.append(wire.decode())
+    it._write = lambda wire, _t_ns: told.append(wire.decode()) or wire
     it._raise_flags = it._leave = lambda: None
     it._housekeeping = lambda _t_ns: told.append("tidied")
     return it
@@ -144,7 +151,7 @@ def test_the_bytes_leave_before_anybody_is_told(monkeypatch):
     it = runner_with(monkeypatch, World(10 * MS), told)
     it._done = lambda: len(told) >= 8
     it.run()
-    assert told == ["decided", "order", "told", "tidied"] * 2
+    assert told == ["decided", "order", "told of order", "tidied"] * 2
 
 
 def test_a_pose_makes_one_tick_only(monkeypatch):

@@ -17,6 +17,7 @@ from daemon.flags import Flag
 from daemon.options import RunOptions
 from daemon.records import PipeWriter, read_message
 from daemon.runner import Ends, Runner
+from daemon.supervisor import NEVER
 from daemon.transitions import State
 from steer_bus import topics
 from vesc_link.transport import LinkDown
@@ -48,10 +49,10 @@ class FakeGuard:
     """A guardian that says what it is told to say."""
 
     def __init__(self):
-        self.quiet = self.took_over = False
+        self.quiet = self.took_over = self.clean = False
 
     def watch(self, *_):
-        pass
+        self.clean = False
 
     def beat(self, *_):
         pass
@@ -66,7 +67,7 @@ class FakeGuard:
         return self.took_over
 
     def say_clean(self):
-        pass
+        self.clean = True
 
 
 @pytest.fixture(scope="module")
@@ -205,10 +206,74 @@ def test_w29_what_was_raised_while_a_reply_came_in_is_told_once(plan):
     assert r.core.flags == Flag.LINKED | Flag.EXCEPTION
     for t_ns in (0, 10_000_000):
         r.core.tick(t_ns, t_ns)
-        r.core.tell()
+        r.core.tell(b"")
     logs = [read_message(record).msg for record in told if record.topic is topics.LOG]
     (said,) = [text for text in logs if "W29" in text]
     assert said.startswith("W29 IndexError at <lambda>:")
+
+
+def test_w29_what_no_reader_expects_stops_the_car_and_the_core_lives(plan):
+    r = make_runner(plan)
+    r.it._take = lambda fd: [][fd]
+    r.it._try(r.it._take, 3)
+    assert isinstance(r.core.error, IndexError)
+    assert r.core.flags == Flag.LINKED | Flag.EXCEPTION
+
+
+@pytest.mark.parametrize(("state", "clean"), [(State.RUNNING, False), (State.DISARMED, True)])
+def test_only_a_car_at_rest_is_left_in_good_order(plan, state, clean):
+    """A third signal leaves at once: what still moves is the guardian's to brake."""
+    r = make_runner(plan)
+    r.core.loop.supervisor = r.core.loop.supervisor._replace(state=state)
+    r.it._mocap = SimpleNamespace(close=lambda: None)
+    r.it._leave()
+    assert r.guard.clean is clean
+    assert bool(r.port.sent) is clean
+    assert r.port.gone
+
+
+@pytest.mark.parametrize(("state", "freed"), [(State.RUNNING, False), (State.READY, True)])
+def test_the_guardian_frees_a_lost_port_unless_the_car_is_armed(plan, state, freed):
+    r = make_runner(plan)
+    r.core.loop.supervisor = r.core.loop.supervisor._replace(state=state)
+    r.it._lose_port()
+    assert r.guard.clean is freed
+
+
+@pytest.mark.parametrize(
+    ("state", "still_ns", "opened"),
+    [(State.ESTOP, 5, True), (State.ESTOP, NEVER, False), (State.RUNNING, 5, False)],
+)
+def test_a_port_comes_back_after_an_emergency_stop_at_rest(plan, state, still_ns, opened):
+    r = make_runner(plan)
+    r.it._lose_port()
+    supervisor = r.core.loop.supervisor._replace(state=state, still_ns=still_ns)
+    r.core.loop.supervisor = supervisor
+    r.it._try_open(0)
+    assert bool(r.core.flags & Flag.LINKED) is opened
+
+
+def test_the_end_of_the_gateway_is_no_second_signal(plan):
+    r = make_runner(plan)
+    parent, gateway = SimpleNamespace(close=lambda: None), SimpleNamespace(close=lambda: None)
+    r.it._ends, r.it._parent = replace(r.it._ends, requests=(parent, gateway)), parent
+    r.it._hang_up(parent)
+    r.it._hang_up(gateway)
+    assert r.it.signals == 1
+    assert r.core.flags & Flag.GATEWAY_LOST
+
+
+def test_what_the_guardian_forbade_is_not_told_as_written(plan):
+    told = []
+    r = make_runner(plan, (lambda records, _: told.extend(records),))
+    r.core.tick(0, 0)
+    engage(r)
+    r.core.last.order.command = object()
+    r.guard.took_over = True
+    assert r.it._write(b"go", 0) == b""
+    assert r.port.sent == []
+    r.guard.took_over = False
+    assert r.it._write(b"go", 0) == b"go"
 
 
 def test_w29_what_cannot_be_told_stops_the_car_and_the_core_lives(plan):
@@ -217,7 +282,7 @@ def test_w29_what_cannot_be_told_stops_the_car_and_the_core_lives(plan):
 
     r = make_runner(plan, (refuse,))
     r.core.tick(0, 0)
-    r.core.tell()
+    r.core.tell(b"")
     assert isinstance(r.core.error, LookupError)
     assert r.core.flags & Flag.EXCEPTION
 
