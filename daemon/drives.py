@@ -3,6 +3,7 @@
 import filecmp
 from collections.abc import Sequence
 from itertools import combinations
+from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,7 @@ def load_drive(path: Path, speed: str = "command") -> "Run":
     print_warnings([f"{path.name}: {warning.message}" for warning in load_session(path).warnings])
     try:
         run = steadied(load_run(path))
+        _check_angles(run)
         return with_wheel_speed(run) if speed == "wheel" else run
     except SessionError as error:
         raise of_session(error) from None
@@ -42,6 +44,17 @@ def load_drive(path: Path, speed: str = "command") -> "Run":
         raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
     except OSError as error:
         raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
+
+
+def _check_angles(run: "Run") -> None:
+    """No wheel turns across the car: such a log is in degrees, and a fit would make up for it."""
+    from daemon.session_motion import make_range
+
+    found = make_range(run.commands[:, 0])
+    if found is not None and max(-found.low, found.high) > pi / 2:
+        worst = max(-found.low, found.high)
+        what = f"{run.name}: steering reaches {worst:.3g} rad: is it in degrees?"
+        raise SteerdError(what, "import it with scale = 0.0174532925 in the map")
 
 
 def load_base(path: Path) -> "CarFile":

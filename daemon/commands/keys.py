@@ -54,6 +54,8 @@ def run(args: argparse.Namespace) -> int:
     """
     if not 0.0 < args.years <= 50.0 or not 0 < args.port < 65536:
         raise SteerdError("--years: up to 50; --port: 1 to 65535", "", ExitCode.USAGE)
+    if args.host is not None and not args.host.strip():
+        raise SteerdError("--host: no address", "--host 192.168.1.20", ExitCode.USAGE)
     try:
         import daemon.certificates  # noqa: F401
     except ImportError:
@@ -136,7 +138,8 @@ def _read_roster(folder: Path) -> Roster:
         return Roster(str(table["car"]), str(table["endpoint"]), *people)
     except (OSError, ValueError, KeyError, TypeError) as error:
         hint = "steerd keys DIR --host ADDRESS makes a lab"
-        raise SteerdError(f"{path}: {error}", hint, ExitCode.UNREADABLE) from None
+        why = getattr(error, "strerror", None) or error
+        raise SteerdError(f"{path}: {why}", hint, ExitCode.UNREADABLE) from None
 
 
 def _write_roster(folder: Path, roster: Roster, added: tuple[str, ...], *, car_new: bool) -> None:

@@ -8,6 +8,7 @@ import argparse
 import secrets
 import signal
 import sys
+from math import inf
 from pathlib import Path
 
 from daemon.build import Plan, make_plan
@@ -102,6 +103,10 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         raise SteerdError("--auto-arm and --effect are for --sim only", "", ExitCode.USAGE)
     if args.duration is not None and not 0.0 < args.duration <= 86400.0:
         raise SteerdError(f"--duration {args.duration:g}: more than 0 s", "", ExitCode.USAGE)
+    if args.speed is not None and not 0.0 < args.speed < inf:
+        raise SteerdError(f"--speed {args.speed:g}: more than 0 m/s", "", ExitCode.USAGE)
+    if args.seed < 0:
+        raise SteerdError(f"--seed {args.seed}: 0 or more", "", ExitCode.USAGE)
     if args.view:
         _check_view(args)
     if args.ros_domain is not None:

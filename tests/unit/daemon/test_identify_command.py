@@ -108,6 +108,10 @@ def _clock_step(rows):
     rows[1200:, 0] += 3.0
 
 
+def _degrees(rows):
+    rows[:, 4] = np.degrees(rows[:, 4])
+
+
 def _standing(rows):
     rows[:, 1:4] = rows[0, 1:4]
 
@@ -119,6 +123,7 @@ def _constant(rows):
 BROKEN = {
     "millimetres": (_millimetres, "millimetres"),
     "clock": (_clock_step, "clock"),
+    "degrees": (_degrees, "is it in degrees?"),
     "standing": (_standing, "never moved"),
     "constant": (_constant, "steering is one constant"),
 }

@@ -175,7 +175,15 @@ def test_a_car_s_name_is_one_for_the_bus(tmp_path, car):
 
 def test_adding_needs_a_lab(tmp_path, capsys):
     assert keys(tmp_path, "--operator", "new") == ExitCode.UNREADABLE
-    assert "--host" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "--host" in error
+    assert "lab.toml: No such file or directory" in error
+
+
+def test_a_lab_without_an_address_is_none(tmp_path, capsys):
+    assert keys(tmp_path / "lab", "--host", " ") == ExitCode.USAGE
+    assert "--host: no address" in capsys.readouterr().err
+    assert not (tmp_path / "lab").exists()
 
 
 @pytest.mark.parametrize("damage", [b"", b"-----BEGIN PRIVATE KEY-----\nAAAA\n"])
