@@ -67,12 +67,13 @@ class ProcessGuard:
         self._page: HeartbeatPage | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._started_ns = 0
-        # Kept for life: the kernel walks through all of them when this thread dies.
-        self._lifelines: list[Lifeline] = []
+        # Kept while their guardians live: the kernel walks through them when this thread dies.
+        self._lifelines: list[tuple[subprocess.Popen[bytes], Lifeline]] = []
 
     def watch(self, serial_fd: int, brake_frame: bytes, t_ns: int) -> None:
         """Start a guardian for a port that was just opened."""
         self.say_clean()
+        self._let_go()
         page_fd = make_page_fd()
         pid_fd = os.pidfd_open(os.getpid())
         fds = (serial_fd, page_fd, pid_fd)
@@ -80,12 +81,20 @@ class ProcessGuard:
         command += [brake_frame.hex(), str(self._stale_ns)]
         self._page = HeartbeatPage(page_fd)
         self._page.beat(t_ns, engaged=False)
-        self._lifelines.append(Lifeline(page_fd))
-        self._lifelines[-1].hold()
+        lifeline = Lifeline(page_fd)
+        lifeline.hold()
         self._process = subprocess.Popen(command, pass_fds=fds, process_group=0)
+        self._lifelines.append((self._process, lifeline))
         self._started_ns = t_ns
         os.close(page_fd)
         os.close(pid_fd)
+
+    def _let_go(self) -> None:
+        """Forget the guardians that have gone; a plug that flaps all day must cost nothing."""
+        gone = [pair for pair in self._lifelines if pair[0].poll() is not None]
+        self._lifelines = [pair for pair in self._lifelines if pair not in gone]
+        for _, lifeline in gone:
+            lifeline.let_go()
 
     def beat(self, t_ns: int, engaged: bool) -> None:
         """The core is alive at `t_ns`."""

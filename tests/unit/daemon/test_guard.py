@@ -63,3 +63,17 @@ def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed(
     assert guard.silent(time.monotonic_ns())
     os.close(read)
     os.close(write)
+
+
+@pytest.mark.realtime
+def test_a_plug_that_flaps_leaves_nothing_behind():
+    read, write = os.pipe()
+    guard = ProcessGuard(realtime=False, simulated=True)
+    counts = []
+    for _ in range(4):
+        guard.watch(write, BRAKE, time.monotonic_ns())
+        counts.append(len(os.listdir("/proc/self/fd")))
+        guard.say_clean()
+        assert guard._process.wait(20.0) == 0, "let go of, and the car is not armed"
+    assert len(set(counts[1:])) == 1
+    assert not select.select([read], [], [], 0.0)[0], "nobody braked"
