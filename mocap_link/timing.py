@@ -18,7 +18,8 @@ class SourceTiming:
 
     A mapped sending time must lie at most 1 ms after and less than 50 ms before the arrival, or
     the map is suspect: the pose falls back to the next map, and 10 suspect poses in a row reset
-    the map. When `echo_resets` rises, the session should measure echoes anew.
+    the map. Between mid-exposure and sending lie 50 ms at the most. When `echo_resets` rises, the
+    session should measure echoes anew.
 
     Args:
         frequency_hz: ticks per second of the source's clock.
@@ -83,8 +84,10 @@ class SourceTiming:
         if sent is None:
             return raw.t_arrival_ns - self.extra_latency_ns, ClockKind.ARRIVAL
         measured = sent if raw.source_ticks is None else raw.source_ticks
-        # a server's own pipeline delay is known in ticks, whatever map is in force
-        pipeline_ns = max(0, (sent - measured) * NS // self.frequency_hz)
+        # a server's own pipeline delay is known in ticks, whatever map is in force; ticks that
+        # make it absurd must not carry the pose to a time that no clock has
+        pipeline_ns = (sent - measured) * NS // self.frequency_hz
+        pipeline_ns = min(max(0, pipeline_ns), self.late_ns)
         sent_ns, kind = self._map_sent(sent, raw.t_arrival_ns, learn)
         t_valid_ns = min(sent_ns, raw.t_arrival_ns) - pipeline_ns - self.extra_latency_ns
         return t_valid_ns, kind

@@ -117,9 +117,9 @@ class VrpnClient:
             return None
         self.counts["frames"] += 1
         x, y, z, w = pose.quaternion
-        return RawPose(
-            self.body, None, message.stamp_us, None, t_ns, pose.position, (w, x, y, z)
-        )  # fmt: skip
+        # a stamp before its own epoch is none, and no message could hold it
+        stamp = message.stamp_us if message.stamp_us >= 0 else None
+        return RawPose(self.body, None, stamp, None, t_ns, pose.position, (w, x, y, z))
 
     def _on_system(self, message: vrpn.Message) -> None:
         if message.type == vrpn.DISCONNECT:

@@ -11,12 +11,17 @@ bus is not this module's business: bytes in, `RawPose` out.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import msgspec
 
 from mocap_link.source import RawPose
 
 TICKS_HZ = 1_000_000_000
 MAX_PAYLOAD = 4096
+
+_Count = Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
+"""What a recorded pose can hold of a stamp and of a frame number."""
 
 
 class PoseError(ValueError):
@@ -26,10 +31,10 @@ class PoseError(ValueError):
 class _Pose(msgspec.Struct, frozen=True):
     v: int
     body: str
-    seq: int
+    seq: _Count
     p: tuple[float, float, float]
     q: tuple[float, float, float, float]
-    t_src_ns: int | None = None
+    t_src_ns: _Count | None = None
     valid: bool = True
     err: float | None = None
 
@@ -42,7 +47,8 @@ def decode_pose(payload: bytes, t_arrival_ns: int) -> RawPose:
     """Decode one payload.
 
     Raises:
-        PoseError: not JSON, not schema v1, or larger than 4 kB.
+        PoseError: not JSON, not schema v1, larger than 4 kB, or a stamp or sequence number
+            outside 0 to 2^63 - 1.
     """
     if len(payload) > MAX_PAYLOAD:
         raise PoseError(f"pose of {len(payload)} bytes")

@@ -18,12 +18,15 @@ import zstandard
 
 from daemon.gateway_wire import pack_request, unpack_request
 from daemon.lease import Lease, Remote, accept, take_command
+from daemon.telling import make_mocap
 from daemon.transitions import Request
 from mocap_link import natnet, vrpn
+from mocap_link.ingest import IngestConfig
 from mocap_link.natnet_client import NatNetClient
 from mocap_link.natnet_frame import Frame, RigidBody
 from mocap_link.natnet_model import ModelDef, RigidBodyDesc
 from mocap_link.natnet_wire import NatNetError
+from mocap_link.sessions import BusPoseSource
 from mocap_link.source import RawPose
 from mocap_link.vrpn_client import VrpnClient
 from mocap_link.vrpn_server import VrpnServer
@@ -256,11 +259,16 @@ def check_vrpn(script: bytes) -> None:
 
 
 def check_pose(data: bytes) -> None:
-    """Any JSON on the pose topic: `PoseError` or a pose."""
+    """Any JSON on the pose topic: `PoseError` or a pose, which a message can hold."""
+    source = BusPoseSource(IngestConfig())
     try:
         decode_pose(data, 0)
     except PoseError:
+        assert source.on_message(data, 0) is None
         return
+    sample = source.on_message(data, 0)
+    assert sample is not None
+    encode(make_mocap(sample, 0))
 
 
 def natnet_seeds() -> list[bytes]:
@@ -291,7 +299,9 @@ def vrpn_seeds() -> list[bytes]:
 def pose_seeds() -> list[bytes]:
     """Poses as JSON."""
     good = b'{"v":1,"body":"car","t_src_ns":5,"seq":7,"p":[1,2,3],"q":[1,0,0,0],"valid":true}'
-    return [good, good.replace(b"5", b"null"), b"[" * 200]
+    odd = [good.replace(b"5", n) for n in (b"-5", b"9223372036854775807", b"1" + b"0" * 400)]
+    return [good, good.replace(b"5", b"null"), good.replace(b"7", b"9223372036854775808"), *odd,
+            b"[" * 200]  # fmt: skip
 
 
 # --- messages, requests, sessions

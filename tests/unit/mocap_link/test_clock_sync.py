@@ -184,6 +184,13 @@ def test_arrival_subtracts_what_the_server_tells_of_its_pipeline() -> None:
     assert timing.time_pose(raw) == (T0 - 8 * MS, ClockKind.ARRIVAL)
 
 
+@pytest.mark.parametrize("sent", [101 * MS, 2**64 - 1])
+def test_a_pipeline_is_never_longer_than_a_pose_may_be_late(sent: int) -> None:
+    timing = SourceTiming(1)
+    raw = RawPose("car", 1, 0, sent, T0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    assert timing.time_pose(raw) == (T0 - timing.late_ns, ClockKind.ARRIVAL)
+
+
 def test_without_stamps_arrival_it_is_and_ready_after_two_seconds() -> None:
     timing = SourceTiming(1_000_000_000, extra_latency_ns=MS)
     for i in range(201):

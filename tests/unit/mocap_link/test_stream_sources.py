@@ -2,6 +2,8 @@
 
 from math import cos, hypot, sin
 
+import pytest
+
 from mocap_link.frame import FrameConfig, make_body_pose
 from mocap_link.ingest import IngestConfig
 from mocap_link.sessions import BusPoseSource, VrpnSource
@@ -132,3 +134,39 @@ def test_bus_poses() -> None:
     assert source.status().counts["malformed"] == 4
     assert source.on_message(b"[" * 5000, T0) is None
     assert source.on_message(b"[" * 4000, T0) is None
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [b'"t_src_ns":-5', b'"t_src_ns":1' + b"0" * 400, b'"t_src_ns":9223372036854775808'],
+    ids=["before its epoch", "of 401 digits", "too large"],
+)
+def test_a_bus_pose_with_a_stamp_that_no_message_holds_is_malformed(odd: bytes) -> None:
+    source = BusPoseSource(IngestConfig())
+    rest = b',"v":1,"body":"car","seq":7,"p":[1,2,3],"q":[1,0,0,0]}'
+    assert source.on_message(b"{" + odd + rest, T0) is None
+    assert source.status().counts["malformed"] == 1
+    assert "t_src_ns" in source.status().detail
+    assert source.on_message(b'{"t_src_ns":9223372036854775807' + rest, T0) is not None
+
+
+@pytest.mark.parametrize("seq", [-1, 1 << 63])
+def test_a_bus_pose_with_a_number_that_no_message_holds_is_malformed(seq: int) -> None:
+    source = BusPoseSource(IngestConfig())
+    text = f'{{"v":1,"body":"car","seq":{seq},"p":[1,2,3],"q":[1,0,0,0]}}'
+    assert source.on_message(text.encode(), T0) is None
+    assert source.on_message(text.replace(str(seq), str((1 << 63) - 1)).encode(), T0) is not None
+    assert source.status().counts["malformed"] == 1
+
+
+def test_a_vrpn_stamp_before_its_epoch_is_no_stamp() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("car",))
+    source.on_connect()
+    source.on_bytes(server.hello(), T0)
+    good = server.pose("car", 5, (1.0, 2.0, 0.1), (1.0, 0.0, 0.0, 0.0))
+    (sample,) = source.on_bytes(good, T0)
+    assert sample.raw.source_ticks == 5
+    early = good[:4] + (-1).to_bytes(4, "big", signed=True) + good[8:]
+    (sample,) = source.on_bytes(early, T0 + 10 * MS)
+    assert sample.raw.source_ticks is None
+    assert sample.clock is ClockKind.ARRIVAL
