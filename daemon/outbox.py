@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from daemon.records import Record
-from steer_bus.codec import encode
+from steer_bus.codec import CodecError, encode
 from steer_bus.topics import Topic
 
 Sink = Callable[[list[Record], int], None]
@@ -46,10 +46,24 @@ class Outbox:
         """Encode everything queued and hand it to the sinks.
 
         Raises:
-            CodecError: a message cannot be encoded; what was queued with it is lost.
+            CodecError: a message cannot be encoded; it alone is lost, the others were handed over.
         """
-        if self._pending:
-            queued, self._pending = self._pending, []
-            records = [record._replace(data=encode(record.message)) for record in queued]
-            for sink in self.sinks:
-                sink(records, t_ns)
+        if not self._pending:
+            return
+        queued, self._pending = self._pending, []
+        records, wrong = _encode_all(queued)
+        for sink in self.sinks:
+            sink(records, t_ns)
+        if wrong is not None:
+            raise wrong
+
+
+def _encode_all(queued: list[Record]) -> tuple[list[Record], CodecError | None]:
+    """Encode each record; also give the first error."""
+    records, wrong = [], None
+    for record in queued:
+        try:
+            records.append(record._replace(data=encode(record.message)))
+        except CodecError as error:
+            wrong = wrong or error
+    return records, wrong
