@@ -3,6 +3,7 @@
 import os
 import select
 import time
+from pathlib import Path
 
 import pytest
 
@@ -72,7 +73,7 @@ def test_a_plug_that_flaps_leaves_nothing_behind():
     counts = []
     for _ in range(4):
         guard.watch(write, BRAKE, time.monotonic_ns())
-        counts.append(len(os.listdir("/proc/self/fd")))
+        counts.append(len(list(Path("/proc/self/fd").iterdir())))
         guard.say_clean()
         assert guard._process.wait(20.0) == 0, "let go of, and the car is not armed"
     assert len(set(counts[1:])) == 1
