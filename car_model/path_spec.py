@@ -91,8 +91,10 @@ def _csv(rest: str) -> Path:
     smooth = _number(options, "smooth", 0.0)
     try:
         return load_path(FilePath(rest).expanduser(), options.get("place", "start"), smooth)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"path file {rest}: {error}") from None
+    except OSError as error:
+        raise ValueError(f"path file {rest}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ValueError(f"path file {rest}: not a text of points, one a line") from None
 
 
 _SHAPES: dict[str, Callable[[Options], Path]] = {
