@@ -45,16 +45,22 @@ class PoseVerdict(IntEnum):
 
 
 class PoseWatch(NamedTuple):
-    """What the frame watchdogs remember; the counts are of frames in a row."""
+    """What the frame watchdogs remember; the counts are of frames in a row.
+
+    Attributes:
+        base: the last good frame.
+        before: the last good frame that arrived earlier than `base`.
+        rejections: shift register: bit k set if the innovation was rejected k frames ago.
+    """
 
     base: PoseFrame | None = None
+    before: PoseFrame | None = None
     frozen: int = 0
     invalid: int = 0
     jumps: int = 0
     jump_times: tuple[int, ...] = ()
     rejected: int = 0
     rejections: int = 0
-    """Shift register: bit k set if the innovation was rejected k frames ago."""
 
 
 def is_sane(th: Thresholds, frame: PoseFrame) -> bool:
@@ -70,16 +76,20 @@ def is_sane(th: Thresholds, frame: PoseFrame) -> bool:
 
 
 def _is_newer(base: PoseFrame, frame: PoseFrame) -> bool:
-    rising = frame.number > base.number or frame.number < 0
-    return rising and frame.t_ns > base.t_ns
+    if frame.number < 0:
+        # A stream keeps its order, but the poses of one TCP segment share its stamp.
+        return frame.t_ns >= base.t_ns
+    return frame.number > base.number and frame.t_ns > base.t_ns
 
 
-def _is_jump(th: Thresholds, base: PoseFrame, frame: PoseFrame) -> bool:
+def _is_jump(th: Thresholds, base: PoseFrame, before: PoseFrame | None, frame: PoseFrame) -> bool:
+    # Poses that arrived at one time have had the time since the arrival before, all together.
+    start = before if before is not None and frame.t_ns == base.t_ns else base
     step = hypot(
-        frame.position[0] - base.position[0],
-        frame.position[1] - base.position[1],
+        frame.position[0] - start.position[0],
+        frame.position[1] - start.position[1],
     )
-    reach = th.jump_speed * ((frame.t_ns - base.t_ns) / 1e9) + th.jump_margin
+    reach = th.jump_speed * ((frame.t_ns - start.t_ns) / 1e9) + th.jump_margin
     return step > reach or abs(remainder(frame.yaw - base.yaw, tau)) > th.yaw_step
 
 
@@ -94,7 +104,7 @@ def _judge(th: Thresholds, w: PoseWatch, frame: PoseFrame, wheel_speed: float) -
     same = frame.position == base.position and frame.quaternion == base.quaternion
     if same and abs(wheel_speed) > th.freeze_speed:
         return PoseVerdict.FROZEN
-    return PoseVerdict.JUMP if _is_jump(th, base, frame) else PoseVerdict.ACCEPTED
+    return PoseVerdict.JUMP if _is_jump(th, base, w.before, frame) else PoseVerdict.ACCEPTED
 
 
 def step_pose(
@@ -116,7 +126,8 @@ def step_pose(
     """
     verdict = _judge(th, w, frame, wheel_speed)
     if verdict == PoseVerdict.ACCEPTED:
-        return w._replace(base=frame, frozen=0, invalid=0, jumps=0), verdict
+        before = w.base if w.base is not None and frame.t_ns > w.base.t_ns else w.before
+        return w._replace(base=frame, before=before, frozen=0, invalid=0, jumps=0), verdict
     if verdict == PoseVerdict.REBASED:
         return PoseWatch(frame), verdict
     if verdict == PoseVerdict.FROZEN:

@@ -18,8 +18,9 @@ class SourceTiming:
 
     A mapped sending time must lie at most 1 ms after and less than 50 ms before the arrival, or
     the map is suspect: the pose falls back to the next map, and 10 suspect poses in a row reset
-    the map. Between mid-exposure and sending lie 50 ms at the most. When `echo_resets` rises, the
-    session should measure echoes anew.
+    the map. The one-way map times a pose that is up to 150 ms late all the same: the network held
+    it back, for a source time that goes back resets that map at once. Between mid-exposure and
+    sending lie 50 ms at the most. When `echo_resets` rises, the session should measure echoes anew.
 
     Args:
         frequency_hz: ticks per second of the source's clock.
@@ -29,6 +30,7 @@ class SourceTiming:
 
     early_ns = 1_000_000
     late_ns = 50_000_000
+    lost_ns = 150_000_000
     suspects_to_reset = 10
 
     def __init__(self, frequency_hz: int, extra_latency_ns: int = 0, two_way: bool = False) -> None:
@@ -109,11 +111,15 @@ class SourceTiming:
         if not clock.ready:
             return None
         t_ns = clock.to_host_ns(ticks)
-        sane = -self.early_ns <= t_arrival_ns - t_ns < self.late_ns
+        age_ns = t_arrival_ns - t_ns
+        early, late = age_ns < -self.early_ns, age_ns >= self.late_ns
         if learn:
-            suspects = 0 if sane else self._suspects.get(clock, 0) + 1
+            suspects = self._suspects.get(clock, 0) + 1 if early or late else 0
             if suspects >= self.suspects_to_reset:
                 suspects = 0
                 clock.reset()
             self._suspects[clock] = suspects
-        return t_ns if sane else None
+        # Poses that were held back come all at once, and only their stamps tell them apart: at the
+        # time of arrival each would be a jump from the one before.
+        held_back = clock is self.hull and age_ns < self.lost_ns
+        return None if early or (late and not held_back) else t_ns

@@ -84,7 +84,27 @@ def test_only_the_exact_origin_is_no_place(place):
 def test_sources_without_frame_numbers_rise_by_time():
     watch = PoseWatch(frame(number=-1))
     assert judge(frame(1.01, -1, x=1.01), watch)[1] == ACCEPTED
-    assert judge(frame(1.0, -1, x=1.01), watch)[1] == INVALID
+    assert judge(frame(1.0, -1, x=1.01), watch)[1] == ACCEPTED, "one stamp, in their order"
+    assert judge(frame(0.999, -1, x=1.01), watch)[1] == INVALID
+
+
+def test_the_poses_of_one_segment_share_its_stamp_and_the_time_before_it():
+    """2 m/s, 0.1 s without a pose: 0.2 m and the margin are theirs together."""
+    watch = PoseWatch(frame(1.0, -1, x=1.0))
+    for x in (1.05, 1.1, 1.15, 1.2, 1.2625):
+        watch, verdict = judge(frame(1.1, -1, x=x), watch, wheel=1.0)
+        assert (verdict, watch.invalid, watch.jumps) == (ACCEPTED, 0, 0)
+    assert judge(frame(1.1, -1, x=nextafter(1.2625, inf)), watch)[1] == JUMP
+    assert judge(frame(1.1, -1, x=1.2, yaw=0.6), watch)[1] == JUMP, "yaw is bounded by frame"
+    watch, verdict = judge(frame(1.11, -1, x=1.3), watch)
+    assert verdict == ACCEPTED, "the next segment counts from the newest pose"
+    assert judge(frame(1.11, -1, x=1.35), watch)[1] == JUMP, "and with its own time alone"
+
+
+def test_a_rebased_pose_has_no_time_before_it():
+    watch = PoseWatch(frame(1.0, -1))
+    assert judge(frame(1.0, -1, x=1.0625), watch)[1] == ACCEPTED
+    assert judge(frame(1.0, -1, x=1.0626), watch)[1] == JUMP
 
 
 def test_freeze_needs_identical_bits_and_turning_wheels():

@@ -74,6 +74,26 @@ def test_vrpn_drive_freeze_and_reconnect() -> None:
     assert_no_jump(again)
 
 
+@pytest.mark.parametrize("held", [2, 6, 12])
+def test_poses_that_tcp_held_back_are_each_where_the_car_was(held: int) -> None:
+    source, server = VrpnSource("car", CONFIG, extra_latency_ns=0), VrpnServer(("car",))
+    source.on_connect()
+    source.on_bytes(server.hello(), T0)
+    drive_vrpn(source, server, T0, 300)
+    start = T0 + 3 * SECOND
+    segment = b""
+    for i in range(held):
+        t = start + i * 10 * MS
+        position, q = make_body_pose(FRAME, *truth(t), 0.1)
+        segment += server.pose("car", 10**15 + t // 1000, position, q)
+    samples = source.on_bytes(segment, start + held * 10 * MS + 8 * MS)
+    samples += drive_vrpn(source, server, start + held * 10 * MS, 20)
+    assert [sample.rejected for sample in samples] == [None] * (held + 20)
+    assert all(sample.clock is ClockKind.HULL for sample in samples)
+    for k, sample in enumerate(samples):
+        assert abs(sample.t_valid_ns - 8 * MS - start - k * 10 * MS) < MS
+
+
 def test_vrpn_half_open_and_ping() -> None:
     source, server = VrpnSource("car", CONFIG), VrpnServer(("car",))
     server.receive(source.on_connect(), 0)
