@@ -16,7 +16,7 @@ GAIN_SE = 3.0
 SHARE_MIN = 0.15
 """A gap in practice removes this share of the excess error ..."""
 SPEED_MIN = 0.002
-"""... or this much of the position error after a second [m]."""
+"""... or this much of the position error after a second [m]; a gap without a name is no less."""
 AMBIGUOUS_SE = 2.5
 AMBIGUOUS_NATS = 3.0
 AMBIGUOUS_COS = 0.95

@@ -323,7 +323,7 @@ def verdict_of(
     """
     most = c.EXCESS_LEFT * floor
     if not found:
-        alone = after.interval[0] > c.EXCESS_ALONE * floor
+        alone = after.interval[0] > c.EXCESS_ALONE * floor and after.position(1.0) >= c.SPEED_MIN
         return "unexplained" if known and alone else "none"
     share = explained_share(before.whitened, after.whitened, floor)
     if known and after.interval[0] > most and max(share, mostly) < c.PARTIAL_MIN:

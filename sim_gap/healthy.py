@@ -16,12 +16,22 @@ from sim_gap import constants as c
 from sim_gap.candidates import blocks_of, gain_of, scored, singles
 from sim_gap.decide import bounded
 from sim_gap.descent import Fitted, descend
-from sim_gap.noise import Noise, calibrated, learn_noise, noise_of_section, noise_section, whitened
+from sim_gap.engine import Engine
+from sim_gap.noise import (
+    Noise,
+    calibrated,
+    learn_noise,
+    noise_of_section,
+    noise_section,
+    noise_share,
+    whitened,
+)
 from sim_gap.opening import null_fit, open_engine
 from sim_gap.residuals import ratios, robust_mean
 from sim_gap.space import nuisance_names, telling_effects
 from sim_gap.superset import Superset, make_superset
 from sysid.dataset import Run
+from sysid.windows import estimate_noise
 
 _ROUNDS = 2
 _REFITS = 4
@@ -48,7 +58,13 @@ def _learn(base: CarFile | Model[float], runs: Sequence[Run]) -> tuple[Noise, Fi
         fitted = null_fit(engine, nuisance, fitted, own)
     noise = learn_noise(engine, fitted, noise)
     fitted = null_fit(whitened(engine, fitted, noise), nuisance, fitted, own)
-    return calibrated(noise, robust_mean(ratios(fitted))), fitted
+    return _calibrated(engine, fitted, noise, runs), fitted
+
+
+def _calibrated(engine: Engine, fitted: Fitted, noise: Noise, runs: Sequence[Run]) -> Noise:
+    """Noise under which these drives leave just what the diagnosis takes for noise."""
+    should = noise_share(engine, float(estimate_noise(runs)[2]))
+    return calibrated(noise, robust_mean(ratios(fitted)), should)
 
 
 def _always(base: CarFile | Model[float], superset: Superset, runs: Sequence[Run]) -> list[str]:
@@ -116,7 +132,7 @@ def _with_own_effects(base: CarFile, runs: Sequence[Run], noise: Noise) -> CarFi
             noise = learn_noise(engine, found, noise)
             engine = whitened(engine, found, noise)
             found = descend(engine, found.space, found.z.copy(), found.x.copy())
-        noise = calibrated(noise, robust_mean(ratios(found)))
+        noise = _calibrated(engine, found, noise, runs)
     return _own(_moved(base, found, noise), found, superset)
 
 

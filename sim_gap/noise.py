@@ -212,17 +212,23 @@ def louder(noise: Noise, signals: Array) -> Noise:
     return replace(noise, instruments=(a, b, c, d))
 
 
-def calibrated(noise: Noise, left: float) -> Noise:
-    """Noise under which drives without a gap leave 1 where they left `left` of the whitened error.
+def calibrated(noise: Noise, left: float, should: float = 1.0) -> Noise:
+    """Noise under which drives without a gap leave what they should of the whitened error.
 
     What a likelihood over windows of different harshness calls typical is more than most of them
     hold; taken as it is, it costs the test its power.
+
+    Args:
+        noise: as learnt.
+        left: what the drives leave per degree of freedom under it.
+        should: what they should leave, see `noise_share`: by another measure than the floor's,
+            healthy drives would lie above it.
     """
-    return noise_of_sizes(noise.sizes * np.sqrt(left))
+    return noise_of_sizes(noise.sizes * np.sqrt(left / should))
 
 
-def noise_floor(engine: Engine, wheel: float) -> float:
-    """What noise alone should leave of the whitened error per degree of freedom.
+def noise_share(engine: Engine, wheel: float) -> float:
+    """What noise leaves of the whitened error per degree of freedom of the drives it is learnt on.
 
     Wheel speed is trusted less than it deserves (`WHEEL_LEAST`), so its readings leave less.
 
@@ -234,7 +240,12 @@ def noise_floor(engine: Engine, wheel: float) -> float:
     worth = np.array([1.0, 1.0, min(1.0, (wheel / WHEEL_LEAST) ** 2), 1.0])
     free = FREE_STATES * engine.readings.count
     share = (counts @ worth - free) / max(float(counts.sum()) - free, 1.0)
-    return NOISE_KEPT * float(max(share, 0.1))
+    return float(max(share, 0.1))
+
+
+def noise_floor(engine: Engine, wheel: float) -> float:
+    """What noise alone should leave of other drives; `wheel` as in `noise_share`."""
+    return NOISE_KEPT * noise_share(engine, wheel)
 
 
 def noise_section(noise: Noise) -> dict[str, float]:

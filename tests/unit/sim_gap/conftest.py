@@ -34,7 +34,7 @@ def _orders(ticks: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
     return shape * most, speed
 
 
-def _drive(text: str, seconds: float, rng: np.random.Generator, name: str) -> Run:
+def _drive(text: str, seconds: float, rng: np.random.Generator, name: str, wheel_sd: float) -> Run:
     chosen = parse_effects(text) if text else []
     model = Model(DEFAULT_CAR, tuple(e for e, _ in chosen), tuple(v for _, v in chosen))
     late = delays(model)
@@ -63,7 +63,7 @@ def _drive(text: str, seconds: float, rng: np.random.Generator, name: str) -> Ru
     path, t = np.array(seen), np.arange(ticks) * H
     pose = np.column_stack([np.interp(t - late.pose, t, path[:, i]) for i in range(3)])
     pose += rng.standard_normal(pose.shape) * POSE_SD
-    wheel = path[:, 3] + 0.02 * rng.standard_normal(ticks)
+    wheel = path[:, 3] + wheel_sd * rng.standard_normal(ticks)
     t = t[: ticks - LEAD]
     return make_run(
         name,
@@ -78,9 +78,15 @@ def _drive(text: str, seconds: float, rng: np.random.Generator, name: str) -> Ru
 def drive() -> Drive:
     """`drive(effects, runs=4, seconds=8, seed=0)`: runs of the default car with effects on."""
 
-    def make(text: str = "", runs: int = 4, seconds: float = 8.0, seed: int = 0) -> list[Run]:
+    def make(
+        text: str = "",
+        runs: int = 4,
+        seconds: float = 8.0,
+        seed: int = 0,
+        wheel_sd: float = 0.02,
+    ) -> list[Run]:
         rng = np.random.default_rng(seed)
-        return [_drive(text, seconds, rng, f"run-{i}") for i in range(runs)]
+        return [_drive(text, seconds, rng, f"run-{i}", wheel_sd) for i in range(runs)]
 
     return make
 

@@ -150,6 +150,8 @@ def test_calibrated_noise_leaves_one(healthy):
     left = robust_mean(first.at.square / first.at.dof)
     again = settled(whitened(healthy, fitted, calibrated(noise, left)), space, z, x)
     assert robust_mean(again.at.square / again.at.dof) == pytest.approx(1.0, abs=0.03)
+    less = settled(whitened(healthy, fitted, calibrated(noise, left, 0.8)), space, z, x)
+    assert robust_mean(less.at.square / less.at.dof) == pytest.approx(0.8, abs=0.03)
 
 
 def _at_base(engine):

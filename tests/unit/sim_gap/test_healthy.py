@@ -31,3 +31,27 @@ def test_the_linkages_bend_is_the_cars_own(refined):
 def test_a_manner_of_the_car_is_no_gap(refined, drive):
     again = drive("wheel_slip=0.006,steer_nonlinearity=-0.6", runs=4, seed=9)
     assert diagnose(again, refined, Options(pairs=False)).verdict == "none"
+
+
+@pytest.fixture(scope="module")
+def quiet(drive):
+    """Drives whose wheel speed is far quieter than it is believed to be."""
+    return drive("", runs=4, seconds=6.0, seed=3, wheel_sd=0.001)
+
+
+@pytest.fixture(scope="module")
+def learnt(base, quiet):
+    return refine(base, quiet)
+
+
+def test_drives_have_no_gap_to_themselves(learnt, quiet):
+    told = diagnose(quiet, learnt, Options(pairs=False, horizons=False))
+    assert told.noise_known
+    assert told.verdict == "none"
+
+
+def test_other_drives_of_the_same_car_have_no_gap(learnt, drive):
+    again = drive("", runs=4, seconds=6.0, seed=4, wheel_sd=0.001)
+    told = diagnose(again, learnt, Options(pairs=False, horizons=False))
+    assert told.noise_known
+    assert told.verdict == "none"

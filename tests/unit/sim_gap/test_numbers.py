@@ -18,7 +18,7 @@ from sim_gap.decide import (
     rivals_of,
     significant,
 )
-from sim_gap.diagnosis import practical, share_of_most
+from sim_gap.diagnosis import practical, share_of_most, verdict_of
 from sim_gap.residuals import Gap, interval_of, robust_mean
 from sim_gap.shrink import explained_share, floor_of
 from sim_gap.where import Regime, Share, range_words, sentence_of
@@ -113,6 +113,16 @@ def test_what_the_base_leaves_as_it_is_matters_in_practice():
     assert practical(choice, gap(1.7, 1.4), after, null, 0.97)
     assert not practical(choice, gap(1.1, 1.0), after, null, 0.97)
     assert not practical(choice, gap(1.7, 1.4), after, null, np.inf)
+
+
+@pytest.mark.parametrize(
+    ("millimetres", "verdict"), [(0.33, "none"), (1.9, "none"), (2.1, "unexplained")]
+)
+def test_a_gap_without_a_name_matters_in_millimetres(millimetres, verdict):
+    left = Gap(1.5, (1.4, 1.6), ((1.0, 1e-3 * millimetres, 0.0, 0.0),), ())
+    choice = SimpleNamespace(splits=())
+    assert verdict_of(choice, False, True, left, left, 0.97) == verdict
+    assert verdict_of(choice, False, False, left, left, 0.97) == "none"
 
 
 def test_a_value_at_its_bound_is_told():
