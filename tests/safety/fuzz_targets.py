@@ -322,6 +322,7 @@ def check_codec(script: bytes) -> None:
 def check_requests(script: bytes) -> None:
     """Any requests: without this run's boot id and a rising number nothing but a stop is asked."""
     lease, remote, t_ns = Lease(BOOT), Remote(), 0
+    taken: dict[int, int] = {}
     for op, body in cut(script[:MOST]):
         t_ns += 50 * MS
         name, data = unpack_request(body if op & 1 else pack_request(NAMES[op // 2 % 2], body))
@@ -336,6 +337,9 @@ def check_requests(script: bytes) -> None:
                 if not (ours and rises and free):
                     assert request in (Request.NONE, Request.STOP, Request.ESTOP, Request.UNKNOWN)
                     assert lease.renewed_ns == before.renewed_ns
+                if lease.renewed_ns == t_ns:
+                    assert asked.seq > taken.get(asked.lease_id, -1)
+                    taken[asked.lease_id] = asked.seq
             elif name == topics.DRIVE.name:
                 command = decode(m.DriveCommand, data)
                 old, remote = remote, take_command(remote, BOOT, command, t_ns)

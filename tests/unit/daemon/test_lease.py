@@ -5,6 +5,7 @@ from math import inf
 import pytest
 
 from daemon.lease import (
+    FORMER_MAX,
     Lease,
     Remote,
     accept,
@@ -91,10 +92,39 @@ def test_an_unknown_request_is_said_to_be_one(kind):
 def test_an_idle_lease_is_free_for_another_and_not_for_nobody():
     lease, got = accept(HELD, ask(who=BOB, seq=0), T0 + 5, idle=True)
     assert got == Request.ARM
-    assert lease == Lease(BOOT, BOB, 0, T0 + 5)
+    assert lease == Lease(BOOT, BOB, 0, T0 + 5, former=((ANN, 10),))
     assert accept(HELD, ask(who=0), T0, idle=True)[1] == Request.NONE
     assert accept(HELD, ask(who=BOB, boot=1), T0, idle=True)[1] == Request.NONE
     assert accept(HELD, ask(seq=10), T0, idle=True)[1] == Request.NONE, "its own old number"
+
+
+def take(lease, *asked):
+    """Requests while the holder is silent; what came of the last."""
+    for who, seq in asked:
+        lease, got = accept(lease, ask(who=who, seq=seq), T0, idle=True)
+    return lease, got
+
+
+def test_no_request_of_a_former_holder_is_taken_twice():
+    lease, _ = take(HELD, (BOB, 3))
+    for seq in (10, 9):
+        refused, got = take(lease, (ANN, seq))
+        assert (got, refused.holder, refused.refused) == (Request.NONE, BOB, 1)
+    lease, got = take(lease, (ANN, 11))
+    assert (got, lease.holder, lease.former) == (Request.ARM, ANN, ((ANN, 10), (BOB, 3)))
+    assert take(lease, (BOB, 3))[1] == Request.NONE
+    lease, _ = take(lease, (BOB, 4))
+    assert lease.former == ((BOB, 3), (ANN, 11)), "one number for each"
+    assert take(lease, (ANN, 11))[1] == Request.NONE
+
+
+def test_so_many_former_holders_are_remembered():
+    lease, _ = take(Lease(BOOT), *((who, 1) for who in range(1, FORMER_MAX + 2)))
+    assert len(lease.former) == FORMER_MAX
+    assert take(lease, (1, 1))[1] == Request.NONE
+    lease, _ = take(lease, (FORMER_MAX + 2, 1))
+    assert len(lease.former) == FORMER_MAX
+    assert take(lease, (2, 1))[1] == Request.NONE
 
 
 def test_a_fresh_lease_has_no_holder():
@@ -142,8 +172,18 @@ def test_another_controller_may_take_over_only_after_a_second_of_silence():
     other = command(1, who=BOB)
     assert take_command(TAKEN, BOOT, other, T0 + 1_000_000_000).holder == ANN
     assert take_command(TAKEN, BOOT, other, T0 + 1_000_000_001) == Remote(
-        BOB, other, T0 + 1_000_000_001, 2
+        BOB, other, T0 + 1_000_000_001, 2, ((ANN, 7),)
     )
+
+
+def test_no_command_of_a_former_controller_is_taken_twice():
+    late = 2_000_000_000
+    bob = take_command(TAKEN, BOOT, command(1, who=BOB), T0 + late)
+    for seq in (7, 6):
+        refused = take_command(bob, BOOT, command(seq), T0 + 2 * late)
+        assert (refused.holder, refused.refused) == (BOB, 3)
+    back = take_command(bob, BOOT, command(8), T0 + 2 * late)
+    assert (back.holder, back.former) == (ANN, ((ANN, 7), (BOB, 1)))
 
 
 def test_a_command_is_valid_to_the_last_nanosecond_and_no_longer():
