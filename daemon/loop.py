@@ -426,7 +426,7 @@ class Loop:
             if estimate is not None:
                 self._control = start_controller(self.setup.controller, estimate.state, now_ns)
         if old in _DRIVING and new not in _DRIVING:
-            self.ran = True
+            self.ran, self._launch = True, None
         self.faulted = self.faulted or new in (State.FAULT_STOP, State.ESTOP)
         rolling = abs(self.perception.wheel_speed) > STANDING_SPEED
         self.perception.may_rebase = new in _PARKED and not rolling

@@ -164,7 +164,9 @@ def _enter(s: SupervisorState, row: Row, c: Conditions, t_ns: int) -> Supervisor
 def _next_cap(s: SupervisorState, old: SupervisorState, bits: int, speed: float) -> float:
     """Speed cap [m/s]: it only ever falls while stopping, starting at what the car really does."""
     if s.state == State.RUNNING:
-        return inf if bits & _LAUNCHED else LAUNCH_SPEED
+        # What shows as launched when a drive begins is the drive before.
+        launched = old.state == State.RUNNING and bits & _LAUNCHED
+        return inf if launched else LAUNCH_SPEED
     if s.state != State.STOPPING:
         return 0.0
     if old.state != State.STOPPING:

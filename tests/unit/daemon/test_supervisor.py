@@ -260,6 +260,15 @@ def test_launch_window_caps_the_speed_until_the_checks_have_passed():
     assert car.action.cap == inf
 
 
+def test_the_launch_checks_of_the_drive_before_lift_no_cap():
+    car = Car().armed()
+    car.facts |= Is.LAUNCHED
+    assert car.tick(Request.START) == State.RUNNING
+    assert car.action.cap == 0.5
+    car.tick()
+    assert car.action.cap == inf
+
+
 def test_stop_ramps_at_1_5_then_brakes_softly_and_arms_again():
     car = Car().running(2.0)
     assert car.tick(Request.STOP) == State.STOPPING

@@ -130,8 +130,9 @@ def test_i5_nothing_raises_the_speed_of_a_stop(outcomes):
 
 
 def test_i6_caps_are_speeds(outcomes):
-    for _, _, conditions, _, new, action in outcomes[1]:
-        launched = conditions.facts & Is.LAUNCHED
+    state, found = outcomes
+    for _, _, conditions, _, new, action in found:
+        launched = state == State.RUNNING and conditions.facts & Is.LAUNCHED
         assert action.cap >= 0.0
         assert isfinite(action.cap) or (new.state == State.RUNNING and launched)
         assert action.cap <= (inf if launched else 1.0)
