@@ -18,6 +18,7 @@ from daemon.gateway_wire import pack_request
 from daemon.operator import KEEPALIVE_NS, Operator
 from daemon.records import unpack_records
 from daemon.signals import block_stop_signals, stop_signal_pipe
+from daemon.transitions import State
 from steer_bus import topics
 from steer_bus.clock import Clock
 from steer_bus.messages import RequestKind
@@ -32,6 +33,9 @@ KEYS = {
 }
 KEY_HELP = "[a]rm  [s]tart  [space] stop  [d]isarm  [c]lear  [e]stop  [q]uit"
 _POLL_MS = 50
+_HELD = (State.SELF_TEST, State.ARMED, State.RUNNING, State.STOPPING)
+_ANSWER_NS = 1_500_000_000
+"""A car that has not left its parking place by then was not armed."""
 
 
 @contextlib.contextmanager
@@ -59,6 +63,7 @@ class Terminal:
         self._clock = clock
         self._buffer = bytearray()
         self._holding = False
+        self._asked_ns = 0
         self._waiting = ""
         self._alive_ns = 0
 
@@ -122,11 +127,19 @@ class Terminal:
         if key == "q":
             self._pass_signal(signal.SIGTERM)
         elif key in KEYS:
-            self._holding = True
-            self._ask(KEYS[key])
+            kind = KEYS[key]
+            if kind in (RequestKind.ARM, RequestKind.START):
+                self._holding, self._asked_ns = True, self._clock.now_ns()
+            elif kind is RequestKind.DISARM:
+                self._holding = False
+            self._ask(kind)
 
     def _keep_alive(self) -> None:
-        now = self._clock.now_ns()
+        """Feed the lease of a car that was armed or started here, and let it go with the car."""
+        now, state = self._clock.now_ns(), self._board.state
+        held = state is not None and state.mode in _HELD
+        if not held and now - self._asked_ns > _ANSWER_NS:
+            self._holding = False
         if self._holding and now - self._alive_ns >= KEEPALIVE_NS:
             self._ask(RequestKind.KEEPALIVE)
 
