@@ -17,11 +17,19 @@ from car_model.params import Car
 from sysid.chart import Chart, make_chart
 from sysid.dataset import Run
 from sysid.descend import Descent, Effort, descend
-from sysid.gate import check_excited
+from sysid.gate import DataError, check_excited
 from sysid.honest import doubted, score_spread, widened
 from sysid.kernels import Kernels, delays_of, make_kernels, model_of, parameter_vector
 from sysid.objective import Evaluation, Problem, information
-from sysid.tells import Combination, Direction, Estimate, combinations, directions, estimates
+from sysid.tells import (
+    Combination,
+    Direction,
+    Estimate,
+    combinations,
+    directions,
+    estimates,
+    silent_estimates,
+)
 from sysid.windows import FLOORS, GROUPS, Layout, estimate_noise, make_layout, speed_range
 
 Array = NDArray[np.float64]
@@ -40,6 +48,9 @@ _FINE = Effort(20, 0.1, 1e-7)
 _GROWTH = 1.5
 """A last stage whose windows are no more than so much longer than a stage's replaces it."""
 _SPEED_OF_COMMANDS = ("speed_gain", "speed_lag", "drive_delay", "accel_max", "decel_max")
+_SPEED_LOOP = tuple(name for name in _SPEED_OF_COMMANDS if name != "speed_gain")
+SPEED_CHANGE = 0.1
+"""A commanded speed that varies by less within every drive was never changed [m/s]."""
 _NOISE_ROUNDS = 6
 _NOISE_SETTLED = 0.03
 """Noise levels that change by a smaller share are settled."""
@@ -149,9 +160,21 @@ def _free_names(runs: Sequence[Run], options: Options) -> tuple[str, ...]:
     free = options.free if options.free is not None else DEFAULT_FREE
     sources = {run.speed_source for run in runs}
     if sources == {"command"}:
-        return free
+        silent = _silent_names(runs, free)
+        return tuple(name for name in free if name not in silent)
     gone = set(_SPEED_OF_COMMANDS) - ({"speed_gain"} if "wheel" in sources else set())
     return tuple(name for name in free if name not in gone)
+
+
+def _silent_names(runs: Sequence[Run], free: Sequence[str]) -> tuple[str, ...]:
+    """What of the speed loop is asked for though the commanded speed never changes.
+
+    Nothing excites it then; what the fit would call its lag is what initial speeds are off by.
+    """
+    commanded = all(run.speed_source == "command" for run in runs)
+    if not commanded or max(float(np.ptp(run.commands[:, 1])) for run in runs) > SPEED_CHANGE:
+        return ()
+    return tuple(name for name in free if name in _SPEED_LOOP)
 
 
 @dataclass(eq=False)
@@ -209,7 +232,7 @@ def fit(
         The estimates with their standard errors and what the data leave open.
 
     Raises:
-        DataError: the drives' steering never changes.
+        DataError: the drives' steering never changes, or nothing that is free shows in them.
         ValueError: an unknown free parameter, or runs on different grids.
         FloatingPointError: no start gives a finite simulation.
     """
@@ -219,6 +242,9 @@ def fit(
         model, starts = prescribe_speed(model), [prescribe_speed(start) for start in starts]
     kernels = make_kernels(model.effects)
     free = _free_names(runs, options)
+    if not free:
+        hint = "drive `steerd collect --plan mixed`"
+        raise DataError("the speed was never changed: these drives tell none of it", hint)
     chart = make_chart(model.effects, parameter_vector(model), free, options.wheelbase)
     signal = estimate_noise(runs)
     sigma = np.array(options.noise) if options.noise is not None else signal
@@ -368,11 +394,13 @@ def _report(work: _Work, problem: Problem, found: Descent, signal: Array) -> Fit
     sd = np.sqrt(np.diag(covariance))
     pace = float(np.median(np.abs(np.concatenate([run.commands[:, 1] for run in work.runs]))))
     pace *= model_of(work.kernels, parameters).car.speed_gain
+    told_of = estimates(chart, found.z, covariance)
+    told_of |= silent_estimates(chart, _silent_names(work.runs, work.options.free or DEFAULT_FREE))
     return Fit(
         model=model_of(work.kernels, parameters),
         parameters=parameters,
         names=work.kernels.names,
-        estimates=estimates(chart, found.z, covariance),
+        estimates=told_of,
         correlation=covariance / np.outer(sd, sd),
         covariance=covariance,
         chart=chart,

@@ -1,13 +1,13 @@
 """What the data tell, and the manoeuvre that would tell the rest."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from car_model.params import GRAVITY
-from sysid.chart import INVERSE, RELATIVE, WHEELBASE, Chart
+from sysid.chart import INVERSE, RELATIVE, SPREAD, WHEELBASE, Chart
 
 Array = NDArray[np.float64]
 
@@ -172,6 +172,13 @@ def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
         hint = "" if known else MANOEUVRES.get(name, "a drive that lets this effect show")
         out[name] = Estimate(value, sd if known else max(sd, doubt), float(priors[i]), known, hint)
     return out
+
+
+def silent_estimates(chart: Chart, names: Sequence[str]) -> dict[str, Estimate]:
+    """What nothing in the drives excites: as believed, and as uncertain as before."""
+    hint = f"the speed was never changed: {_SPEED_STEPS}"
+    values = dict(zip(chart.names, chart.prior.tolist(), strict=True))
+    return {n: Estimate(values[n], SPREAD[n], SPREAD[n], False, hint) for n in names}
 
 
 def directions(chart: Chart, z: Array, information: Array) -> tuple[Direction, ...]:

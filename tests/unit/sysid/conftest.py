@@ -77,10 +77,19 @@ def simulate_run(
     )  # fmt: skip
 
 
-def drive(model: Model[float], seconds: float, seed: int, noise: Noise = ORDINARY) -> Run:
-    """A mixed drive from 1.5 m/s straight ahead."""
-    first = np.array([0.0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
-    return simulate_run(model, mixed_commands(seconds, seed), first, seed, noise)
+def drive(
+    model: Model[float],
+    seconds: float,
+    seed: int,
+    noise: Noise = ORDINARY,
+    speed: float | None = None,
+) -> Run:
+    """A mixed drive from 1.5 m/s straight ahead; all of it at one speed where one is given."""
+    first = np.array([0.0, 0.0, 0.0, speed or 1.5, 0.0, 0.0, 0.0])
+    commands = mixed_commands(seconds, seed)
+    if speed is not None:
+        commands[:, 1] = speed
+    return simulate_run(model, commands, first, seed, noise)
 
 
 def _settled(car: Car[float], commands: Array, first: Array) -> Array:

@@ -211,3 +211,16 @@ def test_noise_that_passes_for_transients_tells_no_compliance():
     told = {d.text: d.told for d in directions(chart, z, np.diag(sd**-2))}
     assert sum(told.values()) == 3
     assert not estimates(chart, z, np.diag(sd**2))["c_sf"].identifiable
+
+
+def test_a_speed_that_is_never_changed_tells_nothing_of_its_loop(make_drive, truth):
+    run = make_drive(truth, 20.0, 3, speed=1.5)
+    found = fit([run], Model(DEFAULT_CAR))
+    lag = found.estimates["speed_lag"]
+    assert not lag.identifiable
+    assert lag.value == DEFAULT_CAR.speed_lag
+    assert lag.sd == lag.prior_sd
+    assert "never changed" in lag.manoeuvre
+    assert found.estimates["speed_gain"].identifiable
+    with pytest.raises(DataError, match="never changed"):
+        fit([run], Model(DEFAULT_CAR), options=Options(free=("speed_lag", "drive_delay")))
