@@ -132,20 +132,6 @@ def step(
     return FilterState(nodes[first:], recent, (), untimely)
 
 
-def on_command(
-    flt: StateFilter, state: FilterState, t_ns: int, command: Command[float] | None
-) -> FilterState:
-    """A command was sent at `t_ns`; None when nothing is driven any more."""
-    return step(flt, state, t_ns, (), ((t_ns, command),))
-
-
-def on_measurement(
-    flt: StateFilter, state: FilterState, now_ns: int, measurement: Measurement
-) -> FilterState:
-    """A measurement arrived at `now_ns` (see `sensors.make_pose` and its like)."""
-    return step(flt, state, now_ns, (measurement,))
-
-
 def restarted(state: FilterState) -> FilterState:
     """Forget where the car is and begin again from the next poses.
 

@@ -214,8 +214,3 @@ class SourceStatus:
     refused: bool = False
     relocated: bool = False
     counts: Mapping[str, int] = field(default_factory=dict)
-
-    @property
-    def rate_low(self) -> bool:
-        """Whether frames come at less than 0.8 of the server's stated rate."""
-        return self.expected_rate_hz is not None and self.rate_hz < 0.8 * self.expected_rate_hz

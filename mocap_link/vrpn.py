@@ -157,20 +157,3 @@ def read_pose(payload: bytes) -> Pose:
         raise VrpnError(f"pose of {len(payload)} bytes")
     sensor, _, x, y, z, qx, qy, qz, qw = _POSE.unpack(payload)
     return Pose(sensor, (x, y, z), (qx, qy, qz, qw))
-
-
-def encode_lob(ip: str, port: int) -> bytes:
-    """Encode the UDP datagram by which library clients ask a server to dial back."""
-    return f"{ip} {port}".encode() + b"\0"
-
-
-def decode_lob(data: bytes) -> tuple[str, int]:
-    """Decode it.
-
-    Raises:
-        VrpnError: not `IP PORT`.
-    """
-    parts = data.split(b"\0", 1)[0].decode("ascii", "replace").split()
-    if len(parts) != 2 or not parts[1].isdecimal() or not 0 < int(parts[1]) < 65_536:
-        raise VrpnError(f"not a connection request: {data[:40]!r}")
-    return parts[0], int(parts[1])

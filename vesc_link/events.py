@@ -65,11 +65,6 @@ class Stamped:
         """Best guess of the time of measurement: the middle."""
         return (self.t_sent_ns + self.t_received_ns) // 2
 
-    @property
-    def half_width_ns(self) -> int:
-        """How far the true time can be from `stamp_ns`."""
-        return (self.t_received_ns - self.t_sent_ns + 1) // 2
-
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:

@@ -7,9 +7,6 @@
 import math
 from dataclasses import dataclass
 
-_ERPM_PER_COUNT_RATE = 10.0
-"""60 s/min over 6 tachometer counts per electrical revolution."""
-
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
@@ -113,19 +110,3 @@ def steer_limits(scaling: Scaling) -> tuple[float, float]:
         servo_pos_to_steer(scaling, scaling.servo_max),
     )
     return min(ends), max(ends)
-
-
-def metres_per_count(scaling: Scaling) -> float:
-    """Distance per tachometer count [m]: six counts make one electrical revolution."""
-    return _ERPM_PER_COUNT_RATE / scaling.erpm_gain
-
-
-def tachometer_to_distance(scaling: Scaling, before: int, after: int) -> float:
-    """Signed distance [m] between two tachometer readings, across a wrap of the 32-bit counter."""
-    counts = (after - before + (1 << 31)) % (1 << 32) - (1 << 31)
-    return counts * metres_per_count(scaling)
-
-
-def wheel_erpm_gain(pole_pairs: float, gear_ratio: float, wheel_diameter: float) -> float:
-    """ERPM per m/s of a drive train: ``60 * pole_pairs * gear_ratio / (pi * wheel_diameter)``."""
-    return 60 * pole_pairs * gear_ratio / (math.pi * wheel_diameter)

@@ -87,7 +87,6 @@ class VescLink:
 
     Attributes:
         version, firmware, appconf, limits: what the VESC said; None until it did.
-        latched_fault: first fault code since `clear_fault`; 0 is none.
         counters, parser: link quality.
     """
 
@@ -105,11 +104,10 @@ class VescLink:
         self._imu_poll = None if imu_mask is None else c.GetImuData(imu_mask)
         self._expiry_ns = expiry_ns
         self.counters = Counters()
-        self.latched_fault = 0
         self.reset()
 
     def reset(self) -> None:
-        """Forget the device, as after a reopen; the latched fault and the counters stay."""
+        """Forget the device, as after a reopen; the counters stay."""
         self.parser = FrameParser()
         self.version: FwVersion | None = None
         self.firmware: Firmware | None = None
@@ -129,10 +127,6 @@ class VescLink:
     def ready(self) -> bool:
         """Whether the connect sequence is over (`appconf` may be None: it did not answer)."""
         return self._connect_step() is None
-
-    def clear_fault(self) -> None:
-        """Let go of the latched fault; a fault that persists latches again."""
-        self.latched_fault = self._fault = 0
 
     def request(self, command: Command) -> None:
         """Send a one-off command with one of the next ticks that has room for it.
@@ -339,7 +333,6 @@ class VescLink:
             if fault == FAULT_WATCHDOG_BOOT:
                 events.append(self._rebooted("its watchdog restarted it", t_ns))
         self._fault = fault
-        self.latched_fault = self.latched_fault or fault
         if values.tachometer_abs is not None:
             if values.tachometer_abs < self._tachometer_abs:
                 events.append(self._rebooted("its tachometer went back", t_ns))

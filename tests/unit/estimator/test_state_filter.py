@@ -12,9 +12,8 @@ from estimator.config import FilterConfig
 from estimator.sensors import Kind, Measurement, make_gyro, make_pose, make_wheel_speed
 from estimator.state_filter import (
     FilterState,
+    StateFilter,
     make_state_filter,
-    on_command,
-    on_measurement,
     predict_to,
     restarted,
     step,
@@ -23,6 +22,13 @@ from estimator.state_filter import (
 MS = 1_000_000
 T0 = 10**12
 FILTER = make_state_filter(DEFAULT_CAR)
+
+
+def on_measurement(
+    flt: StateFilter, state: FilterState, now_ns: int, measurement: Measurement
+) -> FilterState:
+    """One measurement, at the time of its arrival."""
+    return step(flt, state, now_ns, (measurement,))
 
 
 def standing(milliseconds: int = 300) -> tuple[int, FilterState]:
@@ -80,7 +86,7 @@ def test_one_call_a_tick_equals_one_call_an_event(drive: Any, run_filter: Any) -
     *_, (end, batched) = run_filter(FILTER, drive)
     single = FilterState()
     for t, command in drive.commands:
-        single = on_command(FILTER, single, t, command)
+        single = step(FILTER, single, t, (), ((t, command),))
         for arrival, measurement in drive.arrivals:
             if t - 5 * MS < arrival <= t:
                 single = on_measurement(FILTER, single, t, measurement)

@@ -9,7 +9,6 @@ from mocap_link.source import (
     MonitorConfig,
     MonitorState,
     SourceState,
-    SourceStatus,
     parse_mocap_url,
     step_monitor,
 )
@@ -125,10 +124,3 @@ def test_lost_stays_lost_when_disconnected_or_without_clock() -> None:
         t = (600 + 10 * i) * MS
         s = step_monitor(CONFIG, s, t, connected=True, clock_ready=False, good=True)
     assert s.state is SourceState.LOST
-
-
-def test_rate_warning() -> None:
-    status = SourceStatus(SourceState.OK, True, rate_hz=79.0, expected_rate_hz=100.0)
-    assert status.rate_low
-    assert not replace(status, rate_hz=81.0).rate_low
-    assert not replace(status, expected_rate_hz=None).rate_low

@@ -63,14 +63,6 @@ def test_short_descriptions_are_refused(payload: bytes) -> None:
         vrpn.read_description(payload)
 
 
-def test_lob() -> None:
-    assert vrpn.encode_lob("10.0.0.2", 4500) == b"10.0.0.2 4500\0"
-    assert vrpn.decode_lob(b"10.0.0.2 4500\0junk") == ("10.0.0.2", 4500)
-    for bad in (b"", b"a\0", b"a b\0", b"a 0\0", b"a 70000\0", b"\xff"):
-        with pytest.raises(vrpn.VrpnError):
-            vrpn.decode_lob(bad)
-
-
 def make_pair() -> tuple[VrpnClient, VrpnServer]:
     client, server = VrpnClient("car"), VrpnServer(("car", "b2"))
     assert server.receive(client.hello(), 0) == b""

@@ -6,13 +6,10 @@ from vesc_link.scaling import (
     F1TENTH,
     Scaling,
     erpm_to_speed,
-    metres_per_count,
     servo_pos_to_steer,
     speed_to_erpm,
     steer_limits,
     steer_to_servo_pos,
-    tachometer_to_distance,
-    wheel_erpm_gain,
 )
 
 
@@ -23,7 +20,6 @@ def test_f1tenth_numbers_of_the_spec_page() -> None:
     right, left = steer_limits(F1TENTH)
     assert math.degrees(left) == pytest.approx(17.96, abs=0.01)
     assert math.degrees(right) == pytest.approx(-15.09, abs=0.01)
-    assert metres_per_count(F1TENTH) == pytest.approx(2.167e-3, abs=1e-6)
 
 
 def test_left_is_positive_and_turns_the_servo_down() -> None:
@@ -63,19 +59,6 @@ def test_positive_servo_gain_keeps_limits_in_order() -> None:
     right, left = steer_limits(Scaling(servo_gain=1.2135))
     assert right < 0 < left
     assert math.degrees(left) == pytest.approx(15.09, abs=0.01)
-
-
-def test_tachometer_distance_is_signed_and_survives_the_wrap() -> None:
-    step = metres_per_count(F1TENTH)
-    assert tachometer_to_distance(F1TENTH, 100, 70) == pytest.approx(-30 * step)
-    assert tachometer_to_distance(F1TENTH, 2**31 - 2, -(2**31) + 3) == pytest.approx(5 * step)
-    assert tachometer_to_distance(F1TENTH, -(2**31), 2**31 - 1) == pytest.approx(-step)
-
-
-def test_gain_follows_from_the_drive_train() -> None:
-    # One wheel turn is pi * D metres and pole_pairs * gear electrical turns.
-    gain = wheel_erpm_gain(2, 11.8, 0.1)
-    assert gain * math.pi * 0.1 / 60 == pytest.approx(2 * 11.8)
 
 
 @pytest.mark.parametrize(
