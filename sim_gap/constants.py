@@ -17,6 +17,9 @@ SHARE_MIN = 0.15
 """A gap in practice removes this share of the excess error ..."""
 SPEED_MIN = 0.002
 """... or this much of the position error after a second [m]; a gap without a name is no less."""
+FAR = {1.0: 0.1, 3.0: 0.3}
+"""Position errors after so many seconds [s: m] that no noise excuses, whatever its size was learnt
+to be; healthy tuning cases with pushes show up to 0.03 and 0.18."""
 AMBIGUOUS_SE = 2.5
 AMBIGUOUS_NATS = 3.0
 AMBIGUOUS_COS = 0.95
@@ -42,6 +45,11 @@ EXCESS_ALONE = 1.2
 gap."""
 NOISE_KEPT = 0.97
 """What known noise leaves per degree of freedom of other drives than those it was learnt on."""
+NOISE_SPREAD = 0.2
+"""Standard deviation of what noise leaves of a block, per what it should leave.
+
+Blocks of a case show 0.06 to 0.14 (16 nulls of tuning set 31); whole cases lie up to 8 % off too,
+which is two standard errors of 24 blocks that spread by 0.2."""
 REFITS = 10
 """Candidates that are refitted after the screening."""
 REFITS_ROUGH = 4
@@ -66,7 +74,10 @@ GAIN_CLEAR = 32.0
 windows; in proportion of more."""
 CLEAR_WINDOWS = 72
 OWN_SE = 1.5
-"""A gain's standard error is no larger than this times a likelihood ratio's own, sqrt(2 gain)."""
+"""A gain's standard error is at most this times a likelihood ratio's own, sqrt(2 gain) ..."""
+BLOCK_SE = 0.5
+"""... but at least this times that of block sums: a gain of three is that of more than two
+blocks (k alike ones have an error of the gain over the root of k)."""
 PAIR_SHARE = 0.005
 """A second cause also gains this share of what the first does: less is how the first is wrong."""
 BUILT_IN = 3

@@ -81,8 +81,13 @@ def significant(gain: float, se: float) -> bool:
 
 
 def bounded(gain: float, se: float) -> float:
-    """A gain's standard error; blocks that differ for good reasons do not make it larger."""
-    return min(se, c.OWN_SE * float(np.sqrt(2.0 * max(gain, 0.0))))
+    """A gain's standard error; blocks that differ for good reasons hardly make it larger.
+
+    A gain of one block alone has a standard error of its own size, of k alike ones its size over
+    the root of k: a part of the blocks' error always counts, so that no block decides alone.
+    """
+    own = c.OWN_SE * float(np.sqrt(2.0 * max(gain, 0.0)))
+    return max(min(se, own), c.BLOCK_SE * se)
 
 
 def best_pair(

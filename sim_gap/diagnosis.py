@@ -102,7 +102,7 @@ class Diagnosis:
     """What was found.
 
     Attributes:
-        verdict: `none`, `explained`, `partial` or `unexplained`.
+        verdict: `none`, `explained`, `partial`, `unexplained` or `unjudged`.
         before: the gap of the base; `after` with the explanation.
         where: where the base's error lies.
         causes: named effects, the verdict's first.
@@ -202,7 +202,8 @@ def diagnose(
     found, before, after = cross_check(
         engine, runs, base_fit, best, noise, (told.before, told.after)
     )
-    return replace(told, horizons=found, before=before, after=after)
+    verdict = judged(told.verdict, before)
+    return replace(told, verdict=verdict, horizons=found, before=before, after=after)
 
 
 def _search(case: _Case, known: Noise | None) -> tuple[Engine, Fitted, list[Score], Noise]:
@@ -248,6 +249,7 @@ def _told(
     extreme = at_bound(engine, choice.best)
     if verdict == "explained" and extreme:
         verdict = "partial"
+    verdict = judged(verdict, gap_before)
     case.options.progress("where", 0.75)
     where = locate(engine, before, chosen.fitted, noise, choice.blocks, names)
     causes = _causes(engine, choice, verdict) if found and verdict != "unexplained" else ()
@@ -331,6 +333,15 @@ def verdict_of(
     if known and after.whitened > most and share < c.EXPLAINED_MIN:
         return "partial"
     return "partial" if any(split.broken for split in choice.splits) else "explained"
+
+
+def judged(verdict: str, before: Gap) -> str:
+    """The verdict; `unjudged` instead of `none` where the base is too far off for that.
+
+    Noise learnt from drives that are far off holds all of it: then nothing is told apart.
+    """
+    far = any(before.position(lead) > most for lead, most in c.FAR.items())
+    return "unjudged" if verdict == "none" and far else verdict
 
 
 def _values(engine: Engine, score: Score) -> dict[str, tuple[float, ...]]:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_gap import constants as c
 from sim_gap.candidates import Score, blocks_of
 from sim_gap.descent import Fitted, curvature, step_within
 from sim_gap.engine import Engine
@@ -52,7 +53,20 @@ def explained_share(before: float, after: float, floor: float) -> float:
     return float(np.clip((before - after) / excess, 0.0, 1.0))
 
 
-def floor_of(best: float, draws: Array, floor: float) -> float:
+def reach_of(draws: Array, floor: float, blocks: int) -> float:
+    """How far noise alone may be from what it leaves on average, on drives of so many blocks.
+
+    Args:
+        draws: bootstrap of what the effect leaves at its best: windows that it leaves unexplained
+            spread it, so noise's own spread is the most.
+        floor: what noise leaves on average.
+        blocks: how many blocks the drives have.
+    """
+    own = c.NOISE_SPREAD * floor / np.sqrt(blocks)
+    return _SIGMAS * min(float(draws.std()), float(own))
+
+
+def floor_of(best: float, reach: float, floor: float) -> float:
     """What noise leaves on just these drives.
 
     On average it is `floor`; on few windows it is more or less than that, by the same amount with
@@ -61,10 +75,9 @@ def floor_of(best: float, draws: Array, floor: float) -> float:
 
     Args:
         best: whitened error that the effect leaves when it is fitted to these drives.
-        draws: bootstrap of it.
+        reach: see `reach_of`.
         floor: what noise leaves on average.
     """
-    reach = _SIGMAS * float(draws.std())
     return float(np.clip(best, floor - reach, floor + reach))
 
 
@@ -82,10 +95,12 @@ def _shares(
 ) -> _Shares:
     """The share that is gone, of windows' whitened errors before, after and at best."""
     drawn = [interval_of(values, blocks) for values in (before, after, best)]
-    level = floor_of(robust_mean(best), drawn[2], floor)
+    reach = reach_of(drawn[2], floor, len(np.unique(blocks)))
+    level = floor_of(robust_mean(best), reach, floor)
     share = explained_share(robust_mean(before), robust_mean(after), level)
-    # Windows drawn anew carry their own noise: the floor moves with what the best leaves of them.
-    moved = level + drawn[2] - robust_mean(best)
+    # Windows drawn anew carry their own noise: the floor moves with what the best leaves of them,
+    # as far as that is noise.
+    moved = level + np.clip(drawn[2] - robust_mean(best), -reach, reach)
     draws = [
         explained_share(float(b), float(a), float(f))
         for b, a, f in zip(*drawn[:2], moved, strict=True)

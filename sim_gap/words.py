@@ -20,7 +20,7 @@ EQUATIONS = {
     "drive": "drive actuator",
 }
 FAMILIES = {"none": "no gap", "explained": "explained", "partial": "partly explained",
-            "unexplained": "a gap without a name"}  # fmt: skip
+            "unexplained": "a gap without a name", "unjudged": "cannot be judged"}  # fmt: skip
 
 
 def value_words(value: float, sd: float, unit: str) -> str:
@@ -57,6 +57,12 @@ def headline(told: Diagnosis) -> str:
     """The verdict in one sentence."""
     if told.verdict == "none":
         return "What the simulation does not predict of these drives looks like noise."
+    if told.verdict == "unjudged":
+        lead, off = told.before.errors[-1][:2]
+        return (
+            f"These drives cannot be judged: the simulation is {short(1e3 * off)} mm off after "
+            f"{lead:g} s, and what was learnt as noise hides why."
+        )
     if told.verdict == "unexplained" or not told.causes:
         return "There is a gap, and none of the known effects explains it."
     names = " and ".join(cause.effect for cause in told.causes)
@@ -126,6 +132,10 @@ def manoeuvre_words(told: Diagnosis) -> str:
         return f"to tell {first} from {second}: {following.name}, {following.how}"
     if told.verdict == "none":
         return "nothing; if the car behaves badly elsewhere, record it there"
+    if told.verdict == "unjudged":
+        return (
+            "nothing yet: first `steerd identify`, then `--base` that car, `--healthy` its drives"
+        )
     if told.verdict == "unexplained":
         return "`steerd collect --plan mixed`: more kinds of driving tell more of its shape"
     if told.verdict == "partial":

@@ -9,7 +9,8 @@ from typing import Any
 from benchmarks.blind_gap.seal import sha256
 
 SCHEMA = "steerd.gap/1"
-VERDICTS = ("none", "explained", "partial", "unexplained")
+NO_GAP_SEEN = ("none", "unjudged")
+VERDICTS = (*NO_GAP_SEEN, "explained", "partial", "unexplained")
 
 
 class VerdictError(ValueError):
@@ -41,7 +42,7 @@ class Verdict:
     @property
     def detected(self) -> bool:
         """Whether it saw a gap."""
-        return self.verdict != "none"
+        return self.verdict not in NO_GAP_SEEN
 
     @property
     def first(self) -> Cause | None:

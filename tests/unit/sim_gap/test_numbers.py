@@ -18,11 +18,11 @@ from sim_gap.decide import (
     rivals_of,
     significant,
 )
-from sim_gap.diagnosis import practical, share_of_most, verdict_of
+from sim_gap.diagnosis import judged, practical, share_of_most, verdict_of
 from sim_gap.residuals import Gap, interval_of, robust_mean
-from sim_gap.shrink import explained_share, floor_of
+from sim_gap.shrink import _shares, explained_share, floor_of, reach_of
 from sim_gap.where import Regime, Share, range_words, sentence_of
-from sim_gap.words import share_words
+from sim_gap.words import headline, manoeuvre_words, share_words
 
 BLOCKS = np.repeat(np.arange(4), 3)
 
@@ -55,10 +55,35 @@ def test_standard_error_is_that_of_block_sums():
 
 @pytest.mark.parametrize(
     ("gain", "se", "expected"),
-    [(c.GAIN_MIN - 0.1, 0.1, False), (30.0, 5.0, True), (30.0, 50.0, False), (400.0, 300.0, True)],
+    [
+        (c.GAIN_MIN - 0.1, 0.1, False),
+        (30.0, 5.0, True),
+        (30.0, 50.0, False),
+        (400.0, 250.0, True),
+        (50.0, 50.0, False),
+        (150.0, 150.0, False),
+        (400.0, 290.0, False),
+    ],
 )
 def test_a_gain_is_judged_by_its_error_and_by_a_likelihoods_own(gain, se, expected):
     assert significant(gain, se) is expected
+
+
+@pytest.mark.parametrize(("spun", "expected"), [([3], False), ([3, 4], False), ([3, 4, 9], False)])
+def test_spun_windows_of_one_or_two_blocks_decide_nothing(spun, expected):
+    blocks = np.repeat(np.arange(8), 3)
+    lost = np.zeros(24)
+    lost[spun] = 1e7
+    gain, se = gain_of(score("x", np.zeros(24)), score("base", lost), blocks)
+    assert gain >= c.WINSOR
+    assert significant(gain, se) is expected
+
+
+def test_a_gain_of_a_few_blocks_is_one():
+    blocks = np.repeat(np.arange(8), 3)
+    lost = np.zeros(24)
+    lost[:9] = 40.0
+    assert significant(*gain_of(score("x", np.zeros(24)), score("base", lost), blocks))
 
 
 def test_a_near_equal_is_a_rival_and_lowers_confidence():
@@ -125,6 +150,21 @@ def test_a_gap_without_a_name_matters_in_millimetres(millimetres, verdict):
     assert verdict_of(choice, False, False, left, left, 0.97) == "none"
 
 
+@pytest.mark.parametrize(
+    ("second", "three", "verdict"),
+    [(0.025, 0.97, "unjudged"), (0.12, 0.2, "unjudged"), (0.027, 0.18, "none")],
+)
+def test_a_base_that_is_far_off_is_no_base_without_a_gap(second, three, verdict):
+    before = Gap(0.9, (0.8, 1.0), ((1.0, second, 0.0, 0.0), (3.0, three, 0.2, 0.0)), ())
+    assert judged("none", before) == verdict
+    assert judged("partial", before) == "partial"
+    told = SimpleNamespace(verdict="unjudged", before=before, causes=(), next_manoeuvre=None)
+    assert f"cannot be judged: the simulation is {1e3 * three:.0f} mm off after 3 s" in headline(
+        told
+    )
+    assert "steerd identify" in manoeuvre_words(told)
+
+
 def test_a_value_at_its_bound_is_told():
     effect = find_effect("yaw_inertia")
     engine = SimpleNamespace(superset=SimpleNamespace(effects=(effect,), places=lambda name: [0]))
@@ -162,10 +202,35 @@ def test_share_of_the_excess(before, after, share):
 
 
 def test_noise_leaves_on_few_drives_what_the_best_fit_shows_within_two_errors():
-    draws = np.array([-0.1, 0.1] * 50)
-    assert floor_of(1.05, draws, 1.0) == 1.05
-    assert floor_of(1.5, draws, 1.0) == pytest.approx(1.2)
-    assert floor_of(0.5, draws, 1.0) == pytest.approx(0.8)
+    reach = reach_of(np.array([-0.1, 0.1] * 50), 1.0, 4)
+    assert floor_of(1.05, reach, 1.0) == 1.05
+    assert floor_of(1.5, reach, 1.0) == pytest.approx(1.2)
+    assert floor_of(0.5, reach, 1.0) == pytest.approx(0.8)
+
+
+def test_windows_left_unexplained_are_no_noise():
+    wild = np.array([-3.0, 3.0] * 50)
+    assert reach_of(wild, 1.0, 16) == pytest.approx(0.5 * c.NOISE_SPREAD)
+    assert reach_of(wild, 0.8, 64) == pytest.approx(0.2 * c.NOISE_SPREAD)
+
+
+def test_no_whole_share_while_a_third_of_the_windows_stays_off():
+    blocks = np.repeat(np.arange(8), 3)
+    noise = np.random.default_rng(0).chisquare(40, 24) / 40
+    lost = np.isin(np.arange(24) % 3, [0])
+    before, after = (np.where(lost, off, share * noise) for off, share in ((2000, 3), (800, 1)))
+    found = _shares(before, after, after, 1.0, blocks)
+    assert found.share < 0.8
+    assert found.low < found.share < found.high < 0.9
+
+
+def test_a_fit_to_the_noise_leaves_a_whole_share():
+    blocks = np.repeat(np.arange(8), 3)
+    noise = np.random.default_rng(0).chisquare(40, 24) / 40
+    found = _shares(3.0 * noise, noise, noise, 1.0, blocks)
+    assert found.share > 0.97
+    assert found.low > 0.9
+    assert found.told
 
 
 def test_the_shape_of_an_effect_may_lie_at_its_bound():
