@@ -78,6 +78,7 @@ def make_task(args: argparse.Namespace, base: CarFile) -> Task:
         dask=args.dask,
         truth=_truth(sessions[0]),
         effects=candidates,
+        stated=tuple(fixed),
     )
 
 

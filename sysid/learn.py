@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from car_model.model import Model
 from car_model.params import PARAMETERS, Car, wheelbase
+from sysid.chart import SPREAD_RELATIVE
 from sysid.course import NAMES, Course
 from sysid.cut import blocks, keep_back, moving_parts
 from sysid.dataset import Run
@@ -19,7 +20,16 @@ from sysid.fit import Fit, Options, fit
 from sysid.manners import Step, choose
 from sysid.outcome import HeldOut, Outcome, Row
 from sysid.ramp import Ramp, settle_ramp
-from sysid.reach import ROUGH, SHORT, holds, reached, reaching, remembering, unstopped
+from sysid.reach import (
+    ROUGH,
+    SHORT,
+    holds,
+    outpaced,
+    reached,
+    reaching,
+    remembering,
+    unstopped,
+)
 from sysid.scale import map_jobs
 from sysid.servo import Pulse, rough_fit, settle_servo
 from sysid.tells import MANOEUVRES, RELATIVE_MAX
@@ -65,6 +75,7 @@ class Task:
         truth: the simulated car, if it is known.
         effects: candidates; those that the drives show are fitted with the car (see `manners`).
         first: where the fit starts, if not at `model`.
+        stated: parameters that whoever asks vouches for.
     """
 
     runs: tuple[Run, ...]
@@ -81,6 +92,7 @@ class Task:
     truth: Car[float] | None = None
     effects: tuple[str, ...] = ()
     first: Model[float] | None = None
+    stated: tuple[str, ...] = ()
 
 
 def fit_wheelbase(model: Model[float], length: float | None) -> Model[float]:
@@ -221,9 +233,12 @@ def _shaped(task: Task, runs: Sequence[Run], rough: Fit | None) -> tuple[Task, t
 
 
 def _doubts(task: Task, pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...]:
-    """What no log tells about the times of commands and poses."""
+    """What no log tells about times, and the slew limit where it is felt and nobody measured it."""
     wait = max((pulse.blur for pulse in pulses), default=0.0)
     doubts = {**TIMES, "steer_delay": float(np.hypot(TIMES["steer_delay"], wait))}
+    free = task.options.free or NAMES
+    if "steer_rate" not in (*free, *task.stated) and outpaced(task.model, task.runs):
+        doubts["steer_rate"] = SPREAD_RELATIVE
     return (*task.options.doubts, *doubts.items())
 
 

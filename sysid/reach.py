@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from car_model.model import Model
 from car_model.params import Car, wheelbase
@@ -27,6 +28,8 @@ OFF: dict[str, float] = {"position": 0.005, "yaw": 0.01}
 """... if they are larger than this, too: no model is right to the noise of a mocap [m, rad]."""
 HISTORY = 4.0
 """Commands before a window that a linkage with play may remember [s]."""
+_BARELY = 1.05
+"""A slew limit that is passed by less is hardly felt."""
 _ROOM = 1.5
 """A gain that is not known yet may be so much larger."""
 
@@ -64,6 +67,24 @@ def unstopped(model: Model[float], runs: Sequence[Run], free: Sequence[str]) -> 
     if known or reach <= min(-model.car.steer_min, model.car.steer_max):
         return model
     return model._replace(car=model.car._replace(steer_min=-reach, steer_max=reach))
+
+
+def outpaced(model: Model[float], runs: Sequence[Run]) -> bool:
+    """Whether commands ask the wheel to turn faster than its slew limit lets it.
+
+    How fast it really turns then decides what follows, and the file's limit is hardly ever this
+    servo's. Drives of steerd's own keep below the limit of their car.
+    """
+    car = model.car
+    return any(_fastest(run, car) > _BARELY * car.steer_rate for run in runs)
+
+
+def _fastest(run: Run, car: Car[float]) -> float:
+    """Largest rate that a wheel with a lag alone would turn at [rad/s]."""
+    keeps = np.exp(-run.h / max(car.steer_lag, run.h))
+    steer = car.steer_gain * run.commands[:, 0]
+    wheel = lfilter([1.0 - keeps], [1.0, -keeps], steer, zi=[keeps * steer[0]])[0]
+    return float(np.abs(np.diff(wheel)).max()) / run.h
 
 
 def reached(car: Car[float], runs: Sequence[Run]) -> Car[float]:

@@ -163,3 +163,23 @@ def test_dask_gives_the_same_answer(make_circles):
     near = learn(task, lambda: 0.0)
     for a, b in zip(far.courses, near.courses, strict=True):
         np.testing.assert_array_equal(a.path, b.path)
+
+
+def _stepping(make, truth, faster):
+    """Steps of steering at one speed, on a car whose servo is faster than the file says."""
+    car = truth.car._replace(steer_rate=faster)
+    t = np.arange(0.0, 24.0, 0.005)
+    steer = 0.2 * np.sign(np.sin(4.0 * t))
+    first = np.array([0.0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
+    return make(Model(car), np.column_stack([steer, np.full(len(t), 1.5)]), first, 2)
+
+
+def test_a_slew_limit_that_nobody_measured_is_doubted_where_it_is_felt(simulated, truth):
+    run = _stepping(simulated, truth, 7.0)
+    task = Task((run,), DEFAULT, options=Options(wheelbase=0.332))
+    found = learn(task, lambda: 0.0)
+    for name, row in found.free_rows.items():
+        if row.identifiable:
+            assert abs(row.value - getattr(truth.car, name)) < 4.0 * row.sd, name
+    sure = learn(replace(task, stated=("steer_rate",)), lambda: 0.0)
+    assert sure.rows["steer_lag"].sd < 0.3 * found.rows["steer_lag"].sd

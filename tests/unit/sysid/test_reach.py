@@ -6,7 +6,7 @@ import pytest
 from car_model.model import Model
 from car_model.params import DEFAULT_CAR
 from sysid.dataset import Signal, make_run
-from sysid.reach import furthest, level_loads, reached, scale_inertia, unstopped
+from sysid.reach import furthest, level_loads, outpaced, reached, scale_inertia, unstopped
 from sysid.validation import Trace, by_lateral_acceleration
 
 CAR = Model(DEFAULT_CAR)
@@ -59,3 +59,17 @@ def test_errors_are_told_by_lateral_acceleration():
     assert slow.median == pytest.approx(0.01)
     assert (fast.low, fast.rms) == (2.0, pytest.approx(0.2))
     assert by_lateral_acceleration([], 1.0) == ()
+
+
+def test_only_steps_that_the_file_s_servo_cannot_follow_outpace_it():
+    t = np.arange(0.0, 8.0, 0.01)
+    poses = Signal(t, np.column_stack([t, np.sin(t), 0.2 * np.sin(t)]))
+
+    def asked(angles):
+        return [make_run("r", Signal(t, angles), Signal(t, np.ones(len(t))), poses)]
+
+    steps = asked(0.2 * np.sign(np.sin(t)))
+    ramps = asked(np.clip(3.0 * (np.abs(t % 4.0 - 2.0) - 1.0), -0.3, 0.3))
+    assert outpaced(CAR, steps)
+    assert not outpaced(CAR, ramps)
+    assert not outpaced(CAR._replace(car=DEFAULT_CAR._replace(steer_rate=12.0)), steps)
