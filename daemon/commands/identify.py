@@ -162,18 +162,19 @@ def _car_text(
 def with_noise(car: "CarFile", runs: "tuple[Run, ...]") -> str:
     """The car file's text with `[noise]`: how large what no car explains was in these drives.
 
-    `steerd diagnose` judges other drives of the car by it. The file stays without where the drives
-    do not tell it.
+    `steerd diagnose` judges other drives of the car by it, cut like these to where the car moves: a
+    standing car is quieter. The file stays without where the drives do not tell it.
     """
     import tomlkit
 
     from sim_gap.healthy import learn_healthy
     from sim_gap.noise import noise_section
+    from sysid.cut import moving_parts
     from sysid.reach import remembering
 
     document = tomlkit.parse(car.text)
     try:
-        drives = remembering(runs, car.model, ())
+        drives = moving_parts(remembering(runs, car.model, ()))
         document["noise"] = noise_section(learn_healthy(car, drives))
     except (ValueError, FloatingPointError):
         return car.text
