@@ -87,6 +87,7 @@ class GateState:
     Attributes:
         frame: last frame number.
         last: last accepted pose; None until the first.
+        before: the one accepted before it; None after a new place.
         height: reference height [m].
         pose: last raw position and quaternion, and how often it came in a row.
         repeats: see `pose`.
@@ -96,6 +97,7 @@ class GateState:
 
     frame: int | None = None
     last: Fix | None = None
+    before: Fix | None = None
     height: float | None = None
     pose: tuple[float, ...] = ()
     repeats: int = 0
@@ -188,12 +190,14 @@ def _check_place(
     reason = _compare(config, state, fix)
     if reason is None:
         height = fix.height if state.height is None else state.height
-        return replace(state, last=fix, height=height, candidate=None, candidate_run=0), None
+        state = replace(state, last=fix, before=state.last, height=height)
+        return replace(state, candidate=None, candidate_run=0), None
     run = state.candidate_run + 1 if _is_steady(config, state.candidate, fix) else 1
     if run < config.reacquire_count:
         return replace(state, candidate=fix, candidate_run=run), reason
     if stationary:
-        return replace(state, last=fix, height=fix.height, candidate=None, candidate_run=0), None
+        state = replace(state, last=fix, before=None, height=fix.height)
+        return replace(state, candidate=None, candidate_run=0), None
     return replace(state, candidate=fix, candidate_run=run), "relocated"
 
 
@@ -206,10 +210,22 @@ def _compare(config: GateConfig, state: GateState, fix: Fix) -> str | None:
     if reason is None and state.candidate is not None and _is_steady(config, state.candidate, fix):
         # The allowance grows while poses are rejected, and would in the end admit the very body
         # that was rejected first: what goes on where it began stays out.
-        from_last = _distance(state.last, fix)
-        if from_last > 0.5 * _distance(state.last, state.candidate):
+        aside = _distance(_expected(config, state.before, state.last, fix.t_ns), fix)
+        began = _expected(config, state.before, state.last, state.candidate.t_ns)
+        if aside > 0.5 * _distance(began, state.candidate):
             return "jump"
     return reason
+
+
+def _expected(config: GateConfig, before: Fix | None, last: Fix, t_ns: int) -> Fix:
+    """Where the car is at `t_ns` if it went on as between its last two poses."""
+    step_ns = 0 if before is None else last.t_ns - before.t_ns
+    if before is None or not 0 < step_ns * 1e-9 <= config.gap_max:
+        return replace(last, t_ns=t_ns)
+    share = (t_ns - last.t_ns) / step_ns
+    x = last.x + share * (last.x - before.x)
+    y = last.y + share * (last.y - before.y)
+    return Fix(t_ns, x, y, last.yaw + share * wrap_angle(last.yaw - before.yaw), last.height)
 
 
 def _distance(a: Fix, b: Fix) -> float:

@@ -53,6 +53,23 @@ def test_a_clean_drive_passes() -> None:
     assert run(drive, 100)[1] == [None] * 100
 
 
+@pytest.mark.parametrize("speed", [0.2, 1.0, 3.0, 5.0])
+@pytest.mark.parametrize("beyond", [0.001, 0.01, 0.05, 0.5, -0.15, -0.5])
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_few_false_poses_leave_the_true_ones_in(speed: float, beyond: float, count: int) -> None:
+    """Wherever they lie: just beyond what the car can have driven, or far from it."""
+    reach = (CONFIG.speed_max - speed) * 0.01 + CONFIG.jump_slack
+
+    def place(i: int) -> PlanarPose:
+        false = 20 <= i < 20 + count
+        aside = (reach + beyond if beyond > 0.0 else beyond) if false else 0.0
+        return PlanarPose(0.5 + 0.01 * speed * i + aside, 0.0, 0.0, 0.1, 0.0)
+
+    _, reasons = run(place, 60)
+    assert reasons[20] == "jump"
+    assert reasons[20 + count :] == [None] * (40 - count)
+
+
 @pytest.mark.parametrize("dx", [0.1, 0.3, 0.5, 1.5, 20.0])
 def test_a_swapped_body_stays_out_however_long(dx: float) -> None:
     state, _ = run(drive, 20)
