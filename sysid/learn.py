@@ -16,7 +16,7 @@ from sysid.course import NAMES, Course
 from sysid.cut import blocks, keep_back, moving_parts
 from sysid.dataset import Run
 from sysid.excitation import measure_excitation, obeyed
-from sysid.fit import Fit, Options, fit
+from sysid.fit import DEFAULT_FREE, Fit, Options, fit
 from sysid.manners import Step, choose
 from sysid.outcome import HeldOut, Outcome, Row
 from sysid.ramp import Ramp, settle_ramp
@@ -30,6 +30,7 @@ from sysid.reach import (
     remembering,
     unstopped,
 )
+from sysid.rivals import COMPARABLE, has_one_speed, log_cost, opened, rivals
 from sysid.scale import map_jobs
 from sysid.servo import Pulse, rough_fit, settle_servo
 from sysid.tells import MANOEUVRES, RELATIVE_MAX
@@ -250,14 +251,28 @@ def _fit_one(
 
 def _fit_ours(task: Task, runs: Sequence[Run]) -> Fit:
     """The fit of lowest cost over the starts."""
-    if task.starts <= 1:
+    if task.starts <= 1 and not has_one_speed(runs):
         starts = [task.first] if task.first else []
         return fit(runs, task.model, options=task.options, starts=starts)
+    if task.starts <= 1:
+        return _fit_one_speed(task, runs)
     free = task.options.free or NAMES
     models = scatter(task.first or task.model, free, task.starts, task.seed)
     work = partial(_fit_one, runs=runs, prior=task.model, options=task.options)
     fits = map_jobs(work, models, task.jobs, task.dask)
-    return min(fits, key=lambda found: float(np.nansum(np.log(found.noise))))
+    return min(fits, key=log_cost)
+
+
+def _fit_one_speed(task: Task, runs: Sequence[Run]) -> Fit:
+    """The best of a few starts; what moves between those as good as it is left open.
+
+    At one speed a longer car that slides more and a servo that is later but quicker look much
+    alike: there is a valley with more than one bottom, and errors at one know nothing of the other.
+    """
+    work = partial(_fit_one, runs=runs, prior=task.model, options=task.options)
+    models = rivals(task.first or task.model, task.options.free or DEFAULT_FREE)
+    fits = sorted(map_jobs(work, models, task.jobs, task.dask), key=log_cost)
+    return opened(fits[0], [f for f in fits[1:] if log_cost(f) - log_cost(fits[0]) < COMPARABLE])
 
 
 def _course(

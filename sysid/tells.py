@@ -50,6 +50,8 @@ MANOEUVRES: Mapping[str, str] = {
     "pose_delay": "changes of direction, with a gyro recorded",
 }  # fmt: skip
 """What would tell each parameter of the car."""
+ANOTHER_END = f"another car explains these drives as well: {_TWO_SPEEDS}"
+"""What would tell one that two fits, as good as each other, place differently."""
 
 
 @dataclass(frozen=True)
