@@ -27,11 +27,16 @@ Priors lie about the start: circles from a start with large stiffness would seem
 """
 EXTREME = 2.0
 """A stiffness within this factor of a bound is no tyre's."""
+BOUNDED = ("lf", "lr", "inertia_z", "steer_gain", "speed_gain")
+"""What no car has at a bound; stiffnesses have doubts of their own there, and zero is a time."""
+AT_BOUND = 1e-3
+"""This share of it away is still at the bound."""
 SUM_MAX = 0.02
 """A sum is called known when its standard error, doubts included, is below this share of it."""
 NAMED_MIN = 0.25
 """Coordinates that carry less of a direction are not named in it."""
 
+_SHOWING = "a drive that lets this effect show"
 _TWO_SPEEDS = "constant steering at two or more speeds (`steerd collect --plan mixed`)"
 _STEPS = "step steers or a steering chirp at 1 to 3 m/s (`steerd collect --plan steps`)"
 _SPEED_STEPS = "speed steps on a straight (`steerd collect --plan mixed`)"
@@ -159,6 +164,19 @@ def _doubted(chart: Chart, z: Array, covariance: Array) -> Array:
     return doubted
 
 
+def _at_bound(chart: Chart, parameters: Array, moving: Sequence[str]) -> str:
+    """What to do where a fit ended at the bound of a length, an inertia or a gain; empty elsewhere.
+
+    It would have gone on to a car that cannot be, and what it calls the rest goes with that.
+    """
+    for name in (n for n in BOUNDED if n in moving):
+        i = chart.names.index(name)
+        low, high = chart.low[i] * (1.0 + AT_BOUND), chart.high[i] * (1.0 - AT_BOUND)
+        if not low < parameters[i] < high:
+            return f"{name} ends at its bound, no car is like that: check signs and axes"
+    return ""
+
+
 def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     """Every free parameter with its standard error and whether the data tell it."""
     parameters = chart.parameters(z)
@@ -166,12 +184,13 @@ def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     careful = standard_errors(chart, z, _doubted(chart, z, _without_untold(chart, z, covariance)))
     priors = standard_errors(chart, z, np.diag(chart.spread**2))
     moving = [i for i, name in enumerate(chart.names) if priors[i] > 0.0]
+    stuck = _at_bound(chart, parameters, [chart.names[i] for i in moving])
     out = {}
     for i in moving:
         name, value, sd = chart.names[i], float(parameters[i]), float(sds[i])
         doubt = float(careful[i])
-        known = _known(name, value, doubt, float(priors[i]))
-        hint = "" if known else MANOEUVRES.get(name, "a drive that lets this effect show")
+        known = not stuck and _known(name, value, doubt, float(priors[i]))
+        hint = "" if known else stuck or MANOEUVRES.get(name, _SHOWING)
         out[name] = Estimate(value, sd if known else max(sd, doubt), float(priors[i]), known, hint)
     return out
 

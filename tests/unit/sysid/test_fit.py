@@ -213,6 +213,18 @@ def test_noise_that_passes_for_transients_tells_no_compliance():
     assert not estimates(chart, z, np.diag(sd**2))["c_sf"].identifiable
 
 
+def test_nothing_is_told_while_a_length_sits_at_its_bound():
+    names = ("lf", "lr", "inertia_z")
+    prior = parameter_vector(Model(DEFAULT_CAR))
+    chart = make_chart((), prior, names, 0.33)
+    small = np.diag([1e-4, 1e-4]) ** 2
+    for lr, told in ((0.17, True), (0.32, False)):
+        z = chart.coordinates(parameter_vector(Model(DEFAULT_CAR._replace(lr=lr))))
+        found = estimates(chart, z, small)
+        assert all(e.identifiable is told for e in found.values())
+        assert all(("at its bound" in e.manoeuvre) is not told for e in found.values())
+
+
 def test_a_speed_that_is_never_changed_tells_nothing_of_its_loop(make_drive, truth):
     run = make_drive(truth, 20.0, 3, speed=1.5)
     found = fit([run], Model(DEFAULT_CAR))
