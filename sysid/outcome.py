@@ -158,4 +158,7 @@ def encode_outcome(outcome: Outcome) -> dict[str, Any]:
             ],
         },
         "excitation": outcome.excitation._asdict(),
+        "converged": None if outcome.fit is None else outcome.fit.converged,
+        "misfit": None if outcome.fit is None else outcome.fit.misfit,
+        "notes": list(outcome.notes),
     }

@@ -106,6 +106,9 @@ def test_json_is_the_schema(outcome):
         ("value", "sd", "unit", "identifiable")
     }
     assert encoded["parameters"]["mass"]["sd"] is None
+    assert encoded["converged"] is True
+    assert encoded["misfit"] == outcome.fit.misfit
+    assert encoded["notes"] == list(outcome.notes)
     assert set(encoded["held_out"]["horizons"][0]) == {
         "horizon", "position", "heading", "position_before", "heading_before",
     }  # fmt: skip
