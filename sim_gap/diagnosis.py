@@ -247,9 +247,7 @@ def _told(
     mostly = share_of_most(before, chosen.fitted, case.floor)
     verdict = verdict_of(choice, found, known, gap_before, gap_after, case.floor, mostly)
     extreme = at_bound(engine, choice.best)
-    if verdict == "explained" and extreme:
-        verdict = "partial"
-    verdict = judged(verdict, gap_before)
+    verdict = judged(verdict, gap_before, extreme)
     case.options.progress("where", 0.75)
     where = locate(engine, before, chosen.fitted, noise, choice.blocks, names)
     causes = _causes(engine, choice, verdict) if found and verdict != "unexplained" else ()
@@ -335,11 +333,14 @@ def verdict_of(
     return "partial" if any(split.broken for split in choice.splits) else "explained"
 
 
-def judged(verdict: str, before: Gap) -> str:
-    """The verdict; `unjudged` instead of `none` where the base is too far off for that.
+def judged(verdict: str, before: Gap, extreme: Sequence[str] = ()) -> str:
+    """The verdict, with what forbids to believe it.
 
-    Noise learnt from drives that are far off holds all of it: then nothing is told apart.
+    Noise learnt from drives that are far off holds all of it, so `none` becomes `unjudged`; an
+    effect at its bound (`extreme`) makes up for something else, so `explained` becomes `partial`.
     """
+    if verdict == "explained" and extreme:
+        return "partial"
     far = any(before.position(lead) > most for lead, most in c.FAR.items())
     return "unjudged" if verdict == "none" and far else verdict
 

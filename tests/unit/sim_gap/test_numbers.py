@@ -7,15 +7,18 @@ import pytest
 
 from car_model.effects import find_effect
 from sim_gap import constants as c
-from sim_gap.candidates import Score, gain_of
+from sim_gap.candidates import Score, gain_of, held_out
 from sim_gap.constants import PARTIAL_MOST
 from sim_gap.decide import (
+    _all_large,
     at_bound,
     confidence_of,
+    constancy,
     doubt_of,
     needless,
     needs_both,
     rivals_of,
+    se_of_lead,
     significant,
 )
 from sim_gap.diagnosis import judged, practical, share_of_most, verdict_of
@@ -25,6 +28,7 @@ from sim_gap.where import Regime, Share, range_words, sentence_of
 from sim_gap.words import headline, manoeuvre_words, share_words
 
 BLOCKS = np.repeat(np.arange(4), 3)
+HALF = np.arange(16) < 8
 
 
 def score(name: str, losses: object, prior: float = 0.0) -> Score:
@@ -266,3 +270,116 @@ def test_the_sentence_names_equation_and_regime():
 )
 def test_nearly_all_is_not_all(share, words):
     assert share_words(share) == words
+
+
+def _line(values: np.ndarray, z: float, spread: float = 1e6) -> SimpleNamespace:
+    """Windows that each read one coordinate directly, fitted at `z`; losses are nearly squares."""
+    dof = np.full(len(values), 1e9)
+    square = (values - z) ** 2
+    at = SimpleNamespace(
+        weight=np.ones(len(values)), g=(values - z)[:, None], h=np.ones((len(values), 1, 1)),
+        square=square, dof=dof, finite=True,
+    )  # fmt: skip
+    space = SimpleNamespace(
+        centre=np.zeros(1), spread=np.array([spread]), low=np.array([-1e9]), high=np.array([1e9]),
+        nuisance=0, effects=("a",),
+    )  # fmt: skip
+    return SimpleNamespace(space=space, at=at, z=np.array([z]))
+
+
+def test_a_window_is_judged_by_a_fit_that_did_not_see_it():
+    values = np.array([0.0, 0.0, 0.0, 4.0])
+    losses = held_out(_line(values, 1.0), np.array([0, 1, 2, 3]))
+    # Without the last window the others' mean is 0; without one of the others it is 4/3.
+    assert losses == pytest.approx([16.0 / 9.0] * 3 + [16.0], rel=1e-5)
+
+
+def test_what_only_its_own_window_shows_gains_nothing_held_out():
+    values = np.random.default_rng(1).standard_normal(24)
+    fitted, folds = _line(values, float(values.mean())), np.arange(24) % 4
+    losses = held_out(fitted, folds)
+    expected = [
+        np.square(v - values[folds != f].mean()) for v, f in zip(values, folds, strict=True)
+    ]
+    assert losses == pytest.approx(expected, rel=1e-4)
+    assert losses.sum() > fitted.at.square.sum()
+
+
+def test_the_interval_draws_blocks_not_windows():
+    """Windows of a block that are alike tell no more than one of them."""
+    each = np.random.default_rng(2).uniform(0.5, 1.5, 12)
+    blocks = np.repeat(np.arange(12), 3)
+    whole = interval_of(np.repeat(each, 3), blocks).std()
+    assert whole == pytest.approx(interval_of(each, np.arange(12)).std(), rel=1e-9)
+    assert whole > 1.4 * interval_of(np.repeat(each, 3), np.arange(36)).std()
+
+
+def test_an_interval_of_more_than_half_tells_no_share():
+    """Half of the blocks lose their gap, the others keep it: any share may be drawn."""
+    blocks = np.repeat(np.arange(4), 3)
+    before = np.full(12, 6.0)
+    after = np.where(blocks < 2, 1.0, 6.0)
+    found = _shares(before, after, np.full(12, 1.0), 1.0, blocks)
+    assert found.high - found.low > 0.5
+    assert not found.told
+    assert _shares(before, np.full(12, 1.0), np.full(12, 1.0), 1.0, blocks).told
+
+
+def test_a_lead_is_no_surer_than_a_likelihood_allows():
+    assert se_of_lead(8.0, 1.0) == 1.0
+    assert se_of_lead(8.0, 100.0) == pytest.approx(8.0)
+    assert se_of_lead(-5.0, 100.0) == pytest.approx(2.0 * np.sqrt(2.0))
+
+
+@pytest.mark.parametrize(("mostly", "verdict"), [(0.2, "unexplained"), (0.9, "partial")])
+def test_a_gap_that_stays_in_a_few_windows_is_partly_explained(mostly, verdict):
+    before, after = (Gap(w, (w - 0.1, w + 0.1), (), ()) for w in (3.0, 2.5))
+    choice = SimpleNamespace(splits=())
+    assert verdict_of(choice, True, True, before, after, 1.0, mostly) == verdict
+
+
+@pytest.mark.parametrize(
+    ("verdict", "extreme", "told"),
+    [
+        ("explained", ("mass",), "partial"),
+        ("explained", (), "explained"),
+        ("none", ("mass",), "none"),
+    ],
+)
+def test_an_effect_at_its_bound_explains_a_part_at_most(verdict, extreme, told):
+    near = Gap(1.0, (0.9, 1.1), ((1.0, 0.01, 0.0, 0.0),), ())
+    assert judged(verdict, near, extreme) == told
+
+
+def test_halves_that_disagree_break_an_effect(monkeypatch):
+    monkeypatch.setattr("sim_gap.decide.parts_of", lambda engine, fitted: {"half": HALF})
+    engine = SimpleNamespace(superset=SimpleNamespace(nulls={"a": (0.0,)}))
+    apart = _line(np.where(HALF, 0.0, 10.0), 5.0)
+    (split,) = constancy(engine, apart)
+    assert (split.first, split.second) == (pytest.approx(0.0, abs=1e-6), pytest.approx(10.0))
+    assert split.sigmas == pytest.approx(10.0 / np.hypot(1.0 / np.sqrt(8.0), 1.0 / np.sqrt(8.0)))
+    assert split.broken
+    (same,) = constancy(engine, _line(np.full(16, 5.0), 5.0))
+    assert not same.broken
+
+
+def test_every_effect_of_a_hypothesis_must_be_large():
+    engine = SimpleNamespace(
+        superset=SimpleNamespace(
+            nulls={"steer_delay": (0.0,), "mass": (1.0,)},
+            places=lambda name: {"steer_delay": np.array([0]), "mass": np.array([1])}[name],
+        )
+    )
+    for values, told in (((0.03, 1.5), True), ((0.03, 1.01), False), ((0.0005, 1.5), False)):
+        fitted = SimpleNamespace(parameters=np.array(values))
+        pair = Score(("steer_delay", "mass"), fitted, np.zeros(1), 0.0)
+        assert _all_large(engine, pair) is told
+
+
+def test_draws_of_lost_windows_do_not_lift_the_floor():
+    """Half of the blocks are lost before and after: drawn often, they must not pass for noise."""
+    blocks = np.repeat(np.arange(8), 3)
+    noise = np.random.default_rng(0).chisquare(40, 24) / 40
+    before, after = (np.where(blocks < 4, off, k * noise) for off, k in ((2000, 3), (800, 1)))
+    found = _shares(before, after, after, 1.0, blocks)
+    assert found.low < found.share < found.high < found.low + 0.2
