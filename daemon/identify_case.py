@@ -54,7 +54,10 @@ def make_task(args: argparse.Namespace, base: CarFile) -> Task:
     if args.wheelbase is not None and not 0.05 <= args.wheelbase <= 2.0:
         raise SteerdError(f"--wheelbase {args.wheelbase:g}: in metres", "", _USAGE)
     candidates = _candidates(args.effects)
-    model = fit_wheelbase(model, args.wheelbase)
+    try:
+        model = fit_wheelbase(model, args.wheelbase, fixed)
+    except ValueError as error:
+        raise SteerdError(str(error), "fix one of lf and lr, or neither", _USAGE) from None
     stated = {*free, *fixed}
     if "inertia_z" not in stated:
         model = scale_inertia(model, base.model)
@@ -69,7 +72,10 @@ def make_task(args: argparse.Namespace, base: CarFile) -> Task:
         held_out=tuple(load_drive(path, args.speed) for path in files),
         every=every,
         model=model,
-        options=Options(free=free_names(free, fixed, DEFAULT_FREE), wheelbase=args.wheelbase),
+        options=Options(
+            free=free_names(free, fixed, DEFAULT_FREE, axles_known=args.wheelbase is not None),
+            wheelbase=args.wheelbase,
+        ),
         method=args.method,
         starts=args.starts or _STARTS[args.method],
         iterations=args.iterations,

@@ -54,6 +54,8 @@ OBEYED = 0.5
 """A car that obeys its speed command for less of the time is better taken at its measured speed."""
 REGIME = 1.0
 """Errors are told by lateral acceleration so far ahead [s]."""
+AGREE = 5e-4
+"""Lengths that agree to this are the same measurement [m]."""
 START_SPREAD = 0.3
 """Further starts lie about the first with this relative standard deviation."""
 
@@ -96,10 +98,26 @@ class Task:
     stated: tuple[str, ...] = ()
 
 
-def fit_wheelbase(model: Model[float], length: float | None) -> Model[float]:
-    """The model with its axles at a known distance, in the same proportion."""
+def fit_wheelbase(
+    model: Model[float], length: float | None, fixed: Sequence[str] = ()
+) -> Model[float]:
+    """The model with its axles at a known distance [m], in the same proportion.
+
+    Of `fixed` lengths, one leaves the other to be what is missing; two are as they are.
+
+    Raises:
+        ValueError: fixed lengths and the distance do not agree.
+    """
     if length is None:
         return model
+    car = model.car
+    if kept := [name for name in ("lf", "lr") if name in fixed]:
+        other = length - getattr(car, kept[0])
+        name = "lr" if kept[0] == "lf" else "lf"
+        if other <= 0.0 or (len(kept) > 1 and abs(other - getattr(car, name)) > AGREE):
+            told = " and ".join(f"{n} = {getattr(car, n):g}" for n in kept)
+            raise ValueError(f"{told} do not make a wheelbase of {length:g} m")
+        return model if len(kept) > 1 else model._replace(car=car._replace(**{name: other}))
     scale = length / wheelbase(model.car)
     return model._replace(car=model.car._replace(lf=model.car.lf * scale, lr=model.car.lr * scale))
 
@@ -394,7 +412,15 @@ def _remedy(found: Fit) -> str:
 
 
 def free_names(
-    free: Sequence[str] | None, fixed: Sequence[str], default: Sequence[str]
+    free: Sequence[str] | None,
+    fixed: Sequence[str],
+    default: Sequence[str],
+    *,
+    axles_known: bool = False,
 ) -> tuple[str, ...]:
-    """Free parameters after `--free` and `--fix`."""
-    return tuple(name for name in (free or default) if name not in fixed)
+    """Free parameters after `--free` and `--fix`.
+
+    With the distance of the axles known, one fixed length leaves nothing of the other to learn.
+    """
+    known = {"lf", "lr"} if axles_known and {"lf", "lr"} & set(fixed) else set()
+    return tuple(name for name in (free or default) if name not in known.union(fixed))

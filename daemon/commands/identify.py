@@ -153,10 +153,22 @@ def _car_text(
     from daemon.translate import of_car_file
 
     try:
-        text = updated_text(base, {**given_values(args.fix), **learned(outcome)})
+        updates = {**given_values(args.fix), **learned(outcome)}
+        text = updated_text(base, {**_carried(base, outcome), **updates})
         return with_noise(parse_car(text, args.output), runs)
     except CarFileError as error:
         raise of_car_file(error) from None
+
+
+def _carried(base: "CarFile", outcome: "Outcome") -> dict[str, Any]:
+    """What --wheelbase and a stated mass moved, and nothing fitted: as it was while fitting."""
+    from car_model.car_file import Learned
+
+    return {
+        name: Learned(getattr(outcome.after, name), None, "follows from what was stated")
+        for name in ("lf", "lr", "inertia_z")
+        if getattr(outcome.after, name) != getattr(base.model.car, name)
+    }
 
 
 def with_noise(car: "CarFile", runs: "tuple[Run, ...]") -> str:

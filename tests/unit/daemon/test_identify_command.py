@@ -94,6 +94,17 @@ def test_a_drive_becomes_a_car_file_json_and_report(rows, importer, tmp_path, ca
     assert "<svg" in (tmp_path / "r.html").read_text()
 
 
+@pytest.mark.parametrize("fixed", ["lf=0.15", "lf=0.15,lr=0.18"])
+def test_the_car_that_is_written_has_the_axles_that_were_fitted(
+    fixed, rows, importer, tmp_path, capsys
+):
+    args = ["--fix", fixed, "--wheelbase", "0.33", "--free", "lf,lr,steer_gain,steer_lag"]
+    assert main(["identify", str(importer(rows)), *args, "-o", str(tmp_path / "car.toml")]) == 0
+    car = load_car(tmp_path / "car.toml").car
+    assert (car.lf, car.lr) == (0.15, pytest.approx(0.18))
+    assert car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z * (0.33 / 0.3302) ** 2)
+
+
 def test_another_drive_validates(rows, importer, tmp_path, capsys):
     one, two = importer(rows[:1500], "one"), importer(rows[1500:], "two")
     assert main(["identify", str(one), "--held-out", str(two), *FREE]) == 0
@@ -181,6 +192,8 @@ def test_a_truncated_session_is_used_or_refused_but_never_crashes(rows, importer
         ["--fix", "lenght=3"],
         ["--fix", "mass=-3"],
         ["--fix", "mass=nan"],
+        ["--fix", "lf=0.1,lr=0.15", "--wheelbase", "0.33"],
+        ["--fix", "lf=0.4", "--wheelbase", "0.33"],
         ["--wheelbase", "324"],
         ["--held-out", "1"],
         ["--held-out", "-3"],

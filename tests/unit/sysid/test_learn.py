@@ -13,7 +13,7 @@ from sysid.cut import blocks, cut, keep_back, moving_parts, smooth_speed, with_w
 from sysid.excitation import measure_excitation
 from sysid.fit import Options
 from sysid.gate import DataError
-from sysid.learn import Task, learn, scatter
+from sysid.learn import Task, fit_wheelbase, free_names, learn, scatter
 from sysid.outcome import REPORTED, encode_outcome
 from sysid.report import render_report
 from sysid.scale import map_jobs
@@ -144,6 +144,19 @@ def test_further_starts_lie_about_the_first():
     factors = np.array([m.car.c_sf / DEFAULT.car.c_sf for m in models[1:]])
     assert 0.1 < np.std(np.log(factors)) < 0.5
     assert all(m.car.mass == DEFAULT.car.mass for m in models)
+
+
+def test_a_fixed_length_and_the_wheelbase_make_the_other():
+    car = fit_wheelbase(DEFAULT._replace(car=DEFAULT_CAR._replace(lr=0.2)), 0.33, ["lr"]).car
+    assert (car.lf, car.lr) == (pytest.approx(0.13), 0.2)
+    free = ("lf", "lr", "c_sf")
+    assert free_names(None, ["lr"], free, axles_known=True) == ("c_sf",)
+    assert free_names(None, ["lr"], free) == ("lf", "c_sf")
+    assert free_names(None, [], free, axles_known=True) == free
+    agreed = DEFAULT._replace(car=DEFAULT_CAR._replace(lf=0.15, lr=0.18))
+    assert fit_wheelbase(agreed, 0.33, ["lf", "lr"]) == agreed
+    with pytest.raises(ValueError, match="do not make a wheelbase"):
+        fit_wheelbase(agreed._replace(car=agreed.car._replace(lf=0.1)), 0.33, ["lf", "lr"])
 
 
 def _square(x):
