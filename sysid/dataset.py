@@ -4,7 +4,7 @@
 (`gate`), with a typed error that says what is wrong and what to do.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -96,6 +96,21 @@ class Run:
     def duration(self) -> float:
         """Length of the commands [s]."""
         return len(self.commands) * self.h
+
+
+def check_sources(runs: Sequence[Run]) -> None:
+    """Refuse drives of which some have speed commands and others a measured speed in their place.
+
+    One car cannot follow the first with its speed loop and the second at once.
+
+    Raises:
+        DataError: there are both.
+    """
+    asked = [run.name for run in runs if run.speed_source == "command"]
+    measured = [run.name for run in runs if run.speed_source != "command"]
+    if asked and measured:
+        what = f"{measured[0]} has no speed commands, {asked[0]} has"
+        raise DataError(what, "name them apart, or take the measured speed of all: --speed wheel")
 
 
 def hold_means(signal: Signal, edges: Array) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from car_model.model import Model
 from car_model.params import Car
 from sysid.chart import Chart, make_chart
-from sysid.dataset import Run
+from sysid.dataset import Run, check_sources
 from sysid.descend import Descent, Effort, descend
 from sysid.gate import DataError, check_excited
 from sysid.honest import doubted, score_spread, widened
@@ -232,12 +232,14 @@ def fit(
         The estimates with their standard errors and what the data leave open.
 
     Raises:
-        DataError: the drives' steering never changes, or nothing that is free shows in them.
+        DataError: the drives' steering never changes, nothing that is free shows in them, or only
+            some have speed commands.
         ValueError: an unknown free parameter, or runs on different grids.
         FloatingPointError: no start gives a finite simulation.
     """
     options = options or Options()
     check_excited([run.commands[:, 0] for run in runs])
+    check_sources(runs)
     if any(run.speed_source != "command" for run in runs):
         model, starts = prescribe_speed(model), [prescribe_speed(start) for start in starts]
     kernels = make_kernels(model.effects)

@@ -14,7 +14,7 @@ from car_model.params import PARAMETERS, Car, wheelbase
 from sysid.chart import SPREAD_RELATIVE
 from sysid.course import NAMES, Course
 from sysid.cut import blocks, keep_back, moving_parts
-from sysid.dataset import Run
+from sysid.dataset import Run, check_sources
 from sysid.excitation import measure_excitation, obeyed
 from sysid.fit import DEFAULT_FREE, Fit, Options, fit
 from sysid.manners import Step, choose
@@ -147,6 +147,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         FloatingPointError: no start gives a finite simulation.
         BaselineMissingError: CMA-ES without Optuna.
     """
+    check_sources((*task.runs, *task.held_out))
     began, given = clock(), task.model.car
     task = _opened(task)
     task, pulses, ramps, rough = _settled(task)

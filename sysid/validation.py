@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from car_model.model import Model
-from sysid.dataset import Run
+from sysid.dataset import Run, check_sources
 from sysid.fit import prescribe_speed
 from sysid.kernels import Held, delays_of, make_kernels, parameter_vector, read
 from sysid.objective import STATE_SPREAD
@@ -80,8 +80,10 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
         horizon: how far [s].
 
     Raises:
+        DataError: only some have speed commands.
         ValueError: no window sees enough poses.
     """
+    check_sources(runs)
     if any(run.speed_source != "command" for run in runs):
         model = prescribe_speed(model)
     kernels, parameters = make_kernels(model.effects), parameter_vector(model)

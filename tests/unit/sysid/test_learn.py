@@ -11,7 +11,7 @@ from car_model.params import DEFAULT_CAR
 from sysid.closed_loop import compare_designs
 from sysid.cut import blocks, cut, keep_back, moving_parts, smooth_speed, with_wheel_speed
 from sysid.excitation import measure_excitation
-from sysid.fit import Options
+from sysid.fit import Options, fit
 from sysid.gate import DataError
 from sysid.learn import Task, fit_wheelbase, free_names, learn, scatter
 from sysid.outcome import REPORTED, encode_outcome
@@ -157,6 +157,16 @@ def test_a_fixed_length_and_the_wheelbase_make_the_other():
     assert fit_wheelbase(agreed, 0.33, ["lf", "lr"]) == agreed
     with pytest.raises(ValueError, match="do not make a wheelbase"):
         fit_wheelbase(agreed._replace(car=agreed.car._replace(lf=0.1)), 0.33, ["lf", "lr"])
+
+
+def test_drives_with_and_without_speed_commands_are_not_one_fit(run, truth):
+    bare = replace(with_wheel_speed(run), name="bare")
+    with pytest.raises(DataError, match=r"bare has no speed commands, run 5 has.*--speed wheel"):
+        fit([run, bare], DEFAULT)
+    with pytest.raises(DataError, match="bare has no speed commands"):
+        predict_errors(truth, [run, bare])
+    with pytest.raises(DataError, match="bare has no speed commands"):
+        learn(Task((run,), DEFAULT, held_out=(bare,)), lambda: 0.0)
 
 
 def _square(x):
