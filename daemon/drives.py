@@ -25,7 +25,7 @@ def load_drive(path: Path, speed: str = "command") -> "Run":
     Raises:
         SteerdError: it cannot be read, or is not fit for a fit.
     """
-    from daemon.session_info import load_session
+    from daemon.session_info import load_session, make_session_report
     from daemon.session_text import print_warnings
     from steer_bus.session_read import SessionError
     from sysid.beat import steadied
@@ -33,10 +33,14 @@ def load_drive(path: Path, speed: str = "command") -> "Run":
     from sysid.dataset import load_run
     from sysid.gate import DataError
 
-    print_warnings([f"{path.name}: {warning.message}" for warning in load_session(path).warnings])
+    session = load_session(path)
+    damage = [warning.message for warning in session.warnings]
+    print_warnings([f"{path.name}: {each}" for each in damage])
     try:
         run = steadied(load_run(path))
         _check_angles(run)
+        doubts = [each for each in make_session_report(session).warnings if each not in damage]
+        print_warnings([f"{path.name}: {each}" for each in doubts])
         return with_wheel_speed(run) if speed == "wheel" else run
     except SessionError as error:
         raise of_session(error) from None

@@ -22,6 +22,7 @@ MOVING = 0.05
 """Below this a car counts as standing [m/s]."""
 _STEADY = 0.3
 _TURNING = 0.1
+_THROUGHOUT = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +142,7 @@ def find_doubts(
     if track is None:
         return doubts
     doubts += _doubt_position(track)
-    heading = _doubt_heading(track)
+    heading = _doubt_heading(track) or _doubt_front(track, wheel)
     doubts += heading
     if heading:
         return doubts
@@ -184,6 +185,16 @@ def _doubt_heading(track: Track) -> list[str]:
     if miss[2] < 0.5 * miss[0]:
         return ["yaw turns against the path: is it clockwise, or are x and y swapped?"]
     return []
+
+
+def _doubt_front(track: Track, wheel: Signal | None) -> list[str]:
+    """Whether the poses drive backwards throughout, while no wheel says so."""
+    moving = np.abs(np.nan_to_num(track.speed)) > _STEADY
+    if np.count_nonzero(moving) < 10 or np.mean(track.speed[moving] < 0.0) < _THROUGHOUT:
+        return []
+    if wheel is not None and wheel.value.size and float(np.nanmedian(wheel.value)) < 0.0:
+        return []
+    return ["the car drives backwards throughout: does yaw point to its rear, 180 deg off?"]
 
 
 def _wrap(angle: Array) -> Array:

@@ -105,6 +105,15 @@ def test_the_car_that_is_written_has_the_axles_that_were_fitted(
     assert car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z * (0.33 / 0.3302) ** 2)
 
 
+def test_steering_of_the_wrong_sign_is_doubted_before_the_fit(rows, importer, capsys):
+    session = importer(rows * [1.0, 1.0, 1.0, 1.0, -1.0, 1.0])
+    capsys.readouterr()
+    main(["identify", str(session), "--free", "steer_lag"])
+    told = capsys.readouterr().err
+    assert "warning: run.mcap:" in told
+    assert "left positive" in told
+
+
 def test_another_drive_validates(rows, importer, tmp_path, capsys):
     one, two = importer(rows[:1500], "one"), importer(rows[1500:], "two")
     assert main(["identify", str(one), "--held-out", str(two), *FREE]) == 0

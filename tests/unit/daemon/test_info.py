@@ -177,7 +177,7 @@ def test_a_range_of_nothing():
     assert make_range(np.empty(0)) is None
 
 
-def doubts(*, pose=1.0, yaw=1.0, steer=1.0, wheel=1.0, gyro=1.0):
+def doubts(*, pose=1.0, yaw=1.0, front=0.0, steer=1.0, wheel=1.0, gyro=1.0):
     t = np.arange(3000) * 0.01
     turn = 0.8 * np.sin(0.7 * t)
     heading = np.concatenate(([0.0], np.cumsum(turn[:-1] * 0.01)))
@@ -189,12 +189,13 @@ def doubts(*, pose=1.0, yaw=1.0, steer=1.0, wheel=1.0, gyro=1.0):
         Signal(t, wheel * np.full_like(t, SPEED)),
         Signal(t, gyro * turn),
     )
-    return find_doubts(make_track(t, pose * x, pose * y, yaw * heading), *signals)
+    return find_doubts(make_track(t, pose * x, pose * y, yaw * heading + front), *signals)
 
 
 def test_an_honest_drive_raises_no_doubt():
     assert doubts() == []
     assert doubts(wheel=1.15, gyro=0.95, steer=0.7) == []
+    assert all("backwards" not in doubt for doubt in doubts(front=np.pi, wheel=-1.0))
 
 
 @pytest.mark.parametrize(
@@ -203,6 +204,7 @@ def test_an_honest_drive_raises_no_doubt():
         ({"pose": 1000.0, "wheel": 1000.0}, "millimetres"),
         ({"yaw": 57.3}, "is it in degrees"),
         ({"yaw": -1.0}, "clockwise"),
+        ({"front": np.pi}, "backwards throughout"),
         ({"steer": -1.0}, "left positive"),
         ({"steer": 57.3}, "is it in degrees"),
         ({"wheel": 3.6}, "km/h"),
