@@ -294,6 +294,7 @@ STEADY = 0.02
 a step has one angle asked for and another one reached [rad]."""
 SD_GAIN_MAX = 0.05
 """A gain that is known no better is none to drive with."""
+_EIGHT = "drive a figure of eight"
 CLIP = 0.035
 """Wheels that stay so far behind the commands at their ends have met a stop [rad]."""
 
@@ -324,14 +325,10 @@ def calibrate_steering(
     length = car.lf + car.lr
     slip = (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
     angle = np.arctan(length * w / v) + slip * v * w
-
-    hint = "drive a figure of eight"
-    if np.std(np.interp(t, t_command, command)) < 0.02:
-        raise SteerdError("the steering is hardly used in this drive", hint)
-    low, high = (np.interp(t, t_command, command).min(), np.interp(t, t_command, command).max())
+    now = np.interp(t, t_command, command)
+    low, high = now.min(), now.max()
     steady = _steady(t, t_command, command)
-    if steady.sum() < 200:
-        raise SteerdError("the steering swings too fast for the car to follow", hint)
+    _check_steering(now, steady)
 
     def fit(delay: float, keep: Mask = steady) -> tuple[Array, Array, Array]:
         asked = np.interp(t - delay, t_command, command)
@@ -344,13 +341,7 @@ def calibrate_steering(
     delay = _best(lambda tau: float(np.mean(fit(tau)[1] ** 2)))
     (gain, bias), left, asked = fit(delay)
     sd_gain, sd_bias = _jackknife([fit(delay, part)[0] for part in _leave_out(steady)])
-    if gain < 0.1:
-        what = f"the car turns {gain:+.2f} times what was asked for"
-        hint = "a negative figure: change the sign of [vesc] servo_gain; else see `steerd probe`"
-        raise SteerdError(what, hint, ExitCode.INVALID)
-    if sd_gain > SD_GAIN_MAX:
-        what = f"this drive tells the steering gain to ±{sd_gain:.2f} only"
-        raise SteerdError(what, f"{hint}, slowly", ExitCode.STOPPED)
+    _check_gain(float(gain), sd_gain)
     ends = [_end(angle, gain * asked + bias, side) for side in (1.0, -1.0)]
     return Steering(
         gain=float(gain),
@@ -365,6 +356,23 @@ def calibrate_steering(
         sd_bias=sd_bias,
         doubts=tuple(_slip_doubts(v * w)),
     )
+
+
+def _check_steering(asked: Array, steady: Mask) -> None:
+    if np.std(asked) < 0.02:
+        raise SteerdError("the steering is hardly used in this drive", _EIGHT)
+    if steady.sum() < 200:
+        raise SteerdError("the steering swings too fast for the car to follow", _EIGHT)
+
+
+def _check_gain(gain: float, sd: float) -> None:
+    if gain < 0.1:
+        what = f"the car turns {gain:+.2f} times what was asked for"
+        hint = "a negative figure: change the sign of [vesc] servo_gain; else see `steerd probe`"
+        raise SteerdError(what, hint, ExitCode.INVALID)
+    if sd > SD_GAIN_MAX:
+        what = f"this drive tells the steering gain to ±{sd:.2f} only"
+        raise SteerdError(what, f"{_EIGHT}, slowly", ExitCode.STOPPED)
 
 
 def _steady(t: Array, t_command: Array, command: Array) -> Mask:

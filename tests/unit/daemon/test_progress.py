@@ -13,11 +13,17 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_the_step_stands_beside_the_bar(monkeypatch):
-    seen = Terminal()
-    monkeypatch.setattr(sys, "stderr", seen)
+def watched(monkeypatch):
+    """A terminal of 120 columns, in place of standard error."""
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "120")
+    return terminal
+
+
+def test_the_step_stands_beside_the_bar(monkeypatch):
+    seen = watched(monkeypatch)
     with show_progress("identifying", 2.0) as advance:
         advance(1.0, "learning the noise")
     assert "identifying: learning the noise" in seen.getvalue()
@@ -25,10 +31,7 @@ def test_the_step_stands_beside_the_bar(monkeypatch):
 
 
 def test_a_step_without_a_name_keeps_the_last_one(monkeypatch):
-    seen = Terminal()
-    monkeypatch.setattr(sys, "stderr", seen)
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "120")
+    seen = watched(monkeypatch)
     with show_progress("diagnosing", 4.0) as advance:
         advance(1.0, "where")
         advance(3.0)
