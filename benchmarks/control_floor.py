@@ -27,11 +27,11 @@ from typing import Any
 from control_path import loaded, percentiles
 from perf_virtual import plan_of
 
-from daemon.build import make_world_config
-from daemon.realtime import enter_realtime, settle_memory
-from daemon.virtual import VirtualRun, make_virtual_run
-from sim_hw.world import World
-from steer_bus.clock import MonotonicClock
+from steerd.daemon.assembly.build import make_world_config
+from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
+from steerd.daemon.process.realtime import enter_realtime, settle_memory
+from steerd.sim_hw.world import World
+from steerd.steer_bus.clock import MonotonicClock
 
 CLOCK = MonotonicClock()
 RATE, SECONDS = 200, 6.0

@@ -30,17 +30,17 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from daemon.build import make_plan, make_world_config
-from daemon.children import Crew, start_crew
-from daemon.options import RunOptions
-from daemon.records import unpack_records
-from daemon.transitions import State
-from sim_hw.links import spawn_sim
-from steer_bus import messages as m
-from steer_bus import topics
-from steer_bus.clock import MonotonicClock
-from steer_bus.codec import decode
-from steer_bus.session_read import open_session
+from steerd.daemon.assembly.build import make_plan, make_world_config
+from steerd.daemon.ipc.pipe_records import unpack_records
+from steerd.daemon.loop.transitions import State
+from steerd.daemon.process.children import Crew, start_crew
+from steerd.daemon.settings.run_options import RunOptions
+from steerd.sim_hw.real_time.links import spawn_sim
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.steer_bus.codec import decode
+from steerd.steer_bus.session_read import open_session
 
 CLOCK = MonotonicClock()
 BOOT_ID = 815

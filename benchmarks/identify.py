@@ -23,15 +23,22 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from car_model.model import Model
-from car_model.params import GRAVITY, Car
-from sysid.baselines import fit_least_squares, search_cma
-from sysid.dataset import Run, Signal, make_run
-from sysid.fit import TYRES, Fit, Options, fit
-from sysid.kernels import Held, Kernels, lane_view, make_kernels, make_lanes, march
-from sysid.objective import Evaluation, Problem
-from sysid.paper import NAMES, PaperProblem, descend_adam, draw_starts, make_problem, paper_runs
-from sysid.torch_sim import PAPER_CAR_DIRECT, PAPER_STEP
+from steerd.car_model.model import Model
+from steerd.car_model.params import GRAVITY, Car
+from steerd.sysid.compiler.kernels import Held, Kernels, lane_view, make_kernels, make_lanes, march
+from steerd.sysid.data.dataset import Run, Signal, make_run
+from steerd.sysid.estimation.fit import TYRES, Fit, Options, fit
+from steerd.sysid.estimation.objective import Evaluation, Problem
+from steerd.sysid.paper.baselines import fit_least_squares, search_cma
+from steerd.sysid.paper.paper_method import (
+    NAMES,
+    PaperProblem,
+    descend_adam,
+    draw_starts,
+    make_problem,
+    paper_runs,
+)
+from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, PAPER_STEP
 
 Array = NDArray[np.float64]
 

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from car_model.effects import find_effect
-from car_model.model import Model
-from car_model.params import DEFAULT_CAR
-from sysid.cut import blocks
-from sysid.fit import DEFAULT_FREE, TYRES, Fit, Options, fit
+from steerd.car_model.effects import find_effect
+from steerd.car_model.model import Model
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.sysid.data.segments import blocks
+from steerd.sysid.estimation.fit import DEFAULT_FREE, TYRES, Fit, Options, fit
 
 BAD = (
     (0.324, 0.324, 7.0, 7.0), (0.1, 0.35, 2.0, 10.0), (0.35, 0.1, 10.0, 2.0), (0.1, 0.1, 2.0, 2.0),

@@ -19,14 +19,15 @@ from unittest.mock import patch
 
 import numpy as np
 
-from car_model.car_file import Learned, default_car_path, load_car, save_car
-from car_model.model import Model
-from car_model.params import DEFAULT_CAR, Car
-from daemon import cli, fast
-from sysid.dataset import load_run
-from sysid.fit import DEFAULT_FREE, Options
-from sysid.learn import Task, fit_wheelbase, learn
-from sysid.outcome import Outcome
+from steerd.car_model.car_file import Learned, default_car_path, load_car, save_car
+from steerd.car_model.model import Model
+from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.daemon.cli import main as cli
+from steerd.daemon.offline import fast
+from steerd.sysid.data.dataset import load_run
+from steerd.sysid.estimation.fit import DEFAULT_FREE, Options
+from steerd.sysid.estimation.learn import Task, fit_wheelbase, learn
+from steerd.sysid.estimation.outcome import Outcome
 
 NAMES = DEFAULT_FREE
 FRAME_NS, STEP_NS = 20_000_000, 1_000_000

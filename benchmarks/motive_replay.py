@@ -20,9 +20,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from mocap_link import natnet
-from mocap_link.natnet_frame import Frame
-from mocap_link.natnet_model import ModelDef
+from steerd.mocap_link import natnet
+from steerd.mocap_link.natnet_frame import Frame
+from steerd.mocap_link.natnet_model import ModelDef
 
 VERSION = (3, 0)
 LOOPBACK = "127.0.0.1"

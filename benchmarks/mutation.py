@@ -2,7 +2,7 @@
 
     pip install --group bench
     python benchmarks/mutation.py
-    python benchmarks/mutation.py "controller.limits*" --survivors
+    python benchmarks/mutation.py "steerd.controller.limits*" --survivors
     python benchmarks/mutation.py --coverage
 
 mutmut changes one operator, constant, argument or call at a time in a copy of the tree, and runs
@@ -25,25 +25,29 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 MODULES = (
-    "controller/limits.py", "daemon/guardian.py", "daemon/lateness.py", "daemon/launch.py",
-    "daemon/lease.py", "daemon/supervisor.py", "daemon/watchdogs.py", "daemon/watchdogs_pose.py",
+    "controller/limits.py", "daemon/process/guardian.py", "daemon/loop/lateness.py",
+    "daemon/loop/launch.py",
+    "daemon/loop/lease.py", "daemon/loop/supervisor.py", "daemon/loop/watchdogs.py",
+    "daemon/loop/watchdogs_pose.py",
     "steer_bus/codec.py",
 )  # fmt: skip
 TABLES = (
-    "daemon/findings.py", "daemon/flags.py", "daemon/thresholds.py", "daemon/transitions.py",
+    "daemon/loop/findings.py", "daemon/loop/flags.py", "daemon/settings/thresholds.py",
+    "daemon/loop/transitions.py",
     "steer_bus/lab.py",
 )  # fmt: skip
 TESTS = (
-    "tests/unit/controller/test_limits.py", "tests/unit/daemon/test_supervisor.py",
-    "tests/unit/daemon/test_watchdogs.py", "tests/unit/daemon/test_watchdogs_pose.py",
-    "tests/unit/daemon/test_watchdogs_thresholds.py", "tests/unit/daemon/test_launch.py",
-    "tests/unit/daemon/test_guardian.py", "tests/unit/daemon/test_supervisor_start.py",
-    "tests/unit/daemon/test_lateness.py", "tests/unit/daemon/test_lease.py",
+    "tests/unit/controller/test_limits.py", "tests/unit/daemon/loop/test_supervisor.py",
+    "tests/unit/daemon/loop/test_watchdogs.py", "tests/unit/daemon/loop/test_watchdogs_pose.py",
+    "tests/unit/daemon/loop/test_watchdogs_thresholds.py", "tests/unit/daemon/loop/test_launch.py",
+    "tests/unit/daemon/process/test_guardian.py", "tests/unit/daemon/loop/test_supervisor_start.py",
+    "tests/unit/daemon/loop/test_lateness.py", "tests/unit/daemon/loop/test_lease.py",
     "tests/unit/steer_bus/test_codec.py",
-    "tests/unit/steer_bus/test_codec_fresh.py", "tests/unit/daemon/test_watchdogs_words.py",
+    "tests/unit/steer_bus/test_codec_fresh.py", "tests/unit/daemon/loop/test_watchdogs_messages.py",
 )  # fmt: skip
 MORE_TESTS = (
-    "tests/unit/daemon/test_blind.py", "tests/unit/daemon/test_runner_watchdogs.py",
+    "tests/unit/daemon/loop/test_failed_loop.py",
+    "tests/unit/daemon/process/test_runner_watchdogs.py",
     "tests/unit/steer_bus/test_lab.py",
     "tests/property/test_limits.py", "tests/property/test_codec_roundtrip.py",
 )  # fmt: skip
@@ -128,7 +132,9 @@ def measure_coverage(folder: str) -> int:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("mutants", nargs="*", help='such as "daemon.launch*" (default: all)')
+    parser.add_argument(
+        "mutants", nargs="*", help='such as "steerd.daemon.loop.launch*" (default: all)'
+    )
     parser.add_argument("--survivors", action="store_true", help="show what survived")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--folder", type=Path, help="work there, and keep what is there already")

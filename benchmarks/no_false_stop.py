@@ -16,12 +16,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from joblib import Parallel, delayed
 
-from daemon.build import make_plan, make_world_config
-from daemon.options import RunOptions
-from daemon.transitions import State
-from daemon.virtual import drive, make_virtual_run
-from sim_hw.faults import Fault
-from sim_hw.world import World
+from steerd.daemon.assembly.build import make_plan, make_world_config
+from steerd.daemon.loop.transitions import State
+from steerd.daemon.offline.virtual import drive, make_virtual_run
+from steerd.daemon.settings.run_options import RunOptions
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.world import World
 
 DRIVES = (("figure8", 1.0), ("figure8", 2.0), ("circle:radius=2", 1.5), ("line", 2.5))
 

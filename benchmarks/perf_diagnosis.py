@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from identify import drive
 
-from car_model.effects import EFFECTS
-from car_model.model import Model
-from car_model.params import DEFAULT_CAR
-from sim_gap.diagnosis import Options, diagnose
-from sysid.dataset import Run, Signal, make_run
-from sysid.kernels import Kernels, make_kernels
+from steerd.car_model.effects import EFFECTS
+from steerd.car_model.model import Model
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.sim_gap.diagnosis import Options, diagnose
+from steerd.sysid.compiler.kernels import Kernels, make_kernels
+from steerd.sysid.data.dataset import Run, Signal, make_run
 
 H, SECONDS, DRIVES, LATE = 0.01, 15.0, 4, 3
 CANDIDATES = (4, 8, 16)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from identify import FRICTIONS, TARGET_MM, Judge, circles, ours, ours_watched
 
-from sysid.baselines import fit_least_squares, search_cma
-from sysid.kernels import make_kernels
-from sysid.paper import descend_adam, draw_starts, make_problem, paper_runs
-from sysid.torch_sim import PAPER_CAR_DIRECT
+from steerd.sysid.compiler.kernels import make_kernels
+from steerd.sysid.paper.baselines import fit_least_squares, search_cma
+from steerd.sysid.paper.paper_method import descend_adam, draw_starts, make_problem, paper_runs
+from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT
 
 
 def row(judge: Judge, final: np.ndarray, seconds: float) -> dict[str, Any]:

@@ -23,10 +23,18 @@ from numpy.typing import NDArray
 from plain_c import make_plain_c
 from timing import Timed, timed
 
-from car_model.params import Car
-from sysid.kernels import Held, Kernels, lane_view, make_kernels, make_lanes, march, march_back
-from sysid.torch_kernel import simulate
-from sysid.torch_sim import PAPER_CAR_DIRECT, simulate_reference
+from steerd.car_model.params import Car
+from steerd.sysid.compiler.kernels import (
+    Held,
+    Kernels,
+    lane_view,
+    make_kernels,
+    make_lanes,
+    march,
+    march_back,
+)
+from steerd.sysid.paper.torch_kernel import simulate
+from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, simulate_reference
 
 Array = NDArray[np.float64]
 RUNS, STEPS, H = 16, 4000, 0.01

@@ -78,7 +78,11 @@ def main() -> int:
         seconds(identify)  # kernels compiled
         found["identify, kernels ready"] = [
             seconds(
-                [sys.executable, "-c", "from sysid.kernels import make_kernels; make_kernels()"]
+                [
+                    sys.executable,
+                    "-c",
+                    "from steerd.sysid.compiler.kernels import make_kernels; make_kernels()",
+                ]
             )
             for _ in range(3)
         ]

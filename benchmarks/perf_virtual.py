@@ -15,13 +15,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from daemon.build import Plan, make_plan, make_world_config
-from daemon.dashboard import Dashboard
-from daemon.fast import make_recording
-from daemon.options import RunOptions
-from daemon.outbox import Sink
-from daemon.virtual import VirtualRun, make_virtual_run
-from sim_hw.world import World
+from steerd.daemon.assembly.build import Plan, make_plan, make_world_config
+from steerd.daemon.ipc.outbox import Sink
+from steerd.daemon.offline.fast import make_recording
+from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
+from steerd.daemon.settings.run_options import RunOptions
+from steerd.daemon.terminal.dashboard import Dashboard
+from steerd.sim_hw.world import World
 
 BEGIN_NS, SECONDS, SEEDS = 2_000_000_000, 8.0, 100
 SEED_S = 2.0

@@ -15,19 +15,19 @@ from timing import Timed, timed
 
 import numpy as np  # isort: skip
 
-from mocap_link import natnet
-from mocap_link.natnet_frame import TRACKING_VALID, Frame, RigidBody
-from steer_bus import messages as m
-from steer_bus import topics
-from steer_bus.codec import decode, encode
-from steer_bus.session import SessionWriter
-from steer_bus.session_read import open_session
-from steer_bus.topics import make_session_topic
-from vesc_link.commands import GetValues, SetErpm
-from vesc_link.frames import FrameParser, encode_frame
-from vesc_link.ids import FW_3_00
-from vesc_link.packets import decode_reply, encode_command, encode_reply
-from vesc_link.telemetry import Values
+from steerd.mocap_link import natnet
+from steerd.mocap_link.natnet_frame import TRACKING_VALID, Frame, RigidBody
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.session import SessionWriter
+from steerd.steer_bus.session_read import open_session
+from steerd.steer_bus.topics import make_session_topic
+from steerd.vesc_link.commands import GetValues, SetErpm
+from steerd.vesc_link.frames import FrameParser, encode_frame
+from steerd.vesc_link.ids import FW_3_00
+from steerd.vesc_link.packets import decode_reply, encode_command, encode_reply
+from steerd.vesc_link.telemetry import Values
 
 MINUTES, TICK_NS = 10, 10_000_000
 

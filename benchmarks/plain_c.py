@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from car_model.model import Model, Moment
-from car_model.params import Car
-from car_model.rollout import rk4, step
-from car_model.state import Command, State
-from car_model.tape import TAPE, Node, Tape, gradient, needed
+from steerd.car_model.model import Model, Moment
+from steerd.car_model.params import Car
+from steerd.car_model.rollout import rk4, step
+from steerd.car_model.state import Command, State
+from steerd.car_model.tape import TAPE, Node, Tape, gradient, needed
 
 Array = NDArray[np.float64]
 _FORMS = {

@@ -30,10 +30,10 @@ from typing import Any
 
 import numpy as np
 
-from daemon.realtime import enter_realtime
-from vesc_link.commands import SetCurrentBrake, SetErpm
-from vesc_link.frames import FrameParser, encode_frame
-from vesc_link.packets import decode_command, encode_command
+from steerd.daemon.process.realtime import enter_realtime
+from steerd.vesc_link.commands import SetCurrentBrake, SetErpm
+from steerd.vesc_link.frames import FrameParser, encode_frame
+from steerd.vesc_link.packets import decode_command, encode_command
 
 DRIVE = encode_frame(encode_command(SetErpm(4000.0)))
 BRAKE = encode_frame(encode_command(SetCurrentBrake(20.0)))
@@ -46,10 +46,10 @@ GAP = struct.Struct("=qq")
 
 
 def be_core(serial_fd: int) -> None:
-    """Drive at 100 Hz under a guardian, as `daemon.runner` does."""
-    import daemon.core_process  # noqa: F401  (as much memory as the real one)
-    from daemon.guard import ProcessGuard
-    from daemon.realtime import settle_memory
+    """Drive at 100 Hz under a guardian, as `steerd.daemon.process.runner` does."""
+    import steerd.daemon.process.core_process  # noqa: F401  (as much memory as the real one)
+    from steerd.daemon.process.guard import ProcessGuard
+    from steerd.daemon.process.realtime import settle_memory
 
     report = enter_realtime()
     settle_memory()

@@ -12,16 +12,17 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import tomlkit
 
-from car_model.effect import Effect, EffectParameter
-from car_model.effects import find_effect
-from car_model.model import Model
-from car_model.params import PARAMETERS, Car, Parameter
+from steerd.car_model.effect import Effect, EffectParameter
+from steerd.car_model.effects import find_effect
+from steerd.car_model.model import Model
+from steerd.car_model.params import PARAMETERS, Car, Parameter
 
 SIZE_MAX = 1_000_000
 """A car file is a page; what is larger than this is something else [bytes]."""
@@ -83,10 +84,8 @@ class CarFile:
 
 
 def default_car_path() -> Path:
-    """The official F1TENTH car: `config/` of a checkout, or the copy inside an installation."""
-    root = Path(__file__).resolve().parent.parent
-    checkout = root / "config" / "f1tenth.toml"
-    return checkout if checkout.is_file() else root / "daemon" / "data" / "f1tenth.toml"
+    """The official F1TENTH car, as it is installed with steerd."""
+    return Path(str(files("steerd") / "data" / "f1tenth.toml"))
 
 
 def load_car(path: Path | str) -> CarFile:

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple, Protocol
 
-from car_model.ops import Ops, T
-from car_model.params import Car
-from car_model.single_track import Actuated, Axles, Rates
-from car_model.state import Command, Delays, Observation, State
+from steerd.car_model.ops import Ops, T
+from steerd.car_model.params import Car
+from steerd.car_model.single_track import Actuated, Axles, Rates
+from steerd.car_model.state import Command, Delays, Observation, State
 
 
 class Stage(StrEnum):

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from car_model.jacobian_generated import Jacobian, rates_and_jacobian
-from car_model.params import GRAVITY, Car, wheelbase
-from car_model.state import ORIGIN, State
+from steerd.car_model.jacobian_generated import Jacobian, rates_and_jacobian
+from steerd.car_model.params import GRAVITY, Car, wheelbase
+from steerd.car_model.state import ORIGIN, State
 
 Matrix = NDArray[np.float64]
 

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Generic, NamedTuple
 
-from car_model.effect import HOOKS, Bound, Effect
-from car_model.ops import Ops, T
-from car_model.params import Car
-from car_model.single_track import (
+from steerd.car_model.effect import HOOKS, Bound, Effect
+from steerd.car_model.ops import Ops, T
+from steerd.car_model.params import Car
+from steerd.car_model.single_track import (
     Actuated,
     Axles,
     Rates,
@@ -18,7 +18,7 @@ from car_model.single_track import (
     references,
     slip_angles,
 )
-from car_model.state import Command, Delays, Observation, State
+from steerd.car_model.state import Command, Delays, Observation, State
 
 
 class Model(NamedTuple, Generic[T]):

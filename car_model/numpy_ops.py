@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from car_model.ops import Ops
+from steerd.car_model.ops import Ops
 
 Array = NDArray[np.float64]
 

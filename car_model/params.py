@@ -6,7 +6,7 @@ source, once, for the car file, the identification's priors and the documentatio
 
 from typing import Generic, NamedTuple
 
-from car_model.ops import T
+from steerd.car_model.ops import T
 
 GRAVITY = 9.81
 """[m/s^2], the value the paper and CommonRoad use."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 
-from car_model.model import (
+from steerd.car_model.model import (
     Model,
     Moment,
     aim,
@@ -16,9 +16,9 @@ from car_model.model import (
     model_rates,
     remember,
 )
-from car_model.ops import Ops, T
-from car_model.params import GRAVITY, Car
-from car_model.single_track import (
+from steerd.car_model.ops import Ops, T
+from steerd.car_model.params import GRAVITY, Car
+from steerd.car_model.single_track import (
     SPEED_KINEMATIC,
     Rates,
     axle_loads,
@@ -26,7 +26,7 @@ from car_model.single_track import (
     lateral_forces,
     slip_angles,
 )
-from car_model.state import Command, State
+from steerd.car_model.state import Command, State
 
 RatesAt = Callable[[State[T], float], Rates[T]]
 """Rates for a state at a fraction (0..1) of the step."""

@@ -9,9 +9,9 @@ smoothly into the kinematic one, as CommonRoad's does abruptly.
 
 from typing import Generic, NamedTuple
 
-from car_model.ops import Ops, T
-from car_model.params import GRAVITY, Car
-from car_model.state import Command, State
+from steerd.car_model.ops import Ops, T
+from steerd.car_model.params import GRAVITY, Car
+from steerd.car_model.state import Command, State
 
 SPEED_KINEMATIC = 0.2
 """At and below this speed the car follows its wheels without slip [m/s]."""

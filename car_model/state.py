@@ -6,7 +6,7 @@ slip positive to the left. SI units and radians throughout.
 
 from typing import Generic, NamedTuple
 
-from car_model.ops import T
+from steerd.car_model.ops import T
 
 
 class State(NamedTuple, Generic[T]):

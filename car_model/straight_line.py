@@ -2,7 +2,8 @@
 
 Only what the results need is written, each operation once; what is used once is written where it
 is used, which spares the interpreter a variable. Choices become conditional expressions with the
-meaning of `car_model.ops.FloatOps`, so only the chosen side of them is computed where it can be.
+meaning of `steerd.car_model.ops.FloatOps`, so only the chosen side of them is computed where it can
+be.
 """
 
 import math
@@ -10,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
 
-from car_model.tape import Entry, Node, needed
+from steerd.car_model.tape import Entry, Node, needed
 
 FUNCTIONS = ("atan", "cos", "exp", "fabs", "sin", "sqrt", "tan", "tanh")
 """Of `math`, which the text may call."""

@@ -1,11 +1,12 @@
 """The equations as straight-line programs: `Ops` over nodes of a graph, with exact derivatives.
 
 Running the generic equations over `Node`s records every operation once (equal operations share a
-node). From the record come straight-line Python (`car_model.straight_line`), the source of compiled
-kernels (`sysid.codegen`) and, by the chain rule over the record in reverse, exact Jacobians: no
-derivative is written by hand and none is approximated. Compared with a computer-algebra system the
-formulas are never expanded, so the printed code costs what the equations cost, and a derivative
-about three times that.
+node). From the record come straight-line Python (`steerd.car_model.straight_line`), the source of
+compiled kernels (`steerd.sysid.compiler.codegen`) and, by the chain rule over the record in
+reverse, exact
+Jacobians: no derivative is written by hand and none is approximated. Compared with a
+computer-algebra system the formulas are never expanded, so the printed code costs what the
+equations cost, and a derivative about three times that.
 
 Source of the method: Griewank and Walther, Evaluating Derivatives (reverse accumulation).
 """
@@ -15,7 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from car_model.ops import FLOAT, Ops
+from steerd.car_model.ops import FLOAT, Ops
 
 
 class Entry(NamedTuple):

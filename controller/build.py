@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from car_model.linear import lane_errors as lane_error_dynamics
-from car_model.params import Car
-from car_model.path import Path
-from controller.config import ControllerConfig
-from controller.design import (
+from steerd.car_model.linear import lane_errors as lane_error_dynamics
+from steerd.car_model.params import Car
+from steerd.car_model.path.path import Path
+from steerd.controller.config import ControllerConfig
+from steerd.controller.design import (
     DesignRefused,
     DesignReport,
     Stability,
@@ -19,12 +19,12 @@ from controller.design import (
     find_faults,
     gravest,
 )
-from controller.gain_table import N_TURNING, GainTable, look_up
-from controller.gains import design_table
-from controller.lane_controller import LaneController
-from controller.lane_keeper import LaneKeeper
-from controller.loop_model import Timing
-from controller.speed import SpeedProfile, make_speed_profile
+from steerd.controller.gain_table import N_TURNING, GainTable, look_up
+from steerd.controller.gains import design_table
+from steerd.controller.lane_controller import LaneController
+from steerd.controller.lane_keeper import LaneKeeper
+from steerd.controller.loop_model import Timing
+from steerd.controller.speed import SpeedProfile, make_speed_profile
 
 RATES_TRIED = (2.0, 4.0)
 """Multiples of the rate that a refusal tries before it advises."""

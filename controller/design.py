@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from car_model.params import Car
-from controller.gain_table import N_LANE, GainTable, look_up
-from controller.loop_model import Matrix, Timing, sampled_loop
+from steerd.car_model.params import Car
+from steerd.controller.gain_table import N_LANE, GainTable, look_up
+from steerd.controller.loop_model import Matrix, Timing, sampled_loop
 
 SPEEDS_BELOW = (0.2, 0.5, 0.8)
 """Shares of the lowest design speed at which the held gains are checked too."""

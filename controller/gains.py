@@ -11,13 +11,13 @@ import math
 import control  # noqa: TID251
 import numpy as np
 
-from car_model.linear import lane_errors
-from car_model.params import Car
-from car_model.single_track import SPEED_DYNAMIC
-from controller.config import ControllerConfig, LqrWeights
-from controller.design import DesignRefused
-from controller.gain_table import GainTable
-from controller.loop_model import Matrix, Timing, pack_gains, sampled_loop, turn_response
+from steerd.car_model.linear import lane_errors
+from steerd.car_model.params import Car
+from steerd.car_model.single_track import SPEED_DYNAMIC
+from steerd.controller.config import ControllerConfig, LqrWeights
+from steerd.controller.design import DesignRefused
+from steerd.controller.gain_table import GainTable
+from steerd.controller.loop_model import Matrix, Timing, pack_gains, sampled_loop, turn_response
 
 
 def pole_placement_gains(car: Car[float], speed: float, poles: tuple[complex, ...]) -> Matrix:

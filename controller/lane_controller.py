@@ -3,22 +3,22 @@
 import math
 from typing import NamedTuple
 
-from car_model.params import Car
-from car_model.path import Projection, locate, project
-from car_model.state import Command, State
-from controller import lane_keeper
-from controller.config import ControllerConfig
-from controller.design import DesignReport
-from controller.gain_table import GainTable, look_up
-from controller.lane_keeper import LaneKeeper, Steering, lane_errors
-from controller.speed import SpeedProfile, profile_speed, step_speed
+from steerd.car_model.params import Car
+from steerd.car_model.path.path import Projection, locate, project
+from steerd.car_model.state import Command, State
+from steerd.controller import lane_keeper
+from steerd.controller.config import ControllerConfig
+from steerd.controller.design import DesignReport
+from steerd.controller.gain_table import GainTable, look_up
+from steerd.controller.lane_keeper import LaneKeeper, Steering, lane_errors
+from steerd.controller.speed import SpeedProfile, profile_speed, step_speed
 
 STEP_MAX_S = 0.1
 """Longest time that one tick's speed ramp is granted for [s]: a pause is no leap."""
 
 
 class LaneController(NamedTuple):
-    """Everything a tick needs, made once by `controller.build.make_controller`."""
+    """Everything a tick needs, made once by `steerd.controller.build.make_controller`."""
 
     car: Car[float]
     config: ControllerConfig
@@ -124,7 +124,7 @@ def control(
 def to_command(car: Car[float], wheel: float, speed: float) -> Command[float]:
     """The command that makes the car's actuators aim at a wheel angle [rad] and a speed [m/s].
 
-    Inverse of `car_model.single_track.references` within the end stops.
+    Inverse of `steerd.car_model.single_track.references` within the end stops.
     """
     return Command((wheel - car.steer_bias) / car.steer_gain, speed / car.speed_gain)
 

@@ -10,9 +10,9 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from car_model.path import Path, Projection, interpolate, wrap_angle
-from car_model.state import State
-from controller.gain_table import N_LANE, N_TURNING
+from steerd.car_model.path.path import Path, Projection, interpolate, wrap_angle
+from steerd.car_model.state import State
+from steerd.controller.gain_table import N_LANE, N_TURNING
 
 SQUEEZE_MIN = 0.1
 """Least 1 - curvature e1: the errors' rates mean nothing at the turn's centre."""

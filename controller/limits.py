@@ -16,7 +16,7 @@ from enum import IntEnum, IntFlag
 from math import atan, isfinite, sqrt, tan
 from typing import NamedTuple
 
-from car_model.state import Command
+from steerd.car_model.state import Command
 
 
 class LimitError(ValueError):

@@ -1,7 +1,7 @@
 """The steering loop as a linear system: lane errors, servo lag, dead time, sampling.
 
 The one place that says what the gains of a design multiply; the designs and the check of the closed
-loop both start here. The vehicle's part comes from `car_model.linear`.
+loop both start here. The vehicle's part comes from `steerd.car_model.linear`.
 """
 
 from typing import NamedTuple
@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from car_model.linear import augmented, lane_errors, sample
-from car_model.params import Car
-from car_model.single_track import LAG_FLOOR
-from controller.gain_table import N_LANE, Turning
+from steerd.car_model.linear import augmented, lane_errors, sample
+from steerd.car_model.params import Car
+from steerd.car_model.single_track import LAG_FLOOR
+from steerd.controller.gain_table import N_LANE, Turning
 
 Matrix = npt.NDArray[np.float64]
 

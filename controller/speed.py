@@ -9,9 +9,9 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from car_model.params import Car
-from car_model.path import Path, interpolate
-from controller.config import ControllerConfig
+from steerd.car_model.params import Car
+from steerd.car_model.path.path import Path, interpolate
+from steerd.controller.config import ControllerConfig
 
 ROUNDS = 2
 """Passes around a closed path: the second carries the first's end into its beginning."""

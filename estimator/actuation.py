@@ -10,11 +10,11 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple, cast
 
-from car_model.params import Car
-from car_model.single_track import actuate, references
-from car_model.state import Command, State
-from car_model.straight_line import compiled
-from car_model.tape import TAPE, Tape, gradient
+from steerd.car_model.params import Car
+from steerd.car_model.single_track import actuate, references
+from steerd.car_model.state import Command, State
+from steerd.car_model.straight_line import compiled
+from steerd.car_model.tape import TAPE, Tape, gradient
 
 NS = 1_000_000_000
 SECONDS = 1e-9

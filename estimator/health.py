@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from scipy.linalg.lapack import dpotrf
 
-from estimator.kalman import Array, Belief
-from estimator.sensors import Kind
+from steerd.estimator.kalman import Array, Belief
+from steerd.estimator.sensors import Kind
 
 SECONDS = 1e-9
 

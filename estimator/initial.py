@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import chdtri
 
-from car_model.single_track import SPEED_DYNAMIC
-from car_model.state import State
-from estimator.config import FilterConfig
-from estimator.kalman import Array, Belief
-from estimator.sensors import Measurement
+from steerd.car_model.single_track import SPEED_DYNAMIC
+from steerd.car_model.state import State
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.kalman import Array, Belief
+from steerd.estimator.sensors import Measurement
 
 SECONDS = 1e-9
 LONGEST_S = 0.5

@@ -20,7 +20,7 @@ class Belief(NamedTuple):
     """A Gaussian belief about the state. Never changed in place."""
 
     mean: Array
-    """(n,), in the order of `car_model.state.State`."""
+    """(n,), in the order of `steerd.car_model.state.State`."""
     covariance: Array
     """(n, n), symmetric."""
 

@@ -7,7 +7,7 @@ The linearly implicit midpoint rule (Rosenbrock's, one stage) with `A` the Jacob
 is of second order and stable however fast yaw rate and slip decay (about 94 / v per second for the
 paper's car, which an explicit step of 10 ms no longer follows below 0.5 m/s). One evaluation of
 the equations serves mean and covariance alike. The whole step is recorded once per car and compiled
-(`car_model.tape`), zeros of sparse matrices left out.
+(`steerd.car_model.tape`), zeros of sparse matrices left out.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from car_model.params import Car
-from car_model.single_track import SPEED_DYNAMIC, derivative
-from car_model.state import State
-from car_model.straight_line import compiled
-from car_model.tape import TAPE, Tape, jacobian
-from estimator.actuation import SECONDS, Driven, History, drive
-from estimator.config import FilterConfig
-from estimator.kalman import Array, Belief, Kalman
+from steerd.car_model.params import Car
+from steerd.car_model.single_track import SPEED_DYNAMIC, derivative
+from steerd.car_model.state import State
+from steerd.car_model.straight_line import compiled
+from steerd.car_model.tape import TAPE, Tape, jacobian
+from steerd.estimator.actuation import SECONDS, Driven, History, drive
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.kalman import Array, Belief, Kalman
 
 SIZE = len(State._fields)
 LONGEST_STEP_NS = 10_000_000

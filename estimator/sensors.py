@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from car_model.params import Car
-from car_model.state import State
-from estimator.config import FilterConfig
-from estimator.kalman import Array
+from steerd.car_model.params import Car
+from steerd.car_model.state import State
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.kalman import Array
 
 _FIELDS = State._fields
 

@@ -14,17 +14,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from car_model.ops import FLOAT
-from car_model.params import Car
-from car_model.single_track import references
-from car_model.state import Command, State
-from estimator.actuation import NO_HISTORY, NS, History, dead_times, forgotten, held, remembered
-from estimator.config import HEALTH_WINDOW_S, FilterConfig
-from estimator.health import Count, FilterHealth, Tally, counted, make_health
-from estimator.initial import LONGEST_S, initial_belief
-from estimator.kalman import Array, Belief, Kalman
-from estimator.motion import SIZE, predicted
-from estimator.sensors import Kind, Measurement, Sensor, make_sensors, residual
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import Car
+from steerd.car_model.single_track import references
+from steerd.car_model.state import Command, State
+from steerd.estimator.actuation import (
+    NO_HISTORY,
+    NS,
+    History,
+    dead_times,
+    forgotten,
+    held,
+    remembered,
+)
+from steerd.estimator.config import HEALTH_WINDOW_S, FilterConfig
+from steerd.estimator.health import Count, FilterHealth, Tally, counted, make_health
+from steerd.estimator.initial import LONGEST_S, initial_belief
+from steerd.estimator.kalman import Array, Belief, Kalman
+from steerd.estimator.motion import SIZE, predicted
+from steerd.estimator.sensors import Kind, Measurement, Sensor, make_sensors, residual
 
 FUTURE_NS = 2_000_000
 """A measurement from further ahead than this has a broken clock behind it."""

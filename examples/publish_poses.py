@@ -14,13 +14,13 @@ import signal
 import sys
 from dataclasses import replace
 
-from mocap_link.ingest import IngestConfig
-from mocap_link.mocap_url import parse_mocap_url
-from mocap_link.sockets import make_receiver
-from mocap_link.source import PoseSample
-from mocap_link.zenoh_pose import encode_pose
-from steer_bus.clock import MonotonicClock
-from steer_bus.zenoh_bus import Profile, ZenohBus
+from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.mocap_url import parse_mocap_url
+from steerd.mocap_link.sockets import make_receiver
+from steerd.mocap_link.source import PoseSample
+from steerd.mocap_link.zenoh_pose import encode_pose
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 
 def make_payload(sample: PoseSample) -> bytes:

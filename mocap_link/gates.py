@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import hypot, isfinite, pi, radians
 
-from mocap_link.frame import PlanarPose, wrap_angle
-from mocap_link.source import RawPose
+from steerd.mocap_link.frame import PlanarPose, wrap_angle
+from steerd.mocap_link.source import RawPose
 
 REASONS: dict[str, str] = {
     "not_live": "the server replays a recording (edit mode)",

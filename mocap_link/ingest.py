@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import nan
 
-from mocap_link.frame import FrameConfig, PlanarPose, make_planar_pose
-from mocap_link.gates import GateConfig, GateState, find_disorder, step_gates
-from mocap_link.source import (
+from steerd.mocap_link.frame import FrameConfig, PlanarPose, make_planar_pose
+from steerd.mocap_link.gates import GateConfig, GateState, find_disorder, step_gates
+from steerd.mocap_link.source import (
     ClockKind,
     MonitorConfig,
     MonitorState,
@@ -19,7 +19,7 @@ from mocap_link.source import (
     SourceStatus,
     step_monitor,
 )
-from mocap_link.timing import SourceTiming
+from steerd.mocap_link.timing import SourceTiming
 
 _NO_POSE = PlanarPose(nan, nan, nan, nan, nan)
 _RATE_WINDOW_NS = 1_000_000_000

@@ -8,9 +8,9 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from mocap_link.natnet_frame import Frame, read_frame, write_frame
-from mocap_link.natnet_model import ModelDef, read_model_def, write_model_def
-from mocap_link.natnet_wire import (
+from steerd.mocap_link.natnet_frame import Frame, read_frame, write_frame
+from steerd.mocap_link.natnet_model import ModelDef, read_model_def, write_model_def
+from steerd.mocap_link.natnet_wire import (
     F32,
     HEADER,
     U64,

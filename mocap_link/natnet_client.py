@@ -10,17 +10,17 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Literal
 
-from mocap_link import natnet
-from mocap_link.natnet_frame import (
+from steerd.mocap_link import natnet
+from steerd.mocap_link.natnet_frame import (
     BITSTREAM_CHANGED,
     EDIT_MODE,
     MODEL_CHANGED,
     Frame,
     RigidBody,
 )
-from mocap_link.natnet_model import ModelDef
-from mocap_link.natnet_wire import NatNetError
-from mocap_link.source import RawPose
+from steerd.mocap_link.natnet_model import ModelDef
+from steerd.mocap_link.natnet_wire import NatNetError
+from steerd.mocap_link.source import RawPose
 
 MS = 1_000_000
 SECOND = 1000 * MS

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from struct import Struct
 from typing import NamedTuple, TypeVar
 
-from mocap_link.natnet_wire import (
+from steerd.mocap_link.natnet_wire import (
     F32,
     I32,
     NatNetError,

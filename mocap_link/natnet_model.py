@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mocap_link.natnet_wire import (
+from steerd.mocap_link.natnet_wire import (
     I32,
     VEC3,
     VEC4,

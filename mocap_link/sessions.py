@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections import Counter
 
-from mocap_link import vrpn_client, zenoh_pose
-from mocap_link.ingest import IngestConfig, PoseIngest
-from mocap_link.natnet import ServerInfo
-from mocap_link.natnet_client import (
+from steerd.mocap_link import vrpn_client, zenoh_pose
+from steerd.mocap_link.ingest import IngestConfig, PoseIngest
+from steerd.mocap_link.natnet import ServerInfo
+from steerd.mocap_link.natnet_client import (
     BodyAbsent,
     Connected,
     EchoMeasured,
@@ -20,8 +20,8 @@ from mocap_link.natnet_client import (
     RateKnown,
     Socket,
 )
-from mocap_link.source import PoseSample, SourceStatus
-from mocap_link.timing import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
+from steerd.mocap_link.source import PoseSample, SourceStatus
+from steerd.mocap_link.timing import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 
 _LEGACY_TICKS_HZ = 1_000_000
 

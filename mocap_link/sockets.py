@@ -15,12 +15,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from mocap_link.ingest import IngestConfig, PoseIngest
-from mocap_link.mocap_url import MocapUrl
-from mocap_link.natnet import FRAME_ID, ServerInfo, peek_id
-from mocap_link.natnet_client import Socket
-from mocap_link.sessions import NatNetSource, VrpnSource
-from mocap_link.source import PoseSample, SourceStatus
+from steerd.mocap_link.ingest import IngestConfig, PoseIngest
+from steerd.mocap_link.mocap_url import MocapUrl
+from steerd.mocap_link.natnet import FRAME_ID, ServerInfo, peek_id
+from steerd.mocap_link.natnet_client import Socket
+from steerd.mocap_link.sessions import NatNetSource, VrpnSource
+from steerd.mocap_link.source import PoseSample, SourceStatus
 
 SECOND = 1_000_000_000
 STAMP_AGE_MAX_NS = SECOND // 5

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from mocap_link.mocap_url import MocapUrl, parse_mocap_url
+from steerd.mocap_link.mocap_url import MocapUrl, parse_mocap_url
 
 __all__ = [
     "ClockKind",

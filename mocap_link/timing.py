@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mocap_link.clock_sync import NS, EchoClock, HullClock
-from mocap_link.source import ClockKind, RawPose
+from steerd.mocap_link.clock_sync import NS, EchoClock, HullClock
+from steerd.mocap_link.source import ClockKind, RawPose
 
 DEFAULT_EXTRA_LATENCY_NS = {
     "natnet": 0,  # mid-exposure is on the wire and the echo is two-way

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections import Counter
 
-from mocap_link import vrpn
-from mocap_link.source import RawPose
+from steerd.mocap_link import vrpn
+from steerd.mocap_link.source import RawPose
 
 SECOND = 1_000_000_000
 TICKS_HZ = 1_000_000

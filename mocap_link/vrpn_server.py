@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mocap_link import vrpn
+from steerd.mocap_link import vrpn
 
 _TYPES = (vrpn.POSE_TYPE, vrpn.PING_TYPE, vrpn.PONG_TYPE)
 _POSE_ID, _PONG_ID = 0, 2

@@ -15,7 +15,7 @@ from typing import Annotated
 
 import msgspec
 
-from mocap_link.source import RawPose
+from steerd.mocap_link.source import RawPose
 
 TICKS_HZ = 1_000_000_000
 MAX_PAYLOAD = 4096

@@ -12,27 +12,42 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from car_model.car_file import CarFile
-from car_model.model import Model
-from sim_gap import constants as c
-from sim_gap.candidates import Score, blocks_of, gain_of, scored, singles
-from sim_gap.decide import ALIASES, Choice, Split, at_bound, choose, confidence_of, large
-from sim_gap.descent import Fitted
-from sim_gap.engine import Engine
-from sim_gap.healthy import learn_healthy, refine
-from sim_gap.horizons import Horizon, cross_check
-from sim_gap.next_manoeuvre import Manoeuvre, next_manoeuvre
-from sim_gap.noise import Noise, learn_noise, louder, noise_floor, noise_of_section, whitened
-from sim_gap.opening import null_fit, open_engine
-from sim_gap.residuals import Gap, gap_of, ratios, robust_mean, settled
-from sim_gap.shape import Shape, shape_of
-from sim_gap.shrink import Shrinkage, explained_share, measure, predict
-from sim_gap.space import make_space, nuisance_names, telling_effects
-from sim_gap.superset import Superset, make_superset
-from sim_gap.timeline import Timeline, timeline_of
-from sim_gap.where import Where, locate
-from sysid.dataset import Run
-from sysid.windows import estimate_noise
+from steerd.car_model.car_file import CarFile
+from steerd.car_model.model import Model
+from steerd.sim_gap.engine import constants as c
+from steerd.sim_gap.engine.base_fit import null_fit, open_engine
+from steerd.sim_gap.engine.descent import Fitted
+from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.noise import (
+    Noise,
+    learn_noise,
+    louder,
+    noise_floor,
+    noise_of_section,
+    whitened,
+)
+from steerd.sim_gap.engine.residuals import Gap, gap_of, ratios, robust_mean, settled
+from steerd.sim_gap.engine.space import make_space, nuisance_names, telling_effects
+from steerd.sim_gap.engine.superset import Superset, make_superset
+from steerd.sim_gap.healthy_drives import learn_healthy, refine
+from steerd.sim_gap.verdict.candidates import Score, blocks_of, gain_of, scored, singles
+from steerd.sim_gap.verdict.decide import (
+    ALIASES,
+    Choice,
+    Split,
+    at_bound,
+    choose,
+    confidence_of,
+    large,
+)
+from steerd.sim_gap.verdict.horizons import Horizon, cross_check
+from steerd.sim_gap.verdict.next_manoeuvre import Manoeuvre, next_manoeuvre
+from steerd.sim_gap.verdict.residual_shape import Shape, shape_of
+from steerd.sim_gap.verdict.shrinkage import Shrinkage, explained_share, measure, predict
+from steerd.sim_gap.verdict.timeline import Timeline, timeline_of
+from steerd.sim_gap.verdict.where import Where, locate
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.windows import estimate_noise
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ from itertools import pairwise
 from math import hypot, inf
 from typing import NamedTuple
 
-from sim_hw.device import Logged
-from vesc_link import commands as c
-from vesc_link.frames import FrameParser
-from vesc_link.ids import FW_6_05, Firmware
-from vesc_link.packets import decode_command
+from steerd.sim_hw.plant.device import Logged
+from steerd.vesc_link import commands as c
+from steerd.vesc_link.frames import FrameParser
+from steerd.vesc_link.ids import FW_6_05, Firmware
+from steerd.vesc_link.packets import decode_command
 
 
 class Effort(Enum):

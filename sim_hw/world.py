@@ -11,22 +11,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from car_model.effect import Effect
-from car_model.model import Model
-from car_model.params import DEFAULT_CAR, Car
-from car_model.state import ORIGIN, State
-from sim_hw.cameras import Cameras
-from sim_hw.car import CarSetup, SimCar
-from sim_hw.device import ByteLog
-from sim_hw.faults import Fault, in_world_time, make_condition
-from sim_hw.mocap_config import MocapConfig
-from sim_hw.natnet_server import NatNetServer
-from sim_hw.network import COMMAND, DATA, Datagram, Network, Peer
-from sim_hw.noise import make_noise
-from sim_hw.vesc_config import VescConfig
-from sim_hw.vesc_device import SimVesc
-from sim_hw.vrpn_device import VrpnDevice
-from vesc_link.scaling import F1TENTH, Scaling
+from steerd.car_model.effect import Effect
+from steerd.car_model.model import Model
+from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.car_model.state import ORIGIN, State
+from steerd.sim_hw.mocap.cameras import Cameras
+from steerd.sim_hw.mocap.mocap_config import MocapConfig
+from steerd.sim_hw.mocap.natnet_server import NatNetServer
+from steerd.sim_hw.mocap.network import COMMAND, DATA, Datagram, Network, Peer
+from steerd.sim_hw.mocap.vrpn_device import VrpnDevice
+from steerd.sim_hw.plant.car import CarSetup, SimCar
+from steerd.sim_hw.plant.device import ByteLog
+from steerd.sim_hw.plant.faults import Fault, in_world_time, make_condition
+from steerd.sim_hw.plant.noise import make_noise
+from steerd.sim_hw.vesc.vesc_config import VescConfig
+from steerd.sim_hw.vesc.vesc_device import SimVesc
+from steerd.vesc_link.scaling import F1TENTH, Scaling
 
 TX_BUFFER = 4096
 """Bytes that the host's kernel takes for a device that does not read."""

@@ -1,5 +1,6 @@
 """Messages, their wire form, the bus that carries them and the sessions that keep them.
 
-Start at :mod:`steer_bus.messages` (what is said), :mod:`steer_bus.topics` (where), then
-:mod:`steer_bus.codec`, :mod:`steer_bus.bus` and :mod:`steer_bus.session`.
+Start at `steerd.steer_bus.messages` (what is said), `steerd.steer_bus.topics` (where),
+then
+`steerd.steer_bus.codec`, `steerd.steer_bus.bus` and `steerd.steer_bus.session`.
 """

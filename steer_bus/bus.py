@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from steer_bus.codec import MAX_BYTES
+from steerd.steer_bus.codec import MAX_BYTES
 
 
 class BusError(Exception):

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Any, TypeVar
 
-from steer_bus.fields import (
+from steerd.steer_bus.fields import (
     Array,
     Blob,
     Kind,
@@ -28,7 +28,7 @@ from steer_bus.fields import (
     per_class,
     type_name,
 )
-from steer_bus.schema import schema_text, type_hash
+from steerd.steer_bus.schema import schema_text, type_hash
 
 __all__ = [
     "MAX_BYTES",

@@ -13,7 +13,7 @@ import zlib
 from dataclasses import dataclass, field
 from typing import BinaryIO, TypeVar
 
-from steer_bus.records import (
+from steerd.steer_bus.mcap_records import (
     ATTACHMENT,
     CHANNEL,
     CHUNK,

@@ -8,7 +8,8 @@ wire and, where a field is a quantity, in which unit::
         header: Header
         work_ns: Nanosecond
 
-:mod:`steer_bus.codec` derives the packing from this and :mod:`steer_bus.schema` the text.
+`steerd.steer_bus.codec` derives the packing from this and `steerd.steer_bus.schema` the
+text.
 """
 
 import functools

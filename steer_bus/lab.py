@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from steer_bus.bus import BusError
-from steer_bus.topics import ROOT, TOPICS, Direction, alive_key, make_key
+from steerd.steer_bus.bus import BusError
+from steerd.steer_bus.topics import ROOT, TOPICS, Direction, alive_key, make_key
 
 DEFAULT_PORT = 7447
 _TLS = "transport/link/tls/"

@@ -8,7 +8,7 @@ CoG, x forward, y left); yaw and steer are positive to the left.
 
 from enum import IntEnum
 
-from steer_bus.fields import (
+from steerd.steer_bus.fields import (
     Ampere,
     Bytes,
     Celsius,
@@ -31,7 +31,7 @@ from steer_bus.fields import (
     Volt,
     message,
 )
-from steer_bus.standard import Header, make_header, make_time, stamp_ns
+from steerd.steer_bus.standard import Header, make_header, make_time, stamp_ns
 
 __all__ = [
     "BODY", "OWN_MESSAGES", "WORLD", "Actuation", "ActuationMode", "ClockSample", "DriveCommand",

@@ -4,7 +4,7 @@ import hashlib
 import json
 from typing import Any
 
-from steer_bus.fields import (
+from steerd.steer_bus.fields import (
     Array,
     Blob,
     Field,

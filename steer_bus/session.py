@@ -2,7 +2,7 @@
 
 A session is written as ``NAME.mcap.partial`` and gets its name when it is finished; its absence
 means a crash, and :func:`recover` (or reading the partial file directly) gets the rest back. The
-only file that knows the mcap library; reading is :mod:`steer_bus.session_read`.
+only file that knows the mcap library; reading is :mod:`steerd.steer_bus.session_read`.
 """
 
 import os
@@ -13,9 +13,9 @@ from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer  # noqa: TID251
 
-from steer_bus.codec import schema_text, type_name
-from steer_bus.container import SessionWarning
-from steer_bus.session_read import (
+from steerd.steer_bus.codec import schema_text, type_name
+from steerd.steer_bus.container import SessionWarning
+from steerd.steer_bus.session_read import (
     Record,
     Session,
     SessionError,

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
-from steer_bus.codec import CodecError, decode, schema_text, type_name
-from steer_bus.columns import ColumnBuilder, Columns
-from steer_bus.container import Contents, SessionWarning, read_contents, read_span
-from steer_bus.messages import OWN_MESSAGES
-from steer_bus.records import (
+from steerd.steer_bus.codec import CodecError, decode, schema_text, type_name
+from steerd.steer_bus.container import Contents, SessionWarning, read_contents, read_span
+from steerd.steer_bus.mcap_records import (
     MAGIC,
     MESSAGE_FIELDS,
     Attachment,
@@ -24,7 +22,9 @@ from steer_bus.records import (
     iter_messages,
     scan_messages,
 )
-from steer_bus.standard import STANDARD_MESSAGES
+from steerd.steer_bus.messages import OWN_MESSAGES
+from steerd.steer_bus.standard import STANDARD_MESSAGES
+from steerd.steer_bus.topic_columns import ColumnBuilder, Columns
 
 M = TypeVar("M")
 
@@ -163,7 +163,7 @@ class Session:
                 yield key, Record(topic, name, sequence, log_ns, publish_ns, payload)
 
     def columns(self, cls: type[Any], topic: str | None = None) -> Columns:
-        """Read one topic as columns (see :data:`steer_bus.columns.Columns`), in recorded order.
+        """Read one topic as `steerd.steer_bus.topic_columns.Columns`, in recorded order.
 
         Args:
             cls: the message class.

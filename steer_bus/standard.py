@@ -4,7 +4,7 @@ Sources: common_interfaces, rcl_interfaces, ackermann_msgs and the ROS 2 branch 
 Units are those of the ROS definitions; ``VescState.speed`` is in electrical rpm, as there.
 """
 
-from steer_bus.fields import (
+from steerd.steer_bus.fields import (
     Bool,
     Byte,
     Float32,

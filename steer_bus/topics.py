@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from steer_bus.codec import schema_text, type_name
-from steer_bus.messages import (
+from steerd.steer_bus.codec import schema_text, type_name
+from steerd.steer_bus.messages import (
     Actuation,
     ClockSample,
     DriveCommand,
@@ -26,13 +26,7 @@ from steer_bus.messages import (
     VescTelemetry,
     WheelSpeed,
 )
-from steer_bus.standard import (
-    DiagnosticArray,
-    Log,
-    Odometry,
-    PoseStamped,
-    VescStateStamped,
-)
+from steerd.steer_bus.standard import DiagnosticArray, Log, Odometry, PoseStamped, VescStateStamped
 
 ROOT = "steerd"
 _CAR_NAME = re.compile(r"[a-z0-9_]{1,64}")

@@ -18,11 +18,19 @@ from typing import Any
 
 import zenoh  # noqa: TID251
 
-from steer_bus.bus import Answer, BusError, Sample, Subscription, Token, check_key, check_size
-from steer_bus.clock import Clock, MonotonicClock
-from steer_bus.codec import type_name
-from steer_bus.lab import DEFAULT_PORT, Lab, make_access_settings, make_tls_settings
-from steer_bus.topics import Priority, find_topic
+from steerd.steer_bus.bus import (
+    Answer,
+    BusError,
+    Sample,
+    Subscription,
+    Token,
+    check_key,
+    check_size,
+)
+from steerd.steer_bus.clock import Clock, MonotonicClock
+from steerd.steer_bus.codec import type_name
+from steerd.steer_bus.lab import DEFAULT_PORT, Lab, make_access_settings, make_tls_settings
+from steerd.steer_bus.topics import Priority, find_topic
 
 _ATTACHMENT = struct.Struct("<qqB16s")  # rmw_zenoh's: sequence, UNIX ns, 16, publisher id
 _GID_SIZE = 16
@@ -101,7 +109,7 @@ def make_settings(profile: Profile) -> dict[str, Any]:
 
 
 class ZenohBus:
-    """A participant of a zenoh bus; see :class:`steer_bus.bus.Bus`. Use it with ``with``."""
+    """A participant of a zenoh bus; see :class:`steerd.steer_bus.bus.Bus`. Use it with ``with``."""
 
     def __init__(self, profile: Profile, clock: Clock | None = None) -> None:
         """Join.
@@ -132,7 +140,7 @@ class ZenohBus:
         self._publishers[key] = replace(self._declare(key), gid=gid)
 
     def publish(self, key: str, data: bytes) -> None:
-        """See :meth:`steer_bus.bus.Bus.publish`; priority and encoding are the topic table's."""
+        """See `steerd.steer_bus.bus.Bus.publish`; priority and encoding are the topic table's."""
         publisher = self._publishers.get(key)
         if publisher is None:
             publisher = self._publishers[key] = self._declare(key)
@@ -144,28 +152,28 @@ class ZenohBus:
             raise BusError(f"cannot publish {key}: {error}") from error
 
     def subscribe(self, key: str, depth: int = 1) -> Subscription:
-        """See :meth:`steer_bus.bus.Bus.subscribe`."""
+        """See `steerd.steer_bus.bus.Bus.subscribe`."""
         ring: Any = zenoh.handlers.RingChannel(depth)
         return _Ring(self._ask(lambda: self._session.declare_subscriber(key, ring)))
 
     def has_subscriber(self, key: str) -> bool:
-        """See :meth:`steer_bus.bus.Bus.has_subscriber`."""
+        """See `steerd.steer_bus.bus.Bus.has_subscriber`."""
         if key not in self._publishers:
             self._publishers[key] = self._declare(key)
         return bool(self._publishers[key].handle.matching_status.matching)
 
     def declare_alive(self, key: str) -> Token:
-        """See :meth:`steer_bus.bus.Bus.declare_alive`."""
+        """See `steerd.steer_bus.bus.Bus.declare_alive`."""
         handle = self._ask(lambda: self._session.liveliness().declare_token(check_key(key)))
         return _Declared(handle, self._held)
 
     def alive(self, key: str) -> frozenset[str]:
-        """See :meth:`steer_bus.bus.Bus.alive`; waits up to a second for the peers' answers."""
+        """See `steerd.steer_bus.bus.Bus.alive`; waits up to a second for the peers' answers."""
         replies = self._ask(lambda: self._session.liveliness().get(key, timeout=1.0))
         return frozenset(str(r.ok.key_expr) for r in replies if r.ok is not None)
 
     def serve(self, key: str, answer: Answer) -> Token:
-        """See :meth:`steer_bus.bus.Bus.serve`; ``answer`` runs in zenoh's callback thread."""
+        """See `steerd.steer_bus.bus.Bus.serve`; ``answer`` runs in zenoh's callback thread."""
 
         def reply(query: zenoh.Query) -> None:
             with query:
@@ -178,7 +186,7 @@ class ZenohBus:
         return _Declared(handle, self._held)
 
     def query(self, key: str, timeout_s: float = 1.0) -> dict[str, bytes]:
-        """See :meth:`steer_bus.bus.Bus.query`."""
+        """See `steerd.steer_bus.bus.Bus.query`."""
         replies = self._ask(lambda: self._session.get(key, timeout=timeout_s))
         return {str(r.ok.key_expr): r.ok.payload.to_bytes() for r in replies if r.ok is not None}
 

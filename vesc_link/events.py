@@ -1,4 +1,4 @@
-"""What goes into and comes out of `vesc_link.vesc.VescLink`: drive orders and events.
+"""What goes into and comes out of `steerd.vesc_link.vesc.VescLink`: drive orders and events.
 
 Times are monotonic nanoseconds: ``t_sent_ns`` is when the request was written and ``t_received_ns``
 when the reply's first byte was read. The measurement lies between the two.
@@ -6,11 +6,11 @@ when the reply's first byte was read. The measurement lies between the two.
 
 from dataclasses import dataclass
 
-from vesc_link.commands import Command
-from vesc_link.identity import AppConf, FwVersion, McConfTemp
-from vesc_link.ids import CommandId
-from vesc_link.packets import Reply
-from vesc_link.telemetry import Imu, Values
+from steerd.vesc_link.commands import Command
+from steerd.vesc_link.identity import AppConf, FwVersion, McConfTemp
+from steerd.vesc_link.ids import CommandId
+from steerd.vesc_link.packets import Reply
+from steerd.vesc_link.telemetry import Imu, Values
 
 
 @dataclass(frozen=True, slots=True)

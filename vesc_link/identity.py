@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from vesc_link.ids import CommandId, Firmware
-from vesc_link.wire import Field, device_numbers, pack_fields, unpack_fields
+from steerd.vesc_link.ids import CommandId, Firmware
+from steerd.vesc_link.wire import Field, device_numbers, pack_fields, unpack_fields
 
 
 @dataclass(frozen=True, slots=True)

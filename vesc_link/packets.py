@@ -10,12 +10,12 @@ takes a short payload's CRC for data (spec page ``vesc-serial.md``, section 1.3)
 from collections.abc import Callable
 from typing import assert_never
 
-from vesc_link import commands as c
-from vesc_link import identity as i
-from vesc_link import telemetry as t
-from vesc_link.commands import Command
-from vesc_link.ids import FW_7_01, CommandId, Firmware, command_id, knows, wire_id
-from vesc_link.wire import (
+from steerd.vesc_link import commands as c
+from steerd.vesc_link import identity as i
+from steerd.vesc_link import telemetry as t
+from steerd.vesc_link.commands import Command
+from steerd.vesc_link.ids import FW_7_01, CommandId, Firmware, command_id, knows, wire_id
+from steerd.vesc_link.wire import (
     Field,
     all_finite,
     device_numbers,

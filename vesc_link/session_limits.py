@@ -6,8 +6,8 @@ restored at the end and gone after a power cycle (spec page ``vesc-serial.md``, 
 
 import math
 
-from vesc_link.commands import SetMcConfTemp
-from vesc_link.identity import LIMIT_FIELDS, McConfTemp
+from steerd.vesc_link.commands import SetMcConfTemp
+from steerd.vesc_link.identity import LIMIT_FIELDS, McConfTemp
 
 _F32_EPSILON = 1e-6
 

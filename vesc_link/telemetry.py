@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
-from vesc_link.ids import FW_3_00, FW_6_05, CommandId, Firmware, fault_name
-from vesc_link.wire import Field, all_finite, device_numbers, pack_fields, unpack_fields
+from steerd.vesc_link.ids import FW_3_00, FW_6_05, CommandId, Firmware, fault_name
+from steerd.vesc_link.wire import Field, all_finite, device_numbers, pack_fields, unpack_fields
 
 STANDARD_GRAVITY = 9.80665
 """[m/s^2], the firmware's g."""

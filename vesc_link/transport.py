@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 
 import serial  # noqa: TID251
 
-from vesc_link.frames import FLUSH
+from steerd.vesc_link.frames import FLUSH
 
 READ_LIMIT = 4096
 """Most bytes one `Port.read` returns; the rest waits for the next tick."""

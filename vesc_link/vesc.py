@@ -10,12 +10,12 @@ from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
 
-from vesc_link import commands as c
-from vesc_link import events as e
-from vesc_link.commands import Command
-from vesc_link.frames import MAX_PAYLOAD, RUNNING_CEILING, Frame, FrameParser, encode_frame
-from vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
-from vesc_link.ids import (
+from steerd.vesc_link import commands as c
+from steerd.vesc_link import events as e
+from steerd.vesc_link.commands import Command
+from steerd.vesc_link.frames import MAX_PAYLOAD, RUNNING_CEILING, Frame, FrameParser, encode_frame
+from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
+from steerd.vesc_link.ids import (
     FAULT_WATCHDOG_BOOT,
     FW_3_00,
     FW_7_01,
@@ -25,7 +25,7 @@ from vesc_link.ids import (
     fault_name,
     knows,
 )
-from vesc_link.packets import (
+from steerd.vesc_link.packets import (
     FEEDS_TIMEOUT,
     Reply,
     command_number,
@@ -33,8 +33,16 @@ from vesc_link.packets import (
     encode_command,
     expects_reply,
 )
-from vesc_link.scaling import Scaling, speed_to_erpm, steer_to_servo_pos
-from vesc_link.telemetry import FAST_MASK, UPTIME_MASK, Imu, Stats, Values, ValuesSetup, values_size
+from steerd.vesc_link.scaling import Scaling, speed_to_erpm, steer_to_servo_pos
+from steerd.vesc_link.telemetry import (
+    FAST_MASK,
+    UPTIME_MASK,
+    Imu,
+    Stats,
+    Values,
+    ValuesSetup,
+    values_size,
+)
 
 WRITE_LIMIT = 64
 """One write per tick fits one USB packet [bytes]."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from vesc_link.ids import ALWAYS, Firmware
+from steerd.vesc_link.ids import ALWAYS, Firmware
 
 _RANGES = {
     "?": (0, 1),

@@ -15,15 +15,15 @@ from typing import Any
 
 from benchmarks.blind_gap.opening import load_manifest
 from benchmarks.blind_gap.verdicts import verdict_path
-from car_model.car_file import CarFile, default_car_path, load_car
-from car_model.effects import EFFECTS
-from car_model.params import Car
-from sim_gap.diagnosis import Options, diagnose
-from sim_gap.healthy import refine
-from sim_gap.to_json import to_json
-from sysid.dataset import Run, load_run
-from sysid.fit import Options as FitOptions
-from sysid.fit import fit
+from steerd.car_model.car_file import CarFile, default_car_path, load_car
+from steerd.car_model.effects import EFFECTS
+from steerd.car_model.params import Car
+from steerd.sim_gap.diagnosis import Options, diagnose
+from steerd.sim_gap.healthy_drives import refine
+from steerd.sim_gap.report.to_json import to_json
+from steerd.sysid.data.dataset import Run, load_run
+from steerd.sysid.estimation.fit import Options as FitOptions
+from steerd.sysid.estimation.fit import fit
 
 HORIZONS = (0.5, 2.0)
 """Windows of the identification [s]: over whole drives, disturbances bias it."""

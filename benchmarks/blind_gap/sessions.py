@@ -13,10 +13,10 @@ import numpy as np
 from benchmarks.blind_gap.car import PlantCar
 from benchmarks.blind_gap.drives import LEAD
 from benchmarks.blind_gap.plant import STEP, TICK, Array, Trace, motor_speed
-from steer_bus import messages as m
-from steer_bus.codec import encode
-from steer_bus.session import SessionWriter
-from steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, WHEEL, Topic, make_session_topic
+from steerd.steer_bus import messages as m
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.session import SessionWriter
+from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, WHEEL, Topic, make_session_topic
 
 CAR = "blind"
 FLAVOURS = ("vesc", "wheel", "bare")

@@ -1,7 +1,8 @@
 """The library of unmodelled effects: one file of a page each, found by itself.
 
-A module of this package that does not start with an underscore exposes `EFFECT`. To add an effect,
-add its file: it then appears in `steerd effects`, in `--effect`, in car files and in the diagnosis.
+The folders are for people; they mean nothing to the code. A module that does not start with an
+underscore exposes `EFFECT`. To add an effect, add its file: it then appears in `steerd effects`, in
+`--effect`, in car files and in the diagnosis.
 """
 
 import difflib
@@ -10,7 +11,7 @@ import pkgutil
 from collections.abc import Mapping
 from importlib import import_module
 
-from car_model.effect import Effect, EffectParameter
+from steerd.car_model.effect import Effect, EffectParameter
 
 Setting = tuple[Effect, tuple[float, ...]]
 """An effect and the values of its parameters."""
@@ -18,9 +19,10 @@ Setting = tuple[Effect, tuple[float, ...]]
 
 def _discovered() -> dict[str, Effect]:
     """Every module's `EFFECT`, by name."""
-    names = (module.name for module in pkgutil.iter_modules(__path__))
-    modules = [import_module(f"{__name__}.{name}") for name in names if not name.startswith("_")]
-    found: list[Effect] = [module.EFFECT for module in modules]
+    infos = pkgutil.walk_packages(__path__, f"{__name__}.")
+    names = (info.name for info in infos if not info.ispkg)
+    files = (name for name in names if not name.rpartition(".")[2].startswith("_"))
+    found: list[Effect] = [import_module(name).EFFECT for name in files]
     return {effect.name: effect for effect in found}
 
 

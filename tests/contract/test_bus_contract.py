@@ -9,9 +9,9 @@ import time
 
 import pytest
 
-from steer_bus.bus import BusError, LocalBus, LocalHub, key_matches
-from steer_bus.codec import MAX_BYTES
-from steer_bus.zenoh_bus import Profile, ZenohBus, make_settings
+from steerd.steer_bus.bus import BusError, LocalBus, LocalHub, key_matches
+from steerd.steer_bus.codec import MAX_BYTES
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_settings
 
 STATE = "steerd/car1/state"
 DEADLINE_S = 5.0
@@ -235,7 +235,7 @@ def test_what_keeps_zenoh_from_starting_is_said():
 
 HOLDER = """
 import sys
-from steer_bus.zenoh_bus import Profile, ZenohBus
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 bus = ZenohBus(Profile(hub=False, endpoint=sys.argv[1], lease_ms=300))
 token = bus.declare_alive("steerd/car1/alive")
 print("up", flush=True)

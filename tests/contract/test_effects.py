@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from car_model.effect import Effect
-from car_model.effects import EFFECTS
-from car_model.model import Model, delays, observe
-from car_model.ops import FLOAT
-from car_model.params import DEFAULT_CAR, Car
-from car_model.rollout import simulate, start
-from car_model.state import Command, State
+from steerd.car_model.effect import Effect
+from steerd.car_model.effects import EFFECTS
+from steerd.car_model.model import Model, delays, observe
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.car_model.rollout import simulate, start
+from steerd.car_model.state import Command, State
 
 CONTRACT = set(
     """

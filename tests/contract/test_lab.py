@@ -7,10 +7,10 @@ import time
 
 import pytest
 
-from daemon.cli import guarded
-from steer_bus.bus import BusError
-from steer_bus.lab import load_lab, make_tls_settings
-from steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile, make_spoke_profile
+from steerd.daemon.cli.main import guarded
+from steerd.steer_bus.bus import BusError
+from steerd.steer_bus.lab import load_lab, make_tls_settings
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile, make_spoke_profile
 
 pytest.importorskip("cryptography")
 pytestmark = pytest.mark.realtime

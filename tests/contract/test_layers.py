@@ -23,7 +23,7 @@ def test_rooms_import_downwards_only() -> None:
 
 def test_the_console_script_is_ours() -> None:
     points = importlib.metadata.entry_points(group="console_scripts", name="steerd")
-    assert {point.value for point in points} == {"daemon.cli:main"}
+    assert {point.value for point in points} == {"steerd.daemon.cli.main:main"}
     done = subprocess.run(
         [SCRIPTS / "steerd", "--version"], capture_output=True, text=True, check=False
     )
@@ -51,14 +51,14 @@ def children_ns() -> int:
 def test_help_costs_little_more_than_python_itself() -> None:
     """0.3 s on any machine that starts Python in 0.05 s: a ratio, so that a slow one may run it."""
     bare = cpu_seconds("-c", "pass")
-    assert cpu_seconds("-m", "daemon.cli", "--help") < max(6.0 * bare, 0.1)
+    assert cpu_seconds("-m", "steerd", "--help") < max(6.0 * bare, 0.1)
 
 
 @pytest.mark.parametrize("heavy", ["numpy", "torch", "zenoh", "scipy", "rich", "mcap"])
 def test_help_loads_nothing_heavy(heavy: str) -> None:
     code = (
-        "import sys, daemon.cli\n"
-        "try: daemon.cli.dispatch(['--help'])\n"
+        "import sys, steerd.daemon.cli.main\n"
+        "try: steerd.daemon.cli.main.dispatch(['--help'])\n"
         "except SystemExit: pass\n"
         f"sys.exit({heavy!r} in sys.modules)"
     )
@@ -70,7 +70,7 @@ def test_help_loads_nothing_heavy(heavy: str) -> None:
 def test_a_terminal_starts_without_filter_and_design(command: str) -> None:
     """They took `steerd stop` a second of processor time before it said anything."""
     code = (
-        f"import sys, daemon.commands.{command}\n"
+        f"import sys, steerd.daemon.cli.commands.{command}\n"
         "heavy = {'control', 'filterpy', 'matplotlib', 'scipy', 'torch', 'mcap', 'foxglove'}\n"
         "sys.exit(' '.join(heavy & set(sys.modules)) or 0)"
     )
@@ -79,7 +79,7 @@ def test_a_terminal_starts_without_filter_and_design(command: str) -> None:
 
 
 def test_every_command_has_its_help() -> None:
-    from daemon.cli import COMMANDS, guarded
+    from steerd.daemon.cli.main import COMMANDS, guarded
 
     for name in COMMANDS:
         with pytest.raises(SystemExit) as ended:

@@ -8,11 +8,11 @@ from mcap.reader import make_reader  # noqa: TID251
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from steer_bus.codec import encode, type_name
-from steer_bus.fields import Array, Blob, Nested, Scalar, Text, message_fields
-from steer_bus.messages import OWN_MESSAGES
-from steer_bus.session import SessionWriter
-from steer_bus.standard import STANDARD_MESSAGES
+from steerd.steer_bus.codec import encode, type_name
+from steerd.steer_bus.fields import Array, Blob, Nested, Scalar, Text, message_fields
+from steerd.steer_bus.messages import OWN_MESSAGES
+from steerd.steer_bus.session import SessionWriter
+from steerd.steer_bus.standard import STANDARD_MESSAGES
 
 ALL = (*OWN_MESSAGES, *STANDARD_MESSAGES)
 

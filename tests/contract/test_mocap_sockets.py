@@ -13,13 +13,13 @@ from itertools import pairwise
 
 import pytest
 
-from mocap_link import natnet
-from mocap_link.frame import FrameConfig
-from mocap_link.ingest import IngestConfig
-from mocap_link.mocap_url import parse_mocap_url
-from mocap_link.natnet_frame import Frame, RigidBody
-from mocap_link.natnet_model import ModelDef, RigidBodyDesc
-from mocap_link.sockets import (
+from steerd.mocap_link import natnet
+from steerd.mocap_link.frame import FrameConfig
+from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.mocap_url import parse_mocap_url
+from steerd.mocap_link.natnet_frame import Frame, RigidBody
+from steerd.mocap_link.natnet_model import ModelDef, RigidBodyDesc
+from steerd.mocap_link.sockets import (
     HostClock,
     MocapReceiver,
     NatNetReceiver,
@@ -28,8 +28,8 @@ from mocap_link.sockets import (
     make_receiver,
     map_stamp,
 )
-from mocap_link.source import ClockKind, PoseSample, SourceState
-from mocap_link.vrpn_server import VrpnServer
+from steerd.mocap_link.source import ClockKind, PoseSample, SourceState
+from steerd.mocap_link.vrpn_server import VrpnServer
 
 MS = 1_000_000
 SECOND = 1000 * MS

@@ -37,7 +37,14 @@ def test_no_other_distribution_brings_one_of_our_names(name: str) -> None:
     assert set(owners) <= {"steerd"}
 
 
-@pytest.mark.parametrize("module", ["daemon.commands.run", "daemon.core", "daemon.virtual"])
+@pytest.mark.parametrize(
+    "module",
+    [
+        "steerd.daemon.cli.commands.driving.run",
+        "steerd.daemon.loop.core",
+        "steerd.daemon.offline.virtual",
+    ],
+)
 def test_run_imports_no_torch(module: str) -> None:
     code = f"import sys, {module}; sys.exit(any(m.split('.')[0] == 'torch' for m in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False)
@@ -46,7 +53,7 @@ def test_run_imports_no_torch(module: str) -> None:
 
 def test_the_core_imports_neither_zenoh_nor_mcap() -> None:
     code = (
-        "import sys, daemon.core;"
+        "import sys, steerd.daemon.loop.core;"
         "sys.exit(any(m.split('.')[0] in {'torch', 'zenoh', 'mcap'} for m in sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False)

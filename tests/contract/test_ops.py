@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from car_model.numpy_ops import NUMPY
-from car_model.ops import FLOAT
-from car_model.params import DEFAULT_CAR, Car
-from car_model.single_track import actuate, derivative
-from car_model.state import Command, State
-from car_model.straight_line import compiled
-from car_model.tape import TAPE, Node, Tape
+from steerd.car_model.numpy_ops import NUMPY
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.car_model.single_track import actuate, derivative
+from steerd.car_model.state import Command, State
+from steerd.car_model.straight_line import compiled
+from steerd.car_model.tape import TAPE, Node, Tape
 
 ONE = ("sin", "cos", "tan", "atan", "tanh", "exp", "absolute")
 VALUES = (-1.3, -0.25, 0.0, 0.25, 1.3)

@@ -12,21 +12,27 @@ from pathlib import Path
 
 import pytest
 
-from mocap_link import natnet
-from mocap_link.natnet_frame import Frame
-from mocap_link.source import parse_mocap_url
-from mocap_link.vrpn import check_cookie, encode_cookie
-from sim_hw.faults import Fault
-from sim_hw.links import SimHardware, SimOptions, SpawnedSim, fault_windows, spawn_sim
-from sim_hw.mocap_config import MULTICAST, MocapConfig
-from sim_hw.vesc_config import VescConfig
-from sim_hw.world import WorldConfig
-from steer_bus.clock import VirtualClock
-from vesc_link import commands as c
-from vesc_link.frames import FrameParser, encode_frame
-from vesc_link.identity import FwVersion
-from vesc_link.packets import decode_reply, encode_command
-from vesc_link.transport import LinkDown, open_port
+from steerd.mocap_link import natnet
+from steerd.mocap_link.natnet_frame import Frame
+from steerd.mocap_link.source import parse_mocap_url
+from steerd.mocap_link.vrpn import check_cookie, encode_cookie
+from steerd.sim_hw.mocap.mocap_config import MULTICAST, MocapConfig
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.real_time.links import (
+    SimHardware,
+    SimOptions,
+    SpawnedSim,
+    fault_windows,
+    spawn_sim,
+)
+from steerd.sim_hw.vesc.vesc_config import VescConfig
+from steerd.sim_hw.world import WorldConfig
+from steerd.steer_bus.clock import VirtualClock
+from steerd.vesc_link import commands as c
+from steerd.vesc_link.frames import FrameParser, encode_frame
+from steerd.vesc_link.identity import FwVersion
+from steerd.vesc_link.packets import decode_reply, encode_command
+from steerd.vesc_link.transport import LinkDown, open_port
 
 pytestmark = pytest.mark.realtime
 VERSION_REQUEST = encode_frame(encode_command(c.GetFwVersion()))
@@ -211,7 +217,7 @@ def test_hardware_in_this_process_stops_at_its_pipe_and_its_signal(tmp_path: Pat
 
 
 def test_simulated_hardware_alone_leaves_in_order_at_sigterm(tmp_path: Path, idle: int) -> None:
-    argv = [sys.executable, "-m", "daemon.cli", "sim", "--link-dir", str(tmp_path)]
+    argv = [sys.executable, "-m", "steerd", "sim", "--link-dir", str(tmp_path)]
     with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as child:
         until(lambda: (tmp_path / "vesc").exists(), idle, 20.0)
         child.terminate()

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from vesc_link import transport
-from vesc_link.frames import FLUSH, FrameParser, encode_frame
-from vesc_link.transport import (
+from steerd.vesc_link import transport
+from steerd.vesc_link.frames import FLUSH, FrameParser, encode_frame
+from steerd.vesc_link.transport import (
     Busy,
     LinkDown,
     NotFound,

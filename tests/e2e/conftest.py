@@ -18,17 +18,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.build import Plan, make_plan, make_world_config
-from daemon.commands import run as run_command
-from daemon.fast import make_recording
-from daemon.transitions import State
-from daemon.virtual import VirtualRun, drive, make_virtual_run
-from sim_hw.faults import Fault
-from sim_hw.world import World
-from steer_bus.codec import encode
-from steer_bus.messages import MocapPose, Transition
-from steer_bus.session import AttachedFile, SessionWriter
-from steer_bus.session_read import MESSAGE_TYPES, Record, open_session
+from steerd.daemon.assembly.build import Plan, make_plan, make_world_config
+from steerd.daemon.cli.commands.driving import run as run_command
+from steerd.daemon.loop.transitions import State
+from steerd.daemon.offline.fast import make_recording
+from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.world import World
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.messages import MocapPose, Transition
+from steerd.steer_bus.session import AttachedFile, SessionWriter
+from steerd.steer_bus.session_read import MESSAGE_TYPES, Record, open_session
 
 SETTLE_NS = 3_000_000_000
 
@@ -186,7 +186,7 @@ def children(pid: int) -> list[int]:
     return [each for child in found for each in (child, *children(child))]
 
 
-STEERD = ("-m", "daemon.cli")
+STEERD = ("-m", "steerd")
 
 
 class Program:

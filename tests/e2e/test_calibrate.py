@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from daemon.cli import guarded
+from steerd.daemon.cli.main import guarded
 
 TRUTH = (
     "--effect speed_scale=1.05 --effect mocap_latency=0.02 --effect marker_offset=0.03,-0.02 "

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from steer_bus import messages as m
-from steer_bus.session_read import open_session
-from sysid.dataset import load_run
+from steerd.steer_bus import messages as m
+from steerd.steer_bus.session_read import open_session
+from steerd.sysid.data.dataset import load_run
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 PLAN = ("--plan", "steps", "--box", "14", "--duration", "4")

@@ -13,15 +13,15 @@ import subprocess
 import numpy as np
 import pytest
 
-from car_model.car_file import default_car_path, load_car
-from daemon.build import make_plan, make_world_config
-from daemon.cli import guarded
-from daemon.commands import run as run_command
-from daemon.drives import load_base
-from daemon.gap_closed_loop import try_lane
-from daemon.transitions import State
-from daemon.virtual import drive, make_virtual_run
-from sim_hw.world import World
+from steerd.car_model.car_file import default_car_path, load_car
+from steerd.daemon.analysis.drives import load_base
+from steerd.daemon.analysis.gap_closed_loop import try_lane
+from steerd.daemon.assembly.build import make_plan, make_world_config
+from steerd.daemon.cli.commands.driving import run as run_command
+from steerd.daemon.cli.main import guarded
+from steerd.daemon.loop.transitions import State
+from steerd.daemon.offline.virtual import drive, make_virtual_run
+from steerd.sim_hw.world import World
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
 FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import pytest
 
-from daemon.build import make_plan
-from daemon.cli import COMMANDS, guarded
-from daemon.errors import ExitCode
-from daemon.vesc_yaml import make_vesc_yaml
-from mocap_link.mocap_url import parse_mocap_url
+from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.cli.main import COMMANDS, guarded
+from steerd.daemon.common.errors import ExitCode
+from steerd.daemon.settings.vesc_yaml import make_vesc_yaml
+from steerd.mocap_link.mocap_url import parse_mocap_url
+from steerd.vesc_link.scaling import F1TENTH
 from tests.e2e.conftest import Launcher, free_port
-from vesc_link.scaling import F1TENTH
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -62,7 +62,7 @@ def words_of(command):
 
 
 def parse(words):
-    module = importlib.import_module(f"daemon.commands.{COMMANDS[words[0]][0]}")
+    module = importlib.import_module(f"steerd.daemon.cli.commands.{COMMANDS[words[0]][0]}")
     parser = argparse.ArgumentParser()
     module.add_arguments(parser)
     return module, parser.parse_args(words[1:])

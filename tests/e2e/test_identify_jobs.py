@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from car_model.params import DEFAULT_CAR
-from daemon.cli import guarded as main
-from sysid.kernels import Held, lane_view, make_kernels, make_lanes, march
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.daemon.cli.main import guarded as main
+from steerd.sysid.compiler.kernels import Held, lane_view, make_kernels, make_lanes, march
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 MAP = """[columns]

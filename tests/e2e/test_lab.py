@@ -5,7 +5,7 @@ import socket
 
 import pytest
 
-from daemon.cli import guarded
+from steerd.daemon.cli.main import guarded
 
 pytest.importorskip("cryptography")
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.cli import guarded
-from daemon.transitions import State
-from steer_bus import messages as m
-from steer_bus.codec import decode, encode
-from steer_bus.session_read import open_session
-from steer_bus.zenoh_bus import Profile, ZenohBus
+from steerd.daemon.cli.main import guarded
+from steerd.daemon.loop.transitions import State
+from steerd.steer_bus import messages as m
+from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.session_read import open_session
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -256,7 +256,7 @@ def test_a_killed_recorder_loses_little_and_stops_the_car(steerd, tmp_path, caps
     run, record = start_sim_run(steerd, tmp_path)
     with closing(Watcher(steerd.endpoint)) as watcher:
         watcher.driving(run, 1.2)
-        recorder = run.child("daemon.recorder")
+        recorder = run.child("steerd.daemon.process.recorder")
         watcher.until(lambda _: True, run)
         killed_ns = time.monotonic_ns()
         os.kill(recorder, signal.SIGKILL)

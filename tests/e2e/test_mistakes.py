@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.cli import guarded
+from steerd.daemon.cli.main import guarded
 
 LIBC = ctypes.CDLL(None)
 CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH = 1, 2
@@ -83,7 +83,15 @@ def test_a_mistake_is_told_in_a_line(argv, code, words, place, capsys, monkeypat
 
 def run_live(place, *argv, **options):
     """`steerd run` at hardware that is not there: its code and words."""
-    full = [sys.executable, "-m", "daemon.cli", "run", "--record", str(place / "drive.mcap"), *argv]
+    full = [
+        sys.executable,
+        "-m",
+        "steerd.daemon.cli.main",
+        "run",
+        "--record",
+        str(place / "drive.mcap"),
+        *argv,
+    ]
     done = subprocess.run(full, capture_output=True, text=True, timeout=60, check=False, **options)
     return done.returncode, done.stderr
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from car_model.params import DEFAULT_CAR
-from estimator.config import FilterConfig
-from estimator.sensors import make_pose
-from estimator.state_filter import FilterState, make_state_filter, predict_to, step
-from mocap_link.ingest import IngestConfig
-from mocap_link.mocap_url import parse_mocap_url
-from mocap_link.sockets import make_receiver
-from mocap_link.source import SourceState
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.sensors import make_pose
+from steerd.estimator.state_filter import FilterState, make_state_filter, predict_to, step
+from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.mocap_url import parse_mocap_url
+from steerd.mocap_link.sockets import make_receiver
+from steerd.mocap_link.source import SourceState
 
 ROOT = Path(__file__).resolve().parents[2]
 FRAMES = 518

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from car_model.effects import ALIASES, EFFECTS, parse_effect
-from daemon.cli import guarded
-from steer_bus.messages import Actuation, MocapPose, Throttle, WheelSpeed
-from steer_bus.session import open_session
+from steerd.car_model.effects import ALIASES, EFFECTS, parse_effect
+from steerd.daemon.cli.main import guarded
+from steerd.steer_bus.messages import Actuation, MocapPose, Throttle, WheelSpeed
+from steerd.steer_bus.session import open_session
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -186,7 +186,7 @@ _LIMITED = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
 resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
-from daemon.cli import guarded
+from steerd.daemon.cli.main import guarded
 raise SystemExit(guarded(sys.argv[1:]))
 """
 

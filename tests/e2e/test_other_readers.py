@@ -7,7 +7,7 @@ from mcap.reader import make_reader  # noqa: TID251
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from steer_bus.session_read import open_session
+from steerd.steer_bus.session_read import open_session
 
 DRIVEN = {
     "tick": "steerd_msgs/msg/Tick",

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from daemon.cli import guarded
+from steerd.daemon.cli.main import guarded
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
 FLAGS = [

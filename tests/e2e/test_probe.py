@@ -4,15 +4,15 @@ import json
 
 import pytest
 
-from daemon.cli import guarded
-from daemon.probe_ask import discover
-from mocap_link.mocap_url import parse_mocap_url
-from sim_hw.faults import Fault
-from sim_hw.links import SimOptions, spawn_sim
-from sim_hw.mocap_config import MocapConfig
-from sim_hw.vesc_config import VescConfig
-from sim_hw.world import WorldConfig
-from steer_bus.clock import MonotonicClock
+from steerd.daemon.cli.main import guarded
+from steerd.daemon.setup.probe_ask import discover
+from steerd.mocap_link.mocap_url import parse_mocap_url
+from steerd.sim_hw.mocap.mocap_config import MocapConfig
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.real_time.links import SimOptions, spawn_sim
+from steerd.sim_hw.vesc.vesc_config import VescConfig
+from steerd.sim_hw.world import WorldConfig
+from steerd.steer_bus.clock import MonotonicClock
 
 pytestmark = pytest.mark.realtime
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from daemon.cli import guarded
-from daemon.drives import load_drive
+from steerd.daemon.analysis.drives import load_drive
+from steerd.daemon.cli.main import guarded
 
 ROOT = Path(__file__).resolve().parents[2]
 DART = ROOT.parent / "shared" / "data" / "dart"

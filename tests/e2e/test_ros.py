@@ -11,7 +11,7 @@ import xxhash  # noqa: TID251
 import zenoh  # noqa: TID251
 from rosbags.typesys import Stores, get_typestore
 
-from daemon.cli import guarded
+from steerd.daemon.cli.main import guarded
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 

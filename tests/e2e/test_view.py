@@ -12,9 +12,9 @@ import pytest
 import websockets
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from daemon.transitions import State
-from steer_bus import messages as m
-from steer_bus.session_read import open_session
+from steerd.daemon.loop.transitions import State
+from steerd.steer_bus import messages as m
+from steerd.steer_bus.session_read import open_session
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 WANTED = ("/steerd/car1/state", "/steerd/car1/odom", "/scene", "/tf")
@@ -83,7 +83,7 @@ def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, t
     assert values == {"car.lf": 0.15875, "run.path": "circle:radius=2"}
     assert told["serverInfo"]["capabilities"] == ["parameters", "parametersSubscribe"]
 
-    os.kill(run.child("daemon.view\0"), signal.SIGKILL)
+    os.kill(run.child("steerd.daemon.process.view\0"), signal.SIGKILL)
     assert run.wait() == 0, run.text
     assert "the viewer ended with code -9" in run.text
     table = open_session(record).columns(m.State)

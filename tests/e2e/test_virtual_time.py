@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.cli import guarded
-from sim_hw.faults import Fault
-from steer_bus import messages as m
-from steer_bus.session_read import open_session
+from steerd.daemon.cli.main import guarded
+from steerd.sim_hw.plant.faults import Fault
+from steerd.steer_bus import messages as m
+from steerd.steer_bus.session_read import open_session
 
 SLOW_STEERING = "--effect steer_delay=0.03 --effect steer_lag=0.03"
 """30 ms beside the servo's own 10 ms; 50 ms + 30 ms of lag."""

@@ -11,19 +11,19 @@ from typing import NamedTuple
 
 import pytest
 
-from daemon.build import NS, Plan, make_plan, make_world_config
-from daemon.commands.run import RunOptions
-from daemon.fast import make_recording
-from daemon.loop import Flag
-from daemon.replay import TOLERANCE, describe, replay
-from daemon.transitions import State
-from daemon.virtual import VirtualRun, make_virtual_run
-from sim_hw.faults import Fault
-from sim_hw.world import World
-from steer_bus import messages as m
-from steer_bus import topics
-from steer_bus.codec import encode
-from steer_bus.session_read import open_session
+from steerd.daemon.assembly.build import NS, Plan, make_plan, make_world_config
+from steerd.daemon.cli.commands.driving.run import RunOptions
+from steerd.daemon.loop.loop import Flag
+from steerd.daemon.loop.transitions import State
+from steerd.daemon.offline.fast import make_recording
+from steerd.daemon.offline.replay import TOLERANCE, describe, replay
+from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.world import World
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.session_read import open_session
 
 FOLDER = Path(__file__).parent
 BYTES_MAX = 200_000
@@ -161,7 +161,7 @@ def test_it_holds_the_scene_that_its_name_promises(name: str) -> None:
 
 def test_a_loop_that_steers_otherwise_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The golden comparison itself: 1e-4 rad must not pass."""
-    import daemon.loop as loop
+    import steerd.daemon.loop.loop as loop
 
     sound = loop.control
 

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from car_model.jacobian_generated import rates_and_jacobian
-from car_model.model import Model
-from car_model.ops import FLOAT
-from car_model.params import DEFAULT_CAR, GRAVITY, PARAMETERS, Car, axle_stiffness, wheelbase
-from car_model.rollout import simulate, start
-from car_model.single_track import SPEED_DYNAMIC, SPEED_KINEMATIC, derivative
-from car_model.state import Command, State
+from steerd.car_model.jacobian_generated import rates_and_jacobian
+from steerd.car_model.model import Model
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR, GRAVITY, PARAMETERS, Car, axle_stiffness, wheelbase
+from steerd.car_model.rollout import simulate, start
+from steerd.car_model.single_track import SPEED_DYNAMIC, SPEED_KINEMATIC, derivative
+from steerd.car_model.state import Command, State
 
 repeatable = settings(derandomize=True, deadline=None, max_examples=60)
 

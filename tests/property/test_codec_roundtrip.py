@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from steer_bus.codec import CodecError, decode, encode, schema_text, type_hash, type_name
-from steer_bus.fields import Array, Blob, Nested, Scalar, Text, message_fields
-from steer_bus.messages import OWN_MESSAGES
-from steer_bus.standard import STANDARD_MESSAGES
+from steerd.steer_bus.codec import CodecError, decode, encode, schema_text, type_hash, type_name
+from steerd.steer_bus.fields import Array, Blob, Nested, Scalar, Text, message_fields
+from steerd.steer_bus.messages import OWN_MESSAGES
+from steerd.steer_bus.standard import STANDARD_MESSAGES
 
 ALL = (*STANDARD_MESSAGES, *OWN_MESSAGES)
 PROFILE = settings(derandomize=True, deadline=None, max_examples=25, database=None)

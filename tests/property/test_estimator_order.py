@@ -4,11 +4,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from car_model.params import DEFAULT_CAR
-from car_model.state import Command
-from estimator.config import FilterConfig
-from estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
-from estimator.state_filter import Estimate, FilterState, make_state_filter, predict_to, step
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.state import Command
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
+from steerd.estimator.state_filter import Estimate, FilterState, make_state_filter, predict_to, step
 
 MS = 1_000_000
 T0 = 10**12

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from car_model.ops import FLOAT
-from car_model.params import DEFAULT_CAR
-from car_model.path import Path, project
-from car_model.path_spec import parse_path
-from car_model.single_track import derivative
-from car_model.state import State
-from controller.lane_keeper import LaneErrors, lane_errors
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.path.path import Path, project
+from steerd.car_model.path.path_spec import parse_path
+from steerd.car_model.single_track import derivative
+from steerd.car_model.state import State
+from steerd.controller.lane_keeper import LaneErrors, lane_errors
 
 EIGHT = parse_path("figure8")
 LEFT, RIGHT = parse_path("circle:radius=1.4"), parse_path("circle:radius=-1.4")

@@ -5,8 +5,8 @@ from math import inf, isfinite, tan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from car_model.state import Command
-from controller.limits import Limits, Verdict, gate, make_gate_state
+from steerd.car_model.state import Command
+from steerd.controller.limits import Limits, Verdict, gate, make_gate_state
 
 FAST = settings(derandomize=True, deadline=None, max_examples=300)
 limits_ = st.builds(

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocap_link import natnet, vrpn
-from mocap_link.natnet_client import NatNetClient
-from mocap_link.natnet_frame import (
+from steerd.mocap_link import natnet, vrpn
+from steerd.mocap_link.natnet_client import NatNetClient
+from steerd.mocap_link.natnet_frame import (
     Analog,
     Asset,
     Frame,
@@ -19,10 +19,10 @@ from mocap_link.natnet_frame import (
     RigidBody,
     Skeleton,
 )
-from mocap_link.natnet_model import ModelDef, RigidBodyDesc, SkeletonDesc
-from mocap_link.natnet_wire import NatNetError
-from mocap_link.vrpn_client import VrpnClient
-from mocap_link.vrpn_server import VrpnServer
+from steerd.mocap_link.natnet_model import ModelDef, RigidBodyDesc, SkeletonDesc
+from steerd.mocap_link.natnet_wire import NatNetError
+from steerd.mocap_link.vrpn_client import VrpnClient
+from steerd.mocap_link.vrpn_server import VrpnServer
 
 VERSIONS = [(2, 9), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2)]
 FIXED = settings(derandomize=True, deadline=None, database=None, max_examples=60)

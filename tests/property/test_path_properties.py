@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from car_model.path import Path, interpolate, locate, project
-from car_model.path_shapes import make_figure_eight
-from car_model.path_spec import parse_path
+from steerd.car_model.path.path import Path, interpolate, locate, project
+from steerd.car_model.path.path_shapes import make_figure_eight
+from steerd.car_model.path.path_spec import parse_path
 
 PATHS = {spec: parse_path(spec) for spec in ("circle:radius=1.3", "figure8", "line:length=5")}
 FINE_EIGHT = make_figure_eight()

@@ -6,8 +6,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from daemon.supervisor import Conditions, make_supervisor_state, step
-from daemon.transitions import Is, Motor, Request, State
+from steerd.daemon.loop.supervisor import Conditions, make_supervisor_state, step
+from steerd.daemon.loop.transitions import Is, Motor, Request, State
 
 GOOD = int(Is.LINKED | Is.IDENTIFIED | Is.GREEN | Is.FW_TIMEOUT | Is.LEASED | Is.SLOWING)
 TRIPS = int(Is.SOFT | Is.HARD | Is.KILLED)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from car_model.ops import FLOAT, Ops
-from car_model.straight_line import compiled
-from car_model.tape import TAPE, Tape, gradient
+from steerd.car_model.ops import FLOAT, Ops
+from steerd.car_model.straight_line import compiled
+from steerd.car_model.tape import TAPE, Tape, gradient
 
 repeatable = settings(derandomize=True, deadline=None, max_examples=150)
 

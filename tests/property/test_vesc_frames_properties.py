@@ -6,7 +6,7 @@ import itertools
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from vesc_link.frames import FrameParser, encode_frame
+from steerd.vesc_link.frames import FrameParser, encode_frame
 
 CHECKED = settings(derandomize=True, deadline=None, database=None, max_examples=150)
 PAYLOADS = st.binary(min_size=1, max_size=60) | st.binary(min_size=250, max_size=512)

@@ -6,19 +6,14 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vesc_link import commands as c
-from vesc_link import events as e
-from vesc_link import telemetry as t
-from vesc_link.frames import encode_frame
-from vesc_link.ids import PROFILES, Firmware
-from vesc_link.packets import (
-    decode_command,
-    decode_reply,
-    encode_command,
-    encode_reply,
-)
-from vesc_link.scaling import F1TENTH
-from vesc_link.vesc import WRITE_LIMIT, VescLink
+from steerd.vesc_link import commands as c
+from steerd.vesc_link import events as e
+from steerd.vesc_link import telemetry as t
+from steerd.vesc_link.frames import encode_frame
+from steerd.vesc_link.ids import PROFILES, Firmware
+from steerd.vesc_link.packets import decode_command, decode_reply, encode_command, encode_reply
+from steerd.vesc_link.scaling import F1TENTH
+from steerd.vesc_link.vesc import WRITE_LIMIT, VescLink
 
 CHECKED = settings(derandomize=True, deadline=None, database=None, max_examples=200)
 FIRMWARE = st.sampled_from((Firmware(2, 18), *PROFILES))

@@ -9,11 +9,11 @@ from enum import Enum
 from math import inf, nan
 from typing import Any
 
-from car_model.state import Command
-from daemon.flags import Flag
-from steer_bus import topics
-from steer_bus.codec import encode
-from steer_bus.messages import BODY, DriveCommand, OperatorRequest, RequestKind, make_header
+from steerd.car_model.state import Command
+from steerd.daemon.loop.flags import Flag
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.messages import BODY, DriveCommand, OperatorRequest, RequestKind, make_header
 from tests.safety import catalogue_car as car
 from tests.safety.rig import BOOT_ID, LEASE_ID, MS, Rig
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 from math import cos, sin, tau
 from typing import Any
 
-from car_model.state import Command
-from sim_hw.car import Demand, Drive
-from sim_hw.vesc_motor import Act, Mode
+from steerd.car_model.state import Command
+from steerd.sim_hw.plant.car import Demand, Drive
+from steerd.sim_hw.vesc.vesc_motor import Act, Mode
 from tests.safety.rig import Rig
 
 WALL = Demand(Drive.BRAKE, 1000.0)

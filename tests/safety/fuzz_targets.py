@@ -16,36 +16,36 @@ from typing import Any
 
 import zstandard
 
-from daemon.gateway_wire import pack_request, unpack_request
-from daemon.lease import Lease, Remote, accept, take_command
-from daemon.telling import make_mocap
-from daemon.transitions import Request
-from mocap_link import natnet, vrpn
-from mocap_link.ingest import IngestConfig
-from mocap_link.natnet_client import NatNetClient
-from mocap_link.natnet_frame import Frame, RigidBody
-from mocap_link.natnet_model import ModelDef, RigidBodyDesc
-from mocap_link.natnet_wire import NatNetError
-from mocap_link.sessions import BusPoseSource
-from mocap_link.source import RawPose
-from mocap_link.vrpn_client import VrpnClient
-from mocap_link.vrpn_server import VrpnServer
-from mocap_link.zenoh_pose import PoseError, decode_pose
-from steer_bus import messages as m
-from steer_bus import topics
-from steer_bus.codec import CodecError, decode, encode
-from steer_bus.records import MAGIC, RECORD
-from steer_bus.session import SessionWriter
-from steer_bus.session_read import MESSAGE_TYPES, SessionError, open_session
-from vesc_link import commands as c
-from vesc_link import events as e
-from vesc_link import telemetry as t
-from vesc_link.frames import MAX_PAYLOAD, FrameParser, encode_frame
-from vesc_link.identity import AppConf, FwVersion
-from vesc_link.ids import PROFILES, Firmware
-from vesc_link.packets import decode_command, decode_reply, encode_command, encode_reply
-from vesc_link.scaling import F1TENTH
-from vesc_link.vesc import WRITE_LIMIT, VescLink
+from steerd.daemon.ipc.gateway_wire import pack_request, unpack_request
+from steerd.daemon.loop.lease import Lease, Remote, accept, take_command
+from steerd.daemon.loop.outgoing import make_mocap
+from steerd.daemon.loop.transitions import Request
+from steerd.mocap_link import natnet, vrpn
+from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.natnet_client import NatNetClient
+from steerd.mocap_link.natnet_frame import Frame, RigidBody
+from steerd.mocap_link.natnet_model import ModelDef, RigidBodyDesc
+from steerd.mocap_link.natnet_wire import NatNetError
+from steerd.mocap_link.sessions import BusPoseSource
+from steerd.mocap_link.source import RawPose
+from steerd.mocap_link.vrpn_client import VrpnClient
+from steerd.mocap_link.vrpn_server import VrpnServer
+from steerd.mocap_link.zenoh_pose import PoseError, decode_pose
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import CodecError, decode, encode
+from steerd.steer_bus.mcap_records import MAGIC, RECORD
+from steerd.steer_bus.session import SessionWriter
+from steerd.steer_bus.session_read import MESSAGE_TYPES, SessionError, open_session
+from steerd.vesc_link import commands as c
+from steerd.vesc_link import events as e
+from steerd.vesc_link import telemetry as t
+from steerd.vesc_link.frames import MAX_PAYLOAD, FrameParser, encode_frame
+from steerd.vesc_link.identity import AppConf, FwVersion
+from steerd.vesc_link.ids import PROFILES, Firmware
+from steerd.vesc_link.packets import decode_command, decode_reply, encode_command, encode_reply
+from steerd.vesc_link.scaling import F1TENTH
+from steerd.vesc_link.vesc import WRITE_LIMIT, VescLink
 
 MS = 1_000_000
 VERSIONS = ((2, 9), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2))

@@ -15,22 +15,22 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from daemon.build import NS, make_plan, make_world_config
-from daemon.children import Crew, start_crew
-from daemon.gateway_wire import pack_request
-from daemon.operator import Operator
-from daemon.options import RunOptions
-from daemon.records import unpack_records
-from daemon.transitions import State
-from sim_hw.device import Logged
-from sim_hw.faults import Fault
-from sim_hw.judge import MotorFrame, read_motor_frames
-from sim_hw.links import SimHardware, go_first
-from steer_bus import topics
-from steer_bus.clock import MonotonicClock
-from steer_bus.codec import decode
-from steer_bus.messages import RequestKind, Transition
-from steer_bus.messages import State as StateMessage
+from steerd.daemon.assembly.build import NS, make_plan, make_world_config
+from steerd.daemon.ipc.gateway_wire import pack_request
+from steerd.daemon.ipc.operator import Operator
+from steerd.daemon.ipc.pipe_records import unpack_records
+from steerd.daemon.loop.transitions import State
+from steerd.daemon.process.children import Crew, start_crew
+from steerd.daemon.settings.run_options import RunOptions
+from steerd.sim_hw.judge import MotorFrame, read_motor_frames
+from steerd.sim_hw.plant.device import Logged
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.real_time.links import SimHardware, go_first
+from steerd.steer_bus import topics
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.steer_bus.codec import decode
+from steerd.steer_bus.messages import RequestKind, Transition
+from steerd.steer_bus.messages import State as StateMessage
 
 BOOT_ID, LEASE_ID = 815, 42
 KEEPALIVE_NS = 60_000_000

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import hypot, inf
 
-from daemon.build import NS
-from daemon.transitions import State, is_engaged
-from sim_hw.judge import (
+from steerd.daemon.assembly.build import NS
+from steerd.daemon.loop.transitions import State, is_engaged
+from steerd.sim_hw.judge import (
     Effort,
     MotorFrame,
     driven_after,
@@ -15,7 +15,7 @@ from sim_hw.judge import (
     stopping_way,
     way,
 )
-from steer_bus.messages import RequestKind
+from steerd.steer_bus.messages import RequestKind
 from tests.safety.catalogue import AILMENTS, Ailment, Must
 from tests.safety.rig import MS, PHASES, Rig, at_phase, twin
 

@@ -14,8 +14,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from joblib import Parallel, delayed
 
-from daemon.findings import WATCHDOGS
-from daemon.thresholds import BOUNDS, Thresholds
+from steerd.daemon.loop.findings import WATCHDOGS
+from steerd.daemon.settings.thresholds import BOUNDS, Thresholds
 from tests.safety.catalogue import AILMENTS, BY_CODE, Must
 from tests.safety.matrix import MOVING, Outcome, list_cells, run_cell
 from tests.safety.rig import PHASES

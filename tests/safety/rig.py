@@ -8,20 +8,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
-from daemon.build import NS, Plan, make_core, make_plan, make_world_config
-from daemon.flags import Flag
-from daemon.options import RunOptions
-from daemon.records import Record
-from daemon.transitions import State
-from daemon.virtual import EPOCH_NS, VirtualRun
-from mocap_link.sessions import NatNetSource
-from sim_hw.faults import Fault
-from sim_hw.judge import Motion
-from sim_hw.mocap_config import Bystander
-from sim_hw.world import World
-from steer_bus import topics
-from steer_bus.codec import decode, encode
-from steer_bus.messages import BODY, OperatorRequest, RequestKind, Transition, make_header
+from steerd.daemon.assembly.build import NS, Plan, make_core, make_plan, make_world_config
+from steerd.daemon.ipc.pipe_records import Record
+from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.transitions import State
+from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun
+from steerd.daemon.settings.run_options import RunOptions
+from steerd.mocap_link.sessions import NatNetSource
+from steerd.sim_hw.judge import Motion
+from steerd.sim_hw.mocap.mocap_config import Bystander
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.world import World
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, Transition, make_header
 
 MS = 1_000_000
 BOOT_ID, LEASE_ID = 4711, 42

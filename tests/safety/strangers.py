@@ -14,14 +14,14 @@ from pathlib import Path
 
 import zenoh  # noqa: TID251
 
-from daemon.gateway import Gateway
-from steer_bus import messages as m
-from steer_bus import topics
-from steer_bus.bus import BusError
-from steer_bus.codec import encode
-from steer_bus.lab import load_lab, make_tls_settings
-from steer_bus.topics import make_key
-from steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
+from steerd.daemon.process.gateway import Gateway
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.bus import BusError
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.lab import load_lab, make_tls_settings
+from steerd.steer_bus.topics import make_key
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
 
 CAR, PORT, ORDERS = "10.9.0.1", 7447, 50
 ORDER = encode(

@@ -5,8 +5,7 @@ from math import inf
 
 import pytest
 
-from sim_hw.device import Logged
-from sim_hw.judge import (
+from steerd.sim_hw.judge import (
     Effort,
     Motion,
     MotorFrame,
@@ -16,11 +15,12 @@ from sim_hw.judge import (
     stopping_way,
     way,
 )
+from steerd.sim_hw.plant.device import Logged
+from steerd.vesc_link import commands as c
+from steerd.vesc_link.frames import encode_frame
+from steerd.vesc_link.packets import encode_command
 from tests.safety.catalogue import BY_CODE, nothing
 from tests.safety.matrix import run_cell
-from vesc_link import commands as c
-from vesc_link.frames import encode_frame
-from vesc_link.packets import encode_command
 
 
 def drive(t_ns: int, value: float = 5.0) -> MotorFrame:

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from daemon.operator import Operator
-from daemon.transitions import State
-from sim_hw.judge import Effort, driven_after, find_stop
-from steer_bus.messages import RequestKind
-from steer_bus.session_read import open_session
+from steerd.daemon.ipc.operator import Operator
+from steerd.daemon.loop.transitions import State
+from steerd.sim_hw.judge import Effort, driven_after, find_stop
+from steerd.steer_bus.messages import RequestKind
+from steerd.steer_bus.session_read import open_session
 from tests.safety.live import BOOT_ID, CLOCK, Live, start_live
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]

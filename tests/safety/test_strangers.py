@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.cli import guarded
+from steerd.daemon.cli.main import guarded
 
 pytest.importorskip("cryptography")
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(120)]

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from daemon.findings import WATCHDOGS
-from daemon.thresholds import BOUNDS
+from steerd.daemon.loop.findings import WATCHDOGS
+from steerd.daemon.settings.thresholds import BOUNDS
 from tests.safety.catalogue import BY_CODE
 from tests.safety.trace import TRACES, find_code, run_trace, speaks
 

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
-from daemon.findings import WATCHDOGS, Finding, summarise
-from daemon.thresholds import BOUNDS, Thresholds
+from steerd.daemon.loop.findings import WATCHDOGS, Finding, summarise
+from steerd.daemon.settings.thresholds import BOUNDS, Thresholds
 from tests.safety.catalogue import BY_CODE
 from tests.safety.matrix import Outcome, run_cell
 
@@ -39,7 +39,7 @@ def _names(text: str) -> tuple[str, ...]:
     return tuple(text.split())
 
 
-_HERE = "daemon.watchdogs:"
+_HERE = "steerd.daemon.loop.watchdogs:"
 _RUNNER = "`test_runner_watchdogs.py`"
 TRACES = {
     "W1": Trace(
@@ -55,13 +55,13 @@ TRACES = {
         also="live: mocap frozen",
     ),
     "W3": Trace(
-        "daemon.watchdogs_pose:is_sane",
+        "steerd.daemon.loop.watchdogs_pose:is_sane",
         _names("invalid_frames quaternion_tolerance"),
         ("M8", "P5"),
         also="live: mocap NaN",
     ),
     "W4": Trace(
-        "daemon.watchdogs_pose:_is_jump",
+        "steerd.daemon.loop.watchdogs_pose:_is_jump",
         _names("jump_speed jump_margin yaw_step jump_frames jump_window"),
         ("M4", "P5"),
         also="live: mocap jumps",
@@ -79,7 +79,7 @@ TRACES = {
         also="live: VESC mute",
     ),
     "W8": Trace(
-        "daemon.runner:Runner._is_clogged",
+        "steerd.daemon.process.runner:Runner._is_clogged",
         _names("out_queue out_ticks"),
         ("V1", "P5"),
         also=_RUNNER + "; live: unplugged",
@@ -93,13 +93,13 @@ TRACES = {
         _HERE + "_check_temperature", _names("fet_warn fet motor_warn motor"), ("V17b", "P5")
     ),
     "W15": Trace(
-        "daemon.lateness:step_lateness",
+        "steerd.daemon.loop.lateness:step_lateness",
         _names("late late_run late_share"),
         ("H12b", "P5"),
         also="`test_lateness.py`; live: SIGSTOP core",
     ),
     "W16": Trace(
-        "daemon.guard:ProcessGuard.silent",
+        "steerd.daemon.process.guard:ProcessGuard.silent",
         _names("guardian"),
         ("H6", "P5"),
         also=_RUNNER + "; live: SIGKILL guardian",
@@ -143,22 +143,24 @@ TRACES = {
         _HERE + "_check_lease", _names("lease_warn lease"), ("Z8", "P5"), also="live: operator gone"
     ),
     "W26": Trace(
-        "daemon.runner:_is_lost",
+        "steerd.daemon.process.runner:_is_lost",
         _names("recorder_full"),
         ("H7", "P5"),
         also=_RUNNER + "; live: SIGKILL recorder",
     ),
     "W27": Trace(
-        "daemon.runner:_is_lost",
+        "steerd.daemon.process.runner:_is_lost",
         _names("gateway_full"),
         ("H8", "P5"),
         also=_RUNNER + "; live: SIGKILL gateway",
     ),
     "W28": Trace(
-        "daemon.runner:Runner._raise_flags", _names("suspend_step"), ("H17", "P5"), also=_RUNNER
+        "steerd.daemon.process.runner:Runner._raise_flags",
+        _names("suspend_step"), ("H17", "P5"), also=_RUNNER
     ),
     "W29": Trace(
-        "daemon.blind:tick_blind", (), ("H13", "P5"), also="H13b to H13e; " + _RUNNER
+        "steerd.daemon.loop.failed_loop:tick_blind", (),
+        ("H13", "P5"), also="H13b to H13e; " + _RUNNER
     ),
 }  # fmt: skip
 
@@ -183,7 +185,10 @@ def struck_dumb(*ids: str) -> Iterator[None]:
     def deaf(findings: Sequence[Finding]) -> tuple[int, str]:
         return summarise(finding for finding in findings if finding.id not in ids)
 
-    with patch("daemon.loop.summarise", deaf), patch("daemon.blind.summarise", deaf):
+    with (
+        patch("steerd.daemon.loop.loop.summarise", deaf),
+        patch("steerd.daemon.loop.failed_loop.summarise", deaf),
+    ):
         yield
 
 
@@ -213,7 +218,7 @@ def write_trace() -> list[str]:
         behind = f" (without {', '.join(trace.behind)})" if trace.behind else ""
         ms = f"{shown.stop_s * 1e3:.0f} ms" if shown.stop_s < 10.0 else "by the VESC's timeout"
         cell = f"{' '.join(trace.cell)}{behind}, {ms}" + (f"; {trace.also}" if trace.also else "")
-        code = trace.code.replace(":", " ").removeprefix("daemon.").replace(" ", "`: `")
+        code = trace.code.replace(":", " ").removeprefix("steerd.daemon.").replace(" ", "`: `")
         lines.append(
             f"| {id} {WATCHDOGS[id].name} | `{code}` | {_ranges(trace.thresholds)} "
             f"| {cell} | {_loss(without)} |"

@@ -17,11 +17,11 @@ from benchmarks.blind_gap.generate import generate, key_path, load_car, make_run
 from benchmarks.blind_gap.inside import _claimed, _decoded, _encoded
 from benchmarks.blind_gap.opening import OpeningError, load_labels, load_log, open_labels
 from benchmarks.blind_gap.seal import KEY_BYTES, SealError, seal, unseal
-from car_model.car_file import default_car_path
-from car_model.car_file import load_car as load_default_car
-from car_model.effects import find_effect
-from steer_bus.messages import Actuation, MocapPose, VescTelemetry
-from steer_bus.session import open_session
+from steerd.car_model.car_file import default_car_path
+from steerd.car_model.car_file import load_car as load_default_car
+from steerd.car_model.effects import find_effect
+from steerd.steer_bus.messages import Actuation, MocapPose, VescTelemetry
+from steerd.steer_bus.session import open_session
 
 pytestmark = pytest.mark.slow
 

@@ -149,7 +149,7 @@ NOT_HIDDEN = {"wheel_slip"}
 
 
 def test_names_of_the_contract():
-    import car_model.effects as library
+    import steerd.car_model.effects as library
 
     for name, effect in EFFECTS.items():
         known = library.EFFECTS[name]

@@ -2,10 +2,10 @@
 
 import pytest
 
-from car_model.believed import believed_car
-from car_model.effects import EFFECTS, parse_effects
-from car_model.model import Model
-from car_model.params import DEFAULT_CAR, wheelbase
+from steerd.car_model.effects import EFFECTS, parse_effects
+from steerd.car_model.model import Model
+from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.params import DEFAULT_CAR, wheelbase
 
 
 def believed(text):

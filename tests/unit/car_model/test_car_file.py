@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from car_model.car_file import (
+from steerd.car_model.car_file import (
     CarFileError,
     Learned,
     default_car_path,
@@ -16,9 +16,9 @@ from car_model.car_file import (
     save_car,
     updated_text,
 )
-from car_model.effects import EFFECTS
-from car_model.model import Model
-from car_model.params import DEFAULT_CAR, PARAMETERS
+from steerd.car_model.effects import EFFECTS
+from steerd.car_model.model import Model
+from steerd.car_model.params import DEFAULT_CAR, PARAMETERS
 
 HERE = Path("car.toml")
 TEXT = default_car_path().read_text(encoding="utf-8")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from car_model.linear import (
+from steerd.car_model.linear import (
     augmented,
     feedforward_steer,
     lane_errors,
@@ -16,9 +16,9 @@ from car_model.linear import (
     steady_turn,
     understeer_gradient,
 )
-from car_model.ops import FLOAT
-from car_model.params import DEFAULT_CAR, Car, axle_stiffness, wheelbase
-from car_model.single_track import derivative
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR, Car, axle_stiffness, wheelbase
+from steerd.car_model.single_track import derivative
 
 CAR = DEFAULT_CAR
 OVERSTEERING = CAR._replace(c_sf=6.0, c_sr=4.0)

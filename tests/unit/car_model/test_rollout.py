@@ -5,11 +5,11 @@ from itertools import pairwise
 
 import pytest
 
-from car_model.linear import steady_turn
-from car_model.model import Model
-from car_model.ops import FLOAT
-from car_model.params import DEFAULT_CAR, PAPER_CAR, Car, wheelbase
-from car_model.rollout import (
+from steerd.car_model.linear import steady_turn
+from steerd.car_model.model import Model
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car, wheelbase
+from steerd.car_model.rollout import (
     Integrator,
     channel_delayed,
     euler,
@@ -19,7 +19,7 @@ from car_model.rollout import (
     stiffness_rate,
     substeps,
 )
-from car_model.state import ORIGIN, Command, State
+from steerd.car_model.state import ORIGIN, Command, State
 
 
 def run(

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from car_model.straight_line import compiled, written
-from car_model.tape import TAPE, Node, Tape, apply, gradient, needed, source_of
+from steerd.car_model.straight_line import compiled, written
+from steerd.car_model.tape import TAPE, Node, Tape, apply, gradient, needed, source_of
 
 
 def inputs(*names: str, exact: bool = False) -> list[Node]:

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from car_model.params import DEFAULT_CAR, PAPER_CAR, Car
-from car_model.path_spec import parse_path
-from controller.build import make_controller
-from controller.config import PAPER_POLES, ControllerConfig
-from controller.design import (
+from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
+from steerd.car_model.path.path_spec import parse_path
+from steerd.controller.build import make_controller
+from steerd.controller.config import PAPER_POLES, ControllerConfig
+from steerd.controller.design import (
     DesignRefused,
     assess,
     closed_loop,
@@ -15,8 +15,8 @@ from controller.design import (
     stability,
     stability_at,
 )
-from controller.gains import design_table, pole_placement_gains
-from controller.loop_model import Timing, pack_gains
+from steerd.controller.gains import design_table, pole_placement_gains
+from steerd.controller.loop_model import Timing, pack_gains
 
 BARE: Car[float] = PAPER_CAR._replace(steer_lag=0.0, steer_delay=0.0)
 """The paper's car as its own designs see it: no servo lag, no dead time."""

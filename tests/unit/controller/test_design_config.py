@@ -2,7 +2,12 @@
 
 import pytest
 
-from controller.config import PAPER_POLES, ControllerConfig, LqrWeights, load_controller_config
+from steerd.controller.config import (
+    PAPER_POLES,
+    ControllerConfig,
+    LqrWeights,
+    load_controller_config,
+)
 
 
 def test_nothing_given_is_the_default() -> None:

@@ -8,15 +8,15 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from car_model.model import Model
-from car_model.ops import FLOAT
-from car_model.params import DEFAULT_CAR, Car
-from car_model.path_spec import parse_path
-from car_model.rollout import start, step
-from car_model.state import ORIGIN, Command, State
-from controller.build import make_controller
-from controller.config import ControllerConfig
-from controller.lane_controller import (
+from steerd.car_model.model import Model
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.car_model.path.path_spec import parse_path
+from steerd.car_model.rollout import start, step
+from steerd.car_model.state import ORIGIN, Command, State
+from steerd.controller.build import make_controller
+from steerd.controller.config import ControllerConfig
+from steerd.controller.lane_controller import (
     ControllerState,
     ControlReport,
     LaneController,
@@ -231,7 +231,7 @@ def test_a_start_on_the_crossing_takes_the_branch_the_car_heads_along() -> None:
 
 def test_the_tick_needs_no_python_control() -> None:
     code = (
-        "import sys, controller.lane_controller as c; "
+        "import sys, steerd.controller.lane_controller as c; "
         "sys.exit(sum(m in sys.modules for m in ('control', 'matplotlib', 'torch')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -4,12 +4,12 @@ import math
 
 import pytest
 
-from car_model.params import DEFAULT_CAR
-from car_model.path import Projection, interpolate, project
-from car_model.path_spec import parse_path
-from car_model.state import ORIGIN, State
-from controller.gain_table import N_LANE, Turning
-from controller.lane_keeper import LaneErrors, LaneKeeper, lane_errors, step
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.path.path import Projection, interpolate, project
+from steerd.car_model.path.path_spec import parse_path
+from steerd.car_model.state import ORIGIN, State
+from steerd.controller.gain_table import N_LANE, Turning
+from steerd.controller.lane_keeper import LaneErrors, LaneKeeper, lane_errors, step
 
 LINE = parse_path("line:length=10")
 LEFT = parse_path("circle:radius=2")

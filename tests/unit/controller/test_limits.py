@@ -5,8 +5,8 @@ from math import atan, inf, isfinite, nan, nextafter, tan
 
 import pytest
 
-from car_model.state import Command
-from controller.limits import (
+from steerd.car_model.state import Command
+from steerd.controller.limits import (
     CEILINGS,
     Clip,
     LimitError,

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from car_model.params import DEFAULT_CAR
-from car_model.path import Path
-from car_model.path_spec import parse_path
-from controller.config import ControllerConfig
-from controller.speed import SpeedProfile, make_speed_profile, profile_speed, step_speed
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.path.path import Path
+from steerd.car_model.path.path_spec import parse_path
+from steerd.controller.config import ControllerConfig
+from steerd.controller.speed import SpeedProfile, make_speed_profile, profile_speed, step_speed
 
 CONFIG = ControllerConfig(speed=3.0, lateral_accel_max=2.0, accel_max=1.0, decel_max=2.0)
 

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from car_model.model import Model, Moment
-from car_model.ops import FLOAT
-from car_model.params import DEFAULT_CAR, Car
-from car_model.rollout import start
-from car_model.rollout import step as plant_step
-from car_model.state import ORIGIN, Command, State
-from estimator import state_filter
-from estimator.config import FilterConfig
-from estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
+from steerd.car_model.model import Model, Moment
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.car_model.rollout import start
+from steerd.car_model.rollout import step as plant_step
+from steerd.car_model.state import ORIGIN, Command, State
+from steerd.estimator import state_filter
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
 
 H_NS = 2_500_000
 TICK_NS = 5_000_000

@@ -3,13 +3,13 @@ import math
 import numpy as np
 import pytest
 
-from car_model.model import Model
-from car_model.ops import FLOAT
-from car_model.params import DEFAULT_CAR
-from car_model.rollout import simulate as simulate_car
-from car_model.rollout import start
-from car_model.state import ORIGIN, Command
-from estimator.actuation import NO_HISTORY, History, drive, forgotten, held, remembered
+from steerd.car_model.model import Model
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.rollout import simulate as simulate_car
+from steerd.car_model.rollout import start
+from steerd.car_model.state import ORIGIN, Command
+from steerd.estimator.actuation import NO_HISTORY, History, drive, forgotten, held, remembered
 
 MS = 1_000_000
 CAR = DEFAULT_CAR._replace(steer_delay=0.012, drive_delay=0.004)

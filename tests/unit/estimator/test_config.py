@@ -3,7 +3,7 @@ from dataclasses import asdict, fields
 
 import pytest
 
-from estimator.config import FilterConfig, load_filter_config
+from steerd.estimator.config import FilterConfig, load_filter_config
 
 
 def test_defaults_pass_their_own_validation() -> None:

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from car_model.params import DEFAULT_CAR
-from car_model.state import State
-from estimator.config import FilterConfig
-from estimator.sensors import Kind
-from estimator.state_filter import make_state_filter, predict_to
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.state import State
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.sensors import Kind
+from steerd.estimator.state_filter import make_state_filter, predict_to
 
 pytestmark = pytest.mark.slow
 RUNS = 40

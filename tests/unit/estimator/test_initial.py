@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from estimator.config import FilterConfig
-from estimator.initial import initial_belief
-from estimator.sensors import Measurement, make_pose
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.initial import initial_belief
+from steerd.estimator.sensors import Measurement, make_pose
 
 CONFIG = FilterConfig()
 MS = 1_000_000

@@ -1,17 +1,17 @@
 import numpy as np
 import pytest
 
-from car_model.jacobian_generated import rates_and_jacobian
-from car_model.model import Model
-from car_model.ops import FLOAT
-from car_model.params import DEFAULT_CAR, PAPER_CAR
-from car_model.rollout import simulate as simulate_car
-from car_model.rollout import start
-from car_model.state import Command, State
-from estimator.actuation import NO_HISTORY, Driven, drive, remembered
-from estimator.config import FilterConfig
-from estimator.kalman import Belief, Kalman
-from estimator.motion import implicit_solver, moved, noise_density, predicted
+from steerd.car_model.jacobian_generated import rates_and_jacobian
+from steerd.car_model.model import Model
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
+from steerd.car_model.rollout import simulate as simulate_car
+from steerd.car_model.rollout import start
+from steerd.car_model.state import Command, State
+from steerd.estimator.actuation import NO_HISTORY, Driven, drive, remembered
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.kalman import Belief, Kalman
+from steerd.estimator.motion import implicit_solver, moved, noise_density, predicted
 
 CAR = DEFAULT_CAR
 QUIET = [0.0] * 7

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from car_model.params import DEFAULT_CAR
-from car_model.state import ORIGIN, Command, State
-from estimator.config import FilterConfig
-from estimator.sensors import Kind, Measurement, make_gyro, make_pose, make_wheel_speed
-from estimator.state_filter import (
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.state import ORIGIN, Command, State
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.sensors import Kind, Measurement, make_gyro, make_pose, make_wheel_speed
+from steerd.estimator.state_filter import (
     FilterState,
     StateFilter,
     make_state_filter,

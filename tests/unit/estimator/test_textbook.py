@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from car_model.model import Model
-from car_model.ops import FLOAT
-from car_model.params import DEFAULT_CAR
-from car_model.rollout import start
-from car_model.rollout import step as plant_step
-from car_model.state import Command, State
-from estimator.config import FilterConfig
-from estimator.sensors import Kind
-from estimator.state_filter import make_state_filter, predict_to, step
+from steerd.car_model.model import Model
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.rollout import start
+from steerd.car_model.rollout import step as plant_step
+from steerd.car_model.state import Command, State
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.sensors import Kind
+from steerd.estimator.state_filter import make_state_filter, predict_to, step
 
 CAR = DEFAULT_CAR
 CONFIG = FilterConfig(gate_probability=1.0 - 1e-9)

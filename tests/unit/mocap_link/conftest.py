@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from mocap_link import natnet
-from mocap_link.natnet_frame import Frame, RigidBody
-from mocap_link.natnet_model import ModelDef, RigidBodyDesc
+from steerd.mocap_link import natnet
+from steerd.mocap_link.natnet_frame import Frame, RigidBody
+from steerd.mocap_link.natnet_model import ModelDef, RigidBodyDesc
 
 SECOND = 1_000_000_000
 

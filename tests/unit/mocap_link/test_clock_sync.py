@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap_link import natnet
-from mocap_link.clock_sync import SKEW_MAX, EchoClock, HullClock
-from mocap_link.natnet_frame import Frame
-from mocap_link.source import ClockKind, RawPose
-from mocap_link.timing import SourceTiming
+from steerd.mocap_link import natnet
+from steerd.mocap_link.clock_sync import SKEW_MAX, EchoClock, HullClock
+from steerd.mocap_link.natnet_frame import Frame
+from steerd.mocap_link.source import ClockKind, RawPose
+from steerd.mocap_link.timing import SourceTiming
 
 MS = 1_000_000
 SECOND = 1000 * MS

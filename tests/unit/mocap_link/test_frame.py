@@ -5,7 +5,7 @@ from math import cos, pi, radians, sin
 import numpy as np
 import pytest
 
-from mocap_link.frame import (
+from steerd.mocap_link.frame import (
     FrameConfig,
     make_body_pose,
     make_planar_pose,

@@ -5,9 +5,9 @@ from math import pi, radians
 
 import pytest
 
-from mocap_link.frame import PlanarPose
-from mocap_link.gates import GateConfig, GateState, step_gates
-from mocap_link.source import RawPose
+from steerd.mocap_link.frame import PlanarPose
+from steerd.mocap_link.gates import GateConfig, GateState, step_gates
+from steerd.mocap_link.source import RawPose
 
 MS = 1_000_000
 CONFIG = GateConfig()

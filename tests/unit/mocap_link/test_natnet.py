@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from mocap_link import natnet
-from mocap_link.natnet_frame import MODEL_CHANGED, Frame, RigidBody
-from mocap_link.natnet_model import (
+from steerd.mocap_link import natnet
+from steerd.mocap_link.natnet_frame import MODEL_CHANGED, Frame, RigidBody
+from steerd.mocap_link.natnet_model import (
     CameraDesc,
     MarkerSetDesc,
     ModelDef,
@@ -15,7 +15,7 @@ from mocap_link.natnet_model import (
     RigidBodyDesc,
     SkeletonDesc,
 )
-from mocap_link.natnet_wire import NatNetError
+from steerd.mocap_link.natnet_wire import NatNetError
 
 VECTORS = {
     (3, 0): (

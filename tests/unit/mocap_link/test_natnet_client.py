@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 
-from mocap_link import natnet
-from mocap_link.natnet_client import Connected, EchoMeasured, NatNetClient, RateKnown
-from mocap_link.natnet_frame import BITSTREAM_CHANGED, Frame, RigidBody
-from mocap_link.natnet_model import ModelDef, RigidBodyDesc
-from mocap_link.source import RawPose
+from steerd.mocap_link import natnet
+from steerd.mocap_link.natnet_client import Connected, EchoMeasured, NatNetClient, RateKnown
+from steerd.mocap_link.natnet_frame import BITSTREAM_CHANGED, Frame, RigidBody
+from steerd.mocap_link.natnet_model import ModelDef, RigidBodyDesc
+from steerd.mocap_link.source import RawPose
 
 MS = 1_000_000
 SECOND = 1000 * MS

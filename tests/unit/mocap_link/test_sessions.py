@@ -13,14 +13,14 @@ from typing import Any
 
 import pytest
 
-from mocap_link import natnet
-from mocap_link.frame import FrameConfig, make_body_pose
-from mocap_link.gates import REASONS
-from mocap_link.ingest import IngestConfig
-from mocap_link.natnet_frame import EDIT_MODE, MODEL_CHANGED, RigidBody
-from mocap_link.natnet_model import RigidBodyDesc
-from mocap_link.sessions import NatNetSource
-from mocap_link.source import ClockKind, PoseSample, SourceState
+from steerd.mocap_link import natnet
+from steerd.mocap_link.frame import FrameConfig, make_body_pose
+from steerd.mocap_link.gates import REASONS
+from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.natnet_frame import EDIT_MODE, MODEL_CHANGED, RigidBody
+from steerd.mocap_link.natnet_model import RigidBodyDesc
+from steerd.mocap_link.sessions import NatNetSource
+from steerd.mocap_link.source import ClockKind, PoseSample, SourceState
 
 MS = 1_000_000
 SECOND = 1000 * MS

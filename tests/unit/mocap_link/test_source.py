@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from mocap_link.source import (
+from steerd.mocap_link.source import (
     MocapUrl,
     MonitorConfig,
     MonitorState,

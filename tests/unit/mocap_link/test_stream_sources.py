@@ -4,12 +4,12 @@ from math import cos, hypot, sin
 
 import pytest
 
-from mocap_link.frame import FrameConfig, make_body_pose
-from mocap_link.ingest import IngestConfig
-from mocap_link.sessions import BusPoseSource, VrpnSource
-from mocap_link.source import ClockKind, PoseSample, RawPose, SourceState
-from mocap_link.vrpn_server import VrpnServer
-from mocap_link.zenoh_pose import encode_pose
+from steerd.mocap_link.frame import FrameConfig, make_body_pose
+from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.sessions import BusPoseSource, VrpnSource
+from steerd.mocap_link.source import ClockKind, PoseSample, RawPose, SourceState
+from steerd.mocap_link.vrpn_server import VrpnServer
+from steerd.mocap_link.zenoh_pose import encode_pose
 
 MS = 1_000_000
 SECOND = 1000 * MS

@@ -2,9 +2,9 @@
 
 import pytest
 
-from mocap_link import vrpn
-from mocap_link.vrpn_client import VrpnClient
-from mocap_link.vrpn_server import VrpnServer
+from steerd.mocap_link import vrpn
+from steerd.mocap_link.vrpn_client import VrpnClient
+from steerd.mocap_link.vrpn_server import VrpnServer
 
 
 def test_cookie() -> None:

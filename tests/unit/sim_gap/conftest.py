@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from car_model.car_file import CarFile
-from car_model.effects import parse_effects
-from car_model.model import Model, delays, observe
-from car_model.ops import FLOAT
-from car_model.params import DEFAULT_CAR
-from car_model.rollout import channel_delayed, start, step
-from car_model.state import Command, State
-from sysid.dataset import Run, Signal, make_run
+from steerd.car_model.car_file import CarFile
+from steerd.car_model.effects import parse_effects
+from steerd.car_model.model import Model, delays, observe
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.rollout import channel_delayed, start, step
+from steerd.car_model.state import Command, State
+from steerd.sysid.data.dataset import Run, Signal, make_run
 
 H = 0.01
 LEAD = 100

@@ -5,8 +5,8 @@ import json
 
 import pytest
 
-from sim_gap.diagnosis import Options, diagnose
-from sim_gap.to_json import to_json
+from steerd.sim_gap.diagnosis import Options, diagnose
+from steerd.sim_gap.report.to_json import to_json
 
 pytestmark = pytest.mark.slow
 

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from sim_hw.faults import Fault
-from sim_hw.world import World, WorldConfig
-from vesc_link import commands as c
-from vesc_link.frames import FrameParser, encode_frame
-from vesc_link.packets import Reply, decode_reply, encode_command
-from vesc_link.telemetry import Values
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.world import World, WorldConfig
+from steerd.vesc_link import commands as c
+from steerd.vesc_link.frames import FrameParser, encode_frame
+from steerd.vesc_link.packets import Reply, decode_reply, encode_command
+from steerd.vesc_link.telemetry import Values
 
 MS = 1_000_000
 

@@ -7,22 +7,22 @@ from typing import Any
 
 import pytest
 
-from car_model.effects import parse_effect
-from car_model.state import ORIGIN
-from mocap_link import natnet
-from mocap_link.frame import FrameConfig
-from mocap_link.ingest import IngestConfig
-from mocap_link.natnet_client import NatNetClient
-from mocap_link.sessions import NatNetSource, VrpnSource
-from mocap_link.source import PoseSample, SourceState
-from sim_hw.faults import Fault
-from sim_hw.mocap_config import MULTICAST, TO_COMMAND, TO_DATA, MocapConfig
-from sim_hw.network import COMMAND, STREAM
-from sim_hw.world import World, WorldConfig
-from vesc_link import commands as c
-from vesc_link.frames import encode_frame
-from vesc_link.packets import encode_command
-from vesc_link.telemetry import FAST_MASK
+from steerd.car_model.effects import parse_effect
+from steerd.car_model.state import ORIGIN
+from steerd.mocap_link import natnet
+from steerd.mocap_link.frame import FrameConfig
+from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.natnet_client import NatNetClient
+from steerd.mocap_link.sessions import NatNetSource, VrpnSource
+from steerd.mocap_link.source import PoseSample, SourceState
+from steerd.sim_hw.mocap.mocap_config import MULTICAST, TO_COMMAND, TO_DATA, MocapConfig
+from steerd.sim_hw.mocap.network import COMMAND, STREAM
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.world import World, WorldConfig
+from steerd.vesc_link import commands as c
+from steerd.vesc_link.frames import encode_frame
+from steerd.vesc_link.packets import encode_command
+from steerd.vesc_link.telemetry import FAST_MASK
 
 MS = 1_000_000
 TICK = 10 * MS

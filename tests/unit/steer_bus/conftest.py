@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steer_bus.codec import encode
-from steer_bus.fields import Array, Blob, Scalar, Text, message_fields
-from steer_bus.messages import OWN_MESSAGES, WORLD, make_header
-from steer_bus.session import AttachedFile, SessionWriter
-from steer_bus.standard import Header
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.fields import Array, Blob, Scalar, Text, message_fields
+from steerd.steer_bus.messages import OWN_MESSAGES, WORLD, make_header
+from steerd.steer_bus.session import AttachedFile, SessionWriter
+from steerd.steer_bus.standard import Header
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 5_000_000

@@ -2,7 +2,7 @@
 
 import pytest
 
-from steer_bus.clock import MonotonicClock, VirtualClock
+from steerd.steer_bus.clock import MonotonicClock, VirtualClock
 
 
 def test_virtual_clock_jumps_to_the_deadline():

@@ -5,9 +5,17 @@ import struct
 
 import pytest
 
-from steer_bus.codec import MAX_BYTES, CodecError, decode, encode, schema_text, type_hash, type_name
-from steer_bus.fields import Float64, Nested, flat_leaves, message, message_fields
-from steer_bus.messages import (
+from steerd.steer_bus.codec import (
+    MAX_BYTES,
+    CodecError,
+    decode,
+    encode,
+    schema_text,
+    type_hash,
+    type_name,
+)
+from steerd.steer_bus.fields import Float64, Nested, flat_leaves, message, message_fields
+from steerd.steer_bus.messages import (
     OWN_MESSAGES,
     WORLD,
     Actuation,
@@ -18,7 +26,7 @@ from steer_bus.messages import (
     make_header,
     stamp_ns,
 )
-from steer_bus.standard import (
+from steerd.steer_bus.standard import (
     DiagnosticArray,
     DiagnosticStatus,
     Header,

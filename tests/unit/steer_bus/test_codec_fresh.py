@@ -9,8 +9,8 @@ from typing import Annotated
 
 import pytest
 
-from steer_bus.codec import MAX_BYTES, CodecError, decode, encode, read_text
-from steer_bus.fields import (
+from steerd.steer_bus.codec import MAX_BYTES, CodecError, decode, encode, read_text
+from steerd.steer_bus.fields import (
     Array,
     Bytes,
     Float64,

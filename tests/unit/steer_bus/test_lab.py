@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from steer_bus.bus import BusError
-from steer_bus.lab import Lab, load_lab, make_access_settings, make_tls_settings
-from steer_bus.zenoh_bus import Profile, make_hub_profile, make_settings, make_spoke_profile
+from steerd.steer_bus.bus import BusError
+from steerd.steer_bus.lab import Lab, load_lab, make_access_settings, make_tls_settings
+from steerd.steer_bus.zenoh_bus import Profile, make_hub_profile, make_settings, make_spoke_profile
 
 ENDPOINT = "tls/10.0.0.5:7447"
 GOOD = f'car = "car1"\nendpoint = "{ENDPOINT}"\noperators = ["desk"]\nviewers = ["screen"]\n'

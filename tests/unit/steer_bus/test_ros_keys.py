@@ -3,10 +3,10 @@
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from steer_bus.codec import schema_text, type_name
-from steer_bus.fields import String, message
-from steer_bus.messages import OWN_MESSAGES
-from steer_bus.ros_keys import (
+from steerd.steer_bus.codec import schema_text, type_name
+from steerd.steer_bus.fields import String, message
+from steerd.steer_bus.messages import OWN_MESSAGES
+from steerd.steer_bus.ros_keys import (
     QOS,
     dds_type,
     make_gid,
@@ -14,8 +14,8 @@ from steer_bus.ros_keys import (
     make_publisher_token,
     make_ros_key,
 )
-from steer_bus.standard import STANDARD_MESSAGES, Odometry, PoseStamped
-from steer_bus.topics import TOPICS
+from steerd.steer_bus.standard import STANDARD_MESSAGES, Odometry, PoseStamped
+from steerd.steer_bus.topics import TOPICS
 
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 

@@ -6,9 +6,9 @@ import errno
 import numpy as np
 import pytest
 
-from steer_bus.codec import CodecError, encode
-from steer_bus.fields import flat_leaves
-from steer_bus.messages import (
+from steerd.steer_bus.codec import CodecError, encode
+from steerd.steer_bus.fields import flat_leaves
+from steerd.steer_bus.messages import (
     OWN_MESSAGES,
     WORLD,
     Actuation,
@@ -18,7 +18,7 @@ from steer_bus.messages import (
     Transition,
     make_header,
 )
-from steer_bus.session import (
+from steerd.steer_bus.session import (
     FLUSH_NS,
     SYNC_NS,
     SessionError,
@@ -26,7 +26,7 @@ from steer_bus.session import (
     open_session,
     recover,
 )
-from steer_bus.standard import DiagnosticArray, Odometry
+from steerd.steer_bus.standard import DiagnosticArray, Odometry
 
 
 def start(path, **topics):

@@ -7,16 +7,16 @@ import sys
 
 import pytest
 
-from steer_bus.messages import ClockSample
-from steer_bus.session import open_session, recover
+from steerd.steer_bus.messages import ClockSample
+from steerd.steer_bus.session import open_session, recover
 
 WRITER = """
 import sys
 from pathlib import Path
-from steer_bus.clock import MonotonicClock
-from steer_bus.codec import encode
-from steer_bus.messages import ClockSample, make_header
-from steer_bus.session import SessionWriter
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.messages import ClockSample, make_header
+from steerd.steer_bus.session import SessionWriter
 
 clock = MonotonicClock()
 writer = SessionWriter(Path(sys.argv[1]), {"/clock": ClockSample}, {"steerd.session": {}})

@@ -11,10 +11,10 @@ import pytest
 import zstandard
 from mcap.writer import CompressionType, Writer  # noqa: TID251
 
-from steer_bus.codec import encode
-from steer_bus.messages import WORLD, ClockSample, State, make_header
-from steer_bus.records import MAGIC
-from steer_bus.session import SessionError, open_session, recover
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.mcap_records import MAGIC
+from steerd.steer_bus.messages import WORLD, ClockSample, State, make_header
+from steerd.steer_bus.session import SessionError, open_session, recover
 
 pytestmark = pytest.mark.slow
 

@@ -4,10 +4,10 @@ import re
 
 import pytest
 
-from steer_bus.bus import key_matches
-from steer_bus.codec import schema_text, type_name
-from steer_bus.messages import State
-from steer_bus.topics import (
+from steerd.steer_bus.bus import key_matches
+from steerd.steer_bus.codec import schema_text, type_name
+from steerd.steer_bus.messages import State
+from steerd.steer_bus.topics import (
     DRIVE,
     STATE,
     TOPICS,

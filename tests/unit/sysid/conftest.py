@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from car_model.model import Model
-from car_model.params import DEFAULT_CAR, PAPER_CAR, Car
-from sysid.dataset import Run, Signal, make_run
-from sysid.kernels import Held, lane_view, make_kernels, make_lanes, march, parameter_vector
+from steerd.car_model.model import Model
+from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
+from steerd.sysid.compiler.kernels import (
+    Held,
+    lane_view,
+    make_kernels,
+    make_lanes,
+    march,
+    parameter_vector,
+)
+from steerd.sysid.data.dataset import Run, Signal, make_run
 
 Array = NDArray[np.float64]
 STEP = 0.005
@@ -140,7 +147,7 @@ def simulated() -> Callable[..., Run]:
 @pytest.fixture(scope="session")
 def rich_model() -> Model[float]:
     """Memory, a linkage, two delays and time-dependent grip, all away from their nulls."""
-    from car_model.effects import parse_effects
+    from steerd.car_model.effects import parse_effects
 
     settings = parse_effects(
         "steer_delay=0.011,tyre_relaxation=0.07,steer_backlash=0.02,grip_drift=0.5,mocap_latency=0.0021"

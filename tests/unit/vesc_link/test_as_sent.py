@@ -3,9 +3,9 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vesc_link.commands import SetErpm, SetServoPos
-from vesc_link.packets import decode_command, encode_command
-from vesc_link.scaling import (
+from steerd.vesc_link.commands import SetErpm, SetServoPos
+from steerd.vesc_link.packets import decode_command, encode_command
+from steerd.vesc_link.scaling import (
     F1TENTH,
     as_sent,
     erpm_to_speed,

@@ -2,7 +2,7 @@ import binascii
 
 import pytest
 
-from vesc_link.frames import FLUSH, HOST_GAP_NS, Frame, FrameParser, encode_frame
+from steerd.vesc_link.frames import FLUSH, HOST_GAP_NS, Frame, FrameParser, encode_frame
 
 RPM = encode_frame(bytes.fromhex("0800001206"))
 SERVO = encode_frame(bytes.fromhex("0c01f4"))

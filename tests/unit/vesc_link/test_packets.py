@@ -5,13 +5,13 @@ from typing import get_args
 
 import pytest
 
-from vesc_link import commands as c
-from vesc_link import identity as i
-from vesc_link import telemetry as t
-from vesc_link.commands import Command
-from vesc_link.frames import encode_frame
-from vesc_link.ids import FW_3_00, FW_7_01, PROFILES, CommandId, Firmware, fault_name, knows
-from vesc_link.packets import (
+from steerd.vesc_link import commands as c
+from steerd.vesc_link import identity as i
+from steerd.vesc_link import telemetry as t
+from steerd.vesc_link.commands import Command
+from steerd.vesc_link.frames import encode_frame
+from steerd.vesc_link.ids import FW_3_00, FW_7_01, PROFILES, CommandId, Firmware, fault_name, knows
+from steerd.vesc_link.packets import (
     FEEDS_TIMEOUT,
     Reply,
     command_number,
@@ -21,7 +21,7 @@ from vesc_link.packets import (
     encode_reply,
     expects_reply,
 )
-from vesc_link.wire import device_number, host_number
+from steerd.vesc_link.wire import device_number, host_number
 
 EXAMPLES: tuple[Command, ...] = (
     c.GetFwVersion(), c.GetValues(), c.SetDuty(-0.5), c.SetCurrent(1.25), c.SetCurrentBrake(8.0),

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from vesc_link.scaling import (
+from steerd.vesc_link.scaling import (
     F1TENTH,
     Scaling,
     erpm_to_speed,

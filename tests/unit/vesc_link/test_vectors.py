@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from vesc_link import commands as c
-from vesc_link import identity as i
-from vesc_link import telemetry as t
-from vesc_link.frames import FrameParser, encode_frame
-from vesc_link.ids import FW_3_00, FW_7_01, Firmware
-from vesc_link.packets import decode_command, decode_reply, encode_command, encode_reply
+from steerd.vesc_link import commands as c
+from steerd.vesc_link import identity as i
+from steerd.vesc_link import telemetry as t
+from steerd.vesc_link.frames import FrameParser, encode_frame
+from steerd.vesc_link.ids import FW_3_00, FW_7_01, Firmware
+from steerd.vesc_link.packets import decode_command, decode_reply, encode_command, encode_reply
 
 HERE = Path(__file__).parent
 SPEC: dict[str, Any] = json.loads((HERE / "vesc_vectors.json").read_text())

@@ -4,17 +4,17 @@ import math
 
 import pytest
 
-from vesc_link import commands as c
-from vesc_link import events as e
-from vesc_link import identity as i
-from vesc_link import telemetry as t
-from vesc_link.commands import Command
-from vesc_link.frames import FrameParser, encode_frame
-from vesc_link.ids import FW_3_00, FW_5_03, FW_7_01, PROFILES, CommandId, Firmware, knows
-from vesc_link.packets import Reply, decode_command, encode_command, encode_reply
-from vesc_link.scaling import F1TENTH
-from vesc_link.session_limits import limits_hold, make_restored_limits, make_session_limits
-from vesc_link.vesc import CONNECT_TRIES, EXPIRY_NS, POLL_EXPIRY_NS, WRITE_LIMIT, VescLink
+from steerd.vesc_link import commands as c
+from steerd.vesc_link import events as e
+from steerd.vesc_link import identity as i
+from steerd.vesc_link import telemetry as t
+from steerd.vesc_link.commands import Command
+from steerd.vesc_link.frames import FrameParser, encode_frame
+from steerd.vesc_link.ids import FW_3_00, FW_5_03, FW_7_01, PROFILES, CommandId, Firmware, knows
+from steerd.vesc_link.packets import Reply, decode_command, encode_command, encode_reply
+from steerd.vesc_link.scaling import F1TENTH
+from steerd.vesc_link.session_limits import limits_hold, make_restored_limits, make_session_limits
+from steerd.vesc_link.vesc import CONNECT_TRIES, EXPIRY_NS, POLL_EXPIRY_NS, WRITE_LIMIT, VescLink
 
 MS = 1_000_000
 UUID = bytes(range(12))

@@ -1,0 +1,1 @@
+"""Effects of the body: masses, inertia, loads."""

@@ -1,0 +1,1 @@
+"""Effects of the drive: speed command, motor, battery, drag."""

@@ -1,0 +1,1 @@
+"""Effects of the floor: slope and places or times of less grip."""

@@ -1,0 +1,1 @@
+"""Effects of the measurement: mocap's body, yaw and clock."""

@@ -1,0 +1,31 @@
+"""Poses older than their stamps say.
+
+Exactly an equal dead time on both command channels, seen from the poses alone: never separable from
+it without a second clock (a gyro, wheel speed).
+"""
+
+from collections.abc import Sequence
+
+from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.ops import T
+from steerd.car_model.state import Delays
+
+
+def _delays(p: Sequence[T]) -> Delays[T]:
+    """The pose alone comes later."""
+    none = 0.0 * p[0]
+    return Delays(steer=none, drive=none, pose=p[0])
+
+
+EFFECT = Effect(
+    name="mocap_latency",
+    stage=Stage.OBSERVE,
+    family="timing",
+    summary="poses are older than their stamps say",
+    equation="pose_seen(t) = pose(t - latency)",
+    parameters=(
+        EffectParameter("latency", 0.0, 0.0, 0.3, "s", 0.02, "age of a pose at its stamp"),
+    ),
+    delays=_delays,
+    aliases=("latency", "pose_latency", "mocap_delay"),
+)

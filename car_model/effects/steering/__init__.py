@@ -1,0 +1,1 @@
+"""Effects of the steering: command, servo, linkage."""

@@ -1,0 +1,1 @@
+"""Effects of the tyres: stiffness, grip, build-up, slip."""

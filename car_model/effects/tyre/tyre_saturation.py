@@ -1,0 +1,41 @@
+"""Tyres whose lateral force levels off instead of growing for ever with slip."""
+
+from collections.abc import Sequence
+
+from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effects.tyre._saturation import saturated
+from steerd.car_model.ops import Ops, T
+from steerd.car_model.params import Car
+from steerd.car_model.single_track import Axles
+
+
+def _forces(
+    ops: Ops[T],
+    p: Sequence[T],
+    car: Car[T],
+    slips: Axles[T],
+    loads: Axles[T],
+    accel: T,
+    forces: Axles[T],
+) -> Axles[T]:
+    """Both axles' forces, levelled off."""
+    return Axles(
+        saturated(ops, forces.front, car.c_sf * slips.front, p[0]),
+        saturated(ops, forces.rear, car.c_sr * slips.rear, p[0]),
+    )
+
+
+EFFECT = Effect(
+    name="tyre_saturation",
+    stage=Stage.FORCES,
+    family="tyre",
+    summary="tyre forces level off at large slip",
+    equation="F = mu Fz z / sqrt(1 + q z^2), z = C_S slip",
+    parameters=(
+        EffectParameter(
+            "q", 0.0, 0.0, 12.0, "1", 1.0, "1: plateau at mu Fz; 4: at half of it; 0: never"
+        ),
+    ),
+    forces=_forces,
+    aliases=("saturation", "pacejka"),
+)

@@ -1,0 +1,1 @@
+"""Paths on the ground: from formulas, from files, by name."""

@@ -1,0 +1,1 @@
+"""What ,  and  ask and put on screen."""

@@ -1,0 +1,120 @@
+"""Sessions as drives for the offline tools; what cannot be used is one clear line."""
+
+import filecmp
+from collections.abc import Sequence
+from itertools import combinations
+from math import pi
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.translate import of_car_file, of_session
+
+if TYPE_CHECKING:
+    from steerd.car_model.car_file import CarFile
+    from steerd.sysid.data.dataset import Run
+
+
+def load_drive(path: Path, speed: str = "command") -> "Run":
+    """A session as a drive.
+
+    Args:
+        path: the session.
+        speed: `wheel` takes the measured speed in place of the command.
+
+    Raises:
+        SteerdError: it cannot be read, or is not fit for a fit.
+    """
+    from steerd.daemon.sessions.info import load_session, make_session_report
+    from steerd.daemon.sessions.text import print_warnings
+    from steerd.steer_bus.session_read import SessionError
+    from steerd.sysid.data.data_checks import DataError
+    from steerd.sysid.data.dataset import load_run
+    from steerd.sysid.data.log_jitter import steadied
+    from steerd.sysid.data.segments import with_wheel_speed
+
+    session = load_session(path)
+    damage = [warning.message for warning in session.warnings]
+    print_warnings([f"{path.name}: {each}" for each in damage])
+    try:
+        run = steadied(load_run(path))
+        _check_angles(run)
+        doubts = [each for each in make_session_report(session).warnings if each not in damage]
+        print_warnings([f"{path.name}: {each}" for each in doubts])
+        return with_wheel_speed(run) if speed == "wheel" else run
+    except SessionError as error:
+        raise of_session(error) from None
+    except DataError as error:
+        raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
+    except OSError as error:
+        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
+
+
+def _check_angles(run: "Run") -> None:
+    """No wheel turns across the car: such a log is in degrees, and a fit would make up for it."""
+    from steerd.daemon.sessions.motion import make_range
+
+    found = make_range(run.commands[:, 0])
+    if found is not None and max(-found.low, found.high) > pi / 2:
+        worst = max(-found.low, found.high)
+        what = f"{run.name}: steering reaches {worst:.3g} rad: is it in degrees?"
+        raise SteerdError(what, "import it with scale = 0.0174532925 in the map")
+
+
+def load_base(path: Path) -> "CarFile":
+    """A car file that was named on the command line.
+
+    Raises:
+        SteerdError: it cannot be read, or says something impossible.
+    """
+    from steerd.car_model.car_file import CarFileError, load_car
+
+    try:
+        return load_car(path)
+    except CarFileError as error:
+        raise of_car_file(error) from None
+
+
+def is_same(one: Path, other: Path) -> bool:
+    """Whether two names mean one session: the same file, or a copy of it."""
+    if one.resolve() == other.resolve():
+        return True
+    try:
+        if one.stat().st_size != other.stat().st_size:
+            return False
+        return filecmp.cmp(one, other, shallow=False)
+    except OSError:
+        return False  # whoever reads it says why it cannot be read
+
+
+def refuse_copies(paths: Sequence[Path]) -> None:
+    """A drive that counts twice passes for more data than there are.
+
+    Raises:
+        SteerdError: one drive is named twice.
+    """
+    for one, other in combinations(paths, 2):
+        if is_same(one, other):
+            copy = f"{other} is a copy of {one}" if one != other else f"{one} is named twice"
+            raise SteerdError(copy, "name each drive once", ExitCode.USAGE)
+
+
+def without_reserved(
+    given: Sequence[Path], reserved: Sequence[Path], purpose: str
+) -> tuple[Path, ...]:
+    """The sessions that are not kept back: of `*.mcap` those that no other option names.
+
+    Args:
+        given: the sessions of the command line.
+        reserved: those to keep back.
+        purpose: what would be done with the others.
+
+    Raises:
+        SteerdError: one drive is named twice, or none is left.
+    """
+    refuse_copies(given)
+    kept = tuple(path for path in given if not any(is_same(path, each) for each in reserved))
+    if not kept:
+        what = f"every session is kept back: nothing is left to {purpose}"
+        raise SteerdError(what, "name another session", ExitCode.USAGE)
+    return kept

@@ -1,0 +1,155 @@
+"""The library of effects, as a table, one by one, as JSON and as the page `docs/effects.md`."""
+
+import shutil
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effects import EFFECTS
+
+_STAGES = {
+    Stage.COMMAND: "from the command to the actuators' aim",
+    Stage.ACTUATOR: "servo, linkage, motor and wheels",
+    Stage.FORCES: "tyres, loads, mass and floor",
+    Stage.OBSERVE: "what mocap and wheel speed show",
+}
+_NAME, _PARAMETERS = 30, 36
+
+
+def by_stage() -> dict[Stage, list[Effect]]:
+    """Effects by stage, in the order of the chain, then by name."""
+    ordered = sorted(EFFECTS.values(), key=lambda effect: effect.name)
+    return {stage: [e for e in ordered if e.stage is stage] for stage in Stage}
+
+
+def format_table(width: int | None = None) -> str:
+    """All effects, one line each; cut to a width, or to the terminal's if there is one."""
+    if width is None:
+        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else 1000
+    lines = [f"{'effect':<{_NAME}}{'parameters: null (range) unit':<{_PARAMETERS}}equation"]
+    for stage, effects in by_stage().items():
+        lines.append(f"{stage}: {_STAGES[stage]}")
+        for effect in effects:
+            parameters = _brief(effect.parameters)
+            lines.append(
+                f"  {effect.name:<{_NAME - 2}}{parameters:<{_PARAMETERS}}{effect.equation}"
+            )
+    lines.append(
+        "`steerd effects NAME` tells more; `--effect NAME=VALUE` switches one on in a simulation."
+    )
+    return "\n".join(line if len(line) <= width else line[: width - 1] + "…" for line in lines)
+
+
+def _brief(parameters: Iterable[EffectParameter]) -> str:
+    """Parameters as `null (low..high) unit`; several by their names, whose ranges are elsewhere."""
+    parameters = list(parameters)
+    if len(parameters) > 1:
+        return ", ".join(p.name for p in parameters)
+    (p,) = parameters
+    return f"{p.name} {p.null:g} ({p.low:g} to {p.high:g}) {_unit(p.unit)}".rstrip()
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+def format_effect(effect: Effect) -> str:
+    """One effect in detail."""
+    lines = [
+        f"{effect.name}: {effect.summary}",
+        f"  stage     {effect.stage} ({_STAGES[effect.stage]})",
+        f"  family    {effect.family}",
+        f"  equation  {effect.equation}",
+        f"  aliases   {', '.join(effect.aliases) or 'none'}",
+        "",
+        f"  {'parameter':<14}{'null':>8}{'low':>8}{'high':>8}{'usual':>8}  unit     meaning",
+    ]
+    for p in effect.parameters:
+        numbers = f"{p.null:>8g}{p.low:>8g}{p.high:>8g}{p.scale:>8g}"
+        lines.append(f"  {p.name:<14}{numbers}  {p.unit:<7}  {p.meaning}")
+    lines += ["", f"  try: steerd run --sim --fast --duration 20 --effect {_example(effect)}"]
+    return "\n".join(lines)
+
+
+def _example(effect: Effect) -> str:
+    values = [min(max(p.null + p.scale, p.low), p.high) for p in effect.parameters]
+    moved = [
+        v if v != p.null else p.null - p.scale
+        for v, p in zip(values, effect.parameters, strict=True)
+    ]
+    return f"{effect.name}={','.join(f'{value:g}' for value in moved)}"
+
+
+def make_json(effects: Iterable[Effect]) -> dict[str, Any]:
+    """The effects as JSON values."""
+    return {
+        "schema": "steerd.effects/1",
+        "effects": [
+            {
+                "name": effect.name,
+                "stage": str(effect.stage),
+                "family": effect.family,
+                "summary": effect.summary,
+                "equation": effect.equation,
+                "aliases": list(effect.aliases),
+                "parameters": [p._asdict() for p in effect.parameters],
+            }
+            for effect in effects
+        ],
+    }
+
+
+def make_page() -> str:
+    """The page `docs/effects.md`."""
+    lines = [_HEAD]
+    for stage, effects in by_stage().items():
+        lines += [f"## `{stage}`: {_STAGES[stage]}", ""]
+        lines += ["| effect | what it is | equation | parameter | null | range | usual | unit |"]
+        lines += ["|---|---|---|---|---|---|---|---|"]
+        for effect in effects:
+            lines += _page_rows(effect)
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _page_rows(effect: Effect) -> list[str]:
+    what = (
+        f"{effect.summary} (also: {', '.join(effect.aliases)})"
+        if effect.aliases
+        else effect.summary
+    )
+    equation = effect.equation.replace("|", "\\|")
+    head = f"`{effect.name}` | {what} | {equation}"
+    rows = []
+    for index, p in enumerate(effect.parameters):
+        cells = f"`{p.name}` | {p.null:g} | {p.low:g} to {p.high:g} | {p.scale:g} | {p.unit}"
+        rows.append(f"| {'| |' if index else head} | {cells} |")
+    return rows
+
+
+_HEAD = """# Unmodelled effects
+
+What a car does beyond the base equations of `car_model/single_track.py`. The same value is switched
+on in a simulation, fitted in the diagnosis, kept in a car file's `[effects]` and named in a report:
+
+```
+steerd effects                                # this list
+steerd effects steer_backlash                 # one of them
+steerd run --sim --fast --duration 20 --effect steer_delay=0.03
+```
+
+Several parameters go in order (`floor_slope=0.005,0.002`) or by name (`grip_patch:x=2,drop=0.3`);
+what is not given stays at its null, and at its nulls an effect changes nothing, bit for bit
+(`tests/contract/test_effects.py` holds every effect to that, in floats and in tensors).
+
+An effect is one file of a page in `car_model/effects/`: name, parameters (null, bounds, unit, prior
+scale: the column "usual" is what is ordinary on a car of this class) and functions for the stages
+it touches. Adding the file is all there is to adding an effect; this page is then rewritten with
+`steerd effects --page > docs/effects.md` (a test compares them).
+
+Limits: an effect acts on the planar single-track car, so roll, pitch and the split between left and
+right wheels appear only through their effect on the axles. What a drive cannot tell apart (mocap
+latency against an equal delay of both commands; friction against stiffness in gentle driving) the
+diagnosis says.
+"""

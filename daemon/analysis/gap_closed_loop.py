@@ -1,0 +1,203 @@
+"""A recorded lane drive driven again in simulation, without and with the effect that was found.
+
+Path, speed, rate, controller and filter settings are the session's own; only the simulated car is
+exchanged. The noise of the simulated hardware is another than that of a simulated recording.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.car_file import CarFile, CarFileError, parse_car
+from steerd.car_model.effect import Effect
+from steerd.car_model.effects import EFFECTS
+from steerd.car_model.state import ORIGIN, State
+from steerd.daemon.assembly.build import Plan, make_plan, make_world_config
+from steerd.daemon.assembly.session_meta import csv_file
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.ipc.pipe_records import Record
+from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.offline.virtual import drive, make_virtual_run
+from steerd.daemon.settings.config import make_settings
+from steerd.daemon.settings.run_options import ControllerKind, RunOptions, decode_options
+from steerd.sim_gap.lane_comparison import SHORTEST, LaneComparison, LaneDrive
+from steerd.sim_hw.world import World
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import decode
+from steerd.steer_bus.session_read import Session, SessionError, open_session
+from steerd.steer_bus.topics import split_key
+
+SECONDS = 20.0
+"""Length of a simulated drive: several bends; longer tells no more of a profile [s]."""
+SETTLE = 3.0
+"""The way into the lane is no lane keeping [s]."""
+_SEED = 7919
+"""Added to the recorded seed: a simulated recording must not get its own noise again."""
+
+Rows = NDArray[np.float64]
+Values = Mapping[str, tuple[float, ...]]
+
+
+class NotALaneDriveError(Exception):
+    """The session was not driven by the lane keeper; says why not."""
+
+
+def compare_lane(path: Path, base: CarFile, found: Values) -> LaneComparison:
+    """Drive a session's lane again without and with effects.
+
+    Args:
+        path: the session.
+        base: the car as believed so far.
+        found: parameters of the found effects by name; empty drives without them only.
+
+    Raises:
+        NotALaneDriveError: there is no lane drive to compare with.
+        SteerdError: the session's own car file or path is refused now.
+    """
+    session = open_session(path)
+    with _planned(session) as plan:
+        rows = _recorded(session)
+        recorded = _lane_drive(rows[:, :5], plan)
+        x, y, yaw = (float(v) for v in rows[0, 5:])
+        start = ORIGIN._replace(x=x, y=y, yaw=yaw)
+        remarks: list[str] = []
+        without = _simulated(plan, base, {}, start, remarks)
+        other = _simulated(plan, base, found, start, remarks) if found else None
+        again = _again(plan)
+    return LaneComparison(recorded, without, other, path.name, again, tuple(remarks))
+
+
+def _again(plan: Plan) -> str:
+    """Options of `steerd run` for the same lane; a path file's own place is not known."""
+    options = plan.options
+    spec = "csv:path.csv" if csv_file(options.path) is not None else options.path
+    return f"--path {spec} --speed {options.speed:g}"
+
+
+@contextmanager
+def _planned(session: Session) -> Iterator[Plan]:
+    """The session's plan; the file that its path names comes from the session itself."""
+    options = _options_of(session)
+    try:
+        text = session.attachment("car.toml").decode()
+        settings = make_settings(parse_car(text, Path("car.toml")), options.speed)
+        settings = replace(settings, brakes=replace(settings.brakes, uuid=""))
+    except (SessionError, CarFileError, UnicodeDecodeError) as error:
+        raise NotALaneDriveError(f"its car file cannot be used ({error})") from None
+    with TemporaryDirectory() as folder:
+        if csv_file(options.path) is not None:
+            copy = Path(folder) / "path.csv"
+            try:
+                copy.write_bytes(session.attachment("path.csv"))
+            except SessionError:
+                raise NotALaneDriveError("its path file is not in the session") from None
+            options = replace(options, path=",".join([f"csv:{copy}", *options.path.split(",")[1:]]))
+        yield make_plan(options, settings)
+
+
+def _options_of(session: Session) -> RunOptions:
+    """How the session was driven, as a simulation of the same length at most."""
+    text = session.info().metadata.get("steerd.session", {}).get("options", "")
+    try:
+        options = decode_options(text)
+    except ValueError:
+        raise NotALaneDriveError("it was not recorded by `steerd run`") from None
+    if options.drill:
+        raise NotALaneDriveError("it was driven by an excitation plan, not by the lane keeper")
+    if options.controller is not ControllerKind.LANE:
+        raise NotALaneDriveError("another program steered")
+    return replace(
+        options, car_file="", port=None, mocap=None, simulated=True, auto_arm=True, effects=(),
+        duration_s=SECONDS, seed=options.seed + _SEED, record=None,
+    )  # fmt: skip
+
+
+def _recorded(session: Session) -> Rows:
+    """Rows t, s, e1, e2, steer, x, y, yaw while the car was driven."""
+    wanted = {
+        t.name: topics.STATE.message
+        for t in session.info().topics
+        if (split_key(t.name) or ("", ""))[1] == topics.STATE.name
+    }
+    tables = session.tables(wanted) if wanted else {}
+    if not tables:
+        raise NotALaneDriveError("it holds no lane errors")
+    table = next(iter(tables.values()))
+    t = (table["stamp_ns"] - table["stamp_ns"][:1]).astype(float) * 1e-9
+    names = ("path_s", "e1", "e2", "steer_ref", "x", "y", "yaw")
+    rows: Rows = np.column_stack([t, *(table[name].astype(float) for name in names)])
+    rows = rows[(table["mode"] == Supervised.RUNNING) & np.isfinite(rows).all(axis=1)]
+    if not len(rows):
+        raise NotALaneDriveError("it was never driven")
+    return rows
+
+
+def _lane_drive(rows: Rows, plan: Plan) -> LaneDrive:
+    """The settled part of rows t, s, e1, e2, steer.
+
+    Raises:
+        NotALaneDriveError: it is too short.
+    """
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    rows = rows[rows[:, 0] >= rows[0, 0] + SETTLE] if len(rows) else rows
+    if len(rows) < 2 or np.ptp(rows[:, 0]) < SHORTEST:
+        raise NotALaneDriveError(f"it keeps the lane for less than {SETTLE + SHORTEST:g} s")
+    t, s, e1, e2, steer = rows.T
+    return LaneDrive(t, s, e1, e2, steer, float(plan.path.length))
+
+
+def _with_effects(
+    base: CarFile, found: Values
+) -> tuple[tuple[Effect, ...], tuple[tuple[float, ...], ...]]:
+    """The base's effects with the found ones in their places or after them."""
+    merged = dict(zip((e.name for e in base.effects), base.values, strict=True)) | dict(found)
+    return tuple(EFFECTS[name] for name in merged), tuple(merged.values())
+
+
+def _simulated(
+    plan: Plan, base: CarFile, found: Values, start: State[float], remarks: list[str]
+) -> LaneDrive | None:
+    """The plan driven by its controller on a car; None, and a remark, if it does not last."""
+    label = "with the effect" if found else "without the effect"
+    effects, values = _with_effects(base, found)
+    config = replace(
+        make_world_config(plan), car=base.car, effects=effects, effect_values=values, start=start
+    )
+    rows: list[tuple[float, ...]] = []
+
+    def sink(records: list[Record], t_ns: int) -> None:
+        for each in records:
+            if each.topic is topics.STATE:
+                now = decode(topics.STATE.message, each.data)
+                if now.mode == Supervised.RUNNING:
+                    rows.append((t_ns * 1e-9, now.path_s, now.e1, now.e2, now.steer_ref))
+
+    run = make_virtual_run(plan, (sink,), World(config))
+    drive(run)
+    if run.core.loop.faulted:
+        remarks.append(f"{label} the simulation is stopped: {run.core.loop.supervisor.reason}")
+    try:
+        return _lane_drive(np.array(rows).reshape(-1, 5), plan)
+    except NotALaneDriveError:
+        remarks.append(f"{label} the simulated car does not stay in its lane")
+        return None
+
+
+def try_lane(
+    paths: Sequence[Path], base: CarFile, found: Values
+) -> tuple[LaneComparison | None, str]:
+    """The comparison on the first lane drive, or None and why there is none."""
+    why = ""
+    for path in paths:
+        try:
+            return compare_lane(path, base, found), ""
+        except NotALaneDriveError as error:
+            why = why or f"closed loop not compared: {path.name}: {error}"
+        except SteerdError as error:
+            why = why or f"closed loop not compared: {path.name}: {error.what}"
+    return None, why

@@ -1,0 +1,139 @@
+"""The one screen that `steerd identify` prints."""
+
+from collections.abc import Iterator
+from math import degrees, isfinite, isnan
+from pathlib import Path
+
+from steerd.sysid.estimation.learn import POOR
+from steerd.sysid.estimation.outcome import Outcome, Row
+
+_CERTAIN = 10.0
+"""A phase whose log-likelihood leads by more is told."""
+
+
+def describe(outcome: Outcome, written: Path | None = None, *, axles_measured: bool = False) -> str:
+    """The screen, most telling last: what to do next."""
+    parts = [
+        _data(outcome), _parameters(outcome), _open(outcome), _validation(outcome),
+        _next(outcome, written, axles_measured),
+    ]  # fmt: skip
+    return "\n\n".join("\n".join(lines) for lines in map(list, parts) if lines)
+
+
+def _data(outcome: Outcome) -> Iterator[str]:
+    e = outcome.excitation
+    yield f"data       {', '.join(outcome.sessions)}: {e.seconds:.0f} s, {e.distance:.0f} m"
+    pace = f"{e.speed_low:.1f} to {e.speed_high:.1f} m/s, {e.lateral_accel:.1f} m/s2 sideways"
+    sides = f"left {e.left:.0%}, right {e.right:.0%}, steering {e.steer_rate:.2f} rad/s"
+    yield f"driven     {pace}; {sides}"
+    yield from (f"lacking    {what}" for what in e.lacking)
+    how = {"ours": "windows of growing length", "paper": "soft-DTW and chamfer by Adam"}
+    effort = f", {outcome.fit.iterations} steps" if outcome.fit else ""
+    effort += f", {len(outcome.courses)} starts" if outcome.courses else ""
+    name = how.get(outcome.method, "the same loss by CMA-ES")
+    for pulse in outcome.pulses:
+        certain = "" if pulse.sure > _CERTAIN else " (hardly told)"
+        yield f"servo      {pulse.run}: 50 Hz pulses at {1e3 * pulse.phase:.0f} ms{certain}"
+    for ramp in outcome.ramps:
+        limit = f"ramp of {ramp.rate:.1f} m/s2" if ramp.rate else "no ramp"
+        certain = "" if ramp.sure > _CERTAIN else " (hardly told)"
+        yield f"motor      {ramp.run}: {limit}{certain}"
+    for beat in outcome.beats:
+        found, undone = beat.describe()
+        yield f"log        {found}"
+        yield f"           {undone}"
+    for step in outcome.manners:
+        gain = f"gains {step.gain:.0f} ± {step.se:.0f} nats"
+        yield f"manner     {step.effect}: these drives show it ({gain})"
+    yield f"method     {outcome.method} ({name}{effort}), {outcome.seconds:.1f} s"
+
+
+def _parameters(outcome: Outcome) -> Iterator[str]:
+    rows = outcome.free_rows
+    width = max([13, *(len(name) + 1 for name in rows)])
+    yield f"{'':{width - 2}}{'value':>10} {'sd':>10}  {'start':>10}"
+    for name, row in rows.items():
+        yield _line(f"{name:<{width}}", row)
+
+
+def _line(name: str, row: Row) -> str:
+    sd = "?" if row.sd is None else f"{row.sd:.2g}"
+    told = "" if row.identifiable else "  not told by these data"
+    value = f"{row.value:.5g}" if row.identifiable else f"({row.value:.3g})"
+    return f"{name}{value:>10} {sd:>8}  {row.before:>10.5g} {row.unit}{told}".rstrip()
+
+
+def _open(outcome: Outcome) -> Iterator[str]:
+    if not outcome.unidentified:
+        return
+    yield "what the data leave open, and the manoeuvre that would tell it"
+    by_hint: dict[str, list[str]] = {}
+    for name, hint in outcome.unidentified.items():
+        by_hint.setdefault(hint, []).append(name)
+    for hint, names in by_hint.items():
+        yield f"   {', '.join(names)}: {hint}"
+    for c in (each for each in outcome.combinations if each.known):
+        yield f"   known all the same: {c.text} = {c.value:.5g} ± {c.sd:.2g} m"
+
+
+def _validation(outcome: Outcome) -> Iterator[str]:
+    yield f"prediction of {outcome.held_out_of}"
+    for h in outcome.held_out:
+        a, b = h.after, h.before
+        if isnan(a.position):
+            yield f"   {a.horizon:.1f} s   nothing so long was kept back"
+            continue
+        yield (
+            f"   {a.horizon:.1f} s   {a.position * 1e3:7.1f} mm {degrees(a.heading):6.2f} deg   "
+            f"(start {b.position * 1e3:.1f} mm {degrees(b.heading):.2f} deg: {h.factor:.1f} x)"
+        )
+    yield from _regimes(outcome)
+
+
+def _class(low: float, high: float) -> str:
+    return f"to {high:g}" if isfinite(high) else f"above {low:g}"
+
+
+def _decimals(length: float) -> int:
+    """Of millimetres: one below a centimetre."""
+    return 1 if length < 0.01 else 0
+
+
+def _regimes(outcome: Outcome) -> Iterator[str]:
+    if len(outcome.regimes) < 2:
+        return
+    told = [
+        f"{1e3 * r.median:.{_decimals(r.median)}f} mm {_class(r.low, r.high)}"
+        for r in outcome.regimes
+    ]
+    yield f"   median after 1 s by lateral acceleration [m/s2]: {', '.join(told)}"
+
+
+def _next(outcome: Outcome, written: Path | None, axles_measured: bool) -> Iterator[str]:
+    yield from (f"note: {note}" for note in outcome.notes)
+    if not improved(outcome):
+        yield "next: these values predict no better than the start; keep the old car file"
+        yield from _why(outcome, axles_measured)
+    elif written is not None:
+        yield f"next: steerd run --sim --car {written}   (on the car: --port and --mocap for --sim)"
+        names = " ".join(outcome.sessions)
+        yield f"      steerd diagnose {names} --base {written}   (what this model still misses)"
+    else:
+        yield "next: repeat with -o car.toml, which writes a car file to drive with"
+
+
+def _why(outcome: Outcome, axles_measured: bool) -> Iterator[str]:
+    """What to try where the fit did not help."""
+    poor = outcome.fit is None or max(outcome.fit.misfit.values(), default=0.0) > POOR
+    if poor and not axles_measured:
+        yield "      measure the distance of the axles and give it as --wheelbase M: a longer"
+        yield "      car, a smaller steering gain and a slower one look much alike"
+    elif not poor and outcome.unidentified:
+        yield "      the start explains these drives, and they tell too little to better it: steerd"
+        yield "      collect --plan mixed drives what tells more"
+
+
+def improved(outcome: Outcome) -> bool:
+    """Whether the longest prediction became no worse (2 % are noise)."""
+    known = [h for h in outcome.held_out if not isnan(h.after.position)]
+    return bool(known) and known[-1].after.position <= 1.02 * known[-1].before.position

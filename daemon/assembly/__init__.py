@@ -1,0 +1,1 @@
+"""Putting a run together: settings, path, design, loop and links become one value."""

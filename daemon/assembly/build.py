@@ -1,0 +1,203 @@
+"""Putting a run together: settings, path, design, loop and links."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from steerd.car_model.car_file import default_car_path
+from steerd.car_model.effects import parse_effects
+from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.params import Car
+from steerd.car_model.path.path import Path
+from steerd.car_model.path.path_spec import parse_path
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.outbox import Outbox, Sink
+from steerd.daemon.loop.plans import Drill, PlanError, parse_drill
+from steerd.daemon.settings.config import Settings, load_settings
+from steerd.daemon.settings.run_options import ControllerKind, RunOptions
+from steerd.sim_hw.mocap.mocap_config import MocapConfig
+from steerd.sim_hw.vesc.vesc_config import VescConfig
+from steerd.sim_hw.world import WorldConfig
+from steerd.steer_bus.topics import check_car_name
+
+# python-control and filterpy take a second to import. `steerd run` leaves both to the core's
+# process, which needs them anyway; its terminal and its children start without.
+if TYPE_CHECKING:
+    from steerd.controller.lane_controller import LaneController
+    from steerd.daemon.loop.core import Core
+    from steerd.daemon.loop.loop import LoopSetup
+
+NS = 1_000_000_000
+SLOWEST_HZ, SLOWEST_SIMULATED_HZ = 50.0, 20.0
+"""The guardian brakes a car whose core has not ticked for 30 ms; a simulated one, for 300 ms."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A run that is ready to start: everything that could be refused has been accepted."""
+
+    options: RunOptions
+    settings: Settings
+    path: Path
+    drill: Drill | None = None
+
+    @cached_property
+    def controller(self) -> LaneController:
+        """Designed for this run, once.
+
+        Raises:
+            SteerdError: the design is refused, with the reason.
+        """
+        from steerd.controller.build import make_controller
+        from steerd.controller.design import DesignRefused
+
+        try:
+            return make_controller(
+                reachable(self.settings), self.path, self.settings.controller, self.options.rate_hz
+            )
+        except DesignRefused as error:
+            raise SteerdError(str(error), "", ExitCode.INVALID) from None
+        except ValueError as error:
+            what = f"--path {self.options.path}: {error}"
+            raise SteerdError(what, "", ExitCode.INVALID) from None
+
+    @property
+    def period_ns(self) -> int:
+        """Of the control loop."""
+        return round(NS / self.options.rate_hz)
+
+
+def make_plan(
+    options: RunOptions, settings: Settings | None = None, *, design: bool = True
+) -> Plan:
+    """Read the car file (unless its settings are given), the path, and design the controller.
+
+    Args:
+        options: what to run.
+        settings: of the car file, if it was read.
+        design: False where another process will design the controller, and refuse it.
+
+    Raises:
+        SteerdError: any of them is refused, with the reason.
+    """
+    slowest = SLOWEST_HZ if options.port and not options.simulated else SLOWEST_SIMULATED_HZ
+    if not slowest <= options.rate_hz <= 1000.0:
+        what = f"--rate {options.rate_hz:g}: {slowest:g} to 1000 Hz"
+        raise SteerdError(what, "", ExitCode.USAGE)
+    try:
+        check_car_name(options.car)
+    except ValueError as error:
+        raise SteerdError(f"--name: {error}", "", ExitCode.USAGE) from None
+    if settings is None:
+        settings = load_settings(options.car_file or default_car_path(), options.speed)
+    try:
+        path = parse_path(options.path)
+    except OSError as error:
+        raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.UNREADABLE) from None
+    except ValueError as error:
+        raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.USAGE) from None
+    plan = Plan(options, settings, path)
+    if options.drill:
+        try:
+            drill = parse_drill(options.drill, settings.file.car, settings.limits)
+        except PlanError as error:
+            raise SteerdError(str(error), "", ExitCode.USAGE) from None
+        plan = Plan(options, fenced(settings, drill), path, drill)
+    if design:
+        _ = plan.controller
+    return plan
+
+
+def fenced(settings: Settings, drill: Drill) -> Settings:
+    """The settings with the drill's box as the fence."""
+    if drill.box is None:
+        return settings
+    return replace(settings, thresholds=replace(settings.thresholds, fence=drill.box.fence))
+
+
+def reachable(settings: Settings) -> Car[float]:
+    """The car with the end stops that the last gate enforces: what a design may count on.
+
+    Effects that the car file knows of count as far as they are changes of parameters.
+    """
+    car, limits = believed_car(settings.file.model), settings.limits
+    return car._replace(
+        steer_min=max(car.steer_min, -limits.steer_right_max),
+        steer_max=min(car.steer_max, limits.steer_left_max),
+    )
+
+
+def make_loop_setup(plan: Plan, boot_id: int, leased: bool) -> LoopSetup:
+    """What the loop of a plan keeps to; also what a replay of it keeps to."""
+    from steerd.daemon.loop.loop import LoopSetup
+
+    duration = plan.options.duration_s
+    return LoopSetup(
+        settings=plan.settings,
+        controller=plan.controller,
+        period_ns=plan.period_ns,
+        boot_id=boot_id,
+        remote=plan.options.controller is ControllerKind.ZENOH,
+        auto_arm=plan.options.auto_arm,
+        leased=leased,
+        duration_ns=None if duration is None else round(duration * NS),
+        simulated=plan.options.simulated,
+        drill=plan.drill,
+    )
+
+
+def make_core(plan: Plan, boot_id: int, epoch_ns: int, sinks: Sequence[Sink], leased: bool) -> Core:
+    """The control core of a plan.
+
+    Args:
+        plan: what to run.
+        boot_id: random name of this run.
+        epoch_ns: UNIX time minus monotonic time.
+        sinks: who gets the messages.
+        leased: whether an operator's lease is needed.
+    """
+    from steerd.daemon.loop.core import Core
+    from steerd.daemon.loop.loop import Loop
+    from steerd.vesc_link.telemetry import IMU_ACCEL_GYRO_MASK
+    from steerd.vesc_link.vesc import VescLink
+
+    settings = plan.settings
+    setup = make_loop_setup(plan, boot_id, leased)
+    uuid = settings.brakes.uuid
+    link = VescLink(
+        settings.scaling,
+        bytes.fromhex(uuid) if uuid else None,
+        imu_mask=IMU_ACCEL_GYRO_MASK,
+    )
+    return Core(Loop(setup), link, Outbox(epoch_ns, tuple(sinks)))
+
+
+def make_world_config(
+    plan: Plan, mocap_kind: str = "natnet", keep_bytes: bool = False
+) -> WorldConfig:
+    """Simulated hardware that fits a plan: the car of the car file, with the effects asked for.
+
+    Raises:
+        SteerdError: an effect is unknown or its value cannot be.
+    """
+    settings, options = plan.settings, plan.options
+    try:
+        added = parse_effects(",".join(options.effects)) if options.effects else []
+    except ValueError as error:
+        raise SteerdError(
+            f"--effect: {error}", "`steerd effects` lists them", ExitCode.USAGE
+        ) from None
+    file = settings.file
+    return WorldConfig(
+        seed=options.seed,
+        car=file.car,
+        effects=(*file.effects, *(effect for effect, _ in added)),
+        effect_values=(*file.values, *(values for _, values in added)),
+        scaling=settings.scaling,
+        vesc=VescConfig(current_limit=settings.brakes.current_max_a),
+        mocap=MocapConfig(kind=mocap_kind, frame=settings.ingest.frame),
+        keep_bytes=keep_bytes,
+    )

@@ -1,0 +1,79 @@
+"""What a session file says about itself, beyond its messages."""
+
+import os
+import platform
+import subprocess
+from importlib.metadata import version
+from pathlib import Path
+
+import platformdirs
+
+from steerd.daemon.assembly.build import Plan
+from steerd.daemon.settings.run_options import encode_options
+
+
+def default_session_path(car: str, realtime_ns: int, boot_id: int) -> Path:
+    """A name made of date, car and run, in the user's data folder (systemd: `$STATE_DIRECTORY`)."""
+    from datetime import UTC, datetime
+
+    stamp = datetime.fromtimestamp(realtime_ns // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
+    base = os.environ.get("STATE_DIRECTORY") or platformdirs.user_data_path("steerd")
+    return Path(base) / "sessions" / f"{stamp}_{car}_{boot_id & 0xFFFFFFFF:08x}.mcap"
+
+
+def _git() -> dict[str, str]:
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return {}
+    done = subprocess.run(
+        ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return {"git": done.stdout.strip()} if done.returncode == 0 else {}
+
+
+def make_metadata(
+    plan: Plan, boot_id: int, epoch_ns: int, *, leased: bool, reproducible: bool = False
+) -> dict[str, dict[str, str]]:
+    """Metadata records of a session.
+
+    Args:
+        plan: what is run.
+        boot_id: of the run.
+        epoch_ns: UNIX time minus monotonic time.
+        leased: whether an operator's lease is needed.
+        reproducible: leave out what differs between machines.
+    """
+    options, car = plan.options, plan.settings.file.car
+    session = {
+        "steerd_version": version("steerd"),
+        "car": options.car,
+        "mode": "sim" if options.simulated else "hw",
+        "options": encode_options(options),
+        "boot_id": str(boot_id),
+        "leased": str(int(leased)),
+        "epoch_ns": str(epoch_ns),
+    }
+    if not reproducible:
+        session |= {"host": platform.node(), "kernel": platform.release(), **_git()}
+    vehicle = {name: repr(value) for name, value in car._asdict().items()}
+    scaling = {
+        name: repr(getattr(plan.settings.scaling, name)) for name in plan.settings.scaling.__slots__
+    }
+    return {"steerd.session": session, "steerd.vehicle": vehicle, "steerd.scaling": scaling}
+
+
+def make_attachments(plan: Plan) -> dict[str, str]:
+    """Texts to keep inside the session: car file and path file exactly as they were."""
+    texts = {"car.toml": plan.settings.file.text}
+    path_file = csv_file(plan.options.path)
+    if path_file is not None:
+        texts["path.csv"] = Path(path_file).read_text()
+    return texts
+
+
+def csv_file(spec: str) -> str | None:
+    """The file that a path description names, if it names one."""
+    return spec.removeprefix("csv:").split(",")[0] if spec.startswith("csv:") else None

@@ -1,0 +1,1 @@
+"""Commands that learn the car and find what its model lacks."""

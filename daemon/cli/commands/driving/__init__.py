@@ -1,0 +1,1 @@
+"""Commands that drive a car or talk to one that drives."""

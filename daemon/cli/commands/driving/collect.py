@@ -1,0 +1,85 @@
+"""Drive an excitation plan and record it: a session that tells the car's parameters.
+
+steerd collect --sim --fast --plan mixed --record mixed.mcap
+steerd collect --plan circles --box 6 --port /dev/ttyACM0 --mocap natnet://192.168.1.2/car
+
+Plans: circles (the paper's: 8 left, 8 right, steering at its limit, 1 m/s), slalom, chirp, steps,
+mixed (all of them at several speeds: the one to start with). The same supervisor, watchdogs and
+limits as in `steerd run` stand above the plan; a box is their fence.
+"""
+
+import argparse
+from dataclasses import replace
+
+from steerd.daemon.assembly.build import Plan, make_plan
+from steerd.daemon.cli.commands.driving import run as driving
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.loop.plans import NAMES, PlanError, closed_path, parse_box
+from steerd.daemon.settings.run_options import RunOptions
+
+SPEED = 2.5
+"""Highest speed of a plan unless said otherwise [m/s]."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `steerd collect`: those of `steerd run`, and the plan's."""
+    what = parser.add_argument_group("plan")
+    what.add_argument("--plan", choices=NAMES, default="mixed", help="what to drive")
+    what.add_argument(
+        "--closed",
+        action="store_true",
+        help="as a probe on top of the lane keeper, along --path (default: open loop, in orbits)",
+    )
+    what.add_argument(
+        "--box",
+        metavar="SIDE|X0,Y0,X1,Y1",
+        help="where the car must stay [m]; put it in the middle, pointing along x",
+    )
+    driving.add_arguments(parser)
+    parser.set_defaults(speed=SPEED, path=None)
+
+
+def make_options(args: argparse.Namespace) -> RunOptions:
+    """Typed options from the command line.
+
+    Raises:
+        SteerdError: a combination makes no sense.
+    """
+    if args.controller != "lane":
+        raise SteerdError("a plan is driven by the daemon itself", "drop --controller", _USAGE)
+    parts = [args.plan, "closed" if args.closed else f"speed={args.speed:g}"]
+    if args.box:
+        parts.append(f"box={args.box}")
+    args.path = args.path or _path(args)
+    return replace(driving.make_options(args), drill=";".join(parts))
+
+
+_USAGE = ExitCode.USAGE
+
+
+def _path(args: argparse.Namespace) -> str:
+    """The lane keeper's path: a figure eight that fits the box; open loop it is not followed."""
+    if not args.closed:
+        return "line"
+    try:
+        return closed_path(parse_box(args.box) if args.box else None)
+    except PlanError as error:
+        raise SteerdError(str(error), "", _USAGE) from None
+
+
+def plan_drive(options: RunOptions, *, design: bool = True) -> Plan:
+    """The run of these options, as long as its plan unless they say how long.
+
+    Raises:
+        SteerdError: plan, path or car file are refused.
+    """
+    plan = make_plan(options, design=design)
+    if plan.drill is None or options.duration_s is not None:
+        return plan
+    return replace(plan, options=replace(options, duration_s=plan.drill.seconds))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command."""
+    plan = plan_drive(make_options(args), design=args.fast)
+    return driving.drive(plan, fast=args.fast)

@@ -1,0 +1,118 @@
+"""The lane keeper as a process of its own: reads the estimate from the bus, publishes commands.
+
+For `steerd run --controller zenoh`, which applies them through the same limits and stops the car
+when they grow old.
+"""
+
+import argparse
+import secrets
+import signal
+import sys
+from math import isfinite
+
+from steerd.car_model.state import State
+from steerd.controller.lane_controller import (
+    ControllerState,
+    LaneController,
+    control,
+    start_controller,
+)
+from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.cli.commands.driving.run import add_drive_arguments
+from steerd.daemon.common.errors import ExitCode
+from steerd.daemon.ipc.operator import add_bus_arguments, connect, read_status
+from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.settings.run_options import RunOptions
+from steerd.steer_bus import topics
+from steerd.steer_bus.bus import Bus
+from steerd.steer_bus.clock import Clock, MonotonicClock
+from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.messages import BODY, DriveCommand, make_header
+from steerd.steer_bus.messages import State as StateMessage
+from steerd.steer_bus.topics import make_key
+
+VALID_MS = 100
+_POLL_NS = 1_000_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `steerd control`."""
+    add_bus_arguments(parser)
+    add_drive_arguments(parser)
+
+
+class RemoteKeeper:
+    """The controller between two topics."""
+
+    def __init__(self, controller: LaneController, boot_id: int, lease_id: int) -> None:
+        self._controller = controller
+        self._boot_id = boot_id
+        self._lease_id = lease_id
+        self._state: ControllerState | None = None
+        self._driving = False
+        self._seq = 0
+
+    def answer(self, message: StateMessage, realtime_ns: int) -> DriveCommand | None:
+        """The command for one estimate; None while there is no estimate."""
+        state = State(
+            message.x,
+            message.y,
+            message.yaw,
+            message.speed,
+            message.yaw_rate,
+            message.slip_angle,
+            message.steer,
+        )
+        if not all(map(isfinite, state)):
+            self._state = None
+            return None
+        driving = message.mode == Supervised.RUNNING
+        if self._state is None or driving is not self._driving:
+            self._state = start_controller(self._controller, state, message.mono_ns)
+            self._driving = driving
+        command, _, self._state = control(
+            self._controller, self._state, state, message.mono_ns, stop=not driving
+        )
+        self._seq += 1
+        return DriveCommand(
+            make_header(realtime_ns, BODY),
+            self._boot_id,
+            self._lease_id,
+            message.mono_ns,
+            self._seq,
+            VALID_MS,
+            command.steer,
+            command.speed,
+        )
+
+
+def serve(bus: Bus, car: str, keeper: RemoteKeeper, clock: Clock, end_ns: int | None) -> None:
+    """Answer every estimate until the time is over or a signal comes."""
+    estimates = bus.subscribe(make_key(car, topics.STATE))
+    key = make_key(car, topics.DRIVE)
+    while end_ns is None or clock.now_ns() < end_ns:
+        for sample in estimates.poll():
+            command = keeper.answer(decode(StateMessage, sample.data), clock.realtime_ns())
+            if command is not None:
+                bus.publish(key, encode(command))
+        clock.sleep_until_ns(clock.now_ns() + _POLL_NS)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    options = RunOptions(
+        args.car or "", args.name, path=args.path, speed=args.speed, rate_hz=args.rate
+    )
+    plan = make_plan(options)
+    clock = MonotonicClock()
+    with connect(args) as bus:
+        status = read_status(bus, args.name, clock)
+        keeper = RemoteKeeper(plan.controller, int(status["boot_id"]), secrets.randbits(62) + 1)
+        print(f"steering {args.name} along {plan.path.name}; Ctrl-C ends", file=sys.stderr)
+        end = None if args.duration is None else clock.now_ns() + round(args.duration * 1e9)
+        try:
+            serve(bus, args.name, keeper, clock, end)
+        except KeyboardInterrupt:
+            return ExitCode.OK
+    return ExitCode.OK

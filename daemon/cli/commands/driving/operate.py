@@ -1,0 +1,175 @@
+"""Ask a running daemon for something: arm, start, stop, disarm, clear, estop.
+
+`steerd start` stays and keeps the deadman fed until the drive is over: Ctrl-C, closing the
+terminal or losing the connection stops the car. `steerd arm` waits until the car is armed, and
+holds it so until Ctrl-C or until somebody starts it.
+"""
+
+import argparse
+import getpass
+import secrets
+import signal
+import sys
+from collections.abc import Callable
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.diagnostics import read_diagnostics
+from steerd.daemon.ipc.operator import (
+    KEEPALIVE_NS,
+    Operator,
+    add_bus_arguments,
+    connect,
+    read_status,
+)
+from steerd.daemon.loop.transitions import State
+from steerd.steer_bus import topics
+from steerd.steer_bus.bus import Bus
+from steerd.steer_bus.clock import Clock, MonotonicClock
+from steerd.steer_bus.codec import decode
+from steerd.steer_bus.messages import RequestKind, Transition
+from steerd.steer_bus.standard import DiagnosticArray
+from steerd.steer_bus.topics import make_key
+
+ANSWER_NS = 1_500_000_000
+_KINDS = {
+    "arm": RequestKind.ARM,
+    "start": RequestKind.START,
+    "stop": RequestKind.STOP,
+    "disarm": RequestKind.DISARM,
+    "clear": RequestKind.CLEAR,
+    "estop": RequestKind.ESTOP,
+}
+_WANTED = {
+    "arm": (State.ARMED,),
+    "start": (State.RUNNING,),
+    "stop": (State.STOPPING, State.ARMED, State.DISARMED, State.READY),
+    "disarm": (State.STOPPING, State.DISARMED, State.READY),
+    "clear": (State.DISARMED, State.READY),
+    "estop": (State.ESTOP,),
+}
+_OVER = (
+    State.DISARMED,
+    State.READY,
+    State.INIT,
+    State.FAULT_STOP,
+    State.FAULT_LATCHED,
+    State.ESTOP,
+)
+
+
+def add_car_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which car, and where."""
+    add_bus_arguments(parser)
+    parser.add_argument("--name", default="car1", help="the car's name")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of these commands."""
+    add_car_arguments(parser)
+    parser.add_argument(
+        "--no-hold", action="store_true", help="arm, start: do not stay as the deadman"
+    )
+
+
+class _Link:
+    """One operator on the bus: asks, hears, keeps alive."""
+
+    def __init__(self, bus: Bus, car: str, operator: Operator, clock: Clock) -> None:
+        self._bus = bus
+        self._operator = operator
+        self._key = make_key(car, topics.OPERATOR)
+        self._changes = bus.subscribe(make_key(car, topics.TRANSITION), 32)
+        self._status = bus.subscribe(make_key(car, topics.DIAGNOSTICS))
+        self._clock = clock
+        self.state = State.INIT
+        self.values: dict[str, str] = {}
+        self._show: Callable[[str], None] = lambda line: print(line, file=sys.stderr)
+
+    def ask(self, kind: RequestKind) -> None:
+        self._bus.publish(self._key, self._operator.make(kind, self._clock.realtime_ns()))
+
+    def hear(self) -> None:
+        for sample in self._changes.poll():
+            change = decode(Transition, sample.data)
+            self.state = State(change.to_state)
+            self._show(f"{self.state.name:<14}{change.text}")
+        for sample in self._status.poll():
+            self.values = read_diagnostics(decode(DiagnosticArray, sample.data))
+            self.state = State[self.values["state"]]
+
+    def wait(self, done: Callable[[], bool], limit_ns: int | None) -> bool:
+        """Keep alive and listen until it is done or the time is over."""
+        end = None if limit_ns is None else self._clock.now_ns() + limit_ns
+        while not done():
+            now = self._clock.now_ns()
+            if end is not None and now > end:
+                return False
+            self.ask(RequestKind.KEEPALIVE)
+            self._clock.sleep_until_ns(now + KEEPALIVE_NS)
+            self.hear()
+        return True
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command."""
+    # A closed terminal is an operator who has gone: leave at once, the deadman does the rest.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    clock, name = MonotonicClock(), str(args.command)
+    with connect(args) as bus:
+        status = read_status(bus, args.name, clock)
+        holder = int(status.get("holder", "0"))
+        shared = name == "start" and status["state"] == State.ARMED.name and holder
+        lease = holder if shared else secrets.randbits(62) + 1
+        operator = Operator(int(status["boot_id"]), lease, getpass.getuser())
+        operator.seq = clock.realtime_ns() // 1_000_000 % 2_000_000_000
+        link = _Link(bus, args.name, operator, clock)
+        link.state, link.values = State[status["state"]], status
+        if name == "start" and link.state is not State.ARMED:
+            _arm_first(link)
+        return _ask(link, name, hold=not args.no_hold)
+
+
+def _arm_first(link: _Link) -> None:
+    raise SteerdError(
+        f"the car is {link.state.name}, not ARMED; it waits for {link.values.get('waiting')}",
+        "steerd arm",
+        ExitCode.STOPPED,
+    )
+
+
+def _ask(link: _Link, name: str, *, hold: bool) -> int:
+    kind, wanted = _KINDS[name], _WANTED[name]
+    link.ask(kind)
+    if not link.wait(lambda: link.state in wanted, ANSWER_NS):
+        raise SteerdError(
+            f"{name}: the car stays {link.state.name}: {link.values.get('reason', '')}; "
+            f"it waits for {link.values.get('waiting', '')}",
+            "steerd status",
+            ExitCode.STOPPED,
+        )
+    if name in ("arm", "start") and hold:
+        return _hold(link, name)
+    print(link.state.name)
+    return ExitCode.OK
+
+
+def _hold(link: _Link, name: str) -> int:
+    """Stay as the deadman until the state that was asked for is left."""
+    stay = State.ARMED if name == "arm" else State.RUNNING
+    doing = "armed: `steerd start` from another terminal" if name == "arm" else "driving"
+    print(f"{doing}; Ctrl-C {'disarms' if name == 'arm' else 'stops'}", file=sys.stderr)
+    try:
+        link.wait(lambda: link.state in _OVER or _left(link, stay), None)
+    except KeyboardInterrupt:
+        link.ask(RequestKind.DISARM if name == "arm" else RequestKind.STOP)
+        link.wait(lambda: link.state is not stay, ANSWER_NS)
+        link.wait(lambda: link.state is not State.STOPPING, 5_000_000_000)
+    print(link.state.name)
+    return ExitCode.STOPPED if link.state in (State.FAULT_LATCHED, State.ESTOP) else ExitCode.OK
+
+
+def _left(link: _Link, stay: State) -> bool:
+    """Whether there is nothing to hold any more."""
+    if stay is State.ARMED:
+        return link.state not in (State.ARMED, State.RUNNING, State.STOPPING)
+    return link.state not in (State.RUNNING, State.STOPPING)

@@ -1,0 +1,231 @@
+"""Drive: the control loop on a car (--port, --mocap) or on simulated hardware (--sim).
+
+On a car it comes up disarmed. Arm and start it with the keys shown, or from another terminal with
+`steerd arm` and `steerd start`.
+"""
+
+import argparse
+import secrets
+import signal
+import sys
+from math import inf
+from pathlib import Path
+
+from steerd.daemon.assembly.build import Plan, make_plan
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.process.view_job import DEFAULT_PORT, check_view, parse_view
+from steerd.daemon.settings.run_options import ControllerKind, RunOptions
+from steerd.steer_bus.ros_keys import DOMAIN_MAX
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `steerd run`."""
+    where = parser.add_argument_group("hardware")
+    where.add_argument("--port", metavar="DEV", help="serial port of the VESC, e.g. /dev/ttyACM0")
+    where.add_argument(
+        "--mocap",
+        metavar="URL",
+        help="natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY or zenoh:KEY",
+    )
+    where.add_argument("--sim", action="store_true", help="simulated hardware on a pty and sockets")
+    where.add_argument("--fast", action="store_true", help="with --sim: virtual time, repeatable")
+    add_drive_arguments(parser)
+    run = parser.add_argument_group("run")
+    run.add_argument(
+        "--record", metavar="PATH", help="session file (default: dated, in the data folder)"
+    )
+    run.add_argument("--seed", type=int, default=0, help="of the simulated hardware's noise")
+    run.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE,…",
+        help="unmodelled effect of the simulated car (`steerd effects` lists them)",
+    )
+    run.add_argument("--auto-arm", action="store_true", help="simulation: arm and start by itself")
+    run.add_argument(
+        "--controller",
+        choices=[kind.value for kind in ControllerKind],
+        default="lane",
+        help="zenoh: apply the commands of `steerd control`",
+    )
+    run.add_argument("--listen", metavar="ENDPOINT", help="of zenoh (default tcp/127.0.0.1:7447)")
+    run.add_argument(
+        "--lab", type=Path, metavar="DIR", help="the car's folder of `steerd keys`: mutual TLS"
+    )
+    run.add_argument(
+        "--insecure-lan", action="store_true", help="allow plain zenoh beyond loopback"
+    )
+    run.add_argument(
+        "--ros-domain",
+        type=int,
+        metavar="N",
+        help="show the car to ROS 2 nodes of this domain that use rmw_zenoh",
+    )
+    run.add_argument(
+        "--view",
+        nargs="?",
+        const=str(DEFAULT_PORT),
+        metavar="[HOST:]PORT",
+        help=f"show it live in Foxglove or Lichtblick (ws://127.0.0.1:{DEFAULT_PORT})",
+    )
+
+
+def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to drive; shared with `steerd control`."""
+    drive = parser.add_argument_group("drive")
+    drive.add_argument("--car", metavar="FILE.toml", help="car file (default: F1TENTH's figures)")
+    drive.add_argument("--name", default="car1", help="the car's name on the bus and in files")
+    drive.add_argument(
+        "--path",
+        default="figure8",
+        help="line, circle:radius=2, figure8[:radius=…], csv:FILE (TUM or F1TENTH centreline)",
+    )
+    drive.add_argument("--speed", type=float, default=1.0, metavar="M/S", help="on straights")
+    drive.add_argument("--duration", type=float, metavar="S", help="end after so long a drive")
+    drive.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of the loop")
+
+
+def make_options(args: argparse.Namespace) -> RunOptions:
+    """Typed options from the command line.
+
+    Raises:
+        SteerdError: a combination makes no sense.
+    """
+    if args.fast and not args.sim:
+        raise SteerdError("--fast is virtual time", "add --sim", ExitCode.USAGE)
+    if args.sim and (args.port or args.mocap):
+        raise SteerdError("--sim brings its own port and mocap", "drop one side", ExitCode.USAGE)
+    if not args.sim and not (args.port and args.mocap):
+        hint = "steerd run --port /dev/ttyACM0 --mocap natnet://HOST/BODY, or steerd run --sim"
+        raise SteerdError("a car needs --port and --mocap", hint, ExitCode.USAGE)
+    if not args.sim and (args.auto_arm or args.effect):
+        raise SteerdError("--auto-arm and --effect are for --sim only", "", ExitCode.USAGE)
+    if args.duration is not None and not 0.0 < args.duration <= 86400.0:
+        raise SteerdError(f"--duration {args.duration:g}: more than 0 s", "", ExitCode.USAGE)
+    if args.speed is not None and not 0.0 < args.speed < inf:
+        raise SteerdError(f"--speed {args.speed:g}: more than 0 m/s", "", ExitCode.USAGE)
+    if args.seed < 0:
+        raise SteerdError(f"--seed {args.seed}: 0 or more", "", ExitCode.USAGE)
+    if args.view:
+        _check_view(args)
+    if args.ros_domain is not None:
+        _check_domain(args)
+    listen = _choose_endpoint(args)
+    return RunOptions(
+        car_file=args.car or "",
+        car=args.name,
+        port=args.port,
+        mocap=args.mocap,
+        path=args.path,
+        speed=args.speed,
+        duration_s=args.duration,
+        record=args.record,
+        seed=args.seed,
+        rate_hz=args.rate,
+        controller=ControllerKind(args.controller),
+        simulated=args.sim,
+        auto_arm=args.auto_arm or args.fast,
+        effects=tuple(args.effect),
+        listen=listen,
+        lab=str(args.lab.resolve()) if args.lab else "",
+        insecure_lan=args.insecure_lan,
+        view=args.view or "",
+        ros_domain=args.ros_domain,
+    )
+
+
+def _choose_endpoint(args: argparse.Namespace) -> str:
+    if args.lab is None:
+        return args.listen or RunOptions.listen
+    from steerd.daemon.ipc.operator import read_lab
+
+    lab = read_lab(args.lab)
+    if lab.car != args.name:
+        what = f"the certificates in {args.lab} are for {lab.car!r}, not {args.name!r}"
+        raise SteerdError(what, f"--name {lab.car}", ExitCode.USAGE)
+    endpoint = str(args.listen or lab.endpoint)
+    if not endpoint.startswith("tls/"):
+        raise SteerdError(f"--lab speaks TLS, not {endpoint}", "drop --listen", ExitCode.USAGE)
+    return endpoint
+
+
+def _check_domain(args: argparse.Namespace) -> None:
+    if not 0 <= args.ros_domain <= DOMAIN_MAX:
+        what = f"--ros-domain {args.ros_domain}: 0 to {DOMAIN_MAX}"
+        raise SteerdError(what, "", ExitCode.USAGE)
+    if args.lab is not None:
+        what = "a lab's hub lets steerd's own keys through, and none of ROS's"
+        raise SteerdError(what, "drop --lab or --ros-domain", ExitCode.USAGE)
+
+
+def _check_view(args: argparse.Namespace) -> None:
+    if args.fast:
+        hint = "drop --fast; a session opens in Foxglove, or with `steerd plot`"
+        raise SteerdError("--view shows a drive as it happens", hint, ExitCode.USAGE)
+    check_view(args.view, args.insecure_lan)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command."""
+    return drive(make_plan(make_options(args), design=args.fast), fast=args.fast)
+
+
+def drive(plan: Plan, *, fast: bool) -> int:
+    """Drive a plan: in virtual time, on simulated hardware or on a car."""
+    if fast:
+        from steerd.daemon.offline.fast import run_fast
+
+        return run_fast(plan)
+    if plan.options.simulated:
+        return _run_simulated(plan)
+    return _run_live(plan)
+
+
+def _run_simulated(plan: Plan) -> int:
+    from dataclasses import replace
+
+    from steerd.daemon.assembly.build import make_world_config
+    from steerd.sim_hw.real_time.links import spawn_sim
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with spawn_sim(make_world_config(plan)) as sim:
+        options = replace(plan.options, port=sim.port, mocap=sim.mocap_url)
+        return _run_live(replace(plan, options=options))
+
+
+def _run_live(plan: Plan) -> int:
+    from steerd.daemon.assembly.session_meta import default_session_path
+    from steerd.daemon.ipc.operator import Operator
+    from steerd.daemon.process.children import start_crew
+    from steerd.daemon.terminal.closing import closing_lines
+    from steerd.daemon.terminal.dashboard import Dashboard
+    from steerd.daemon.terminal.terminal import Terminal
+    from steerd.steer_bus.clock import MonotonicClock
+
+    clock, boot_id = MonotonicClock(), secrets.randbits(63)
+    epoch_ns = clock.realtime_ns() - clock.now_ns()
+    record = plan.options.record
+    session = (
+        Path(record)
+        if record
+        else default_session_path(plan.options.car, clock.realtime_ns(), boot_id)
+    )
+    leased = plan.settings.deadman and not plan.options.simulated
+    crew = start_crew(plan, session, boot_id, epoch_ns, leased)
+    for line in crew.told.get("realtime", ()):
+        print(f"note: {line}", file=sys.stderr)
+    if crew.viewer is not None:
+        host, port = parse_view(plan.options.view, plan.options.insecure_lan)
+        print(f"view: ws://{host}:{port} (Foxglove or Lichtblick: Open connection)")
+    where = "simulated hardware" if plan.options.simulated else str(plan.options.port)
+    board = Dashboard(f"steerd · {plan.options.car} on {where} · {plan.path.name}")
+    operator = Operator(boot_id, secrets.randbits(62) + 1, "terminal")
+    Terminal(crew, board, operator, clock).run()
+    code = crew.end()
+    told, *where_to = closing_lines(plan, board.tally, session)
+    print(told)
+    if board.status.get("state") in ("FAULT_LATCHED", "FAULT_STOP", "ESTOP"):
+        print(f"stopped: {board.status.get('reason', '')}")
+    print("\n".join(where_to))
+    return code

@@ -1,0 +1,54 @@
+"""Simulated hardware alone: a VESC on a pseudo-terminal, a mocap server on a socket.
+
+Any VESC program, or `steerd run --port … --mocap …`, can use what it prints. Ctrl-C ends it.
+"""
+
+import argparse
+from pathlib import Path
+
+from steerd.daemon.assembly.build import make_plan, make_world_config
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.settings.run_options import RunOptions
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `steerd sim`."""
+    parser.add_argument("--car", metavar="FILE.toml", help="car file (default: F1TENTH's figures)")
+    parser.add_argument("--mocap", choices=("natnet", "vrpn"), default="natnet")
+    parser.add_argument("--effect", action="append", default=[], metavar="NAME=VALUE,…")
+    parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="NAME[@FROM[-TO]]",
+        help="something that goes wrong, from and to in seconds after the start",
+    )
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--link-dir", type=Path, help="where the serial port's name is made")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command."""
+    from steerd.sim_hw.real_time.links import (
+        SimHardware,
+        SimOptions,
+        fault_windows,
+        go_first,
+        stop_on_signals,
+    )
+
+    options = RunOptions(
+        args.car or "", simulated=True, seed=args.seed, effects=tuple(args.effect), path="line"
+    )
+    world = make_world_config(make_plan(options), args.mocap)
+    try:
+        faults = fault_windows(args.fault)
+    except ValueError as error:
+        raise SteerdError(f"--fault: {error}", "", ExitCode.USAGE) from None
+    go_first()
+    with stop_on_signals() as stop, SimHardware(world, SimOptions(faults, args.link_dir)) as sim:
+        print(f"VESC:  {sim.port}")
+        print(f"mocap: {sim.mocap_url}")
+        print(f"\n   try: steerd run --port {sim.port} --mocap '{sim.mocap_url}'", flush=True)
+        sim.run(stop)
+    return ExitCode.OK

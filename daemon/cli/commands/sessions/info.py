@@ -1,0 +1,36 @@
+"""What is in a session, on one screen: car, time, topics, states, how the car moved, how it ended.
+
+steerd info SESSION.mcap
+steerd info SESSION.mcap --json
+"""
+
+import argparse
+from pathlib import Path
+
+from steerd.daemon.common.errors import ExitCode
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The session and the form of the answer."""
+    parser.add_argument("session", type=Path, metavar="SESSION", help="a session file (.mcap)")
+    parser.add_argument("--json", action="store_true", help="the same for programs")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what the session holds; warnings go to standard error.
+
+    Raises:
+        SteerdError: the file cannot be read or holds no session.
+    """
+    from steerd.daemon.sessions.info import load_session, make_session_report
+    from steerd.daemon.sessions.text import format_report, make_json, print_warnings
+
+    report = make_session_report(load_session(args.session))
+    if args.json:
+        import json
+
+        print(json.dumps(make_json(report), indent=1, allow_nan=False))
+        return ExitCode.OK
+    print(format_report(report))
+    print_warnings(report.warnings)
+    return ExitCode.OK

@@ -1,0 +1,58 @@
+"""Rebuild the session of a recorder that was killed: all that can be read, in a whole new file.
+
+steerd recover SESSION.mcap.partial
+"""
+
+import argparse
+from pathlib import Path
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.translate import of_session
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The broken file and the name of the new one."""
+    parser.add_argument("session", type=Path, metavar="SESSION", help="an unfinished session file")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="OUT.mcap", help="default: NAME.recovered.mcap"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Copy what can be read and say what was saved and what was lost.
+
+    Raises:
+        SteerdError: the file cannot be read, holds nothing, or the new one cannot be written.
+    """
+    from steerd.daemon.imports.import_session import check_output
+    from steerd.daemon.sessions.info import load_session
+    from steerd.daemon.sessions.text import print_warnings
+    from steerd.steer_bus.session import SessionError, recover
+
+    source: Path = args.session
+    out: Path = args.output or default_output(source)
+    session = load_session(source)
+    if session.info().finished and not session.warnings:
+        print(f"{source} is whole: nothing to recover")
+        return ExitCode.OK
+    if not session.info().count:
+        raise SteerdError(f"{source} holds no message that can be read", "", ExitCode.INVALID)
+    check_output(out)
+    try:
+        report = recover(source, out)
+    except SessionError as error:
+        raise of_session(error) from error
+    print_warnings([warning.message for warning in report.warnings])
+    print(f"saved    {report.messages} messages, {session.info().duration_s:.1f} s")
+    print(
+        f"lost     {report.lost_bytes} bytes that make no sense, and what was not yet on the disk"
+    )
+    print(f"longest  {report.longest_gap_s:.3g} s without any message")
+    print(f"\nwritten: {report.path}\n   next: steerd info {report.path}")
+    return ExitCode.OK
+
+
+def default_output(source: Path) -> Path:
+    """`NAME.recovered.mcap` beside the source."""
+    name = source.name.removesuffix(".partial").removesuffix(".mcap")
+    return source.with_name(f"{name}.recovered.mcap")

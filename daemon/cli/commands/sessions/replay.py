@@ -1,0 +1,31 @@
+"""Feed a recorded session through the loop again and report every command that differs."""
+
+import argparse
+from pathlib import Path
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `steerd replay`."""
+    parser.add_argument("session", type=Path, help="an .mcap session of `steerd run`")
+    parser.add_argument("--show", type=int, default=5, metavar="N", help="differences to print")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command."""
+    from steerd.daemon.offline.replay import describe, expect_same, replay
+    from steerd.daemon.sessions.info import load_session
+    from steerd.daemon.sessions.text import print_warnings
+
+    session = load_session(args.session)
+    print_warnings([warning.message for warning in session.warnings])
+    going, differences = replay(session, args.session.name)
+    count = first_ns = 0
+    for difference in differences:
+        first_ns = first_ns or difference.t_ns
+        count += 1
+        if count <= args.show:
+            print(describe(difference, first_ns))
+    code = expect_same(count, going.ticks)
+    verdict = f"{count} of them differ" if count else "every one is the recorded one"
+    print(f"{going.ticks} orders replayed: {verdict}")
+    return code

@@ -1,0 +1,1 @@
+"""Commands for the car, the room and the machine before a drive."""

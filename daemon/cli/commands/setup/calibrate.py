@@ -1,0 +1,132 @@
+"""Find the steering's centre, gain and limits: from a session, or at the car with the keys.
+
+steerd calibrate servo DRIVE.mcap -o car.toml
+steerd calibrate servo --port /dev/ttyACM0 --car car.toml -o car.toml
+
+With --port only the servo moves, never the motor; lift the front wheels. Arrow keys steer; note the
+centre, the left and the right stop.
+"""
+
+import argparse
+import sys
+from math import degrees
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
+if TYPE_CHECKING:
+    from steerd.daemon.setup.calibration import Steering
+    from steerd.vesc_link.scaling import Scaling
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to calibrate, and from what."""
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="servo")
+    servo = kinds.add_parser("servo", help="centre, gain and limits of the steering")
+    servo.add_argument("session", nargs="?", type=Path, metavar="SESSION")
+    servo.add_argument("--port", metavar="DEV", help="move the servo of this VESC by the keys")
+    servo.add_argument("--car", type=Path, metavar="FILE.toml", help="car file to start from")
+    servo.add_argument("-o", "--output", type=Path, metavar="CAR.toml", help="car file to make")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Calibrate.
+
+    Raises:
+        SteerdError: session, port or car file cannot be used.
+    """
+    from steerd.daemon.common.outputs import check_outputs
+
+    if bool(args.session) == bool(args.port):
+        hint = "steerd calibrate servo DRIVE.mcap, or steerd calibrate servo --port DEV"
+        raise SteerdError("name a session or a port", hint, ExitCode.USAGE)
+    check_outputs({"-o": args.output})
+    return _from_keys(args) if args.port else _from_session(args)
+
+
+def _from_session(args: argparse.Namespace) -> int:
+    from steerd.daemon.settings.car_edit import load_text
+    from steerd.daemon.setup.calibration import calibrate_steering
+    from steerd.daemon.setup.calibration_data import load_recorded, make_motion, orders
+
+    r = load_recorded(args.session)
+    track = make_motion(r)
+    found = calibrate_steering(
+        track.t, track.speed, track.yaw_rate, *orders(r), r.settings.file.car
+    )
+    scaling = servo_scaling(found, r.settings.scaling)
+    print("\n".join(_describe(found, scaling)))
+    for doubt in found.doubts:
+        print(f"warning: {doubt}", file=sys.stderr)
+    text = load_text(args.car) if args.car else r.text
+    return _finish(args, text, servo_values(scaling))
+
+
+def servo_scaling(found: "Steering", old: "Scaling") -> "Scaling":
+    """Servo gain, centre and limits with which a commanded angle is the wheels' angle.
+
+    A limit moves inwards only, to where the wheels stopped following.
+    """
+    from dataclasses import replace
+
+    gain = old.servo_gain / found.gain
+    offset = old.servo_offset - gain * found.bias
+    low, high = old.servo_min, old.servo_max
+    for angle, clipped in ((found.left, found.clipped_left), (found.right, found.clipped_right)):
+        position = gain * angle + offset
+        if clipped and position < offset:
+            low = max(low, position)
+        elif clipped:
+            high = min(high, position)
+    return replace(old, servo_gain=gain, servo_offset=offset, servo_min=low, servo_max=high)
+
+
+def servo_values(scaling: "Scaling") -> dict[tuple[str, str], float]:
+    """The servo's part of a car file; the model's own gain and bias become 1 and 0."""
+    names = ("servo_gain", "servo_offset", "servo_min", "servo_max")
+    values = {("vesc", name): round(float(getattr(scaling, name)), 4) for name in names}
+    return {**values, ("car", "steer_gain"): 1.0, ("car", "steer_bias"): 0.0}
+
+
+def _describe(found: "Steering", scaling: "Scaling") -> list[str]:
+    stops = {True: "a stop", False: "no stop met"}
+    return [
+        f"wheels = {found.gain:.3f} ± {found.sd_gain:.3f} × command "
+        f"{degrees(found.bias):+.2f}° ± {degrees(found.sd_bias):.2f}°, "
+        f"{1e3 * found.delay:.0f} ms after it (lag included)",
+        f"reached {degrees(found.left):.1f}° left ({stops[found.clipped_left]}), "
+        f"{degrees(-found.right):.1f}° right ({stops[found.clipped_right]})",
+        f"servo: gain {scaling.servo_gain:.4f} per rad, centre {scaling.servo_offset:.4f}, "
+        f"from {scaling.servo_min:.3f} to {scaling.servo_max:.3f}",
+    ]
+
+
+def _finish(args: argparse.Namespace, text: str, values: dict[tuple[str, str], float]) -> int:
+    from steerd.daemon.common.atomic_file import write_whole
+    from steerd.daemon.settings.car_edit import edit_text
+
+    new = edit_text(text, values)
+    if args.output is None:
+        print("   next: the same with -o car.toml writes it")
+        return ExitCode.OK
+    write_whole(args.output, new)
+    print(f"{args.output}: written\n   next: steerd config --check {args.output}")
+    return ExitCode.OK
+
+
+def _from_keys(args: argparse.Namespace) -> int:
+    from steerd.car_model.car_file import default_car_path
+    from steerd.daemon.settings.car_edit import load_text
+    from steerd.daemon.settings.config import load_settings
+    from steerd.daemon.terminal.servo_keys import steer_by_keys
+    from steerd.steer_bus.clock import MonotonicClock
+
+    path = args.car or default_car_path()
+    settings = load_settings(path)
+    print("only the servo moves; lift the front wheels", file=sys.stderr)
+    scaling = steer_by_keys(args.port, settings.scaling, MonotonicClock())
+    if scaling is None:
+        print("left without a change")
+        return ExitCode.INTERRUPTED
+    return _finish(args, load_text(path), servo_values(scaling))

@@ -1,0 +1,108 @@
+"""The car file: print a commented default, check one, exchange gains with F1TENTH's vesc.yaml.
+
+steerd config > car.toml
+steerd config --check car.toml
+steerd config --from-vesc-yaml vesc.yaml > car.toml
+steerd config --check car.toml --to-vesc-yaml vesc.yaml
+"""
+
+import argparse
+from math import degrees
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
+if TYPE_CHECKING:
+    from steerd.daemon.settings.config import Settings
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to do with the car file."""
+    parser.add_argument("--check", type=Path, metavar="FILE.toml", help="say whether it is right")
+    parser.add_argument(
+        "--from-vesc-yaml", type=Path, metavar="FILE", help="print a car file with its gains"
+    )
+    parser.add_argument(
+        "--to-vesc-yaml", type=Path, metavar="FILE", help="write the gains there, or make the file"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print, check or convert.
+
+    Raises:
+        SteerdError: a file cannot be read, or is not right.
+    """
+    from steerd.car_model.car_file import default_car_path
+    from steerd.daemon.settings.car_edit import edit_text, load_text
+    from steerd.daemon.settings.config import load_settings
+
+    path = args.check or default_car_path()
+    if args.from_vesc_yaml:
+        from steerd.daemon.settings.vesc_yaml import car_values, read_vesc_yaml
+
+        base = load_settings(path).scaling
+        scaling = read_vesc_yaml(_read(args.from_vesc_yaml), base)
+        print(edit_text(load_text(path), car_values(scaling)), end="")
+        return ExitCode.OK
+    if args.to_vesc_yaml:
+        return _to_yaml(load_settings(path), args.to_vesc_yaml)
+    if args.check:
+        return _check(args.check)
+    print(load_text(path), end="")
+    return ExitCode.OK
+
+
+def _check(path: Path) -> int:
+    from steerd.daemon.assembly.build import make_plan
+    from steerd.daemon.settings.config import load_settings
+    from steerd.daemon.settings.run_options import RunOptions
+
+    settings = load_settings(path)
+    # The design is part of the check: a car that no controller can be made for is not right.
+    plan = make_plan(
+        RunOptions(str(path), path="circle:radius=3", speed=settings.controller.speed), settings
+    )
+    print("\n".join(describe(settings)))
+    print(f"  controller  {plan.controller.report.describe()}")
+    return ExitCode.OK
+
+
+def describe(settings: "Settings") -> list[str]:
+    """What a car file amounts to, to be compared with the car on the table."""
+    from steerd.vesc_link.scaling import steer_limits
+
+    car, scaling, limits = settings.file.car, settings.scaling, settings.limits
+    right, left = steer_limits(scaling)
+    effects = ", ".join(effect.name for effect in settings.file.effects) or "none"
+    return [
+        f"{settings.file.path}: {settings.file.name}",
+        f"  car         wheelbase {car.lf + car.lr:.4f} m, mass {car.mass:g} kg, grip {car.mu:g}",
+        f"  steering    {degrees(limits.steer_left_max):.1f}° left, "
+        f"{degrees(limits.steer_right_max):.1f}° right"
+        f" (the servo reaches {degrees(left):.1f}° and {degrees(-right):.1f}°)",
+        f"  speed       {settings.controller.speed:g} m/s, at most {limits.speed_max:g} m/s; "
+        f"{scaling.erpm_gain:g} ERPM per m/s",
+        f"  stop        {settings.brakes.brake_current_a:g} A brake current",
+        f"  effects     {effects}",
+    ]
+
+
+def _to_yaml(settings: "Settings", path: Path) -> int:
+    from steerd.daemon.common.atomic_file import write_whole
+    from steerd.daemon.settings.vesc_yaml import make_vesc_yaml
+
+    write_whole(path, make_vesc_yaml(settings.scaling, _read(path) if path.exists() else ""))
+    print(f"{path}: gains of {settings.file.name}")
+    return ExitCode.OK
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", None) or "this is no text"
+        raise SteerdError(
+            f"{path}: {why}", "name F1TENTH's vesc.yaml", ExitCode.UNREADABLE
+        ) from None

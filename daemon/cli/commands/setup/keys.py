@@ -1,0 +1,179 @@
+"""Certificates of a lab: for the car, for who may drive it, for who may watch it.
+
+steerd keys lab --host 192.168.1.20 --operator desk --operator laptop --viewer screen
+
+makes a folder for each of them under ./lab. Copy a folder to its machine and name it there:
+`steerd run --lab lab/car1 …` on the car, `steerd start --lab desk` on the desk. Later,
+`steerd keys lab --operator new` adds somebody.
+"""
+
+import argparse
+import json
+import tomllib
+from datetime import datetime
+from pathlib import Path
+from typing import NamedTuple
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.steer_bus.lab import DEFAULT_PORT
+from steerd.steer_bus.topics import check_car_name
+
+ROSTER = "lab.toml"
+
+
+class Roster(NamedTuple):
+    """Who belongs to a lab; written into each folder as `lab.toml`."""
+
+    car: str
+    endpoint: str
+    operators: tuple[str, ...]
+    viewers: tuple[str, ...]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `steerd keys`."""
+    parser.add_argument("folder", type=Path, metavar="DIR", help="the lab's folder")
+    parser.add_argument("--host", help="the car's address or name in the lab's network")
+    parser.add_argument("--port", type=int, default=DEFAULT_PORT, help="its TCP port")
+    parser.add_argument("--car", default="car1", metavar="NAME", help="the car's name on the bus")
+    parser.add_argument(
+        "--operator", action="append", default=[], metavar="NAME", help="who may drive"
+    )
+    parser.add_argument(
+        "--viewer", action="append", default=[], metavar="NAME", help="who may only watch"
+    )
+    parser.add_argument("--years", type=float, default=5.0, help="how long they hold (default 5)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command.
+
+    Raises:
+        SteerdError: something is there already, or a name makes no sense.
+    """
+    if not 0.0 < args.years <= 50.0 or not 0 < args.port < 65536:
+        raise SteerdError("--years: up to 50; --port: 1 to 65535", "", ExitCode.USAGE)
+    if args.host is not None and not args.host.strip():
+        raise SteerdError("--host: no address", "--host 192.168.1.20", ExitCode.USAGE)
+    try:
+        import steerd.daemon.cli.certificates  # noqa: F401
+    except ImportError:
+        hint = "pip install 'steerd[lab]', here only: the other machines do not need it"
+        raise SteerdError("steerd keys needs cryptography", hint, ExitCode.UNREADABLE) from None
+    clock = MonotonicClock()
+    now = datetime.fromtimestamp(clock.realtime_ns() * 1e-9).astimezone()
+    if args.host is None:
+        roster = _add(args, now)
+    else:
+        roster = _begin(args, now)
+    print(explain(args.folder, roster, began=args.host is not None, added=_names(args)))
+    return ExitCode.OK
+
+
+def _names(args: argparse.Namespace) -> tuple[str, ...]:
+    return (*args.operator, *args.viewer)
+
+
+def _begin(args: argparse.Namespace, now: datetime) -> Roster:
+    """A new lab: authority, car, people."""
+    from steerd.daemon.cli.certificates import issue, make_authority
+
+    try:
+        car = check_car_name(args.car)
+    except ValueError as error:
+        raise SteerdError(str(error), "--car car1", ExitCode.USAGE) from None
+    host = f"[{args.host}]" if ":" in args.host and "[" not in args.host else args.host
+    args.operator = args.operator or ["operator"]
+    empty = Roster(car, f"tls/{host}:{args.port}", (), ())
+    roster = _enrol(args, empty)
+    issuer = make_authority(args.folder, car, now, args.years)
+    issue(args.folder, issuer, car, args.host, now, args.years)
+    _issue_all(args, now)
+    _write_roster(args.folder, roster, _names(args), car_new=True)
+    return roster
+
+
+def _add(args: argparse.Namespace, now: datetime) -> Roster:
+    """More people for a lab that is there."""
+    if not _names(args):
+        hint = "steerd keys DIR --host ADDRESS, or --operator NAME to add to a lab"
+        raise SteerdError("nothing to make: no --host and no new name", hint, ExitCode.USAGE)
+    roster = _enrol(args, _read_roster(args.folder))
+    _issue_all(args, now)
+    _write_roster(args.folder, roster, _names(args), car_new=False)
+    return roster
+
+
+def _enrol(args: argparse.Namespace, roster: Roster) -> Roster:
+    """The roster with the new names in it; nothing is written while a name makes no sense."""
+    from steerd.daemon.cli.certificates import check_name
+
+    known = {roster.car, *roster.operators, *roster.viewers}
+    for name in map(check_name, _names(args)):
+        if name in known:
+            hint = "one name for one certificate; it stays as it is"
+            raise SteerdError(f"{name!r} is there already", hint, ExitCode.USAGE)
+        known.add(name)
+    return roster._replace(
+        operators=(*roster.operators, *args.operator), viewers=(*roster.viewers, *args.viewer)
+    )
+
+
+def _issue_all(args: argparse.Namespace, now: datetime) -> None:
+    from steerd.daemon.cli.certificates import issue, load_authority
+
+    issuer = load_authority(args.folder)
+    for name in _names(args):
+        issue(args.folder, issuer, name, None, now, args.years)
+
+
+def _read_roster(folder: Path) -> Roster:
+    from steerd.daemon.cli.certificates import AUTHORITY
+
+    path = folder / AUTHORITY / ROSTER
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        people = tuple(table["operators"]), tuple(table["viewers"])
+        return Roster(str(table["car"]), str(table["endpoint"]), *people)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        hint = "steerd keys DIR --host ADDRESS makes a lab"
+        why = getattr(error, "strerror", None) or error
+        raise SteerdError(f"{path}: {why}", hint, ExitCode.UNREADABLE) from None
+
+
+def _write_roster(folder: Path, roster: Roster, added: tuple[str, ...], *, car_new: bool) -> None:
+    from steerd.daemon.cli.certificates import AUTHORITY, write_private
+
+    text = "# Made by steerd keys. On the car this list decides: who is not in it gets nothing.\n"
+    for key, value in roster._asdict().items():
+        text += f"{key} = {json.dumps(value)}\n"
+    data = text.encode()
+    for name in added:
+        write_private(folder / name / ROSTER, data)
+    for name in (AUTHORITY, roster.car):
+        if (folder / name).is_dir():
+            write_private(folder / name / ROSTER, data, new=car_new)
+
+
+def explain(folder: Path, roster: Roster, *, began: bool, added: tuple[str, ...]) -> str:
+    """What to copy where, in a screenful."""
+    car = folder / roster.car
+    width = max(len(str(folder / name)) for name in (roster.car, "authority", *added))
+    what = f"to the car: steerd run --lab {roster.car} …"
+    if not began:
+        what = f"to the car again: {ROSTER} in it has the new names"
+    lines = [f"{car!s:<{width}}  {what}"]
+    for name in added:
+        if name in roster.operators:
+            what = f"to who may drive: steerd arm --lab {name}, steerd start --lab {name}"
+        else:
+            what = f"to who may watch: steerd watch --lab {name}"
+        lines.append(f"{folder / name!s:<{width}}  {what}")
+    lines.append(f"{folder / 'authority'!s:<{width}}  nowhere: who has it can make operators")
+    lines += [
+        "",
+        f"The car listens on {roster.endpoint}. Copy with `scp -rp`, so that keys stay private.",
+        f"To shut somebody out, take the name out of {ROSTER} on the car, and start steerd again.",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,167 @@
+"""Is motion capture set up right, and where does its body sit on the car?
+
+steerd mocap check --mocap natnet://192.168.1.10/car     push the car 1 m forward by hand
+steerd mocap check DRIVE.mcap
+steerd mocap calibrate DRIVE.mcap -o car.toml            from one slow drive, both sides
+
+A drive for calibration: a minute below 1.5 m/s, a figure of eight, at more than one speed.
+"""
+
+import argparse
+import sys
+from math import degrees, hypot
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
+if TYPE_CHECKING:
+    from steerd.daemon.setup.calibration import Calibration
+    from steerd.daemon.setup.calibration_data import Recorded
+    from steerd.daemon.setup.mocap_check import Check
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The two questions."""
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="check|calibrate")
+    check = kinds.add_parser("check", help="units, axes and heading, from a short push or a drive")
+    check.add_argument("session", nargs="?", type=Path, metavar="SESSION")
+    check.add_argument("--mocap", metavar="URL", help="watch this source instead of a session")
+    check.add_argument("--car", metavar="FILE.toml", help="with --mocap: car file")
+    check.add_argument("--seconds", type=float, default=10.0, metavar="S", help="with --mocap")
+    calibrate = kinds.add_parser("calibrate", help="heading, place, wheel gain and delay")
+    calibrate.add_argument("session", type=Path, metavar="SESSION")
+    calibrate.add_argument("-o", "--output", type=Path, metavar="CAR.toml", help="car file to make")
+    calibrate.add_argument(
+        "--car", type=Path, metavar="FILE.toml", help="car file to start from (the session's own)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check or calibrate.
+
+    Raises:
+        SteerdError: session or source cannot be used.
+    """
+    return _check(args) if args.kind == "check" else _calibrate(args)
+
+
+# -- check ---------------------------------------------------------------------------------------
+
+
+def _check(args: argparse.Namespace) -> int:
+    if bool(args.session) == bool(args.mocap):
+        hint = "steerd mocap check DRIVE.mcap, or steerd mocap check --mocap natnet://HOST/BODY"
+        raise SteerdError("name a session or a source", hint, ExitCode.USAGE)
+    checks = _check_session(args.session) if args.session else _check_live(args)
+    for check in checks:
+        print(f"{'pass' if check.ok else 'FAIL'}  {check.name:<8} {check.figure}")
+        if check.fix:
+            print(f"      try: {check.fix}")
+    return ExitCode.OK if all(check.ok for check in checks) else ExitCode.STOPPED
+
+
+def _check_session(path: Path) -> "list[Check]":
+    from steerd.daemon.sessions.info import find_table
+    from steerd.daemon.setup.calibration_data import load_recorded
+    from steerd.daemon.setup.mocap_check import Movement, check_movement
+    from steerd.steer_bus import topics
+
+    r = load_recorded(path)
+    p, every = r.poses, find_table(r.tables, topics.MOCAP)
+    refused = 0 if every is None else int((every["reject"] != "").sum())
+    t = (p["t_valid_ns"] - r.start_ns) * 1e-9
+    columns = (p[name] for name in ("x", "y", "yaw", "height", "tilt"))
+    return check_movement(Movement(t, *columns), refused)
+
+
+def _check_live(args: argparse.Namespace) -> "list[Check]":
+    import numpy as np
+
+    from steerd.car_model.car_file import default_car_path
+    from steerd.daemon.settings.config import load_settings
+    from steerd.daemon.setup.mocap_check import Movement, check_movement
+    from steerd.daemon.setup.probe_ask import listen
+    from steerd.mocap_link.mocap_url import parse_mocap_url
+    from steerd.mocap_link.sockets import make_receiver
+    from steerd.steer_bus.clock import MonotonicClock
+
+    ingest = load_settings(args.car or default_car_path()).ingest
+    try:
+        receiver = make_receiver(parse_mocap_url(args.mocap), ingest)
+    except ValueError as error:
+        raise SteerdError(f"--mocap {args.mocap}: {error}", "", ExitCode.USAGE) from None
+    except OSError as error:
+        raise SteerdError(str(error), "steerd probe", ExitCode.UNREADABLE) from None
+    text = f"push the car straight forward by about 1 m within {args.seconds:g} s …"
+    print(text, file=sys.stderr, flush=True)
+    try:
+        samples = list(listen(receiver, MonotonicClock(), args.seconds))
+    finally:
+        receiver.close()
+    good = [s for s in samples if s.rejected is None]
+    if not good:
+        what = f"no pose came from {args.mocap}: {receiver.status().detail}"
+        raise SteerdError(what, f"steerd probe --mocap '{args.mocap}'", ExitCode.UNREADABLE)
+    t0 = good[0].t_valid_ns
+    rows = [((s.t_valid_ns - t0) * 1e-9, s.x, s.y, s.yaw, s.height, s.tilt) for s in good]
+    return check_movement(Movement(*np.array(rows).T), len(samples) - len(good))
+
+
+# -- calibrate -----------------------------------------------------------------------------------
+
+
+def _calibrate(args: argparse.Namespace) -> int:
+    from steerd.daemon.common.atomic_file import write_whole
+    from steerd.daemon.common.outputs import check_outputs
+    from steerd.daemon.settings.car_edit import edit_text, load_text
+    from steerd.daemon.setup.calibration import calibrate_mount
+    from steerd.daemon.setup.calibration_data import load_recorded, make_drive
+
+    check_outputs({"-o": args.output})
+    r = load_recorded(args.session)
+    found = calibrate_mount(make_drive(r), r.settings.file.car)
+    values = new_values(found, r)
+    print("\n".join(_describe(found, r)))
+    for doubt in found.doubts:
+        print(f"warning: {doubt}", file=sys.stderr)
+    base = load_text(args.car) if args.car else r.text
+    text = edit_text(base, values)
+    if args.output is None:
+        print(f"   next: steerd mocap calibrate {args.session} -o car.toml")
+        return ExitCode.OK
+    write_whole(args.output, text)
+    print(f"{args.output}: written\n   next: steerd run --car {args.output} …")
+    return ExitCode.OK
+
+
+def new_values(found: "Calibration", r: "Recorded") -> dict[tuple[str, str], float]:
+    """What goes into the car file. A delay within its error of zero is none."""
+    m, sd = found.mount, found.sd
+    delay = m.delay if m.delay > 2.0 * sd.delay else 0.0
+    return {
+        ("mocap", "mount_yaw_deg"): round(degrees(m.yaw), 3),
+        ("mocap", "marker_rear_x"): round(m.rear_x, 4),
+        ("mocap", "marker_rear_y"): round(m.rear_y, 4),
+        ("vesc", "erpm_gain"): round(r.settings.scaling.erpm_gain / m.speed_gain, 1),
+        ("car", "speed_gain"): 1.0,
+        ("car", "pose_delay"): round(delay, 4),
+    }
+
+
+def _describe(found: "Calibration", r: "Recorded") -> list[str]:
+    m, sd, frame = found.mount, found.sd, r.settings.ingest.frame
+    gain = r.settings.scaling.erpm_gain
+    moved = hypot(m.rear_x - frame.marker_rear_x, m.rear_y - frame.marker_rear_y)
+    return [
+        f"from {found.seconds:.0f} s of motion; lateral residual {100 * found.residual:.1f} cm/s",
+        f"  heading of the body   {degrees(m.yaw):+.2f}° ± {degrees(sd.yaw):.2f}°"
+        f"   (was {degrees(frame.mount_yaw):+.2f}°)",
+        f"  ahead of rear axle    {1e3 * m.rear_x:+.1f} ± {1e3 * sd.rear_x:.1f} mm"
+        f"   (was {1e3 * frame.marker_rear_x:+.1f})",
+        f"  left of centre line   {1e3 * m.rear_y:+.1f} ± {1e3 * sd.rear_y:.1f} mm"
+        f"   (was {1e3 * frame.marker_rear_y:+.1f}; moved by {1e3 * moved:.0f} in all)",
+        f"  ERPM per m/s          {gain / m.speed_gain:.0f} ± {gain * sd.speed_gain:.0f}"
+        f"   (was {gain:.0f})",
+        f"  delay of the poses    {1e3 * m.delay:+.1f} ± {1e3 * sd.delay:.1f} ms",
+    ]

@@ -1,0 +1,46 @@
+"""Measure whether this machine keeps a control loop's time, with what the kernel allows.
+
+Run it beside everything that will run during a drive. The exit code is 5 where a car would be
+stopped for late ticks, or nearly so.
+"""
+
+import argparse
+import sys
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `steerd rtcheck`."""
+    parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure")
+    parser.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of the loop")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command."""
+    from steerd.daemon.process.realtime import enter_realtime, settle_memory
+    from steerd.daemon.process.rtcheck import measure_wakes, summarise_wakes
+    from steerd.steer_bus.clock import MonotonicClock
+
+    if not (0.1 <= args.seconds <= 3600.0 and 20.0 <= args.rate <= 1000.0):
+        hint = "--seconds 0.1 to 3600, --rate 20 to 1000"
+        raise SteerdError("nothing to measure", hint, ExitCode.USAGE)
+    print(f"measuring for {args.seconds:g} s …", file=sys.stderr, flush=True)
+    report = enter_realtime()
+    settle_memory()
+    period_ns = round(1e9 / args.rate)
+    ticks = max(1, round(args.seconds * args.rate))
+    wakes = summarise_wakes(measure_wakes(MonotonicClock(), period_ns, ticks), period_ns)
+    print(f"fixed priority: {'yes' if report.fifo else 'no'}")
+    print(f"locked memory:  {'yes' if report.locked else 'no'}")
+    print(f"{wakes.ticks} wakes at {args.rate:g} Hz, late by")
+    for name in ("p50", "p99", "p999", "worst"):
+        print(f"  {name:<6}{getattr(wakes, name + '_ns') * 1e-6:8.3f} ms")
+    print(f"missed: {wakes.missed}; later than 25 ms, which stops a car: {wakes.fatal}")
+    for line in report.refused:
+        print(f"note: {line}")
+    if wakes.good:
+        print("this machine keeps time")
+        return ExitCode.OK
+    print("this machine does not keep time: close other programs, allow a fixed priority")
+    return ExitCode.STOPPED

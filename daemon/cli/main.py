@@ -1,0 +1,135 @@
+"""The `steerd` command: finds the subcommand and loads only that one.
+
+Nothing here imports numpy, let alone torch: `steerd --help` answers at once.
+"""
+
+import argparse
+import importlib
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
+# Small matrices: OpenBLAS's threads only get in each other's way (a design took 3 s, not 0.05 s).
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "probe": ("setup.probe", "find VESCs and mocap servers, and what is wrong with them"),
+    "config": ("setup.config", "print a commented car file, check one, exchange F1TENTH's gains"),
+    "mocap": ("setup.mocap", "check the mocap room; calibrate its body on the car from one drive"),
+    "calibrate": ("setup.calibrate", "centre, gain and limits of the steering"),
+    "run": ("driving.run", "drive: the control loop on a car or on simulated hardware"),
+    "sim": ("driving.sim", "simulated hardware alone: a VESC on a pty, a mocap server"),
+    "control": ("driving.control", "the lane keeper as a process of its own, over zenoh"),
+    "arm": ("driving.operate", "ask a running daemon to arm"),
+    "start": (
+        "driving.operate",
+        "ask an armed daemon to drive; holding the terminal keeps it driving",
+    ),
+    "stop": ("driving.operate", "ask a driving daemon to stop"),
+    "disarm": ("driving.operate", "ask a daemon to disarm"),
+    "clear": ("driving.operate", "acknowledge a latched fault"),
+    "estop": ("driving.operate", "emergency stop"),
+    "status": ("driving.status", "what a running daemon does and what it waits for"),
+    "watch": ("driving.watch", "a running car in the terminal: state, errors, rates, faults"),
+    "replay": (
+        "sessions.replay",
+        "feed a recorded session through the loop and compare its commands",
+    ),
+    "info": ("sessions.info", "what is in a session"),
+    "plot": ("sessions.plot", "a drive as one page to look at: track, errors, commands, timing"),
+    "recover": ("sessions.recover", "rebuild the session of a recorder that was killed"),
+    "import": ("sessions.import_", "turn a lab's own log (csv, ROS bag) into a session"),
+    "collect": ("driving.collect", "drive an excitation plan and record it"),
+    "identify": ("analysis.identify", "learn the car from its sessions"),
+    "diagnose": (
+        "analysis.diagnose",
+        "where simulation and car differ, why, and how far adding it helps",
+    ),
+    "rtcheck": ("setup.rtcheck", "measure whether this machine keeps a control loop's time"),
+    "keys": ("setup.keys", "certificates of a lab: for the car, its operators, its viewers"),
+    "service": ("setup.service", "a systemd unit that comes up disarmed, and the udev file"),
+    "completion": ("setup.completion", "completion of commands and options for bash and zsh"),
+    "effects": ("analysis.effects", "the unmodelled effects that can be simulated and diagnosed"),
+}
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The top level: a list of commands, no command's own options."""
+    parser = argparse.ArgumentParser(
+        prog="steerd",
+        description="Control, identification and sim-to-real diagnosis for Ackermann cars.",
+        epilog="commands:\n"
+        + "\n".join(f"  {name:<12}{text}" for name, (_, text) in COMMANDS.items())
+        + "\n\n`steerd COMMAND --help` explains one of them.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        usage="steerd COMMAND ...",
+    )
+    parser.add_argument(
+        "command", choices=list(COMMANDS), metavar="COMMAND", help=argparse.SUPPRESS
+    )
+    return parser
+
+
+def parse_command(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
+    """Split the command's name from its arguments; exits with the help text where there is none."""
+    if argv and argv[0] == "--version":
+        from importlib.metadata import version
+
+        print(f"steerd {version('steerd')}")
+        raise SystemExit(0)
+    args = make_parser().parse_args(argv[:1] or ["--help"])
+    return str(args.command), argv[1:]
+
+
+def dispatch(argv: Sequence[str]) -> int:
+    """Run one command line and give its exit code; errors pass through."""
+    name, rest = parse_command(argv)
+    module_name, text = COMMANDS[name]
+    module = importlib.import_module(f"steerd.daemon.cli.commands.{module_name}")
+    parser = argparse.ArgumentParser(
+        prog=f"steerd {name}",
+        description=module.__doc__ or text,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(parser)
+    parser.set_defaults(command=name)
+    code: int = module.run(parser.parse_args(rest))
+    return code
+
+
+def main() -> int:
+    """Entry point of the console script."""
+    code = guarded(sys.argv[1:])
+    if "zenoh" in sys.modules:
+        # zenoh's own threads may be inside Python while the interpreter shuts down, which aborts.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
+
+
+def guarded(argv: Sequence[str]) -> int:
+    """Run one command line; every failure is a line or two on standard error and a code."""
+    try:
+        return dispatch(argv)
+    except SteerdError as error:
+        print(f"steerd: {error.what}", file=sys.stderr)
+        if error.hint:
+            print(f"   try: {error.hint}", file=sys.stderr)
+        return error.code
+    except KeyboardInterrupt:
+        return ExitCode.INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return ExitCode.OK
+    except Exception:
+        traceback.print_exc()
+        print("steerd: this is a bug in steerd; please report the lines above", file=sys.stderr)
+        return ExitCode.INTERNAL
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

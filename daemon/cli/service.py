@@ -1,0 +1,87 @@
+"""A run as a systemd service: the unit's text and where it lies. Pure but for `user_unit_path`."""
+
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.setup.probe import UDEV_NAME, UDEV_RULE
+
+WATCHDOG_S = 5
+"""The loop tells that it is alive once a second; a loop that is frozen so long is restarted. The
+car has been braked by the guardian long before."""
+STOP_S = 20
+"""For a stop in good order: the car comes to rest first."""
+
+_UNIT = """\
+# Made by `steerd service install`. It comes up disarmed, after each restart too: arm it with
+# `steerd arm`, start it with `steerd start`, see it with `steerd watch`.
+[Unit]
+Description=steerd, control loop of {car}
+Documentation=man:systemd.service(5)
+StartLimitIntervalSec=60
+StartLimitBurst=10
+
+[Service]
+Type=notify
+NotifyAccess=all
+ExecStart={command}
+WatchdogSec={watchdog}
+# A port or a mocap server that is not there yet is worth another try; a wrong option is not.
+Restart=on-failure
+RestartSec=3
+RestartPreventExitStatus=2 4
+# Only the parent is told to stop; it brings the car to rest and then ends the other processes.
+KillMode=mixed
+KillSignal=SIGTERM
+TimeoutStopSec={stop}
+StateDirectory=steerd
+Environment=OPENBLAS_NUM_THREADS=1 PYTHONUNBUFFERED=1
+LimitRTPRIO=80
+LimitMEMLOCK=infinity
+
+[Install]
+WantedBy={wanted}
+"""
+
+
+def make_unit(command: Sequence[str], car: str, *, user: bool) -> str:
+    """The unit file's text.
+
+    Args:
+        command: what is run, program first.
+        car: its name, for the description.
+        user: for the user's own service manager, or for the system's.
+
+    Raises:
+        SteerdError: an argument cannot stand in a unit file.
+    """
+    for text in (*command, car):
+        if any(c in text for c in "\n\r\0"):
+            raise SteerdError(f"{text!r} cannot stand in a unit file", "", ExitCode.USAGE)
+    return _UNIT.format(
+        car=car,
+        command=" ".join(_quote(part) for part in command),
+        watchdog=WATCHDOG_S,
+        stop=STOP_S,
+        wanted="default.target" if user else "multi-user.target",
+    )
+
+
+def _quote(part: str) -> str:
+    """An argument as systemd reads it: `%` and `$` have meanings of their own there."""
+    return shlex.quote(part.replace("%", "%%").replace("$", "$$"))
+
+
+def unit_path(user: bool, environment: Mapping[str, str] = os.environ) -> Path:
+    """Where the unit file belongs."""
+    if not user:
+        return Path("/etc/systemd/system/steerd.service")
+    base = environment.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")
+    return Path(base) / "systemd" / "user" / "steerd.service"
+
+
+def udev_text() -> str:
+    """The udev file: a stable name, no ModemManager, rights for the group dialout."""
+    return f"# VESC motor controllers: /dev/vesc; belongs in {UDEV_NAME}\n{UDEV_RULE}\n"

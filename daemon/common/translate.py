@@ -1,0 +1,28 @@
+"""Errors of the rooms below as the command line tells them: what, what to try, which code."""
+
+from typing import TYPE_CHECKING
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
+if TYPE_CHECKING:
+    from steerd.car_model.car_file import CarFileError
+    from steerd.steer_bus.session_read import SessionError
+
+
+def of_car_file(error: "CarFileError") -> SteerdError:
+    """A car file that cannot be read or written (3), or says what cannot be (4)."""
+    unreadable = isinstance(error.__cause__, OSError)
+    code = ExitCode.UNREADABLE if unreadable else ExitCode.INVALID
+    place = f"{error.path}: {error.where}" if error.where else str(error.path)
+    return SteerdError(f"{place}: {error.what}", error.hint, code)
+
+
+def of_session(error: "SessionError", hint: str = "") -> SteerdError:
+    """A session that cannot be read or written.
+
+    Args:
+        error: as it was raised; its own hint counts.
+        hint: what to try where the error knows nothing.
+    """
+    what = str(error).removesuffix(f" ({error.hint})") if error.hint else str(error)
+    return SteerdError(what, error.hint or hint, ExitCode(error.exit_code))

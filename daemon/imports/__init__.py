@@ -1,0 +1,1 @@
+"""Other people's logs as sessions: csv files and ROS bags, through a map."""

@@ -1,0 +1,298 @@
+"""A ROS 1 or ROS 2 bag as a session, through rosbags (optional extra `bag`, known only here).
+
+A bag's own message definitions are used; bags that carry none (rosbag2's older SQLite files) are
+read with ROS's standard ones and those of `ackermann_msgs`, `vesc_msgs` and `phasespace_msgs`.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from math import nan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.progress import Advance
+from steerd.daemon.imports.import_map import ROLES, ImportMap, load_map
+from steerd.daemon.imports.import_session import (
+    ImportNotes,
+    ImportReport,
+    MessageMaker,
+    Sample,
+    check_output,
+    write_import,
+)
+from steerd.steer_bus.codec import schema_text, type_name
+from steerd.steer_bus.standard import AckermannDriveStamped, Odometry, PoseStamped, VescStateStamped
+from steerd.steer_bus.topics import ACTUATION, MOCAP, VESC, WHEEL, Topic
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import Connection
+
+T = TypeVar("T")
+
+RIGIDS = "phasespace_msgs/msg/Rigids"
+RIGIDS_TEXT = """std_msgs/Header header
+phasespace_msgs/Rigid[] rigids
+================================================================================
+MSG: phasespace_msgs/Rigid
+uint32 id
+uint32 flags
+uint64 time
+float32 x
+float32 y
+float32 z
+float32 qw
+float32 qx
+float32 qy
+float32 qz
+float64 heading_y
+float32 cond
+"""
+"""The ROS 2 form; ROS 1's has no heading_y, and its bags carry their definitions."""
+_ODOMETRY = type_name(Odometry)
+_TYPES: Mapping[str, tuple[str, ...]] = {
+    "pose": (type_name(PoseStamped), _ODOMETRY, RIGIDS),
+    "command": (type_name(AckermannDriveStamped),),
+    "vesc": (type_name(VescStateStamped),),
+    "wheel": (_ODOMETRY,),
+}
+_OUT: Mapping[str, Topic] = {"pose": MOCAP, "command": ACTUATION, "vesc": VESC, "wheel": WHEEL}
+_OTHER_CLOCK_NS = 10_000_000_000
+_ADVANCE_MESSAGES = 1000
+
+
+@dataclass(frozen=True)
+class BagChoice:
+    """What the command line says beyond the map.
+
+    Attributes:
+        topics: `TOPIC`, or `ROLE=TOPIC` with a role of `ROLES`.
+        rigid: which rigid body of a PhaseSpace message is the car.
+    """
+
+    topics: tuple[str, ...] = ()
+    rigid: int | None = None
+
+
+def import_bag(
+    source: Path, map_path: Path | None, out: Path, choice: BagChoice, advance: Advance
+) -> ImportReport:
+    """Turn a bag into a session.
+
+    Args:
+        source: a ROS 1 `.bag`, a ROS 2 bag folder, or one `.mcap` or `.db3` file of one.
+        map_path: a map with `[topics]`, `[frame]` or `[session]`; may be left out.
+        out: the session to write; nothing is left of it after an error.
+        choice: topics and body, over the map's.
+        advance: told the share of the bag's time read so far, 0 to 1.
+
+    Raises:
+        SteerdError: rosbags is missing, or something is wrong with bag, map or output.
+    """
+    check_output(out)
+    the_map = load_map(map_path) if map_path else ImportMap()
+    notes = ImportNotes()
+    if not source.exists():
+        raise SteerdError(f"{source} does not exist", "", ExitCode.UNREADABLE)
+    with closing(_guarded(source, lambda: _open(source))) as reader:
+        the_map = replace(
+            the_map,
+            epoch_ns=max(reader.start_time, 0) if reader.message_count else 0,
+            rigid=the_map.rigid if choice.rigid is None else choice.rigid,
+        )
+        roles = _choose(source, reader, the_map.topics, choice.topics)
+        maker = MessageMaker(the_map.epoch_ns, the_map.frame)
+        bag = _Bag(source, reader, roles, the_map, notes, maker)
+        topics = [_OUT[role] for role in roles]
+        counts = write_import(out, source, the_map, topics, _samples(bag, advance))
+    return ImportReport(out, counts, notes.lines())
+
+
+def _open(source: Path) -> "AnyReader":
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError as error:
+        what = "reading ROS bags needs the package rosbags"
+        raise SteerdError(what, "pip install -e '.[bag]'", ExitCode.USAGE) from error
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    texts = {type_name(c): schema_text(c) for c in (AckermannDriveStamped, VescStateStamped)}
+    for name, text in (texts | {RIGIDS: RIGIDS_TEXT}).items():
+        types = get_types_from_msg(text, name)
+        store.register({k: v for k, v in types.items() if k not in store.fielddefs})
+    reader = AnyReader([source], default_typestore=store)
+    reader.open()
+    return reader
+
+
+def _guarded(source: Path, read: Callable[[], T]) -> T:
+    """Call into rosbags, whose readers raise whatever a damaged file makes them raise."""
+    try:
+        return read()
+    except SteerdError:
+        raise
+    except Exception as error:
+        text = " ".join(str(error).split())[:160] or type(error).__name__
+        what = f"{source} cannot be read as a ROS bag: {text}"
+        hint = "name a .bag file, a ROS 2 bag folder or its .mcap file"
+        raise SteerdError(what, hint, ExitCode.UNREADABLE) from error
+
+
+# -- which topic is what -------------------------------------------------------------------------
+
+
+def _choose(
+    source: Path, reader: "AnyReader", mapped: Mapping[str, str], asked: Iterable[str]
+) -> dict[str, str]:
+    """Role to topic: as asked, else as mapped, else the only topic of a fitting type."""
+    types = {c.topic: c.msgtype for c in reader.connections if c.msgcount}
+    chosen = dict(mapped)
+    for text in asked:
+        role, equals, topic = text.rpartition("=")
+        chosen[role if equals else _role_of(source, types, topic)] = topic
+    for role, topic in chosen.items():
+        _check_role(source, types, role, topic)
+    several = []
+    for role in ("pose", "command", "vesc"):
+        found = [t for t, kind in sorted(types.items()) if kind in _TYPES[role]]
+        if role in chosen or not found:
+            continue
+        chosen[role] = found[0]
+        if len(found) > 1:
+            listed = ", ".join(f"{t} ({types[t].rpartition('/')[2]})" for t in found[:8])
+            several.append(f"{role}: {listed}")
+    if several:
+        what = f"{source.name} has several topics for {'; '.join(several)}"
+        raise SteerdError(what, "choose each with --topic TOPIC", ExitCode.USAGE)
+    if not chosen:
+        raise SteerdError(f"{source.name} has no topic that steerd knows", _has(types))
+    return chosen
+
+
+def _role_of(source: Path, types: Mapping[str, str], topic: str) -> str:
+    for role in ROLES:
+        if types.get(topic) in _TYPES[role]:
+            return role
+    return _refuse(source, types, topic)
+
+
+def _check_role(source: Path, types: Mapping[str, str], role: str, topic: str) -> None:
+    if role not in ROLES:
+        what = f"--topic {role}={topic}: {role!r} is none of {', '.join(ROLES)}"
+        raise SteerdError(what, "", ExitCode.USAGE)
+    if types.get(topic) not in _TYPES[role]:
+        _refuse(source, types, topic)
+
+
+def _refuse(source: Path, types: Mapping[str, str], topic: str) -> str:
+    if topic in types:
+        raise SteerdError(f"{source.name}: {topic} is a {types[topic]}, which steerd cannot use")
+    raise SteerdError(f"{source.name} has no messages on {topic}", _has(types))
+
+
+def _has(types: Mapping[str, str]) -> str:
+    return "it has " + (", ".join(f"{t} ({k})" for t, k in sorted(types.items())[:8]) or "nothing")
+
+
+# -- messages ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Bag:
+    """An open bag and what is wanted of it."""
+
+    source: Path
+    reader: "AnyReader"
+    roles: Mapping[str, str]
+    the_map: ImportMap
+    notes: ImportNotes
+    maker: MessageMaker
+
+
+def _samples(bag: _Bag, advance: Advance) -> Iterator[Sample]:
+    start_ns = bag.the_map.epoch_ns
+    span_ns = max(bag.reader.end_time - start_ns, 1)
+    other_clock: dict[str, bool] = {}
+    for count, (connection, bag_ns, data) in enumerate(_records(bag)):
+        if count % _ADVANCE_MESSAGES == 0:
+            advance((bag_ns - start_ns) / span_ns)
+        topic, message = connection.topic, _decode(bag, connection, data)
+        stamp = message.header.stamp
+        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+        if topic not in other_clock:
+            other_clock[topic] = abs(stamp_ns - bag_ns) > _OTHER_CLOCK_NS
+            if other_clock[topic]:
+                bag.notes.add(f"topic has stamps of another clock, not used: {topic}")
+        log_ns = bag_ns - start_ns
+        t_ns = log_ns if other_clock[topic] else stamp_ns - start_ns
+        for role in (role for role, wanted in bag.roles.items() if wanted == topic):
+            made = _make(bag, role, message, t_ns, log_ns)
+            if made is not None:
+                yield Sample(_OUT[role], t_ns, log_ns, made)
+
+
+def _records(bag: _Bag) -> Iterator[tuple["Connection", int, bytes]]:
+    wanted = [c for c in bag.reader.connections if c.topic in bag.roles.values()]
+    records = bag.reader.messages(wanted)
+    while (record := _guarded(bag.source, lambda: next(records, None))) is not None:
+        yield record
+
+
+def _decode(bag: _Bag, connection: "Connection", data: bytes) -> Any:
+    return _guarded(bag.source, lambda: bag.reader.deserialize(data, connection.msgtype))
+
+
+def _make(bag: _Bag, role: str, message: Any, t_ns: int, log_ns: int) -> Any:
+    try:
+        if role == "command":
+            drive = message.drive
+            return bag.maker.command(t_ns, float(drive.steering_angle), float(drive.speed))
+        if role == "vesc":
+            return _telemetry(message.state, t_ns, bag.maker)
+        if role == "wheel":
+            return bag.maker.wheel(t_ns, float(message.twist.twist.linear.x))
+        pose = _pose(message, bag.the_map.rigid, bag.notes)
+        return pose and bag.maker.pose(t_ns, log_ns, *pose)
+    except ValueError:
+        bag.notes.add(f"{role} messages hold no finite values and were left out")
+        return None
+
+
+def _pose(message: Any, rigid: int | None, notes: ImportNotes) -> Any:
+    """Position and quaternion (w, x, y, z) of a PoseStamped, an Odometry or a Rigids."""
+    if hasattr(message, "rigids"):
+        return _rigid_pose(message.rigids, rigid, notes)
+    pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+    p, q = pose.position, pose.orientation
+    return (p.x, p.y, p.z), (q.w, q.x, q.y, q.z)
+
+
+def _rigid_pose(rigids: Any, rigid: int | None, notes: ImportNotes) -> Any:
+    ids = sorted({int(body.id) for body in rigids})
+    if rigid is None and len(ids) > 1:
+        what = f"the PhaseSpace messages hold rigid bodies {', '.join(map(str, ids))}"
+        raise SteerdError(what, f"say which is the car with --rigid {ids[0]}", ExitCode.USAGE)
+    for body in rigids:
+        if rigid not in (None, int(body.id)):
+            continue
+        if body.cond <= 0:  # PhaseSpace: the body was not found in this frame
+            notes.add("frames without the rigid body were left out")
+            return None
+        position = (float(body.x), float(body.y), float(body.z))
+        return position, (float(body.qw), float(body.qx), float(body.qy), float(body.qz))
+    return None
+
+
+def _telemetry(state: Any, t_ns: int, maker: MessageMaker) -> Any:
+    """VescState in its ROS 2 or its ROS 1 layout; `speed` is electrical rpm in both."""
+    names = (
+        ("voltage_input",), ("current_motor",), ("current_input",), ("duty_cycle",),
+        ("temp_fet", "temperature_pcb"), ("temp_motor",), ("avg_id",), ("avg_iq",), ("avg_vd",),
+        ("avg_vq",),
+    )  # fmt: skip
+    values = tuple(
+        next((float(getattr(state, n)) for n in group if hasattr(state, n)), nan) for group in names
+    )
+    return maker.telemetry(t_ns, float(state.speed), values)

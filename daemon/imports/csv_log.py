@@ -1,0 +1,128 @@
+"""A lab's csv file as a session: which cells make which message, and when.
+
+Streams of different rates share a file: a row gives a sample of each stream that has a value in it.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.progress import Advance
+from steerd.daemon.imports.csv_table import Row, fail_cell, open_table, read_table
+from steerd.daemon.imports.import_map import NS, ImportMap, load_map
+from steerd.daemon.imports.import_session import (
+    ImportNotes,
+    ImportReport,
+    MessageMaker,
+    Sample,
+    check_output,
+    write_import,
+)
+from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, Topic
+
+_TOPICS: dict[str, Topic] = {
+    "x": MOCAP,
+    "steer_cmd": ACTUATION,
+    "speed_cmd": ACTUATION,
+    "erpm": VESC,
+    "wheel_speed": WHEEL,
+    "throttle": THROTTLE,
+    "yaw_rate": IMU,
+}
+_POSE = ("x", "y", "yaw")
+_INT32_MAX = (1 << 31) - 1
+
+
+def import_csv(source: Path, map_path: Path, out: Path, advance: Advance) -> ImportReport:
+    """Turn a csv file into a session.
+
+    Args:
+        source: the csv file; its delimiter is found by itself.
+        map_path: the map, with `[columns]`.
+        out: the session to write; nothing is left of it after an error.
+        advance: told the bytes read so far.
+
+    Raises:
+        SteerdError: something is wrong with the map, the file or the output; the message says
+            where.
+    """
+    check_output(out)
+    the_map = load_map(map_path)
+    if not the_map.columns:
+        hint = "copy examples/import-dart.toml and name your columns"
+        raise SteerdError(f"map {map_path} has no [columns]", hint)
+    notes = ImportNotes()
+    topics = list(dict.fromkeys(_TOPICS[q] for q in the_map.columns if q in _TOPICS))
+    with open_table(source) as file:
+        rows = read_table(source.name, file, the_map.columns, advance)
+        the_map, timed = _placed(the_map, _timed(source.name, rows, the_map, notes))
+        samples = _samples(source.name, timed, the_map, notes)
+        counts = write_import(out, source, the_map, topics, samples)
+    return ImportReport(out, counts, notes.lines())
+
+
+def _timed(
+    name: str, rows: Iterator[Row], the_map: ImportMap, notes: ImportNotes
+) -> Iterator[tuple[int, Row]]:
+    """Rows with their times [ns], which never go back."""
+    column = the_map.columns["t"].column
+    last_ns, last_row = None, 0
+    for row in rows:
+        if "t" not in row.values:
+            fail_cell(name, row.number, column, "no time, but other values")
+        t = row.values["t"]
+        if abs(t + the_map.epoch_ns / NS) > _INT32_MAX:
+            hint = "scale = 0.001 in the map for milliseconds, 1e-9 for nanoseconds"
+            fail_cell(name, row.number, column, f"{t:g} s is no time", hint)
+        t_ns = _nanoseconds(t)
+        if last_ns is not None and t_ns < last_ns:
+            what = f"time goes back by {(last_ns - t_ns) / NS:g} s after row {last_row}"
+            fail_cell(name, row.number, column, what, "sort the rows, or import each run by itself")
+        if t_ns == last_ns:
+            notes.add("rows repeat the time of the row before")
+        last_ns, last_row = t_ns, row.number
+        yield t_ns, row
+
+
+def _nanoseconds(t: float) -> int:
+    whole = math.floor(t)  # apart, so that UNIX seconds keep all the digits a float has
+    return whole * NS + round((t - whole) * NS)
+
+
+def _placed(
+    the_map: ImportMap, timed: Iterator[tuple[int, Row]]
+) -> tuple[ImportMap, Iterator[tuple[int, Row]]]:
+    """Raise the epoch if the log begins before 1970: a session's stamps are not negative."""
+    first = next(timed, None)
+    if first is None:
+        return the_map, timed
+    epoch_ns = max(the_map.epoch_ns, -first[0])
+    return replace(the_map, epoch_ns=epoch_ns), itertools.chain([first], timed)
+
+
+def _samples(
+    name: str, timed: Iterator[tuple[int, Row]], the_map: ImportMap, notes: ImportNotes
+) -> Iterator[Sample]:
+    maker = MessageMaker(the_map.epoch_ns, the_map.frame)
+    for t_ns, (number, v) in timed:
+        if _POSE[0] in v and _POSE[1] in v and _POSE[2] in v:
+            yield Sample(MOCAP, t_ns, t_ns, maker.planar_pose(t_ns, v["x"], v["y"], v["yaw"]))
+        elif any(key in v for key in _POSE):
+            notes.add("rows hold a part of a pose and were left out of it")
+        if "steer_cmd" in v or "speed_cmd" in v:
+            steer, speed = v.get("steer_cmd", math.nan), v.get("speed_cmd", math.nan)
+            yield Sample(ACTUATION, t_ns, t_ns, maker.command(t_ns, steer, speed))
+        if "erpm" in v:
+            if abs(v["erpm"]) > _INT32_MAX:
+                column = the_map.columns["erpm"].column
+                fail_cell(name, number, column, f"{v['erpm']:g} is no motor speed")
+            yield Sample(VESC, t_ns, t_ns, maker.telemetry(t_ns, v["erpm"]))
+        if "wheel_speed" in v:
+            yield Sample(WHEEL, t_ns, t_ns, maker.wheel(t_ns, v["wheel_speed"]))
+        if "throttle" in v:
+            yield Sample(THROTTLE, t_ns, t_ns, maker.throttle(t_ns, v["throttle"]))
+        if "yaw_rate" in v:
+            yield Sample(IMU, t_ns, t_ns, maker.gyro(t_ns, v["yaw_rate"]))

@@ -1,0 +1,197 @@
+"""The map of an import: which column or topic of a lab's log is which quantity.
+
+One TOML page: `[columns]` for csv files, `[topics]` for ROS bags, `[frame]` where the recorded body
+is not the car's centre of gravity, `[session]` for what the log does not say. `docs/sessions.md`
+explains it; `examples/import-*.toml` are whole ones.
+"""
+
+import datetime
+import math
+import re
+import tomllib
+from dataclasses import dataclass, field
+from math import radians
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.mocap_link.frame import FrameConfig
+from steerd.steer_bus.topics import check_car_name
+
+NS = 1_000_000_000
+MAP_BYTES_MAX = 1_000_000
+STREAM_COLUMNS = (
+    "x", "y", "yaw", "steer_cmd", "speed_cmd", "throttle", "wheel_speed", "erpm", "yaw_rate",
+)  # fmt: skip
+"""What a csv file can give besides `t`: metres, radians, seconds, m/s, electrical rpm."""
+ROLES = ("pose", "command", "vesc", "wheel")
+"""What a topic of a bag can be: wheel takes the forward speed out of an Odometry."""
+_POSE = {"x", "y", "yaw"}
+_HINT = "docs/sessions.md explains the map; examples/import-dart.toml is one"
+
+
+class ColumnSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One column: value = scale · cell + offset; 0 where the `gate` column is 0."""
+
+    column: str
+    scale: float = 1.0
+    offset: float = 0.0
+    gate: str | None = None
+
+
+class FrameSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Room, body and offsets, by the names of a car file's `[mocap]` section."""
+
+    units: str = "m"
+    up: str = "z"
+    body_forward: str = "+x"
+    world_yaw_deg: float = 0.0
+    world_xy: tuple[float, float] = (0.0, 0.0)
+    mount_yaw_deg: float = 0.0
+    marker_rear_x: float = 0.0
+    marker_rear_y: float = 0.0
+    cog_ahead_of_rear: float = 0.0
+
+
+class SessionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the log does not say: whose it is, when its time was zero, a remark."""
+
+    car: str = "car"
+    epoch: float | datetime.datetime = 0.0
+    comment: str = ""
+
+
+class _Tables(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    columns: dict[str, str | ColumnSpec] = {}
+    topics: dict[str, str] = {}
+    rigid: int | None = None
+    frame: FrameSpec | None = None
+    session: SessionSpec = SessionSpec()
+
+
+@dataclass(frozen=True)
+class ImportMap:
+    """A map that was read and found right.
+
+    Attributes:
+        columns: quantity to column, `t` included; empty in a map for bags.
+        topics: role to topic.
+        rigid: which rigid body of a PhaseSpace message is the car; None if there is only one.
+        frame: from the recorded body to the centre of gravity; None changes nothing.
+        car: the car's name in topics.
+        epoch_ns: UNIX time of the log's time zero [ns].
+        comment: a remark for `steerd info`.
+        text: the map's own text; it is kept inside the session.
+    """
+
+    columns: dict[str, ColumnSpec] = field(default_factory=dict)
+    topics: dict[str, str] = field(default_factory=dict)
+    rigid: int | None = None
+    frame: FrameConfig | None = None
+    car: str = "car"
+    epoch_ns: int = 0
+    comment: str = ""
+    text: str = ""
+
+
+def load_map(path: Path) -> ImportMap:
+    """Read a map.
+
+    Raises:
+        SteerdError: it cannot be read, is no TOML, or says something impossible.
+    """
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MAP_BYTES_MAX + 1)
+    except OSError as error:
+        what = f"map {path} cannot be read: {error.strerror}"
+        raise SteerdError(what, "name a map with --map", ExitCode.UNREADABLE) from error
+    if len(raw) > MAP_BYTES_MAX:
+        raise SteerdError(f"map {path} is larger than 1 MB", _HINT)
+    try:
+        return parse_map(raw.decode())
+    except UnicodeDecodeError as error:
+        what = f"map {path}: byte {error.start} is not UTF-8"
+        raise SteerdError(what, "save it as UTF-8 text") from error
+    except ValueError as error:
+        raise SteerdError(f"map {path}: {error}", _HINT) from error
+
+
+def parse_map(text: str) -> ImportMap:
+    """Check the text of a map.
+
+    Raises:
+        ValueError: it is no TOML, or says something impossible; one line.
+    """
+    try:
+        tables = msgspec.convert(tomllib.loads(text), _Tables)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+    except msgspec.ValidationError as error:
+        raise ValueError(_readable(str(error))) from error
+    return ImportMap(
+        columns=_columns(tables.columns),
+        topics=_topics(tables.topics),
+        rigid=tables.rigid,
+        frame=make_frame(tables.frame) if tables.frame else None,
+        car=check_car_name(tables.session.car),
+        epoch_ns=_epoch_ns(tables.session.epoch),
+        comment=tables.session.comment,
+        text=text,
+    )
+
+
+def make_frame(spec: FrameSpec) -> FrameConfig:
+    """The frame of a map.
+
+    Raises:
+        ValueError: an unknown unit or axis.
+    """
+    values: dict[str, Any] = msgspec.structs.asdict(spec)
+    for name in ("world_yaw", "mount_yaw"):
+        values[name] = radians(values.pop(f"{name}_deg"))
+    return FrameConfig(**values)
+
+
+def _readable(text: str) -> str:
+    """A msgspec message in the words of a TOML file: `$.columns.t` is `[columns] t`."""
+    text = re.sub(r" - at `key in \$(\.?)[^`]*`", "", text)
+    text = re.sub(r" - at `\$\.(\w+)\.?([^`]*)`", r" in [\1] \2", text).replace("[...]", "a value")
+    return text.replace("Object contains", "it has an").replace("`", "'").strip()
+
+
+def _columns(columns: dict[str, str | ColumnSpec]) -> dict[str, ColumnSpec]:
+    known = ("t", *STREAM_COLUMNS)
+    made = {k: ColumnSpec(v) if isinstance(v, str) else v for k, v in columns.items()}
+    for name, spec in made.items():
+        if name not in known:
+            raise ValueError(f"[columns] {name!r} is none of {', '.join(known)}")
+        if not (math.isfinite(spec.scale) and math.isfinite(spec.offset)) or spec.scale == 0.0:
+            raise ValueError(f"[columns] {name}: scale and offset must be finite, scale not 0")
+    if made and "t" not in made:
+        raise ValueError("[columns] lacks 't', the time")
+    if made.keys() == {"t"}:
+        raise ValueError("[columns] names nothing but the time")
+    pose = _POSE & made.keys()
+    if pose and pose != _POSE:
+        missing = ", ".join(sorted(_POSE - pose))
+        raise ValueError(f"[columns] a pose needs x, y and yaw: {missing} missing")
+    return made
+
+
+def _topics(topics: dict[str, str]) -> dict[str, str]:
+    for role in topics:
+        if role not in ROLES:
+            raise ValueError(f"[topics] {role!r} is none of {', '.join(ROLES)}")
+    return topics
+
+
+def _epoch_ns(epoch: float | datetime.datetime) -> int:
+    if isinstance(epoch, datetime.datetime):
+        utc = epoch if epoch.tzinfo else epoch.replace(tzinfo=datetime.UTC)
+        epoch = utc.timestamp()
+    if not 0.0 <= epoch < 1 << 31:
+        raise ValueError("[session] epoch must be UNIX seconds or a date from 1970 to 2037")
+    return round(epoch * NS)

@@ -1,0 +1,221 @@
+"""The session that an import writes: samples become steerd's own messages.
+
+Times are the log's own [ns]; `epoch_ns` places them in UNIX time. What a log does not tell is NaN,
+or -1 for a whole number, as in :mod:`steerd.steer_bus.messages`.
+"""
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from math import nan
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.imports.import_map import ImportMap
+from steerd.mocap_link.frame import (
+    FrameConfig,
+    PlanarPose,
+    Quat,
+    Vec3,
+    make_body_pose,
+    make_planar_pose,
+    wrap_angle,
+)
+from steerd.steer_bus import messages as m
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.session import AttachedFile, SessionError, SessionWriter
+from steerd.steer_bus.topics import Topic, make_session_topic
+
+
+class Sample(NamedTuple):
+    """One value of a stream."""
+
+    topic: Topic
+    t_ns: int
+    """Time of validity, in the log's own time."""
+    log_ns: int
+    """When it was logged, in the log's own time."""
+    message: Any
+
+
+@dataclass(frozen=True)
+class ImportReport:
+    """What an import made.
+
+    Attributes:
+        path: the session.
+        counts: messages by topic name.
+        notes: what a person should know about the log, one line each.
+    """
+
+    path: Path
+    counts: dict[str, int]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass
+class ImportNotes:
+    """Oddities of a log that do not stop an import, counted."""
+
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def add(self, what: str) -> None:
+        """Count one more of them."""
+        self.counts[what] = self.counts.get(what, 0) + 1
+
+    def lines(self) -> tuple[str, ...]:
+        """One line for each kind."""
+        return tuple(f"{count} {what}" for what, count in self.counts.items())
+
+
+def check_output(out: Path) -> None:
+    """Refuse an output name before any work is done.
+
+    Raises:
+        SteerdError: it exists, or does not end in `.mcap`.
+    """
+    if out.suffix != ".mcap":
+        hint = f"-o {out.with_suffix('.mcap')}"
+        raise SteerdError(f"{out}: a session's name ends in .mcap", hint, ExitCode.USAGE)
+    if out.exists():
+        what = f"{out} exists and is never overwritten"
+        raise SteerdError(what, "choose another name with -o", ExitCode.USAGE)
+
+
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file, or of a bag folder's files in order of their names.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    digest = hashlib.sha256()
+    for part in sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]:
+        with part.open("rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()
+
+
+def write_import(
+    out: Path, source: Path, the_map: ImportMap, topics: Iterable[Topic], samples: Iterable[Sample]
+) -> dict[str, int]:
+    """Write the session whole, or leave nothing behind.
+
+    Returns:
+        Messages by topic name.
+
+    Raises:
+        SteerdError: the source cannot be read, holds no sample, or the disk does not take it.
+    """
+    counts = {topic.name: 0 for topic in topics}
+    names = {topic.name: make_session_topic(the_map.car, topic) for topic in topics}
+    try:
+        writer = SessionWriter(
+            out,
+            {names[topic.name]: topic.message for topic in topics},
+            {"steerd.session": _describe(source, the_map)},
+            [AttachedFile("map.toml", "application/toml", the_map.text.encode())],
+            the_map.epoch_ns,
+        )
+    except SessionError as error:
+        raise SteerdError(str(error), "", ExitCode.UNREADABLE) from error
+    try:
+        for sample in samples:
+            data = encode(sample.message)
+            log_ns, valid_ns = sample.log_ns + the_map.epoch_ns, sample.t_ns + the_map.epoch_ns
+            writer.write(names[sample.topic.name], data, log_ns, valid_ns)
+            counts[sample.topic.name] += 1
+        if not writer.count:
+            what = f"{source.name} holds no sample of what the map names"
+            raise SteerdError(what, "are these columns empty?")
+        writer.finish({"reason": "imported", "messages": str(writer.count)})
+    except BaseException as error:
+        writer.abandon()
+        writer.partial.unlink(missing_ok=True)
+        if isinstance(error, SessionError):
+            raise SteerdError(str(error), "", ExitCode.UNREADABLE) from error
+        raise
+    return counts
+
+
+def _describe(source: Path, the_map: ImportMap) -> dict[str, str]:
+    return {
+        "mode": "import",
+        "car": the_map.car,
+        "source": source.name,
+        "source_sha256": hash_file(source),
+        "epoch_ns": str(the_map.epoch_ns),
+        "comment": the_map.comment,
+        "steerd_version": version("steerd"),
+    }
+
+
+@dataclass
+class MessageMaker:
+    """Samples of one log as messages.
+
+    Attributes:
+        epoch_ns: UNIX time of the log's time zero [ns].
+        frame: from the recorded body to the centre of gravity; None changes nothing.
+    """
+
+    epoch_ns: int
+    frame: FrameConfig | None = None
+    _commands: int = 0
+    _poses: int = 0
+
+    def pose(self, t_ns: int, arrival_ns: int, position: Vec3, quaternion: Quat) -> m.MocapPose:
+        """A body pose.
+
+        Raises:
+            ValueError: the position is not finite or the quaternion has no direction.
+        """
+        planar = make_planar_pose(self.frame or FrameConfig(), position, quaternion)
+        return self._mocap(t_ns, arrival_ns, position, quaternion, planar)
+
+    def planar_pose(self, t_ns: int, x: float, y: float, yaw: float) -> m.MocapPose:
+        """A pose on the floor; without a frame its numbers stay exactly as they are."""
+        position, quaternion = make_body_pose(FrameConfig(), x, y, yaw)
+        planar = PlanarPose(x, y, wrap_angle(yaw), nan, nan)
+        if self.frame is not None:
+            planar = make_planar_pose(self.frame, position, quaternion)
+        return self._mocap(t_ns, t_ns, (x, y, nan), quaternion, planar)
+
+    def _mocap(
+        self, t_ns: int, arrival_ns: int, position: Vec3, quaternion: Quat, planar: PlanarPose
+    ) -> m.MocapPose:
+        frame, self._poses = self._poses, self._poses + 1
+        header = m.make_header(t_ns + self.epoch_ns, m.WORLD)
+        stamps = (t_ns, arrival_ns, max(t_ns, 0), frame, 0, 1)
+        return m.MocapPose(header, *stamps, *position, *quaternion, nan, *planar, "")
+
+    def command(self, t_ns: int, steer: float, speed: float) -> m.Actuation:
+        """A command to steering and drive; NaN where the log has none."""
+        self._commands += 1
+        mode = m.ActuationMode.SPEED
+        return m.Actuation(self._body(t_ns), self._commands, mode, steer, speed, nan, b"")
+
+    def telemetry(self, t_ns: int, erpm: float, values: tuple[float, ...] = ()) -> m.VescTelemetry:
+        """A VESC's electrical rpm, and its v_in to vq in the message's order where known."""
+        floats = (*values, *(nan,) * (10 - len(values)))
+        return m.VescTelemetry(
+            self._body(t_ns), t_ns, t_ns, -1, round(erpm), -1, -1, -1, -1, *floats
+        )
+
+    def wheel(self, t_ns: int, speed: float) -> m.WheelSpeed:
+        """A wheel's speed [m/s]."""
+        return m.WheelSpeed(self._body(t_ns), t_ns, speed)
+
+    def throttle(self, t_ns: int, throttle: float) -> m.Throttle:
+        """An open-loop motor command."""
+        return m.Throttle(self._body(t_ns), t_ns, throttle)
+
+    def gyro(self, t_ns: int, yaw_rate: float) -> m.VescImu:
+        """A yaw rate [rad/s]."""
+        gyro = (nan, nan, yaw_rate)
+        return m.VescImu(self._body(t_ns), t_ns, t_ns, nan, nan, nan, *gyro, nan, nan, nan, nan)
+
+    def _body(self, t_ns: int) -> m.Header:
+        return m.make_header(t_ns + self.epoch_ns, m.BODY)

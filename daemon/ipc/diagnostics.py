@@ -1,0 +1,16 @@
+"""What a terminal reads of the messages that a core sends; needs nothing of the core's own."""
+
+from steerd.daemon.common.errors import SteerdError
+from steerd.steer_bus.standard import DiagnosticArray
+
+
+def read_diagnostics(message: DiagnosticArray) -> dict[str, str]:
+    """The supervisor's values in a diagnostics message.
+
+    Raises:
+        SteerdError: the message is not the supervisor's.
+    """
+    for status in message.status:
+        if status.name == "steerd: supervisor":
+            return {value.key: value.value for value in status.values}
+    raise SteerdError("this is no steerd diagnostics message")

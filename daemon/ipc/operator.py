@@ -1,0 +1,99 @@
+"""An operator's side of the lease: requests with rising numbers under one id."""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.diagnostics import read_diagnostics
+from steerd.steer_bus import topics
+from steerd.steer_bus.bus import Bus, BusError
+from steerd.steer_bus.clock import Clock
+from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.lab import DEFAULT_PORT, Lab, load_lab
+from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, make_header
+from steerd.steer_bus.standard import DiagnosticArray
+from steerd.steer_bus.topics import make_key
+from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
+
+PLAIN = f"tcp/127.0.0.1:{DEFAULT_PORT}"
+
+KEEPALIVE_NS = 50_000_000
+"""Well within the deadman's 300 ms."""
+
+
+@dataclass
+class Operator:
+    """One person at one terminal.
+
+    Attributes:
+        boot_id: of the run that is addressed.
+        lease_id: random, not zero.
+        name: for the recording.
+        seq: of the last request.
+    """
+
+    boot_id: int
+    lease_id: int
+    name: str = "operator"
+    seq: int = 0
+
+    def make(self, kind: RequestKind, realtime_ns: int) -> bytes:
+        """The next request, encoded."""
+        self.seq += 1
+        header = make_header(realtime_ns, BODY)
+        request = OperatorRequest(
+            header, self.boot_id, self.lease_id, self.seq, int(kind), self.name
+        )
+        return encode(request)
+
+
+def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where the daemon is, and who we are there."""
+    parser.add_argument("--connect", metavar="ENDPOINT", help=f"the daemon's (default {PLAIN})")
+    parser.add_argument("--lab", type=Path, metavar="DIR", help="our folder of `steerd keys`")
+
+
+def connect(args: argparse.Namespace) -> ZenohBus:
+    """Join the bus of a running daemon, as `add_bus_arguments` says.
+
+    Raises:
+        SteerdError: there is none, or it does not take us.
+    """
+    lab = read_lab(args.lab) if args.lab else None
+    endpoint = args.connect or (lab.endpoint if lab else PLAIN)
+    try:
+        return ZenohBus(make_spoke_profile(endpoint, lab))
+    except BusError as error:
+        hint = "start `steerd run` first, or name its endpoint with --connect"
+        if lab is not None:
+            hint = f"is it up with --lab, and is {lab.folder} of the same lab and in date?"
+        raise SteerdError(f"no steerd answers: {error}", hint, ExitCode.UNREACHABLE) from None
+
+
+def read_lab(folder: Path) -> Lab:
+    """A participant's folder.
+
+    Raises:
+        SteerdError: it is not one.
+    """
+    try:
+        return load_lab(folder)
+    except BusError as error:
+        raise SteerdError(str(error), "", ExitCode.INVALID) from None
+
+
+def read_status(bus: Bus, car: str, clock: Clock, timeout_s: float = 2.0) -> dict[str, str]:
+    """The daemon's own account of itself, from the first diagnostics that arrives.
+
+    Raises:
+        SteerdError: nothing arrived in time.
+    """
+    subscription = bus.subscribe(make_key(car, topics.DIAGNOSTICS))
+    end = clock.now_ns() + round(timeout_s * 1e9)
+    while clock.now_ns() < end:
+        for sample in subscription.poll():
+            return read_diagnostics(decode(DiagnosticArray, sample.data))
+        clock.sleep_until_ns(clock.now_ns() + 10_000_000)
+    hint = f"is the car called {car!r}? name it with --name"
+    raise SteerdError(f"no car {car!r} on the bus", hint, ExitCode.UNREACHABLE)

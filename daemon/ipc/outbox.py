@@ -1,0 +1,69 @@
+"""The core's way out for messages: count per topic, encode once, hand to every sink.
+
+Messages are values: what is posted while a pose waits for its tick is encoded after it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from steerd.daemon.ipc.pipe_records import Record
+from steerd.steer_bus.codec import CodecError, encode
+from steerd.steer_bus.topics import Topic
+
+Sink = Callable[[list[Record], int], None]
+"""Takes the records of one tick and the monotonic time [ns]; must not block."""
+
+
+@dataclass(slots=True)
+class Outbox:
+    """Messages of the current tick.
+
+    Attributes:
+        epoch_ns: UNIX time minus monotonic time, fixed for the session [ns].
+        sinks: who gets the records at `flush`.
+    """
+
+    epoch_ns: int
+    sinks: tuple[Sink, ...]
+    _pending: list[Record] = field(default_factory=list)
+    _counts: dict[str, int] = field(default_factory=dict)
+    _last_ns: int = 0
+
+    def post(self, topic: Topic, message: Any, t_ns: int, valid_ns: int | None = None) -> None:
+        """Queue a message handed out at `t_ns` whose content is valid at `valid_ns` (monotonic)."""
+        if not self.sinks:
+            return
+        count = self._counts.get(topic.name, 0)
+        self._counts[topic.name] = count + 1
+        # A session file is in the order of the loop: log times never go back (mcap doctor warns).
+        self._last_ns = max(self._last_ns, t_ns)
+        publish_ns = (t_ns if valid_ns is None else valid_ns) + self.epoch_ns
+        log_ns = self._last_ns + self.epoch_ns
+        self._pending.append(Record(topic, count, log_ns, publish_ns, b"", message))
+
+    def flush(self, t_ns: int) -> None:
+        """Encode everything queued and hand it to the sinks.
+
+        Raises:
+            CodecError: a message cannot be encoded; it alone is lost, the others were handed over.
+        """
+        if not self._pending:
+            return
+        queued, self._pending = self._pending, []
+        records, wrong = _encode_all(queued)
+        for sink in self.sinks:
+            sink(records, t_ns)
+        if wrong is not None:
+            raise wrong
+
+
+def _encode_all(queued: list[Record]) -> tuple[list[Record], CodecError | None]:
+    """Encode each record; also give the first error."""
+    records, wrong = [], None
+    for record in queued:
+        try:
+            records.append(record._replace(data=encode(record.message)))
+        except CodecError as error:
+            wrong = wrong or error
+    return records, wrong

@@ -1,0 +1,128 @@
+"""How the control core hands messages to the recorder and the gateway: records on a pipe.
+
+The core never waits: a pipe is non-blocking, a record is written whole or dropped and counted.
+"""
+
+import contextlib
+import fcntl
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from steerd.steer_bus.codec import decode
+from steerd.steer_bus.topics import TOPICS, Topic
+
+PIPE_BYTES = 1 << 20
+"""Room for about 4 s of messages at 200 Hz (safety page, section 2)."""
+_HEAD = struct.Struct("<IHHIqq")
+_F_SETPIPE_SZ = 1031
+_INDEX = {topic.name: index for index, topic in enumerate(TOPICS)}
+
+
+class Record(NamedTuple):
+    """One encoded message on its way out of the core."""
+
+    topic: Topic
+    sequence: int
+    """Counter per topic."""
+    log_time_ns: int
+    """UNIX time at which the core handed it out."""
+    publish_time_ns: int
+    """UNIX time of the sample itself."""
+    data: bytes
+    """CDR."""
+    message: Any = None
+    """What was encoded, for readers in the core's own process; None behind a pipe."""
+
+
+def read_message(record: Record) -> Any:
+    """The message of a record, decoded where it crossed a pipe."""
+    known = record.message
+    return decode(record.topic.message, record.data) if known is None else known
+
+
+def pack_record(record: Record) -> bytes:
+    """The record as pipe bytes."""
+    head = _HEAD.pack(
+        len(record.data),
+        _INDEX[record.topic.name],
+        0,
+        record.sequence & 0xFFFFFFFF,
+        record.log_time_ns,
+        record.publish_time_ns,
+    )
+    return head + record.data
+
+
+def unpack_records(buffer: bytearray) -> Iterator[Record]:
+    """Take every whole record off the front of `buffer`."""
+    start = 0
+    while len(buffer) - start >= _HEAD.size:
+        size, index, _, sequence, log_ns, publish_ns = _HEAD.unpack_from(buffer, start)
+        end = start + _HEAD.size + size
+        if len(buffer) < end:
+            break
+        data = bytes(buffer[start + _HEAD.size : end])
+        start = end
+        yield Record(TOPICS[index], sequence, log_ns, publish_ns, data)
+    del buffer[:start]
+
+
+def make_pipe() -> tuple[int, int]:
+    """A pipe (read end, write end); the write end is non-blocking and has room for seconds."""
+    read_fd, write_fd = os.pipe()
+    os.set_blocking(write_fd, False)
+    with contextlib.suppress(PermissionError):  # quota spent: the default 64 KiB counts too
+        fcntl.fcntl(write_fd, _F_SETPIPE_SZ, PIPE_BYTES)
+    return read_fd, write_fd
+
+
+@dataclass(slots=True)
+class PipeWriter:
+    """The core's end of one pipe.
+
+    Attributes:
+        fd: non-blocking write end.
+        dropped: records lost to a full or dead pipe.
+        dead: whether the reader is gone.
+        full_since_ns: since when nothing fits, or None.
+    """
+
+    fd: int
+    dropped: int = 0
+    dead: bool = False
+    full_since_ns: int | None = None
+    _rest: bytes = b""
+
+    def write(self, packed: list[bytes], t_ns: int) -> None:
+        """Hand over these records or drop them all; never waits, never raises.
+
+        The pipe may take a batch in part; what is left goes first next time, so that no record is
+        torn.
+        """
+        if self._rest:
+            self._rest = self._push(self._rest)
+        if self._rest or self.dead:
+            self.dropped += len(packed)
+            if self.full_since_ns is None:
+                self.full_since_ns = t_ns
+            return
+        self.full_since_ns = None
+        batch = b"".join(packed)
+        left = self._push(batch) if batch else b""
+        if left and len(left) == len(batch):
+            self.dropped += len(packed)
+            self.full_since_ns = t_ns
+        else:
+            self._rest = left
+
+    def _push(self, data: bytes) -> bytes:
+        try:
+            return data[os.write(self.fd, data) :]
+        except BlockingIOError:
+            return data
+        except OSError:
+            self.dead = True
+            return b""

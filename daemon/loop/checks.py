@@ -1,0 +1,92 @@
+"""Pre-arm checks: what still keeps the car from being armed, each in words that say what to do."""
+
+from collections.abc import Iterable, Iterator
+from math import degrees
+from typing import NamedTuple
+
+from steerd.daemon.loop.findings import Finding, Severity
+from steerd.daemon.loop.flags import Flag
+from steerd.daemon.settings.config import BrakeSettings
+from steerd.daemon.settings.thresholds import Thresholds
+
+STANDING_SPEED = 0.05
+_TOOL = "in VESC Tool: App Settings > General"
+
+
+class VescSelf(NamedTuple):
+    """What the VESC told about itself; None where it did not.
+
+    Attributes:
+        expected: its UUID is the car file's, or the file names none and it is the run's first.
+        uuid: hex.
+        firmware: (major, minor).
+        timeout_ms: after which it stops the motor by itself; 0 never.
+        timeout_brake_current: what it brakes with then [A].
+    """
+
+    expected: bool
+    uuid: str
+    firmware: tuple[int, int]
+    timeout_ms: int | None
+    timeout_brake_current: float | None
+
+
+class Lane(NamedTuple):
+    """Where the car stands against its path [m, rad], or that it is told from elsewhere."""
+
+    e1: float
+    e2: float
+    remote: bool
+    remote_alive: bool
+
+
+def red_vesc(vesc: VescSelf | None, brakes: BrakeSettings) -> Iterator[str]:
+    """What is wrong with the VESC: which it is, its own timeout."""
+    if vesc is None:
+        return
+    if not vesc.expected and brakes.uuid:
+        yield f"VESC {vesc.uuid} is not the one of the car file: fix [vesc] uuid, or the port"
+    elif not vesc.expected:
+        yield f"VESC {vesc.uuid} is not the one this run began with: plug that in, or start anew"
+    if vesc.timeout_ms is None or vesc.timeout_brake_current is None:
+        yield "the VESC did not tell its timeout (firmware before 3.55?): update its firmware"
+        return
+    if vesc.timeout_ms == 0:
+        yield f"the VESC never times out: set Timeout to 100-200 ms {_TOOL}"
+    elif vesc.timeout_ms > brakes.timeout_max_ms:
+        yield (
+            f"the VESC's timeout is {vesc.timeout_ms} ms, at most {brakes.timeout_max_ms} ms may be"
+            f" armed: set Timeout {_TOOL}"
+        )
+    if not vesc.timeout_brake_current > 0.0:
+        yield f"the VESC would coast on timeout: set Timeout Brake Current above 0 A {_TOOL}"
+
+
+def red_flags(flags: int) -> Iterator[str]:
+    """What the core found out about the VESC since it is linked."""
+    if flags & Flag.UNBOUNDED:
+        yield "the VESC does not take this session's speed limit: power it off and on"
+
+
+def red_lane(lane: Lane, thresholds: Thresholds) -> Iterator[str]:
+    """What is wrong with where the car stands."""
+    if lane.remote:
+        if not lane.remote_alive:
+            yield "no commands from a controller: start `steerd control`"
+        return
+    if not abs(lane.e1) <= thresholds.lateral_warn:
+        side = "left" if lane.e1 > 0.0 else "right"
+        yield f"the car stands {abs(lane.e1):.2f} m {side} of the path: put it on the path"
+    elif not abs(lane.e2) <= thresholds.heading_warn:
+        yield f"the car points {degrees(lane.e2):+.0f} deg off the path: turn it"
+
+
+def red_findings(findings: Iterable[Finding]) -> Iterator[str]:
+    """Watchdogs that would trip."""
+    return (finding.text for finding in findings if finding.severity > Severity.WARN)
+
+
+def red_motion(speed: float) -> Iterator[str]:
+    """A car that moves is not armed."""
+    if not abs(speed) < STANDING_SPEED:
+        yield f"the car moves at {speed:.2f} m/s: let it stand"

@@ -1,0 +1,98 @@
+"""What a watchdog says: which one, how bad, the measured number, and what to try."""
+
+from collections.abc import Iterable
+from enum import IntEnum
+from typing import NamedTuple
+
+from steerd.daemon.loop.transitions import Is
+
+
+class Severity(IntEnum):
+    """What a finding asks the supervisor for."""
+
+    WARN = 0
+    SOFT = 1  # STOPPING
+    HARD = 2  # FAULT_STOP
+    ESTOP = 3
+
+
+class Finding(NamedTuple):
+    """One watchdog's word in one tick."""
+
+    id: str
+    severity: Severity
+    text: str
+
+
+class Watchdog(NamedTuple):
+    """A row of ``WATCHDOGS``: its name, what its trip asks for, and advice for people."""
+
+    name: str
+    severity: Severity
+    advice: str
+
+
+_SOFT, _HARD, _ESTOP = Severity.SOFT, Severity.HARD, Severity.ESTOP
+WATCHDOGS = {
+    "W1": Watchdog("mocap stale", _HARD, "check that the cameras see the body and its network"),
+    "W2": Watchdog("mocap frozen", _HARD, "the body is hidden: look at markers and camera view"),
+    "W3": Watchdog("mocap invalid", _HARD, "look at the body in the mocap software"),
+    "W4": Watchdog("mocap jump", _HARD, "make the marker pattern unique; run steerd mocap check"),
+    "W5": Watchdog("innovation", _HARD, "pose and wheels disagree: check units, gear ratio, body"),
+    "W6": Watchdog("estimate diverged", _HARD, "check mocap rate and the filter's noise settings"),
+    "W7": Watchdog("telemetry stale", _HARD, "check the USB cable and the VESC's power"),
+    "W8": Watchdog("serial write", _HARD, "check the USB cable, then clear"),
+    "W9": Watchdog(
+        "starved", _HARD, "the VESC's timeout fired while driving: the link is too slow"
+    ),
+    "W10": Watchdog("kill switch", _ESTOP, "release the hardware switch, then reset"),
+    "W11": Watchdog(
+        "VESC fault", _HARD, "look the code up in VESC Tool; it ignores input for 0.5 s"
+    ),
+    "W12": Watchdog("VESC rebooted", _HARD, "brown-out: check battery, plug and cable"),
+    "W13": Watchdog("battery", _SOFT, "charge the battery"),
+    "W14": Watchdog("temperature", _SOFT, "let it cool down"),
+    "W15": Watchdog(
+        "loop late", _HARD, "run steerd rtcheck; allow SCHED_FIFO; close other programs"
+    ),
+    "W16": Watchdog("guardian", _SOFT, "restart steerd run"),
+    "W17": Watchdog("lateral error", _HARD, "slow down, or check gains and the path"),
+    "W18": Watchdog("heading error", _HARD, "check body forward axis and the path's direction"),
+    "W19": Watchdog("fence", _HARD, "move the car inside, or change the fence in the car file"),
+    "W20": Watchdog("overspeed", _HARD, "check erpm gain and speed limits"),
+    "W21": Watchdog("speed mismatch", _HARD, "wheels slip, or wrong body, or wrong gear ratio"),
+    "W22": Watchdog("blocked", _HARD, "free the wheels"),
+    "W23": Watchdog("steering saturated", _SOFT, "slow down, or check steering centre and gain"),
+    "W24": Watchdog("stop not effective", _HARD, "CUT POWER if the car does not slow down"),
+    "W25": Watchdog("lease or deadman", _SOFT, "check the operator's connection"),
+    "W26": Watchdog("recorder", _SOFT, "free disk space, then restart steerd run"),
+    "W27": Watchdog("gateway", _SOFT, "restart steerd run"),
+    "W28": Watchdog("clock", _HARD, "the machine was suspended: switch suspend off"),
+    "W29": Watchdog("exception", _HARD, "report this with the session file"),
+    "gate": Watchdog("order not finite", _HARD, "report this with the session file"),
+    "launch": Watchdog("launch check", _HARD, "run steerd mocap check"),
+}
+
+
+def make_finding(id: str, measured: str, severity: Severity | None = None) -> Finding:
+    """Return a finding in the watchdog's own severity, or milder or harder where told.
+
+    Raises:
+        KeyError: there is no such watchdog.
+    """
+    watchdog = WATCHDOGS[id]
+    level = watchdog.severity if severity is None else severity
+    return Finding(id, level, f"{id} {watchdog.name}: {measured}; {watchdog.advice}")
+
+
+_FACT = (0, int(Is.SOFT), int(Is.HARD), int(Is.KILLED))
+
+
+def summarise(findings: Iterable[Finding]) -> tuple[int, str]:
+    """Return the supervisor's fact bits and the words of the worst trip, the first if equal."""
+    bits, worst, text = 0, 0, ""
+    for finding in findings:
+        bits |= _FACT[finding.severity]
+        if finding.severity > worst:
+            worst, text = finding.severity, finding.text
+    return bits, text

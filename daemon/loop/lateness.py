@@ -1,0 +1,66 @@
+"""Whether the loop keeps its time (W15): a pure count over due and wake times."""
+
+from typing import NamedTuple
+
+from steerd.daemon.loop.findings import Finding, Severity, make_finding
+from steerd.daemon.settings.thresholds import Thresholds
+
+WINDOW_NS = 1_000_000_000
+
+
+class LatenessRules(NamedTuple):
+    """What stops the car.
+
+    Attributes:
+        late_ns: one tick later than this.
+        run: so many missed ticks in a row.
+        share: more than this share of a second's ticks missed.
+    """
+
+    late_ns: int
+    run: int
+    share: float
+
+
+def make_rules(thresholds: Thresholds) -> LatenessRules:
+    """What a car file allows on hardware."""
+    late_ns = round(thresholds.late * 1e9)
+    return LatenessRules(late_ns, thresholds.late_run, thresholds.late_share)
+
+
+ON_HARDWARE = make_rules(Thresholds())
+IN_SIMULATION = LatenessRules(250_000_000, 25, 0.5)
+"""Nobody stands in a simulated lane, and a laptop hiccups: late ticks are counted and told."""
+
+
+class Lateness(NamedTuple):
+    """Ticks that were later than one period: in a row, and over the current second."""
+
+    run: int = 0
+    missed: int = 0
+    window_ns: int = 0
+    total: int = 0
+
+
+def step_lateness(
+    state: Lateness, due_ns: int, woke_ns: int, period_ns: int, rules: LatenessRules = ON_HARDWARE
+) -> tuple[Lateness, Finding | None]:
+    """Count one tick; the finding says which of the three rules it broke."""
+    late = woke_ns - due_ns
+    missed = late > period_ns
+    if due_ns - state.window_ns > WINDOW_NS:
+        state = state._replace(missed=0, window_ns=due_ns)
+    state = Lateness(
+        run=state.run + 1 if missed else 0,
+        missed=state.missed + missed,
+        window_ns=state.window_ns,
+        total=state.total + missed,
+    )
+    if late > rules.late_ns:
+        return state, make_finding("W15", f"a tick {late / 1e6:.0f} ms late")
+    if state.run >= rules.run:
+        return state, make_finding("W15", f"{state.run} ticks in a row missed")
+    per_second = WINDOW_NS / period_ns
+    if state.missed > max(1.0, rules.share * per_second):
+        return state, make_finding("W15", f"{state.missed} of {per_second:.0f} ticks missed")
+    return state, make_finding("W15", f"{late / 1e6:.1f} ms", Severity.WARN) if missed else None

@@ -1,0 +1,139 @@
+"""Who may command: one operator at a time, in order, and only while alive. Pure."""
+
+from dataclasses import dataclass, replace
+from math import inf
+
+from steerd.daemon.loop.transitions import Request
+from steerd.steer_bus.messages import DriveCommand, OperatorRequest, RequestKind
+
+VALID_MAX_MS = 300
+"""No external command is good for longer."""
+
+HANDOVER_S = 1.0
+"""Another controller may take over after this silence; the car has stopped long before."""
+
+FORMER_MAX = 256
+"""Whoever held the lease so many holders ago is forgotten."""
+
+Numbers = tuple[tuple[int, int], ...]
+"""Lease ids and the last number taken from each, the latest holder last."""
+
+_REQUESTS = {
+    RequestKind.ARM: Request.ARM,
+    RequestKind.START: Request.START,
+    RequestKind.STOP: Request.STOP,
+    RequestKind.DISARM: Request.DISARM,
+    RequestKind.CLEAR: Request.CLEAR | Request.RESET,
+    RequestKind.ESTOP: Request.ESTOP,
+    RequestKind.KEEPALIVE: Request.KEEPALIVE,
+}
+_FOR_ANYBODY = (RequestKind.STOP, RequestKind.ESTOP)
+
+
+@dataclass(frozen=True)
+class Lease:
+    """The operator who may arm and start.
+
+    Attributes:
+        boot_id: of this run; requests that name another are old or meant for somebody else.
+        holder: lease id of the operator, 0 for nobody.
+        seq: of the last accepted request.
+        renewed_ns: when the holder was last heard.
+        refused: requests turned away so far.
+        former: the last numbers of former holders: no request is taken twice.
+    """
+
+    boot_id: int
+    holder: int = 0
+    seq: int = -1
+    renewed_ns: int = 0
+    refused: int = 0
+    former: Numbers = ()
+
+
+def _is_new(former: Numbers, who: int, seq: int) -> bool:
+    """Whether a former holder has not sent this number or a later one before."""
+    return all(seq > last for other, last in former if other == who)
+
+
+def _remember(former: Numbers, who: int, seq: int) -> Numbers:
+    """Add the holder who loses the lease; nobody (0) needs no remembering."""
+    rest = tuple(pair for pair in former if pair[0] != who)
+    return (*rest, (who, seq))[-FORMER_MAX:] if who else former
+
+
+def accept(lease: Lease, asked: OperatorRequest, t_ns: int, idle: bool) -> tuple[Lease, Request]:
+    """Take a request or refuse it.
+
+    A stop is taken from anybody. All else needs this run's boot id, the lease (free for others
+    while it is `idle`: its holder has fallen silent) and a rising sequence number, also from a
+    holder who comes back.
+    """
+    try:
+        kind = RequestKind(asked.kind)
+    except ValueError:
+        return replace(lease, refused=lease.refused + 1), Request.UNKNOWN
+    own = asked.lease_id == lease.holder != 0 and asked.seq > lease.seq
+    takes = (
+        idle
+        and asked.lease_id not in (0, lease.holder)
+        and _is_new(lease.former, asked.lease_id, asked.seq)
+    )
+    if asked.boot_id == lease.boot_id and (own or takes):
+        former = _remember(lease.former, lease.holder, lease.seq) if takes else lease.former
+        taken = Lease(lease.boot_id, asked.lease_id, asked.seq, t_ns, lease.refused, former)
+        return taken, _REQUESTS[kind]
+    refused = replace(lease, refused=lease.refused + 1)
+    return refused, _REQUESTS[kind] if kind in _FOR_ANYBODY else Request.NONE
+
+
+def lease_age(lease: Lease, t_ns: int) -> float:
+    """Seconds since the holder was heard; infinite without one."""
+    return (t_ns - lease.renewed_ns) * 1e-9 if lease.holder else inf
+
+
+@dataclass(frozen=True)
+class Remote:
+    """An external controller's commands.
+
+    Attributes:
+        holder: lease id that the first good command brought; others are refused.
+        command: the newest, or None.
+        arrived_ns: when.
+        refused: commands turned away so far.
+        former: the last numbers of former controllers: no command is taken twice.
+    """
+
+    holder: int = 0
+    command: DriveCommand | None = None
+    arrived_ns: int = 0
+    refused: int = 0
+    former: Numbers = ()
+
+
+def take_command(remote: Remote, boot_id: int, command: DriveCommand, t_ns: int) -> Remote:
+    """Take a command of this run's controller if it is newer than the last that it sent."""
+    last, former = remote.command, remote.former
+    same = command.lease_id == remote.holder
+    if last is not None and not same:
+        former = _remember(former, remote.holder, last.seq)
+    known = ((remote.holder, last.seq),) if last is not None and same else former
+    newer = _is_new(known, command.lease_id, command.seq)
+    ours = same or remote.holder == 0 or command_age(remote, t_ns) > HANDOVER_S
+    timely = 0 < command.valid_ms <= VALID_MAX_MS
+    if not (command.boot_id == boot_id and command.lease_id and ours and newer and timely):
+        return replace(remote, refused=remote.refused + 1)
+    return Remote(command.lease_id, command, t_ns, remote.refused, former)
+
+
+def command_age(remote: Remote, t_ns: int) -> float:
+    """Seconds since the newest command arrived; infinite without one."""
+    return (t_ns - remote.arrived_ns) * 1e-9 if remote.command else inf
+
+
+def valid_command(remote: Remote, t_ns: int) -> DriveCommand | None:
+    """The newest command while it is valid."""
+    command = remote.command
+    if command is None or t_ns - remote.arrived_ns > command.valid_ms * 1_000_000:
+        return None
+    return command

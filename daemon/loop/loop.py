@@ -1,0 +1,455 @@
+"""The loop: events in; orders and messages out. No clock, no I/O, no randomness.
+
+Fed alike by the real-time runner, by virtual time and by replay: the same events in the same order
+give the same orders. Everything that decides is in the pure functions that it calls; the loop only
+carries their states from tick to tick.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import nan
+from typing import NamedTuple
+
+from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.state import Command
+from steerd.controller.lane_controller import (
+    ControllerState,
+    ControlReport,
+    LaneController,
+    control,
+    start_controller,
+)
+from steerd.controller.limits import Verdict, make_gate_state
+from steerd.daemon.loop.checks import (
+    STANDING_SPEED,
+    Lane,
+    VescSelf,
+    red_findings,
+    red_flags,
+    red_lane,
+    red_motion,
+    red_vesc,
+)
+from steerd.daemon.loop.findings import Finding, make_finding, summarise
+from steerd.daemon.loop.flags import Flag, reported_findings
+from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_rules, step_lateness
+from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
+from steerd.daemon.loop.lease import (
+    Lease,
+    Remote,
+    accept,
+    command_age,
+    lease_age,
+    take_command,
+    valid_command,
+)
+from steerd.daemon.loop.orders import Order, make_order
+from steerd.daemon.loop.perception import Perception, best_speed, place
+from steerd.daemon.loop.plans import Drill
+from steerd.daemon.loop.supervisor import (
+    LAUNCH_SPEED,
+    NEVER,
+    Action,
+    Conditions,
+    SupervisorState,
+    make_supervisor_state,
+)
+from steerd.daemon.loop.supervisor import step as step_supervisor
+from steerd.daemon.loop.transitions import Is, Request, State
+from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, is_slowing, step_watchdogs
+from steerd.daemon.settings.config import Settings
+from steerd.estimator.state_filter import Estimate
+from steerd.mocap_link.source import PoseSample
+from steerd.steer_bus.messages import DriveCommand, OperatorRequest
+from steerd.vesc_link.events import ImuSample, Telemetry
+
+_DRIVING = (State.RUNNING, State.STOPPING)
+_PARKED = (State.INIT, State.DISARMED, State.READY, State.FAULT_LATCHED)
+_RELOCATE_TICKS = 25
+_LEASE_KEPT_S = 1.0
+"""How long a silent operator's lease is kept while the car is not parked."""
+_FACTS = tuple(
+    int(fact)
+    for fact in (
+        Is.LINKED, Is.IDENTIFIED, Is.GREEN, Is.FW_TIMEOUT, Is.LEASED, Is.ENDED, Is.LAUNCHED,
+        Is.ESTIMATED, Is.SLOWING,
+    )
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LoopSetup:
+    """What does not change during a run.
+
+    Attributes:
+        settings: of the car file.
+        controller: the lane keeper, which also tells the lane errors.
+        period_ns: of the loop.
+        boot_id: names this run to operators.
+        remote: commands come from an external controller.
+        auto_arm: arm and start once without an operator.
+        leased: an operator's lease and deadman are needed.
+        duration_ns: how long to drive, None without end.
+        simulated: the hardware is simulated, so a late tick endangers nobody.
+        drill: excitation plan that drives in the lane keeper's place or on top of it.
+    """
+
+    settings: Settings
+    controller: LaneController
+    period_ns: int
+    boot_id: int
+    remote: bool = False
+    auto_arm: bool = False
+    leased: bool = True
+    duration_ns: int | None = None
+    simulated: bool = False
+    drill: Drill | None = None
+
+    @property
+    def blind(self) -> bool:
+        """Whether the lane is nobody's business: something else than the lane keeper drives."""
+        return self.remote or (self.drill is not None and not self.drill.closed)
+
+
+class TickResult(NamedTuple):
+    """What one tick decided, and what it is based on."""
+
+    order: Order
+    action: Action
+    old: State
+    supervisor: SupervisorState
+    estimate: Estimate | None
+    report: ControlReport | None
+    findings: tuple[Finding, ...]
+    waiting: str
+    facts: int
+
+
+class Loop:
+    """The control loop's state.
+
+    Attributes:
+        setup: what does not change.
+        perception: what was measured.
+        supervisor: who may move the car.
+        lease, remote: who may command.
+        vesc: what the VESC told about itself, or None.
+        faulted: a fault or an emergency stop has happened in this run.
+        ran: the car has been driving, and is not any more.
+    """
+
+    def __init__(self, setup: LoopSetup) -> None:
+        s = setup.settings
+        self.setup = setup
+        car = believed_car(s.file.model)
+        self.perception = Perception(car, s.filter, s.thresholds, s.scaling)
+        self.supervisor = make_supervisor_state(0)
+        self.lease = Lease(setup.boot_id)
+        self.remote = Remote()
+        self.vesc: VescSelf | None = None
+        self.faulted = False
+        self.ran = False
+        self._gate = make_gate_state(s.limits, Command(0.0, 0.0), 0)
+        self._issued: Command[float] | None = None
+        self._control: ControllerState | None = None
+        self._launch: LaunchState | None = None
+        self._watchdogs = WatchdogState()
+        self._lateness = Lateness()
+        self._late_rules = IN_SIMULATION if setup.simulated else make_rules(s.thresholds)
+        self._asked = Request.NONE
+        self._not_finite = False
+        self._started_ns = 0
+        self._ticks = 0
+
+    # --- events
+
+    def on_pose(self, sample: PoseSample) -> None:
+        """A mocap sample arrived."""
+        self.perception.on_pose(sample)
+
+    def on_telemetry(self, telemetry: Telemetry) -> None:
+        """Motor telemetry arrived."""
+        self.perception.on_telemetry(telemetry)
+
+    def on_imu(self, sample: ImuSample) -> None:
+        """An IMU reading arrived."""
+        self.perception.on_imu(sample)
+
+    def on_vesc(self, vesc: VescSelf | None) -> None:
+        """The VESC told more about itself, or went away."""
+        self.vesc = vesc
+
+    def on_operator(self, asked: OperatorRequest, t_ns: int) -> None:
+        """An operator asks for something."""
+        parked = self.supervisor.state in _PARKED
+        patience = self.setup.settings.thresholds.lease if parked else _LEASE_KEPT_S
+        idle = lease_age(self.lease, t_ns) > patience
+        self.lease, request = accept(self.lease, asked, t_ns, idle)
+        self._asked |= request
+
+    def on_drive(self, command: DriveCommand, t_ns: int) -> None:
+        """An external controller's command arrived."""
+        self.remote = take_command(self.remote, self.setup.boot_id, command, t_ns)
+
+    # --- the tick
+
+    def tick(self, due_ns: int, now_ns: int, flags: int) -> TickResult:
+        """Decide what goes on the wire now."""
+        estimate = self.perception.estimate(now_ns)
+        speed = best_speed(estimate, self.perception.recent_wheel_speed(now_ns))
+        wish, report = self._wish(estimate, now_ns)
+        findings = self._watch(estimate, report, speed, due_ns, now_ns, flags)
+        red = self._red(report, findings, speed, now_ns, flags)
+        bits, text = summarise(findings)
+        facts = bits | self._facts(estimate, red, now_ns, flags)
+        conditions = Conditions(facts, speed, self._timeout_ns(), text)
+        old = self.supervisor.state
+        self.supervisor, action = step_supervisor(
+            self.supervisor, conditions, self._requests(flags), now_ns
+        )
+        self._asked = Request.NONE
+        self._enter(old, estimate, now_ns)
+        order = make_order(
+            self.setup.settings.limits,
+            self.setup.settings.brakes,
+            self.setup.settings.scaling,
+            self._gate,
+            action,
+            wish,
+            speed,
+            now_ns,
+        )
+        self._leave(order, now_ns)
+        waiting = red[0] if red and self.supervisor.state is State.DISARMED else action.waiting
+        return TickResult(
+            order, action, old, self.supervisor, estimate, report, findings, waiting, facts
+        )
+
+    def _wish(
+        self, estimate: Estimate | None, now_ns: int
+    ) -> tuple[Command[float] | None, ControlReport | None]:
+        """What the controller wants, and how the car lies in its lane."""
+        if estimate is None or not estimate.health.sound:
+            self._control = None
+            return None, None
+        self._ticks += 1
+        lost = self.supervisor.state in _PARKED and self._ticks % _RELOCATE_TICKS == 0
+        if self._control is None or lost:
+            self._control = start_controller(self.setup.controller, estimate.state, now_ns)
+        stop = self.supervisor.state is not State.RUNNING
+        wish, report, self._control = control(
+            self.setup.controller,
+            self._control,
+            estimate.state,
+            now_ns,
+            issued=self._issued,
+            stop=stop,
+        )
+        if self.setup.remote:
+            return self._remote_wish(now_ns), report
+        if self.setup.drill is not None:
+            return self._drilled(self.setup.drill, wish, now_ns), report
+        return wish, report
+
+    def _drilled(self, drill: Drill, lane: Command[float], now_ns: int) -> Command[float]:
+        """The excitation plan's wish; outside the drive the wheels stay where they are."""
+        if self.supervisor.state is State.RUNNING:
+            return drill.wish((now_ns - self._started_ns) * 1e-9, lane)
+        return lane if drill.closed else Command(self._gate.order.steer, lane.speed)
+
+    def _remote_wish(self, now_ns: int) -> Command[float] | None:
+        command = valid_command(self.remote, now_ns)
+        if command is not None:
+            return Command(command.steer, command.speed)
+        # Lost while driving: hold the angle; the stop that follows takes the speed away.
+        held = self._gate.order
+        return held if self.supervisor.state in _DRIVING else None
+
+    def _watch(
+        self,
+        estimate: Estimate | None,
+        report: ControlReport | None,
+        speed: float,
+        due_ns: int,
+        now_ns: int,
+        flags: int,
+    ) -> tuple[Finding, ...]:
+        reported = list(reported_findings(flags))
+        self._lateness, late = step_lateness(
+            self._lateness, due_ns, now_ns, self.setup.period_ns, self._late_rules
+        )
+        reported += [late] if late else []
+        reported += self._judge_launch(estimate, now_ns)
+        reported += self._judge_commands(now_ns)
+        inputs = self._watchdog_input(estimate, report, speed, now_ns, tuple(reported))
+        self._watchdogs, findings = step_watchdogs(
+            self.setup.settings.thresholds, self._watchdogs, inputs
+        )
+        return findings
+
+    def _judge_launch(self, estimate: Estimate | None, now_ns: int) -> Iterator[Finding]:
+        if self.supervisor.state is not State.RUNNING or estimate is None:
+            return
+        s = estimate.state
+        wheel_speed = self.perception.wheel_speed
+        now = LaunchInput(now_ns, s.x, s.y, s.yaw, wheel_speed, self._gate.order.steer)
+        if self._launch is None:
+            self._launch = make_launch_state(now)
+            return
+        self._launch, wrong = step_launch(self._launch, now, self.setup.settings.limits.wheelbase)
+        if wrong:
+            yield make_finding("launch", wrong)
+
+    def _judge_commands(self, now_ns: int) -> Iterator[Finding]:
+        if self._not_finite:
+            yield make_finding("gate", "the controller gave a number that is not finite")
+        driving = self.supervisor.state is State.RUNNING and self.setup.remote
+        if driving and valid_command(self.remote, now_ns) is None:
+            age = command_age(self.remote, now_ns)
+            yield make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")
+
+    def _watchdog_input(
+        self,
+        estimate: Estimate | None,
+        report: ControlReport | None,
+        speed: float,
+        now_ns: int,
+        reported: tuple[Finding, ...],
+    ) -> WatchdogInput:
+        settings, seen = self.setup.settings, self.perception
+        values = seen.telemetry.values if seen.telemetry else None
+        s, health = place(estimate), estimate.health if estimate else None
+        steer = self._gate.order.steer
+        limits = settings.limits
+        side = limits.steer_left_max if steer > 0.0 else limits.steer_right_max
+        lane = None if self.setup.blind else report
+        launched = self._launch is not None and self._launch.done
+        cap = limits.speed_max if launched else min(LAUNCH_SPEED, limits.speed_max)
+        return WatchdogInput(
+            t_ns=now_ns,
+            state=self.supervisor.state,
+            pose=seen.watch,
+            mocap_age=seen.mocap_age(now_ns),
+            telemetry_age=seen.telemetry_age(now_ns),
+            lease_age=lease_age(self.lease, now_ns) if self.setup.leased else 0.0,
+            speed=speed,
+            speed_erpm=seen.wheel_speed,
+            speed_mocap=seen.mocap_speed,
+            speed_limit=cap,
+            x=s.x,
+            y=s.y,
+            course=s.yaw + s.slip_angle,
+            sigma_position=health.position_sd if health else nan,
+            sigma_yaw=health.yaw_sd if health else nan,
+            covariance_ok=health.sound if health else False,
+            lateral_error=lane.e1 if lane else (0.0 if self.setup.blind else nan),
+            heading_error=lane.e2 if lane else (0.0 if self.setup.blind else nan),
+            steer_share=abs(steer) / side,
+            status=(values.status or 0) if values else 0,
+            fault_code=(values.fault or 0) if values else 0,
+            tachometer=values.tachometer_abs
+            if values and values.tachometer_abs is not None
+            else -1,
+            cell_voltage=_known(values.input_voltage if values else None) / settings.brakes.cells,
+            fet_temperature=_known(values.temp_fet_c if values else None),
+            motor_temperature=_known(values.temp_motor_c if values else None),
+            current_share=abs(_known(values.motor_current if values else None))
+            / settings.brakes.current_max_a,
+            reported=reported,
+        )
+
+    def _red(
+        self,
+        report: ControlReport | None,
+        findings: tuple[Finding, ...],
+        speed: float,
+        now_ns: int,
+        flags: int,
+    ) -> list[str]:
+        """Pre-arm checks that fail, the most telling first."""
+        settings = self.setup.settings
+        alive = valid_command(self.remote, now_ns) is not None
+        red = [*red_vesc(self.vesc, settings.brakes), *red_flags(flags)]
+        if report is None:
+            red.append("no estimate yet: mocap must see the car for a moment, standing")
+        red += red_findings(findings)
+        if report is not None and (self.setup.remote or not self.setup.blind):
+            lane = Lane(report.e1, report.e2, self.setup.remote, alive)
+            red += red_lane(lane, settings.thresholds)
+        if self.supervisor.state is not State.RUNNING:
+            red += red_motion(speed)
+        return red
+
+    def _facts(self, estimate: Estimate | None, red: list[str], now_ns: int, flags: int) -> int:
+        seen, setup = self.perception, self.setup
+        th = setup.settings.thresholds
+        known = self.vesc is not None and self.vesc.expected and self.vesc.timeout_ms is not None
+        values = seen.telemetry.values if seen.telemetry else None
+        fresh = seen.telemetry_age(now_ns) <= th.telemetry
+        running = self.supervisor.state is State.RUNNING
+        over = setup.duration_ns is not None and now_ns - self._started_ns >= setup.duration_ns
+        refused = flags & Flag.MOCAP_REFUSED
+        holds = (
+            bool(flags & Flag.LINKED),
+            known and seen.accepted_ns is not None and not refused,
+            not red,
+            fresh and values is not None and bool(values.timeout_active),
+            not setup.leased or lease_age(self.lease, now_ns) <= th.lease,
+            running and over,
+            self._launch is not None and self._launch.done,
+            estimate is not None and estimate.health.sound,
+            is_slowing(self._watchdogs),
+        )
+        return sum(bit for bit, true in zip(_FACTS, holds, strict=True) if true)
+
+    def _timeout_ns(self) -> int:
+        known = self.vesc.timeout_ms if self.vesc is not None else None
+        return (known or 0) * 1_000_000
+
+    def _requests(self, flags: int) -> int:
+        asked = self._asked
+        state = self.supervisor.state
+        if flags & Flag.QUIT:
+            asked |= Request.DISARM
+        if flags & Flag.ABORT:
+            asked |= Request.ABORT
+        if self.setup.auto_arm and not self.ran and not flags & (Flag.QUIT | Flag.ABORT):
+            asked |= Request.ARM if state is State.READY else Request.NONE
+            asked |= Request.START if state is State.ARMED else Request.NONE
+        return int(asked)
+
+    def _enter(self, old: State, estimate: Estimate | None, now_ns: int) -> None:
+        """What a change of state begins or ends."""
+        new = self.supervisor.state
+        if new is State.RUNNING and old is not State.RUNNING:
+            self._started_ns, self._launch = now_ns, None
+            if estimate is not None:
+                self._control = start_controller(self.setup.controller, estimate.state, now_ns)
+        if old in _DRIVING and new not in _DRIVING:
+            self.ran, self._launch = True, None
+        self.faulted = self.faulted or new in (State.FAULT_STOP, State.ESTOP)
+        rolling = abs(self.perception.wheel_speed) > STANDING_SPEED
+        self.perception.may_rebase = new in _PARKED and not rolling
+
+    def _leave(self, order: Order, now_ns: int) -> None:
+        """Remember what left, for gate, filter and controller."""
+        self._gate = order.gate
+        self._not_finite = order.verdict is Verdict.NOT_FINITE
+        if order.command != self._issued:
+            self.perception.on_command(now_ns, order.command)
+        self._issued = order.command
+
+    @property
+    def parked(self) -> bool:
+        """Whether the car needs nobody: silent and disarmed, or latched."""
+        return self.supervisor.state in _PARKED
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether this process may end: parked, or stopped by an emergency stop and standing."""
+        stopped = self.supervisor.state is State.ESTOP and self.supervisor.still_ns != NEVER
+        return self.parked or stopped
+
+
+def _known(value: float | None) -> float:
+    return nan if value is None else value

@@ -1,0 +1,190 @@
+"""What the loop tells: its own quantities as messages. Pure; `epoch_ns` maps to UNIX time."""
+
+from collections.abc import Iterable
+from math import nan
+
+from steerd.controller.lane_controller import ControlReport
+from steerd.daemon.loop.findings import Finding
+from steerd.daemon.loop.supervisor import Action, SupervisorState
+from steerd.daemon.loop.transitions import State as Supervised
+from steerd.estimator.state_filter import Estimate
+from steerd.mocap_link.source import ClockKind, PoseSample
+from steerd.steer_bus import messages as m
+from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
+from steerd.vesc_link.events import (
+    Drive,
+    DriveBrake,
+    DriveRelease,
+    DriveShort,
+    DriveSpeed,
+    ImuSample,
+    Telemetry,
+)
+
+CLOCK_KINDS = tuple(ClockKind)
+_NO_REPORT = ControlReport(*(nan,) * len(ControlReport._fields))
+
+
+def make_mocap(sample: PoseSample, epoch_ns: int) -> m.MocapPose:
+    """A mocap sample, raw and processed."""
+    raw = sample.raw
+    return m.MocapPose(
+        m.make_header(sample.t_valid_ns + epoch_ns, m.WORLD),
+        sample.t_valid_ns,
+        sample.t_arrival_ns,
+        raw.source_ticks or 0,
+        -1 if raw.frame is None else raw.frame,
+        CLOCK_KINDS.index(sample.clock),
+        int(raw.tracking_valid and raw.live),
+        *raw.position,
+        *raw.quaternion,
+        nan if raw.mean_error is None else raw.mean_error,
+        sample.x,
+        sample.y,
+        sample.yaw,
+        sample.height,
+        sample.tilt,
+        sample.rejected or "",
+    )
+
+
+def _number(value: float | None) -> float:
+    return nan if value is None else value
+
+
+def _count(value: int | None) -> int:
+    return -1 if value is None else value
+
+
+def make_telemetry(event: Telemetry, uptime_ms: int, epoch_ns: int) -> m.VescTelemetry:
+    """A telemetry reply; what the firmware did not send is NaN or -1."""
+    v = event.values
+    return m.VescTelemetry(
+        m.make_header(event.when.stamp_ns + epoch_ns, m.BODY),
+        event.when.t_sent_ns,
+        event.when.t_received_ns,
+        uptime_ms,
+        int(v.erpm or 0),
+        int(v.tachometer or 0),
+        _count(v.tachometer_abs),
+        _count(v.fault),
+        _count(v.status),
+        *map(
+            _number,
+            (
+                v.input_voltage,
+                v.motor_current,
+                v.input_current,
+                v.duty,
+                v.temp_fet_c,
+                v.temp_motor_c,
+                v.d_current,
+                v.q_current,
+                v.v_d,
+                v.v_q,
+            ),
+        ),
+    )
+
+
+def make_imu(event: ImuSample, epoch_ns: int) -> m.VescImu:
+    """An IMU reading."""
+    i = event.imu
+    values = (i.accel_x, i.accel_y, i.accel_z, i.gyro_x, i.gyro_y, i.gyro_z)
+    quaternion = (i.q_w, i.q_x, i.q_y, i.q_z)
+    return m.VescImu(
+        m.make_header(event.when.stamp_ns + epoch_ns, m.BODY),
+        event.when.t_sent_ns,
+        event.when.t_received_ns,
+        *map(_number, (*values, *quaternion)),
+    )
+
+
+def make_actuation(drive: Drive, wire: bytes, seq: int, stamp_ns: int) -> m.Actuation:
+    """What went to the wire in a tick."""
+    mode, speed, current = m.ActuationMode.SILENT, nan, nan
+    match drive:
+        case DriveSpeed():
+            mode, speed = m.ActuationMode.SPEED, drive.speed
+        case DriveBrake():
+            mode, current = m.ActuationMode.BRAKE, drive.current
+        case DriveShort():
+            mode = m.ActuationMode.SHORT
+        case DriveRelease():
+            mode = m.ActuationMode.RELEASE
+    header = m.make_header(stamp_ns, m.BODY)
+    return m.Actuation(header, seq, mode, _number(drive.steer), speed, current, wire)
+
+
+def read_actuation(actuation: m.Actuation) -> tuple[int, float, float, float]:
+    """The part of an actuation that a replay must reproduce."""
+    return actuation.mode, actuation.steer, actuation.speed, actuation.brake_current_a
+
+
+def make_state(
+    estimate: Estimate | None,
+    report: ControlReport | None,
+    drive: Drive,
+    mode: Supervised,
+    flags: int,
+    seq: int,
+    t_ns: int,
+    epoch_ns: int,
+) -> m.State:
+    """The tick's aggregate; NaN where nothing is known yet."""
+    r = report or _NO_REPORT
+    state = estimate.state if estimate else (nan,) * 7
+    sd = estimate.sd if estimate else (nan,) * 7
+    return m.State(
+        m.make_header(t_ns + epoch_ns, m.WORLD),
+        t_ns,
+        seq,
+        flags,
+        mode,
+        *state,
+        *sd,
+        r.e1,
+        r.e2,
+        r.curvature,
+        r.s,
+        _number(drive.steer),
+        drive.speed if isinstance(drive, DriveSpeed) else nan,
+        estimate.health.pose.nis if estimate else nan,
+    )
+
+
+def make_transition(old: Supervised, new: SupervisorState, stamp_ns: int) -> m.Transition:
+    """A change of the supervisor's state and why."""
+    code = f"{old.name.lower()}_{new.state.name.lower()}"
+    return m.Transition(m.make_header(stamp_ns, m.BODY), old, new.state, code, new.reason)
+
+
+def make_diagnostics(
+    supervisor: SupervisorState,
+    action: Action,
+    waiting: str,
+    findings: Iterable[Finding],
+    extra: dict[str, str],
+    stamp_ns: int,
+) -> DiagnosticArray:
+    """State, why it is so, what it waits for, warnings: for `steerd status` and for viewers."""
+    level = 2 if supervisor.state in (Supervised.FAULT_STOP, Supervised.FAULT_LATCHED) else 0
+    level = 2 if supervisor.state is Supervised.ESTOP else level
+    warnings = [finding.text for finding in findings]
+    if warnings and level == 0:
+        level = 1
+    values = {
+        "state": supervisor.state.name,
+        "reason": action.reason,
+        "waiting": waiting,
+        "warnings": "\n".join(warnings),
+        **extra,
+    }
+    status = DiagnosticStatus(
+        level=level,
+        name="steerd: supervisor",
+        message=f"{supervisor.state.name}: {action.reason}",
+        hardware_id=extra.get("uuid", ""),
+        values=tuple(KeyValue(key, value) for key, value in values.items()),
+    )
+    return DiagnosticArray(m.make_header(stamp_ns, m.BODY), (status,))

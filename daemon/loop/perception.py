@@ -1,0 +1,183 @@
+"""What the core knows of car and world: frames judged, telemetry kept, state estimated."""
+
+from collections import deque
+from math import hypot, inf, nan
+
+from steerd.car_model.params import Car, wheelbase
+from steerd.car_model.state import Command, State
+from steerd.daemon.loop.watchdogs_pose import (
+    PoseFrame,
+    PoseVerdict,
+    PoseWatch,
+    step_innovation,
+    step_pose,
+)
+from steerd.daemon.settings.thresholds import Thresholds
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
+from steerd.estimator.state_filter import (
+    Estimate,
+    FilterState,
+    make_state_filter,
+    predict_to,
+    restarted,
+    step,
+)
+from steerd.mocap_link.source import PoseSample
+from steerd.vesc_link.events import ImuSample, Telemetry
+from steerd.vesc_link.scaling import Scaling, erpm_to_speed
+
+_SPEED_SPAN_NS = 100_000_000
+"""Mocap speed is measured over this long: single steps at 100 Hz are noise."""
+BLIND_S = 0.5
+"""A speed that nothing measured for this long is not known."""
+_SEEN = (PoseVerdict.ACCEPTED, PoseVerdict.REBASED)
+
+
+class Perception:
+    """Everything that was measured, and what follows from it.
+
+    Attributes:
+        watch: the frame watchdogs.
+        telemetry: the last reply, or None.
+        accepted_ns: arrival of the last good frame, or None.
+        may_rebase: set by the loop: the car is disarmed and stands.
+    """
+
+    def __init__(
+        self, car: Car[float], config: FilterConfig, thresholds: Thresholds, scaling: Scaling
+    ) -> None:
+        self._filter = make_state_filter(car, config)
+        self._state = FilterState()
+        self._thresholds = thresholds
+        self._scaling = scaling
+        self._wheelbase = wheelbase(car)
+        self._measurements: list[Measurement] = []
+        self._commands: list[tuple[int, Command[float] | None]] = []
+        self._track: deque[tuple[int, float, float]] = deque()
+        self._refused = 0
+        self._seen = 0
+        self.watch = PoseWatch()
+        self.telemetry: Telemetry | None = None
+        self.accepted_ns: int | None = None
+        self.may_rebase = True
+
+    # --- what arrives
+
+    def on_pose(self, sample: PoseSample) -> None:
+        """Judge a mocap sample; a good one is fused at its time of validity."""
+        raw = sample.raw
+        frame = PoseFrame(
+            sample.t_arrival_ns,
+            -1 if raw.frame is None else raw.frame,
+            (sample.x, sample.y, sample.height),
+            raw.quaternion,
+            sample.yaw,
+            raw.tracking_valid and raw.live,
+        )
+        self.watch, verdict = step_pose(
+            self._thresholds, self.watch, frame, self.wheel_speed, self.may_rebase
+        )
+        if verdict is PoseVerdict.REBASED:
+            self._state = restarted(self._state)
+            self._track.clear()
+        if verdict in _SEEN and sample.rejected is None:
+            self.accepted_ns = sample.t_arrival_ns
+            self._measurements.append(make_pose(sample.t_valid_ns, sample.x, sample.y, sample.yaw))
+            self._track.append((sample.t_valid_ns, sample.x, sample.y))
+            # Now, not in the tick: the pose comes just before its deadline
+            # (`steerd.daemon.process.pacing`).
+            stamps = (measurement.t_ns for measurement in self._measurements)
+            self._fuse(max(sample.t_arrival_ns, *stamps))
+
+    def on_telemetry(self, telemetry: Telemetry) -> None:
+        """Take motor telemetry; its wheel speed is valid in the middle of the exchange."""
+        self.telemetry = telemetry
+        if telemetry.values.erpm is not None:
+            speed = erpm_to_speed(self._scaling, telemetry.values.erpm)
+            self._measurements.append(make_wheel_speed(telemetry.when.stamp_ns, speed))
+
+    def on_imu(self, sample: ImuSample) -> None:
+        """Take the gyro's yaw rate, if there is a gyro."""
+        yaw_rate = sample.imu.gyro_z
+        if sample.imu.has_chip and yaw_rate is not None:
+            self._measurements.append(make_gyro(sample.when.stamp_ns, yaw_rate))
+
+    def on_command(self, t_ns: int, command: Command[float] | None) -> None:
+        """Remember what was sent to the car; None when nothing drives it."""
+        self._commands.append((t_ns, command))
+
+    # --- what follows
+
+    def estimate(self, now_ns: int) -> Estimate | None:
+        """Fuse all that arrived and predict to now; None before the first belief."""
+        self._fuse(now_ns)
+        estimate = predict_to(self._filter, self._state, now_ns)
+        if estimate is not None:
+            self._note_innovations(estimate)
+        while len(self._track) > 2 and self._track[1][0] <= now_ns - _SPEED_SPAN_NS:
+            self._track.popleft()
+        return estimate
+
+    def _fuse(self, now_ns: int) -> None:
+        """Give the filter what came since the last time; how often does not change the belief."""
+        if self._measurements or self._commands:
+            new, sent = self._measurements, self._commands
+            self._state = step(self._filter, self._state, now_ns, new, sent)
+            self._measurements, self._commands = [], []
+
+    def _note_innovations(self, estimate: Estimate) -> None:
+        pose = estimate.health.pose
+        if pose.seen < self._seen or pose.refused < self._refused:
+            self._seen = self._refused = 0
+        refused, seen = pose.refused - self._refused, pose.seen - self._seen
+        self._refused, self._seen = pose.refused, pose.seen
+        for k in range(seen):
+            self.watch = step_innovation(self._thresholds, self.watch, k >= seen - refused)
+
+    @property
+    def wheel_speed(self) -> float:
+        """Speed by the wheels [m/s]; NaN while unknown."""
+        if self.telemetry is None or self.telemetry.values.erpm is None:
+            return nan
+        return erpm_to_speed(self._scaling, self.telemetry.values.erpm)
+
+    def recent_wheel_speed(self, now_ns: int) -> float:
+        """The same; NaN once no reply has told it for `BLIND_S`."""
+        return self.wheel_speed if self.telemetry_age(now_ns) <= BLIND_S else nan
+
+    @property
+    def mocap_speed(self) -> float:
+        """Speed by mocap alone over the last 100 ms [m/s]; NaN while unknown."""
+        if len(self._track) < 2:
+            return nan
+        (t0, x0, y0), (t1, x1, y1) = self._track[0], self._track[-1]
+        return hypot(x1 - x0, y1 - y0) / ((t1 - t0) * 1e-9) if t1 > t0 else nan
+
+    def mocap_age(self, now_ns: int) -> float:
+        """Seconds since a good frame arrived; infinite before the first."""
+        return inf if self.accepted_ns is None else (now_ns - self.accepted_ns) * 1e-9
+
+    def telemetry_age(self, now_ns: int) -> float:
+        """Seconds since a reply; infinite before the first."""
+        if self.telemetry is None:
+            return inf
+        return (now_ns - self.telemetry.when.t_received_ns) * 1e-9
+
+
+def best_speed(estimate: Estimate | None, wheel_speed: float) -> float:
+    """The speed that the supervisor trusts [m/s]: the filter's while it is sound and fed.
+
+    NaN once neither poses nor wheels have told anything for `BLIND_S`: a filter that only coasts
+    would call the car moving for ever.
+    """
+    if estimate is None or not estimate.health.sound:
+        return wheel_speed  # which must be a recent one
+    health = estimate.health
+    fed = min(health.pose.age_s, health.wheel_speed.age_s) <= BLIND_S
+    return estimate.state.speed if fed else nan
+
+
+def place(estimate: Estimate | None) -> State[float]:
+    """The estimated state, or NaNs."""
+    return estimate.state if estimate is not None else State(*(nan,) * 7)

@@ -1,0 +1,361 @@
+"""Excitation plans: what to drive so that a session tells the car's parameters.
+
+A plan is a list of segments; each asks for a speed and a steering angle as functions of time alone.
+Open loop it drives the car by itself, in orbits that fit the box; closed loop it is a probe on top
+of the lane keeper. Pure: nothing here knows a clock.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import atan, cos, floor, inf, isfinite, pi, sin, sqrt, tan
+from typing import NamedTuple
+
+from steerd.car_model.params import GRAVITY, Car, wheelbase
+from steerd.car_model.path.path_shapes import FIGURE_EIGHT_EXTENT
+from steerd.car_model.state import Command
+from steerd.controller.limits import Limits
+from steerd.daemon.loop.launch import LAUNCH_DISTANCE
+from steerd.daemon.loop.supervisor import LAUNCH_SPEED
+
+PAPER_SECONDS = 8.0
+PAPER_SPEED = 1.0
+PAPER_RUNS = 8
+"""The paper's circles: 8 to each side, 8 s each, 1 m/s, steering at its limit."""
+PAUSE = 1.5
+"""Standstill between the paper's runs [s]."""
+SWING, SWING_LEAST = 0.7, 0.3
+"""Steering swings by this share of the orbit's mean angle; less on the tightest orbits."""
+SPEED_LOW = 1.0
+"""Below this, tyres tell little; plans begin here [m/s]."""
+PROBE = 0.05
+"""Closed loop: the probe's amplitude [rad]."""
+PROBE_RADIUS, CIRCLE_RADIUS = 1.8, 1.5
+"""Sharpest paths that leave room for the probe [m]."""
+_STEP = 0.02
+_DOUBT = 0.03
+_MARGIN, _DELAY, _BRAKE = 0.6, 0.1, 3.5
+"""Kept from the box in the forecast: [m], [s] and [m/s^2], as the fence's watchdog warns."""
+_SHRINK = 0.92
+
+
+class PlanError(ValueError):
+    """A plan that cannot be driven: unknown, or too large for its box."""
+
+
+class Segment(NamedTuple):
+    """One stretch of a plan.
+
+    Attributes:
+        seconds: how long.
+        speed: asked for [m/s].
+        steer: mean angle [rad].
+        swing: amplitude about it [rad].
+        f0: frequency at the beginning [Hz].
+        f1: frequency at the end, linear in between [Hz].
+        square: steps instead of a sine.
+    """
+
+    seconds: float
+    speed: float
+    steer: float
+    swing: float = 0.0
+    f0: float = 0.0
+    f1: float = 0.0
+    square: bool = False
+
+    def command(self, t: float) -> Command[float]:
+        """The command `t` seconds after the segment's beginning."""
+        turns = t * (self.f0 + 0.5 * (self.f1 - self.f0) * t / self.seconds)
+        wave = sin(2.0 * pi * turns)
+        if self.square:
+            wave = 1.0 if turns - floor(turns) < 0.5 else -1.0
+        return Command(self.steer + self.swing * wave, self.speed)
+
+
+@dataclass(frozen=True)
+class Box:
+    """Where the car must stay [m], world frame."""
+
+    x_min: float
+    y_min: float
+    x_max: float
+    y_max: float
+
+    @property
+    def fence(self) -> tuple[tuple[float, float], ...]:
+        """Its corners, anticlockwise."""
+        return (
+            (self.x_min, self.y_min),
+            (self.x_max, self.y_min),
+            (self.x_max, self.y_max),
+            (self.x_min, self.y_max),
+        )
+
+
+@dataclass(frozen=True)
+class Drill:
+    """A plan to be driven.
+
+    Attributes:
+        name: of the plan.
+        segments: in order.
+        closed: on top of the lane keeper, instead of in its place.
+        box: None without one.
+    """
+
+    name: str
+    segments: tuple[Segment, ...]
+    closed: bool
+    box: Box | None
+
+    @property
+    def seconds(self) -> float:
+        """Length of the plan [s]."""
+        return sum(s.seconds for s in self.segments)
+
+    def at(self, t: float) -> Command[float]:
+        """The plan's own command `t` seconds into it; afterwards it stands."""
+        for segment in self.segments:
+            if t < segment.seconds:
+                return segment.command(t)
+            t -= segment.seconds
+        return Command(0.0, 0.0)
+
+    def wish(self, t: float, lane: Command[float]) -> Command[float]:
+        """What to ask for, given what the lane keeper would ask for."""
+        own = self.at(t)
+        if not self.closed:
+            return own
+        return Command(lane.steer + own.steer, lane.speed * own.speed)
+
+
+def parse_box(text: str) -> Box:
+    """A box from `SIDE` (a square about the origin) or `X_MIN,Y_MIN,X_MAX,Y_MAX`.
+
+    Raises:
+        PlanError: it is neither.
+    """
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) == 1 and numbers[0] > 0.0 and isfinite(numbers[0]):
+        half = 0.5 * numbers[0]
+        return Box(-half, -half, half, half)
+    if len(numbers) == 4 and numbers[0] < numbers[2] and numbers[1] < numbers[3]:
+        return Box(*numbers)
+    raise PlanError(f"box {text!r}: give its side, or x_min,y_min,x_max,y_max in metres")
+
+
+def _circles(car: Car[float], limits: Limits, scale: float, speed: float) -> Iterator[Segment]:
+    """The paper's sixteen."""
+    left = min(limits.steer_left_max, car.steer_max)
+    right = min(limits.steer_right_max, -car.steer_min)
+    for steer in (left, -right):
+        for _ in range(PAPER_RUNS):
+            yield Segment(PAPER_SECONDS, PAPER_SPEED, steer)
+            yield Segment(PAUSE, 0.0, steer)
+
+
+_Pattern = tuple[tuple[float, float, float, bool], ...]
+"""(seconds, share of the highest speed, highest frequency [Hz], steps instead of waves)."""
+
+
+class _Orbit(NamedTuple):
+    """Mean and swing of the steering [rad] and the highest speed [m/s] on an orbit."""
+
+    steer: float
+    swing: float
+    speed: float
+
+
+def _orbit(car: Car[float], limits: Limits, radius: float, speed: float) -> _Orbit:
+    length = wheelbase(car)
+    bound = min(limits.steer_left_max, limits.steer_right_max, car.steer_max, -car.steer_min)
+    steer = min(atan(length / radius), bound / (1.0 + SWING_LEAST))
+    swing = min(SWING * steer, bound - steer)
+    sharpest = tan(steer + swing) / length
+    fastest = sqrt(0.95 * limits.lateral_accel_max / sharpest)
+    return _Orbit(steer, swing, min(speed, limits.speed_max, fastest))
+
+
+def _waves(orbit: _Orbit, side: float, pattern: _Pattern) -> Iterator[Segment]:
+    """A pattern on one side's orbit."""
+    for seconds, share, top, square in pattern:
+        speed = max(share * orbit.speed, min(SPEED_LOW, orbit.speed))
+        low = 0.3 if top > 1.0 else top
+        steer, swing = side * orbit.steer, orbit.swing if top else 0.0
+        yield Segment(seconds, speed, steer, swing, low, top, square)
+
+
+_PATTERNS: Mapping[str, _Pattern] = {
+    "slalom": ((10.0, 1.0, 1.0, False), (10.0, 0.6, 1.0, False), (10.0, 0.8, 0.7, False)),
+    "chirp": ((10.0, 1.0, 4.0, False), (10.0, 0.6, 4.0, False), (10.0, 0.8, 4.0, False)),
+    "steps": ((10.0, 1.0, 0.5, True), (10.0, 0.6, 0.5, True), (10.0, 0.8, 0.5, True)),
+    "mixed": (
+        (3.0, 0.5, 0.0, False), (3.0, 0.75, 0.0, False), (3.0, 1.0, 0.0, False),
+        (7.0, 1.0, 0.5, True), (3.0, 0.6, 0.7, True), (8.0, 0.8, 4.0, False),
+        (3.0, 1.0, 1.0, False),
+    ),
+}  # fmt: skip
+NAMES: tuple[str, ...] = ("circles", *_PATTERNS)
+
+
+def _segments(
+    name: str, car: Car[float], limits: Limits, radius: float, speed: float
+) -> tuple[Segment, ...]:
+    if name == "circles":
+        return tuple(_circles(car, limits, radius, speed))
+    orbit = _orbit(car, limits, radius, speed)
+    sides = (tuple(_waves(orbit, side, _PATTERNS[name])) for side in (1.0, -1.0))
+    return tuple(segment for side in sides for segment in _whole_turns(car, side))
+
+
+class _Going(NamedTuple):
+    """Where a forecast has got to."""
+
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+    speed: float = 0.0
+    way: float = 0.0
+
+
+def _follow(car: Car[float], segments: Iterable[Segment], gain: float = 1.0) -> Iterator[_Going]:
+    """The car's way by steady turning, understeer, launch and the speed's ramp included."""
+    g = _Going()
+    bend = (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
+    for segment in segments:
+        for k in range(round(segment.seconds / _STEP)):
+            wish = segment.command(k * _STEP)
+            aim = (
+                car.speed_gain * wish.speed
+                if g.way > LAUNCH_DISTANCE
+                else min(wish.speed, LAUNCH_SPEED)
+            )
+            change = max(-car.decel_max, min((aim - g.speed) / _STEP, 0.5 * car.accel_max))
+            speed = g.speed + change * _STEP
+            wheel = car.steer_gain * wish.steer + car.steer_bias
+            turn = gain * speed * tan(wheel) / (wheelbase(car) + bend * speed * speed)
+            yaw, way = g.yaw + turn * _STEP, speed * _STEP
+            g = _Going(g.x + way * cos(yaw), g.y + way * sin(yaw), yaw, speed, g.way + way)
+            yield g
+
+
+def forecast(car: Car[float], segments: Sequence[Segment]) -> Box:
+    """What a plan needs from its start at the origin, for a car that may steer 3 % otherwise.
+
+    The way that a stop would take is included.
+    """
+    low, high = [0.0, 0.0], [0.0, 0.0]
+    for gain in (1.0 - _DOUBT, 1.0, 1.0 + _DOUBT):
+        for g in _follow(car, segments, gain):
+            ahead = _MARGIN + g.speed * (_DELAY + g.speed / (2.0 * _BRAKE))
+            for x, y in ((g.x, g.y), (g.x + ahead * cos(g.yaw), g.y + ahead * sin(g.yaw))):
+                low = [min(low[0], x), min(low[1], y)]
+                high = [max(high[0], x), max(high[1], y)]
+    return Box(low[0], low[1], high[0], high[1])
+
+
+def _whole_turns(car: Car[float], segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
+    """The segments, a little longer or shorter, so that they end where they began."""
+    yaw = 0.0
+    for g in _follow(car, segments):
+        yaw = g.yaw
+    turns = max(1.0, round(abs(yaw) / (2.0 * pi)))
+    factor = 2.0 * pi * turns / max(abs(yaw), 1e-6)
+    return tuple(s._replace(seconds=s.seconds * factor) for s in segments)
+
+
+def _fits(box: Box, reach: Box) -> bool:
+    """Whether a car that starts in the middle of the box, along x, stays inside."""
+    half_x, half_y = 0.5 * (box.x_max - box.x_min), 0.5 * (box.y_max - box.y_min)
+    far_x, far_y = max(-reach.x_min, reach.x_max), max(-reach.y_min, reach.y_max)
+    return far_x <= half_x and far_y <= half_y
+
+
+def make_open_drill(
+    name: str, car: Car[float], limits: Limits, box: Box | None, speed: float
+) -> Drill:
+    """The plan with the widest orbits that fit the box.
+
+    Args:
+        name: one of `NAMES`.
+        car: as believed.
+        limits: of the gate.
+        box: where to stay; None has orbits for the full speed.
+        speed: highest [m/s].
+
+    Raises:
+        PlanError: unknown name, or no orbit fits.
+    """
+    _check_name(name)
+    radius = 1.05 * speed**2 * (1.0 + SWING) / limits.lateral_accel_max
+    smallest = wheelbase(car) / tan(min(limits.steer_left_max, limits.steer_right_max))
+    reach = Box(0.0, 0.0, 0.0, 0.0)
+    while True:
+        segments = _segments(name, car, limits, max(radius, smallest), speed)
+        if box is None:
+            return Drill(name, segments, False, None)
+        reach = forecast(car, segments)
+        if _fits(box, reach):
+            return Drill(name, segments, False, box)
+        if radius < smallest or name == "circles":
+            break
+        radius *= _SHRINK
+    side = 2.0 * (max(-reach.x_min, reach.x_max, -reach.y_min, reach.y_max))
+    text = f"plan {name} needs a box of {side:.1f} m, the car starting in its middle"
+    raise PlanError(text if name == "circles" else f"{text}; or drive it with --closed")
+
+
+def make_closed_drill(name: str, box: Box | None) -> Drill:
+    """The plan as a probe: its steering is added to the lane keeper's, speeds are shares of its.
+
+    Raises:
+        PlanError: unknown name, or circles, which are open loop by nature.
+    """
+    _check_name(name)
+    if name == "circles":
+        raise PlanError("circles are driven open loop: steering at its limit leaves no room")
+    segments = tuple(
+        Segment(seconds, share, 0.0, PROBE if top else 0.0, 0.3 if top > 1.0 else top, top, square)
+        for seconds, share, top, square in _PATTERNS[name] * 2
+    )
+    return Drill(name, segments, True, box)
+
+
+def _check_name(name: str) -> None:
+    if name not in NAMES:
+        raise PlanError(f"plan {name!r}: one of {', '.join(NAMES)}")
+
+
+def closed_path(box: Box | None) -> str:
+    """The lane keeper's path under a probe: a figure eight if the box has room, else a circle.
+
+    Raises:
+        PlanError: the box is too small for either.
+    """
+    if box is None:
+        return f"figure8:radius={PROBE_RADIUS}"
+    half = 0.5 * min(box.x_max - box.x_min, box.y_max - box.y_min) - _MARGIN
+    if 2.0 * half / FIGURE_EIGHT_EXTENT >= PROBE_RADIUS:
+        return f"figure8:size={2.0 * half:g}"
+    if half / 2.0 >= CIRCLE_RADIUS:
+        return f"circle:radius={half / 2.0:g}"
+    side = 2.0 * (2.0 * CIRCLE_RADIUS + _MARGIN)
+    raise PlanError(f"a probe on top of the lane keeper needs a box of {side:.1f} m")
+
+
+def parse_drill(spec: str, car: Car[float], limits: Limits) -> Drill:
+    """A drill from text such as `mixed;open;speed=2.5;box=8`.
+
+    Raises:
+        PlanError: it makes no sense.
+    """
+    name, *rest = spec.split(";")
+    values = dict(part.partition("=")[::2] for part in rest)
+    box = parse_box(values["box"]) if "box" in values else None
+    if "closed" in values:
+        return make_closed_drill(name, box)
+    speed = float(values.get("speed", inf))
+    return make_open_drill(name, car, limits, box, min(speed, limits.speed_max))

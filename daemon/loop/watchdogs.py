@@ -1,0 +1,397 @@
+"""Watchdogs over one tick: pure functions in two tables, numbers in, findings out.
+
+``INSTANT`` holds what trips at once, ``TIMED`` what must hold for a while; three more remember a
+little. "Older than" is strict, "for so long" includes the instant. Comparisons are written so that
+NaN trips. Frame-wise watchdogs live in ``watchdogs_pose``; the runner reports W8, W15, W16, W26 to
+W29 itself (``WatchdogInput.reported``), under thresholds of the same table.
+"""
+
+from collections.abc import Callable
+from math import cos, degrees, sin
+from typing import NamedTuple
+
+from steerd.daemon.loop.findings import Finding, Severity, make_finding
+from steerd.daemon.loop.supervisor import SOFT_DECEL
+from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.watchdogs_pose import PoseWatch, is_flapping, rejected_share
+from steerd.daemon.settings.thresholds import Thresholds
+
+_WARN = Severity.WARN
+_BOOTED = 10  # VESC fault code: booting from a watchdog reset
+SATURATED_GROWTH = 0.02  # [m] less is the noise of a car that holds its path at full lock
+FED_S = 0.2  # after this long in ARMED or RUNNING telemetry must show that the commands arrive
+
+
+class WatchdogInput(NamedTuple):
+    """What one tick measures; ages in seconds, NaN where unknown.
+
+    Attributes:
+        t_ns: now, monotonic.
+        state: the supervisor's, of the last tick.
+        pose: frame watchdogs.
+        mocap_age: since the last ACCEPTED frame arrived [s].
+        telemetry_age: since the last good GET_VALUES [s].
+        lease_age: since lease and deadman were last renewed, the older one [s].
+        speed: best known, as the supervisor gets it [m/s].
+        speed_erpm: by the wheels [m/s].
+        speed_mocap: by mocap [m/s].
+        speed_limit: of the car now, launch window included [m/s].
+        x: position [m].
+        y: position [m].
+        course: direction of travel, yaw plus slip [rad].
+        sigma_position: standard deviation of the worse axis [m].
+        sigma_yaw: standard deviation [rad].
+        covariance_ok: finite and positive definite.
+        lateral_error: e1 [m].
+        heading_error: e2 [rad].
+        steer_share: |steer| over the limit on its side.
+        status: status byte of GET_VALUES; bit 0 timeout, bit 1 kill switch.
+        fault_code: of GET_VALUES.
+        tachometer: absolute tachometer, -1 while unknown.
+        cell_voltage: pack voltage over cells [V].
+        fet_temperature: [C].
+        motor_temperature: [C]; NaN without a sensor, which is allowed.
+        current_share: |motor current| over its limit.
+        reported: what the runner found itself.
+    """
+
+    t_ns: int
+    state: State
+    pose: PoseWatch
+    mocap_age: float
+    telemetry_age: float
+    lease_age: float
+    speed: float
+    speed_erpm: float
+    speed_mocap: float
+    speed_limit: float
+    x: float
+    y: float
+    course: float
+    sigma_position: float
+    sigma_yaw: float
+    covariance_ok: bool
+    lateral_error: float
+    heading_error: float
+    steer_share: float
+    status: int
+    fault_code: int
+    tachometer: int
+    cell_voltage: float
+    fet_temperature: float
+    motor_temperature: float
+    current_share: float
+    reported: tuple[Finding, ...] = ()
+
+
+Say = Callable[[Finding], None]
+Check = Callable[[Thresholds, WatchdogInput, Say], None]
+_DRIVING = (State.RUNNING, State.STOPPING)
+_FED = (State.ARMED, State.RUNNING)
+_LEASED = (State.ARMED, State.RUNNING, State.STOPPING)
+_STOPS = (State.STOPPING, State.FAULT_STOP, State.ESTOP)
+
+
+def mocap_timeout(th: Thresholds, speed: float) -> float:
+    """Age [s] at which mocap is stale: at most ``mocap_blind`` metres blind (W1)."""
+    if abs(speed) * th.mocap_longest <= th.mocap_blind:
+        return th.mocap_longest
+    return max(th.mocap_shortest, th.mocap_blind / abs(speed))
+
+
+def is_inside(fence: tuple[tuple[float, float], ...], x: float, y: float) -> bool:
+    """Whether (x, y) lies inside the polygon, by the even-odd rule; NaN is outside."""
+    inside = False
+    x1, y1 = fence[-1]
+    for x2, y2 in fence:
+        if (y1 > y) != (y2 > y) and x < x1 + (y - y1) * (x2 - x1) / (y2 - y1):
+            inside = not inside
+        x1, y1 = x2, y2
+    return inside
+
+
+def _check_mocap_age(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+    if i.mocap_age <= th.mocap_warn:
+        return
+    speed = i.speed if abs(i.speed) > abs(i.speed_erpm) else i.speed_erpm
+    allowed = mocap_timeout(th, speed)
+    words = f"no good frame for {i.mocap_age * 1e3:.0f} ms (limit {allowed * 1e3:.0f} ms)"
+    say(make_finding("W1", words, None if not i.mocap_age <= allowed else _WARN))
+
+
+def _check_pose(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+    w = i.pose
+    if w.frozen >= th.freeze_warn:
+        words = f"{w.frozen} identical frames at {i.speed_erpm:.2f} m/s"
+        say(make_finding("W2", words, None if w.frozen >= th.freeze_frames else _WARN))
+    if w.invalid:
+        words = f"{w.invalid} bad frames in a row"
+        say(make_finding("W3", words, None if w.invalid >= th.invalid_frames else _WARN))
+    flapping = is_flapping(th, w, i.t_ns)
+    if w.jumps or flapping:
+        words = f"{w.jumps} jumps in a row, {len(w.jump_times)} lately"
+        say(make_finding("W4", words, None if flapping or w.jumps >= th.jump_frames else _WARN))
+
+
+def _check_innovation(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+    w = i.pose
+    if w.rejections:
+        share = rejected_share(th, w)
+        trips = w.rejected >= th.nis_frames or share > th.nis_share
+        words = f"{w.rejected} frames in a row rejected, {share:.0%} lately"
+        say(make_finding("W5", words, None if trips else _WARN))
+
+
+def _check_estimate(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+    good = i.sigma_position <= th.sigma_position and i.sigma_yaw <= th.sigma_yaw
+    if not (good and i.covariance_ok):
+        words = f"sigma {i.sigma_position:.3f} m, {degrees(i.sigma_yaw):.1f} deg"
+        say(make_finding("W6", words if i.covariance_ok else "covariance not positive definite"))
+
+
+def _check_telemetry(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+    if not i.telemetry_age <= th.telemetry_warn:
+        words = f"no reply for {i.telemetry_age * 1e3:.0f} ms"
+        say(make_finding("W7", words, _WARN if i.telemetry_age <= th.telemetry else None))
+
+
+def _check_vesc(_th: Thresholds, i: WatchdogInput, say: Say) -> None:
+    if i.status & 2:
+        say(make_finding("W10", "status bit 1 is set"))
+    if i.fault_code:
+        words = f"fault code {i.fault_code}"
+        say(make_finding("W12" if i.fault_code == _BOOTED else "W11", words))
+
+
+def _check_battery(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+    if i.cell_voltage < th.cell_warn:
+        say(make_finding("W13", f"{i.cell_voltage:.2f} V per cell", _WARN))
+
+
+def _check_temperature(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+    fet_trips, motor_trips = not i.fet_temperature <= th.fet, i.motor_temperature > th.motor
+    if fet_trips or i.fet_temperature > th.fet_warn:
+        words = f"transistors at {i.fet_temperature:.0f} C"
+        say(make_finding("W14", words, None if fet_trips else _WARN))
+    if motor_trips or i.motor_temperature > th.motor_warn:
+        words = f"motor at {i.motor_temperature:.0f} C"
+        say(make_finding("W14", words, None if motor_trips else _WARN))
+
+
+def _check_path(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+    if i.state not in _DRIVING:
+        return
+    lateral, heading = abs(i.lateral_error), abs(i.heading_error)
+    if not lateral <= th.lateral_warn:
+        words = f"{lateral:.2f} m"
+        say(make_finding("W17", words, _WARN if lateral <= th.lateral_max else None))
+    if not heading <= th.heading_warn:
+        words = f"{degrees(heading):.0f} deg"
+        say(make_finding("W18", words, _WARN if heading <= th.heading else None))
+
+
+def _check_fence(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+    if not th.fence:
+        return
+    v = abs(i.speed)
+    reach = v * th.fence_delay + v * v / (2.0 * th.brake_decel) + th.fence_margin
+    c, s = cos(i.course), sin(i.course)
+    inside = is_inside(th.fence, i.x + reach * c, i.y + reach * s)
+    warned = reach + th.fence_warn
+    if not inside or not is_inside(th.fence, i.x + warned * c, i.y + warned * s):
+        words = f"the car at ({i.x:.2f}, {i.y:.2f}) m needs {reach:.2f} m to stop"
+        say(make_finding("W19", words, _WARN if inside else None))
+
+
+def _check_lease(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+    if i.state in _LEASED and not i.lease_age <= th.lease_warn:
+        words = f"not renewed for {i.lease_age * 1e3:.0f} ms"
+        say(make_finding("W25", words, _WARN if i.lease_age <= th.lease else None))
+
+
+INSTANT: tuple[Check, ...] = (
+    _check_mocap_age, _check_pose, _check_innovation, _check_estimate, _check_telemetry,
+    _check_vesc, _check_battery, _check_temperature, _check_path, _check_fence, _check_lease,
+)  # fmt: skip
+
+
+class Timed(NamedTuple):
+    """A watchdog whose condition must hold for a while."""
+
+    id: str
+    holds: Callable[[Thresholds, WatchdogInput], bool]
+    seconds: Callable[[Thresholds], float]
+    words: Callable[[WatchdogInput], str]
+
+
+def _is_starved(_th: Thresholds, i: WatchdogInput) -> bool:
+    return bool(i.status & 1) and i.state in _FED
+
+
+def _is_fast(th: Thresholds, i: WatchdogInput) -> bool:
+    limit = max(i.speed_limit * th.overspeed_ratio, i.speed_limit + th.overspeed_margin)
+    slow = abs(i.speed_erpm) <= limit and abs(i.speed_mocap) <= limit
+    return i.state in _DRIVING and not slow
+
+
+def _is_mismatched(th: Thresholds, i: WatchdogInput) -> bool:
+    larger = max(abs(i.speed_erpm), abs(i.speed_mocap))
+    allowed = max(th.mismatch_speed, th.mismatch_share * larger)
+    return i.state in _DRIVING and not abs(i.speed_erpm - i.speed_mocap) <= allowed
+
+
+def _is_blocked(th: Thresholds, i: WatchdogInput) -> bool:
+    # The wheels' own speed: a filter that disbelieves its sensors would go on "driving".
+    stands = not abs(i.speed_erpm) >= th.blocked_speed
+    return stands and i.current_share > th.blocked_current and i.state == State.RUNNING
+
+
+TIMED: tuple[Timed, ...] = (
+    Timed("W9", _is_starved, lambda _: FED_S, lambda _: "status bit 0 stays set"),
+    Timed(
+        "W13",
+        lambda th, i: not i.cell_voltage >= th.cell,
+        lambda th: th.cell_hold,
+        lambda i: f"{i.cell_voltage:.2f} V per cell",
+    ),
+    Timed(
+        "W17",
+        lambda th, i: i.state in _DRIVING and abs(i.lateral_error) > th.lateral,
+        lambda th: th.lateral_hold,
+        lambda i: f"{abs(i.lateral_error):.2f} m",
+    ),
+    Timed(
+        "W20",
+        _is_fast,
+        lambda th: th.overspeed_hold,
+        lambda i: f"wheels {i.speed_erpm:.2f}, mocap {i.speed_mocap:.2f} m/s",
+    ),
+    Timed(
+        "W21",
+        _is_mismatched,
+        lambda th: th.mismatch_hold,
+        lambda i: f"wheels {i.speed_erpm:.2f}, mocap {i.speed_mocap:.2f} m/s",
+    ),
+    Timed(
+        "W22",
+        _is_blocked,
+        lambda th: th.blocked_hold,
+        lambda i: f"{i.current_share:.0%} of the current limit at {i.speed_erpm:.2f} m/s",
+    ),
+)
+NEVER = -1
+
+
+class WatchdogState(NamedTuple):
+    """What the watchdogs remember between ticks; times [ns] or ``NEVER``.
+
+    Attributes:
+        since: when the condition of each row of ``TIMED`` began to hold.
+        fed: telemetry has shown that motor commands arrive, since the car was armed.
+        tachometer: the largest seen, -1 for none.
+        saturated_ns: when the steering reached its limit.
+        saturated_error: |e1| then [m].
+        stop: the kind of stop whose effect is being watched, None for none.
+        stop_ns: start of the window in which the car must slow down.
+        stop_speed: speed then [m/s].
+        weak: windows of this stop in which it did not.
+    """
+
+    since: tuple[int, ...] = (NEVER,) * len(TIMED)
+    fed: bool = False
+    tachometer: int = -1
+    saturated_ns: int = NEVER
+    saturated_error: float = 0.0
+    stop: State | None = None
+    stop_ns: int = 0
+    stop_speed: float = 0.0
+    weak: int = 0
+
+
+def is_slowing(w: WatchdogState) -> bool:
+    """Whether the stop works as far as is known (``Is.SLOWING``); if not, SET_DUTY 0 is next."""
+    return w.weak == 0
+
+
+def _step_timed(th: Thresholds, w: WatchdogState, i: WatchdogInput, say: Say) -> tuple[int, ...]:
+    since = []
+    for row, began in zip(TIMED, w.since, strict=True):
+        if not row.holds(th, i):
+            since.append(NEVER)
+            continue
+        start = i.t_ns if began == NEVER else began
+        since.append(start)
+        if (i.t_ns - start) / 1e9 >= row.seconds(th):
+            say(make_finding(row.id, row.words(i)))
+    return tuple(since)
+
+
+def _step_vesc(w: WatchdogState, i: WatchdogInput, say: Say) -> tuple[bool, int]:
+    """W9 once the VESC has been seen to listen, and W12 by its tachometer."""
+    timeout = bool(i.status & 1)
+    if w.fed and timeout and i.state == State.RUNNING:
+        say(make_finding("W9", "status bit 0 is set while driving"))
+    if 0 <= i.tachometer < w.tachometer:
+        say(make_finding("W12", f"tachometer fell from {w.tachometer} to {i.tachometer}"))
+    fed = i.state in _FED and (w.fed or not timeout)
+    return fed, i.tachometer if i.tachometer >= 0 else w.tachometer
+
+
+def _step_saturation(
+    th: Thresholds, w: WatchdogState, i: WatchdogInput, say: Say
+) -> tuple[int, float]:
+    """W23: full lock for long, and still the car drifts away from its path."""
+    error = abs(i.lateral_error)
+    if i.state not in _DRIVING or i.steer_share <= th.saturated:
+        return NEVER, 0.0
+    if w.saturated_ns == NEVER:
+        return i.t_ns, error
+    held = (i.t_ns - w.saturated_ns) / 1e9
+    if held >= th.saturated_warn and not error <= w.saturated_error + SATURATED_GROWTH:
+        words = f"at the limit for {held:.1f} s, {error:.2f} m off and growing"
+        say(make_finding("W23", words, None if held >= th.saturated_hold else _WARN))
+    return w.saturated_ns, w.saturated_error
+
+
+def _step_stop(th: Thresholds, w: WatchdogState, i: WatchdogInput, say: Say) -> WatchdogState:
+    """W24: a stop command is no stop; watch the speed fall, window by window."""
+    if i.state not in _STOPS:
+        return w._replace(stop=None, weak=0)
+    if w.stop != i.state:
+        start = i.t_ns + round(th.stop_lag * 1e9)
+        return w._replace(stop=i.state, stop_ns=start, stop_speed=i.speed, weak=0)
+    seconds = (i.t_ns - w.stop_ns) / 1e9
+    if seconds <= 0.0:
+        return w._replace(stop_speed=i.speed)
+    if seconds >= th.stop_window:
+        plan = SOFT_DECEL if i.state == State.STOPPING else th.brake_decel
+        drop = abs(w.stop_speed) - abs(i.speed)
+        weak = abs(i.speed) > th.stop_speed and not drop >= th.stop_share * plan * seconds
+        w = w._replace(stop_ns=i.t_ns, stop_speed=i.speed, weak=w.weak + weak)
+    if w.weak:
+        words = f"still {abs(i.speed):.2f} m/s, too little slower after {th.stop_window:.1f} s"
+        say(make_finding("W24", words if w.weak == 1 else f"CUT POWER: {words}"))
+    return w
+
+
+def step_watchdogs(
+    th: Thresholds, w: WatchdogState, i: WatchdogInput
+) -> tuple[WatchdogState, tuple[Finding, ...]]:
+    """One tick of all watchdogs.
+
+    Returns:
+        The new memory, and the findings: the runner's first, then in the order of the tables.
+    """
+    found = list(i.reported)
+    say = found.append
+    for check in INSTANT:
+        check(th, i, say)
+    since = _step_timed(th, w, i, say)
+    fed, tachometer = _step_vesc(w, i, say)
+    saturated_ns, saturated_error = _step_saturation(th, w, i, say)
+    w = _step_stop(th, w, i, say)
+    w = WatchdogState(
+        since, fed, tachometer, saturated_ns, saturated_error,
+        w.stop, w.stop_ns, w.stop_speed, w.weak,
+    )  # fmt: skip
+    return w, tuple(found)

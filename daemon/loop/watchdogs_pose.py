@@ -1,0 +1,162 @@
+"""Watchdogs over single mocap frames and innovations (W2-W5), stepped once per frame.
+
+They judge the pose after unit and axis mapping, before the filter sees it, and are the safety
+side's own eyes: ``mocap_link`` gates for good estimates, this finds when mocap cannot be trusted.
+"""
+
+from enum import IntEnum
+from math import hypot, isfinite, remainder, sqrt, tau
+from typing import NamedTuple
+
+from steerd.daemon.settings.thresholds import Thresholds
+
+JUMP_TIMES = 5  # so many jumps within ``jump_window`` trip, in a row or not
+
+
+class PoseFrame(NamedTuple):
+    """One mocap frame: world frame, metres, radians.
+
+    Attributes:
+        t_ns: local monotonic time of arrival.
+        number: the source's frame number, -1 where it has none.
+        position: (x, y, z) [m].
+        quaternion: (w, x, y, z).
+        yaw: heading of the body's x axis [rad].
+        valid: the source's own validity flag.
+    """
+
+    t_ns: int
+    number: int
+    position: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+    yaw: float
+    valid: bool = True
+
+
+class PoseVerdict(IntEnum):
+    """What to do with a frame: only ACCEPTED and REBASED may reach the filter."""
+
+    ACCEPTED = 0
+    INVALID = 1
+    FROZEN = 2
+    JUMP = 3
+    REBASED = 4
+    """Accepted as a new start while nothing moves: the filter must start again from it."""
+
+
+class PoseWatch(NamedTuple):
+    """What the frame watchdogs remember; the counts are of frames in a row.
+
+    Attributes:
+        base: the last good frame.
+        before: the last good frame that arrived earlier than `base`.
+        rejections: shift register: bit k set if the innovation was rejected k frames ago.
+    """
+
+    base: PoseFrame | None = None
+    before: PoseFrame | None = None
+    frozen: int = 0
+    invalid: int = 0
+    jumps: int = 0
+    jump_times: tuple[int, ...] = ()
+    rejected: int = 0
+    rejections: int = 0
+
+
+def is_sane(th: Thresholds, frame: PoseFrame) -> bool:
+    """Whether a frame is a pose at all (W3): finite, unit quaternion, not exactly the origin."""
+    w, x, y, z = frame.quaternion
+    norm = sqrt(w * w + x * x + y * y + z * z)
+    return (
+        frame.valid
+        and any(frame.position)
+        and isfinite(sum(frame.position) + frame.yaw)
+        and abs(norm - 1.0) <= th.quaternion_tolerance
+    )
+
+
+def _is_newer(base: PoseFrame, frame: PoseFrame) -> bool:
+    if frame.number < 0:
+        # A stream keeps its order, but the poses of one TCP segment share its stamp.
+        return frame.t_ns >= base.t_ns
+    return frame.number > base.number and frame.t_ns > base.t_ns
+
+
+def _is_jump(th: Thresholds, base: PoseFrame, before: PoseFrame | None, frame: PoseFrame) -> bool:
+    # Poses that arrived at one time have had the time since the arrival before, all together.
+    start = before if before is not None and frame.t_ns == base.t_ns else base
+    step = hypot(
+        frame.position[0] - start.position[0],
+        frame.position[1] - start.position[1],
+    )
+    reach = th.jump_speed * ((frame.t_ns - start.t_ns) / 1e9) + th.jump_margin
+    return step > reach or abs(remainder(frame.yaw - base.yaw, tau)) > th.yaw_step
+
+
+def _judge(th: Thresholds, w: PoseWatch, frame: PoseFrame, wheel_speed: float) -> PoseVerdict:
+    if not is_sane(th, frame):
+        return PoseVerdict.INVALID
+    base = w.base
+    if base is None:
+        return PoseVerdict.REBASED
+    if not _is_newer(base, frame):
+        return PoseVerdict.INVALID
+    same = frame.position == base.position and frame.quaternion == base.quaternion
+    if same and abs(wheel_speed) > th.freeze_speed:
+        return PoseVerdict.FROZEN
+    return PoseVerdict.JUMP if _is_jump(th, base, w.before, frame) else PoseVerdict.ACCEPTED
+
+
+def step_pose(
+    th: Thresholds, w: PoseWatch, frame: PoseFrame, wheel_speed: float, may_rebase: bool
+) -> tuple[PoseWatch, PoseVerdict]:
+    """Judge one frame.
+
+    Args:
+        th: thresholds.
+        w: what is remembered.
+        frame: the frame.
+        wheel_speed: speed by the VESC [m/s]; a standing car may well repeat its pose bit by bit.
+        may_rebase: the car is disarmed or latched, and stands: frames that are sane but contradict
+            the last good one (carried by hand, server restarted) become the new truth when enough
+            of them arrive in a row. Never while the motor may turn.
+
+    Returns:
+        The new memory and the verdict.
+    """
+    verdict = _judge(th, w, frame, wheel_speed)
+    if verdict == PoseVerdict.ACCEPTED:
+        before = w.base if w.base is not None and frame.t_ns > w.base.t_ns else w.before
+        return w._replace(base=frame, before=before, frozen=0, invalid=0, jumps=0), verdict
+    if verdict == PoseVerdict.REBASED:
+        return PoseWatch(frame), verdict
+    if verdict == PoseVerdict.FROZEN:
+        return w._replace(frozen=w.frozen + 1), verdict
+    if verdict == PoseVerdict.JUMP:
+        times = (*w.jump_times[1 - JUMP_TIMES :], frame.t_ns)
+        w = w._replace(jumps=w.jumps + 1, jump_times=times)
+        stuck = w.jumps >= th.jump_frames
+    else:
+        w = w._replace(invalid=w.invalid + 1)
+        stuck = w.invalid >= th.invalid_frames and is_sane(th, frame)
+    if may_rebase and stuck:
+        return PoseWatch(frame), PoseVerdict.REBASED
+    return w, verdict
+
+
+def step_innovation(th: Thresholds, w: PoseWatch, rejected: bool) -> PoseWatch:
+    """Note whether the filter's gates rejected an accepted frame (W5)."""
+    frames = round(th.nis_window * th.mocap_rate)
+    register = (w.rejections << 1 | rejected) & ((1 << frames) - 1)
+    return w._replace(rejected=w.rejected + 1 if rejected else 0, rejections=register)
+
+
+def is_flapping(th: Thresholds, w: PoseWatch, t_ns: int) -> bool:
+    """Whether the pose has jumped ``JUMP_TIMES`` times within ``jump_window`` before now (W4)."""
+    times = w.jump_times
+    return len(times) == JUMP_TIMES and (t_ns - times[0]) / 1e9 <= th.jump_window
+
+
+def rejected_share(th: Thresholds, w: PoseWatch) -> float:
+    """Share of the frames of the last ``nis_window`` that the filter rejected (W5)."""
+    return w.rejections.bit_count() / round(th.nis_window * th.mocap_rate)

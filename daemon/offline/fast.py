@@ -1,0 +1,118 @@
+"""`steerd run --sim --fast`: virtual time, one process, the same session file for the same seed."""
+
+import gc
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from steerd.daemon.assembly.build import Plan, make_world_config
+from steerd.daemon.assembly.session_meta import (
+    default_session_path,
+    make_attachments,
+    make_metadata,
+)
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.translate import of_session
+from steerd.daemon.ipc.pipe_records import Record
+from steerd.daemon.loop.transitions import State
+from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive, make_virtual_run
+from steerd.daemon.process.recorder import Recording
+from steerd.daemon.terminal.closing import closing_lines
+from steerd.daemon.terminal.dashboard import Dashboard
+from steerd.sim_hw.world import World
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.steer_bus.session_read import SessionError
+
+_GC_THRESHOLD = 20_000
+"""A drive makes many small values and no cycles; looking for those every 700 costs 6 %."""
+
+
+def make_recording(plan: Plan, path: Path) -> Recording:
+    """A session file for a run in virtual time.
+
+    Raises:
+        SteerdError: it cannot be created.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        hint = "choose another place with --record"
+        raise SteerdError(f"{path.parent}: {error.strerror}", hint, ExitCode.UNREADABLE) from None
+    meta = {
+        "metadata": make_metadata(
+            plan, plan.options.seed + 1, EPOCH_NS, leased=False, reproducible=True
+        ),
+        "attachments": make_attachments(plan),
+        "start_ns": EPOCH_NS,
+    }
+    try:
+        return Recording(path, plan.options.car, meta)
+    except SessionError as error:
+        raise of_session(error, "choose another file with --record") from None
+
+
+def run_fast(plan: Plan) -> int:
+    """Drive in virtual time and print what came of it."""
+    if plan.options.duration_s is None:
+        raise SteerdError("--fast needs an end", "add --duration 30", ExitCode.USAGE)
+    gc.set_threshold(_GC_THRESHOLD)
+    clock = MonotonicClock()
+    began = clock.now_ns()
+    record = plan.options.record
+    path = (
+        Path(record)
+        if record
+        else default_session_path(plan.options.car, clock.realtime_ns(), began)
+    )
+    world = World(make_world_config(plan))
+    recording = make_recording(plan, path)
+    board = Dashboard("")
+
+    def sink(records: list[Record], t_ns: int) -> None:
+        for each in records:
+            recording.add(each)
+            line = board.take(each)
+            if line is not None:
+                print(f"{t_ns * 1e-9:8.2f} s  {line}")
+
+    run = make_virtual_run(plan, (sink,), world)
+    reason = "interrupted"
+    try:
+        with_progress(run, plan.options.duration_s, lambda tick: drive(run, tick))
+        reason = "end of the run"
+    except KeyboardInterrupt:
+        print(f"interrupted; what was driven so far: {path}", file=sys.stderr)
+        raise
+    finally:
+        recording.writer.finish({"reason": reason, "written": str(recording.written)})
+    factor = run.t_ns / max(clock.now_ns() - began, 1)
+    told, *where_to = closing_lines(plan, board.tally, path)
+    print(told)
+    print(f"bytes on the wire: sha256 {run.wire.hexdigest()[:16]}; {factor:.0f} x real time")
+    print("\n".join(where_to))
+    loop = run.core.loop
+    if loop.faulted:
+        print(f"stopped: {loop.supervisor.reason}")
+        return ExitCode.STOPPED
+    if not loop.ran:
+        waiting = run.core.last.waiting if run.core.last else ""
+        raise SteerdError(f"the car was never driven: waiting for {waiting}", "", ExitCode.STOPPED)
+    return ExitCode.OK
+
+
+def with_progress(
+    run: VirtualRun, duration_s: float, go: Callable[[Callable[[VirtualRun], None]], None]
+) -> None:
+    """Drive, with a progress bar if somebody watches."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, disable=not sys.stderr.isatty(), transient=True) as progress:
+        task = progress.add_task("driving", total=duration_s)
+
+        def tick(now: VirtualRun) -> None:
+            if now.core.loop.supervisor.state is State.RUNNING:
+                progress.advance(task, now.period_ns * 1e-9)
+
+        go(tick)

@@ -1,0 +1,235 @@
+"""Replay: the recorded events through the same loop, in recorded order; the same orders out?
+
+The loop knows no clock and no randomness, so they must. Where they do not, either the code has
+changed since the drive, or something reaches the loop that is not recorded.
+"""
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import isnan
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from steerd.car_model.car_file import CarFileError, parse_car
+from steerd.daemon.assembly.build import Plan, make_loop_setup, make_plan
+from steerd.daemon.assembly.session_meta import csv_file
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.translate import of_car_file
+from steerd.daemon.loop.core import read_identity
+from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.loop import Loop
+from steerd.daemon.loop.outgoing import CLOCK_KINDS, make_actuation, read_actuation
+from steerd.daemon.settings.config import make_settings
+from steerd.daemon.settings.run_options import decode_options
+from steerd.mocap_link.source import PoseSample, RawPose
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.session_read import Record, Session, SessionError
+from steerd.vesc_link.events import ImuSample, Stamped, Telemetry
+from steerd.vesc_link.telemetry import Imu, Values
+
+TOLERANCE = 1e-9
+"""Another machine's libm may differ in the last digits."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A tick whose order was not the recorded one: (mode, steer, speed, brake current)."""
+
+    seq: int
+    t_ns: int
+    recorded: tuple[float, ...]
+    replayed: tuple[float, ...]
+
+
+def _or_none(value: float) -> float | None:
+    return None if isnan(value) else value
+
+
+def read_pose(pose: m.MocapPose) -> PoseSample:
+    """The sample that a recorded pose was made of (as far as the loop looks at it)."""
+    raw = RawPose(
+        body="",
+        frame=None if pose.frame < 0 else pose.frame,
+        source_ticks=pose.source_ticks,
+        transmit_ticks=None,
+        t_arrival_ns=pose.t_arrival_ns,
+        position=(pose.x_raw, pose.y_raw, pose.z_raw),
+        quaternion=(pose.qw, pose.qx, pose.qy, pose.qz),
+        mean_error=_or_none(pose.mean_error),
+        tracking_valid=bool(pose.tracking_valid),
+    )
+    return PoseSample(
+        pose.t_valid_ns,
+        pose.t_arrival_ns,
+        raw,
+        pose.x,
+        pose.y,
+        pose.yaw,
+        pose.height,
+        pose.tilt,
+        pose.reject or None,
+        CLOCK_KINDS[pose.clock_kind],
+    )
+
+
+def read_telemetry(vesc: m.VescTelemetry) -> Telemetry:
+    """The event that recorded telemetry was made of."""
+    values = Values(
+        erpm=vesc.erpm,
+        tachometer=vesc.tachometer,
+        tachometer_abs=None if vesc.tachometer_abs < 0 else vesc.tachometer_abs,
+        fault=None if vesc.fault_code < 0 else vesc.fault_code,
+        status=None if vesc.status < 0 else vesc.status,
+        input_voltage=_or_none(vesc.v_in),
+        motor_current=_or_none(vesc.current_motor),
+        temp_fet_c=_or_none(vesc.temp_fet),
+        temp_motor_c=_or_none(vesc.temp_motor),
+    )
+    return Telemetry(values, Stamped(vesc.t_sent_ns, vesc.t_received_ns))
+
+
+def read_imu(imu: m.VescImu) -> ImuSample:
+    """The event that a recorded IMU reading was made of."""
+    reading = Imu(
+        mask=0,
+        accel_x=_or_none(imu.accel_x),
+        accel_y=_or_none(imu.accel_y),
+        accel_z=_or_none(imu.accel_z),
+        gyro_x=_or_none(imu.gyro_x),
+        gyro_y=_or_none(imu.gyro_y),
+        gyro_z=_or_none(imu.gyro_z),
+    )
+    return ImuSample(reading, Stamped(imu.t_sent_ns, imu.t_received_ns))
+
+
+def make_replay_plan(session: Session, name: str) -> tuple[Plan, int, int, bool]:
+    """The plan of a recorded run, with its boot id, epoch and whether it was leased.
+
+    Raises:
+        SteerdError: the session was not recorded by `steerd run`.
+    """
+    meta: dict[str, Any] = dict(session.info().metadata.get("steerd.session", {}))
+    try:
+        options = decode_options(meta["options"])
+        boot_id, epoch_ns = int(meta["boot_id"]), int(meta["epoch_ns"])
+        text = session.attachment("car.toml").decode()
+    except (KeyError, ValueError, msgspec.ValidationError, SessionError) as error:
+        hint = "only sessions of `steerd run` hold what a replay needs"
+        why = f"it says nothing of its {error.args[0]}" if isinstance(error, KeyError) else error
+        raise SteerdError(f"{name} cannot be replayed: {why}", hint) from None
+    try:
+        settings = make_settings(parse_car(text, Path(f"{name}:car.toml")), options.speed)
+    except CarFileError as error:
+        raise of_car_file(error) from None
+    if csv_file(options.path) is not None:
+        with tempfile.TemporaryDirectory() as folder:
+            copy = Path(folder) / "path.csv"
+            copy.write_bytes(session.attachment("path.csv"))
+            rest = options.path.split(",")[1:]
+            spec = ",".join([f"csv:{copy}", *rest])
+            plan = make_plan(replace(options, path=spec), settings)
+    else:
+        plan = make_plan(options, settings)
+    return plan, boot_id, epoch_ns, meta.get("leased") == "1"
+
+
+class Replay:
+    """A recorded run going through the loop again.
+
+    Attributes:
+        loop: the loop.
+        ticks: how many were compared.
+    """
+
+    def __init__(self, plan: Plan, boot_id: int, epoch_ns: int, leased: bool) -> None:
+        self.loop = Loop(make_loop_setup(plan, boot_id, leased))
+        self.ticks = 0
+        self._epoch_ns = epoch_ns
+        self._expected: tuple[int, int, tuple[float, ...]] | None = None
+
+    def take(self, record: Record) -> Difference | None:
+        """Feed one recorded message; a difference if it tells one."""
+        topic = topics.find_topic(record.topic)
+        t_ns = record.log_ns - self._epoch_ns
+        match record.decode() if topic is not None else None:
+            case m.MocapPose() as pose:
+                self.loop.on_pose(read_pose(pose))
+            case m.VescTelemetry() as vesc:
+                self.loop.on_telemetry(read_telemetry(vesc))
+            case m.VescImu() as imu:
+                self.loop.on_imu(read_imu(imu))
+            case m.VescIdentity() as identity:
+                self.loop.on_vesc(read_identity(identity))
+            case m.OperatorRequest() as asked:
+                self.loop.on_operator(asked, t_ns)
+            case m.DriveCommand() as command:
+                self.loop.on_drive(command, t_ns)
+            case m.Tick() as tick:
+                self._tick(tick)
+            case m.Actuation() as actuation:
+                return self._compare(actuation)
+            case _:
+                pass
+        return None
+
+    def _tick(self, tick: m.Tick) -> None:
+        if not tick.flags & Flag.LINKED:
+            self.loop.on_vesc(None)
+        result = self.loop.tick(tick.due_ns, tick.woke_ns, tick.flags)
+        order = make_actuation(result.order.drive, b"", tick.seq, tick.woke_ns)
+        self._expected = (tick.seq, tick.woke_ns, read_actuation(order))
+
+    def _compare(self, actuation: m.Actuation) -> Difference | None:
+        if self._expected is None or self._expected[0] != actuation.seq:
+            return None
+        seq, t_ns, replayed = self._expected
+        recorded = read_actuation(actuation)
+        self.ticks += 1
+        if all(map(_same, recorded, replayed)):
+            return None
+        return Difference(seq, t_ns, recorded, replayed)
+
+
+def _same(a: float, b: float) -> bool:
+    return abs(a - b) <= TOLERANCE or (isnan(a) and isnan(b))
+
+
+def replay(session: Session, name: str) -> tuple[Replay, Iterator[Difference]]:
+    """A replay of a session and the differences that it finds as it goes.
+
+    Raises:
+        SteerdError: the session cannot be replayed.
+    """
+    plan, boot_id, epoch_ns, leased = make_replay_plan(session, name)
+    run = Replay(plan, boot_id, epoch_ns, leased)
+    return run, (d for d in map(run.take, session.messages()) if d is not None)
+
+
+def describe(difference: Difference, first_ns: int) -> str:
+    """One line for people."""
+
+    def order(values: tuple[float, ...]) -> str:
+        mode, steer, speed, brake = values
+        return (
+            f"{m.ActuationMode(int(mode)).name} steer {steer:+.6f} rad, "
+            f"speed {speed:+.4f} m/s, brake {brake:.1f} A"
+        )
+
+    t = (difference.t_ns - first_ns) * 1e-9
+    was, now = order(difference.recorded), order(difference.replayed)
+    return f"tick {difference.seq} ({t:.2f} s): recorded {was}; replayed {now}"
+
+
+def expect_same(count: int, ticks: int) -> ExitCode:
+    """The exit code of a replay with so many differences.
+
+    Raises:
+        SteerdError: nothing was compared.
+    """
+    if not ticks:
+        raise SteerdError("the session holds no ticks: there is nothing to replay")
+    return ExitCode.DIFFERS if count else ExitCode.OK

@@ -1,0 +1,161 @@
+"""Virtual time: the same core against the simulated world, as fast as the machine allows.
+
+Deterministic: the same plan and seed give the same bytes. Nothing waits; the clock jumps to
+whatever happens next.
+"""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from steerd.daemon.assembly.build import Plan, make_core, make_world_config
+from steerd.daemon.ipc.outbox import Sink
+from steerd.daemon.loop.core import Core
+from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.transitions import State, is_engaged
+from steerd.mocap_link.natnet_client import Socket
+from steerd.mocap_link.sessions import NatNetSource
+from steerd.sim_hw.mocap.network import COMMAND, DATA
+from steerd.sim_hw.world import World, WorldConfig
+
+EPOCH_NS = 1_700_000_000_000_000_000
+"""UNIX time of virtual time zero: sessions of the same seed are the same file."""
+_SERVER = "127.0.0.1"
+_TIMER_NS = 20_000_000
+_REOPEN_NS = 200_000_000
+_GRACE_NS = 30_000_000_000
+"""A run that has not begun to drive by then never will."""
+
+
+@dataclass
+class VirtualRun:
+    """One drive in virtual time.
+
+    Attributes:
+        core, world: the two sides of the wires.
+        t_ns: now.
+        wire: digest of every byte in both directions.
+    """
+
+    core: Core
+    world: World
+    source: NatNetSource
+    period_ns: int
+    t_ns: int = 0
+
+    def __post_init__(self) -> None:
+        self.wire = hashlib.sha256()
+        self._timer_ns = 0
+        self._reopen_ns = 0
+        self._opened = self.world.serial_name
+
+    def step(self, late_ns: int = 0) -> None:
+        """One period: a tick, then whatever arrives until the next.
+
+        Args:
+            late_ns: how long the process sleeps past the deadline; bytes wait for it meanwhile.
+        """
+        due = self.t_ns
+        if late_ns:
+            self.world.advance(due + late_ns)
+            self.t_ns = due + late_ns
+            self._receive(self.t_ns)
+        now = self.t_ns
+        self._feed_back()
+        data = self.core.tick(due, now)
+        if data and self.core.flags & Flag.LINKED:
+            self._write(now, data)
+        self.core.tell(data)
+        self._pass(due + self.period_ns * (1 + late_ns // self.period_ns))
+
+    def _pass(self, end: int) -> None:
+        """Live until `end`, taking what arrives as it does."""
+        while self.t_ns < end:
+            self.t_ns = min(max(self.world.next_wake_ns, self.t_ns + 1), end)
+            self._receive(self.t_ns)
+
+    def _feed_back(self) -> None:
+        """What the pipeline needs to know of the car."""
+        ingest, seen = self.source.ingest, self.core.loop.perception
+        ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
+        ingest.stationary = seen.may_rebase
+
+    def _write(self, t_ns: int, data: bytes) -> None:
+        self.wire.update(b">" + t_ns.to_bytes(8, "big") + data)
+        try:
+            taken = self.world.serial_write(t_ns, data)
+        except OSError:
+            taken = -1
+        if taken != len(data):
+            self._lose_link()
+
+    def _lose_link(self) -> None:
+        self.core.flags |= Flag.SERIAL_FAULT
+        self.core.flags &= ~Flag.LINKED
+        self.core.link.reset()
+        self.core.loop.on_vesc(None)
+
+    def _receive(self, t_ns: int) -> None:
+        self._read_serial(t_ns)
+        for message in self.world.mocap_read(t_ns):
+            if message.channel in (COMMAND, DATA):
+                which: Socket = "data" if message.channel == DATA else "command"
+                self.core.on_poses(
+                    self.source.on_datagram(message.data, message.t_ns, _SERVER, which)
+                )
+        if t_ns >= self._timer_ns:
+            self._timer_ns = t_ns + _TIMER_NS
+            for datagram in self.source.on_timer(t_ns):
+                self.world.mocap_write(t_ns, datagram)
+            source = self.core.source = self.source.status()
+            self.core.flags &= ~Flag.MOCAP_REFUSED
+            self.core.flags |= Flag.MOCAP_REFUSED if source.refused else 0
+
+    def _read_serial(self, t_ns: int) -> None:
+        linked = bool(self.core.flags & Flag.LINKED)
+        if linked and self.world.serial_name != self._opened:
+            self._lose_link()
+        elif linked:
+            data = self.world.serial_read(t_ns)
+            if data:
+                self.wire.update(b"<" + t_ns.to_bytes(8, "big") + data)
+                self.core.on_serial(t_ns, data)
+        elif t_ns >= self._reopen_ns:
+            self._reopen_ns = t_ns + _REOPEN_NS
+            self._try_open()
+
+    def _try_open(self) -> None:
+        """As the runner does it: every 200 ms, and never while motor bytes may flow."""
+        name, loop = self.world.serial_name, self.core.loop
+        if name is None or (is_engaged(loop.supervisor.state) and not loop.at_rest):
+            return
+        self._opened = name
+        self.core.link.reset()
+        self.core.flags |= Flag.LINKED
+        self.core.flags &= ~Flag.SERIAL_FAULT
+
+
+def make_virtual_run(
+    plan: Plan, sinks: tuple[Sink, ...] = (), world: World | None = None
+) -> VirtualRun:
+    """A drive in virtual time; `world` replaces the one that the plan describes."""
+    config: WorldConfig = make_world_config(plan)
+    core = make_core(plan, plan.options.seed + 1, EPOCH_NS, sinks, leased=False)
+    core.flags |= Flag.LINKED
+    source = NatNetSource(config.mocap.body, _SERVER, plan.settings.ingest)
+    return VirtualRun(core, world or World(config), source, plan.period_ns)
+
+
+def drive(run: VirtualRun, on_tick: Callable[[VirtualRun], None] | None = None) -> None:
+    """Drive until the car is parked again after its run, or latched."""
+    while True:
+        run.step()
+        if on_tick is not None:
+            on_tick(run)
+        loop = run.core.loop
+        if loop.ran and loop.parked:
+            return
+        if loop.faulted and loop.supervisor.state in (State.FAULT_LATCHED, State.ESTOP):
+            return
+        if run.t_ns > _GRACE_NS and not loop.ran and loop.parked:
+            return

@@ -1,0 +1,237 @@
+"""The processes of a run: started in order, told over standard input, ended by closing pipes."""
+
+import json
+import os
+import select
+import socket
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from steerd.daemon.assembly.build import Plan
+from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.pipe_records import make_pipe
+from steerd.daemon.process.view_job import make_view_job
+from steerd.daemon.settings.run_options import encode_options
+from steerd.mocap_link.mocap_url import parse_mocap_url
+
+READY_S = 30.0
+END_S = 10.0
+VIEWER_END_S = 2.0
+
+
+@dataclass
+class Child:
+    """A process and the descriptor on which it says that it is ready."""
+
+    process: subprocess.Popen[bytes]
+    ready_fd: int
+
+    def wait_ready(self, name: str) -> str:
+        """Its first line.
+
+        Raises:
+            SteerdError: it ended or stayed silent instead.
+        """
+        poll = select.poll()
+        poll.register(self.ready_fd, select.POLLIN | select.POLLHUP)
+        heard = b""
+        while not heard.endswith(b"\n"):
+            if not poll.poll(int(READY_S * 1000)):
+                raise SteerdError(f"the {name} did not start", "", ExitCode.INTERNAL)
+            data = os.read(self.ready_fd, 4096)
+            if not data:
+                code = self.process.wait()
+                raise SteerdError(f"the {name} ended with code {code}", "", ExitCode.INTERNAL)
+            heard += data
+        return heard.decode().strip()
+
+
+def spawn(
+    module: str, fds: Mapping[str, int], job: Mapping[str, Any], named: bool = False
+) -> Child:
+    """Start `python -m module` with these descriptors and the job as JSON on standard input.
+
+    It gets a process group of its own: Ctrl-C goes to us, and we say what it means.
+    """
+    ready, theirs = os.pipe()
+    every = {**fds, "ready": theirs}
+    arguments = [f"{name}={fd}" if named else str(fd) for name, fd in every.items()]
+    process = subprocess.Popen(
+        [sys.executable, "-m", module, *arguments],
+        stdin=subprocess.PIPE,
+        pass_fds=tuple(every.values()),
+        process_group=0,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+    )
+    os.close(theirs)
+    if process.stdin is not None:
+        process.stdin.write(json.dumps(job).encode())
+        process.stdin.close()
+    return Child(process, ready)
+
+
+@dataclass
+class Crew:
+    """All processes of a run.
+
+    Attributes:
+        core, recorder, gateway: the processes.
+        viewer: the process of `--view`, if asked for.
+        requests: our end of the socket on which the core takes requests from this terminal.
+        status_fd: records for this terminal.
+        session: where the recording goes.
+        told: what the core said when it was ready.
+    """
+
+    core: Child
+    recorder: Child
+    gateway: Child
+    viewer: Child | None
+    requests: socket.socket
+    status_fd: int
+    session: Path
+    told: dict[str, Any]
+
+    def end(self) -> int:
+        """Wait for the core, then for the others, which leave when its pipes close."""
+        code = self.core.process.wait()
+        self.requests.close()
+        for child in (self.recorder, self.gateway):
+            try:
+                child.process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                child.process.kill()
+        self._end_viewer()
+        return code
+
+    def _end_viewer(self) -> None:
+        """A viewer that died early, or hangs, is told and held against nobody."""
+        if self.viewer is None:
+            return
+        try:
+            code = self.viewer.process.wait(VIEWER_END_S)
+        except subprocess.TimeoutExpired:
+            self.viewer.process.kill()
+            code = self.viewer.process.wait()
+        if code:
+            print(f"note: the viewer ended with code {code}", file=sys.stderr)
+
+
+def start_crew(plan: Plan, session: Path, boot_id: int, epoch_ns: int, leased: bool) -> Crew:
+    """Start recorder, gateway, core and, if asked for, viewer, in this order.
+
+    Raises:
+        SteerdError: one of them cannot do its work, in its own words.
+    """
+    viewed = ("view",) if plan.options.view else ()
+    pipes = {name: make_pipe() for name in ("recorder", "gateway", "status", *viewed)}
+    asked, asking = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours, parent = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    fds = {name: pipes[name][1] for name in pipes}
+    fds |= {"parent": parent.fileno(), "asking": asking.fileno()}
+    job = {
+        "options": encode_options(plan.options),
+        "boot_id": boot_id,
+        "epoch_ns": epoch_ns,
+        "leased": leased,
+    }
+    started: list[Child] = []
+    recording = False
+    try:
+        # All at once: each spends a second on its imports. What the core says before the others
+        # listen waits in its pipes.
+        meta = make_metadata(plan, boot_id, epoch_ns, leased=leased)
+        started.append(_start_recorder(plan, session, meta, epoch_ns, pipes["recorder"][0]))
+        started.append(_start_gateway(plan, pipes["gateway"][0], asked.fileno()))
+        started.append(spawn("steerd.daemon.process.core_process", fds, job, named=True))
+        if viewed:
+            started.append(
+                spawn("steerd.daemon.process.view", {"pipe": pipes["view"][0]}, make_view_job(plan))
+            )
+        recorder, gateway, core, *others = started
+        _expect_ready(recorder, "recorder", ExitCode.UNREADABLE)
+        recording = True
+        told = json.loads(core.wait_ready("control core"))
+        if "what" in told:
+            raise SteerdError(told["what"], told["hint"], ExitCode(told["code"]))
+        _expect_ready(gateway, "gateway", ExitCode.UNREACHABLE)
+        for other in others:
+            _expect_ready(other, "viewer", ExitCode.UNREADABLE)
+    except SteerdError:
+        _give_up(started, pipes, (asked, asking, ours, parent))
+        if recording:
+            session.unlink(missing_ok=True)
+        raise
+    for name in pipes:
+        os.close(pipes[name][1])
+        if name != "status":
+            os.close(pipes[name][0])
+    for end in (asked, asking, parent):
+        end.close()
+    viewer = others[0] if others else None
+    return Crew(core, recorder, gateway, viewer, ours, pipes["status"][0], session, told)
+
+
+def _expect_ready(child: Child, name: str, code: ExitCode) -> None:
+    said = child.wait_ready(name)
+    if said != "ready":
+        taken = "already in use" in said and name == "gateway"
+        hint = "end that one, or --listen tcp/127.0.0.1:7448" if taken else ""
+        raise SteerdError(said, hint, code)
+
+
+def _give_up(
+    started: list[Child], pipes: Mapping[str, tuple[int, int]], ends: tuple[socket.socket, ...]
+) -> None:
+    """Close everything, so that what was started leaves by itself."""
+    for pair in pipes.values():
+        for fd in pair:
+            os.close(fd)
+    for end in ends:
+        end.close()
+    for child in started:
+        try:
+            child.process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            child.process.kill()
+
+
+def _start_recorder(
+    plan: Plan, session: Path, meta: dict[str, dict[str, str]], epoch_ns: int, pipe_fd: int
+) -> Child:
+    try:
+        session.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        hint = "choose another place with --record"
+        raise SteerdError(
+            f"{session.parent}: {error.strerror}", hint, ExitCode.UNREADABLE
+        ) from None
+    job = {
+        "path": str(session),
+        "car": plan.options.car,
+        "metadata": meta,
+        "attachments": make_attachments(plan),
+        "start_ns": epoch_ns,
+        "disk_free_min": plan.settings.record.disk_free_min_mb * 1_000_000,
+        "flush_ns": plan.settings.record.flush_ms * 1_000_000,
+    }
+    return spawn("steerd.daemon.process.recorder", {"pipe": pipe_fd}, job)
+
+
+def _start_gateway(plan: Plan, pipe_fd: int, asked_fd: int) -> Child:
+    mocap = plan.options.mocap or ""
+    pose_key = parse_mocap_url(mocap).key if mocap.startswith("zenoh:") else None
+    job = {
+        "listen": plan.options.listen,
+        "lab": plan.options.lab,
+        "insecure_lan": plan.options.insecure_lan,
+        "car": plan.options.car,
+        "pose_key": pose_key,
+        "ros_domain": plan.options.ros_domain,
+    }
+    return spawn("steerd.daemon.process.gateway", {"pipe": pipe_fd, "asked": asked_fd}, job)

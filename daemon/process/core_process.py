@@ -1,0 +1,185 @@
+"""The control core as a process: no zenoh, no mcap, no torch, no thread but the one in sigwait."""
+
+import contextlib
+import json
+import os
+import socket
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from steerd.daemon.assembly.build import Plan, make_core, make_plan
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.outbox import Sink
+from steerd.daemon.ipc.pipe_records import PipeWriter, Record, pack_record
+from steerd.daemon.ipc.sd_notify import make_notify
+from steerd.daemon.ipc.signals import block_stop_signals, stop_signal_pipe
+from steerd.daemon.loop.core import Core
+from steerd.daemon.process.guard import ProcessGuard
+from steerd.daemon.process.realtime import enter_realtime, settle_memory
+from steerd.daemon.process.runner import Ends, Runner
+from steerd.daemon.settings.run_options import decode_options
+from steerd.mocap_link.mocap_url import parse_mocap_url
+from steerd.mocap_link.sessions import BusPoseSource
+from steerd.mocap_link.sockets import MocapReceiver, make_receiver
+from steerd.steer_bus import topics
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.vesc_link.transport import Port, PortError, open_port
+
+STATUS_PERIOD_NS = 100_000_000
+_SHOWN = (topics.STATE.name, topics.DIAGNOSTICS.name, topics.TRANSITION.name, topics.TICK.name)
+
+
+def pipe_sink(pipe: PipeWriter, wanted: Callable[[Record], bool]) -> Sink:
+    """A sink that writes the wanted records into a pipe."""
+
+    def sink(records: list[Record], t_ns: int) -> None:
+        pipe.write([pack_record(record) for record in records if wanted(record)], t_ns)
+
+    return sink
+
+
+def status_sink(pipe: PipeWriter) -> Sink:
+    """A sink for the terminal: transitions and diagnostics at once, the rest ten times a second."""
+    due = 0
+
+    def sink(records: list[Record], t_ns: int) -> None:
+        nonlocal due
+        ticks = t_ns >= due
+        due = t_ns + STATUS_PERIOD_NS if ticks else due
+        rare = (topics.DIAGNOSTICS.name, topics.TRANSITION.name)
+        chosen = [r for r in records if r.topic.name in (_SHOWN if ticks else rare)]
+        pipe.write([pack_record(record) for record in chosen], t_ns)
+
+    return sink
+
+
+def make_mocap(plan: Plan) -> MocapReceiver | BusPoseSource:
+    """The mocap source that the options name.
+
+    Raises:
+        SteerdError: the address makes no sense, or its host does not resolve.
+    """
+    text = plan.options.mocap or ""
+    try:
+        url = parse_mocap_url(text)
+        if url.scheme == "zenoh":
+            return BusPoseSource(plan.settings.ingest)
+        return make_receiver(url, plan.settings.ingest)
+    except ValueError as error:
+        raise SteerdError(f"--mocap {text}: {error}", "", ExitCode.USAGE) from None
+    except OSError as error:
+        hint = "check the address, and that this machine is on the mocap network"
+        raise SteerdError(str(error), hint, ExitCode.UNREADABLE) from None
+
+
+def first_port(url: str) -> Port:
+    """Open the port before anything else starts, so that a wrong one is said at once.
+
+    Raises:
+        SteerdError: it cannot be opened, with what to try.
+    """
+    try:
+        return open_port(url)
+    except PortError as error:
+        raise SteerdError(str(error), error.hint, ExitCode.UNREADABLE) from None
+
+
+def _opener(url: str, first: Port) -> Callable[[], Port]:
+    waiting = [first]
+
+    def open_it() -> Port:
+        return waiting.pop() if waiting else open_port(url)
+
+    return open_it
+
+
+def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
+    plan = make_plan(decode_options(job["options"]))
+    port = first_port(plan.options.port or "")
+    mocap = make_mocap(plan)
+    names = ("recorder", "gateway", "status", "view")
+    pipes = {name: PipeWriter(fds[name]) for name in names if name in fds}
+    sinks = [
+        pipe_sink(pipes["recorder"], lambda r: r.topic.logged),
+        pipe_sink(pipes["gateway"], lambda r: r.topic.on_bus),
+        status_sink(pipes["status"]),
+    ]
+    if "view" in pipes:  # no end of the runner's: whether anybody looks on is nothing to the car
+        sinks.append(pipe_sink(pipes["view"], lambda r: r.topic.on_bus))
+    clock = MonotonicClock()
+    core = make_core(
+        plan,
+        int(job["boot_id"]),
+        int(job["epoch_ns"]),
+        sinks,
+        leased=bool(job["leased"]),
+    )
+    strand_on_strays(core)
+    requests = tuple(socket.socket(fileno=fds[name]) for name in ("parent", "asking"))
+    for end in requests:
+        end.setblocking(False)
+    ends = Ends(pipes["recorder"], pipes["gateway"], requests, stop_signal_pipe())
+    report = enter_realtime()
+    _tell(fds["ready"], {"realtime": report.refused, "design": plan.controller.report.describe()})
+    runner = Runner(
+        core,
+        clock,
+        _opener(plan.options.port or "", port),
+        mocap,
+        ends,
+        ProcessGuard(
+            report.fifo,
+            simulated=plan.options.simulated,
+            silent_s=plan.settings.thresholds.guardian,
+        ),
+        make_notify(os.environ),
+    )
+    settle_memory()
+    runner.run()
+    return core
+
+
+def strand_on_strays(core: Core) -> None:
+    """What is raised in a thread or a destructor has no caller; the car stops for it (W29)."""
+
+    def take(error: BaseException | None) -> None:
+        core.strand(error or RuntimeError("an exception without a value"))
+
+    sys.unraisablehook = lambda stray: take(stray.exc_value)
+    threading.excepthook = lambda stray: take(stray.exc_value)
+
+
+def _tell(fd: int, what: Mapping[str, Any]) -> None:
+    with contextlib.suppress(BrokenPipeError):  # Ctrl-C took who asked; there is nobody to tell
+        os.write(fd, json.dumps(what).encode() + b"\n")
+
+
+def main() -> int:
+    """Process entry: the job as JSON on standard input, descriptors as NAME=FD arguments."""
+    block_stop_signals()
+    fds = {name: int(fd) for name, fd in (text.split("=") for text in sys.argv[1:])}
+    job = json.loads(sys.stdin.read())
+    try:
+        core = _run(job, fds)
+    except SteerdError as error:
+        _tell(fds["ready"], {"what": error.what, "hint": error.hint, "code": int(error.code)})
+        return int(error.code)
+    if core.error is not None:
+        traceback.print_exception(core.error)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    # Nothing is left to tidy up; interpreter shutdown would only hold the parent up.
+    os._exit(int(_exit_code(core)))
+
+
+def _exit_code(core: Core) -> ExitCode:
+    if core.error is not None:
+        return ExitCode.INTERNAL
+    return ExitCode.STOPPED if core.loop.faulted else ExitCode.OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())

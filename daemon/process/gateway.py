@@ -1,0 +1,125 @@
+"""The gateway process: the car's messages onto the bus, operators' and controllers' requests back.
+
+The core never waits for it: messages come through a pipe that drops, requests go into a socket
+whose far end the core drains. Nothing from the network is believed here; the core checks it again.
+"""
+
+import contextlib
+import json
+import os
+import select
+import socket
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, pack_request
+from steerd.daemon.ipc.pipe_records import unpack_records
+from steerd.daemon.ipc.signals import ignore_terminal_signals
+from steerd.daemon.process.ros_bridge import RosBridge
+from steerd.daemon.process.views import Views
+from steerd.steer_bus import topics
+from steerd.steer_bus.bus import Bus, BusError, Subscription
+from steerd.steer_bus.lab import load_lab
+from steerd.steer_bus.topics import alive_key, make_key, schema_replies
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
+
+_POLL_MS = 4
+_READ_BYTES = 1 << 20
+_DEPTH = 16
+
+
+class Gateway:
+    """One car on the bus, and in ROS's graph if there is a bridge."""
+
+    def __init__(
+        self, bus: Bus, car: str, pose_key: str | None, ros: RosBridge | None = None
+    ) -> None:
+        self._bus = bus
+        self._ros = ros
+        self._car = car
+        self._views = Views()
+        self._requests: list[tuple[str, Subscription]] = [
+            (topic.name, bus.subscribe(make_key(car, topic), _DEPTH))
+            for topic in (topics.OPERATOR, topics.DRIVE)
+        ]
+        if pose_key is not None:
+            self._requests.append((topics.EXTERNAL_POSE.name, bus.subscribe(pose_key, _DEPTH)))
+        self._tokens = [bus.declare_alive(alive_key(car))]
+        schemas = schema_replies(car)
+        self._tokens.append(bus.serve(make_key(car, "schema/**"), schemas.get))
+
+    def publish(self, buffer: bytearray) -> None:
+        """Put every whole record on the bus, with its standard view."""
+        for record in unpack_records(buffer):
+            for each in (record, *self._views.of(record)):
+                if each.topic.direction is topics.Direction.OUT:
+                    with contextlib.suppress(BusError):
+                        self._bus.publish(make_key(self._car, each.topic), each.data)
+                    if self._ros is not None:
+                        self._ros.publish(each)
+
+    def pass_on(self, core: socket.socket) -> None:
+        """Hand what arrived to the core; what does not fit is dropped there and then."""
+        for name, subscription in self._requests:
+            for sample in subscription.poll():
+                if len(sample.data) <= REQUEST_MAX:
+                    with contextlib.suppress(BlockingIOError):
+                        core.send(pack_request(name, sample.data))
+
+
+def run_gateway(gateway: Gateway, pipe_fd: int, core: socket.socket) -> None:
+    """Work until the pipe closes."""
+    buffer = bytearray()
+    poll = select.poll()
+    poll.register(pipe_fd, select.POLLIN | select.POLLHUP)
+    while True:
+        if poll.poll(_POLL_MS):
+            data = os.read(pipe_fd, _READ_BYTES)
+            if not data:
+                return
+            buffer += data
+            gateway.publish(buffer)
+        try:
+            gateway.pass_on(core)
+        except OSError:
+            return
+
+
+def main() -> int:
+    """Process entry: options as JSON on standard input, descriptors as arguments."""
+    ignore_terminal_signals()
+    pipe_fd, core_fd, ready_fd = (int(text) for text in sys.argv[1:4])
+    options = json.loads(sys.stdin.read())
+    core = socket.socket(fileno=core_fd)
+    core.setblocking(False)
+    try:
+        with ZenohBus(_make_profile(options)) as bus:
+            domain = options["ros_domain"]
+            ros = None if domain is None else RosBridge(bus, options["car"], domain)
+            gateway = Gateway(bus, options["car"], options["pose_key"], ros)
+            os.write(ready_fd, b"ready\n")
+            os.close(ready_fd)
+            run_gateway(gateway, pipe_fd, core)
+    except BusError as error:
+        with contextlib.suppress(OSError):
+            os.write(ready_fd, f"{error}\n".encode())
+        return 3
+    # zenoh's threads may keep the interpreter alive; nothing of ours is left to do.
+    sys.stderr.flush()
+    os._exit(0)
+
+
+def _make_profile(options: Mapping[str, Any]) -> Profile:
+    lab = load_lab(Path(options["lab"])) if options["lab"] else None
+    return make_hub_profile(
+        options["listen"],
+        lab,
+        insecure_lan=bool(options["insecure_lan"]),
+        pose_key=options["pose_key"],
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,129 @@
+"""The core's side of the guardian: start one for each opened port, beat for it, ask it."""
+
+import os
+import subprocess
+import sys
+import time
+from typing import Protocol
+
+from steerd.daemon.process.guardian import STALE_NS, STALE_NS_NO_RT, HeartbeatPage, make_page_fd
+from steerd.daemon.process.lifeline import Lifeline
+from steerd.daemon.settings.thresholds import Thresholds
+
+START_NS = 1_000_000_000
+"""A guardian that has just been started gets this long to show itself."""
+STALE_NS_SIMULATED = 300_000_000
+SILENT_S = Thresholds().guardian
+
+
+class Guard(Protocol):
+    """What the runner needs of a guardian."""
+
+    def watch(self, serial_fd: int, brake_frame: bytes, t_ns: int) -> None:
+        """Guard this port from now on."""
+        ...
+
+    def beat(self, t_ns: int, engaged: bool) -> None:
+        """The core is alive; motor bytes may flow or not."""
+        ...
+
+    def may_write(self, tick_ns: int, now_ns: int) -> bool:
+        """Whether a motion frame of this tick may still go out."""
+        ...
+
+    def silent(self, now_ns: int) -> bool:
+        """Whether the guardian itself has stopped."""
+        ...
+
+    def tripped(self) -> bool:
+        """Whether it has taken over."""
+        ...
+
+    def say_clean(self) -> None:
+        """The wheels stand; nothing is left to guard."""
+        ...
+
+
+class ProcessGuard:
+    """A guardian process per opened port.
+
+    Args:
+        realtime: whether the core has a fixed priority; without, the heartbeat may be later.
+        simulated: the hardware is simulated; a machine that hiccups must not end the run.
+        silent_s: how long the guardian itself may be silent (W16) [s].
+    """
+
+    def __init__(
+        self,
+        realtime: bool,
+        *,
+        simulated: bool = False,
+        silent_s: float = SILENT_S,
+    ) -> None:
+        self._silent_ns = round(silent_s * 1e9)
+        self._stale_ns = STALE_NS if realtime else STALE_NS_NO_RT
+        if simulated:
+            self._stale_ns = STALE_NS_SIMULATED
+        self._page: HeartbeatPage | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._started_ns = 0
+        # Kept while their guardians live: the kernel walks through them when this thread dies.
+        self._lifelines: list[tuple[subprocess.Popen[bytes], Lifeline]] = []
+
+    def watch(self, serial_fd: int, brake_frame: bytes, t_ns: int) -> None:
+        """Start a guardian for a port that was just opened."""
+        self.say_clean()
+        self._let_go()
+        page_fd = make_page_fd()
+        pid_fd = os.pidfd_open(os.getpid())
+        fds = (serial_fd, page_fd, pid_fd)
+        command = [sys.executable, "-I", "-m", "steerd.daemon.process.guardian", *map(str, fds)]
+        command += [brake_frame.hex(), str(self._stale_ns)]
+        self._page = HeartbeatPage(page_fd)
+        self._page.beat(t_ns, engaged=False)
+        lifeline = Lifeline(page_fd)
+        lifeline.hold()
+        self._process = subprocess.Popen(command, pass_fds=fds, process_group=0)
+        self._lifelines.append((self._process, lifeline))
+        self._started_ns = t_ns
+        os.close(page_fd)
+        os.close(pid_fd)
+
+    def _let_go(self) -> None:
+        """Forget the guardians that have gone; a plug that flaps all day must cost nothing."""
+        gone = [pair for pair in self._lifelines if pair[0].poll() is not None]
+        self._lifelines = [pair for pair in self._lifelines if pair not in gone]
+        for _, lifeline in gone:
+            lifeline.let_go()
+
+    def beat(self, t_ns: int, engaged: bool) -> None:
+        """The core is alive at `t_ns`."""
+        if self._page is not None:
+            self._page.beat(t_ns, engaged)
+
+    def may_write(self, tick_ns: int, now_ns: int) -> bool:
+        """Whether a motion frame may go out: the guardian has not tripped, the tick is fresh."""
+        return self._page is not None and self._page.may_write(tick_ns, now_ns, self._stale_ns)
+
+    def silent(self, now_ns: int) -> bool:
+        """Whether the guardian is gone or has not shown itself for a while (W16)."""
+        if self._page is None or self._process is None:
+            return False
+        if now_ns - self._started_ns < START_NS and not self._page.guardian_ns:
+            return False
+        stale = now_ns - self._page.guardian_ns > max(self._silent_ns, self._stale_ns)
+        return stale or self._process.poll() is not None
+
+    def tripped(self) -> bool:
+        """Whether the guardian has taken over."""
+        return self._page is not None and self._page.tripped_ns != 0
+
+    def say_clean(self) -> None:
+        """The wheels stand: the guardian goes when the core does."""
+        if self._page is not None:
+            self._page.say_clean()
+
+
+def sleep_lag_ns() -> int:
+    """How long the machine has slept since boot [ns]: grows while it is suspended."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()

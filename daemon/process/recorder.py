@@ -1,0 +1,118 @@
+"""The recorder process: records from the core's pipe into an MCAP session.
+
+It ignores the terminal's signals and leaves when the pipe closes, so that a stop is recorded to its
+end. A quarter of a second at most is lost when it is killed.
+"""
+
+import json
+import os
+import select
+import shutil
+import sys
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from steerd.daemon.ipc.pipe_records import Record, unpack_records
+from steerd.daemon.ipc.signals import ignore_terminal_signals
+from steerd.daemon.process.views import Views
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.steer_bus.session import FLUSH_NS, AttachedFile, SessionWriter
+from steerd.steer_bus.session_read import SessionError
+from steerd.steer_bus.topics import TOPICS, make_session_topic
+
+_POLL_MS = 50
+_READ_BYTES = 1 << 20
+_DISK_CHECK_NS = 1_000_000_000
+
+
+class Recording:
+    """One session being written.
+
+    Attributes:
+        writer: of the file.
+        written: records so far.
+    """
+
+    def __init__(self, path: Path, car: str, meta: Mapping[str, Any]) -> None:
+        self._topics = {topic.name: make_session_topic(car, topic) for topic in TOPICS}
+        attachments = [
+            AttachedFile(name, "application/toml", text.encode())
+            for name, text in meta["attachments"].items()
+        ]
+        classes = {self._topics[topic.name]: topic.message for topic in TOPICS}
+        self.writer = SessionWriter(
+            path,
+            classes,
+            meta["metadata"],
+            attachments,
+            int(meta["start_ns"]),
+            int(meta.get("flush_ns", FLUSH_NS)),
+        )
+        self.written = 0
+        self._views = Views()
+
+    def add(self, record: Record) -> None:
+        """Write one record, and what viewers want to see of it."""
+        for each in (record, *self._views.of(record)):
+            topic = self._topics[each.topic.name]
+            self.writer.write(topic, each.data, each.log_time_ns, each.publish_time_ns)
+            self.written += 1
+
+
+def record_pipe(recording: Recording, fd: int, disk_free_min: int) -> str:
+    """Write until the pipe closes; the reason for the end."""
+    clock, buffer = MonotonicClock(), bytearray()
+    poll = select.poll()
+    poll.register(fd, select.POLLIN | select.POLLHUP)
+    disk_due_ns = 0
+    while True:
+        if poll.poll(_POLL_MS):
+            data = os.read(fd, _READ_BYTES)
+            if not data:
+                return "end of the run"
+            buffer += data
+            for record in unpack_records(buffer):
+                recording.add(record)
+        now = clock.now_ns()
+        if recording.writer.tick(now):
+            # The disk may take its time; the pipe must not wait for it.
+            threading.Thread(target=_sync, args=(recording.writer,), daemon=True).start()
+        if now >= disk_due_ns:
+            disk_due_ns = now + _DISK_CHECK_NS
+            if shutil.disk_usage(recording.writer.partial.parent).free < disk_free_min:
+                return "disk nearly full"
+
+
+def _sync(writer: SessionWriter) -> None:
+    try:
+        writer.sync()
+    except (SessionError, ValueError):
+        return  # the writing thread meets the same error and reports it
+
+
+def main() -> int:
+    """Process entry: META_JSON on standard input, pipe and ready descriptors as arguments."""
+    ignore_terminal_signals()
+    fd, ready_fd = int(sys.argv[1]), int(sys.argv[2])
+    meta = json.loads(sys.stdin.read())
+    try:
+        recording = Recording(Path(meta["path"]), meta["car"], meta)
+    except SessionError as error:
+        os.write(ready_fd, f"{error}\n".encode())
+        return 3
+    os.write(ready_fd, b"ready\n")
+    os.close(ready_fd)
+    try:
+        reason = record_pipe(recording, fd, int(meta["disk_free_min"]))
+        os.close(fd)
+        recording.writer.finish({"reason": reason, "written": str(recording.written)})
+    except SessionError as error:
+        print(f"steerd recorder: {error}", file=sys.stderr)
+        return 3
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,61 @@
+"""Whether this machine keeps time: wakes of an empty loop against absolute deadlines."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.daemon.loop.lateness import ON_HARDWARE
+from steerd.steer_bus.clock import Clock
+
+P999_LIMIT_NS = 2_000_000
+"""Later wakes than this in one of a thousand ticks are too many (``safety.md`` section 9)."""
+
+
+class Wakes(NamedTuple):
+    """How late an empty loop woke.
+
+    Attributes:
+        p50_ns, p99_ns, p999_ns, worst_ns: lateness of its wakes.
+        ticks: how many there were.
+        missed: those later than one period; such a tick is skipped.
+        fatal: those later than what stops a car at once (W15).
+    """
+
+    p50_ns: int
+    p99_ns: int
+    p999_ns: int
+    worst_ns: int
+    ticks: int
+    missed: int
+    fatal: int
+
+    @property
+    def good(self) -> bool:
+        """Whether a car may be driven on this machine, as loaded now."""
+        return self.missed == 0 and self.p999_ns < P999_LIMIT_NS
+
+
+def measure_wakes(clock: Clock, period_ns: int, ticks: int) -> NDArray[np.int64]:
+    """Lateness of each wake [ns], shape (ticks,); a missed deadline is skipped, never caught up."""
+    late = np.zeros(ticks, np.int64)
+    due = clock.now_ns() + period_ns
+    for k in range(ticks):
+        clock.sleep_until_ns(due)
+        late[k] = clock.now_ns() - due
+        due += period_ns * (1 + int(late[k]) // period_ns)
+    return late
+
+
+def summarise_wakes(late_ns: NDArray[np.int64], period_ns: int) -> Wakes:
+    """The figures of some wakes, shape (n,) with n > 0 [ns]."""
+    p50, p99, p999 = (int(np.percentile(late_ns, share)) for share in (50, 99, 99.9))
+    return Wakes(
+        p50,
+        p99,
+        p999,
+        int(late_ns.max()),
+        late_ns.size,
+        int((late_ns > period_ns).sum()),
+        int((late_ns > ON_HARDWARE.late_ns).sum()),
+    )

@@ -1,0 +1,354 @@
+"""Real time: one thread, one select, absolute deadlines.
+
+Serial port, mocap sockets and requests are handled as they arrive; with its pose, or at its
+deadline if none comes, the core ticks and one write goes out. The deadlines follow the poses
+(`steerd.daemon.process.pacing`). A tick that comes late is skipped to the next, never caught up in
+a burst.
+"""
+
+import contextlib
+import os
+import select
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, unpack_request
+from steerd.daemon.ipc.pipe_records import PipeWriter
+from steerd.daemon.ipc.sd_notify import ALIVE, READY, STOPPING, Notify, say_nothing
+from steerd.daemon.loop.core import Core
+from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.transitions import is_engaged
+from steerd.daemon.process.guard import Guard, sleep_lag_ns
+from steerd.daemon.process.pacing import Pace, at_once_ns, step_pace
+from steerd.mocap_link.sessions import BusPoseSource
+from steerd.mocap_link.sockets import MocapReceiver
+from steerd.mocap_link.source import PoseSample
+from steerd.steer_bus import topics
+from steerd.steer_bus.clock import Clock
+from steerd.steer_bus.messages import BODY, ClockSample, make_header
+from steerd.vesc_link.transport import LinkDown, Port, PortError
+
+REOPEN_NS = 200_000_000
+MOCAP_TIMER_NS = 10_000_000
+CLOCK_NS = 1_000_000_000
+
+OpenPort = Callable[[], Port]
+"""Opens the serial port; raises PortError."""
+
+
+@dataclass(frozen=True)
+class Ends:
+    """The core's ends of what leads to the other processes.
+
+    Attributes:
+        recorder: pipe to the recorder, or None when nothing is recorded.
+        gateway: pipe to the gateway, or None.
+        requests: sockets on which requests arrive, the parent's first.
+        stop_fd: yields a byte for each stop signal.
+    """
+
+    recorder: PipeWriter | None
+    gateway: PipeWriter | None
+    requests: tuple[socket.socket, ...]
+    stop_fd: int
+
+
+class Runner:
+    """The control core in real time.
+
+    Attributes:
+        signals: stop signals so far.
+        error: why the port could not be opened, last.
+    """
+
+    def __init__(
+        self,
+        core: Core,
+        clock: Clock,
+        open_port: OpenPort,
+        mocap: MocapReceiver | BusPoseSource,
+        ends: Ends,
+        guard: Guard,
+        notify: Notify = say_nothing,
+    ) -> None:
+        self._core = core
+        self._notify = notify
+        self._clock = clock
+        self._open_port = open_port
+        self._mocap = mocap
+        self._ends = ends
+        self._parent = ends.requests[0] if ends.requests else None
+        self._guard = guard
+        self._port: Port | None = None
+        self._period_ns = core.loop.setup.period_ns
+        self._reopen_ns = self._mocap_ns = self._clock_ns = 0
+        self._clogged = 0
+        self._pose_ns = -1
+        self._slept_ns = sleep_lag_ns()
+        self.signals = 0
+        self.error: PortError | None = None
+
+    # --- the loop
+
+    def run(self) -> None:
+        """Run until asked to quit and parked, or until the planned drive is over."""
+        self._notify(READY)
+        due = self._clock.now_ns()
+        work_ns, pace = 0, Pace()
+        while not self._done():
+            # Only a pose that came since the last tick makes one.
+            self._wait(due, max(due - at_once_ns(pace, self._period_ns), self._pose_ns + 1))
+            now = self._clock.now_ns()
+            self._raise_flags()
+            wire = self._core.tick(due, now, work_ns)
+            self._core.tell(self._write(wire, now))
+            after = self._clock.now_ns()
+            work_ns = after - now
+            self._housekeeping(after)
+            pace = step_pace(pace, due, self._pose_ns, self._period_ns)
+            due += self._period_ns + pace.shift_ns
+            if after > due:
+                due += (after - due) // self._period_ns * self._period_ns
+        self._leave()
+
+    def _done(self) -> bool:
+        """Whether nothing is left to do: the drive is over, or it was told to quit and is at rest.
+
+        A third signal leaves at once; the guardian brakes what still moves.
+        """
+        loop = self._core.loop
+        planned = loop.setup.duration_ns is not None and loop.ran
+        over = self.signals > 0 or planned
+        return self.signals > 2 or (over and loop.at_rest)
+
+    def _wait(self, due_ns: int, early_ns: int) -> None:
+        """Handle what arrives until the deadline, or until a pose has come since `early_ns`."""
+        while True:
+            left_ns = due_ns - self._clock.now_ns()
+            fds = [self._ends.stop_fd, *(s.fileno() for s in self._ends.requests)]
+            if self._port is not None:
+                fds.append(self._port.fd)
+            if not isinstance(self._mocap, BusPoseSource):
+                fds += self._mocap.fds()
+            ready, _, _ = select.select(fds, [], [], max(left_ns, 0) * 1e-9)
+            for fd in ready:
+                self._try(self._take, fd)
+            if left_ns <= 0 or early_ns <= self._pose_ns:
+                return
+
+    def _try(self, take: Callable[[int], None], what: int) -> None:
+        """Take in what comes from outside; an error that nothing expects stops the car (W29)."""
+        try:
+            take(what)
+        except Exception as error:
+            self._core.strand(error)
+
+    def _take(self, fd: int) -> None:
+        if self._port is not None and fd == self._port.fd:
+            self._read_serial()
+        elif fd == self._ends.stop_fd:
+            with contextlib.suppress(BlockingIOError):
+                self.signals += len(os.read(fd, 16))
+        elif not isinstance(self._mocap, BusPoseSource) and fd in self._mocap.fds():
+            self._on_poses(self._mocap.read_ready(fd))
+        else:
+            self._read_requests(fd)
+
+    def _on_poses(self, samples: list[PoseSample]) -> None:
+        if samples:  # never ahead of now: a wrong stamp must not bring ticks without waiting
+            self._pose_ns = min(samples[-1].t_arrival_ns, self._clock.now_ns())
+        self._core.on_poses(samples)
+
+    def _read_requests(self, fd: int) -> None:
+        for end in self._ends.requests:
+            if end.fileno() != fd:
+                continue
+            with contextlib.suppress(BlockingIOError):
+                for _ in range(32):
+                    packet = end.recv(REQUEST_MAX + 64)
+                    if not packet:
+                        self._hang_up(end)
+                        return
+                    self._on_request(packet)
+
+    def _on_request(self, packet: bytes) -> None:
+        name, data = unpack_request(packet)
+        now = self._clock.now_ns()
+        if name == topics.EXTERNAL_POSE.name and isinstance(self._mocap, BusPoseSource):
+            sample = self._mocap.on_message(data, now)
+            self._on_poses([sample] if sample else [])
+        else:
+            self._core.on_request(name, data, now)
+
+    def _hang_up(self, end: socket.socket) -> None:
+        """A process that could ask is gone: the gateway, or the parent, whose end means quit."""
+        rest = tuple(other for other in self._ends.requests if other is not end)
+        if end is self._parent:
+            self.signals += 1
+        else:
+            self._core.flags |= Flag.GATEWAY_LOST
+        end.close()
+        self._ends = Ends(self._ends.recorder, self._ends.gateway, rest, self._ends.stop_fd)
+
+    # --- what is not an arrival
+
+    def _raise_flags(self) -> None:
+        """What the very next tick must know."""
+        lag = sleep_lag_ns()
+        if lag - self._slept_ns > self._core.loop.setup.settings.thresholds.suspend_step * 1e9:
+            self._core.flags |= Flag.SUSPENDED
+        self._slept_ns = lag
+        if self.signals:
+            self._core.flags |= Flag.QUIT
+        if self.signals > 1:
+            self._core.flags |= Flag.ABORT
+
+    def _housekeeping(self, now_ns: int) -> None:
+        """What has time until after the tick."""
+        if self._port is None and now_ns >= self._reopen_ns:
+            self._try_open(now_ns)
+        if now_ns >= self._mocap_ns:
+            self._mocap_ns = now_ns + MOCAP_TIMER_NS
+            self._try(self._tend_mocap, now_ns)
+        if now_ns >= self._clock_ns:
+            self._clock_ns = now_ns + CLOCK_NS
+            self._tell_clock(now_ns)
+        self._watch_processes(now_ns)
+
+    def _tend_mocap(self, now_ns: int) -> None:
+        seen = self._core.loop.perception
+        self._mocap.ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
+        self._mocap.ingest.stationary = seen.may_rebase
+        samples = self._mocap.on_timer(self._clock.now_ns())
+        self._on_poses(samples or [])
+        source = self._core.source = self._mocap.status()
+        self._core.flags &= ~Flag.MOCAP_REFUSED
+        self._core.flags |= Flag.MOCAP_REFUSED if source.refused else 0
+
+    def _tell_clock(self, now_ns: int) -> None:
+        self._notify(ALIVE)
+        realtime = self._clock.realtime_ns()
+        header = make_header(now_ns + self._core.outbox.epoch_ns, BODY)
+        self._core.outbox.post(topics.CLOCK, ClockSample(header, realtime, now_ns, 0), now_ns)
+
+    def _watch_processes(self, now_ns: int) -> None:
+        ends, core, settings = self._ends, self._core, self._core.loop.setup.settings
+        th = settings.thresholds
+        if settings.record.required and _is_lost(ends.recorder, th.recorder_full, now_ns):
+            core.flags |= Flag.RECORDER_LOST
+        if _is_lost(ends.gateway, th.gateway_full, now_ns):
+            core.flags |= Flag.GATEWAY_LOST
+        if self._port is not None:
+            self._watch_guardian(now_ns)
+        if self._guard.tripped():
+            core.flags |= Flag.GUARDIAN_TRIPPED
+
+    def _watch_guardian(self, now_ns: int) -> None:
+        """A guardian that is slow to start is a red check until it shows itself, no fault."""
+        if self._guard.silent(now_ns):
+            self._core.flags |= Flag.GUARDIAN_LOST
+        elif not is_engaged(self._core.loop.supervisor.state):
+            self._core.flags &= ~Flag.GUARDIAN_LOST
+
+    # --- the serial port
+
+    def _try_open(self, now_ns: int) -> None:
+        self._reopen_ns = now_ns + REOPEN_NS
+        loop = self._core.loop
+        if is_engaged(loop.supervisor.state) and not loop.at_rest:
+            return  # a port that comes back does not bring motion back
+        try:
+            self._port = self._open_port()
+        except PortError as error:
+            self.error = error
+            return
+        self.error = None
+        self._core.link.reset()
+        self._guard.watch(self._port.fd, self._core.brake_frame(), now_ns)
+        self._core.flags |= Flag.LINKED
+        self._core.flags &= ~(Flag.SERIAL_FAULT | Flag.GUARDIAN_LOST | Flag.GUARDIAN_TRIPPED)
+
+    def _read_serial(self) -> None:
+        if self._port is None:
+            return
+        try:
+            data = self._port.read()
+        except PortError:
+            self._lose_port()
+            return
+        self._core.on_serial(self._clock.now_ns(), data)
+
+    def _write(self, wire: bytes, tick_ns: int) -> bytes:
+        """Beat for the guardian and write a tick's bytes; gives back what was written."""
+        if self._port is None:
+            return b""
+        last = self._core.last
+        engaged = last is not None and is_engaged(last.supervisor.state)
+        self._guard.beat(tick_ns, engaged)
+        moves = last is not None and last.order.command is not None
+        if moves and not self._guard.may_write(tick_ns, self._clock.now_ns()):
+            self._core.flags |= Flag.GUARDIAN_TRIPPED
+            return b""
+        try:
+            if wire:
+                self._port.write(wire)
+            clogged = self._is_clogged(self._port, engaged)
+        except LinkDown:
+            self._lose_port()
+            return b""
+        if clogged:
+            self._lose_port()
+        return wire
+
+    def _is_clogged(self, port: Port, engaged: bool) -> bool:
+        """Whether an armed car's device has not taken its bytes for some ticks (W8).
+
+        Raises:
+            LinkDown: the device is gone.
+        """
+        th = self._core.loop.setup.settings.thresholds
+        waits = engaged and port.out_queue() > th.out_queue
+        self._clogged = self._clogged + 1 if waits else 0
+        return self._clogged >= th.out_ticks
+
+    def _lose_port(self) -> None:
+        port, self._port = self._port, None
+        self._clogged = 0
+        if not is_engaged(self._core.loop.supervisor.state):
+            self._guard.say_clean()  # it holds the port too, which must come free to be reopened
+        if port is not None:
+            with contextlib.suppress(OSError):
+                port.close()
+        self._core.flags |= Flag.SERIAL_FAULT
+        self._core.flags &= ~Flag.LINKED
+        self._core.link.reset()
+        self._core.loop.on_vesc(None)
+
+    # --- the end
+
+    def _leave(self) -> None:
+        """Leave; where the wheels stand, in good order: the VESC gets its own limits back.
+
+        Where they do not, the guardian hears nothing but the end of this process, and brakes.
+        """
+        self._notify(STOPPING)
+        now = self._clock.now_ns()
+        if self._port is not None:
+            if self._core.loop.at_rest:
+                self._guard.say_clean()
+                with contextlib.suppress(PortError):
+                    self._port.write(self._core.make_farewell())
+            with contextlib.suppress(OSError):
+                self._port.close()
+        self._core.outbox.flush(now)
+        if not isinstance(self._mocap, BusPoseSource):
+            self._mocap.close()
+
+
+def _is_lost(pipe: PipeWriter | None, patience_s: float, now_ns: int) -> bool:
+    """Whether a reader is gone, or has taken nothing for too long (W26, W27)."""
+    if pipe is None:
+        return False
+    full_ns = pipe.full_since_ns
+    return pipe.dead or (full_ns is not None and now_ns - full_ns > patience_s * 1e9)

@@ -1,0 +1,74 @@
+"""What the viewer's process is told: where to listen, the lane, the car, its file's values."""
+
+import ipaddress
+import tomllib
+from importlib.util import find_spec
+from typing import Any
+
+from steerd.daemon.assembly.build import Plan
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
+DEFAULT_PORT = 8765
+"""Foxglove's own."""
+_LANE_STEP = 0.05
+_WIDTH = 0.27
+"""Of an F1TENTH car [m]; drawn, never computed with."""
+
+
+def parse_view(text: str, insecure_lan: bool) -> tuple[str, int]:
+    """Host and port of ``[HOST:]PORT``.
+
+    Raises:
+        SteerdError: it is neither, or others could look on without `--insecure-lan`.
+    """
+    host, _, port = text.rpartition(":")
+    host = host.strip("[]") or "127.0.0.1"
+    if not port.isdecimal() or not 0 < int(port) < 65536:
+        raise SteerdError(f"--view {text}: [HOST:]PORT", "--view 8765", ExitCode.USAGE)
+    try:
+        private = host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        private = False
+    if not private and not insecure_lan:
+        what = f"--view {text} shows the car to anybody on the network"
+        raise SteerdError(what, "--insecure-lan if you mean it", ExitCode.USAGE)
+    return host, int(port)
+
+
+def check_view(text: str, insecure_lan: bool) -> None:
+    """Refuse early what a viewer cannot be.
+
+    Raises:
+        SteerdError: the address makes no sense, or foxglove-sdk is not installed.
+    """
+    parse_view(text, insecure_lan)
+    if find_spec("foxglove") is None:
+        hint = "pip install 'foxglove-sdk>=0.30' (or `pip install -e '.[view]'` in the checkout)"
+        raise SteerdError("--view needs the package foxglove-sdk", hint, ExitCode.UNREADABLE)
+
+
+def make_view_job(plan: Plan) -> dict[str, Any]:
+    """The viewer's job as JSON values.
+
+    Raises:
+        SteerdError: the address makes no sense.
+    """
+    host, port = parse_view(plan.options.view, plan.options.insecure_lan)
+    path, settings = plan.path, plan.settings
+    stride = max(1, round(_LANE_STEP / path.step))
+    lane = list(zip(path.x, path.y, path.yaw, strict=True))[::stride]
+    run = {"path": plan.options.path, "speed": plan.options.speed, "rate_hz": plan.options.rate_hz}
+    return {
+        "host": host,
+        "port": port,
+        "car": plan.options.car,
+        "lane": lane,
+        "closed": path.closed,
+        "half_width": settings.thresholds.lateral,
+        "body": {"lf": settings.file.car.lf, "lr": settings.file.car.lr, "width": _WIDTH},
+        "parameters": {
+            "run": run,
+            "car": settings.file.car._asdict(),
+            "file": tomllib.loads(settings.file.text),
+        },
+    }

@@ -1,0 +1,159 @@
+"""The car and its lane as Foxglove draws them: a transform, and shapes that hang on it."""
+
+from collections.abc import Mapping, Sequence
+from math import cos, sin
+from typing import Any, NamedTuple
+
+from foxglove.messages import (  # noqa: TID251
+    ArrowPrimitive,
+    Color,
+    CubePrimitive,
+    FrameTransform,
+    FrameTransforms,
+    LinePrimitive,
+    LinePrimitiveLineType,
+    Point3,
+    Pose,
+    Quaternion,
+    SceneEntity,
+    SceneUpdate,
+    Timestamp,
+    Vector3,
+)
+
+from steerd.steer_bus.messages import BODY, WORLD, State
+from steerd.steer_bus.standard import stamp_ns
+
+_LANE = Color(r=0.25, g=0.55, b=0.95, a=0.9)
+_BORDER = Color(r=0.6, g=0.6, b=0.6, a=0.6)
+_CHASSIS = Color(r=0.95, g=0.55, b=0.15, a=0.9)
+_WHEEL = Color(r=0.1, g=0.1, b=0.1, a=1.0)
+_SPEED = Color(r=0.2, g=0.75, b=0.3, a=0.9)
+_WHEEL_SIZE = Vector3(x=0.1, y=0.04, z=0.1)
+_HEIGHT = 0.05
+
+
+class Body(NamedTuple):
+    """What is drawn of the car [m]: axles before and behind the CoG, and the track width."""
+
+    lf: float
+    lr: float
+    width: float
+
+
+class Lane(NamedTuple):
+    """What is drawn of the lane [m]: points of the path, borders on both sides of it."""
+
+    points: Sequence[tuple[float, float]]
+    left: Sequence[tuple[float, float]]
+    right: Sequence[tuple[float, float]]
+    closed: bool
+
+
+def make_lane(points: Sequence[Sequence[float]], half_width: float, *, closed: bool) -> Lane:
+    """A lane of a path's samples.
+
+    Args:
+        points: x, y [m] and heading [rad] of each sample.
+        half_width: at which a car has left the lane [m].
+        closed: whether the last sample leads to the first.
+    """
+
+    def beside(offset: float) -> list[tuple[float, float]]:
+        return [(x - offset * sin(yaw), y + offset * cos(yaw)) for x, y, yaw in points]
+
+    return Lane(beside(0.0), beside(half_width), beside(-half_width), closed)
+
+
+def make_transform(state: State) -> FrameTransforms:
+    """The body frame in the world."""
+    frame = FrameTransform(
+        timestamp=_time(state),
+        parent_frame_id=WORLD,
+        child_frame_id=BODY,
+        translation=Vector3(x=state.x, y=state.y, z=0.0),
+        rotation=_turn(state.yaw),
+    )
+    return FrameTransforms(transforms=[frame])
+
+
+def make_car_scene(state: State, body: Body) -> SceneUpdate:
+    """Chassis, steered wheels and velocity, in the body frame."""
+    x = 0.5 * (body.lf - body.lr)
+    size = Vector3(x=1.45 * (body.lf + body.lr), y=0.7 * body.width, z=0.06)
+    chassis = CubePrimitive(pose=_pose(x, 0.0, 0.0), size=size, color=_CHASSIS)
+    speed = ArrowPrimitive(
+        pose=_pose(0.0, 0.0, state.slip_angle, 2.0 * _HEIGHT),
+        shaft_length=max(0.3 * state.speed, 0.0),
+        shaft_diameter=0.02,
+        head_length=0.06,
+        head_diameter=0.05,
+        color=_SPEED,
+    )
+    entity = SceneEntity(
+        timestamp=_time(state),
+        frame_id=BODY,
+        id="car",
+        frame_locked=True,
+        cubes=[chassis, *_wheels(body, state.steer)],
+        arrows=[speed],
+    )
+    return SceneUpdate(entities=[entity])
+
+
+def _wheels(body: Body, steer: float) -> list[CubePrimitive]:
+    half = 0.5 * body.width
+    places = [(body.lf, half, steer), (body.lf, -half, steer), (-body.lr, half, 0.0)]
+    places.append((-body.lr, -half, 0.0))
+    return [
+        CubePrimitive(pose=_pose(x, y, yaw), size=_WHEEL_SIZE, color=_WHEEL) for x, y, yaw in places
+    ]
+
+
+def make_lane_scene(lane: Lane) -> SceneUpdate:
+    """The path and the lane's borders on the floor."""
+    entity = SceneEntity(
+        frame_id=WORLD,
+        id="lane",
+        lines=[
+            _line(lane.points, lane.closed, _LANE, 0.03),
+            _line(lane.left, lane.closed, _BORDER, 0.015),
+            _line(lane.right, lane.closed, _BORDER, 0.015),
+        ],
+    )
+    return SceneUpdate(entities=[entity])
+
+
+def make_parameters(values: Mapping[str, Any]) -> dict[str, float | str]:
+    """Nested tables of a car file as flat names: ``{"car": {"lf": 1.0}}`` as ``car.lf``."""
+    flat: dict[str, float | str] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            inner = make_parameters(value)
+            flat |= {f"{name}.{key}": entry for key, entry in inner.items()}
+        elif isinstance(value, (bool, int, float)):
+            flat[name] = float(value)
+        else:
+            flat[name] = str(value)
+    return flat
+
+
+def _line(
+    points: Sequence[tuple[float, float]], closed: bool, color: Color, thickness: float
+) -> LinePrimitive:
+    kind = LinePrimitiveLineType.LineLoop if closed else LinePrimitiveLineType.LineStrip
+    floor = [Point3(x=x, y=y, z=0.0) for x, y in points]
+    return LinePrimitive(type=kind, points=floor, color=color, thickness=thickness)
+
+
+def _pose(x: float, y: float, yaw: float, z: float = _HEIGHT) -> Pose:
+    return Pose(position=Vector3(x=x, y=y, z=z), orientation=_turn(yaw))
+
+
+def _turn(yaw: float) -> Quaternion:
+    return Quaternion(x=0.0, y=0.0, z=sin(0.5 * yaw), w=cos(0.5 * yaw))
+
+
+def _time(state: State) -> Timestamp:
+    sec, nsec = divmod(stamp_ns(state.header), 1_000_000_000)
+    return Timestamp(sec=sec, nsec=nsec)

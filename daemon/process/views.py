@@ -1,0 +1,116 @@
+"""Standard ROS messages for viewers, derived from steerd's own: outside the core, at most 50 Hz."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from math import cos, sin
+from typing import Any
+
+from steerd.daemon.ipc.pipe_records import Record, read_message
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.standard import (
+    Odometry,
+    Point,
+    Pose,
+    PoseStamped,
+    PoseWithCovariance,
+    Quaternion,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+    VescState,
+    VescStateStamped,
+)
+from steerd.steer_bus.topics import Topic
+
+PERIOD_NS = 20_000_000
+
+
+def _pose(x: float, y: float, yaw: float) -> Pose:
+    return Pose(Point(x, y, 0.0), Quaternion(0.0, 0.0, sin(0.5 * yaw), cos(0.5 * yaw)))
+
+
+def _diagonal(*variances: float) -> tuple[float, ...]:
+    matrix = [0.0] * 36
+    for place, variance in zip((0, 7, 35), variances, strict=True):
+        matrix[place] = variance
+    return tuple(matrix)
+
+
+def make_odometry(state: m.State) -> Odometry:
+    """The estimate as `nav_msgs/Odometry`, velocity in the body frame."""
+    vx, vy = state.speed * cos(state.slip_angle), state.speed * sin(state.slip_angle)
+    twist = Twist(Vector3(vx, vy, 0.0), Vector3(0.0, 0.0, state.yaw_rate))
+    return Odometry(
+        state.header,
+        m.BODY,
+        PoseWithCovariance(
+            _pose(state.x, state.y, state.yaw),
+            _diagonal(state.x_sd**2, state.y_sd**2, state.yaw_sd**2),
+        ),
+        TwistWithCovariance(
+            twist, _diagonal(state.speed_sd**2, state.speed_sd**2, state.yaw_rate_sd**2)
+        ),
+    )
+
+
+def make_pose_stamped(pose: m.MocapPose) -> PoseStamped:
+    """A processed mocap sample as `geometry_msgs/PoseStamped`."""
+    return PoseStamped(pose.header, _pose(pose.x, pose.y, pose.yaw))
+
+
+def make_vesc_state(vesc: m.VescTelemetry) -> VescStateStamped:
+    """Telemetry as `vesc_msgs/VescStateStamped` (`speed` is ERPM there)."""
+    state = VescState(
+        temp_fet=vesc.temp_fet,
+        temp_motor=vesc.temp_motor,
+        current_motor=vesc.current_motor,
+        current_input=vesc.current_in,
+        avg_id=vesc.id,
+        avg_iq=vesc.iq,
+        duty_cycle=vesc.duty,
+        speed=float(vesc.erpm),
+        voltage_input=vesc.v_in,
+        charge_drawn=0.0,
+        charge_regen=0.0,
+        energy_drawn=0.0,
+        energy_regen=0.0,
+        displacement=vesc.tachometer,
+        distance_traveled=vesc.tachometer_abs,
+        fault_code=max(vesc.fault_code, 0),
+        pid_pos_now=0.0,
+        controller_id=0,
+        ntc_temp_mos1=0.0,
+        ntc_temp_mos2=0.0,
+        ntc_temp_mos3=0.0,
+        avg_vd=vesc.vd,
+        avg_vq=vesc.vq,
+    )
+    return VescStateStamped(vesc.header, state)
+
+
+_VIEWS: dict[str, tuple[Topic, Callable[[Any], Any]]] = {
+    topics.STATE.name: (topics.ODOM, make_odometry),
+    topics.MOCAP.name: (topics.POSE, make_pose_stamped),
+    topics.VESC.name: (topics.VESC_STATE, make_vesc_state),
+}
+
+
+@dataclass
+class Views:
+    """Which view was last made when, and how many."""
+
+    _due_ns: dict[str, int] = field(default_factory=dict)
+    _count: dict[str, int] = field(default_factory=dict)
+
+    def of(self, record: Record) -> Iterator[Record]:
+        """The standard message that shows this record, if one is due."""
+        view = _VIEWS.get(record.topic.name)
+        if view is None or record.log_time_ns < self._due_ns.get(record.topic.name, 0):
+            return
+        self._due_ns[record.topic.name] = record.log_time_ns + PERIOD_NS
+        topic, make = view
+        count = self._count[topic.name] = self._count.get(topic.name, -1) + 1
+        data = encode(make(read_message(record)))
+        yield Record(topic, count, record.log_time_ns, record.publish_time_ns, data)

@@ -1,0 +1,107 @@
+"""Curves of many samples as little text: extremes on a common time grid, packed to base64.
+
+All curves of a page share one grid of `slots` instants. A curve with more samples than the grid
+keeps the smallest and the largest of every two slots, in the order in which they came, so that no
+peak is lost however long the drive.
+"""
+
+import base64
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.daemon.sessions.motion import Array
+
+HELD, VALUE, BREAK = 0, 1, 2
+"""What a slot holds: nothing new (a line goes through), a value, or a break in the line."""
+LEVELS = 65535
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Instants `start + i * step` for `i < slots`; `slots` is even [s]."""
+
+    start: float
+    step: float
+    slots: int
+
+    def __post_init__(self) -> None:
+        if self.slots < 2 or self.slots % 2 or not self.step > 0.0:
+            raise ValueError(f"a grid of {self.slots} slots, {self.step} s apart")
+
+
+def make_grid(start: float, end: float, buckets: int, finest: float = 0.005) -> Grid:
+    """A grid over [start, end] of at most `buckets` pairs of slots, each pair >= `finest` [s]."""
+    span = max(end - start, finest)
+    count = max(1, min(buckets, round(span / finest)))
+    return Grid(start, span / (2 * count), 2 * count)
+
+
+def decimate(grid: Grid, t: Array, value: Array) -> tuple[Array, NDArray[np.uint8]]:
+    """Values and kinds (`HELD`, `VALUE`, `BREAK`) of a curve on a grid.
+
+    Args:
+        grid: where to put it.
+        t: times [s], not decreasing, shape (n,).
+        value: shape (n,); NaN where the line breaks.
+
+    Returns:
+        Arrays of `grid.slots`: values (0 where none) and kinds (uint8).
+    """
+    out, kinds = np.zeros(grid.slots), np.zeros(grid.slots, np.uint8)
+    bucket = np.floor((t - grid.start) / (2.0 * grid.step)).astype(np.int64)
+    bucket = np.minimum(bucket, grid.slots // 2 - 1)
+    known = np.isfinite(value) & (bucket >= 0)
+    gone = np.unique(bucket[~np.isfinite(value) & (bucket >= 0)])
+    kinds[2 * gone] = BREAK
+    value, bucket = value[known], bucket[known]
+    if not len(value):
+        return out, kinds
+    order = np.lexsort((value, bucket))
+    first = np.flatnonzero(np.diff(bucket[order], prepend=-1))
+    last = np.append(first[1:], len(order)) - 1
+    low, high = order[first], order[last]
+    # A stable order of the extremes: the one that came first takes the first slot.
+    early, late = np.minimum(low, high), np.maximum(low, high)
+    place = 2 * bucket[early]
+    out[place], kinds[place] = value[early], VALUE
+    two = late > early
+    out[place[two] + 1], kinds[place[two] + 1] = value[late[two]], VALUE
+    return out, _stay_broken(kinds)
+
+
+def _stay_broken(kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A break lasts until the next value."""
+    last = np.maximum.accumulate(np.where(kinds == HELD, 0, np.arange(len(kinds))))
+    return np.where((kinds == HELD) & (kinds[last] == BREAK), BREAK, kinds)
+
+
+def pack(out: Array, kinds: NDArray[np.uint8]) -> dict[str, float | str]:
+    """A decimated curve for the page: 16 bit levels between `low` and `high`, differences, deflate.
+
+    The bytes are the kinds, then the low and the high bytes of the levels' differences modulo
+    65536 (a slot without a value repeats the level before it).
+    """
+    known = kinds == VALUE
+    low = float(out[known].min()) if known.any() else 0.0
+    high = float(out[known].max()) if known.any() else 1.0
+    scale = LEVELS / (high - low) if high > low else 0.0
+    level = np.rint((out - low) * scale).astype(np.int64)
+    held = np.maximum.accumulate(np.where(known, np.arange(len(out)), -1))
+    level = np.where(held >= 0, level[held], 0)
+    steps = np.diff(level, prepend=0) % (LEVELS + 1)
+    planes = kinds.tobytes() + (steps & 255).astype(np.uint8).tobytes()
+    planes += (steps >> 8).astype(np.uint8).tobytes()
+    text = base64.b64encode(zlib.compress(planes, 9)).decode()
+    return {"low": low, "high": high if high > low else low, "data": text}
+
+
+def unpack(packed: dict[str, float | str], slots: int) -> tuple[Array, NDArray[np.uint8]]:
+    """What `pack` packed, as the page's script reads it: values (NaN where none) and kinds."""
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(str(packed["data"]))), np.uint8)
+    kinds, fine, coarse = planes.reshape(3, slots)
+    level = np.cumsum(fine.astype(np.int64) + 256 * coarse.astype(np.int64)) % (LEVELS + 1)
+    low, high = float(packed["low"]), float(packed["high"])
+    return np.where(kinds == VALUE, low + level / LEVELS * (high - low), np.nan), kinds

@@ -1,0 +1,306 @@
+"""What the page of `steerd plot` shows of a session: panels of curves, track and lane."""
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from math import degrees
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.path.path import Path as Lane
+from steerd.car_model.path.path_spec import parse_path
+from steerd.daemon.assembly.session_meta import csv_file
+from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.sessions.info import Times, find_table, make_track_of, read_tables
+from steerd.daemon.sessions.motion import Array, Track
+from steerd.daemon.settings.run_options import decode_options
+from steerd.steer_bus import topics
+from steerd.steer_bus.messages import ActuationMode
+from steerd.steer_bus.session_read import Session, SessionError
+from steerd.steer_bus.topic_columns import Columns
+from steerd.steer_bus.topics import Topic
+
+NIS_95 = 7.815
+"""95 % of a chi-squared distribution with 3 degrees of freedom lie below."""
+LANE_HALF_WIDTH = 0.30
+"""[m], where the lateral watchdog stops the car unless the car file says otherwise."""
+SETTLE = 3.0
+"""The way into the lane is no lane keeping [s]."""
+GAP = 0.5
+"""A line breaks where samples are further apart [s]."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line of a panel; `role` picks its colour: command, estimate, measured, other, bound."""
+
+    name: str
+    role: str
+    t: Array
+    value: Array
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Curves over time that share an axis."""
+
+    title: str
+    unit: str
+    curves: tuple[Curve, ...]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Everything that is drawn; times in seconds from the session's start.
+
+    Attributes:
+        panels: those for which the session holds anything.
+        track: of the car; None without poses.
+        e1: lateral error at the track's times [m], NaN where unknown; empty without a track.
+        lane: the path, if the session names one.
+        half_width: of the lane [m].
+        facts: label and figure of what a reader asks first.
+    """
+
+    panels: tuple[Panel, ...]
+    track: Track | None
+    e1: Array
+    lane: Lane | None
+    half_width: float
+    facts: tuple[tuple[str, str], ...]
+
+
+class _Tables:
+    """The session's tables by topic."""
+
+    def __init__(self, tables: Mapping[str, Columns], start_ns: int) -> None:
+        self._tables, self._times = dict(tables), Times(start_ns)
+
+    def table(self, topic: Topic) -> Columns | None:
+        return find_table(self._tables, topic)
+
+    def times(self, table: Columns) -> Array:
+        return self._times.of(table["stamp_ns"])
+
+    def track(self) -> Track | None:
+        return make_track_of(self._tables, self._times)
+
+    def curve(
+        self, topic: Topic, field: str, name: str, role: str, scale: float = 1.0
+    ) -> Iterator[Curve]:
+        """A field of a topic, if any of it is a number."""
+        table = self.table(topic)
+        if table is not None:
+            yield from make_curve(name, role, self.times(table), scale * table[field].astype(float))
+
+
+def make_curve(name: str, role: str, t: Array, value: Array) -> Iterator[Curve]:
+    """A curve with breaks at gaps, unless it is empty or constant NaN."""
+    if not np.isfinite(value).any():
+        return
+    order = np.argsort(t, kind="stable")
+    t, value = t[order], value[order]
+    broken = np.flatnonzero(np.diff(t) > GAP)
+    if len(broken):
+        t = np.insert(t, broken + 1, t[broken] + 0.5 * GAP)
+        value = np.insert(value, broken + 1, np.nan)
+    yield Curve(name, role, t, value)
+
+
+def make_drawing(session: Session) -> Drawing:
+    """Look through a session once.
+
+    Raises:
+        SteerdError: the file has changed since it was opened.
+    """
+    tables = _Tables(read_tables(session)[0], session.info().start_ns)
+    track = tables.track()
+    found = [
+        _lane_errors(tables), _heading(tables), _speed(tables, session, track), _steer(tables),
+        _yaw_rate(tables, track), _innovation(tables), _disagreement(tables, track),
+        _timing(tables), _latency(tables), _current(tables),
+    ]  # fmt: skip
+    e1 = np.empty(0)
+    if track is not None:
+        e1 = np.full(len(track.t), np.nan)
+        for curve in found[0].curves[:1]:
+            e1 = np.interp(track.t, curve.t, curve.value / 100.0, np.nan, np.nan)
+    panels = tuple(panel for panel in found if panel.curves)
+    return Drawing(
+        panels, track, e1, load_lane(session), _half_width(session), _figures(tables, track)
+    )
+
+
+def load_lane(session: Session) -> Lane | None:
+    """The path that a recorded drive kept to; None if the session does not say.
+
+    A path file comes from the session itself, never from this machine's disk.
+    """
+    text = session.info().metadata.get("steerd.session", {}).get("options", "")
+    try:
+        options = decode_options(text)
+        if options.drill and "closed" not in options.drill:
+            return None
+        if csv_file(options.path) is None:
+            return parse_path(options.path)
+        with TemporaryDirectory() as folder:
+            copy = Path(folder) / "path.csv"
+            copy.write_bytes(session.attachment("path.csv"))
+            return parse_path(",".join([f"csv:{copy}", *options.path.split(",")[1:]]))
+    except (ValueError, SessionError):
+        return None
+
+
+def _half_width(session: Session) -> float:
+    """The lateral watchdog's bound in the car file that the session carries [m]."""
+    try:
+        table = tomllib.loads(session.attachment("car.toml").decode())
+        return float(table["safety"]["lateral"])
+    except (SessionError, ValueError, KeyError, TypeError):
+        return LANE_HALF_WIDTH
+
+
+def _figures(s: _Tables, track: Track | None) -> tuple[tuple[str, str], ...]:
+    facts = []
+    if track is not None:
+        facts.append(("driven", f"{track.length:.1f} m"))
+    state, tick = s.table(topics.STATE), s.table(topics.TICK)
+    if state is not None:
+        running = state["mode"] == Supervised.RUNNING
+        e1 = np.abs(state["e1"][_settled(running, s.times(state))])
+        e1 = e1[np.isfinite(e1)]
+        if e1.size:
+            facts.append(
+                ("lateral error RMS, after 3 s", f"{100 * np.sqrt(np.mean(e1**2)):.2f} cm")
+            )
+            facts.append(("largest", f"{100 * e1.max():.2f} cm"))
+        if running.any():
+            facts.append(("fastest", f"{np.nanmax(state['speed'][running]):.2f} m/s"))
+    if tick is not None and len(tick["due_ns"]):
+        facts.append(("tick late, 99 %", f"{np.quantile(_late_ms(tick), 0.99):.2f} ms"))
+    return tuple(facts)
+
+
+def _settled(running: NDArray[np.bool_], t: Array) -> NDArray[np.bool_]:
+    """Where a drive has been running for more than `SETTLE` seconds."""
+    begins = running & ~np.concatenate(([False], running[:-1]))
+    since = np.maximum.accumulate(np.where(begins, t, -np.inf))
+    return np.asarray(running & (t - since >= SETTLE))
+
+
+# -- the panels ----------------------------------------------------------------------------------
+
+
+def _lane_errors(s: _Tables) -> Panel:
+    return Panel(
+        "lateral error e1", "cm", tuple(s.curve(topics.STATE, "e1", "e1", "estimate", 100.0))
+    )
+
+
+def _heading(s: _Tables) -> Panel:
+    curve = s.curve(topics.STATE, "e2", "e2", "estimate", degrees(1.0))
+    return Panel("heading error e2", "°", tuple(curve))
+
+
+def _command(s: _Tables, field: str, scale: float = 1.0) -> Iterator[Curve]:
+    """A field of the orders, where the car was driven; imported logs drive throughout."""
+    table = s.table(topics.ACTUATION)
+    if table is not None:
+        driven = table["mode"] == ActuationMode.SPEED
+        value = np.where(driven, scale * table[field].astype(float), np.nan)
+        yield from make_curve("commanded", "command", s.times(table), value)
+
+
+def _speed(s: _Tables, session: Session, track: Track | None) -> Panel:
+    curves = [*_command(s, "speed")]
+    table, scaling = s.table(topics.VESC), session.info().metadata.get("steerd.scaling", {})
+    if table is not None and "erpm_gain" in scaling:
+        gain, offset = float(scaling["erpm_gain"]), float(scaling.get("erpm_offset", "0"))
+        speed = (table["erpm"].astype(float) - offset) / gain
+        curves += make_curve("wheels", "measured", s.times(table), speed)
+    curves += s.curve(topics.WHEEL, "speed", "wheels", "measured")
+    estimate = list(s.curve(topics.STATE, "speed", "estimate", "estimate"))
+    if not estimate and track is not None:
+        estimate = list(make_curve("from poses", "estimate", track.t, track.speed))
+    return Panel("speed", "m/s", (*curves, *estimate))
+
+
+def _steer(s: _Tables) -> Panel:
+    curves = (
+        *_command(s, "steer", degrees(1.0)),
+        *s.curve(topics.STATE, "steer", "estimate", "estimate", degrees(1.0)),
+    )
+    return Panel("steering angle (left +)", "°", curves)
+
+
+def _yaw_rate(s: _Tables, track: Track | None) -> Panel:
+    gyro = tuple(s.curve(topics.IMU, "gyro_z", "gyro", "measured"))
+    estimate = tuple(s.curve(topics.STATE, "yaw_rate", "estimate", "estimate"))
+    if not estimate and track is not None:
+        estimate = tuple(make_curve("from poses", "estimate", track.t, track.yaw_rate))
+    return Panel("yaw rate", "rad/s", gyro + estimate)
+
+
+def _innovation(s: _Tables) -> Panel:
+    curves = tuple(s.curve(topics.STATE, "nis_pose", "NIS", "estimate"))
+    if curves:
+        t = curves[0].t[[0, -1]]
+        curves += (Curve("95 % (3 d.o.f.)", "bound", t, np.full(2, NIS_95)),)
+    return Panel("pose innovation (NIS)", "", curves)
+
+
+def _disagreement(s: _Tables, track: Track | None) -> Panel:
+    """Mocap minus estimate at the same instant, along and across the car."""
+    state = s.table(topics.STATE)
+    if state is None or track is None or not np.isfinite(state["x"]).any():
+        return Panel("", "", ())
+    good, t = np.isfinite(state["x"]), s.times(state)
+    at, x, y = t[good], state["x"][good], state["y"][good]
+    dx = track.x - np.interp(track.t, at, x, np.nan, np.nan)
+    dy = track.y - np.interp(track.t, at, y, np.nan, np.nan)
+    c, n = np.cos(track.yaw), np.sin(track.yaw)
+    along, across = 1e3 * (dx * c + dy * n), 1e3 * (dy * c - dx * n)
+    curves = (
+        *make_curve("along", "measured", track.t, along),
+        *make_curve("across", "estimate", track.t, across),
+    )
+    return Panel("mocap minus estimate", "mm", curves)
+
+
+def _timing(s: _Tables) -> Panel:
+    table = s.table(topics.TICK)
+    if table is None:
+        return Panel("", "", ())
+    late = _late_ms(table)
+    work = table["work_ns"].astype(float) * 1e-6
+    t = s.times(table)
+    curves = (*make_curve("late", "command", t, late), *make_curve("work", "estimate", t, work))
+    return Panel("control tick", "ms", curves)
+
+
+def _late_ms(ticks: Mapping[str, Array]) -> Array:
+    """How far past their deadlines ticks began; one that came with its pose was not late."""
+    past = ticks["woke_ns"].astype(np.int64) - ticks["due_ns"].astype(np.int64)
+    return np.maximum(past, 0).astype(np.float64) * 1e-6
+
+
+def _latency(s: _Tables) -> Panel:
+    curves: list[Curve] = []
+    for topic, since, until, name, role in (
+        (topics.MOCAP, "t_valid_ns", "t_arrival_ns", "pose, from exposure", "estimate"),
+        (topics.VESC, "t_sent_ns", "t_received_ns", "VESC, from question", "measured"),
+    ):
+        table = s.table(topic)
+        if table is not None:
+            delay = (table[until] - table[since]).astype(float) * 1e-6
+            curves += make_curve(name, role, s.times(table), delay)
+    return Panel("latency", "ms", tuple(curves) if any(np.any(c.value) for c in curves) else ())
+
+
+def _current(s: _Tables) -> Panel:
+    brake = list(s.curve(topics.ACTUATION, "brake_current_a", "brake commanded", "command"))
+    motor = list(s.curve(topics.VESC, "current_motor", "motor", "measured"))
+    return Panel("current", "A", (*brake, *motor))

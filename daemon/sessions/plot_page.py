@@ -1,0 +1,141 @@
+"""The page of `steerd plot`: one file with its data, its script and its style; no network."""
+
+import json
+from datetime import UTC, datetime
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from steerd.daemon.sessions.curves import BREAK, VALUE, Grid, decimate, make_grid, pack
+from steerd.daemon.sessions.info import SessionReport
+from steerd.daemon.sessions.motion import GAP_MAX, Array, Track
+from steerd.daemon.sessions.plot_data import Drawing
+from steerd.daemon.sessions.text import clean
+
+SIZE_MAX = 2_000_000
+"""A page must fit into a mail and open at once [bytes]."""
+BUCKETS = (20_000, 12_000, 6_000, 2_000)
+"""Pairs of slots for all curves: the first number whose page is small enough is taken."""
+TRACK_SLOTS = 12_000
+LANE_POINTS = 1500
+WARNINGS_SHOWN = 8
+
+
+def make_page(report: SessionReport, drawing: Drawing) -> str:
+    """The whole page, smaller than `SIZE_MAX` where curves can be thinned to reach it.
+
+    Args:
+        report: of the session.
+        drawing: its curves.
+    """
+    page = ""
+    for buckets in BUCKETS:
+        page = _fill(_data(report, drawing, buckets))
+        if len(page.encode()) < SIZE_MAX:
+            break
+    return page
+
+
+def _fill(data: dict[str, Any]) -> str:
+    folder = files("steerd.daemon.sessions") / "page"
+    parts = {
+        "TITLE": escape(f"{data['title']} · steerd"),
+        # A closing tag inside the data would end the script element.
+        "DATA": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("</", "<\\/"),
+        "UPLOT_CSS": (folder / "uplot.min.css").read_text(),
+        "UPLOT_JS": (folder / "uplot.min.js").read_text(),
+        "CSS": (folder / "plot.css").read_text(),
+        "JS": (folder / "plot.js").read_text(),
+    }
+    head, *rest = (folder / "plot.html").read_text().split("@")
+    # Even pieces are the template's own text, odd ones name a part: nothing is replaced twice.
+    return head + "".join(parts[p] if i % 2 == 0 else p for i, p in enumerate(rest))
+
+
+def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, Any]:
+    grid = make_grid(0.0, max(report.info.duration_s, 0.01), buckets)
+    return {
+        "title": _title(report),
+        "facts": _facts(report, drawing),
+        "warnings": [clean(text) for text in report.warnings[:WARNINGS_SHOWN]],
+        "states": [[round(change.t_s, 4), change.state] for change in report.states],
+        "grid": _grid(grid),
+        "panels": [
+            {
+                "title": panel.title,
+                "unit": panel.unit,
+                "curves": [
+                    {"name": c.name, "role": c.role, **pack(*decimate(grid, c.t, c.value))}
+                    for c in panel.curves
+                ],
+            }
+            for panel in drawing.panels
+        ],
+        "track": None if drawing.track is None else _track(drawing.track, drawing.e1),
+        "lane": _lane(drawing),
+    }
+
+
+def _title(report: SessionReport) -> str:
+    info = report.info
+    parts = [clean(report.car), clean(info.path.name)]
+    if 1 << 60 < info.start_ns < 1 << 62:
+        start = datetime.fromtimestamp(info.start_ns // 1_000_000_000, UTC)
+        parts.append(f"{start:%Y-%m-%d %H:%M} UTC")
+    return " · ".join(filter(None, parts))
+
+
+def _facts(report: SessionReport, drawing: Drawing) -> list[tuple[str, str]]:
+    facts = [("recorded", f"{report.info.duration_s:.1f} s"), *drawing.facts]
+    if drawing.lane is not None:
+        facts.append(("path", clean(drawing.lane.name, 40)))
+    if report.end:
+        facts.append(("how it ended", clean(report.end, 80)))
+    return facts
+
+
+def _grid(grid: Grid) -> dict[str, float]:
+    return {"start": grid.start, "step": grid.step, "slots": grid.slots}
+
+
+def _track(track: Track, e1: Array) -> dict[str, Any]:
+    """The track at equal times, with what colours it: the lateral error, else the speed."""
+    t = track.t
+    slots = min(TRACK_SLOTS, 2 * len(t))
+    span = max(float(t[-1] - t[0]), 1e-3)
+    grid = Grid(float(t[0]), span / (slots - 1), slots)
+    at = np.minimum(grid.start + grid.step * np.arange(slots), t[-1])
+    after = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
+    gone = t[after] - t[after - 1] > GAP_MAX
+    shown = np.isfinite(e1).any() if e1.size else False
+    colour = np.abs(e1 if shown else track.speed)
+    finite = colour[np.isfinite(colour)]
+    top = float(np.quantile(finite, 0.999)) if finite.size else 1.0
+    columns = {"x": track.x, "y": track.y, "yaw": track.yaw, "c": colour}
+    packed: dict[str, Any] = {}
+    for name, column in columns.items():
+        value = np.interp(at, t, column)
+        bad = gone | ~np.isfinite(value)
+        kinds = np.where(bad, BREAK, VALUE).astype(np.uint8)
+        packed[name] = pack(np.where(bad, 0.0, value), kinds)
+    about = ("|e1|", "cm", 100.0) if shown else ("speed", "m/s", 1.0)
+    named = dict(zip(("colour", "unit", "factor"), about, strict=True))
+    return {**packed, **named, "grid": _grid(grid), "top": max(top, 1e-6)}
+
+
+def _lane(drawing: Drawing) -> dict[str, Any] | None:
+    lane = drawing.lane
+    if lane is None:
+        return None
+    stride = max(1, len(lane.x) // LANE_POINTS)
+    keep = [*range(0, len(lane.x), stride)]
+    if not lane.closed and keep[-1] != len(lane.x) - 1:
+        keep.append(len(lane.x) - 1)
+    return {
+        "x": [round(lane.x[i], 4) for i in keep],
+        "y": [round(lane.y[i], 4) for i in keep],
+        "closed": lane.closed,
+        "half": drawing.half_width,
+    }

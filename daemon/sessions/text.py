@@ -1,0 +1,223 @@
+"""A session's report on one screen, and as JSON."""
+
+import math
+import sys
+import textwrap
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Any
+
+from steerd.daemon.sessions.info import SessionReport, TopicReport
+from steerd.daemon.sessions.motion import Range
+from steerd.steer_bus.topics import split_key
+
+WIDTH = 96
+TOPICS_SHOWN = 18
+STATES_SHOWN = 10
+WARNINGS_SHOWN = 10
+_LABEL = 12
+
+
+def clean(text: str, length: int = 200) -> str:
+    """Text from a file, safe for a terminal: no control characters, not too long."""
+    shown = "".join(c if c.isprintable() else "?" for c in text[:length])
+    return shown + ("…" if len(text) > length else "")
+
+
+def print_warnings(texts: Sequence[str]) -> None:
+    """What is wrong or doubtful in a session's file, on standard error; the work goes on."""
+    for text in texts[:WARNINGS_SHOWN]:
+        print(f"warning: {clean(text)}", file=sys.stderr)
+    if len(texts) > WARNINGS_SHOWN:
+        print(f"warning: and {len(texts) - WARNINGS_SHOWN} more", file=sys.stderr)
+
+
+def format_report(report: SessionReport) -> str:
+    """The report as lines of at most `WIDTH` columns."""
+    info = report.info
+    lines = [clean(info.path.name)]
+    lines += _item("car", _car(report))
+    lines += _item("note", clean(info.metadata.get("steerd.session", {}).get("comment", "")))
+    lines += _item("when", _when(report))
+    lines += _item("size", f"{_bytes(info.size)}, {_count(info.count)} messages")
+    lines += _item("end", _end(report))
+    if report.states:
+        lines += _item("states", _states(report))
+    lines += _item("drive", _drive(report))
+    for remark in report.excitation:
+        lines += _item("", remark)
+    return "\n".join([*lines, "", *_topics(report)])
+
+
+def _item(label: str, text: str) -> list[str]:
+    if not text:
+        return []
+    head = f"  {label:<{_LABEL - 2}}"
+    return textwrap.wrap(text, WIDTH, initial_indent=head, subsequent_indent=" " * _LABEL)
+
+
+def _car(report: SessionReport) -> str:
+    about = report.info.metadata.get("steerd.session")
+    if about is None:
+        return ", ".join(filter(None, (clean(report.car), "not recorded by steerd")))
+    modes = {
+        "hw": "on the car",
+        "sim": "simulated hardware",
+        "import": f"imported from {clean(about.get('source', 'another log'))}",
+    }
+    mode = modes.get(report.mode, clean(report.mode))
+    return ", ".join(filter(None, (clean(report.car), mode)))
+
+
+def _when(report: SessionReport) -> str:
+    info = report.info
+    if not info.count:
+        return "no messages"
+    span = f"{info.duration_s:,.1f} s".replace(",", " ")
+    day_ns = 86_400_000_000_000
+    if not day_ns * 365 < info.start_ns < 1 << 62:
+        return f"{span} (the date is not recorded)"
+    start = datetime.fromtimestamp(info.start_ns // 1_000_000_000, UTC)
+    return f"{start:%Y-%m-%d %H:%M:%S} UTC, {span}"
+
+
+def _end(report: SessionReport) -> str:
+    metadata = report.info.metadata
+    recovered = metadata.get("steerd.recovered", {}).get("source", "")
+    tail = f"; recovered from {clean(recovered)}" if recovered else ""
+    if report.info.clean:
+        dropped = metadata["steerd.end"].get("dropped", "0")
+        lost = "" if dropped in ("0", "") else f", {clean(dropped)} messages dropped"
+        return f"{clean(report.end) or 'recorded'}{lost}{tail}"
+    if recovered:
+        return f"not recorded: the recorder was killed{tail}"
+    if report.info.finished:
+        return "not recorded"
+    name = clean(str(report.info.path))
+    return f"the recorder was killed, or is still writing; `steerd recover {name}` makes it whole"
+
+
+def _states(report: SessionReport) -> str:
+    shown = report.states[:STATES_SHOWN]
+    later = (f" → {change.state.lower()} {change.t_s:.1f}" for change in shown[1:])
+    text = shown[0].state.lower() + "".join(later)
+    more = len(report.states) - len(shown)
+    return text + (f" → … {more} more" if more else "") + " s"
+
+
+def _drive(report: SessionReport) -> str:
+    parts = []
+    if report.length_m is not None:
+        parts.append(f"{report.length_m:.1f} m")
+    if report.speed:
+        parts.append(f"speed {_span(report.speed, 1)} m/s")
+    if report.steer:
+        parts.append(f"steering {_span(report.steer, 2)} rad (sd {report.steer.sd:.2f})")
+    if report.lateral_accel:
+        worst = max(-report.lateral_accel.low, report.lateral_accel.high)
+        parts.append(f"lateral acceleration up to {worst:.1f} m/s²")
+    return ", ".join(parts)
+
+
+def _span(found: Range, digits: int) -> str:
+    low, high = (round(v, digits) + 0.0 for v in (found.low, found.high))
+    return f"{low:.{digits}f} to {high:.{digits}f}"
+
+
+def _topics(report: SessionReport) -> list[str]:
+    shown = report.topics[:TOPICS_SHOWN]
+    if not shown:
+        return []
+    rows = [(_short(t.name), _type(t), _count(t.count), _rate(t), _gaps(t)) for t in shown]
+    head = ("topic", "type", "messages", "rate", "gaps")
+    widths = [min(max(len(row[i]) for row in (head, *rows)), 28) for i in range(4)]
+    lines = [_row(row, widths) for row in (head, *rows)]
+    more = len(report.topics) - len(shown)
+    if more:
+        lines.append(f"  … and {more} topics more (--json lists them)")
+    if report.empty_topics:
+        names = ", ".join(_short(name) for name in report.empty_topics[:12])
+        lines += textwrap.wrap(f"  without a message: {names}", WIDTH, subsequent_indent="  ")
+    return lines
+
+
+def _row(row: tuple[str, ...], widths: list[int]) -> str:
+    name, kind, count, rate = (
+        f"{cell[:width]:<{width}}" if i < 2 else f"{cell:>{width}}"
+        for i, (cell, width) in enumerate(zip(row, widths, strict=False))
+    )
+    return f"  {name}  {kind}  {count}  {rate}  {row[4]}".rstrip()
+
+
+def _short(name: str) -> str:
+    key = split_key(name)
+    return clean(key[1] if key else name, 40)
+
+
+def _type(topic: TopicReport) -> str:
+    return clean(topic.type_name.rpartition("/")[2] or "?", 28)
+
+
+def _rate(topic: TopicReport) -> str:
+    return f"{topic.rate_hz:.1f} Hz" if topic.gaps is not None else ""
+
+
+def _gaps(topic: TopicReport) -> str:
+    if topic.gaps is None:
+        return ""
+    if not topic.gaps:
+        return "none"
+    return f"{topic.gaps}, longest {topic.longest_gap_s:.3g} s at {topic.longest_gap_at_s:.1f} s"
+
+
+def _count(number: int) -> str:
+    return f"{number:,}".replace(",", " ")
+
+
+def _bytes(size: int) -> str:
+    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
+
+
+def make_json(report: SessionReport) -> dict[str, Any]:
+    """The report as JSON values; a number that is not finite is null."""
+    info = report.info
+    document = {
+        "schema": "steerd.info/1",
+        "path": str(info.path),
+        "size_bytes": info.size,
+        "car": report.car,
+        "mode": report.mode,
+        "start_ns": info.start_ns,
+        "duration_s": info.duration_s,
+        "messages": info.count,
+        "finished": info.finished,
+        "clean": info.clean,
+        "end": report.end,
+        "topics": [asdict(topic) for topic in report.topics],
+        "empty_topics": list(report.empty_topics),
+        "states": [asdict(state) for state in report.states],
+        "drive": {
+            "length_m": report.length_m,
+            "speed": report.speed and asdict(report.speed),
+            "steer": report.steer and asdict(report.steer),
+            "lateral_accel": report.lateral_accel and asdict(report.lateral_accel),
+            "excitation": list(report.excitation),
+        },
+        "metadata": {name: dict(values) for name, values in info.metadata.items()},
+        "attachments": list(info.attachments),
+        "warnings": list(report.warnings),
+    }
+    made: dict[str, Any] = _finite(document)
+    return made
+
+
+def _finite(value: Any) -> Any:
+    match value:
+        case float():
+            return value if math.isfinite(value) else None
+        case dict():
+            return {key: _finite(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_finite(item) for item in value]
+    return value

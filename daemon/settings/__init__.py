@@ -1,0 +1,1 @@
+"""What a person sets: the car file, the options of a run, the thresholds of the watchdogs."""

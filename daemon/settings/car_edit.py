@@ -1,0 +1,58 @@
+"""New values in a car file: comments, order and everything else stay as they are."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from steerd.car_model.car_file import CarFileError, load_car, parse_car
+from steerd.daemon.common.atomic_file import write_whole
+from steerd.daemon.common.translate import of_car_file
+from steerd.daemon.settings.config import make_settings
+
+Values = Mapping[tuple[str, str], float | str]
+"""New values by (section, key)."""
+
+
+def load_text(path: Path) -> str:
+    """The text of a car file that is in order.
+
+    Raises:
+        SteerdError: it cannot be read, or says something that cannot be.
+    """
+    try:
+        return load_car(path).text
+    except CarFileError as error:
+        raise of_car_file(error) from None
+
+
+def edit_text(text: str, values: Values) -> str:
+    """The text with new values; sections and keys that it lacks are added.
+
+    Raises:
+        SteerdError: the result would not be a car file that may be driven with.
+    """
+    document = tomlkit.parse(text)
+    for (section, key), value in values.items():
+        table: Any = document.setdefault(section, tomlkit.table())
+        old = table.get(key)
+        table[key] = value
+        if old is not None and hasattr(old, "trivia"):
+            table[key].trivia.comment = old.trivia.comment
+            table[key].trivia.comment_ws = old.trivia.comment_ws
+    new = tomlkit.dumps(document)
+    try:
+        make_settings(parse_car(new, Path("the new car file")))
+    except CarFileError as error:
+        raise of_car_file(error) from None
+    return new
+
+
+def save_values(path: Path, base: Path, values: Values) -> None:
+    """Write `base` with new values to `path` (which may be `base` itself).
+
+    Raises:
+        SteerdError: see `edit_text`, `load_text`; or the file cannot be written.
+    """
+    write_whole(path, edit_text(load_text(base), values))

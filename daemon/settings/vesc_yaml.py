@@ -1,0 +1,87 @@
+"""F1TENTH's `vesc.yaml`: the same calibration under the names of the ROS stack.
+
+Only lines `name: number` are looked at, so comments and every other node's parameters stay as they
+are, and no YAML library is needed. Names and meaning: f1tenth_system, `vesc.yaml` (humble-devel).
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from math import isfinite, nan
+
+from steerd.daemon.common.errors import SteerdError
+from steerd.vesc_link.scaling import Scaling
+
+NAMES = {
+    "speed_to_erpm_gain": "erpm_gain",
+    "speed_to_erpm_offset": "erpm_offset",
+    "steering_angle_to_servo_gain": "servo_gain",
+    "steering_angle_to_servo_offset": "servo_offset",
+    "servo_min": "servo_min",
+    "servo_max": "servo_max",
+    "speed_max": "erpm_max",
+}
+_LINE = re.compile(
+    rf"^(\s*(?P<name>{'|'.join(NAMES)})\s*:\s*)(?P<value>[^\s#]+)(?P<rest>\s*(?:#.*)?)$",
+    re.MULTILINE,
+)
+_TEMPLATE = """/**:
+  ros__parameters:
+    # erpm (electrical rpm) = speed_to_erpm_gain * speed (m/s) + speed_to_erpm_offset
+    speed_to_erpm_gain: 0
+    speed_to_erpm_offset: 0
+    # servo value (0 to 1) = steering_angle_to_servo_gain * angle (rad) + offset
+    steering_angle_to_servo_gain: 0
+    steering_angle_to_servo_offset: 0
+vesc_driver:
+  ros__parameters:
+    servo_min: 0
+    servo_max: 0
+    speed_max: 0
+    speed_min: 0
+"""
+_SPEED_MIN = re.compile(r"^(\s*speed_min\s*:\s*)[^\s#]+", re.MULTILINE)
+
+
+def read_vesc_yaml(text: str, base: Scaling) -> Scaling:
+    """The calibration of a `vesc.yaml`; what it does not name comes from `base`.
+
+    Raises:
+        SteerdError: it names none of the gains, gives one twice with different values, or a value
+            that cannot be.
+    """
+    found: dict[str, float] = {}
+    for match in _LINE.finditer(text):
+        name = match["name"]
+        try:
+            value = float(match["value"])
+        except ValueError:
+            value = nan
+        if not isfinite(value):
+            raise SteerdError(f"vesc.yaml: {name}: {match['value']!r} is not a number")
+        if found.setdefault(name, value) != value:
+            raise SteerdError(f"vesc.yaml gives {name} twice: {found[name]:g} and {value:g}")
+    if not found:
+        hint = f"it should hold some of {', '.join(NAMES)}"
+        raise SteerdError("no gain of F1TENTH's vesc.yaml in this file", hint)
+    values = {NAMES[name]: abs(v) if name == "speed_max" else v for name, v in found.items()}
+    try:
+        return replace(base, **values)
+    except ValueError as error:
+        raise SteerdError(f"vesc.yaml: {error}") from None
+
+
+def make_vesc_yaml(scaling: Scaling, text: str = "") -> str:
+    """A `vesc.yaml` with this calibration: `text` with new numbers, or a fresh one."""
+    values = {name: getattr(scaling, field) for name, field in NAMES.items()}
+
+    def number(match: re.Match[str]) -> str:
+        return f"{match[1]}{float(values[match['name']])!r}{match['rest']}"
+
+    new = _LINE.sub(number, text or _TEMPLATE)
+    return _SPEED_MIN.sub(lambda m: f"{m[1]}{-float(scaling.erpm_max)!r}", new)
+
+
+def car_values(scaling: Scaling) -> Mapping[tuple[str, str], float]:
+    """The calibration as values of a car file."""
+    return {("vesc", field): float(getattr(scaling, field)) for field in NAMES.values()}

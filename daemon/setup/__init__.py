@@ -1,0 +1,1 @@
+"""Before the first drive: probing the hardware, checking mocap, calibrating the car."""

@@ -1,0 +1,173 @@
+"""What calibration needs of a session: raw body poses, wheel speed, orders, the car file."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from steerd.car_model.car_file import CarFileError, default_car_path, parse_car
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.translate import of_car_file
+from steerd.daemon.sessions.info import find_table, load_session, read_tables
+from steerd.daemon.sessions.motion import Array, Track, make_track
+from steerd.daemon.settings.config import Settings, load_settings, make_settings
+from steerd.daemon.settings.run_options import decode_options
+from steerd.daemon.setup.calibration import Drive
+from steerd.mocap_link.frame import FrameConfig, make_planar_pose
+from steerd.mocap_link.mocap_url import parse_mocap_url
+from steerd.steer_bus import topics
+from steerd.steer_bus.messages import ActuationMode
+from steerd.steer_bus.session_read import Session, SessionError
+from steerd.steer_bus.topic_columns import Columns
+
+NS = 1e-9
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A session's part in a calibration.
+
+    Attributes:
+        settings: of the car file that was driven with.
+        text: of that file.
+        frame: room and body, without any offset of the body on the car.
+        poses: columns of the poses that the gates let pass.
+        tables: every topic's columns.
+    """
+
+    settings: Settings
+    text: str
+    frame: FrameConfig
+    poses: Columns
+    tables: dict[str, Columns]
+
+    @property
+    def start_ns(self) -> int:
+        """Time zero, on the host's monotonic clock."""
+        return int(self.poses["t_valid_ns"][0])
+
+
+def load_recorded(path: Path) -> Recorded:
+    """Read a session for calibration.
+
+    Raises:
+        SteerdError: it cannot be read, or lacks poses.
+    """
+    session = load_session(path)
+    text = _car_text(session)
+    try:
+        settings = make_settings(parse_car(text, Path(f"{path.name}:car.toml")))
+    except CarFileError as error:
+        raise of_car_file(error) from None
+    tables, problems = read_tables(session)
+    poses = find_table(tables, topics.MOCAP)
+    if poses is None or not (good := poses["reject"] == "").any():
+        hint = problems[0] if problems else "record with `steerd run`"
+        raise SteerdError(f"{path} holds no accepted mocap pose", hint)
+    kept = {name: column[good] for name, column in poses.items()}
+    order = np.argsort(kept["t_valid_ns"], kind="stable")
+    order = order[np.diff(kept["t_valid_ns"][order], prepend=0) > 0]
+    kept = {name: column[order] for name, column in kept.items()}
+    return Recorded(settings, text, _bare(settings, session), kept, tables)
+
+
+def _car_text(session: Session) -> str:
+    try:
+        return session.attachment("car.toml").decode()
+    except (SessionError, UnicodeDecodeError):
+        return load_settings(default_car_path()).file.text
+
+
+def _bare(settings: Settings, session: Session) -> FrameConfig:
+    """Room and axes as the drive had them, the body's place on the car at zero."""
+    frame = settings.ingest.frame
+    about = session.info().metadata.get("steerd.session", {})
+    try:
+        url = parse_mocap_url(decode_options(about.get("options", "")).mocap or "")
+        frame = replace(frame, up=url.up or frame.up)
+    except ValueError:
+        pass
+    return replace(frame, mount_yaw=0.0, marker_rear_x=0.0, marker_rear_y=0.0,
+                   cog_ahead_of_rear=0.0)  # fmt: skip
+
+
+def body_track(r: Recorded) -> tuple[Array, Array, Array, Array]:
+    """The body itself: times from the first pose [s], x, y [m], yaw [rad].
+
+    Raises:
+        SteerdError: an imported log, whose poses are the car's already.
+    """
+    p = r.poses
+    if not np.isfinite(p["z_raw"]).all():
+        hint = "an imported log's body is placed by its map's [frame]"
+        raise SteerdError("the session holds the car's poses only, not its body's", hint)
+    raw = zip(*(p[name].tolist() for name in ("x_raw", "y_raw", "z_raw")), strict=True)
+    turns = zip(*(p[name].tolist() for name in ("qw", "qx", "qy", "qz")), strict=True)
+    placed = [make_planar_pose(r.frame, at, q) for at, q in zip(raw, turns, strict=True)]
+    x, y, yaw = np.array([(pose.x, pose.y, pose.yaw) for pose in placed]).T
+    return (p["t_valid_ns"] - r.start_ns) * NS, x, y, yaw
+
+
+def wheel_speed(r: Recorded) -> tuple[Array, Array]:
+    """Reported speed: times [s] and values [m/s].
+
+    Raises:
+        SteerdError: the session holds none.
+    """
+    vesc, wheel = find_table(r.tables, topics.VESC), find_table(r.tables, topics.WHEEL)
+    if vesc is not None:
+        scaling = r.settings.scaling
+        at = (vesc["t_sent_ns"] + vesc["t_received_ns"]) // 2
+        value = (vesc["erpm"].astype(float) - scaling.erpm_offset) / scaling.erpm_gain
+    elif wheel is not None:
+        at, value = wheel["t_ns"], wheel["speed"].astype(float)
+    else:
+        raise SteerdError("the session holds no wheel speed")
+    return (at - r.start_ns) * NS, value
+
+
+def make_drive(r: Recorded) -> Drive:
+    """Poses and wheel speed for `calibrate_mount`.
+
+    Raises:
+        SteerdError: the session holds no wheel speed, or no poses of the body.
+    """
+    return Drive(*body_track(r), *wheel_speed(r))
+
+
+def make_motion(r: Recorded) -> Track:
+    """The car's motion as it was driven, from poses.
+
+    Raises:
+        SteerdError: too few poses.
+    """
+    p = r.poses
+    track = make_track((p["t_valid_ns"] - r.start_ns) * NS, p["x"], p["y"], p["yaw"])
+    if track is None:
+        raise SteerdError("the session holds too few poses")
+    return track
+
+
+def orders(r: Recorded) -> tuple[Array, Array]:
+    """Steering ordered while the car was driven: times [s] and angles [rad].
+
+    Raises:
+        SteerdError: the session holds none.
+    """
+    table = find_table(r.tables, topics.ACTUATION)
+    tick = find_table(r.tables, topics.TICK)
+    driven = None if table is None else table["mode"] == ActuationMode.SPEED
+    if table is None or driven is None or not driven.any():
+        raise SteerdError("the session holds no steering commands")
+    # The order's stamp is UNIX time; ticks and poses give its place on the monotonic clock.
+    epoch = _epoch(r, tick)
+    t = (table["stamp_ns"].astype(np.int64) - epoch - r.start_ns) * NS
+    return t[driven], table["steer"][driven].astype(float)
+
+
+def _epoch(r: Recorded, tick: Columns | None) -> int:
+    """UNIX minus monotonic time [ns]."""
+    p = r.poses
+    if tick is not None:
+        return int(np.median(tick["stamp_ns"].astype(np.int64) - tick["woke_ns"]))
+    return int(np.median(p["stamp_ns"].astype(np.int64) - p["t_valid_ns"]))

@@ -1,0 +1,244 @@
+"""What `steerd probe` found, what is wrong with it and what to do. Pure."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import degrees, inf
+
+from steerd.daemon.loop.checks import VescSelf, red_vesc
+from steerd.daemon.settings.config import BrakeSettings
+
+UDEV_NAME = "/etc/udev/rules.d/99-vesc.rules"
+UDEV_RULE = (
+    'SUBSYSTEM=="tty", ATTRS{idVendor}=="0483", ATTRS{idProduct}=="5740", '
+    'ENV{ID_MM_DEVICE_IGNORE}="1", MODE="0660", GROUP="dialout", SYMLINK+="vesc"'
+)
+VESC_USB = "0483:5740"
+TOOL_SERVO = "VESC Tool: App Settings > General > Enable Servo Output"
+SERVO_SINCE = (5, 3)
+LOW_CELL = 3.3
+"""Below this a lithium cell sags under load [V]."""
+JITTER_MAX_MS = 5.0
+ROUND_TRIP_MAX_MS = 10.0
+PORTS = {
+    ("tcp", 7447): "zenoh: a running steerd, or a zenoh router",
+    ("udp", 1510): "NatNet commands: Motive or another server on this machine",
+    ("udp", 1511): "NatNet data: another client of the mocap server",
+    ("tcp", 3883): "VRPN: a mocap server on this machine",
+}
+
+
+@dataclass(frozen=True)
+class Advice:
+    """One finding: what is so, and what to do about it; `fix` is empty where nothing is to do."""
+
+    what: str
+    fix: str = ""
+
+
+@dataclass(frozen=True)
+class VescFound:
+    """A VESC that answered.
+
+    Attributes:
+        firmware: (major, minor).
+        hardware: its name for its board.
+        uuid: 24 hex digits.
+        timeout_ms: None where it did not tell; 0 is never.
+        timeout_brake_a: what it brakes with then [A].
+        voltage: of the battery [V].
+        fault: name of its fault; empty for none.
+        temp_fet_c: of its power stage [°C].
+        round_trip_ms: median time from question to answer.
+        answered: share of questions that were answered.
+        imu: whether it has an IMU that answers.
+    """
+
+    firmware: tuple[int, int]
+    hardware: str
+    uuid: str
+    timeout_ms: int | None
+    timeout_brake_a: float | None
+    voltage: float | None
+    fault: str
+    temp_fet_c: float | None
+    round_trip_ms: float | None
+    answered: float
+    imu: bool
+
+
+@dataclass(frozen=True)
+class SerialFound:
+    """A serial port: a VESC, or why not."""
+
+    port: str
+    usb: str
+    vesc: VescFound | None
+    advice: tuple[Advice, ...]
+
+
+@dataclass(frozen=True)
+class MocapSeen:
+    """What a mocap server sent while it was listened to.
+
+    Attributes:
+        address: as `--mocap` takes it.
+        server: its name and version; empty when it did not answer.
+        bodies: that it offers.
+        detail: the source's own last word.
+        seconds: how long it was listened to.
+        samples: poses of the body asked for, and accepted ones.
+        accepted: of these, how many passed the gates.
+        rate_hz: of frames.
+        expected_rate_hz: the server's own figure; None if it did not tell.
+        clock: how poses are timed; empty before the first.
+        clock_sigma_ms: how well the server's clock is known.
+        latency_ms: median age of a pose when it arrives.
+        jitter_ms: 95th minus 5th percentile of that age.
+        height: median [m].
+        tilt: median [rad].
+        refused: gates and how often each refused.
+    """
+
+    address: str
+    server: str = ""
+    bodies: tuple[str, ...] = ()
+    detail: str = ""
+    seconds: float = 0.0
+    samples: int = 0
+    accepted: int = 0
+    rate_hz: float = 0.0
+    expected_rate_hz: float | None = None
+    clock: str = ""
+    clock_sigma_ms: float | None = None
+    latency_ms: float | None = None
+    jitter_ms: float | None = None
+    height: float | None = None
+    tilt: float | None = None
+    refused: tuple[tuple[str, int], ...] = ()
+
+
+@dataclass(frozen=True)
+class SocketFound:
+    """A port in use on this machine that steerd cares about."""
+
+    kind: str
+    address: str
+    port: int
+    meaning: str
+
+
+def judge_vesc(vesc: VescFound, brakes: BrakeSettings) -> Iterator[Advice]:
+    """What keeps a VESC from being driven well."""
+    told = VescSelf(True, vesc.uuid, vesc.firmware, vesc.timeout_ms, vesc.timeout_brake_a)
+    for text in red_vesc(told, brakes):
+        what, _, fix = text.partition(": ")
+        yield Advice(what, fix)
+    if vesc.firmware < SERVO_SINCE:
+        yield Advice(
+            f"firmware {vesc.firmware[0]}.{vesc.firmware[1]:02d} has a servo output only in its "
+            "'servoout' build",
+            "update to 5.03 or newer in VESC Tool, then enable the servo output",
+        )
+    else:
+        yield Advice(
+            "no answer tells whether the servo output is on: commands to it are always accepted",
+            f"if the wheels do not move in `steerd calibrate servo`, set {TOOL_SERVO}, with an app "
+            "that does not use the PPM pin",
+        )
+    if vesc.fault:
+        yield Advice(f"the VESC reports {vesc.fault}", "VESC Tool: Terminal > `faults` tells more")
+    if vesc.voltage is not None and vesc.voltage < LOW_CELL * brakes.cells:
+        yield Advice(
+            f"the battery is at {vesc.voltage:.1f} V, {brakes.cells} cells",
+            "charge it (or set [vesc] cells in the car file)",
+        )
+    slow = vesc.round_trip_ms is not None and vesc.round_trip_ms > ROUND_TRIP_MAX_MS
+    if slow or vesc.answered < 0.95:
+        yield Advice(
+            f"answers take {vesc.round_trip_ms or inf:.1f} ms and {vesc.answered:.0%} come",
+            "use a USB port of the computer itself, and a shorter cable",
+        )
+
+
+def judge_mocap(seen: MocapSeen, asked: bool) -> Iterator[Advice]:
+    """What keeps a mocap source from being driven by.
+
+    Args:
+        seen: what came.
+        asked: whether a body was asked for, or only a server.
+    """
+    if not seen.server:
+        yield Advice(
+            f"no answer: {seen.detail}",
+            "is streaming on (Motive: Settings > Streaming > NatNet, or VRPN), is the address its "
+            "'local interface', and does the firewall let UDP 1510 and 1511 (VRPN: TCP 3883) pass?",
+        )
+        return
+    if not asked:
+        return
+    if not seen.samples:
+        yield Advice(
+            f"the server answers, but no pose came: {seen.detail}", _why_no_pose(seen.bodies)
+        )
+        return
+    yield from _judge_poses(seen)
+    if seen.expected_rate_hz and seen.rate_hz < 0.8 * seen.expected_rate_hz:
+        yield Advice(
+            f"{seen.rate_hz:.0f} of {seen.expected_rate_hz:.0f} frames per second arrive",
+            "use a cable instead of Wi-Fi, or ask the server for less (fewer bodies, no markers)",
+        )
+    if seen.jitter_ms is not None and seen.jitter_ms > JITTER_MAX_MS:
+        yield Advice(
+            f"the age of poses varies by {seen.jitter_ms:.0f} ms",
+            "use a cable instead of Wi-Fi; close what loads this machine",
+        )
+
+
+def _why_no_pose(bodies: Sequence[str]) -> str:
+    if bodies:
+        return f"the server offers {', '.join(bodies)}: name one of them in --mocap"
+    return (
+        "define a rigid body in the mocap software and stream it; with multicast, name this "
+        "machine's address on the mocap network: ?interface=ADDRESS"
+    )
+
+
+_GATES = {
+    "units": "set [mocap] units = \"mm\" in the car file",
+    "tilt": "set [mocap] up to the server's up axis, or reset the body's orientation there",
+    "height": "does another body have its markers? make the marker patterns differ",
+    "invalid": "does the volume see the car's markers? add markers or cameras",
+    "mean_error": "calibrate the cameras, or fix loose markers",
+    "not_live": "the server plays a recording: switch it to live",
+}  # fmt: skip
+
+
+def _judge_poses(seen: MocapSeen) -> Iterator[Advice]:
+    for gate, count in seen.refused:
+        if count > 0.02 * seen.samples:
+            fix = _GATES.get(gate, "docs/mocap.md says what each gate looks at")
+            yield Advice(f"{count} of {seen.samples} poses are refused: {gate}", fix)
+    if seen.tilt is not None and seen.tilt > 0.1 and not any(g == "tilt" for g, _ in seen.refused):
+        yield Advice(
+            f"the body leans by {degrees(seen.tilt):.0f}° while the car stands",
+            "reset the body's orientation in the mocap software with the car on the floor",
+        )
+
+
+def read_sockets(text: str, kind: str) -> Iterator[SocketFound]:
+    """The ports in use that steerd cares about, from `/proc/net/tcp` or `udp`.
+
+    Args:
+        text: the file's content.
+        kind: `tcp` (listening sockets only) or `udp`.
+    """
+    for line in text.splitlines()[1:]:
+        fields = line.split()
+        if len(fields) < 4 or (kind == "tcp" and fields[3] != "0A"):
+            continue
+        host, _, port = fields[1].partition(":")
+        number = int(port, 16)
+        if (kind, number) in PORTS:
+            octets = bytes.fromhex(host)[::-1]
+            address = ".".join(map(str, octets)) if len(octets) == 4 else "::"
+            yield SocketFound(kind, address, number, PORTS[kind, number])

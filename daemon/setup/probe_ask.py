@@ -1,0 +1,228 @@
+"""Asking: serial ports whether they are VESCs, the network for mocap servers. Nothing moves."""
+
+import contextlib
+import os
+import select
+import socket
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from steerd.daemon.settings.config import BrakeSettings
+from steerd.daemon.setup.probe import (
+    VESC_USB,
+    Advice,
+    MocapSeen,
+    SerialFound,
+    SocketFound,
+    VescFound,
+    judge_vesc,
+    read_sockets,
+)
+from steerd.mocap_link import natnet
+from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.mocap_url import MocapUrl
+from steerd.mocap_link.natnet_wire import NatNetError
+from steerd.mocap_link.sockets import MocapReceiver, make_receiver
+from steerd.mocap_link.source import PoseSample
+from steerd.steer_bus.clock import Clock
+from steerd.vesc_link.events import DriveSilent, Event, ImuSample, Telemetry
+from steerd.vesc_link.ids import fault_name
+from steerd.vesc_link.scaling import F1TENTH
+from steerd.vesc_link.telemetry import FAST_MASK, IMU_ACCEL_GYRO_MASK
+from steerd.vesc_link.transport import Port, PortError, open_port
+from steerd.vesc_link.vesc import VescLink
+
+CONNECT_NS = 1_500_000_000
+POLLS = 50
+POLL_NS = 10_000_000
+BROADCAST = ("255.255.255.255", "127.0.0.1")
+
+
+# -- serial --------------------------------------------------------------------------------------
+
+
+def find_ports(dev: Path = Path("/dev"), sysfs: Path = Path("/sys/class/tty")) -> dict[str, str]:
+    """USB serial ports and their USB ids (`0483:5740`; empty where unknown)."""
+    names = [*dev.glob("ttyACM*"), *dev.glob("ttyUSB*")]
+    return {str(path): _usb_id(sysfs / path.name) for path in sorted(names)}
+
+
+def _usb_id(entry: Path) -> str:
+    for folder in (entry / "device").resolve().parents:
+        with contextlib.suppress(OSError):
+            ids = [(folder / name).read_text().strip() for name in ("idVendor", "idProduct")]
+            return ":".join(ids)
+    return ""
+
+
+def ask_port(url: str, usb: str, clock: Clock, brakes: BrakeSettings) -> SerialFound:
+    """Ask a port who it is. Sends questions only: nothing that moves or keeps moving."""
+    try:
+        port = open_port(url)
+    except PortError as error:
+        return SerialFound(url, usb, None, (Advice(str(error), error.hint),))
+    try:
+        vesc = _ask_vesc(port, clock)
+    except PortError as error:
+        return SerialFound(url, usb, None, (Advice(str(error), error.hint),))
+    finally:
+        port.close()
+    if vesc is None:
+        fix = "is it a VESC? is it powered by its battery? USB power alone starts some boards only"
+        return SerialFound(url, usb, None, (Advice("opened, but no VESC answered", fix),))
+    return SerialFound(url, usb, vesc, tuple(judge_vesc(vesc, brakes)))
+
+
+def skip_port(url: str, usb: str) -> SerialFound:
+    """A port that is not asked: its USB id is another device's, a lidar's for instance."""
+    what = f"not asked: USB id {usb or 'unknown'}, a VESC has {VESC_USB}"
+    return SerialFound(url, usb, None, (Advice(what, f"steerd probe --port {url} asks it"),))
+
+
+def _exchange(port: Port, link: VescLink, clock: Clock, wire: bytes, ns: int) -> list[Event]:
+    """Write, and take what comes for so long."""
+    if wire:
+        port.write(wire)
+    end, events = clock.now_ns() + ns, []
+    while (left := end - clock.now_ns()) > 0:
+        if select.select([port.fd], [], [], left * 1e-9)[0]:
+            events += link.on_bytes(clock.now_ns(), port.read())
+    return events + link.on_bytes(clock.now_ns(), b"")
+
+
+def _ask_vesc(port: Port, clock: Clock) -> VescFound | None:
+    link = VescLink(F1TENTH, telemetry_mask=FAST_MASK, imu_mask=IMU_ACCEL_GYRO_MASK)
+    end = clock.now_ns() + CONNECT_NS
+    while not link.ready and clock.now_ns() < end:
+        _exchange(port, link, clock, link.make_connect(clock.now_ns()), POLL_NS)
+    version = link.version
+    if version is None:
+        return None
+    events: list[Event] = []
+    for _ in range(POLLS):
+        wire = link.make_tick(DriveSilent(), clock.now_ns())
+        events += _exchange(port, link, clock, wire, POLL_NS)
+    answers = [event for event in events if isinstance(event, Telemetry)]
+    last = answers[-1].values if answers else None
+    trips = [(a.when.t_received_ns - a.when.t_sent_ns) * 1e-6 for a in answers]
+    return VescFound(
+        firmware=(version.major, version.minor),
+        hardware=version.hw_name or "",
+        uuid=version.uuid.hex() if version.uuid else "",
+        timeout_ms=link.appconf.timeout_ms if link.appconf else None,
+        timeout_brake_a=link.appconf.timeout_brake_current if link.appconf else None,
+        voltage=last.input_voltage if last else None,
+        fault=fault_name(last.fault) if last and last.fault else "",
+        temp_fet_c=last.temp_fet_c if last else None,
+        round_trip_ms=float(np.median(trips)) if trips else None,
+        answered=min(1.0, len(answers) / POLLS),
+        imu=any(isinstance(event, ImuSample) for event in events),
+    )
+
+
+# -- mocap ---------------------------------------------------------------------------------------
+
+
+def discover(
+    clock: Clock, addresses: Sequence[str] = BROADCAST, port: int = natnet.COMMAND_PORT
+) -> dict[str, natnet.ServerInfo]:
+    """NatNet servers that answer a discovery within a second, by address."""
+    found: dict[str, natnet.ServerInfo] = {}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        sock.setblocking(False)
+        for address in addresses:
+            with contextlib.suppress(OSError):  # no network is an answer, too
+                sock.sendto(natnet.encode(natnet.Discovery()), (address, port))
+        end = clock.now_ns() + 1_000_000_000
+        while (left := end - clock.now_ns()) > 0:
+            if not select.select([sock], [], [], left * 1e-9)[0]:
+                break
+            with contextlib.suppress(OSError, NatNetError):
+                data, sender = sock.recvfrom(65536)
+                info = natnet.decode(data, natnet.NEWEST_VERSION)
+                if isinstance(info, natnet.ServerInfo):
+                    found[sender[0]] = info
+    return found
+
+
+def watch_mocap(
+    url: MocapUrl, address: str, config: IngestConfig, clock: Clock, seconds: float
+) -> MocapSeen:
+    """Listen to a source for a while.
+
+    Raises:
+        OSError: the host does not resolve, or there is no route to it.
+    """
+    receiver = make_receiver(url, config)
+    receiver.ingest.stationary = True
+    try:
+        samples = list(listen(receiver, clock, seconds))
+        return _seen(receiver, address, samples, seconds)
+    finally:
+        receiver.close()
+
+
+def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[PoseSample]:
+    """The samples of so many seconds, as they come."""
+    end = clock.now_ns() + round(seconds * 1e9)
+    while clock.now_ns() < end:
+        yield from receiver.on_timer(clock.now_ns()) or []
+        for fd in select.select(receiver.fds(), [], [], 0.01)[0]:
+            yield from receiver.read_ready(fd)
+
+
+def _seen(
+    receiver: MocapReceiver, address: str, samples: Sequence[PoseSample], seconds: float
+) -> MocapSeen:
+    status = receiver.status()
+    # The clock's first second is guesswork.
+    age = np.array([(s.t_arrival_ns - s.t_valid_ns) * 1e-6 for s in samples[len(samples) // 3 :]])
+    good = [s for s in samples if s.rejected is None]
+    refused = {s.rejected for s in samples if s.rejected}
+    spread = np.quantile(age, (0.05, 0.5, 0.95)) if age.size else np.full(3, np.nan)
+    placed = [s for s in samples if np.isfinite(s.height)]
+    sigma = status.clock_sigma_ns
+    return MocapSeen(
+        address=address,
+        server=status.server,
+        bodies=status.bodies,
+        detail=status.detail,
+        seconds=seconds,
+        samples=len(samples),
+        accepted=len(good),
+        rate_hz=status.rate_hz,
+        expected_rate_hz=status.expected_rate_hz,
+        clock=status.clock.name.lower() if status.clock is not None else "",
+        clock_sigma_ms=None if sigma is None else sigma * 1e-6,
+        latency_ms=float(spread[1]) if age.size else None,
+        jitter_ms=float(spread[2] - spread[0]) if age.size else None,
+        height=float(np.median([s.height for s in placed])) if placed else None,
+        tilt=float(np.median([s.tilt for s in placed])) if placed else None,
+        refused=tuple(sorted((name, sum(s.rejected == name for s in samples)) for name in refused)),
+    )
+
+
+# -- this machine --------------------------------------------------------------------------------
+
+
+def find_sockets(proc: Path = Path("/proc/net")) -> tuple[SocketFound, ...]:
+    """Ports in use that steerd cares about."""
+    found: list[SocketFound] = []
+    for name in ("tcp", "udp", "tcp6", "udp6"):
+        with contextlib.suppress(OSError):
+            found += read_sockets((proc / name).read_text(), name.removesuffix("6"))
+    return tuple(dict.fromkeys(found))
+
+
+def in_group(name: str = "dialout") -> bool:
+    """Whether this user may open serial ports by group."""
+    import grp
+
+    try:
+        gid = grp.getgrnam(name).gr_gid
+    except KeyError:
+        return True
+    return os.geteuid() == 0 or gid in os.getgroups()

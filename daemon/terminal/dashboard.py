@@ -1,0 +1,149 @@
+"""What a person at the terminal sees of a run: state, what it waits for, errors, timing."""
+
+from collections import deque
+from dataclasses import dataclass, field
+from math import degrees, hypot, isfinite, sqrt
+
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from steerd.daemon.ipc.diagnostics import read_diagnostics
+from steerd.daemon.ipc.pipe_records import Record, read_message
+from steerd.daemon.loop.transitions import State as Supervised
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+
+SETTLE_NS = 3_000_000_000
+"""The first seconds of a drive are the way into the lane, not lane keeping."""
+_COLOURS = {"RUNNING": "green", "ARMED": "yellow", "FAULT_STOP": "red", "FAULT_LATCHED": "red",
+            "ESTOP": "red", "STOPPING": "yellow"}  # fmt: skip
+
+
+@dataclass
+class Tally:
+    """Figures of one drive, from the states of every tick that was seen.
+
+    Attributes:
+        count: ticks after settling.
+        square: sum of squared lateral errors [m^2].
+        worst: largest lateral error [m].
+        distance: driven [m].
+        driven_ns: time spent running [ns].
+    """
+
+    count: int = 0
+    square: float = 0.0
+    worst: float = 0.0
+    distance: float = 0.0
+    driven_ns: int = 0
+    _since_ns: int | None = None
+    _last: tuple[int, float, float] | None = None
+
+    def add(self, state: m.State) -> None:
+        """Count one tick."""
+        if state.mode != Supervised.RUNNING:
+            self._since_ns = self._last = None
+            return
+        if self._since_ns is None:
+            self._since_ns = state.mono_ns
+        if self._last is not None:
+            t_ns, x, y = self._last
+            self.distance += hypot(state.x - x, state.y - y)
+            self.driven_ns += state.mono_ns - t_ns
+        self._last = (state.mono_ns, state.x, state.y)
+        if state.mono_ns - self._since_ns >= SETTLE_NS and isfinite(state.e1):
+            self.count += 1
+            self.square += state.e1 * state.e1
+            self.worst = max(self.worst, abs(state.e1))
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the lateral error after settling [m]; 0 without samples."""
+        return sqrt(self.square / self.count) if self.count else 0.0
+
+    def describe(self, *, lane: bool = True) -> str:
+        """One line for the end of a run; `lane` says whether there was one to keep."""
+        driven = f"drove {self.distance:.1f} m in {self.driven_ns * 1e-9:.1f} s"
+        if not self.count or not lane:
+            return driven
+        return (
+            f"{driven}; lateral error RMS {100 * self.rms:.2f} cm, "
+            f"largest {100 * self.worst:.2f} cm (after 3 s)"
+        )
+
+
+@dataclass
+class Dashboard:
+    """The latest of everything, for rendering."""
+
+    title: str
+    state: m.State | None = None
+    tick: m.Tick | None = None
+    status: dict[str, str] = field(default_factory=dict)
+    events: deque[str] = field(default_factory=lambda: deque(maxlen=6))
+    tally: Tally = field(default_factory=Tally)
+    keys: str = ""
+
+    def take(self, record: Record) -> str | None:
+        """Take a record in; a line worth printing where nothing is rendered."""
+        if record.topic is topics.STATE:
+            state: m.State = read_message(record)
+            self.state = state
+            self.tally.add(state)
+        elif record.topic is topics.TICK:
+            self.tick = read_message(record)
+        elif record.topic is topics.DIAGNOSTICS:
+            self.status = read_diagnostics(read_message(record))
+        elif record.topic is topics.TRANSITION:
+            change: m.Transition = read_message(record)
+            line = f"{Supervised(change.to_state).name:<14}{change.text}"
+            self.events.append(line)
+            return line
+        return None
+
+    def render(self) -> RenderableType:
+        """The panel."""
+        name = self.status.get("state", "...")
+        head = Text.assemble((f" {name} ", f"bold reverse {_COLOURS.get(name, 'cyan')}"), "  ")
+        head.append(f"waiting for {self.status.get('waiting', 'the control core')}")
+        parts: list[RenderableType] = [head, Text()]
+        if self.state is not None:
+            parts.append(self._numbers(self.state))
+        warnings = [w for w in self.status.get("warnings", "").splitlines() if w]
+        parts += [Text(f"! {w}", style="yellow") for w in warnings[:3]]
+        parts += [Text(), *(Text(line, style="dim") for line in self.events)]
+        if self.keys:
+            parts += [Text(), Text(self.keys, style="bold")]
+        return Panel(Group(*parts), title=self.title, expand=True)
+
+    def _numbers(self, s: m.State) -> Table:
+        table = Table.grid(padding=(0, 3))
+        late_ms = max(self.tick.woke_ns - self.tick.due_ns, 0) * 1e-6 if self.tick else 0.0
+        work_ms = self.tick.work_ns * 1e-6 if self.tick else 0.0
+        table.add_row(
+            "pose", f"x {s.x:+7.3f} m", f"y {s.y:+7.3f} m", f"yaw {degrees(s.yaw):+7.1f}°"
+        )
+        table.add_row(
+            "motion",
+            f"v {s.speed:+6.2f} m/s",
+            f"r {s.yaw_rate:+6.2f} rad/s",
+            f"slip {degrees(s.slip_angle):+5.1f}°",
+        )
+        table.add_row(
+            "lane",
+            f"e1 {100 * s.e1:+6.2f} cm",
+            f"e2 {degrees(s.e2):+6.2f}°",
+            f"RMS {100 * self.tally.rms:.2f} cm",
+        )
+        table.add_row(
+            "order", f"steer {degrees(s.steer_ref):+6.2f}°", f"speed {s.speed_ref:+5.2f} m/s"
+        )
+        table.add_row(
+            "links",
+            f"mocap {self.status.get('mocap', '?')} {self.status.get('mocap_rate_hz', '?')} Hz",
+            f"tick late {late_ms:.2f} ms",
+            f"work {work_ms:.2f} ms",
+        )
+        return table

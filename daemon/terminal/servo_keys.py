@@ -1,0 +1,100 @@
+"""Moving a servo by keys, to note its centre and its stops. The motor is never commanded."""
+
+import os
+import select
+import sys
+from dataclasses import dataclass, replace
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.terminal.terminal import keys_one_by_one
+from steerd.steer_bus.clock import Clock
+from steerd.vesc_link import commands as c
+from steerd.vesc_link.frames import encode_frame
+from steerd.vesc_link.packets import encode_command
+from steerd.vesc_link.scaling import Scaling
+from steerd.vesc_link.transport import PortError, open_port
+
+HELP = "[a]/[d] or arrows: move   [A]/[D]: far   [c]entre  [l]eft stop  [r]ight stop   [w]rite  [q]"
+STEP, FAR = 0.005, 0.05
+_MOVES = {"a": -STEP, "d": STEP, "A": -FAR, "D": FAR, "\x1b[D": -STEP, "\x1b[C": STEP}
+_ENDS = ("w", "q", "\x03", "\x04")
+
+
+@dataclass(frozen=True)
+class Servo:
+    """Where the servo is, and what was noted; positions 0 to 1."""
+
+    position: float
+    scaling: Scaling
+
+
+def press(servo: Servo, key: str) -> Servo:
+    """One key. Left is where `servo_gain` says that positive angles lie.
+
+    Raises:
+        ValueError: what was noted cannot be, a stop beyond the other for instance.
+    """
+    if key in _MOVES:
+        return replace(servo, position=min(max(servo.position + _MOVES[key], 0.0), 1.0))
+    at = round(servo.position, 4)
+    left_is_low = servo.scaling.servo_gain < 0.0
+    names = {"c": "servo_offset", "l": "servo_min", "r": "servo_max"}
+    if not left_is_low:
+        names |= {"l": "servo_max", "r": "servo_min"}
+    if key not in names:
+        return servo
+    return replace(servo, scaling=replace(servo.scaling, **{names[key]: at}))
+
+
+def steer_by_keys(url: str, scaling: Scaling, clock: Clock) -> Scaling | None:
+    """Move the servo until [w] (the new scaling) or [q] (None).
+
+    Raises:
+        SteerdError: no terminal, or the port cannot be used.
+    """
+    try:
+        port = open_port(url)
+    except PortError as error:
+        raise SteerdError(str(error), error.hint, ExitCode.UNREADABLE) from None
+    servo = Servo(scaling.servo_offset, scaling)
+    try:
+        with keys_one_by_one() as fd:
+            if fd is None:
+                hint = "run it in a terminal, or name a session instead of --port"
+                raise SteerdError("keys need a terminal", hint, ExitCode.USAGE)
+            print(HELP, file=sys.stderr)
+            while True:
+                port.write(encode_frame(encode_command(c.SetServoPos(servo.position))))
+                _show(servo)
+                key = _next_key(fd, clock)
+                if key in _ENDS:
+                    return servo.scaling if key == "w" else None
+                try:
+                    servo = press(servo, key)
+                except ValueError as error:
+                    print(f"\n{error}", file=sys.stderr)
+    except PortError as error:
+        raise SteerdError(str(error), error.hint, ExitCode.UNREADABLE) from None
+    finally:
+        port.close()
+
+
+def _next_key(fd: int, clock: Clock) -> str:
+    """A key; an arrow's three bytes count as one. Nothing for 100 ms counts as a key, too."""
+    if not select.select([fd], [], [], 0.1)[0]:
+        return ""
+    key = os.read(fd, 1).decode("latin-1")
+    end = clock.now_ns() + 20_000_000
+    while key.startswith("\x1b") and len(key) < 3 and clock.now_ns() < end:
+        if select.select([fd], [], [], 0.01)[0]:
+            key += os.read(fd, 1).decode("latin-1")
+    return key or "q"
+
+
+def _show(servo: Servo) -> None:
+    s = servo.scaling
+    line = (
+        f"\rposition {servo.position:.3f}   centre {s.servo_offset:.3f}   "
+        f"low {s.servo_min:.3f}   high {s.servo_max:.3f} "
+    )
+    print(line, end="", file=sys.stderr, flush=True)

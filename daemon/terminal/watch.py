@@ -1,0 +1,144 @@
+"""Any car on the bus in a terminal: what the dashboard shows, and how fast each topic comes."""
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.pipe_records import Record
+from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.terminal.dashboard import Dashboard
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.bus import Bus, Sample
+from steerd.steer_bus.codec import CodecError, decode
+from steerd.steer_bus.topics import ROOT, find_topic, split_key
+from steerd.vesc_link.ids import fault_name
+
+SECOND = 1_000_000_000
+SILENT_NS = 1_500_000_000
+DEPTH = 1024
+
+
+def find_car(bus: Bus, name: str | None) -> str:
+    """The car that is asked for, or the only one there is.
+
+    Raises:
+        SteerdError: no car is on the bus, not this one, or more than one and none is named.
+    """
+    alive = bus.alive(f"{ROOT}/*/alive")
+    cars = sorted(parts[0] for key in alive if (parts := split_key(key)))
+    if name is not None and name in cars:
+        return name
+    if not cars:
+        hint = "start `steerd run` first, or name its endpoint with --connect"
+        raise SteerdError("no car is on the bus", hint, ExitCode.UNREACHABLE)
+    listed = ", ".join(cars)
+    if name is not None:
+        raise SteerdError(f"no car {name!r} on the bus", f"--name {listed}", ExitCode.UNREACHABLE)
+    if len(cars) > 1:
+        raise SteerdError("several cars are on the bus", f"--name, one of {listed}", ExitCode.USAGE)
+    return cars[0]
+
+
+@dataclass
+class Watch:
+    """What was heard of one car.
+
+    Attributes:
+        board: the dashboard that it feeds.
+        vesc: the last telemetry.
+        heard_ns: when anything came last; None before.
+        odd: messages that were not what their topic says.
+    """
+
+    board: Dashboard
+    vesc: m.VescTelemetry | None = None
+    heard_ns: int | None = None
+    odd: int = 0
+    _times: dict[str, deque[int]] = field(default_factory=dict)
+    _counts: Counter[str] = field(default_factory=Counter)
+
+    def take(self, sample: Sample, t_ns: int) -> str | None:
+        """Take a message in; a line worth printing where nothing is rendered."""
+        topic = find_topic(sample.key)
+        if topic is None or topic.direction is topics.Direction.IN:
+            return None
+        self.heard_ns = t_ns
+        self._counts[topic.name] += 1
+        self._times.setdefault(topic.name, deque(maxlen=2048)).append(t_ns)
+        try:
+            if topic is topics.VESC:
+                self.vesc = decode(m.VescTelemetry, sample.data)
+            return self.board.take(Record(topic, 0, t_ns, t_ns, sample.data))
+        except (CodecError, SteerdError, ValueError):
+            self.odd += 1
+            return None
+
+    def rates(self, t_ns: int) -> dict[str, float]:
+        """Messages per second over the last second, by topic."""
+        for times in self._times.values():
+            while times and t_ns - times[0] > SECOND:
+                times.popleft()
+        return {name: float(len(times)) for name, times in sorted(self._times.items())}
+
+    def silence(self, t_ns: int) -> float:
+        """Seconds since anything came [s]; 0 before and while messages flow."""
+        if self.heard_ns is None or t_ns - self.heard_ns < SILENT_NS:
+            return 0.0
+        return (t_ns - self.heard_ns) * 1e-9
+
+    def line(self, t_ns: int) -> str:
+        """One line: for pipes and logs."""
+        state, status = self.board.state, self.board.status
+        if (silent := self.silence(t_ns)) > 0.0:
+            return f"nothing for {silent:.1f} s: is the daemon gone?"
+        name = Supervised(state.mode).name if state else status.get("state", "?")
+        motion = f"{state.speed:+.2f} m/s, e1 {100 * state.e1:+.2f} cm" if state else "no state"
+        rates = self.rates(t_ns)
+        shown = ", ".join(f"{key} {rates[key]:.0f}" for key in _SHOWN if key in rates)
+        return f"{name:<14}{motion}; {shown} Hz; fault {self.fault}"
+
+    @property
+    def fault(self) -> str:
+        """The VESC's fault, in its own words."""
+        code = self.vesc.fault_code if self.vesc else 0
+        return fault_name(code) if code > 0 else "none"
+
+    def render(self, t_ns: int) -> RenderableType:
+        """The dashboard, with rates and the motor controller under it."""
+        parts: list[RenderableType] = [self.board.render()]
+        if (silent := self.silence(t_ns)) > 0.0:
+            text = f" nothing for {silent:.1f} s: is the daemon gone? "
+            parts.append(Text(text, style="bold reverse red"))
+        table = Table.grid(padding=(0, 2))
+        rates = self.rates(t_ns)
+        table.add_row("Hz", *(f"{name} {rates[name]:.0f}" for name in _SHOWN if name in rates))
+        parts.append(table)
+        if self.vesc is not None:
+            v = self.vesc
+            style = "red" if v.fault_code > 0 else ""
+            parts.append(
+                Text(
+                    f"VESC  {v.v_in:.1f} V  {v.current_motor:+.1f} A  {v.temp_fet:.0f} °C  "
+                    f"fault: {self.fault}",
+                    style=style,
+                )
+            )
+        if self.odd:
+            parts.append(Text(f"{self.odd} messages of another steerd version", style="yellow"))
+        return Group(*parts)
+
+
+_SHOWN = (
+    topics.STATE.name,
+    topics.TICK.name,
+    topics.MOCAP.name,
+    topics.VESC.name,
+    topics.IMU.name,
+    topics.ACTUATION.name,
+    topics.DIAGNOSTICS.name,
+)

@@ -1,0 +1,49 @@
+"""A session opened: windows under the base car, and the base at its best within its uncertainty."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from steerd.sim_gap.engine.descent import Fitted, descend
+from steerd.sim_gap.engine.engine import Engine, make_engine
+from steerd.sim_gap.engine.readings import make_readings
+from steerd.sim_gap.engine.space import make_space
+from steerd.sim_gap.engine.superset import Superset
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.windows import estimate_noise, speed_range
+
+_ROUGH_NOISE = np.array([5e-3, 0.01, 0.05, 0.05])
+"""Instrument noise of the first descent, before noise is learnt: [m], [rad], [m/s], [rad/s]."""
+
+
+def open_engine(superset: Superset, runs: Sequence[Run]) -> Engine:
+    """The windows of some drives, with rough noise."""
+    late = float(superset.base[superset.kernels.names.index("pose_delay")])
+    readings = make_readings(runs, late, speed_range(runs))
+    return make_engine(superset, readings, np.maximum(estimate_noise(runs), _ROUGH_NOISE))
+
+
+def null_fit(
+    engine: Engine,
+    nuisance: Sequence[str],
+    start: Fitted | None = None,
+    effects: Sequence[str] = (),
+) -> Fitted:
+    """The base with its parameters free within their uncertainty.
+
+    Args:
+        engine: the windows.
+        nuisance: base parameters that are free.
+        start: a fit of the same coordinates to go on from.
+        effects: manners of the base that are free as well.
+
+    Raises:
+        FloatingPointError: the base car's simulation diverges.
+    """
+    space = make_space(engine.superset, nuisance, effects)
+    if start is not None:
+        # A linear step may have left a start where a real car never was; then the poses' own.
+        with suppress(FloatingPointError):
+            return descend(engine, space, start.z.copy(), start.x.copy())
+    return descend(engine, space, space.centre.copy(), engine.readings.layout.guess.copy())

@@ -1,0 +1,239 @@
+"""The best numbers of a hypothesis: Levenberg-Marquardt on the losses with eliminated starts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sim_gap.engine.engine import Engine, Reduced, Tangent, take_windows
+from steerd.sim_gap.engine.space import Space
+
+Array = NDArray[np.float64]
+
+STEPS = 12
+ENOUGH = 0.2
+"""A step that promises less than this many nats ends the descent."""
+_DAMPING_MAX = 1e6
+_TRUST = 0.4
+"""Derivatives are taken anew when a step gains this much more or less than it promised."""
+_STALE, _STALE_LAST = 100.0, 2.0
+"""And after this many nats; at the end already after fewer."""
+_LOST = 5.0
+"""A window that leaves more than this of its whitened error may sit in a wrong start ..."""
+_FOUND = 10.0
+"""... and is taken up anew from the poses if that gains so much of its squares."""
+_RETURNS = 3
+"""Steps of such a start."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A hypothesis at its best.
+
+    Attributes:
+        space: its coordinates.
+        z: (n,) the best of them.
+        x: (W, 7) windows' starts.
+        at: losses about there.
+        cost: sum of the losses and half the prior's square [nats].
+        covariance: (n, n) of the coordinates.
+        tangent: derivatives about there.
+    """
+
+    space: Space
+    z: Array
+    x: Array
+    at: Reduced
+    cost: float
+    covariance: Array
+    tangent: Tangent
+
+    @property
+    def parameters(self) -> Array:
+        """(P,) all parameters of the superset."""
+        return self.space.chart.parameters(self.z)
+
+    @property
+    def own(self) -> Array:
+        """Values of the effects' parameters."""
+        return self.z[self.space.nuisance :]
+
+    @property
+    def own_sd(self) -> Array:
+        """Their standard errors."""
+        sd: Array = np.sqrt(np.diag(self.covariance)[self.space.nuisance :])
+        return sd
+
+    @property
+    def prior(self) -> Array:
+        """(n,) deviation from the prior in its standard deviations."""
+        away: Array = (self.z - self.space.centre) / self.space.spread
+        return away
+
+
+def total(space: Space, at: Reduced, z: Array) -> float:
+    """Cost [nats]: losses and prior."""
+    if not at.finite:
+        return np.inf
+    away = (z - space.centre) / space.spread
+    return float(at.loss.sum() + 0.5 * away @ away)
+
+
+def curvature(space: Space, at: Reduced) -> Array:
+    """(n, n) Gauss-Newton curvature of the cost, prior included."""
+    weighted = np.einsum("w,wij->ij", at.weight, at.h)
+    return np.asarray(weighted + np.diag(space.spread**-2.0))
+
+
+def _slope(space: Space, at: Reduced, z: Array) -> Array:
+    pull: Array = at.weight @ at.g + (space.centre - z) / space.spread**2
+    return pull
+
+
+def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
+    """Newton's step within bounds: coordinates that would leave at a bound stay there."""
+    frozen = np.zeros(len(z), bool)
+    dz = np.zeros(len(z))
+    for _ in range(len(z) + 1):
+        free = ~frozen
+        dz = np.zeros(len(z))
+        if free.any():
+            dz[free] = np.linalg.solve(h[np.ix_(free, free)], slope[free])
+        out = ((z + dz < low) & (z <= low)) | ((z + dz > high) & (z >= high))
+        if not (out & ~frozen).any():
+            break
+        frozen |= out
+    inside: Array = np.clip(z + dz, low, high) - z
+    return inside
+
+
+@dataclass
+class _Search:
+    """Where a descent stands; derivatives may be those of an earlier point."""
+
+    engine: Engine
+    space: Space
+    z: Array
+    x: Array
+    tangent: Tangent
+    at: Reduced
+    cost: float
+    damping: float = 1e-4
+    stale: float = 0.0
+    """Nats gained since derivatives were taken."""
+
+    def fresh(self) -> None:
+        """Take derivatives here."""
+        linear = self.engine.linear(self.space, self.z, self.x)
+        if linear.finite:
+            self.tangent = self.engine.tangent(linear)
+            self.at = self.engine.reduce_by(self.tangent, linear.error, self.x)
+            self.cost = total(self.space, self.at, self.z)
+        self.stale = 0.0
+
+    def restart(self) -> bool:
+        """Take lost windows up anew from the poses' own starts, where that is better.
+
+        The likelihood forgives a spun window, so nothing pulls its start back by itself.
+        """
+        lost = self.at.square > _LOST * self.at.dof
+        if not lost.any():
+            return False
+        part = take_windows(self.engine, lost)
+        x, square = _from_poses(part, self.space, self.z)
+        better = square < self.at.square[lost] - _FOUND
+        if not better.any():
+            return False
+        self.x = self.x.copy()
+        self.x[np.flatnonzero(lost)[better]] = x[better]
+        self.fresh()
+        return True
+
+    def move(self, dz: Array) -> float:
+        """Try a step; give what it gains, and take it if it does."""
+        x = self.x + self.at.dx - self.at.kx @ dz
+        error, finite = self.engine.missed(self.space, self.z + dz, x)
+        if not finite:
+            return -np.inf
+        trial = self.engine.reduce_by(self.tangent, error, x)
+        gained = self.cost - total(self.space, trial, self.z + dz)
+        if gained >= -1e-9 * abs(self.cost):
+            self.z, self.x, self.at, self.cost = self.z + dz, x, trial, self.cost - gained
+            self.stale += max(gained, 0.0)
+        return gained
+
+    def step(self) -> tuple[float, float]:
+        """One damped Newton step: nats promised and gained (0 if none was found)."""
+        while self.damping < _DAMPING_MAX:
+            h, slope = curvature(self.space, self.at), _slope(self.space, self.at, self.z)
+            damped = h + self.damping * np.diag(np.diag(h))
+            dz = step_within(damped, slope, self.z, self.space.low, self.space.high)
+            promised = float(slope @ dz - 0.5 * dz @ h @ dz)
+            gained = self.move(dz)
+            if gained >= -1e-9 * abs(self.cost):
+                self.damping = max(0.1 * self.damping, 1e-6)
+                return promised, gained
+            if self.stale > 0.0:
+                self.fresh()
+            elif promised < ENOUGH:
+                return promised, 0.0
+            else:
+                self.damping *= 20.0
+        return 0.0, 0.0
+
+
+def descend(
+    engine: Engine, space: Space, z: Array, x: Array, steps: int = STEPS, enough: float = ENOUGH
+) -> Fitted:
+    """Go from a start to the nearest minimum of the cost.
+
+    Derivatives are taken anew only where steps no longer do what they promise, and at the end.
+
+    Raises:
+        FloatingPointError: the simulation is not finite at the start.
+    """
+    linear = engine.linear(space, z, x)
+    if not linear.finite:
+        raise FloatingPointError("the simulation diverges at the start values")
+    tangent = engine.tangent(linear)
+    at = engine.reduce_by(tangent, linear.error, x)
+    now = _Search(engine, space, z, x, tangent, at, total(space, at, z))
+    now.restart()
+    _walk(now, steps, enough)
+    if now.restart():
+        _walk(now, steps, enough)
+    if now.stale > _STALE_LAST:
+        now.fresh()
+    return Fitted(space, now.z, now.x, now.at, now.cost, covariance_of(space, now.at), now.tangent)
+
+
+def _walk(now: _Search, steps: int, enough: float) -> None:
+    """Steps until one promises and gains too little."""
+    for _ in range(steps):
+        promised, gained = now.step()
+        if max(gained, promised) < enough:
+            break
+        if abs(gained - promised) > _TRUST * promised or now.stale > _STALE:
+            now.fresh()
+
+
+def _from_poses(part: Engine, space: Space, z: Array) -> tuple[Array, Array]:
+    """Starts (W, 7) of some windows, settled from the poses' guesses, and what they leave (W,)."""
+    x = part.readings.layout.guess.copy()
+    best, square = x.copy(), np.full(len(x), np.inf)
+    for _ in range(_RETURNS):
+        linear = part.linear(space, z, x)
+        if not linear.finite:
+            break
+        at = part.reduce_by(part.tangent(linear), linear.error, x)
+        better = at.square < square
+        # The square is that after the step which follows; it is kept as if that step held.
+        best[better], square[better] = (x + at.dx)[better], at.square[better]
+        x = x + at.dx
+    return best, square
+
+
+def covariance_of(space: Space, at: Reduced) -> Array:
+    """(n, n) covariance of the coordinates."""
+    h = curvature(space, at)
+    return np.asarray(np.linalg.inv(0.5 * (h + h.T)))

@@ -1,0 +1,273 @@
+"""The prediction error of windows: whitened, with each window's start eliminated.
+
+Unknown are the coordinates `z` (n,) of a hypothesis and each window's start `x` (W, 7). The start
+is eliminated by variable projection; the whitening holds everything random: the instruments' noise
+and what disturbs the car on its way (`noise`).
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sim_gap.engine.readings import Readings
+from steerd.sim_gap.engine.space import Space
+from steerd.sim_gap.engine.superset import Superset
+from steerd.sim_gap.engine.values import predicted
+from steerd.sysid.compiler.kernels import Held, Stations, delays_of, model_of, read
+from steerd.sysid.estimation.objective import STATE_SPREAD, STATES, STEER_SPREAD_UNKNOWN
+from steerd.sysid.estimation.stability import stable_substeps
+
+Array = NDArray[np.float64]
+
+STEER_SPREAD = 0.003
+"""How far the steering may be from where the known commands bring it [rad]."""
+FREE_STATES = 6
+"""States of a start that the window itself must tell: what they take is no degree of freedom."""
+WILD = 1e3
+"""Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s]."""
+
+
+class Padded(NamedTuple):
+    """Rows by window: `row` (W, D) place among all rows, `there` (W, D) 1 where there is one."""
+
+    row: NDArray[np.int64]
+    there: Array
+
+
+class Linear(NamedTuple):
+    """Errors about one point.
+
+    Attributes:
+        error: (W, D) measurement minus prediction, zero where there is no row.
+        by_z: (W, D, n) derivative of the prediction by the coordinates.
+        by_x: (W, D, 7) by the window's start.
+        finite: whether the simulation stayed finite.
+    """
+
+    error: Array
+    by_z: Array
+    by_x: Array
+    finite: bool
+
+
+class Tangent(NamedTuple):
+    """Whitened derivatives about one point, with the starts' part solved.
+
+    Attributes:
+        by_z: (W, D, n) whitened.
+        by_x: (W, D, 7) whitened.
+        inverse: (W, 7, 7) inverse curvature of the starts, priors included.
+        cross: (W, 7, n).
+        kx: (W, 7, n) starts' step per coordinate's.
+        h: (W, n, n) curvature with the starts eliminated.
+    """
+
+    by_z: Array
+    by_x: Array
+    inverse: Array
+    cross: Array
+    kx: Array
+    h: Array
+
+
+class Reduced(NamedTuple):
+    """Windows' losses as functions of the coordinates alone, about one point.
+
+    Attributes:
+        square: (W,) whitened squared error, the start's prior included, at its best start.
+        dof: (W,) measurements of each window.
+        g: (W, n) Gauss-Newton gradient of half the square (minus: direction of descent).
+        h: (W, n, n) its curvature.
+        dx: (W, 7) step of the start; minus `kx` (W, 7, n) per step of the coordinates.
+        kx: see `dx`.
+        finite: whether the simulation stayed finite.
+    """
+
+    square: Array
+    dof: Array
+    g: Array
+    h: Array
+    dx: Array
+    kx: Array
+    finite: bool
+
+    @property
+    def weight(self) -> Array:
+        """(W,) weight of each window: those that nothing explains pull less."""
+        weight: Array = 2.0 / (1.0 + self.square / self.dof)
+        return weight
+
+    @property
+    def loss(self) -> Array:
+        """(W,) negative log-likelihood [nats] under Student's t of as many degrees as rows."""
+        loss: Array = self.dof * np.log1p(self.square / self.dof)
+        return loss
+
+
+@dataclass(frozen=True, eq=False)
+class Engine:
+    """Windows of a session seen by the superset of all effects.
+
+    Attributes:
+        superset: the car.
+        readings: the windows.
+        padded: rows by window.
+        whiten: (W, D, D) inverse square root of each window's noise covariance.
+        substeps: integration steps to a command.
+    """
+
+    superset: Superset
+    readings: Readings
+    padded: Padded
+    whiten: Array
+    substeps: int
+
+    @property
+    def start_spread(self) -> Array:
+        """(W, 7) prior standard deviations of the starts about their first guesses."""
+        layout = self.readings.layout
+        spread = np.tile(STATE_SPREAD, (len(layout.spans), 1))
+        spread[:, 6] = np.where(layout.has_past, STEER_SPREAD, STEER_SPREAD_UNKNOWN)
+        return spread
+
+    def pad(self, rows: Array) -> Array:
+        """(R, ...) rows as (W, D, ...), zero where there is none."""
+        there = self.padded.there
+        shaped = there.reshape(there.shape + (1,) * (rows.ndim - 1))
+        padded: Array = rows[self.padded.row] * shaped
+        return padded
+
+    def linear(self, space: Space, z: Array, x: Array) -> Linear:
+        """Errors and derivatives at coordinates `z` and starts `x`."""
+        parameters, n = space.chart.parameters(z), len(z)
+        kernels, layout = self.superset.kernels, self.readings.layout
+        held = Held(layout.commands, layout.h, self.substeps)
+        seeds = np.zeros((len(parameters), n + STATES))
+        seeds[:, :n] = space.chart.slopes(z)
+        dfirst = np.zeros((STATES, n + STATES))
+        dfirst[:, n:] = np.eye(STATES)
+        y, jy = read(
+            kernels, parameters, seeds, x, dfirst, held, layout.kernel_windows(self.substeps),
+            self._stations(parameters, held.fine),
+        )  # fmt: skip
+        error = layout.values - y
+        turn = self.readings.channel == 2
+        error[turn] = (error[turn] + np.pi) % (2.0 * np.pi) - np.pi
+        finite = bool(np.abs(error).max() < WILD and np.abs(jy).max() < WILD**2)
+        jy = self.pad(jy)
+        return Linear(self.pad(error), jy[:, :, :n], jy[:, :, n:], finite)
+
+    def _stations(self, parameters: Array, step: float) -> Stations:
+        late = float(delays_of(self.superset.kernels, parameters)[2])
+        return self.readings.layout.stations(late, step)
+
+    def missed(self, space: Space, z: Array, x: Array) -> tuple[Array, bool]:
+        """Errors (W, D) alone, the same numbers as `linear` gives, and whether all are finite."""
+        y = predicted(
+            self.superset.kernels, self.readings, space.chart.parameters(z), x, self.substeps
+        )
+        error = self.readings.layout.values - y
+        turn = self.readings.channel == 2
+        error[turn] = (error[turn] + np.pi) % (2.0 * np.pi) - np.pi
+        finite = bool(np.abs(error).max() < WILD)
+        return self.pad(error), finite
+
+    def reduce(self, space: Space, z: Array, x: Array) -> Reduced:
+        """Losses at coordinates `z`, with the starts eliminated about `x`."""
+        return self.eliminate(self.linear(space, z, x), x)
+
+    def eliminate(self, at: Linear, x: Array) -> Reduced:
+        """The starts taken out of whitened errors."""
+        if not at.finite:
+            return self.lost(at.by_z.shape[2])
+        return self.reduce_by(self.tangent(at), at.error, x)
+
+    def tangent(self, at: Linear) -> Tangent:
+        """Whitened derivatives of a point, ready for any errors near it."""
+        by_z, by_x = self.whiten @ at.by_z, self.whiten @ at.by_x
+        turned = by_x.transpose(0, 2, 1)
+        d = turned @ by_x
+        d[:, range(STATES), range(STATES)] += self.start_spread**-2
+        inverse: Array = np.linalg.inv(d).astype(float)
+        cross = turned @ by_z
+        kx = inverse @ cross
+        h = by_z.transpose(0, 2, 1) @ by_z - cross.transpose(0, 2, 1) @ kx
+        return Tangent(by_z, by_x, inverse, cross, kx, h)
+
+    def reduce_by(self, tangent: Tangent, error: Array, x: Array) -> Reduced:
+        """Losses for errors (W, D) at starts `x`, with derivatives that may be of a near point."""
+        white = np.matmul(self.whiten, error[:, :, None])[:, :, 0]
+        spread = self.start_spread
+        away = (self.readings.layout.guess - x) / spread
+        pull = np.matmul(white[:, None, :], tangent.by_x)[:, 0] + away / spread
+        dx = np.matmul(tangent.inverse, pull[:, :, None])[:, :, 0]
+        square = (white**2).sum(axis=1) + (away**2).sum(axis=1) - (pull * dx).sum(axis=1)
+        g = np.matmul(white[:, None, :], tangent.by_z)[:, 0]
+        g = g - np.matmul(dx[:, None, :], tangent.cross)[:, 0]
+        dof = self.padded.there.sum(axis=1) - FREE_STATES
+        return Reduced(np.maximum(square, 0.0), dof, g, tangent.h, dx, tangent.kx, True)
+
+    def lost(self, n: int) -> Reduced:
+        """What a simulation that left the map counts as."""
+        count = self.readings.count
+        nothing = np.zeros((count, STATES))
+        return Reduced(
+            np.full(count, np.inf), self.padded.there.sum(axis=1) - FREE_STATES,
+            np.zeros((count, n)), np.zeros((count, n, n)), nothing,
+            np.zeros((count, STATES, n)), False,
+        )  # fmt: skip
+
+
+def pad_rows(readings: Readings) -> Padded:
+    """Where the rows of each window lie."""
+    bounds = readings.layout.bounds
+    width = int(np.diff(bounds).max())
+    place = np.arange(width)[None, :]
+    there = place < np.diff(bounds)[:, None]
+    index = np.where(there, bounds[:-1, None] + place, bounds[:-1, None])
+    return Padded(index, there.astype(float))
+
+
+def make_engine(superset: Superset, readings: Readings, sigma: Array) -> Engine:
+    """An engine that knows the instruments' noise alone: `sigma` (4,) by `windows.GROUPS`."""
+    padded = pad_rows(readings)
+    per_row = (1.0 / sigma)[readings.layout.group][padded.row] * padded.there
+    white = per_row[:, :, None] * np.eye(padded.there.shape[1])
+    car = model_of(superset.kernels, superset.base).car
+    substeps = stable_substeps(car, *readings.speeds, readings.layout.h)
+    return Engine(superset, readings, padded, white, substeps)
+
+
+def take_windows(engine: Engine, chosen: NDArray[np.bool_]) -> Engine:
+    """The engine on some of its windows (boolean mask (W,))."""
+    layout, index = engine.readings.layout, np.flatnonzero(chosen)
+    rows = np.concatenate([np.arange(layout.bounds[w], layout.bounds[w + 1]) for w in index])
+    new_row = np.full(len(layout.values), -1)
+    new_row[rows] = np.arange(len(rows))
+    new_window = np.full(len(layout.spans), -1)
+    new_window[index] = np.arange(len(index))
+    kept = chosen[layout.seen.window]
+    seen = layout.seen
+    cut = replace(
+        layout,
+        spans=layout.spans[index], t=layout.t[index], run=layout.run[index],
+        seen=type(seen)(
+            new_window[seen.window[kept]], seen.t[kept], seen.kind[kept], new_row[seen.row[kept]]
+        ),
+        values=layout.values[rows], group=layout.group[rows],
+        bounds=np.concatenate([[0], np.cumsum(np.diff(layout.bounds)[index])]),
+        guess=layout.guess[index], has_past=layout.has_past[index],
+    )  # fmt: skip
+    readings = replace(
+        engine.readings,
+        layout=cut,
+        t=engine.readings.t[rows],
+        channel=engine.readings.channel[rows],
+    )
+    padded = pad_rows(readings)
+    width = padded.there.shape[1]
+    return replace(
+        engine, readings=readings, padded=padded, whiten=engine.whiten[index][:, :width, :width]
+    )

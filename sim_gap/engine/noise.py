@@ -1,0 +1,270 @@
+"""What is random: instruments' noise and disturbances on the way, learnt by maximum likelihood.
+
+The covariance of a window's errors is a sum of a few known shapes with unknown sizes: white noise
+of each instrument, coloured pushes along, across and about the car through the car's own response,
+and the slip of the wheel whose speed is read. The starts and the hypothesis are marginalised, so a
+good fit on few data does not look like small noise.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from steerd.sim_gap.engine.constants import NOISE_KEPT
+from steerd.sim_gap.engine.descent import Fitted
+from steerd.sim_gap.engine.disturbance_response import INPUTS, Responses, responses
+from steerd.sim_gap.engine.engine import FREE_STATES, Engine, Linear
+
+Array = NDArray[np.float64]
+
+MEMORY = 0.1
+"""Correlation time of the pushes [s]."""
+WINDOWS_MOST = 60
+"""Windows that are enough to learn from."""
+_INSTRUMENTS = 4
+WHEEL_SLIP = 0.005
+"""Slip of the driven wheel per speed and acceleration, before it is learnt [s^2/m].
+
+A wheel that drives or brakes turns v a / (mu g C) faster than the car moves: 0.0045 v a for tyres
+with C = 22. The base equations know no slip, and taken at its word it passes for pose latency. So
+every window may have a coefficient of its own, as large as this."""
+WHEEL_LEAST = 0.01
+"""Wheel speed says no more than this of the car's, beside its slip [m/s]."""
+_LEAST = np.array([1e-5, 1e-5, WHEEL_LEAST, 1e-4, 1e-3, 1e-3, 1e-3, 1e-5])
+_MOST = np.array([0.05, 0.05, 0.5, 0.5, 20.0, 20.0, 200.0, 0.05])
+_START = np.array([1e-3, 2e-3, 0.02, 0.05, 0.3, 0.3, 2.0, WHEEL_SLIP])
+"""First guesses; what an instrument that no drive had is taken to be."""
+LOUDER = 1.3
+"""Instruments that are noisier than known by this factor are believed to be."""
+_ROUNDS = 40
+_KEYS = ("position", "yaw", "wheel_speed", "yaw_rate", "push_along", "push_across", "push_about",
+         "wheel_slip")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Sizes of what is random.
+
+    Attributes:
+        instruments: standard deviations by `steerd.sysid.data.windows.GROUPS`: [m], [rad], [m/s],
+            [rad/s].
+        pushes: of accelerations along [m/s^2], across [m/s^2] and about the car [rad/s^2].
+        wheel_slip: of the driven wheel's slip per speed and acceleration [s^2/m].
+    """
+
+    instruments: tuple[float, float, float, float]
+    pushes: tuple[float, float, float]
+    wheel_slip: float = WHEEL_SLIP
+
+    @property
+    def sizes(self) -> Array:
+        """All eight standard deviations."""
+        return np.array([*self.instruments, *self.pushes, self.wheel_slip])
+
+
+def noise_of_sizes(sizes: Array) -> Noise:
+    """The reverse of `Noise.sizes`."""
+    a, b, c, d, e, f, g, h = (float(s) for s in sizes)
+    return Noise((a, b, c, d), (e, f, g), h)
+
+
+def slip_shape(engine: Engine, error: Array) -> Array:
+    """Covariance (W, D, D) of the wheel speed for a unit slip coefficient of each window.
+
+    Args:
+        engine: the windows.
+        error: (W, D) measurement minus prediction; speed and acceleration are the predicted ones.
+    """
+    readings, row = engine.readings, engine.padded.row
+    speed = engine.pad(readings.layout.values) - error
+    wheel = (readings.channel[row] == 3) & (engine.padded.there > 0.0)
+    slip = np.zeros(wheel.shape)
+    for w in np.flatnonzero(wheel.sum(axis=1) > 1):
+        v, t = speed[w, wheel[w]], readings.t[row[w, wheel[w]]]
+        slip[w, wheel[w]] = v * np.gradient(v, t)
+    return np.asarray(slip[:, :, None] * slip[:, None, :])
+
+
+def shapes(engine: Engine, seen: Responses, inputs: Sequence[int]) -> list[Array]:
+    """Covariance (W, D, D) of a unit push of each input, correlated over `MEMORY`."""
+    pieces = seen.by_input.shape[3]
+    at = np.arange(pieces) * seen.piece
+    kernel = np.exp(-np.abs(at[:, None] - at[None, :]) / MEMORY)
+    return [(seen.by_input[i] @ kernel) @ seen.by_input[i].transpose(0, 2, 1) for i in inputs]
+
+
+def instrument_rows(engine: Engine) -> Array:
+    """(4, W, D) 1 where a row is of a group."""
+    group = engine.readings.layout.group[engine.padded.row]
+    rows: Array = np.stack([(group == g) * engine.padded.there for g in range(_INSTRUMENTS)])
+    return rows
+
+
+def covariance(engine: Engine, noise: Noise, pushed: Sequence[Array]) -> Array:
+    """(W, D, D) covariance of the errors; 1 where there is no row."""
+    sizes = np.maximum(noise.sizes, _LEAST) ** 2
+    out = sum(s * shape for s, shape in zip(sizes[_INSTRUMENTS:], pushed, strict=True))
+    out = np.array(out)
+    white = np.einsum("g,gwd->wd", sizes[:_INSTRUMENTS], instrument_rows(engine))
+    width = range(out.shape[1])
+    out[:, width, width] += white + (1.0 - engine.padded.there)
+    return np.asarray(out)
+
+
+def whitening(cov: Array, there: Array) -> Array:
+    """(W, D, D) with `L^-1` of each covariance; rows that are not there stay out."""
+    lower = np.linalg.cholesky(cov)
+    eye = np.broadcast_to(np.eye(cov.shape[1]), cov.shape)
+    white: Array = np.linalg.solve(lower, eye) * there[:, :, None]
+    return white
+
+
+def learn_noise(engine: Engine, fitted: Fitted, guess: Noise | None = None) -> Noise:
+    """Sizes under which the errors of a fitted hypothesis are most likely.
+
+    Windows that the hypothesis explains badly pull less (Student's t), so that a gap in a few
+    places does not pass for noise everywhere.
+    """
+    chosen = np.linspace(0, engine.readings.count - 1, WINDOWS_MOST).round().astype(int)
+    chosen = np.unique(chosen)
+    at = engine.linear(fitted.space, fitted.z, fitted.x)
+    seen = responses(engine, fitted.parameters, fitted.x, (0, 1, 2))
+    pushed = [v[chosen] for v in shapes(engine, seen, (0, 1, 2))]
+    pushed.append(slip_shape(engine, at.error)[chosen])
+    known = _marginal(engine, fitted, at)[chosen]
+    error = _own_error(engine, fitted, at)[chosen]
+    rows = instrument_rows(engine)[:, chosen]
+    there = engine.padded.there[chosen]
+    first = (guess.sizes if guess else _START).clip(_LEAST * 1.01, _MOST * 0.99)
+    found = minimize(
+        _likelihood, np.log(first), (error, known, rows, pushed, there), jac=True,
+        method="L-BFGS-B", bounds=list(zip(np.log(_LEAST), np.log(_MOST), strict=True)),
+        options={"maxiter": _ROUNDS},
+    )  # fmt: skip
+    sizes = np.exp(found.x)
+    absent = rows.sum(axis=(1, 2)) == 0
+    sizes[:_INSTRUMENTS][absent] = first[:_INSTRUMENTS][absent]
+    return noise_of_sizes(sizes)
+
+
+def _own_error(engine: Engine, fitted: Fitted, at: Linear) -> Array:
+    """Errors about the starts' first guesses, by the linear model about the fitted ones."""
+    moved: Array = fitted.x - engine.readings.layout.guess
+    return np.asarray(at.error + np.einsum("wij,wj->wi", at.by_x, moved))
+
+
+def _marginal(engine: Engine, fitted: Fitted, at: Linear) -> Array:
+    """What unknown starts add to the covariance."""
+    wide = at.by_x * engine.start_spread[:, None, :]
+    return np.asarray(wide @ wide.transpose(0, 2, 1))
+
+
+def _likelihood(
+    logs: Array, error: Array, known: Array, rows: Array, pushed: Sequence[Array], there: Array
+) -> tuple[float, Array]:
+    """Negative log-likelihood of the sizes and its slope by their logarithms."""
+    squares = np.exp(2.0 * logs)
+    cov = known + sum(s * v for s, v in zip(squares[_INSTRUMENTS:], pushed, strict=True))
+    width = range(cov.shape[1])
+    cov[:, width, width] += np.einsum("g,gwd->wd", squares[:_INSTRUMENTS], rows) + (1.0 - there)
+    lower = np.linalg.cholesky(cov)
+    inverse = np.linalg.inv(cov)
+    pulled = np.einsum("wij,wj->wi", inverse, error)
+    square, dof = (error * pulled).sum(axis=1), there.sum(axis=1)
+    weight = 2.0 / (1.0 + square / dof)
+    halves = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum()
+    value = halves + float((dof * np.log1p(square / dof)).sum())
+    slope = np.empty(len(logs))
+    spread = np.diagonal(inverse, axis1=1, axis2=2)
+    for g in range(_INSTRUMENTS):
+        slope[g] = (rows[g] * (spread - weight[:, None] * pulled**2)).sum()
+    for i, v in enumerate(pushed):
+        trace = np.einsum("wij,wji->w", inverse, v)
+        bent = np.einsum("wi,wij,wj->w", pulled, v, pulled)
+        slope[_INSTRUMENTS + i] = (trace - weight * bent).sum()
+    return value, slope * squares
+
+
+def whitened(engine: Engine, fitted: Fitted, noise: Noise) -> Engine:
+    """The engine that weighs errors by this noise, through the car's response about a fit."""
+    seen = responses(engine, fitted.parameters, fitted.x, (0, 1, 2))
+    error, _ = engine.missed(fitted.space, fitted.z, fitted.x)
+    pushed = [*shapes(engine, seen, (0, 1, 2)), slip_shape(engine, error)]
+    cov = covariance(engine, noise, pushed)
+    return replace(engine, whiten=whitening(cov, engine.padded.there))
+
+
+assert INPUTS[:3] == ("accel", "lateral", "yaw")  # noqa: S101
+
+
+def louder(noise: Noise, signals: Array) -> Noise:
+    """Known noise where these drives' own signals are not clearly noisier; else theirs.
+
+    Args:
+        noise: as learnt on other drives.
+        signals: (4,) `steerd.sysid.data.windows.estimate_noise` of these; what is slow does not
+            show in it.
+    """
+    old = np.array(noise.instruments)
+    a, b, c, d = np.where(signals > LOUDER * old, signals, old).tolist()
+    return replace(noise, instruments=(a, b, c, d))
+
+
+def calibrated(noise: Noise, left: float, should: float = 1.0) -> Noise:
+    """Noise under which drives without a gap leave what they should of the whitened error.
+
+    What a likelihood over windows of different harshness calls typical is more than most of them
+    hold; taken as it is, it costs the test its power.
+
+    Args:
+        noise: as learnt.
+        left: what the drives leave per degree of freedom under it.
+        should: what they should leave, see `noise_share`: by another measure than the floor's,
+            healthy drives would lie above it.
+    """
+    return noise_of_sizes(noise.sizes * np.sqrt(left / should))
+
+
+def noise_share(engine: Engine, wheel: float) -> float:
+    """What noise leaves of the whitened error per degree of freedom of the drives it is learnt on.
+
+    Wheel speed is trusted less than it deserves (`WHEEL_LEAST`), so its readings leave less.
+
+    Args:
+        engine: the windows.
+        wheel: noise of the wheel speed's own signal [m/s].
+    """
+    counts = instrument_rows(engine).sum(axis=(1, 2))
+    worth = np.array([1.0, 1.0, min(1.0, (wheel / WHEEL_LEAST) ** 2), 1.0])
+    free = FREE_STATES * engine.readings.count
+    share = (counts @ worth - free) / max(float(counts.sum()) - free, 1.0)
+    return float(max(share, 0.1))
+
+
+def noise_floor(engine: Engine, wheel: float) -> float:
+    """What noise alone should leave of other drives; `wheel` as in `noise_share`."""
+    return NOISE_KEPT * noise_share(engine, wheel)
+
+
+def noise_section(noise: Noise) -> dict[str, float]:
+    """A car file's `[noise]` table."""
+    return dict(zip(_KEYS, noise.sizes.tolist(), strict=True))
+
+
+def noise_of_section(table: Mapping[str, Any]) -> Noise | None:
+    """Noise from a car file's `[noise]` table, None if it has none.
+
+    Raises:
+        ValueError: a number is missing or not positive.
+    """
+    if not table:
+        return None
+    told = {_KEYS[-1]: WHEEL_SLIP, **table}
+    missing = [key for key in _KEYS if not float(told.get(key, 0.0)) > 0.0]
+    if missing:
+        raise ValueError(f"[noise] {missing[0]} must be a positive number")
+    return noise_of_sizes(np.array([float(told[key]) for key in _KEYS]))

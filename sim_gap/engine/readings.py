@@ -1,0 +1,100 @@
+"""Windows of one second whose measurements are thinned to one reading each 50 ms.
+
+Denser readings add nothing but rows: what is not noise of the instrument is correlated over far
+longer times.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.windows import Layout, Seen, make_layout
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+HORIZON = 1.0
+"""Length of a window [s]: delays, gains and tyres all show within it, nothing compounds yet."""
+SPACING = 0.05
+"""Time between readings [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Windows with thinned measurements.
+
+    Attributes:
+        layout: windows and measurements.
+        t: (R,) time of each row since its window's start [s].
+        channel: (R,) 0 x, 1 y, 2 yaw, 3 wheel speed, 4 yaw rate.
+        speeds: slowest and fastest [m/s].
+    """
+
+    layout: Layout
+    t: Array
+    channel: Indices
+    speeds: tuple[float, float]
+
+    @property
+    def count(self) -> int:
+        """Number of windows."""
+        return len(self.layout.spans)
+
+    def rows(self, window: int) -> slice:
+        """Rows of a window."""
+        return slice(int(self.layout.bounds[window]), int(self.layout.bounds[window + 1]))
+
+
+def _kept(seen: Seen, spacing: float) -> NDArray[np.bool_]:
+    """Of each window's and instrument's readings, the one nearest to each multiple of `spacing`."""
+    slot = np.round(seen.t / spacing).astype(np.int64)
+    key = (seen.window * 3 + seen.kind) * 100_000 + slot
+    off = np.abs(seen.t - slot * spacing)
+    order = np.lexsort((off, key))
+    first = np.ones(len(order), bool)
+    first[1:] = key[order][1:] != key[order][:-1]
+    kept = np.zeros(len(order), bool)
+    kept[order[first]] = True
+    return kept
+
+
+def thin(layout: Layout, spacing: float = SPACING) -> tuple[Layout, Array, Indices]:
+    """The layout with fewer readings; time and channel of each row beside it."""
+    seen, kept = layout.seen, _kept(layout.seen, spacing)
+    width = np.where(seen.kind == 0, 3, 1)[kept]
+    ends = np.cumsum(width)
+    starts = ends - width
+    window = np.repeat(seen.window[kept], width)
+    within = np.arange(ends[-1]) - np.repeat(starts, width)
+    old = np.repeat(seen.row[kept], width) + within
+    order = np.argsort(window, kind="stable")
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    thinner = replace(
+        layout,
+        seen=Seen(seen.window[kept], seen.t[kept], seen.kind[kept], place[starts]),
+        values=layout.values[old][order],
+        group=layout.group[old][order],
+        bounds=np.searchsorted(window[order], np.arange(len(layout.spans) + 1)),
+    )
+    t = np.repeat(seen.t[kept], width)[order]
+    channel = (np.array([0, 3, 4])[np.repeat(seen.kind[kept], width)] + within)[order]
+    return thinner, t, channel
+
+
+def make_readings(
+    runs: Sequence[Run],
+    pose_delay: float,
+    speeds: tuple[float, float],
+    horizon: float = HORIZON,
+) -> Readings:
+    """Cut runs into windows and thin their measurements.
+
+    Raises:
+        ValueError: the runs' grids differ, or no window sees enough poses.
+    """
+    layout, t, channel = thin(make_layout(runs, horizon, pose_delay))
+    return Readings(layout, t, channel, speeds)

@@ -1,0 +1,131 @@
+"""How large the gap is: whitened, and in millimetres, milliradians and metres per second."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sim_gap.engine.descent import Fitted, covariance_of, total
+from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.readings import SPACING
+from steerd.sim_gap.engine.space import Space
+
+Array = NDArray[np.float64]
+
+LEADS: tuple[float, ...] = (0.1, 0.5, 1.0)
+"""Times after a window's start at which errors are told [s]."""
+_SETTLE_ROUNDS = 4
+_SETTLED = 0.5
+"""Starts are at their best when a step takes no more than this off the squares."""
+_BOOTSTRAPS = 200
+_HALF_SLOT = 0.5 * SPACING
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Prediction error of windows.
+
+    Attributes:
+        whitened: squared error per degree of freedom, robust; 1 is noise alone.
+        interval: 90 % interval of it.
+        errors: rows (lead [s], position [m], yaw [rad], speed [m/s]), root mean squares.
+        intervals: (position, yaw, speed) 90 % intervals of each row.
+    """
+
+    whitened: float
+    interval: tuple[float, float]
+    errors: tuple[tuple[float, float, float, float], ...]
+    intervals: tuple[tuple[tuple[float, float], ...], ...]
+
+    def position(self, lead: float) -> float:
+        """Root mean square of the position error after `lead` seconds [m], NaN if not told."""
+        return next((row[1] for row in self.errors if row[0] == lead), float("nan"))
+
+
+def settled(engine: Engine, space: Space, z: Array, x: Array | None = None) -> Fitted:
+    """Fixed coordinates with the starts at their best.
+
+    Raises:
+        FloatingPointError: the simulation is not finite there.
+    """
+    x = engine.readings.layout.guess.copy() if x is None else x.copy()
+    linear = engine.linear(space, z, x)
+    if not linear.finite:
+        raise FloatingPointError("the simulation diverges")
+    tangent = engine.tangent(linear)
+    at = engine.reduce_by(tangent, linear.error, x)
+    for _ in range(_SETTLE_ROUNDS):
+        error, finite = engine.missed(space, z, x + at.dx)
+        moved = engine.reduce_by(tangent, error, x + at.dx)
+        if not finite or moved.square.sum() > at.square.sum():
+            break
+        gained = float(at.square.sum() - moved.square.sum())
+        x, at = x + at.dx, moved
+        if gained < _SETTLED:
+            break
+    return Fitted(space, z, x, at, total(space, at, z), covariance_of(space, at), tangent)
+
+
+def robust_mean(ratios: Array) -> float:
+    """Mean of whitened squares in which no window counts without bound; 1 stays 1."""
+    return float(np.expm1(np.log1p(np.minimum(ratios, 1e6)).mean()))
+
+
+def interval_of(values: Array, blocks: NDArray[np.int64], seed: int = 0) -> Array:
+    """Bootstrap of `robust_mean` over blocks: (draws,)."""
+    rng = np.random.default_rng(seed)
+    names = np.unique(blocks)
+    members = [np.flatnonzero(blocks == b) for b in names]
+    drawn = rng.integers(len(names), size=(_BOOTSTRAPS, len(names)))
+    return np.array([robust_mean(values[np.concatenate([members[i] for i in d])]) for d in drawn])
+
+
+def ratios(fitted: Fitted) -> Array:
+    """(W,) whitened squares per degree of freedom."""
+    return np.asarray(fitted.at.square / fitted.at.dof)
+
+
+def gap_of(
+    engine: Engine, fitted: Fitted, blocks: NDArray[np.int64], leads: Sequence[float] = LEADS
+) -> Gap:
+    """The gap under a fit."""
+    draws = interval_of(ratios(fitted), blocks)
+    low, high = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
+    rows, bounds = [], []
+    error, _ = engine.missed(fitted.space, fitted.z, fitted.x)
+    for lead in leads:
+        each = _at_lead(engine, error, lead)
+        a, b, d = (float(np.sqrt(np.mean(v**2))) if len(v) else 0.0 for v in each)
+        rows.append((lead, a, b, d))
+        bounds.append(tuple(_rms_interval(c) for c in each))
+    return Gap(robust_mean(ratios(fitted)), (low, high), tuple(rows), tuple(bounds))
+
+
+def _rms_interval(errors: Array) -> tuple[float, float]:
+    if not len(errors):
+        return 0.0, 0.0
+    rng = np.random.default_rng(0)
+    drawn = errors[rng.integers(len(errors), size=(_BOOTSTRAPS, len(errors)))]
+    low, high = np.percentile(np.sqrt((drawn**2).mean(axis=1)), [5.0, 95.0])
+    return float(low), float(high)
+
+
+def _at_lead(engine: Engine, error: Array, lead: float) -> tuple[Array, Array, Array]:
+    """Position, yaw and speed errors of all windows near `lead` (speed from the wheel)."""
+    padded, readings = engine.padded, engine.readings
+    t, channel = readings.t[padded.row], readings.channel[padded.row]
+    away = np.where(padded.there > 0.0, np.abs(t - lead), np.inf)
+    planar = _nearest(away, channel <= 1)
+    count = np.maximum(planar.sum(axis=1), 1) / 2.0
+    position = np.sqrt((error**2 * planar).sum(axis=1) / count)[planar.any(axis=1)]
+    turn, wheel = _nearest(away, channel == 2), _nearest(away, channel == 3)
+    return position, error[turn], error[wheel]
+
+
+def _nearest(away: Array, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Rows within half a slot of the lead; the last slot of windows may lie before it."""
+    there = wanted & np.isfinite(away)
+    if not there.any():
+        return there
+    return np.asarray(there & (away < max(0.0, away[there].min() - _HALF_SLOT) + _HALF_SLOT + 1e-3))

@@ -1,0 +1,77 @@
+"""One compiled car that holds every effect of the library, each at its null.
+
+At its nulls an effect changes nothing, bit for bit, so every hypothesis is a choice of which
+parameters of this one car are free: one compilation serves all candidates and all their pairs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.car_file import CarFile
+from steerd.car_model.effect import Effect
+from steerd.car_model.effects import EFFECTS
+from steerd.car_model.model import Model
+from steerd.car_model.params import Car
+from steerd.sysid.compiler.kernels import Kernels, make_kernels, parameter_vector
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.estimation.fit import prescribe_speed
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Superset:
+    """The base car with every effect of the library switched on at its null.
+
+    Attributes:
+        kernels: the compiled car.
+        base: (P,) parameters of the base; an effect that the base has keeps its values.
+        nulls: what each effect's parameters are when it is not a hypothesis: the base's values.
+        sd: standard errors of the base by parameter name, as far as they are known.
+    """
+
+    kernels: Kernels
+    base: Array
+    nulls: dict[str, tuple[float, ...]]
+    sd: dict[str, float]
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Every effect, in the order of the parameters."""
+        return self.kernels.effects
+
+    def places(self, effect: str) -> list[int]:
+        """Indices of an effect's parameters."""
+        names = self.kernels.names
+        return [i for i, name in enumerate(names) if name.startswith(f"{effect}.")]
+
+    def with_values(self, values: dict[str, tuple[float, ...]]) -> Array:
+        """The base's parameters with some effects at given values."""
+        p = self.base.copy()
+        for effect, numbers in values.items():
+            p[self.places(effect)] = numbers
+        return p
+
+
+def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset:
+    """The superset about a base car.
+
+    Where a run has no speed command its measured speed is prescribed, as in
+    `steerd.sysid.estimation.fit`. The acceleration of a measured speed is mostly noise, so loads
+    and slip do not follow it then.
+    """
+    sd = dict(base.sd) if isinstance(base, CarFile) else {}
+    model = base.model if isinstance(base, CarFile) else base
+    own = dict(zip((e.name for e in model.effects), model.values, strict=True))
+    if any(run.speed_source != "command" for run in runs):
+        model = prescribe_speed(model)
+        model = model._replace(car=model.car._replace(cog_height=0.0))
+        own.pop("wheel_slip", None)
+    effects = tuple(EFFECTS.values())
+    nulls = {e.name: own.get(e.name, e.nulls) for e in effects}
+    full: Model[float] = Model(Car(*model.car), effects, tuple(nulls[e.name] for e in effects))
+    kernels = make_kernels(effects)
+    return Superset(kernels, parameter_vector(full), nulls, sd)

@@ -1,0 +1,1 @@
+"""The diagnosis for people and programs: sentences, figures, page, JSON."""

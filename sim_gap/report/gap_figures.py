@@ -1,0 +1,277 @@
+"""The gap report's figures as inline SVG, in the manner of the identification's."""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter, StrMethodFormatter
+from numpy.typing import NDArray
+
+from steerd.sim_gap.diagnosis import Diagnosis
+from steerd.sim_gap.engine.residuals import Gap
+from steerd.sim_gap.lane_comparison import (
+    LaneComparison,
+    LaneDrive,
+    as_long,
+    profile,
+    steering_spectrum,
+)
+from steerd.sim_gap.report.summary_text import EQUATIONS, SCALES, told_leads
+from steerd.sim_gap.verdict.shrinkage import Shrinkage
+from steerd.sim_gap.verdict.timeline import Timeline
+from steerd.sim_gap.verdict.where import Regime, Share, range_words
+from steerd.sysid.report.drawing import (
+    AFTER,
+    BEFORE,
+    FAINT,
+    INK,
+    MEASURED,
+    STYLE,
+    make_figure,
+    to_svg,
+)
+
+Array = NDArray[np.float64]
+
+SHOWN_MOST = 12
+"""Candidates that are drawn; the rest is in the JSON."""
+Corner = Literal["upper left", "lower right"]
+_STYLE: dict[Any, Any] = {**STYLE, "axes.axisbelow": True}
+
+
+def _plain_log(axis: Axis) -> None:
+    """Plain numbers at a logarithmic axis: powers would be set in fonts that may be missing."""
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _name(axes: Axes, colours: dict[str, str], where: Corner) -> None:
+    for label, colour in colours.items():
+        axes.plot([], [], color=colour, label=label, lw=3.0)
+    axes.legend(loc=where, fontsize=8)
+
+
+def draw_gap(before: Gap, after: Gap, explained: bool) -> str:
+    """Error after each lead, before and after the effect, with 90 % intervals."""
+    names = {"base car": BEFORE}
+    if explained:
+        names["with the effect"] = AFTER
+    with rc_context(_STYLE):
+        gaps = (before, after) if explained else (before,)
+        units = ("position [mm]", "heading [mrad]", "wheel speed [mm/s]")
+        there = [i for i in range(3) if any(row[1 + i] > 0.0 for row in before.errors)] or [0]
+        figure, axes = make_figure(1, len(there), 2.5)
+        for axis, i in zip(axes[0], there, strict=True):
+            label, scale = units[i], 1e3
+            _bars(axis, before, i, scale, -0.2 if explained else 0.0, BEFORE)
+            if explained:
+                _bars(axis, after, i, scale, 0.2, AFTER)
+            leads = [before.errors[j][0] for j in told_leads(before)]
+            axis.set_xticks(range(len(leads)), [f"{lead:g} s" for lead in leads])
+            axis.set(title=label, yscale="log", ylim=_limits(gaps, i, scale))
+            _plain_log(axis.yaxis)
+            axis.grid(visible=False, axis="x")
+        axes[0, 0].set_ylabel("root mean square")
+        _name(axes[0, 0], names, "upper left")
+        return to_svg(figure, "Prediction error by horizon, before and after")
+
+
+def _limits(gaps: Sequence[Gap], i: int, scale: float) -> tuple[float, float]:
+    """Of a logarithmic axis that holds all bars and their intervals."""
+    values = [gap.errors[j][1 + i] for gap in gaps for j in told_leads(gap)]
+    highs = [gap.intervals[j][i][1] for gap in gaps for j in told_leads(gap)]
+    low = max(min((v for v in values if v > 0.0), default=1e-4), 1e-7)
+    return 0.4 * scale * low, 2.0 * scale * max([low, *values, *highs])
+
+
+def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str) -> None:
+    kept = told_leads(gap)
+    values = scale * np.array([gap.errors[j][1 + i] for j in kept])
+    bounds = scale * np.array([gap.intervals[j][i] for j in kept]).reshape(-1, 2)
+    off = np.clip(np.column_stack([values - bounds[:, 0], bounds[:, 1] - values]).T, 0.0, None)
+    axis.bar(
+        np.arange(len(values)) + shift, values, 0.36, color=colour, yerr=off,
+        error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.0},
+    )  # fmt: skip
+
+
+def draw_candidates(told: Diagnosis) -> str:
+    """Held-out gain of each refitted hypothesis, with its standard error."""
+    rows = sorted(told.candidates, key=lambda row: -row[1])[:SHOWN_MOST]
+    names = {cause.effect for cause in told.causes}
+    rivals = {rival for cause in told.causes for rival in cause.ambiguous_with}
+    with rc_context(_STYLE):
+        figure, axes = make_figure(1, 1, 0.7 + 0.24 * max(len(rows), 2))
+        axis = axes[0, 0]
+        for place, (effect, gain, se) in enumerate(rows):
+            parts = set(effect.split("+"))
+            chosen = bool(names) and (parts == names if len(names) > 1 else parts <= names)
+            colour = AFTER if chosen else "#f0a77f" if parts & rivals else FAINT
+            error = se if np.isfinite(se) else 0.0
+            axis.barh(place, gain, 0.66, color=colour, xerr=error,
+                      error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.0})  # fmt: skip
+        axis.set_yticks(range(len(rows)), [row[0].replace("+", " + ") for row in rows])
+        axis.invert_yaxis()
+        axis.grid(visible=False, axis="y")
+        axis.set_xlabel("gain over the base on windows left out of the fit [nats], ± 1 SE")
+        colours = {"named": AFTER, "cannot be told from it": "#f0a77f", "others": FAINT}
+        if not rivals:
+            del colours["cannot be told from it"]
+        if names:
+            _name(axis, colours, "lower right")
+        return to_svg(figure, "Candidates and their gains")
+
+
+def draw_where(equation: Sequence[Share], channels: Sequence[Share]) -> str:
+    """Shares by equation and by measured channel."""
+    with rc_context(_STYLE):
+        figure, axes = make_figure(1, 2, 1.9)
+        labels = [EQUATIONS.get(s.name, s.name) for s in equation]
+        _shares(axes[0, 0], labels, [s.share for s in equation])
+        axes[0, 0].set_title("hidden input that would remove the error")
+        shown = [s for s in channels if s.share > 5e-3] or list(channels[:1])
+        _shares(axes[0, 1], [s.name.replace("_", " ") for s in shown], [s.share for s in shown])
+        axes[0, 1].set_title("measurement in which it shows")
+        return to_svg(figure, "Where the error lies, by equation and by channel")
+
+
+def _shares(axis: Axes, labels: Sequence[str], shares: Sequence[float]) -> None:
+    colours = [AFTER if share == max(shares) else FAINT for share in shares]
+    axis.barh(range(len(shares)), [100.0 * s for s in shares], 0.66, color=colours)
+    for place, share in enumerate(shares):
+        axis.text(100.0 * share + 1.0, place, f"{share:.0%}", va="center", fontsize=8)
+    axis.set_yticks(range(len(labels)), labels)
+    axis.set(xlim=(0.0, 112.0), xlabel="share [%]")
+    axis.set_xticks([0, 25, 50, 75, 100])
+    axis.invert_yaxis()
+    axis.grid(visible=False, axis="y")
+
+
+def draw_timeline(line: Timeline, stretches: Sequence[Any], explained: bool) -> str:
+    """Whitened error of each window over its drive's time; stretches that stand out are shaded."""
+    runs = list(dict.fromkeys(line.run))[:4]
+    with rc_context(_STYLE):
+        figure, axes = make_figure(len(runs), 1, 0.6 + 1.5 * len(runs))
+        for axis, name in zip(axes[:, 0], runs, strict=True):
+            mine = np.array([run == name for run in line.run])
+            for stretch in stretches:
+                if stretch.run == name:
+                    axis.axvspan(stretch.t0, stretch.t1, color="#fff0e6", lw=0)
+            _steps(axis, line, mine, line.before, BEFORE)
+            if explained:
+                _steps(axis, line, mine, line.after, AFTER)
+            axis.axhline(1.0, color=INK, lw=0.8, ls=":")
+            axis.set(yscale="log", ylabel="error / noise", title=name)
+            _plain_log(axis.yaxis)
+        axes[-1, 0].set_xlabel("time into the drive [s]")
+        colours = {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
+        handles = [Line2D([], [], color=c, lw=3.0, label=name) for name, c in colours.items()]
+        figure.legend(handles=handles, loc="outside lower left", ncols=2, fontsize=8)
+        return to_svg(figure, "The gap over time")
+
+
+def _steps(axis: Axes, line: Timeline, mine: Array, values: Array, colour: str) -> None:
+    shown = np.clip(values[mine], 1e-2, 1e5)
+    axis.hlines(shown, line.t0[mine], line.t1[mine], color=colour, lw=2.0)
+
+
+def draw_regimes(regimes: Sequence[Regime]) -> str:
+    """How much larger the error is in each manner of driving than elsewhere."""
+    rows = list(regimes[:6])
+    with rc_context(_STYLE):
+        figure, axes = make_figure(1, 1, 0.7 + 0.28 * len(rows))
+        axis = axes[0, 0]
+        for place, r in enumerate(rows):
+            colour = AFTER if r.ratio_low > 1.0 else FAINT
+            ratio = max(r.ratio, 1e-3)
+            axis.plot([max(r.ratio_low, 1e-3), max(r.ratio_high, 1e-3)], [place, place],
+                      color=colour, lw=2.0)  # fmt: skip
+            axis.plot(ratio, place, "o", color=colour)
+        labels = [f"{r.variable.replace('_', ' ')} {range_words(r)}" for r in rows]
+        axis.set_yticks(range(len(rows)), labels)
+        axis.set_ylim(len(rows) - 0.4, -0.6)
+        axis.axvline(1.0, color=INK, lw=0.8, ls=":")
+        axis.set(xscale="log", xlabel="error there / error elsewhere, with 90 % interval")
+        _plain_log(axis.xaxis)
+        ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000)
+                 if axis.get_xlim()[0] <= t <= axis.get_xlim()[1]]  # fmt: skip
+        axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
+        return to_svg(figure, "In which manner of driving the error is larger")
+
+
+def draw_shrinkage(s: Shrinkage) -> str:
+    """Predicted share of the excess error, with its interval, against what was measured."""
+    with rc_context(_STYLE):
+        figure, axes = make_figure(1, 1, 1.35)
+        axis = axes[0, 0]
+        axis.plot([100 * s.low, 100 * s.high], [0, 0], color=BEFORE, lw=6.0, alpha=0.4,
+                  solid_capstyle="butt")  # fmt: skip
+        axis.plot(100 * s.predicted, 0, "o", color=BEFORE, ms=8)
+        labels = ["predicted"]
+        if s.measured is not None:
+            axis.plot(100 * s.measured, 1, "D", color=AFTER, ms=8)
+            labels.append("measured")
+        axis.set_yticks(range(len(labels)), labels)
+        axis.set_ylim(len(labels) - 0.4, -0.6)
+        axis.set(xlim=(-2.0, 104.0), xlabel="excess error removed [%]; 100 leaves noise alone")
+        return to_svg(figure, "Shrinkage, predicted and measured")
+
+
+def draw_lane(lane: LaneComparison) -> str:
+    """e1 and e2 along the lane, and the steering's spectrum: recorded and simulated."""
+    drives: list[tuple[LaneDrive, str, float]] = [(lane.recorded, MEASURED, 2.4)]
+    colours = {"recorded": MEASURED}
+    if lane.without is not None:
+        drives.append((lane.without, BEFORE, 1.3))
+        colours["simulated, base car"] = BEFORE
+    if lane.with_effect is not None:
+        drives.append((lane.with_effect, AFTER, 1.3))
+        colours["simulated, with the effect"] = AFTER
+    with rc_context(_STYLE):
+        figure, axes = make_figure(1, 3, 3.0)
+        for drive, colour, width in drives:
+            alpha = 0.45 if drive is lane.recorded else 1.0
+            for axis, field in ((axes[0, 0], "e1"), (axes[0, 1], "e2")):
+                means = profile(drive, getattr(drive, field))
+                at = (np.arange(len(means)) + 0.5) / len(means) * drive.length
+                axis.plot(at, 1e3 * means, color=colour, lw=width, alpha=alpha)
+            shown = drive if lane.without is None else as_long(drive, lane.without)
+            f, density = steering_spectrum(shown)
+            axes[0, 2].plot(f, 1e3 * density, color=colour, lw=width, alpha=alpha)
+        axes[0, 0].set(xlabel="along the lane [m]", title="lateral offset e1 [mm]")
+        axes[0, 1].set(xlabel="along the lane [m]", title="heading error e2 [mrad]")
+        axes[0, 2].set(xlabel="frequency [Hz]", yscale="log", xscale="log",
+                       title="steering spectrum [mrad/√Hz]")  # fmt: skip
+        _plain_log(axes[0, 2].xaxis)
+        axes[0, 2].set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])
+        _plain_log(axes[0, 2].yaxis)
+        for label, colour in colours.items():
+            axes[0, 0].plot([], [], color=colour, label=label, lw=3.0)
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=3,
+                      fontsize=8)  # fmt: skip
+        return to_svg(figure, "Lane keeping, recorded and simulated")
+
+
+def draw_parameters(told: Diagnosis) -> str:
+    """The constancy test: each half's value of the first cause's first parameter."""
+    splits = list(told.splits)
+    cause = told.causes[0]
+    name, (value, sd, unit) = next(iter(cause.parameters.items()))
+    scale, small = SCALES.get(unit, (1.0, unit))
+    with rc_context(_STYLE):
+        figure, axes = make_figure(1, 1, 0.8 + 0.26 * len(splits))
+        axis = axes[0, 0]
+        axis.axvspan(scale * (value - 2 * sd), scale * (value + 2 * sd), color="#fff0e6", lw=0)
+        axis.axvline(scale * value, color=AFTER, lw=1.0)
+        for place, split in enumerate(splits):
+            colour = AFTER if split.broken else INK
+            axis.plot([scale * split.first, scale * split.second], [place, place], "o-",
+                      color=colour, lw=1.0, ms=4)  # fmt: skip
+        axis.set_yticks(range(len(splits)), [s.by for s in splits])
+        axis.set_ylim(len(splits) - 0.4, -0.6)
+        axis.set_xlabel(f"{cause.effect}: {name} [{small or '1'}] on either half; band: ± 2 sd")
+        return to_svg(figure, "The effect's parameter on halves of the drives")

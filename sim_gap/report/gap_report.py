@@ -1,0 +1,234 @@
+"""The gap report: one HTML file that needs nothing else, for a reader who was not there."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from steerd.car_model.effects import EFFECTS
+from steerd.sim_gap.diagnosis import Cause, Diagnosis
+from steerd.sim_gap.lane_comparison import LaneComparison
+from steerd.sim_gap.report import gap_figures as figures
+from steerd.sim_gap.report.summary_text import (
+    EQUATIONS,
+    FAMILIES,
+    ambiguity,
+    cause_words,
+    headline,
+    lane_rows,
+    lane_words,
+    manoeuvre_words,
+    residual_words,
+    share_words,
+    short,
+    shrink_words,
+    summary_of,
+    told_leads,
+    value_words,
+)
+from steerd.sysid.report.page import render_page
+
+TEMPLATE = Path(__file__).parent / "templates" / "gap.html"
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What was diagnosed.
+
+    Attributes:
+        sessions: names of the files.
+        seconds: driving that was looked at [s].
+        base: where the base car comes from.
+        held_out_of: what was kept back, in words; empty if nothing.
+        notes: what a reader should know about the data.
+    """
+
+    sessions: tuple[str, ...]
+    seconds: float
+    base: str
+    held_out_of: str
+    notes: tuple[str, ...] = ()
+
+
+class Card(NamedTuple):
+    """One figure that is read first."""
+
+    label: str
+    figure: str
+    text: str
+
+
+class Section(NamedTuple):
+    """A headed figure or table with a sentence about it; `words` is a table of text."""
+
+    title: str
+    text: str
+    figure: str = ""
+    heads: Sequence[str] = ()
+    rows: Sequence[Sequence[str]] = ()
+    words: bool = False
+
+
+def render_report(subject: Subject, told: Diagnosis, lane: LaneComparison | None) -> str:
+    """The whole page."""
+    return render_page(
+        TEMPLATE,
+        subject=subject,
+        told=told,
+        family=FAMILIES[told.verdict],
+        headline=headline(told),
+        cards=list(_cards(subject, told)),
+        sections=list(_sections(subject, told, lane)),
+        notes=(*subject.notes, *told.notes),
+    )
+
+
+def _cards(subject: Subject, told: Diagnosis) -> Iterator[Card]:
+    leads = told_leads(told.before) or [0]
+    last = min(leads, key=lambda i: abs(told.before.errors[i][0] - 1.0))
+    before, after = told.before.errors[last], told.after.errors[last]
+    lead = f"position error after {before[0]:g} s"
+    if told.causes:
+        first = told.causes[0]
+        parameter, (value, sd, unit) = _surest(first)
+        more = f" and {told.causes[1].effect}" if len(told.causes) > 1 else ""
+        yield Card("cause", f"{first.effect}{more}", f"confidence {first.confidence:.0%}")
+        yield Card("how large", value_words(value, sd, unit), f"{first.effect}: {parameter} ± sd")
+        figure = f"{short(1e3 * before[1])} → {short(1e3 * after[1])} mm"
+        yield Card(lead, figure, "base car → with the effect")
+        yield _shrunk(told)
+        return
+    yield Card(lead, f"{short(1e3 * before[1])} mm", "root mean square, base car")
+    low, high = told.before.interval
+    text = f"1 is noise alone; 90 %: {low:.2g} to {high:.2g}"
+    yield Card("error over noise", f"{told.before.whitened:.2g}", text)
+    if told.candidates:
+        effect, gain, se = max(told.candidates, key=lambda row: row[1])
+        yield Card("best candidate", effect, f"gains {gain:.0f} ± {se:.0f} nats: not enough")
+
+
+def _surest(cause: Cause) -> tuple[str, tuple[float, float, str]]:
+    """The parameter that is furthest from doing nothing, in its standard errors."""
+    nulls = {p.name: p.null for p in EFFECTS[cause.effect].parameters}
+
+    def sigmas(item: tuple[str, tuple[float, float, str]]) -> float:
+        name, (value, sd, _) = item
+        return abs(value - nulls[name]) / max(sd, 1e-12)
+
+    return max(cause.parameters.items(), key=sigmas)
+
+
+def _shrunk(told: Diagnosis) -> Card:
+    s, label = told.shrinkage, "excess error removed"
+    if s.measured is None:
+        return Card(label, share_words(s.predicted), "predicted")
+    said = f"measured; predicted {share_words(s.predicted)}"
+    return Card(label, share_words(s.measured), said)
+
+
+def _sections(subject: Subject, told: Diagnosis, lane: LaneComparison | None) -> Iterator[Section]:
+    explained = bool(told.causes)
+    yield Section(
+        "How large the gap is",
+        "The car's pose and wheel speed are predicted from a window's start; this is how far the "
+        "prediction is off after so many seconds, with 90 % intervals. The start itself is fitted "
+        "to the window, so a wrong model is met best somewhere in its middle.",
+        figures.draw_gap(told.before, told.after, explained),
+    )
+    if told.verdict != "none":
+        yield from _where(told, explained)
+    if told.candidates:
+        yield Section("Which effect", _which(told), figures.draw_candidates(told))
+    if explained:
+        yield from _why(told)
+        yield Section(
+            "How far the gap shrinks",
+            f"Adding the effect: {shrink_words(told, subject.held_out_of)}.",
+            figures.draw_shrinkage(told.shrinkage),
+        )
+    if lane is not None:
+        yield Section(
+            "Lane keeping, driven again",
+            f"{_sentence(lane_words(lane))} Laps are averaged by place along the lane; controller, "
+            "path and speed are the session's own, only the simulated car is exchanged.",
+            figures.draw_lane(lane),
+            ("", "recorded", "base car", "with the effect"),
+            [(label, *cells) for label, cells in lane_rows(lane)],
+        )
+    if told.verdict in ("unexplained", "partial"):
+        yield Section("What is left", f"{_sentence(residual_words(told))}")
+    yield Section("What next", f"{_sentence('to drive: ' + manoeuvre_words(told))} {_typed(told)}")
+
+
+def _typed(told: Diagnosis) -> str:
+    if not told.causes:
+        return ""
+    return (
+        "To type: steerd diagnose … -o car.toml writes the effect into a car file. steerd run "
+        "--sim --car car.toml then drives a car with the manners of this one, and controllers and "
+        "filters designed from that file know of the effect as far as it is a parameter of theirs."
+    )
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
+
+
+def _where(told: Diagnosis, explained: bool) -> Iterator[Section]:
+    where = told.where
+    yield Section(
+        "Where it lies", where.sentence, figures.draw_where(where.equation, where.channels)
+    )
+    if told.timeline is not None:
+        yield Section(
+            "",
+            "Over time: each bar is a window of one second. Shaded stretches stand out; the dotted "
+            "line is noise alone.",
+            figures.draw_timeline(told.timeline, where.windows, explained),
+        )
+    if where.regimes:
+        yield Section(
+            "",
+            "By manner of driving: right of the dotted line the error is larger than elsewhere "
+            "(coloured where its interval says so).",
+            figures.draw_regimes(where.regimes),
+        )
+
+
+def _which(told: Diagnosis) -> str:
+    if not told.causes:
+        return (
+            "The best candidates, each added by itself. None predicts unseen windows so much "
+            "better that it could be called a cause."
+        )
+    stage = EQUATIONS.get(told.where.equation[0].name, told.where.stage)
+    text = f"The error lies in the {stage}; every effect was tried all the same. "
+    rivals = [f"{c.effect} ({ambiguity(c)})" for c in told.causes if ambiguity(c)]
+    if not rivals:
+        return f"{text}On these drives nothing in the library is mistaken for what was found."
+    return f"{text}What cannot be told from it: {'; '.join(rivals)}."
+
+
+def _why(told: Diagnosis) -> Iterator[Section]:
+    rows = [
+        (
+            cause.effect,
+            cause_words(cause),
+            f"{cause.confidence:.0%}",
+            f"{summary_of(cause.effect)}: {EFFECTS[cause.effect].equation}".replace("->", "→"),
+            ambiguity(cause) or "nothing",
+        )
+        for cause in told.causes
+    ]
+    heads = ("effect", "value ± sd", "confidence", "what it is", "not told from")
+    broken = [split.by for split in told.splits if split.broken]
+    text = ""
+    figure = ""
+    if told.splits:
+        figure = figures.draw_parameters(told)
+        text = "A real cause has one value everywhere. Fitted on halves of the drives, " + (
+            f"it differs by {', '.join(broken)}: it behaves like this effect there only."
+            if broken
+            else "no two halves differ by more than four standard errors and a third of it."
+        )
+    yield Section("How sure", text, figure, heads, rows, words=True)

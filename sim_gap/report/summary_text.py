@@ -1,0 +1,193 @@
+"""A diagnosis in plain sentences, for the terminal and the report alike."""
+
+from collections.abc import Iterator
+from math import floor, isfinite, log10
+
+from steerd.car_model.effects import EFFECTS
+from steerd.sim_gap.diagnosis import Cause, Diagnosis
+from steerd.sim_gap.engine.residuals import Gap
+from steerd.sim_gap.lane_comparison import LaneComparison, as_long, figures_of
+
+SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad"), "m": (1e3, "mm"), "1": (1.0, "")}
+"""Small units for small numbers; what is not listed stays in SI."""
+LARGE = 1000.0
+"""From here on the larger unit reads better."""
+EQUATIONS = {
+    "accel": "longitudinal equation",
+    "lateral": "side-slip equation",
+    "yaw": "yaw equation",
+    "steer": "steering actuator",
+    "drive": "drive actuator",
+}
+FAMILIES = {"none": "no gap", "explained": "explained", "partial": "partly explained",
+            "unexplained": "a gap without a name", "unjudged": "cannot be judged"}  # fmt: skip
+
+
+def value_words(value: float, sd: float, unit: str) -> str:
+    """A value with its standard error to two digits of it, in a unit that suits the value."""
+    scale, small = SCALES.get(unit, (1.0, unit))
+    if abs(scale * value) >= LARGE:
+        scale, small = 1.0, unit
+    small = "" if small == "1" else small.replace("^2", "²")
+    return f"{_rounded(scale * value, scale * sd)} {small}".rstrip()
+
+
+def _rounded(value: float, sd: float) -> str:
+    if not (isfinite(sd) and sd > 0.0):
+        return f"{value:.3g} ± ?"
+    places = 1 - floor(log10(sd))
+    digits = min(max(places, 0), 6)
+    return f"{round(value, places):.{digits}f} ± {round(sd, places):.{digits}f}"
+
+
+def cause_words(cause: Cause) -> str:
+    """An effect's parameters in a line."""
+    return ", ".join(
+        f"{name} = {value_words(value, sd, unit)}"
+        for name, (value, sd, unit) in cause.parameters.items()
+    )
+
+
+def summary_of(effect: str) -> str:
+    """What an effect is, in words."""
+    return EFFECTS[effect].summary if effect in EFFECTS else effect
+
+
+def headline(told: Diagnosis) -> str:
+    """The verdict in one sentence."""
+    if told.verdict == "none":
+        return "What the simulation does not predict of these drives looks like noise."
+    if told.verdict == "unjudged":
+        lead, off = told.before.errors[-1][:2]
+        return (
+            f"These drives cannot be judged: the simulation is {short(1e3 * off)} mm off after "
+            f"{lead:g} s, and what was learnt as noise hides why."
+        )
+    if told.verdict == "unexplained" or not told.causes:
+        return "There is a gap, and none of the known effects explains it."
+    names = " and ".join(cause.effect for cause in told.causes)
+    what = "; ".join(summary_of(cause.effect) for cause in told.causes)
+    if told.verdict == "partial":
+        return f"Part of the gap behaves like {names}: {what}."
+    return f"The gap is explained by {names}: {what}."
+
+
+def ambiguity(cause: Cause) -> str:
+    """What cannot be told from a cause."""
+    parts = []
+    if cause.ambiguous_with:
+        parts.append(f"on these drives: {', '.join(cause.ambiguous_with)}")
+    if cause.alias:
+        parts.append(f"ever or hardly: {cause.alias}")
+    return "; ".join(parts)
+
+
+def short(value: float) -> str:
+    """Two digits, and never an exponent."""
+    return f"{value:.2g}" if abs(value) < 99.5 else f"{value:.0f}"
+
+
+def told_leads(gap: Gap) -> list[int]:
+    """Which leads have errors: windows may end just before the last."""
+    return [i for i, row in enumerate(gap.errors) if row[1] > 0.0]
+
+
+def gap_words(told: Diagnosis) -> Iterator[str]:
+    """Position and heading error before and after by lead."""
+    for i in told_leads(told.before):
+        before, after = told.before.errors[i], told.after.errors[i]
+        if not told.causes:
+            yield f"{before[0]:g} s: {short(1e3 * before[1])} mm, {short(1e3 * before[2])} mrad"
+            continue
+        yield (
+            f"{before[0]:g} s: {short(1e3 * before[1])} → {short(1e3 * after[1])} mm, "
+            f"{short(1e3 * before[2])} → {short(1e3 * after[2])} mrad"
+        )
+
+
+def share_words(share: float) -> str:
+    """A share in percent; nearly all is not all."""
+    return ">99%" if 0.99 < share < 1.0 else f"{share:.0%}"
+
+
+def shrink_words(told: Diagnosis, held_out_of: str) -> str:
+    """Predicted and measured shrinkage."""
+    if not told.causes:
+        return "no effect was found that could be added"
+    s = told.shrinkage
+    low, best, high = map(share_words, (s.low, s.predicted, s.high))
+    text = f"predicted {best} of the excess error ({low} to {high})"
+    if s.before is None:
+        return f"{text}; not measured: nothing was kept back"
+    if s.measured is None:
+        return f"{text}; {held_out_of} shows too little of the gap to measure it there"
+    return f"{text}, measured {share_words(s.measured)} on {held_out_of}"
+
+
+def manoeuvre_words(told: Diagnosis) -> str:
+    """What to drive next."""
+    following = told.next_manoeuvre
+    if following is not None:
+        first, second = following.separates
+        return f"to tell {first} from {second}: {following.name}, {following.how}"
+    if told.verdict == "none":
+        return "nothing; if the car behaves badly elsewhere, record it there"
+    if told.verdict == "unjudged":
+        return (
+            "nothing yet: first `steerd identify`, then `--base` that car, `--healthy` its drives"
+        )
+    if told.verdict == "unexplained":
+        return "`steerd collect --plan mixed`: more kinds of driving tell more of its shape"
+    if told.verdict == "partial":
+        return "the same once more, and faster: what is left must show twice to be believed"
+    return "nothing more is needed to name it"
+
+
+def lane_words(lane: LaneComparison) -> str:
+    """The closed loop in a sentence."""
+    before, after = lane.distances
+    if before is None or after is None:
+        return "; ".join(lane.remarks) or (
+            f"the lane keeper on {lane.session}, re-run without an effect: e1 profile off by "
+            f"{1e3 * before.e1:.2g} mm" if before else "no simulated drive to compare with"
+        )  # fmt: skip
+    verdict = "resembles" if lane.nearer else "does not resemble"
+    return (
+        f"with the effect the re-run loop {verdict} {lane.session} more: e1 profile off by "
+        f"{1e3 * before.e1:.2g} → {1e3 * after.e1:.2g} mm, e2 by {1e3 * before.e2:.2g} → "
+        f"{1e3 * after.e2:.2g} mrad, steering spectrum by {before.steer_db:.2g} → "
+        f"{after.steer_db:.2g} dB"
+    )
+
+
+def lane_rows(lane: LaneComparison) -> list[tuple[str, list[str]]]:
+    """A table: figures of the recorded and the simulated drives."""
+    drives = [lane.recorded, lane.without, lane.with_effect]
+    if lane.without is not None:
+        drives[0] = as_long(lane.recorded, lane.without)
+    found = [None if d is None else figures_of(d) for d in drives]
+    rows = [
+        ("e1 RMS [mm]", 1e3, "e1_rms"), ("e1 mean [mm]", 1e3, "e1_mean"),
+        ("e1 strongest at [Hz]", 1.0, "e1_peak_hz"), ("e2 RMS [mrad]", 1e3, "e2_rms"),
+        ("e2 mean [mrad]", 1e3, "e2_mean"), ("e2 strongest at [Hz]", 1.0, "e2_peak_hz"),
+        ("steering RMS [mrad]", 1e3, "steer_rms"), ("steering strongest at [Hz]", 1.0,
+                                                   "steer_peak_hz"),
+    ]  # fmt: skip
+    return [
+        (label, ["–" if f is None else f"{scale * getattr(f, name):.3g}" for f in found])
+        for label, scale, name in rows
+    ]
+
+
+def residual_words(told: Diagnosis) -> str:
+    """What is left, in words."""
+    shape, parts = told.shape, []
+    if shape.noise_like:
+        parts.append("it is white in time and grows with speed: jitter of stamps or lost frames")
+    elif shape.prominence > 3.0:
+        parts.append(f"its heading error is strongest at {shape.peak_hz:.2g} Hz")
+    if shape.dependence:
+        name, size = next(iter(shape.dependence.items()))
+        way = "grows" if size > 0 else "falls"
+        parts.append(f"it {way} with {name.replace('_', ' ')} (rank correlation {size:+.2f})")
+    return "; ".join(parts) or "no pattern stands out"

@@ -1,0 +1,116 @@
+"""The diagnosis as the schema `steerd.gap/1`."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from steerd.sim_gap.diagnosis import Cause, Diagnosis
+from steerd.sim_gap.engine.residuals import Gap
+
+SCHEMA = "steerd.gap/1"
+
+
+def _plain(value: Any) -> Any:
+    """Numbers that JSON can hold: what is not finite becomes null."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def _gap(gap: Gap) -> dict[str, Any]:
+    names = ("position_mm", "yaw_mrad", "speed_m_s")
+    scales = (1e3, 1e3, 1.0)
+    leads = []
+    for row, bounds in zip(gap.errors, gap.intervals, strict=True):
+        entry: dict[str, Any] = {"lead_s": row[0]}
+        for name, scale, value, (low, high) in zip(names, scales, row[1:], bounds, strict=True):
+            entry[name] = {"value": scale * value, "low": scale * low, "high": scale * high}
+        leads.append(entry)
+    low, high = gap.interval
+    return {"whitened": gap.whitened, "low": low, "high": high, "errors": leads}
+
+
+def _told_gap(told: Diagnosis, which: str) -> dict[str, Any]:
+    """A gap with its whitened error over other horizons."""
+    horizons = [
+        {"horizon_s": each.seconds, "whitened": getattr(each, which)} for each in told.horizons
+    ]
+    return {**_gap(getattr(told, which)), "horizons": horizons}
+
+
+def _cause(cause: Cause, told: Diagnosis) -> dict[str, Any]:
+    s = told.shrinkage
+    return {
+        "effect": cause.effect, "stage": cause.stage, "family": cause.family,
+        "parameters": {
+            name: {"value": value, "sd": sd, "unit": unit}
+            for name, (value, sd, unit) in cause.parameters.items()
+        },
+        "confidence": cause.confidence,
+        "shrink": {
+            "predicted": s.predicted, "measured": s.measured, "low": s.low, "high": s.high,
+        },
+        "ambiguous_with": list(cause.ambiguous_with),
+    }  # fmt: skip
+
+
+def to_json(told: Diagnosis) -> dict[str, Any]:
+    """The diagnosis as plain values, exactly in the shape of `steerd.gap/1`."""
+    where = told.where
+    following = told.next_manoeuvre
+    return dict(_plain({
+        "schema": SCHEMA,
+        "verdict": told.verdict,
+        "gap": {"before": _told_gap(told, "before"), "after": _told_gap(told, "after")},
+        "where": {
+            "stage": where.stage,
+            "equation": [{"name": s.name, "share": s.share} for s in where.equation],
+            "channels": [{"name": s.name, "share": s.share} for s in where.channels],
+            "windows": [
+                {"run": w.run, "t0": w.t0, "t1": w.t1, "share": w.share} for w in where.windows
+            ],
+            "regimes": [
+                {"variable": r.variable, "low": r.low, "high": r.high, "ratio": r.ratio,
+                 "share": r.share, "ratio_low": r.ratio_low, "ratio_high": r.ratio_high,
+                 "unit": r.unit}
+                for r in where.regimes
+            ],
+            "sentence": where.sentence,
+        },
+        "causes": [_cause(cause, told) for cause in told.causes],
+        "candidates": [{"effect": n, "gain": g, "se": se} for n, g, se in told.candidates],
+        "next_manoeuvre": {} if following is None else {
+            "name": following.name, "how": following.how,
+            "separates": list(following.separates),
+            "expected_nats": following.expected_nats, "now_nats": following.now_nats,
+        },
+        "residual": _residual(told),
+    }))  # fmt: skip
+
+
+def _residual(told: Diagnosis) -> dict[str, Any]:
+    s, shape = told.shrinkage, told.shape
+    return {
+        "spectrum_peak_hz": shape.peak_hz, "prominence": shape.prominence,
+        "dependence": shape.dependence, "noise_like": shape.noise_like,
+        "noise": {"instruments": list(told.noise.instruments), "pushes": list(told.noise.pushes),
+                  "known": told.noise_known},
+        "moved": told.moved,
+        "aliases": {c.effect: c.alias for c in told.causes if c.alias},
+        "constancy": [
+            {"by": p.by, "first": p.first, "second": p.second, "sigmas": p.sigmas,
+             "broken": p.broken} for p in told.splits
+        ],
+        "prediction_sha256": s.digest,
+        "held_out": None if s.before is None or s.after is None else {
+            "before": _gap(s.before), "after": _gap(s.after)
+        },
+        "notes": list(told.notes),
+    }  # fmt: skip

@@ -1,0 +1,1 @@
+"""From scores to a verdict: where, which effect, how sure, how far it helps."""

@@ -1,0 +1,161 @@
+"""Which effect: every candidate refitted with the base as nuisance, scored on drives left out.
+
+The score is the gain in log-likelihood of windows that the fit did not see, window by window and
+bounded, so that one spun window cannot decide.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from steerd.sim_gap.engine.constants import REFITS, WINSOR
+from steerd.sim_gap.engine.descent import Fitted, curvature, descend, step_within
+from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.verdict.screen import Promise, extended, screen
+
+Array = NDArray[np.float64]
+
+FOLDS = 4
+BLOCK = 3
+"""Windows that follow each other and count as one when uncertainty is estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """A hypothesis and what it predicts of unseen windows.
+
+    Attributes:
+        effects: its effects, none for the base alone.
+        fitted: at its best on all windows.
+        losses: (W,) loss of each window under a fit that did not see it [nats].
+        prior: half the square of the base parameters' prior deviations [nats].
+    """
+
+    effects: tuple[str, ...]
+    fitted: Fitted
+    losses: Array
+    prior: float
+
+    @property
+    def name(self) -> str:
+        """Its effects, joined."""
+        return "+".join(self.effects)
+
+
+def gain_of(better: Score, worse: Score, blocks: NDArray[np.int64]) -> tuple[float, float]:
+    """Held-out gain of one hypothesis over another [nats], and its standard error.
+
+    Args:
+        better: one hypothesis.
+        worse: the other.
+        blocks: (W,) which windows follow each other.
+    """
+    each = np.clip(worse.losses - better.losses, -WINSOR, WINSOR)
+    sums = np.bincount(blocks, weights=each)
+    n = len(sums)
+    se = float(np.sqrt(n) * sums.std(ddof=1)) if n > 1 else float("inf")
+    return float(each.sum() + worse.prior - better.prior), se
+
+
+def folds_of(engine: Engine) -> NDArray[np.int64]:
+    """(W,) fold of each window: whole runs where there are enough, else interleaved blocks."""
+    run = engine.readings.layout.run
+    if len(np.unique(run)) >= FOLDS:
+        return np.asarray(run % FOLDS)
+    return np.asarray((np.arange(len(run)) // BLOCK) % FOLDS)
+
+
+def blocks_of(engine: Engine) -> NDArray[np.int64]:
+    """(W,) number of the block of neighbouring windows."""
+    layout = engine.readings.layout
+    first = np.searchsorted(layout.run, layout.run)
+    within = (np.arange(len(layout.run)) - first) // BLOCK
+    _, block = np.unique(layout.run * 100_000 + within, return_inverse=True)
+    return np.asarray(block)
+
+
+def held_out(fitted: Fitted, folds: NDArray[np.int64]) -> Array:
+    """(W,) loss of each window under the fit without its fold.
+
+    Leaving a fold out moves the optimum by one Newton step; the losses are those of the windows'
+    own quadratic forms, so nothing is simulated again.
+    """
+    space, at = fitted.space, fitted.at
+    everything = curvature(space, at)
+    losses = np.empty(len(folds))
+    for fold in np.unique(folds):
+        out = folds == fold
+        weight = at.weight * out
+        h = everything - np.einsum("w,wij->ij", weight, at.h)
+        slope = weight @ at.g
+        dz = step_within(
+            h, (at.weight @ at.g + (space.centre - fitted.z) / space.spread**2) - slope,
+            fitted.z, space.low, space.high,
+        )  # fmt: skip
+        bent = np.einsum("i,wij,j->w", dz, at.h[out], dz)
+        square = np.maximum(at.square[out] - 2.0 * at.g[out] @ dz + bent, 0.0)
+        losses[out] = at.dof[out] * np.log1p(square / at.dof[out])
+    return losses
+
+
+def scored(engine: Engine, fitted: Fitted) -> Score:
+    """A fit with its held-out losses."""
+    own = fitted.prior[: fitted.space.nuisance]
+    losses = held_out(fitted, folds_of(engine))
+    return Score(fitted.space.effects, fitted, losses, 0.5 * float(own @ own))
+
+
+def refit(
+    engine: Engine, start: Fitted, nuisance: Sequence[str], promises: Sequence[Promise]
+) -> Score | None:
+    """A hypothesis with further effects, from the best of several starts; None if all diverge."""
+    space, z = extended(engine, start, nuisance, [p.effect for p in promises])
+    tried = z.copy()
+    tried[len(start.z) :] = np.concatenate([p.start for p in promises])
+    tried = np.clip(tried, space.low, space.high)
+    best: Fitted | None = None
+    starts = [tried, 0.5 * (z + tried)] if len(promises) == 1 else [tried]
+    for first in starts:
+        try:
+            found = descend(engine, space, first, start.x.copy())
+        except FloatingPointError:
+            continue
+        if best is None or found.cost < best.cost:
+            best = found
+        if best.cost < start.cost - 0.5 * promises[0].gain:
+            break
+    return None if best is None else scored(engine, best)
+
+
+def refit_all(
+    engine: Engine,
+    start: Fitted,
+    nuisance: Sequence[str],
+    promises: Sequence[Promise],
+    jobs: int = 1,
+    most: int = REFITS,
+) -> list[Score]:
+    """Refit the most promising effects, each alone."""
+    chosen = [p for p in promises if p.gain > 0.5][:most]
+    tasks = (delayed(refit)(engine, start, nuisance, [p]) for p in chosen)
+    found = Parallel(n_jobs=jobs, prefer="threads")(tasks)
+    return [score for score in found if score is not None]
+
+
+def singles(
+    engine: Engine,
+    null: Fitted,
+    nuisance: Sequence[str],
+    only: Sequence[str] | None = None,
+    jobs: int = 1,
+    most: int = REFITS,
+) -> list[Score]:
+    """Every effect of the library on one footing, the most promising refitted; best first."""
+    promises = screen(engine, null, nuisance, only)
+    base = scored(engine, null)
+    found = refit_all(engine, null, nuisance, promises, jobs, most)
+    blocks = blocks_of(engine)
+    return sorted(found, key=lambda score: -gain_of(score, base, blocks)[0])

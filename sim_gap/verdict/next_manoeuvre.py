@@ -1,0 +1,140 @@
+"""What to drive next: of a menu, the manoeuvre that best tells two suspects apart."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.rollout import simulate, start
+from steerd.car_model.state import Command, State
+from steerd.sim_gap.engine.descent import Fitted, curvature
+from steerd.sim_gap.engine.engine import Engine, make_engine
+from steerd.sim_gap.engine.noise import Noise, whitened
+from steerd.sim_gap.engine.readings import make_readings
+from steerd.sim_gap.engine.residuals import settled
+from steerd.sim_gap.engine.values import active_model
+from steerd.sim_gap.verdict.decide import signature_cosines
+from steerd.sim_gap.verdict.screen import extended
+from steerd.sysid.data.dataset import GRID, Run, Signal
+
+Array = NDArray[np.float64]
+
+SECONDS = 8.0
+_SUBSTEPS = 4
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """A drive worth making.
+
+    Attributes:
+        name: from the menu; `how` says it in words.
+        separates: the two suspects.
+        expected_nats: expected log-likelihood by which the wrong one falls behind.
+        now_nats: the same of as many seconds of the present drives.
+    """
+
+    name: str
+    how: str
+    separates: tuple[str, str]
+    expected_nats: float
+    now_nats: float
+
+
+def _square(t: Array, period: float) -> Array:
+    return np.where((t / period) % 1.0 < 0.5, 1.0, -1.0)
+
+
+MENU: Mapping[str, tuple[str, Callable[[Array], tuple[Array, Array]]]] = {
+    "step steers": (
+        "steps of 0.2 rad to both sides at 1 m/s, then at 2 m/s",
+        lambda t: (0.2 * _square(t, 2.0), np.where(t < SECONDS / 2, 1.0, 2.0)),
+    ),
+    "speed steps": (
+        "straight ahead, steps between 1 and 3 m/s",
+        lambda t: (0.0 * t, 2.0 + _square(t, 2.5)),
+    ),
+    "ramp to the limit": (
+        "steering held at 0.25 rad while the speed grows from 1 to 3.5 m/s",
+        lambda t: (0.25 + 0.0 * t, 1.0 + 2.5 * t / SECONDS),
+    ),
+    "circles both ways": (
+        "0.2 rad left, then right, at 1.5 and 2.5 m/s",
+        lambda t: (0.2 * _square(t, SECONDS), 2.0 - 0.5 * _square(t, SECONDS / 2)),
+    ),
+    "figure of eight": (
+        "figures of eight at 2 m/s, once along and once across the hall",
+        lambda t: (0.25 * np.sin(2.0 * np.pi * t / 4.0), 2.0 + 0.0 * t),
+    ),
+    "chirp": (
+        "steering from 0.3 to 3.5 Hz at 2 m/s",
+        lambda t: (0.15 * np.sin(2.0 * np.pi * (0.3 + 0.2 * t) * t), 2.0 + 0.0 * t),
+    ),
+}
+
+
+def _drive(engine: Engine, fitted: Fitted, name: str) -> Run:
+    """The manoeuvre as the explained car would drive it, without noise."""
+    t: Array = np.arange(round(SECONDS / GRID), dtype=np.float64) * GRID
+    steer, speed = MENU[name][1](t)
+    model = active_model(engine.superset.kernels, fitted.parameters)
+    first = start(model, State(0.0, 0.0, 0.0, float(speed[0]), 0.0, 0.0, float(steer[0])), 0.0)
+    held = [
+        Command(float(a), float(b))
+        for a, b in zip(np.repeat(steer, _SUBSTEPS), np.repeat(speed, _SUBSTEPS), strict=True)
+    ]
+    path = simulate(FLOAT, model, first, held, GRID / _SUBSTEPS)[::_SUBSTEPS]
+    pose = np.array([moment.state[:3] for moment in path[: len(t)]])
+    return Run(name, GRID, np.column_stack([steer, speed]), Signal(t, pose))
+
+
+def margin(engine: Engine, fitted: Fitted, nuisance: Sequence[str], pair: tuple[str, str]) -> float:
+    """Expected lead of the first over the second suspect on these windows [nats]."""
+    cosines = signature_cosines(engine, fitted, nuisance, [pair[1]])
+    space, z = extended(engine, fitted, nuisance, [])
+    at = engine.reduce(space, z, fitted.x)
+    if not at.finite:
+        return 0.0
+    h, n = curvature(space, at), space.nuisance
+    s = h[n:, n:] - h[n:, :n] @ np.linalg.solve(h[:n, :n], h[:n, n:])
+    size = fitted.own - np.concatenate([engine.superset.nulls[e] for e in space.effects])
+    mine = slice(0, len(engine.superset.places(pair[0])))
+    told = float(size[mine] @ s[mine, mine] @ size[mine])
+    return 0.5 * told * (1.0 - cosines.get(pair[1], 1.0) ** 2)
+
+
+def next_manoeuvre(
+    engine: Engine,
+    fitted: Fitted,
+    nuisance: Sequence[str],
+    noise: Noise,
+    pair: tuple[str, str],
+) -> Manoeuvre | None:
+    """The manoeuvre of the menu with the largest expected lead, None if all diverge."""
+    seconds = float((engine.readings.layout.spans[:, 3] * engine.readings.layout.h).sum())
+    now = margin(engine, fitted, nuisance, pair) * SECONDS / max(seconds, 1e-9)
+    best: Manoeuvre | None = None
+    for name, (how, _) in MENU.items():
+        try:
+            gained = margin(*_on(engine, fitted, noise, name), nuisance, pair)
+        except (FloatingPointError, OverflowError, ValueError, np.linalg.LinAlgError):
+            continue
+        if best is None or gained > best.expected_nats:
+            best = Manoeuvre(name, how, pair, gained, now)
+    return best
+
+
+def _on(engine: Engine, fitted: Fitted, noise: Noise, name: str) -> tuple[Engine, Fitted]:
+    """The engine and the hypothesis on a manoeuvre not driven yet."""
+    run = _drive(engine, fitted, name)
+    late = float(engine.superset.base[engine.superset.kernels.names.index("pose_delay")])
+    speeds = (float(run.commands[:, 1].min()), float(run.commands[:, 1].max()))
+    rough = np.array([*noise.instruments[:2], 1.0, 1.0])
+    other = make_engine(engine.superset, make_readings([run], late, speeds), rough)
+    at = settled(other, fitted.space, fitted.z)
+    if not at.at.finite:
+        raise FloatingPointError(name)
+    other = whitened(other, at, noise)
+    return other, settled(other, fitted.space, fitted.z, at.x)

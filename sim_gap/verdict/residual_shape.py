@@ -1,0 +1,70 @@
+"""What is left: its spectrum, what it goes with, and whether it looks like noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sim_gap.engine.descent import Fitted
+from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.noise import Noise
+from steerd.sim_gap.engine.residuals import ratios
+from steerd.sim_gap.verdict.where import conditions
+
+Array = NDArray[np.float64]
+
+_CORRELATED = 0.3
+_WHITE = 2.0
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The remaining error.
+
+    Attributes:
+        peak_hz: where the spectrum of the yaw error is largest; `prominence` per its mean.
+        dependence: rank correlations of windows' errors with what the car was doing.
+        noise_like: white in time, and growing with speed: jitter of stamps or lost frames.
+    """
+
+    peak_hz: float
+    prominence: float
+    dependence: dict[str, float]
+    noise_like: bool
+
+
+def shape_of(engine: Engine, fitted: Fitted, noise: Noise) -> Shape:
+    """Describe the error that a fit leaves."""
+    peak, prominence = _spectrum(engine, fitted)
+    each = ratios(fitted)
+    found = {
+        name: _rank_correlation(values, each) for name, values in conditions(engine, fitted).items()
+    }
+    strong = {k: v for k, v in sorted(found.items(), key=lambda i: -abs(i[1])) if abs(v) > 0.15}
+    grows = found.get("speed", 0.0) > _CORRELATED
+    return Shape(peak, prominence, strong, grows and prominence < _WHITE)
+
+
+def _spectrum(engine: Engine, fitted: Fitted) -> tuple[float, float]:
+    """Peak of the mean spectrum of whitened yaw errors [Hz], and its height over the mean."""
+    error, _ = engine.missed(fitted.space, fitted.z, fitted.x)
+    white = np.einsum("wij,wj->wi", engine.whiten, error)
+    channel = engine.readings.channel[engine.padded.row]
+    rows = [w[(c == 2) & (t > 0)] for w, c, t in zip(
+        white, channel, engine.padded.there, strict=True
+    )]  # fmt: skip
+    length = int(np.median([len(r) for r in rows]))
+    even = np.array([r[:length] for r in rows if len(r) >= length])
+    if length < 8 or not len(even):
+        return float("nan"), 1.0
+    power = (np.abs(np.fft.rfft(even - even.mean(axis=1, keepdims=True), axis=1)) ** 2).mean(axis=0)
+    step = float(np.median(np.diff(engine.readings.t[engine.readings.channel == 2][:length])))
+    at = int(np.argmax(power[1:])) + 1
+    return float(at / (length * step)), float(power[at] / max(power[1:].mean(), 1e-12))
+
+
+def _rank_correlation(a: Array, b: Array) -> float:
+    if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
+        return 0.0
+    first, second = (np.argsort(np.argsort(v)).astype(float) for v in (a, b))
+    return float(np.corrcoef(first, second)[0, 1])

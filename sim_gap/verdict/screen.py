@@ -1,0 +1,157 @@
+"""Which effects are worth a refit: one Jacobian for those with a gradient, else a scan."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.effect import Effect
+from steerd.sim_gap.engine.descent import Fitted, curvature, step_within, total
+from steerd.sim_gap.engine.engine import Engine, Reduced
+from steerd.sim_gap.engine.space import Space, make_space
+from steerd.sysid.compiler.codegen import COLUMNS
+from steerd.sysid.estimation.objective import STATES
+
+Array = NDArray[np.float64]
+
+_PATCHES = 3
+_PATCH_RADIUS = 0.6
+
+
+class Promise(NamedTuple):
+    """How much an effect could gain, from a linear look, and where to start its refit.
+
+    Attributes:
+        effect: its name.
+        gain: expected fall of the cost [nats].
+        start: values of its parameters to start from.
+    """
+
+    effect: str
+    gain: float
+    start: tuple[float, ...]
+
+
+def open_effects(engine: Engine, taken: Sequence[str]) -> list[Effect]:
+    """Effects that are not part of the hypothesis yet."""
+    return [e for e in engine.superset.effects if e.name not in taken]
+
+
+def screen(
+    engine: Engine,
+    fitted: Fitted,
+    nuisance: Sequence[str],
+    only: Sequence[str] | None = None,
+) -> list[Promise]:
+    """Promises of every further effect, best first.
+
+    Args:
+        engine: the windows.
+        fitted: the hypothesis to add to.
+        nuisance: base parameters that are free.
+        only: names to look at; None looks at all.
+    """
+    found: list[Promise] = []
+    effects = [
+        e for e in open_effects(engine, fitted.space.effects) if only is None or e.name in only
+    ]
+    smooth = [e for e in effects if e.smooth]
+    room = COLUMNS - STATES - len(fitted.z)
+    while smooth:
+        part: list[Effect] = []
+        while smooth and sum(len(e.parameters) for e in (*part, smooth[0])) <= room:
+            part.append(smooth.pop(0))
+        found += _linear(engine, fitted, nuisance, part)
+    found += [_scan(engine, fitted, nuisance, e) for e in effects if not e.smooth]
+    return sorted(found, key=lambda promise: -promise.gain)
+
+
+def extended(
+    engine: Engine, fitted: Fitted, nuisance: Sequence[str], effects: Sequence[str]
+) -> tuple[Space, Array]:
+    """The hypothesis' space with further effects, and its point there: the new ones at null."""
+    space = make_space(engine.superset, nuisance, [*fitted.space.effects, *effects])
+    z = space.centre.copy()
+    z[: len(fitted.z)] = fitted.z
+    return space, z
+
+
+def _expected(
+    space: Space, at: Reduced, z: Array, chosen: NDArray[np.int64]
+) -> tuple[float, Array]:
+    """Fall of the cost by Newton's step in some coordinates, and the step."""
+    h = curvature(space, at)[np.ix_(chosen, chosen)]
+    slope = (at.weight @ at.g + (space.centre - z) / space.spread**2)[chosen]
+    dz = step_within(h, slope, z[chosen], space.low[chosen], space.high[chosen])
+    return float(slope @ dz - 0.5 * dz @ h @ dz), dz
+
+
+def _linear(
+    engine: Engine, fitted: Fitted, nuisance: Sequence[str], effects: Sequence[Effect]
+) -> list[Promise]:
+    space, z = extended(engine, fitted, nuisance, [e.name for e in effects])
+    at = engine.reduce(space, z, fitted.x)
+    if not at.finite:
+        return []
+    own, found = np.arange(len(fitted.z)), []
+    floor, _ = _expected(space, at, z, own)
+    place = len(fitted.z)
+    for effect in effects:
+        mine = np.arange(place, place + len(effect.parameters))
+        place += len(mine)
+        gain, dz = _expected(space, at, z, np.concatenate([own, mine]))
+        start = np.clip(z[mine] + dz[len(own) :], space.low[mine], space.high[mine])
+        found.append(Promise(effect.name, gain - floor, tuple(start.tolist())))
+    return found
+
+
+def _scan(engine: Engine, fitted: Fitted, nuisance: Sequence[str], effect: Effect) -> Promise:
+    """The best of an effect's scan values, with everything else stepped once."""
+    space, z = extended(engine, fitted, nuisance, [effect.name])
+    own = np.arange(len(fitted.z))
+    best = Promise(effect.name, 0.0, tuple(z[len(fitted.z) :].tolist()))
+    for start in scan_values(engine, fitted, effect):
+        z[len(fitted.z) :] = start
+        error, finite = engine.missed(space, z, fitted.x)
+        if not finite:
+            continue
+        at = engine.reduce_by(fitted.tangent, error, fitted.x)
+        cost = total(fitted.space, at, fitted.z)
+        gain = fitted.cost - cost + _expected(fitted.space, at, fitted.z, own)[0]
+        if gain > best.gain:
+            best = Promise(effect.name, gain, start)
+    return best
+
+
+def scan_values(engine: Engine, fitted: Fitted, effect: Effect) -> list[tuple[float, ...]]:
+    """Values worth trying: a parameter's own list; a patch where windows are worst."""
+    if effect.name == "grip_patch":
+        return _patches(engine, fitted)
+    nulls = list(engine.superset.nulls[effect.name])
+    values = []
+    for i, parameter in enumerate(effect.parameters):
+        for value in parameter.scan or (parameter.null + parameter.scale,):
+            tried = nulls.copy()
+            tried[i] = value
+            values.append(tuple(tried))
+    return values
+
+
+def _patches(engine: Engine, fitted: Fitted) -> list[tuple[float, ...]]:
+    """Discs about the places of the worst windows, apart from each other."""
+    where = fitted.x[:, :2] + 0.5 * fitted.x[:, 3:4] * np.column_stack(
+        [np.cos(fitted.x[:, 2]), np.sin(fitted.x[:, 2])]
+    )
+    badness = fitted.at.square / fitted.at.dof
+    near = np.linalg.norm(where[:, None] - where[None, :], axis=2) < 2.0 * _PATCH_RADIUS
+    smooth = (near * badness[None, :]).sum(axis=1) / near.sum(axis=1)
+    centres: list[Array] = []
+    for w in np.argsort(-smooth):
+        if all(np.linalg.norm(where[w] - c) > _PATCH_RADIUS for c in centres):
+            centres.append(where[w])
+        if len(centres) == _PATCHES:
+            break
+    return [
+        (float(c[0]), float(c[1]), _PATCH_RADIUS, drop) for c in centres for drop in (0.25, 0.5)
+    ]

@@ -1,0 +1,153 @@
+"""How far the gap shrinks: told before the reserved drives are opened, then measured there."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sim_gap.engine import constants as c
+from steerd.sim_gap.engine.descent import Fitted, curvature, step_within
+from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.noise import Noise, whitened
+from steerd.sim_gap.engine.residuals import Gap, gap_of, interval_of, ratios, robust_mean, settled
+from steerd.sim_gap.engine.space import make_space
+from steerd.sim_gap.verdict.candidates import Score, blocks_of
+
+Array = NDArray[np.float64]
+
+_EXCESS_LEAST = 0.01
+"""Below this there is no excess to take a share of."""
+_SIGMAS = 2.0
+"""How far noise alone may be from what it leaves on average, and an excess from nothing, in
+standard errors."""
+_WIDE = 0.5
+"""A share whose 90 % interval is wider than this tells nothing of the drives it was taken from."""
+
+
+@dataclass(frozen=True)
+class Shrinkage:
+    """Share of the excess whitened error that the explanation removes.
+
+    Attributes:
+        predicted: on windows left out of the fit; `low` and `high` its 90 % interval.
+        measured: on the reserved drives, None without them or where they hold too little of the gap
+            to tell (then `before` says how little).
+        digest: SHA-256 of `text`, the prediction as it was written.
+        before: the gap on the reserved drives; `after` with the explanation.
+    """
+
+    predicted: float
+    measured: float | None
+    low: float
+    high: float
+    digest: str
+    text: str
+    before: Gap | None
+    after: Gap | None
+
+
+def explained_share(before: float, after: float, floor: float) -> float:
+    """Share of the excess over `floor` that is gone, within 0 and 1."""
+    excess = max(before - floor, _EXCESS_LEAST)
+    return float(np.clip((before - after) / excess, 0.0, 1.0))
+
+
+def reach_of(draws: Array, floor: float, blocks: int) -> float:
+    """How far noise alone may be from what it leaves on average, on drives of so many blocks.
+
+    Args:
+        draws: bootstrap of what the effect leaves at its best: windows that it leaves unexplained
+            spread it, so noise's own spread is the most.
+        floor: what noise leaves on average.
+        blocks: how many blocks the drives have.
+    """
+    own = c.NOISE_SPREAD * floor / np.sqrt(blocks)
+    return _SIGMAS * min(float(draws.std()), float(own))
+
+
+def floor_of(best: float, reach: float, floor: float) -> float:
+    """What noise leaves on just these drives.
+
+    On average it is `floor`; on few windows it is more or less than that, by the same amount with
+    and without an effect. What the effect leaves at its best tells by how much, as long as noise
+    alone may be so far off; what is left beyond counts as excess.
+
+    Args:
+        best: whitened error that the effect leaves when it is fitted to these drives.
+        reach: see `reach_of`.
+        floor: what noise leaves on average.
+    """
+    return float(np.clip(best, floor - reach, floor + reach))
+
+
+class _Shares(NamedTuple):
+    """A share of the excess with its interval, and whether there is an excess to speak of."""
+
+    share: float
+    low: float
+    high: float
+    told: bool
+
+
+def _shares(
+    before: Array, after: Array, best: Array, floor: float, blocks: NDArray[np.int64]
+) -> _Shares:
+    """The share that is gone, of windows' whitened errors before, after and at best."""
+    drawn = [interval_of(values, blocks) for values in (before, after, best)]
+    reach = reach_of(drawn[2], floor, len(np.unique(blocks)))
+    level = floor_of(robust_mean(best), reach, floor)
+    share = explained_share(robust_mean(before), robust_mean(after), level)
+    # Windows drawn anew carry their own noise: the floor moves with what the best leaves of them,
+    # as far as that is noise.
+    moved = level + np.clip(drawn[2] - robust_mean(best), -reach, reach)
+    draws = [
+        explained_share(float(b), float(a), float(f))
+        for b, a, f in zip(*drawn[:2], moved, strict=True)
+    ]
+    low, high = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
+    excess = robust_mean(before) - level
+    told = excess > max(_EXCESS_LEAST, _SIGMAS * float((drawn[0] - moved).std()))
+    told = told and high - low <= _WIDE
+    return _Shares(share, low, high, told)
+
+
+def predict(
+    before: Fitted, chosen: Score, floor: float, blocks: NDArray[np.int64]
+) -> tuple[float, float, float]:
+    """Expected share on unseen drives with its 90 % interval, from windows left out."""
+    after = np.expm1(chosen.losses / before.at.dof)
+    found = _shares(ratios(before), after, ratios(chosen.fitted), floor, blocks)
+    return found.share, found.low, found.high
+
+
+def _at_best(fitted: Fitted) -> Array:
+    """Windows' whitened errors were the hypothesis fitted to them: one Newton step on."""
+    space, at = fitted.space, fitted.at
+    slope = at.weight @ at.g + (space.centre - fitted.z) / space.spread**2
+    dz = step_within(curvature(space, at), slope, fitted.z, space.low, space.high)
+    square = at.square - 2.0 * at.g @ dz + np.einsum("i,wij,j->w", dz, at.h, dz)
+    return np.asarray(np.maximum(square, 0.0) / at.dof)
+
+
+def measure(
+    engine: Engine,
+    chosen: Score,
+    noise: Noise,
+    floor: float,
+    predicted: tuple[float, float, float],
+    digest: str,
+    text: str,
+) -> Shrinkage:
+    """The same share on reserved drives; nothing is refitted but the windows' starts."""
+    base = make_space(engine.superset, ())
+    rough = settled(engine, base, base.centre)
+    best = settled(engine, chosen.fitted.space, chosen.fitted.z, rough.x)
+    engine = whitened(engine, best, noise)
+    before = settled(engine, base, base.centre, rough.x)
+    after = settled(engine, chosen.fitted.space, chosen.fitted.z, best.x)
+    blocks = blocks_of(engine)
+    gaps = gap_of(engine, before, blocks), gap_of(engine, after, blocks)
+    found = _shares(ratios(before), ratios(after), _at_best(after), floor, blocks)
+    share = found.share if found.told else None
+    return Shrinkage(predicted[0], share, predicted[1], predicted[2], digest, text, *gaps)

@@ -1,0 +1,290 @@
+"""Where the gap lies: which equation, channel, stretch of time and manner of driving."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from steerd.sim_gap.engine.descent import Fitted
+from steerd.sim_gap.engine.disturbance_response import INPUTS, responses
+from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.noise import Noise, covariance, shapes, slip_shape
+from steerd.sim_gap.engine.residuals import interval_of, ratios, robust_mean
+
+Array = NDArray[np.float64]
+
+STAGE_OF = {
+    "accel": "forces", "lateral": "forces", "yaw": "forces", "steer": "actuator",
+    "drive": "actuator",
+}  # fmt: skip
+CHANNELS: tuple[str, ...] = ("x", "y", "yaw", "wheel_speed", "yaw_rate")
+_UNITS = {"speed": "m/s", "lateral_acceleration": "m/s^2", "steering_rate": "rad/s",
+          "longitudinal_acceleration": "m/s^2", "x": "m", "y": "m", "heading": "rad",
+          "run_time": "s"}  # fmt: skip
+_VARIES = {"speed": 0.2, "lateral_acceleration": 0.5, "steering_rate": 0.1,
+           "longitudinal_acceleration": 0.3, "x": 0.5, "y": 0.5, "heading": 0.5,
+           "run_time": 5.0}  # fmt: skip
+"""What a variable must spread over (5th to 95th percentile) before anything is said of its bins."""
+_WORTH_TELLING = 1.5
+"""Lower end of a regime's ratio before the sentence names it."""
+BIN_LEAST = 8
+_BINS = 3
+_SIZES = np.array([0.3, 0.3, 3.0, 0.01, 0.1])
+"""Sizes from which the search for hidden inputs starts."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """A part of the gap: its name and how much of the whole lies there (0 to 1)."""
+
+    name: str
+    share: float
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """An interval of a run in which the gap is larger than elsewhere."""
+
+    run: str
+    t0: float
+    t1: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Regime:
+    """A manner of driving.
+
+    Attributes:
+        variable: what is binned; `unit` of it.
+        low: where the bin begins; high: where it ends.
+        ratio: whitened error within it against elsewhere; `ratio_low` and `ratio_high` its 90 %
+            interval.
+        share: part of the excess error that lies in it.
+    """
+
+    variable: str
+    unit: str
+    low: float
+    high: float
+    ratio: float
+    ratio_low: float
+    ratio_high: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Where:
+    """The whole localisation; `sentence` says it in words."""
+
+    stage: str
+    equation: tuple[Share, ...]
+    channels: tuple[Share, ...]
+    windows: tuple[Stretch, ...]
+    regimes: tuple[Regime, ...]
+    sentence: str
+
+
+def equation_shares(engine: Engine, fitted: Fitted, noise: Noise) -> tuple[Share, ...]:
+    """Share of the removable error that hidden inputs to each equation would take away.
+
+    Each of the five inputs gets a variance of its own by maximum likelihood (automatic relevance
+    determination); inputs that explain nothing go to zero.
+    """
+    seen = responses(engine, fitted.parameters, fitted.x)
+    shaped = shapes(engine, seen, range(len(INPUTS)))
+    at = engine.linear(fitted.space, fitted.z, fitted.x)
+    wide = at.by_x * engine.start_spread[:, None, :]
+    known = covariance(engine, noise, [*shaped[:3], slip_shape(engine, at.error)])
+    known += wide @ wide.transpose(0, 2, 1)
+    moved = fitted.x - engine.readings.layout.guess
+    error = at.error + np.einsum("wij,wj->wi", at.by_x, moved)
+    some = np.unique(np.linspace(0, len(error) - 1, 50).round().astype(int))
+    logs = np.log(_SIZES)
+    found = minimize(
+        _evidence, logs, (error[some], known[some], [v[some] for v in shaped]), jac=True,
+        method="L-BFGS-B", bounds=[(v - 7.0, v + 5.0) for v in logs], options={"maxiter": 25},
+    )  # fmt: skip
+    sizes = np.exp(2.0 * found.x)
+    cov = known + sum(s * v for s, v in zip(sizes, shaped, strict=True))
+    pulled = np.linalg.solve(cov, error[:, :, None])[:, :, 0]
+    taken = np.array(
+        [
+            s * np.einsum("wi,wij,wj->", pulled, v, pulled)
+            for s, v in zip(sizes, shaped, strict=True)
+        ]
+    )
+    shares = taken / max(float(taken.sum()), 1e-12)
+    order = np.argsort(-shares)
+    return tuple(Share(INPUTS[i], float(shares[i])) for i in order)
+
+
+def _evidence(
+    logs: Array, error: Array, known: Array, shaped: Sequence[Array]
+) -> tuple[float, Array]:
+    """Negative log-likelihood of the hidden inputs' variances, and its slope."""
+    squares = np.exp(2.0 * logs)
+    cov = known + sum(s * v for s, v in zip(squares, shaped, strict=True))
+    inverse = np.linalg.inv(cov)
+    halves = np.log(np.diagonal(np.linalg.cholesky(cov), axis1=1, axis2=2)).sum()
+    pulled = np.einsum("wij,wj->wi", inverse, error)
+    value = halves + 0.5 * float((error * pulled).sum())
+    slope = [
+        np.einsum("wij,wji->", inverse, v) - np.einsum("wi,wij,wj->", pulled, v, pulled)
+        for v in shaped
+    ]
+    return value, np.array(slope) * squares
+
+
+def channel_shares(engine: Engine, before: Fitted, after: Fitted) -> tuple[Share, ...]:
+    """Share of each channel in what the explanation removes (or in the error where none does)."""
+    white = []
+    for fitted in (before, after):
+        error, _ = engine.missed(fitted.space, fitted.z, fitted.x)
+        scale = np.abs(np.diagonal(engine.whiten, axis1=1, axis2=2))
+        white.append((error * scale) ** 2)
+    channel = engine.readings.channel[engine.padded.row]
+    removed = white[0] - white[1] if before is not after else white[0]
+    parts = np.array([removed[channel == c].clip(-1e4, 1e4).sum() for c in range(5)]).clip(0.0)
+    whole = max(float(parts.sum()), 1e-12)
+    shares = [Share(name, float(p / whole)) for name, p in zip(CHANNELS, parts, strict=True)]
+    return tuple(sorted(shares, key=lambda s: -s.share))
+
+
+def conditions(engine: Engine, fitted: Fitted) -> dict[str, Array]:
+    """What the car was doing in each window (W,), by variable."""
+    layout = engine.readings.layout
+    x, spans = fitted.x, layout.spans
+    rate, acc = np.empty(len(x)), np.empty(len(x))
+    for w, (_, _, first, steps, _) in enumerate(spans):
+        part = layout.commands[first : first + steps]
+        rate[w] = np.abs(np.diff(part[:, 0])).sum() / (steps * layout.h)
+        acc[w] = np.abs(part[-1, 1] - x[w, 3]) / (steps * layout.h)
+    curve = _mean_lateral(engine)
+    speed = np.array([
+        np.abs(layout.commands[a : a + n, 1]).mean() for _, _, a, n, _ in spans
+    ])  # fmt: skip
+    return {
+        "speed": speed, "lateral_acceleration": curve * speed, "steering_rate": rate,
+        "longitudinal_acceleration": acc, "x": x[:, 0], "y": x[:, 1],
+        "heading": (x[:, 2] + np.pi) % (2.0 * np.pi) - np.pi, "run_time": layout.t,
+    }  # fmt: skip
+
+
+def _mean_lateral(engine: Engine) -> Array:
+    """Mean absolute yaw rate of each window from the poses [rad/s]."""
+    readings = engine.readings
+    out = np.zeros(readings.count)
+    for w in range(readings.count):
+        rows = readings.rows(w)
+        turn = readings.channel[rows] == 2
+        yaw, t = np.unwrap(readings.layout.values[rows][turn]), readings.t[rows][turn]
+        if len(t) > 1:
+            out[w] = np.abs(np.diff(yaw)).sum() / max(t[-1] - t[0], 1e-3)
+    return out
+
+
+def turn_sign(engine: Engine) -> Array:
+    """(W,) net turn of each window [rad], left positive."""
+    readings = engine.readings
+    out = np.zeros(readings.count)
+    for w in range(readings.count):
+        rows = readings.rows(w)
+        yaw = np.unwrap(readings.layout.values[rows][readings.channel[rows] == 2])
+        out[w] = yaw[-1] - yaw[0] if len(yaw) else 0.0
+    return out
+
+
+def regimes(engine: Engine, fitted: Fitted, blocks: NDArray[np.int64]) -> tuple[Regime, ...]:
+    """Bins of every variable in which the error differs from elsewhere, strongest first."""
+    each, found = ratios(fitted), []
+    excess = np.maximum(np.minimum(each, 100.0) - 1.0, 0.0)
+    for name, values in conditions(engine, fitted).items():
+        if np.subtract(*np.quantile(values, [0.95, 0.05])) < _VARIES[name]:
+            continue
+        edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
+        for low, high in pairwise(edges):
+            inside = (values >= low) & ((values < high) | (high == edges[-1]))
+            if min(inside.sum(), (~inside).sum()) < BIN_LEAST:
+                continue
+            draws = interval_of(each[inside], blocks[inside]) / interval_of(
+                each[~inside], blocks[~inside], 1
+            )
+            ratio = robust_mean(each[inside]) / max(robust_mean(each[~inside]), 1e-9)
+            a, b = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
+            share = float(excess[inside].sum() / max(excess.sum(), 1e-9))
+            found.append(
+                Regime(name, _UNITS[name], float(low), float(high), float(ratio), a, b, share)
+            )
+    return tuple(sorted(found, key=lambda r: -r.ratio_low))
+
+
+def stretches(
+    engine: Engine, fitted: Fitted, names: Sequence[str], least: float = 2.0
+) -> tuple[Stretch, ...]:
+    """Stretches in which the error stands out: windows above `least` medians, neighbours merged."""
+    layout, each = engine.readings.layout, np.minimum(ratios(fitted), 1e3)
+    excess = np.maximum(each - 1.0, 0.0)
+    bad = each > max(least * float(np.median(each)), 1.5)
+    found: list[Stretch] = []
+    start = None
+    for w in range(len(each) + 1):
+        ends = w == len(each) or not bad[w] or layout.run[w] != layout.run[max(w - 1, 0)]
+        if start is not None and ends:
+            last = w - 1
+            stop = layout.t[last] + layout.spans[last, 3] * layout.h
+            share = float(excess[start:w].sum() / max(excess.sum(), 1e-9))
+            found.append(
+                Stretch(names[layout.run[start]], float(layout.t[start]), float(stop), share)
+            )
+            start = None
+        if w < len(each) and bad[w] and start is None:
+            start = w
+    return tuple(sorted(found, key=lambda s: -s.share)[:12])
+
+
+def range_words(regime: Regime) -> str:
+    """From where to where, with the digits that tell the two apart: "1.98 to 2.02 m/s"."""
+    span = regime.high - regime.low
+    places = min(max(1 - math.floor(math.log10(span)), 0), 4) if span > 0.0 else 2
+    places = 0 if span >= 10.0 else places
+    unit = regime.unit.replace("^2", "²")
+    return f"{regime.low:.{places}f} to {regime.high:.{places}f} {unit}"
+
+
+def sentence_of(equation: Sequence[Share], found: Sequence[Regime]) -> str:
+    """The localisation in one sentence."""
+    words = {
+        "accel": "the longitudinal equation", "lateral": "the side-slip equation",
+        "yaw": "the yaw equation", "steer": "the steering actuator", "drive": "the drive actuator",
+    }  # fmt: skip
+    text = f"The error lies in {words[equation[0].name]} ({equation[0].share:.0%} of what hidden"
+    text += " inputs would remove)"
+    if not found or found[0].ratio_low <= _WORTH_TELLING:
+        return f"{text}; it is much the same at every speed, place and time."
+    r = found[0]
+    name = r.variable.replace("_", " ")
+    return (
+        f"{text}; it is {r.ratio:.1f} times as large when {name} is {range_words(r)} as elsewhere."
+    )
+
+
+def locate(
+    engine: Engine,
+    before: Fitted,
+    after: Fitted,
+    noise: Noise,
+    blocks: NDArray[np.int64],
+    names: Sequence[str],
+) -> Where:
+    """All of it: `before` is the base, `after` the explanation (or the base again)."""
+    equation = equation_shares(engine, before, noise)
+    found = regimes(engine, before, blocks)
+    return Where(
+        STAGE_OF[equation[0].name], equation, channel_shares(engine, before, after),
+        stretches(engine, before, names), found[:6], sentence_of(equation, found),
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""The simulated mocap system: cameras, servers, network."""

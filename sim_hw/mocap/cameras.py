@@ -1,0 +1,159 @@
+"""The cameras: the car's pose at each exposure, with tracking noise and tracking faults."""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from steerd.mocap_link.frame import Quat, Vec3, make_body_pose
+from steerd.sim_hw.mocap.mocap_config import MocapConfig
+from steerd.sim_hw.plant.car import SimCar
+from steerd.sim_hw.plant.fault_state import SOUND_MOCAP, MocapKnobs
+from steerd.sim_hw.plant.noise import Noise
+
+_NS = 1_000_000_000
+_IMPOSTOR = (1.5, -1.0, 0.3)
+"""Where the other thing stands when the room has none [m, m, rad]."""
+
+
+class Planar(NamedTuple):
+    """A true or seen pose in the world."""
+
+    x: float
+    y: float
+    yaw: float
+
+
+class BodyPose(NamedTuple):
+    """A tracked body in vendor axes and units; quaternion (w, x, y, z)."""
+
+    name: str
+    id: int
+    position: Vec3
+    quaternion: Quat
+    mean_error: float
+    valid: bool
+
+
+class Capture(NamedTuple):
+    """One exposure."""
+
+    number: int
+    t_ns: int
+    bodies: tuple[BodyPose, ...]
+
+
+class Cameras:
+    """Exposes at the configured rate from ``t_start_ns``.
+
+    Attributes:
+        next_ns: the next exposure.
+        knobs: what is wrong with the tracking.
+    """
+
+    def __init__(self, config: MocapConfig, noise: Noise, t_start_ns: int) -> None:
+        self.knobs: MocapKnobs = SOUND_MOCAP
+        self.next_ns = t_start_ns
+        self._config = config
+        self._noise = noise
+        self._t_start_ns = t_start_ns
+        self._exposures = 0
+        self._number = 0
+        self._last: BodyPose | None = None
+
+    def restart(self) -> None:
+        """The server's frame numbers begin again."""
+        self._number = 0
+
+    def captures(self, car: SimCar) -> Iterator[Capture]:
+        """Exposures up to the car's time that are to be sent."""
+        while self.next_ns <= car.t_ns:
+            t_ns = self.next_ns
+            self._exposures += 1
+            self.next_ns = self._t_start_ns + self._exposures * _NS // self._config.rate_hz
+            if self._exposures % self.knobs.every == 0:
+                self._number += 1
+                yield Capture(self._number, t_ns, self._bodies(car, t_ns))
+
+    def _bodies(self, car: SimCar, t_ns: int) -> tuple[BodyPose, ...]:
+        config, knobs = self._config, self.knobs
+        seen = car.pose_seen(t_ns)
+        true = Planar(seen.x, seen.y, seen.yaw)
+        others = [(b.name, b.id, Planar(b.x, b.y, b.yaw)) for b in config.bystanders]
+        own = self._misplaced(true, t_ns)
+        if knobs.swap or knobs.impostor:
+            own = others[0][2] if others else Planar(*_IMPOSTOR)
+        if knobs.swap and others:
+            others[0] = (*others[0][:2], true)
+        bodies = [] if knobs.absent else [self._own(own)]
+        return (*bodies, *(self._body(*other) for other in others))
+
+    def _misplaced(self, pose: Planar, t_ns: int) -> Planar:
+        """Faults of the tracked place and heading."""
+        knobs = self.knobs
+        if not (knobs.jump or knobs.drift or knobs.flip):
+            return pose
+        shift = knobs.jump + knobs.drift * (t_ns - knobs.since_ns) / _NS
+        flipped = knobs.flip == "always" or (knobs.flip == "alternate" and self._number % 2)
+        return Planar(pose.x + shift, pose.y, pose.yaw + (math.pi if flipped else 0.0))
+
+    def _own(self, pose: Planar) -> BodyPose:
+        """The car's body, with faults of the pose itself."""
+        knobs, last = self.knobs, self._last
+        if last is not None and (knobs.frozen or knobs.invalid):
+            return last._replace(valid=not knobs.invalid)
+        body = self._body(self._config.body, self._config.body_id, pose)
+        self._last = body
+        if knobs.invalid:
+            body = body._replace(valid=False)
+        if knobs.mean_error:
+            body = body._replace(mean_error=body.mean_error + knobs.mean_error)
+        if knobs.negative and self._number % 2:
+            w, x, y, z = body.quaternion
+            body = body._replace(quaternion=(-w, -x, -y, -z))
+        return _garbled(body, knobs.garble) if knobs.garble else body
+
+    def _body(self, name: str, body_id: int, pose: Planar) -> BodyPose:
+        config, normal = self._config, self._noise.normal
+        sd = config.position_noise
+        position, quaternion = make_body_pose(
+            config.frame,
+            pose.x + sd * normal(),
+            pose.y + sd * normal(),
+            pose.yaw + config.yaw_noise * normal(),
+            config.height + sd * normal(),
+        )
+        if config.tilt_noise:
+            tilt = 0.5 * config.tilt_noise
+            quaternion = _tilted(quaternion, tilt * normal(), tilt * normal(), config.frame.up)
+        scale = self.knobs.scale
+        if scale != 1.0:
+            position = (scale * position[0], scale * position[1], scale * position[2])
+        return BodyPose(name, body_id, position, quaternion, config.mean_error, True)
+
+
+def _tilted(q: Quat, a: float, b: float, up: str) -> Quat:
+    """Turn a body by the small half-angles ``a``, ``b`` about its own two level axes."""
+    w, x, y, z = q
+    if up == "z":  # q * (1, a, b, 0) to second order
+        n = 1.0 - 0.5 * (a * a + b * b)
+        return (
+            n * w - a * x - b * y,
+            n * x + a * w - b * z,
+            n * y + b * w + a * z,
+            n * z + b * x - a * y,
+        )
+    n = 1.0 - 0.5 * (a * a + b * b)
+    return (
+        n * w - a * x - b * z,
+        n * x + a * w + b * y,
+        n * y + a * z - b * x,
+        n * z + b * w - a * y,
+    )
+
+
+def _garbled(body: BodyPose, how: str) -> BodyPose:
+    """A pose that is none."""
+    if how == "nan":
+        nan = math.nan
+        return body._replace(position=(nan, nan, nan), quaternion=(nan, nan, nan, nan))
+    return body._replace(position=(0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.0, 0.0))

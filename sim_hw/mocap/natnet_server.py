@@ -1,0 +1,179 @@
+"""The simulated NatNet server: sessions, model list, echoes, and frames (wire: `mocap_link`)."""
+
+from steerd.mocap_link import natnet
+from steerd.mocap_link.natnet_frame import (
+    EDIT_MODE,
+    MODEL_CHANGED,
+    TRACKING_VALID,
+    Frame,
+    RigidBody,
+)
+from steerd.mocap_link.natnet_model import Description, MarkerSetDesc, ModelDef, RigidBodyDesc
+from steerd.mocap_link.natnet_wire import F32, NatNetError
+from steerd.sim_hw.mocap.cameras import BodyPose, Capture
+from steerd.sim_hw.mocap.mocap_config import MULTICAST, TO_DATA, MocapConfig
+from steerd.sim_hw.mocap.network import COMMAND, DATA, FOREIGN, Datagram, Network, Peer
+from steerd.sim_hw.plant.fault_state import SOUND_MOCAP, MocapKnobs
+from steerd.sim_hw.plant.noise import Noise
+
+_NS = 1_000_000_000
+_APP_VERSION = (3, 1, 0, 0)
+_ANSWER_NS = 150_000
+_ANOTHER = RigidBodyDesc("newcomer", 9)
+"""Enters the model list when it changes."""
+
+
+class NatNetServer:
+    """One server. `on_message` takes datagrams of the command socket, `publish` sends frames.
+
+    Attributes:
+        knobs: what is wrong with it.
+        data_port: told to clients in SERVERINFO; `links` sets the one it really uses.
+    """
+
+    def __init__(self, config: MocapConfig, network: Network, noise: Noise, t_ns: int) -> None:
+        self.config = config
+        self.knobs: MocapKnobs = SOUND_MOCAP
+        self.data_port = natnet.DATA_PORT
+        self._network = network
+        self._noise = noise
+        self._epoch_ns = t_ns
+        self._epoch_ticks = config.epoch_ticks
+        self._clients: dict[Peer, int] = {}
+        self._model_flag = False
+        self._grown = False
+
+    def set_knobs(self, t_ns: int, knobs: MocapKnobs) -> None:
+        """From ``t_ns`` on, be in this condition."""
+        before, self.knobs = self.knobs, knobs
+        if knobs.restart and not before.restart:
+            self._epoch_ns, self._epoch_ticks = t_ns, self.config.clock_hz  # up for one second
+            self._clients.clear()
+        if knobs.model_changed and not before.model_changed:
+            self._model_flag = self._grown = True
+
+    def ticks(self, t_ns: int) -> int:
+        """The server's clock."""
+        elapsed = t_ns - self._epoch_ns + self.knobs.clock_step_ns
+        hz = self.config.clock_hz
+        skew = int(elapsed * self.config.skew_ppm * 1e-6 * hz / _NS)
+        return self._epoch_ticks + elapsed * hz // _NS + skew
+
+    # --- session
+
+    def on_message(self, t_ns: int, data: bytes, peer: Peer) -> None:
+        """Take a datagram from a client; nonsense is dropped as a real server does."""
+        try:
+            message = natnet.decode(data, self.config.version)
+        except NatNetError:
+            return
+        if isinstance(message, natnet.Disconnect):
+            self._clients.pop(peer, None)
+            return
+        self._clients[peer] = t_ns
+        answer = self._answer(t_ns, message)
+        if answer is not None and not self.knobs.silent:
+            data = natnet.encode(answer, self.config.version)
+            self._network.send(Datagram(t_ns + _ANSWER_NS, COMMAND, data, peer))
+
+    def _answer(self, t_ns: int, message: natnet.Message) -> natnet.Message | None:
+        match message:
+            case natnet.Connect() | natnet.Discovery():
+                return self._info()
+            case natnet.EchoRequest():
+                return natnet.EchoResponse(message.client_stamp, self.ticks(t_ns + _ANSWER_NS // 2))
+            case natnet.RequestModelDef():
+                self._model_flag = False
+                return self._model()
+            case natnet.Request():
+                return _answer_request(message.text, self.config)
+        return None
+
+    def _info(self) -> natnet.ServerInfo:
+        config = self.config
+        return natnet.ServerInfo(
+            "steerd simulated Motive",
+            _APP_VERSION,
+            (*config.version, 0, 0),
+            config.clock_hz,
+            self.data_port,
+            config.transport == MULTICAST,
+        )
+
+    def _model(self) -> ModelDef:
+        config = self.config
+        bodies = [RigidBodyDesc(config.body, config.body_id)]
+        bodies += [RigidBodyDesc(b.name, b.id) for b in config.bystanders]
+        if self._grown:
+            bodies.append(_ANOTHER)
+        items: list[Description] = []
+        for body in bodies:
+            items += [MarkerSetDesc(body.name), body]
+        return ModelDef((*items, MarkerSetDesc("all")))
+
+    # --- frames
+
+    def publish(self, capture: Capture) -> None:
+        """Send a frame for an exposure."""
+        config = self.config
+        received = capture.t_ns + config.camera_ns
+        sent = received + config.software_ns
+        sent += max(0, round(config.jitter_ns * self._noise.normal()))
+        destinations = self._destinations(capture.t_ns)
+        if not destinations:
+            return
+        data = natnet.encode(self._frame(capture, received, sent), config.version)
+        arrival = sent + config.network_ns
+        for channel, peer in destinations:
+            self._network.send_frame(Datagram(arrival, channel, data, peer))
+            if self.knobs.foreign:
+                data = natnet.encode(self._frame(self._forged(capture), received, sent))
+                self._network.send(Datagram(arrival, FOREIGN, data, peer))
+
+    def _destinations(self, t_ns: int) -> list[tuple[str, Peer | None]]:
+        config = self.config
+        if config.transport == MULTICAST:
+            return [(DATA, None)]
+        oldest = t_ns - config.keepalive_ns
+        self._clients = {peer: t for peer, t in self._clients.items() if t >= oldest}
+        channel = DATA if config.transport == TO_DATA else COMMAND
+        return [(channel, peer) for peer in self._clients]
+
+    def _frame(self, capture: Capture, received_ns: int, sent_ns: int) -> Frame:
+        knobs = self.knobs
+        params = (MODEL_CHANGED if self._model_flag else 0) | (EDIT_MODE if knobs.edit_mode else 0)
+        return Frame(
+            capture.number,
+            tuple(map(_rigid_body, capture.bodies)),
+            timestamp=capture.number / self.config.rate_hz,
+            mid_exposure_ticks=self.ticks(capture.t_ns),
+            data_received_ticks=self.ticks(received_ns),
+            transmit_ticks=self.ticks(sent_ns),
+            params=params,
+        )
+
+    def _forged(self, capture: Capture) -> Capture:
+        """The same frame with everything somewhere else."""
+        far = self.knobs.foreign
+        bodies = tuple(
+            body._replace(position=(body.position[0] + far, *body.position[1:]))
+            for body in capture.bodies
+        )
+        return capture._replace(bodies=bodies)
+
+
+def _rigid_body(body: BodyPose) -> RigidBody:
+    w, x, y, z = body.quaternion
+    params = TRACKING_VALID if body.valid else 0
+    return RigidBody(body.id, body.position, (x, y, z, w), body.mean_error, params)
+
+
+def _answer_request(text: str, config: MocapConfig) -> natnet.Response | natnet.Unrecognized:
+    name = text.split(",")[0]
+    if name == "FrameRate":
+        return natnet.Response(F32.pack(config.rate_hz))
+    if name == "UnitsToMillimeters":
+        return natnet.Response(F32.pack(1.0 if config.frame.units == "mm" else 1000.0))
+    if name == "Bitstream":
+        return natnet.Response("{}.{}".format(*config.version).encode() + b"\0")
+    return natnet.Unrecognized(100)

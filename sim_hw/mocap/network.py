@@ -1,0 +1,109 @@
+"""The way from mocap server to host: latency, loss, order, and strangers, as the knobs say."""
+
+import heapq
+from typing import NamedTuple
+
+from steerd.sim_hw.plant.fault_state import SOUND_MOCAP, MocapKnobs
+from steerd.sim_hw.plant.noise import Noise
+
+Peer = int | tuple[str, int]
+"""Who a message goes to or comes from: a number in virtual time, an address on sockets."""
+
+COMMAND, DATA, STREAM, FOREIGN, CLOSE = "command", "data", "stream", "foreign", "close"
+"""Channels: NatNet's two sockets, a VRPN connection, another sender, a connection's end."""
+
+_OVERSIZED = 4096
+
+
+class Datagram(NamedTuple):
+    """A message at the time at which it reaches the host [ns]; peer None means everyone."""
+
+    t_ns: int
+    channel: str
+    data: bytes
+    peer: Peer | None = None
+
+
+class Network:
+    """Messages on their way, by time of arrival.
+
+    Attributes:
+        knobs: what is wrong with it.
+    """
+
+    def __init__(self, noise: Noise) -> None:
+        self.knobs: MocapKnobs = SOUND_MOCAP
+        self._noise = noise
+        self._heap: list[tuple[int, int, Datagram]] = []
+        self._count = 0
+        self._last: Datagram | None = None
+        self._waiting: Datagram | None = None
+
+    @property
+    def next_ns(self) -> int | None:
+        """When the next message arrives."""
+        return self._heap[0][0] if self._heap else None
+
+    def send(self, message: Datagram) -> None:
+        """Send something that no fault touches (answers, descriptions)."""
+        self._count += 1
+        heapq.heappush(self._heap, (message.t_ns, self._count, message))
+
+    def send_frame(self, frame: Datagram) -> None:
+        """Send a frame through whatever is wrong."""
+        knobs = self.knobs
+        if knobs is SOUND_MOCAP:
+            self.send(frame)
+            self._last = frame
+            return
+        if self._is_lost(frame.t_ns):
+            return
+        late = knobs.latency_ns
+        if knobs.jitter_ns:
+            late += int(knobs.jitter_ns * self._noise.uniform())
+        if knobs.resend and self._last is not None:
+            frame = frame._replace(data=self._last.data)
+        self._last = frame
+        frame = frame._replace(t_ns=frame.t_ns + late)
+        if knobs.reorder:
+            self._send_swapped(frame)
+        else:
+            self.send(frame)
+        if knobs.duplicate:
+            self.send(frame)
+        if knobs.noise:
+            self.send(frame._replace(data=self._nonsense(frame.data)))
+
+    def _is_lost(self, t_ns: int) -> bool:
+        knobs = self.knobs
+        if knobs.gap_ns and (t_ns - knobs.since_ns) % knobs.gap_every_ns < knobs.gap_ns:
+            return True
+        return knobs.silent or self._noise.chance(knobs.loss)
+
+    def _send_swapped(self, frame: Datagram) -> None:
+        if self._waiting is None:
+            self._waiting = frame
+            return
+        self.send(frame)
+        self.send(self._waiting._replace(t_ns=frame.t_ns))
+        self._waiting = None
+
+    def _nonsense(self, data: bytes) -> bytes:
+        match self.knobs.noise:
+            case "truncated":
+                return data[: 1 + int(self._noise.uniform() * (len(data) - 1))]
+            case "oversized":
+                return data + self._noise.random_bytes(_OVERSIZED)
+        return self._noise.random_bytes(1 + int(self._noise.uniform() * 200))
+
+    def due(self, t_ns: int) -> list[Datagram]:
+        """Take out what has arrived by ``t_ns``."""
+        heap, out = self._heap, []
+        while heap and heap[0][0] <= t_ns:
+            out.append(heapq.heappop(heap)[2])
+        return out
+
+    def forget(self, peer: Peer) -> None:
+        """Lose what is on its way to one peer."""
+        self._heap = [entry for entry in self._heap if entry[2].peer != peer]
+        heapq.heapify(self._heap)

@@ -1,0 +1,223 @@
+"""The simulated car: `car_model`'s equations driven by what a motor controller does to the wheels.
+
+A motor controller does not only follow a speed: it also pushes with a torque, brakes against the
+motion, or lets go. Torque and brake act through friction that opposes motion and never reverses
+it, so a braked car comes to rest and stays there.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+from steerd.car_model.model import Model, delays, hooked, memory_size, observe
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import GRAVITY
+from steerd.car_model.rollout import stiffness_rate
+from steerd.car_model.single_track import SPEED_KINEMATIC
+from steerd.car_model.state import ORIGIN, Observation, State
+from steerd.sim_hw.plant.delay import DelayLine
+from steerd.sim_hw.plant.noise import Noise
+from steerd.sim_hw.plant.unrolled import make_steps
+
+NS = 1_000_000_000
+_HISTORY = 0.5
+"""How far back poses can be asked for, beyond the pose channel's own dead time [s]."""
+
+
+class Drive(IntEnum):
+    """What the motor does."""
+
+    SPEED = 0
+    """Follow a wheel speed [m/s]."""
+    FORCE = 1
+    """Accelerate [m/s^2], against the drive train's own drag; may reverse."""
+    BRAKE = 2
+    """Decelerate [m/s^2] in addition to the drag, never beyond standstill; 0 is coasting."""
+
+
+class Demand(NamedTuple):
+    """What the motor controller asks of the wheels."""
+
+    drive: Drive
+    value: float
+
+
+COAST = Demand(Drive.BRAKE, 0.0)
+
+
+@dataclass(frozen=True)
+class CarSetup:
+    """How the plant is stepped.
+
+    Attributes:
+        step_ns: physics step.
+        coast_decel: drag of the released drive train [m/s^2].
+        servo_wait: part of the car's ``steer_delay`` that the simulated servo signal brings along
+            by itself (half its frame), hence not added again [s].
+        noise: random acceleration of speed [m/s^2], yaw rate [rad/s^2] and slip [rad/s], each as
+            standard deviation over one second (it grows with the root of time).
+        start: state at the beginning.
+    """
+
+    step_ns: int = 2_000_000
+    coast_decel: float = 0.6
+    servo_wait: float = 0.0
+    noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start: State[float] = ORIGIN
+
+
+class SimCar:
+    """The plant on a grid of ``step_ns`` from ``t_start_ns``.
+
+    Attributes:
+        t_ns: time of `state`.
+        state: true state.
+        accel_x: longitudinal acceleration over the last step [m/s^2].
+        accel_y: lateral acceleration over the last step [m/s^2].
+    """
+
+    def __init__(
+        self, model: Model[float], setup: CarSetup, noise: Noise, t_start_ns: int = 0
+    ) -> None:
+        self.model = model
+        self.setup = setup
+        self.t_ns = self._t_start_ns = t_start_ns
+        self.state = setup.start
+        self.accel_x = self.accel_y = 0.0
+        self._noise = noise
+        self._noisy = any(setup.noise)
+        self._step_ns = setup.step_ns
+        self._watched = "observe" in hooked(model.effects)
+        self._steps = make_steps(model)
+        self._memory: tuple[float, ...] = (0.0,) * memory_size(model.effects)
+        late = delays(model)
+        self._pose_delay_ns = round(late.pose * NS)
+        self._steer_delay_ns = max(0, round((late.steer - setup.servo_wait) * NS))
+        self._steer = DelayLine(self._steer_delay_ns, setup.start.steer)
+        self._drive_delay_ns = round(late.drive * NS)
+        self._value = DelayLine(self._drive_delay_ns, 0.0)
+        self._mode = DelayLine(self._drive_delay_ns, float(Drive.BRAKE))
+        h = setup.step_ns / NS
+        self._h = h
+        # decay rates of yaw rate and slip go with 1/v: RK4 steps per physics step at 1 m/s
+        self._substeps = h * stiffness_rate(model.car, SPEED_KINEMATIC) * SPEED_KINEMATIC / 2.0
+        length = math.ceil((_HISTORY + late.pose) / h)
+        self._history = [setup.start] * length
+        self._count = 0
+
+    def step(self, steer: float, demand: Demand) -> None:
+        """One physics step under a servo angle [rad] and a demand, both still without dead time."""
+        t0, t1 = self.t_ns, self.t_ns + self._step_ns
+        before, h = self.state, self._h
+        t = (t0 - self._t_start_ns) / NS
+        if self._steer_delay_ns:
+            self._steer.push(t0, steer)
+            steer = self._steer.mean(t0, t1)
+        if self._drive_delay_ns:
+            demand = self._late(demand, t0, t1)
+        drive, value = demand
+        if drive is Drive.SPEED and abs(before.speed) >= self._substeps:
+            numbers = self._steps.follow(*before, *self._memory, steer, value, t, h)
+        else:
+            wanted = value if drive is Drive.SPEED else before.speed
+            end, accel = self._steps.actuate(*before, *self._memory, steer, wanted, t, h)
+            if drive is not Drive.SPEED:
+                accel = self._driven(demand)
+            numbers = self._glide(before, end, accel, t)
+        self._memory = numbers[7:]
+        after: State[float] = State._make(numbers[:7])
+        if drive is not Drive.SPEED:
+            after = self._held_back(before, after, demand)
+        if self._noisy and after.speed:
+            after = self._shaken(after)
+        self._finish(before, after, t1)
+
+    def _late(self, demand: Demand, t0: int, t1: int) -> Demand:
+        self._mode.push(t0, float(demand.drive))
+        self._value.push(t0, demand.value)
+        return Demand(Drive(int(self._mode.mean(t0, t0 + 1))), self._value.mean(t0, t1))
+
+    def _glide(
+        self, before: State[float], steer_end: float, accel: float, t: float
+    ) -> tuple[float, ...]:
+        """The chassis' step; more, shorter ones where the yaw mode is stiff."""
+        count = max(1, math.ceil(self._substeps / max(abs(before.speed), SPEED_KINEMATIC)))
+        numbers: tuple[float, ...] = (*before, *self._memory)
+        part = self._h / count
+        for i in range(count):
+            steer = before.steer + (steer_end - before.steer) * (i + 1) / count
+            numbers = self._steps.glide(*numbers, steer, accel, t + i * part, part)
+        return numbers
+
+    def _grip(self) -> float:
+        return self.model.car.mu * GRAVITY
+
+    def _driven(self, demand: Demand) -> float:
+        """Acceleration by motor and drag at the present speed, within the tyres' grip."""
+        speed, value = self.state.speed, demand.value
+        drag = self.setup.coast_decel
+        if demand.drive is Drive.FORCE:
+            if speed == 0.0:
+                value = math.copysign(max(0.0, abs(value) - drag), value)
+            else:
+                value -= math.copysign(drag, speed)
+            return max(-self._grip(), min(self._grip(), value))
+        return -math.copysign(min(value + drag, self._grip()), speed) if speed else 0.0
+
+    def _held_back(self, before: State[float], after: State[float], demand: Demand) -> State[float]:
+        """Friction ends at standstill and holds the car there against what is weaker."""
+        drag = self.setup.coast_decel + (demand.value if demand.drive is Drive.BRAKE else 0.0)
+        stopped = before.speed * after.speed < 0.0
+        held = before.speed == 0.0 and abs(after.speed) <= min(drag, self._grip()) * self._h
+        if stopped and demand.drive is Drive.FORCE and abs(demand.value) > drag:
+            return after
+        if stopped or (held and demand.drive is Drive.BRAKE):
+            return after._replace(speed=0.0)
+        return after
+
+    def _shaken(self, state: State[float]) -> State[float]:
+        noise, scale = self._noise, math.sqrt(self._h)
+        speed, yaw, slip = (sd * scale * noise.normal() for sd in self.setup.noise)
+        return state._replace(
+            speed=state.speed + speed,
+            yaw_rate=state.yaw_rate + yaw,
+            slip_angle=state.slip_angle + slip,
+        )
+
+    def _finish(self, before: State[float], after: State[float], t1: int) -> None:
+        h = self._h
+        self.accel_x = (after.speed - before.speed) / h
+        turn = after.yaw_rate + (after.slip_angle - before.slip_angle) / h
+        self.accel_y = after.speed * turn
+        self.state = after
+        self.t_ns = t1
+        self._count += 1
+        self._history[self._count % len(self._history)] = after
+
+    def state_at(self, t_ns: int) -> State[float]:
+        """True state at a past time, straight between grid points; as far back as is kept."""
+        steps = (t_ns - self._t_start_ns) / self.setup.step_ns
+        oldest = max(0, self._count - len(self._history) + 1)
+        steps = min(max(steps, oldest), self._count)
+        low = int(steps)
+        part = steps - low
+        first = self._history[low % len(self._history)]
+        if not part:
+            return first
+        second = self._history[(low + 1) % len(self._history)]
+        return State(*(a + part * (b - a) for a, b in zip(first, second, strict=True)))
+
+    def pose_seen(self, t_ns: int) -> Observation[float]:
+        """What cameras exposed at ``t_ns`` see: the pose, its channel's dead time ago."""
+        return observe(FLOAT, self.model, self.state_at(t_ns - self._pose_delay_ns))
+
+    def motor_seen(self) -> Observation[float]:
+        """What motor controller and gyro measure now."""
+        return observe(FLOAT, self.model, self.state)
+
+    def wheel_speed(self) -> float:
+        """The speed that the motor controller measures now, without the rest [m/s]."""
+        if self._watched:
+            return self.motor_seen().wheel_speed
+        return self.state.speed / self.model.car.speed_gain

@@ -1,0 +1,221 @@
+"""The fault catalogue: what can happen to the simulated hardware, by name, within a time window.
+
+Names M1-M22 and V1-V24 are those of ``safety.md`` section 6; the words beside them work as well.
+Faults without a number come from ``mocap.md`` section 6.1 and ``vesc-serial.md`` section 8. A fault
+is a change of knobs (`knobs`), so faults at the same time simply add up; where two turn the same
+knob, the later in the list wins.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from steerd.sim_hw.plant.fault_state import SOUND_MOCAP, SOUND_VESC, MocapKnobs, VescKnobs
+
+FOREVER = 1 << 62
+_MS = 1_000_000
+Param = bool | int | float | str | bytes | None
+
+
+class FaultKind(NamedTuple):
+    """One entry of the catalogue."""
+
+    code: str
+    name: str
+    target: str
+    """``mocap`` or ``vesc``: whose knobs it turns."""
+    summary: str
+    knobs: Mapping[str, Param]
+    """Knobs and where they are turned to by default; all of them can be given as parameters."""
+    must_trip: bool = True
+    """False for what a supervisor has to live with."""
+
+
+def _mocap(code: str, name: str, summary: str, must_trip: bool = True, **knobs: Param) -> FaultKind:
+    return FaultKind(code, name, "mocap", summary, knobs, must_trip)
+
+
+def _vesc(code: str, name: str, summary: str, must_trip: bool = True, **knobs: Param) -> FaultKind:
+    return FaultKind(code, name, "vesc", summary, knobs, must_trip)
+
+
+_OTHER_UUID = bytes.fromhex("0badc0de0badc0de0badc0de")
+
+FAULTS: tuple[FaultKind, ...] = (
+    _mocap("M1", "silence", "no frames, no answers", silent=True),
+    _mocap("M2", "freeze", "the same pose with new stamps", frozen=True),
+    _mocap("M3", "resend", "the same frame again and again", resend=True),
+    _mocap("M4", "jump", "the pose jumps", jump=0.5),
+    _mocap("M5", "drift", "the pose drifts away", drift=0.1),
+    _mocap("M6", "yaw_flip", "the heading turns by 180 degrees", flip="always"),
+    _mocap("M7", "yaw_alternating", "the heading flips every frame", flip="alternate"),
+    _mocap("M8", "nan", "NaN in the pose", garble="nan"),
+    _mocap("M9", "zeros", "position and quaternion all zero", garble="zeros"),
+    _mocap("M10", "millimetres", "lengths in millimetres", scale=1000.0),
+    _mocap("M11", "wrong_body", "the car's name is on a thing that stands", impostor=True),
+    _mocap("M12", "body_swap", "car and another thing change names", swap=True),
+    _mocap("M13", "latency_step", "80 ms more latency", latency_ns=80 * _MS),
+    _mocap("M14", "jitter_burst", "up to 40 ms random latency", jitter_ns=40 * _MS),
+    _mocap("M15", "out_of_order", "each second frame after its successor", reorder=True),
+    _mocap("M16", "duplicated", "every frame twice", must_trip=False, duplicate=True),
+    _mocap("M17", "loss", "5 % of the frames are lost", must_trip=False, loss=0.05),
+    _mocap(
+        "M18",
+        "gap",
+        "no frames for 50 ms of every second",
+        must_trip=False,
+        gap_ns=50 * _MS,
+        gap_every_ns=1000 * _MS,
+    ),
+    _mocap("M19", "garbage", "malformed datagrams between", must_trip=False, noise="truncated"),
+    _mocap("M20", "foreign_sender", "someone else sends frames", must_trip=False, foreign=1.0),
+    _mocap("M21", "clock_step", "the server's clock steps", clock_step_ns=1000 * _MS),
+    _mocap("M22", "rate_halves", "every second frame only", must_trip=False, every=2),
+    _mocap("", "invalid", "the body is not tracked, its last pose goes on", invalid=True),
+    _mocap("", "body_removed", "the body is not in the frames", absent=True),
+    _mocap("", "edit_mode", "the server replays a recording", edit_mode=True),
+    _mocap("", "model_change", "the model list changes", must_trip=False, model_changed=True),
+    _mocap("", "server_restart", "clock and frame numbers begin again", restart=True),
+    _mocap("", "quaternion_sign", "q and -q in turns", must_trip=False, negative=True),
+    _mocap("", "mean_error_ramp", "a large marker residual", mean_error=0.02),
+    _mocap("", "half_open", "the TCP peer is gone without a word", half_open=True),
+    _vesc("V1", "unplug", "the USB cable is out", plugged=False),
+    _vesc(
+        "V2",
+        "replug_other_name",
+        "unplugged, back under another name",
+        port_suffix="-1",
+        outage_ns=300 * _MS,
+    ),
+    _vesc(
+        "V3",
+        "replug_other_uuid",
+        "unplugged, then another VESC is there",
+        uuid=_OTHER_UUID,
+        outage_ns=300 * _MS,
+    ),
+    _vesc("V4", "no_replies", "takes commands, answers nothing", mute=True),
+    _vesc("V5", "ignores_commands", "answers, keeps the last motor command", deaf=True),
+    _vesc("V6", "reader_stalled", "reads nothing: the transmit buffer fills", stalled=True),
+    _vesc("V7", "slow_trickle", "replies come one byte per 5 ms", trickle_ns=5 * _MS),
+    _vesc("V8", "garbage_burst", "noise before each reply", garbage=64),
+    _vesc("V9", "crc_errors", "flipped bits in 10 % of the replies", corrupt=0.1),
+    _vesc("V10", "partial_then_silence", "half a reply, then nothing", truncate=True),
+    _vesc("V11", "false_long_header", "the head of a 512-byte frame", false_header=True),
+    _vesc("V12", "wrong_replies", "replies of another type", wrong="type"),
+    _vesc("V13", "fault_code", "a fault condition that stays", fault_code=3),
+    _vesc("V14", "fault_self_clearing", "a fault that clears itself", fault_once=4),
+    _vesc("V15", "reboot", "the VESC restarts", reboot=True),
+    _vesc("V16", "under_voltage", "the battery sags below the limit", sag=5.0),
+    _vesc("V17", "over_temperature", "the switches are too hot", heat_c=90.0),
+    _vesc("V18", "timeout_bit", "the status says timeout", timeout_bit=True),
+    _vesc("V19", "kill_switch", "the kill switch is on", kill=True),
+    _vesc("V20", "erpm_stuck", "ERPM stays what it was", erpm_stuck=True),
+    _vesc("V21", "erpm_flipped", "ERPM has the wrong sign", erpm_sign=-1),
+    _vesc("V22", "servo_disabled", "no servo output", servo_dead=True),
+    _vesc("V23", "second_client_alive", "a phone app feeds the timeout", alive_ns=200 * _MS),
+    _vesc(
+        "V24", "no_timeout", "timeout and brake current 0", timeout_ms=0, timeout_brake_current=0.0
+    ),
+    _vesc("", "reply_loss", "5 % of the replies are lost", must_trip=False, drop=0.05),
+    _vesc("", "reply_jitter", "up to 8 ms late", must_trip=False, jitter_ns=8 * _MS),
+    _vesc("", "unsolicited", "unknown frames between", must_trip=False, unsolicited=True),
+)
+_BY_NAME = {key: kind for kind in FAULTS for key in (kind.code, kind.name) if key}
+
+
+def find_fault(name: str) -> FaultKind:
+    """The catalogue's entry for a code (``M4``) or a name (``jump``).
+
+    Raises:
+        ValueError: there is none.
+    """
+    kind = _BY_NAME.get(name)
+    if kind is None:
+        names = ", ".join(k.name for k in FAULTS)
+        raise ValueError(f"no fault {name!r}; known: M1 to M22, V1 to V24, {names}")
+    return kind
+
+
+@dataclass(frozen=True, init=False)
+class Fault:
+    """A fault from ``t_from_ns`` to just before ``t_to_ns``, after the world's start.
+
+    Args:
+        name: code or name.
+        t_from_ns: when it begins.
+        t_to_ns: when it ends.
+        params: knobs that differ from the catalogue's (``Fault("M4", 0, jump=1.0)``).
+
+    Raises:
+        ValueError: no such fault or knob, or an empty window.
+    """
+
+    name: str
+    t_from_ns: int
+    t_to_ns: int
+    params: Mapping[str, Param] = field(default_factory=dict)
+
+    def __init__(
+        self, name: str, t_from_ns: int = 0, t_to_ns: int = FOREVER, **params: Param
+    ) -> None:
+        kind = find_fault(name)
+        target = SOUND_MOCAP if kind.target == "mocap" else SOUND_VESC
+        for knob in params:
+            if not hasattr(target, knob):
+                raise ValueError(f"fault {name}: no knob {knob!r}")
+        if t_from_ns >= t_to_ns:
+            raise ValueError(f"fault {name}: it ends before it begins")
+        for key, value in (
+            ("name", name),
+            ("t_from_ns", t_from_ns),
+            ("t_to_ns", t_to_ns),
+            ("params", dict(params)),
+        ):
+            object.__setattr__(self, key, value)
+
+    @property
+    def kind(self) -> FaultKind:
+        """Its entry in the catalogue."""
+        return find_fault(self.name)
+
+    def active(self, t_ns: int) -> bool:
+        """Whether it is on."""
+        return self.t_from_ns <= t_ns < self.t_to_ns
+
+
+class Condition(NamedTuple):
+    """The knobs at one moment and when they next change."""
+
+    vesc: VescKnobs
+    mocap: MocapKnobs
+    until_ns: int
+
+
+def make_condition(faults: Sequence[Fault], t_ns: int) -> Condition:
+    """The knobs at ``t_ns`` with these faults."""
+    vesc, mocap = SOUND_VESC, SOUND_MOCAP
+    for fault in faults:
+        if not fault.active(t_ns):
+            continue
+        turned = {**fault.kind.knobs, **fault.params}
+        if fault.kind.target == "vesc":
+            vesc = replace(vesc, **turned)  # type: ignore[arg-type]
+            if t_ns < fault.t_from_ns + vesc.outage_ns:
+                vesc = replace(vesc, plugged=False)
+        else:
+            since = min(fault.t_from_ns, mocap.since_ns or fault.t_from_ns)
+            mocap = replace(mocap, since_ns=since, **turned)  # type: ignore[arg-type]
+    edges = [edge for fault in faults for edge in _edges(fault) if edge > t_ns]
+    return Condition(vesc, mocap, min(edges, default=FOREVER))
+
+
+def _edges(fault: Fault) -> tuple[int, ...]:
+    outage = fault.params.get("outage_ns", fault.kind.knobs.get("outage_ns")) or 0
+    return fault.t_from_ns, fault.t_from_ns + int(outage), fault.t_to_ns
+
+
+def in_world_time(fault: Fault, t_start_ns: int) -> Fault:
+    """The fault on the clock of a world that starts at ``t_start_ns``."""
+    end = min(FOREVER, fault.t_to_ns + t_start_ns)
+    return Fault(fault.name, fault.t_from_ns + t_start_ns, end, **fault.params)

@@ -1,0 +1,94 @@
+"""The car model's step as straight-line Python: its own equations, run over a recording number.
+
+`car_model` is generic over the number type. Here it runs once over numbers that write down each
+operation, and the record is compiled: the same operations on the same floats in the same order
+(equal bit for bit, tested), without the tuples and calls between them. A step costs a third.
+A model that a record cannot hold (one that branches on a value) runs as it is.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+from steerd.car_model.model import Model, Moment, aim, car_now, drive_actuators, memory_size
+from steerd.car_model.ops import FLOAT, Ops
+from steerd.car_model.params import Car
+from steerd.car_model.rollout import glide
+from steerd.car_model.state import Command, State
+from steerd.car_model.straight_line import compiled
+from steerd.car_model.tape import TAPE, Tape
+
+Numbers = tuple[float, ...]
+_Half = Callable[[Ops[Any], Model[Any], Sequence[Any]], Sequence[Any]]
+_STATE = State._fields
+
+
+class Steps(NamedTuple):
+    """A step and its two halves, over plain floats.
+
+    ``actuate(*state, *memory, steer, speed, t, h)`` gives the steering angle at the step's end and
+    the acceleration; ``glide(*state, *memory, steer_end, accel, t, h)`` gives state and memory.
+    ``follow(*state, *memory, steer, speed, t, h)`` is both.
+    """
+
+    actuate: Callable[..., Numbers]
+    glide: Callable[..., Numbers]
+    follow: Callable[..., Numbers]
+    unrolled: bool
+
+
+@lru_cache(maxsize=64)
+def make_steps(model: Model[float]) -> Steps:
+    """The halves of a step of this model, unrolled where that is possible.
+
+    Kept: a second car of the same make (the next seed, the next fault) costs nothing.
+    """
+    try:
+        return Steps(
+            _unrolled(model, _actuate), _unrolled(model, _glide), _unrolled(model, _follow), True
+        )
+    except TypeError:
+        return Steps(_plain(model, _actuate), _plain(model, _glide), _plain(model, _follow), False)
+
+
+def _actuate(ops: Ops[Any], model: Model[Any], numbers: Sequence[Any]) -> Sequence[Any]:
+    state, _, (steer, speed, t, h) = _split(model, numbers)
+    car = car_now(ops, model, state, t)
+    ref = aim(ops, model, car, Command(steer, speed), t)
+    return drive_actuators(ops, model, car, state, ref, h)
+
+
+def _glide(ops: Ops[Any], model: Model[Any], numbers: Sequence[Any]) -> Sequence[Any]:
+    state, memory, (steer, accel, t, h) = _split(model, numbers)
+    car = car_now(ops, model, state, t)
+    after = glide(ops, model, car, Moment(state, memory), steer, accel, h)
+    return (*after.state, *after.memory)
+
+
+def _follow(ops: Ops[Any], model: Model[Any], numbers: Sequence[Any]) -> Sequence[Any]:
+    return _glide(ops, model, [*numbers[:-4], *_actuate(ops, model, numbers), *numbers[-2:]])
+
+
+def _split(
+    model: Model[Any], numbers: Sequence[Any]
+) -> tuple[State[Any], tuple[Any, ...], Sequence[Any]]:
+    end = len(_STATE) + memory_size(model.effects)
+    return State(*numbers[: len(_STATE)]), tuple(numbers[len(_STATE) : end]), numbers[end:]
+
+
+def _plain(model: Model[float], half: _Half) -> Callable[..., Numbers]:
+    return lambda *numbers: tuple(half(FLOAT, model, numbers))
+
+
+def _unrolled(model: Model[float], half: _Half) -> Callable[..., Numbers]:
+    """Run a half once over recorded numbers and compile the record.
+
+    Raises:
+        TypeError: it needs a number's value.
+    """
+    tape = Tape(exact=True)
+    memory = (f"memory_{i}" for i in range(memory_size(model.effects)))
+    inputs = [tape.symbol(name) for name in (*_STATE, *memory, "first", "second", "t", "h")]
+    values = tuple(tuple(map(tape.constant, own)) for own in model.values)
+    fixed = Model(Car(*map(tape.constant, model.car)), model.effects, values)
+    return compiled(inputs, [tape.node(result) for result in half(TAPE, fixed, inputs)])

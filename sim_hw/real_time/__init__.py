@@ -1,0 +1,1 @@
+"""Simulated hardware against the clock: a pty and sockets."""

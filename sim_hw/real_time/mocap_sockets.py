@@ -1,0 +1,175 @@
+"""The simulated mocap server's sockets: NatNet over UDP, VRPN over TCP, all on the loopback."""
+
+import contextlib
+import socket
+from typing import Protocol
+
+from steerd.mocap_link.natnet import MULTICAST_GROUP
+from steerd.sim_hw.mocap.mocap_config import MULTICAST
+from steerd.sim_hw.mocap.natnet_server import NatNetServer
+from steerd.sim_hw.mocap.network import CLOSE, COMMAND, FOREIGN, STREAM, Datagram
+from steerd.sim_hw.world import World
+
+_HOST = "127.0.0.1"
+_STRANGER = "127.0.0.9"
+_READ = 65_536
+
+
+class MocapSockets(Protocol):
+    """The open ends of a mocap server."""
+
+    url: str
+
+    def read_fds(self) -> tuple[int, ...]:
+        """What to poll."""
+
+    def pump(self, world: World, t_ns: int) -> None:
+        """Move messages both ways."""
+
+    def close(self) -> None:
+        """Close all sockets."""
+
+
+def make_mocap_sockets(
+    world: World, command_port: int, data_port: int, vrpn_port: int
+) -> MocapSockets:
+    """Open the sockets of the world's mocap system; port 0 takes a free one.
+
+    Raises:
+        OSError: a port is taken.
+    """
+    config = world.config.mocap
+    if isinstance(world.mocap, NatNetServer):
+        sockets = NatNetSockets(command_port, data_port)
+        world.mocap.data_port = sockets.data_port
+        forced = "" if config.transport == MULTICAST else "&unicast=1"
+        end = f"up={config.frame.up}{forced}"
+        if config.transport == MULTICAST:
+            end += f"&interface={_HOST}"
+        sockets.url = f"natnet://{_HOST}:{sockets.port}/{config.body}?{end}"
+        return sockets
+    vrpn = VrpnSockets(vrpn_port)
+    vrpn.url = f"vrpn://{_HOST}:{vrpn.port}/{config.body}?up={config.frame.up}"
+    return vrpn
+
+
+def _udp(host: str, port: int) -> socket.socket:
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp.bind((host, port))
+    udp.setblocking(False)
+    return udp
+
+
+def _free_udp_port() -> int:
+    with _udp(_HOST, 0) as probe:
+        return int(probe.getsockname()[1])
+
+
+class NatNetSockets:
+    """Command socket of a NatNet server, which also sends the frames, and a stranger's socket."""
+
+    def __init__(self, command_port: int, data_port: int) -> None:
+        self.url = ""
+        self._command = _udp(_HOST, command_port)
+        self._command.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(_HOST))
+        self._command.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
+        self._stranger: socket.socket | None = None
+        self.port = int(self._command.getsockname()[1])
+        self.data_port = data_port or _free_udp_port()
+
+    def read_fds(self) -> tuple[int, ...]:
+        """What to poll."""
+        return (self._command.fileno(),)
+
+    def pump(self, world: World, t_ns: int) -> None:
+        """Move datagrams both ways."""
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                data, address = self._command.recvfrom(_READ)
+                world.mocap_write(t_ns, data, COMMAND, (address[0], address[1]))
+        for message in world.mocap_read(t_ns):
+            self._send(message)
+
+    def _send(self, message: Datagram) -> None:
+        peer = message.peer
+        host = peer[0] if isinstance(peer, tuple) else MULTICAST_GROUP
+        direct = message.channel == COMMAND and isinstance(peer, tuple)
+        port = peer[1] if direct and isinstance(peer, tuple) else self.data_port
+        sender = self._command
+        if message.channel == FOREIGN:
+            if self._stranger is None:
+                self._stranger = _udp(_STRANGER, 0)
+            sender = self._stranger
+            port = peer[1] if isinstance(peer, tuple) else self.data_port
+        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+            sender.sendto(message.data, (host, port))
+
+    def close(self) -> None:
+        """Close all sockets."""
+        self._command.close()
+        if self._stranger is not None:
+            self._stranger.close()
+
+
+class VrpnSockets:
+    """Listening socket of a VRPN server and its connections."""
+
+    def __init__(self, port: int) -> None:
+        self.url = ""
+        self._listener = socket.create_server((_HOST, port))
+        self._listener.setblocking(False)
+        self.port = int(self._listener.getsockname()[1])
+        self._clients: dict[tuple[str, int], socket.socket] = {}
+
+    def read_fds(self) -> tuple[int, ...]:
+        """What to poll."""
+        return (self._listener.fileno(), *(c.fileno() for c in self._clients.values()))
+
+    def pump(self, world: World, t_ns: int) -> None:
+        """Accept, move bytes both ways, hang up."""
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                client, address = self._listener.accept()
+                client.setblocking(False)
+                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._clients[address] = client
+                world.mocap_connect(t_ns, address)
+        for peer in tuple(self._clients):
+            self._receive(world, t_ns, peer)
+        for message in world.mocap_read(t_ns):
+            self._send(world, t_ns, message)
+
+    def _receive(self, world: World, t_ns: int, peer: tuple[str, int]) -> None:
+        try:
+            data = self._clients[peer].recv(_READ)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if data:
+            world.mocap_write(t_ns, data, STREAM, peer)
+        else:
+            self._drop(world, t_ns, peer)
+
+    def _send(self, world: World, t_ns: int, message: Datagram) -> None:
+        peer = message.peer
+        if not isinstance(peer, tuple) or peer not in self._clients:
+            return
+        if message.channel == CLOSE:
+            self._drop(world, t_ns, peer)
+            return
+        try:
+            self._clients[peer].sendall(message.data)
+        except OSError:  # a client that does not read, or is gone
+            self._drop(world, t_ns, peer)
+
+    def _drop(self, world: World, t_ns: int, peer: tuple[str, int]) -> None:
+        self._clients.pop(peer).close()
+        world.mocap_disconnect(t_ns, peer)
+
+    def close(self) -> None:
+        """Close all sockets."""
+        self._listener.close()
+        for client in self._clients.values():
+            client.close()
+        self._clients.clear()

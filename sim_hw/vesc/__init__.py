@@ -1,0 +1,1 @@
+"""The simulated VESC: bytes of the serial link in and out."""

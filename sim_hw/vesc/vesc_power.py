@@ -1,0 +1,103 @@
+"""What a VESC measures of its motor and battery, from what the wheels do.
+
+Means since the last read are kept as running sums with a bookmark per telemetry field, so reading
+one field does not touch the others; that is how the firmware's read-and-reset behaves.
+"""
+
+from steerd.sim_hw.vesc.vesc_config import VescConfig
+
+_AMBIENT_C = 25.0
+_HEATING = 2e-4
+"""Warming per squared motor current [K/s/A^2]; with `_COOLING`, 30 A settle at +22 K."""
+_COOLING = 120.0
+"""Thermal time constant [s]."""
+_FIELD_VOLTAGE = 3**-0.5
+"""Phase voltage per bus voltage at full duty (space-vector modulation)."""
+_FLAT = 0.1
+"""Voltage below which no battery goes here, so that nothing divides by zero [V]."""
+_SUMS = {
+    "motor_current": "_motor_sum",
+    "input_current": "_input_sum",
+    "q_current": "_q_sum",
+    "v_q": "_vq_sum",
+}
+"""Where each mean is summed up; the others (the field-weakening axis) are zero."""
+MEANS = ("motor_current", "input_current", "d_current", "q_current", "v_d", "v_q")
+
+
+class Power:
+    """Currents, voltages, charge, temperature and tachometer of the simulated VESC.
+
+    Attributes:
+        current: motor current, positive drives forward on the wire [A].
+        voltage: battery voltage under load [V].
+        duty: duty cycle.
+        revolutions, travel: electrical revolutions, signed and unsigned.
+        warmth, heat_c: above ambient by the motor's own current, and by a fault [K].
+        ah, ah_charged, wh, wh_charged: as telemetry sends them.
+    """
+
+    def __init__(self, config: VescConfig) -> None:
+        self.config = config
+        self.current = self.duty = 0.0
+        self.voltage = config.battery_voltage
+        self.revolutions = self.travel = 0.0
+        self.ah = self.ah_charged = self.wh = self.wh_charged = 0.0
+        self.warmth = self.heat_c = 0.0
+        self.input_current = 0.0
+        self._motor_sum = self._input_sum = self._q_sum = self._vq_sum = 0.0
+        self._count = 0
+        self._read: dict[str, tuple[float, int]] = dict.fromkeys(MEANS, (0.0, 0))
+
+    @property
+    def temp_c(self) -> float:
+        """Temperature of switches and motor."""
+        return _AMBIENT_C + self.warmth + self.heat_c
+
+    def step(self, current: float, erpm: float, h: float, sag: float) -> None:
+        """Account for ``h`` seconds at a motor current [A] and ERPM, on a battery ``sag`` V low."""
+        config = self.config
+        emf = 2.0 * erpm / config.motor_poles / config.motor_kv
+        self.current = current
+        duty = (emf + current * config.motor_resistance) / self.voltage
+        limit = config.duty_limit
+        self.duty = duty = -limit if duty < -limit else min(duty, limit)
+        source = self.input_current = duty * current
+        loss = sag + config.battery_resistance * source
+        self.voltage = max(_FLAT, config.battery_voltage - loss)
+        revolutions = erpm * h / 60.0
+        self.revolutions += revolutions
+        self.travel += abs(revolutions)
+        charge = source * h / 3600.0
+        if charge >= 0.0:
+            self.ah += charge
+            self.wh += charge * self.voltage
+        else:
+            self.ah_charged -= charge
+            self.wh_charged -= charge * self.voltage
+        self.warmth += h * (_HEATING * current * current - self.warmth / _COOLING)
+        self._motor_sum += abs(current) if source >= 0.0 else -abs(current)
+        self._input_sum += source
+        self._q_sum += current
+        self._vq_sum += duty * self.voltage
+        self._count += 1
+
+    def read_mean(self, name: str) -> float:
+        """Mean of a field since its last read, which this is now; 0 when read twice at once."""
+        total, count = self._read[name]
+        now = getattr(self, _SUMS[name]) if name in _SUMS else 0.0
+        self._read[name] = (now, self._count)
+        samples = self._count - count
+        mean = (now - total) / samples if samples else 0.0
+        return mean * _FIELD_VOLTAGE if name == "v_q" else mean
+
+    @property
+    def tachometer(self) -> int:
+        """Steps of 60 electrical degrees, signed, as the firmware's 32-bit counter."""
+        steps = int(self.revolutions * 6.0)
+        return (steps + (1 << 31)) % (1 << 32) - (1 << 31)
+
+    @property
+    def tachometer_abs(self) -> int:
+        """Steps of 60 electrical degrees in both directions."""
+        return int(self.travel * 6.0) % (1 << 31)

@@ -1,0 +1,200 @@
+"""What the simulated VESC says of itself: its state as the reply values of `vesc_link`."""
+
+import math
+from typing import Any
+
+from steerd.sim_hw.plant.car import SimCar
+from steerd.sim_hw.plant.noise import Noise
+from steerd.sim_hw.vesc.vesc_config import MS, VescConfig
+from steerd.sim_hw.vesc.vesc_motor import Motor
+from steerd.sim_hw.vesc.vesc_power import MEANS, Power
+from steerd.vesc_link import identity, telemetry
+from steerd.vesc_link.ids import FW_3_00, fault_name
+
+_IMU_PERIOD_NS = 5 * MS
+"""The firmware samples its IMU at 200 Hz; faster polling reads the same sample again."""
+_MEAN_BITS = {"motor_current": 2, "input_current": 3, "d_current": 4, "q_current": 5}
+_MEAN_BITS |= {"v_d": 19, "v_q": 20}
+_FULL_WH = 40.0
+_SIGNATURE = 0x2A1B5C03
+_APPCONF_TAIL = bytes(range(1, 200)) * 2
+"""Stands for the rest of the app configuration, whose layout changes with every firmware."""
+_STATS = ("speed", "power", "current", "temp_mos", "temp_motor")
+
+
+class Statistics:
+    """Means and maxima since the last reset (GET_STATS), sampled by the 10 ms thread."""
+
+    def __init__(self) -> None:
+        self.reset(0)
+
+    def reset(self, t_ns: int) -> None:
+        """Start anew."""
+        self._since_ns = t_ns
+        self._count = 0
+        self._sums = [0.0] * len(_STATS)
+        self._most = [0.0] * len(_STATS)
+
+    def sample(self, speed: float, power: Power) -> None:
+        """Take one sample."""
+        watts = abs(power.input_current * power.voltage)
+        values = (abs(speed), watts, abs(power.current), power.temp_c, power.temp_c)
+        self._count += 1
+        self._sums = [a + b for a, b in zip(self._sums, values, strict=True)]
+        self._most = [max(a, b) for a, b in zip(self._most, values, strict=True)]
+
+    def make_reply(self, mask: int, t_ns: int) -> telemetry.Stats:
+        """GET_STATS reply."""
+        values: dict[str, Any] = {"time": (t_ns - self._since_ns) / 1e9}
+        for name, total, most in zip(_STATS, self._sums, self._most, strict=True):
+            suffix = "_c" if name.startswith("temp") else ""
+            values[f"{name}_avg{suffix}"] = total / self._count if self._count else 0.0
+            values[f"{name}_max{suffix}"] = most
+        return telemetry.Stats(mask, **values)
+
+
+def make_values(
+    config: VescConfig, motor: Motor, power: Power, erpm: int, mask: int | None
+) -> telemetry.Values:
+    """GET_VALUES reply; reads, and thereby restarts, the means that are asked for."""
+    temp = power.temp_c
+    means: dict[str, Any] = {
+        name: power.read_mean(name)
+        for name in MEANS
+        if mask is None or mask >> _MEAN_BITS[name] & 1
+    }
+    values: dict[str, Any] = {f"temp_mos{n}_c": temp for n in (1, 2, 3)}
+    if config.firmware <= FW_3_00:
+        values |= {f"temp_mos{n}_c": temp for n in (4, 5, 6)} | {"temp_pcb_c": temp}
+    return telemetry.Values(
+        **values,
+        **means,
+        temp_fet_c=temp,
+        temp_motor_c=temp,
+        duty=power.duty,
+        erpm=erpm,
+        input_voltage=power.voltage,
+        ah=power.ah,
+        ah_charged=power.ah_charged,
+        wh=power.wh,
+        wh_charged=power.wh_charged,
+        tachometer=power.tachometer,
+        tachometer_abs=power.tachometer_abs,
+        fault=motor.fault,
+        pid_pos_deg=rotor_angle_deg(power),
+        controller_id=config.controller_id,
+        status=motor.status,
+        mask=mask,
+    )
+
+
+def rotor_angle_deg(power: Power) -> float:
+    """Electrical angle of the rotor [deg]."""
+    return power.revolutions % 1.0 * 360.0
+
+
+def make_setup(
+    config: VescConfig, motor: Motor, power: Power, erpm: int, uptime_ns: int, mask: int | None
+) -> telemetry.ValuesSetup:
+    """GET_VALUES_SETUP reply; speed and distance by the VESC's own poles, gear and wheel."""
+    gain = make_mcconf_temp(config, motor).erpm_gain
+    metres = 60.0 / gain
+    left = max(0.0, _FULL_WH - power.wh + power.wh_charged)
+    return telemetry.ValuesSetup(
+        temp_fet_c=power.temp_c,
+        temp_motor_c=power.temp_c,
+        motor_current=power.current,
+        input_current=power.input_current,
+        duty=power.duty,
+        erpm=erpm,
+        speed=erpm / gain,
+        input_voltage=power.voltage,
+        battery_level=left / _FULL_WH,
+        ah=power.ah,
+        ah_charged=power.ah_charged,
+        wh=power.wh,
+        wh_charged=power.wh_charged,
+        distance=power.revolutions * metres,
+        distance_abs=power.travel * metres,
+        pid_pos_deg=rotor_angle_deg(power),
+        fault=motor.fault,
+        controller_id=config.controller_id,
+        vesc_count=1,
+        wh_left=left,
+        odometer_m=int(power.travel * metres),
+        uptime_ms=uptime_ns // MS % (1 << 32),
+        mask=mask,
+    )
+
+
+def make_fw_version(config: VescConfig, uuid: bytes) -> identity.FwVersion:
+    """FW_VERSION reply."""
+    return identity.FwVersion(
+        *config.firmware, hw_name=config.hw_name, uuid=uuid, paired=0, hw_config_crc=0xDEADBEEF
+    )
+
+
+def make_appconf(config: VescConfig, motor: Motor) -> identity.AppConf:
+    """GET_APPCONF reply: timeout and its brake current, then a tail that no one should read."""
+    return identity.AppConf(
+        _SIGNATURE,
+        config.controller_id,
+        motor.timeout_ms,
+        motor.timeout_brake_current,
+        _APPCONF_TAIL,
+    )
+
+
+def make_mcconf_temp(config: VescConfig, motor: Motor) -> identity.McConfTemp:
+    """GET_MCCONF_TEMP reply: the limits in force."""
+    return identity.McConfTemp(
+        **motor.limits,
+        motor_poles=config.motor_poles,
+        gear_ratio=config.gear_ratio,
+        wheel_diameter=config.wheel_diameter,
+    )
+
+
+def make_terminal_answer(motor: Motor, text: str) -> identity.Print:
+    """What the terminal prints."""
+    if text == "faults":
+        return identity.Print(f"Fault: FAULT_CODE_{fault_name(motor.fault)}")
+    return identity.Print(f"Invalid command: {text}")
+
+
+class ImuChip:
+    """The board's IMU: gyro and accelerometer of the car with noise, attitude from its yaw."""
+
+    def __init__(self, config: VescConfig, car: SimCar, noise: Noise) -> None:
+        self._config = config
+        self._car = car
+        self._noise = noise
+        self._yaw_start = car.state.yaw
+        self._sample_ns = -1
+        self._sample: dict[str, Any] = {}
+
+    def make_reply(self, mask: int, t_ns: int) -> telemetry.Imu:
+        """GET_IMU_DATA reply: the latest 200 Hz sample; without a chip zeros and identity."""
+        if not self._config.imu:
+            return telemetry.Imu(mask, q_w=1.0, controller_id=self._config.controller_id)
+        slot = t_ns // _IMU_PERIOD_NS
+        if slot != self._sample_ns:
+            self._sample_ns = slot
+            self._sample = self._measure()
+        return telemetry.Imu(mask, **self._sample, controller_id=self._config.controller_id)
+
+    def _measure(self) -> dict[str, float]:
+        normal, car = self._noise.normal, self._car
+        gyro, accel = self._config.gyro_noise, self._config.accel_noise
+        yaw = car.state.yaw - self._yaw_start
+        return {
+            "yaw": -math.remainder(yaw, math.tau),  # the firmware's sign
+            "accel_x": car.accel_x + accel * normal(),
+            "accel_y": car.accel_y + accel * normal(),
+            "accel_z": telemetry.STANDARD_GRAVITY + accel * normal(),
+            "gyro_x": gyro * normal(),
+            "gyro_y": gyro * normal(),
+            "gyro_z": car.motor_seen().yaw_rate + gyro * normal(),
+            "q_w": math.cos(yaw / 2.0),
+            "q_z": math.sin(yaw / 2.0),
+        }

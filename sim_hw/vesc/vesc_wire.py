@@ -1,0 +1,99 @@
+"""The VESC's sending side: frames cut as USB cuts them, late, or damaged as the knobs say."""
+
+from steerd.sim_hw.plant.device import Outbox
+from steerd.sim_hw.plant.fault_state import SOUND_VESC, VescKnobs
+from steerd.sim_hw.plant.noise import Noise
+from steerd.sim_hw.vesc.vesc_config import MS, VescConfig
+from steerd.vesc_link.frames import encode_frame
+
+_FALSE_HEADER = b"\x03\x02\x00"
+_UNKNOWN_FRAME = encode_frame(b"\xfaunsolicited")
+_USB_WAIT_NS = 100 * MS
+"""How long the firmware's USB thread waits for a host that does not read."""
+
+
+class ReplyWire:
+    """Replies on their way to the host.
+
+    Attributes:
+        knobs: what is wrong with the link.
+        outbox: bytes and their times.
+        blocked_until_ns: the command thread waits for the host to read.
+        cut: replies that were cut because the host did not read.
+    """
+
+    def __init__(self, config: VescConfig, noise: Noise) -> None:
+        self.knobs: VescKnobs = SOUND_VESC
+        self.outbox = Outbox()
+        self.blocked_until_ns = 0
+        self.cut = 0
+        self._config = config
+        self._noise = noise
+        self._unread = 0
+        self._broken = False
+
+    def mend(self) -> None:
+        """Forget a broken-off frame and everything on its way (new cable, reboot)."""
+        self.outbox.clear()
+        self._unread = 0
+        self._broken = False
+
+    def on_read(self, count: int) -> None:
+        """The host has read ``count`` bytes."""
+        self._unread = max(0, self._unread - count)
+
+    def send(self, t_ns: int, payload: bytes) -> None:
+        """Send a reply as a frame."""
+        knobs, noise = self.knobs, self._noise
+        if knobs.mute or not knobs.truncate:
+            self._broken = False
+        if knobs.mute or self._broken or noise.chance(knobs.drop):
+            return
+        frame = encode_frame(payload)
+        if noise.chance(knobs.corrupt):
+            frame = flip_bit(frame, noise)
+        if knobs.truncate:
+            frame, self._broken = frame[: len(frame) // 2], True
+        due = t_ns + self._config.reply_delay_ns + knobs.delay_ns
+        if knobs.jitter_ns:
+            due += int(knobs.jitter_ns * noise.uniform())
+        if knobs.unsolicited:
+            self._put(t_ns, due, _UNKNOWN_FRAME)
+        if knobs.garbage:
+            self._put(t_ns, due, noise.random_bytes(knobs.garbage))
+        self._put(t_ns, due, frame)
+
+    def send_raw(self, t_ns: int, data: bytes) -> None:
+        """Send bytes that are no frame."""
+        self._put(t_ns, t_ns, data)
+
+    def send_false_header(self, t_ns: int) -> None:
+        """Send the head of a frame of 512 bytes that will never come."""
+        self._put(t_ns, t_ns, _FALSE_HEADER)
+
+    def _put(self, t_ns: int, due: int, data: bytes) -> None:
+        room = self._config.unread_limit - self._unread
+        if len(data) > room:
+            self.cut += 1
+            self.blocked_until_ns = t_ns + _USB_WAIT_NS
+            data = data[: max(0, room)]
+        if not data:
+            return
+        self._unread += len(data)
+        trickle = self.knobs.trickle_ns
+        if trickle:
+            due = max(due, self.outbox.last_ns)
+            for i in range(len(data)):
+                self.outbox.put(due + (i + 1) * trickle, data[i : i + 1])
+            return
+        first = self.outbox.put(due, data[:1])
+        if len(data) > 1:
+            self.outbox.put(first + self._config.fragment_gap_ns, data[1:])
+
+
+def flip_bit(data: bytes, noise: Noise) -> bytes:
+    """The data with one random bit wrong."""
+    bit = int(noise.uniform() * 8 * len(data))
+    damaged = bytearray(data)
+    damaged[bit // 8] ^= 1 << bit % 8
+    return bytes(damaged)

@@ -1,0 +1,195 @@
+"""Recorded messages to NumPy columns, a whole topic at once.
+
+All messages of a topic share one layout as long as their texts (the frame, mostly) keep their
+length; then a topic is one ``np.frombuffer`` over the joined records. Texts and bytes that end a
+message may vary. Anything else is decoded message by message, with the same result.
+"""
+
+import operator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.steer_bus.codec import CodecError, decode, read_text, type_name
+from steerd.steer_bus.fields import Array, Leaf, Scalar, Text, flat_leaves
+from steerd.steer_bus.mcap_records import MESSAGE_FIELDS
+
+Columns = dict[str, NDArray[Any]]
+"""``log_ns``, ``publish_ns``, ``sequence`` and each field by its (dotted) name, all of length n;
+a header gives ``stamp_ns``. Fixed arrays are (n, count); texts and bytes at a message's end are
+object arrays, those inside it (frame names) are left out."""
+
+_PREFIX = MESSAGE_FIELDS.size
+_CDR = _PREFIX + 4
+_LITTLE_ENDIAN = 0x0100  # bytes 00 01 read as uint16
+_MAX_TRAILING = 3
+_CDR_HEADER = "#cdr"
+_BATCH = 8192
+
+
+class ColumnBuilder:
+    """Collects one topic's records and turns them into columns in batches."""
+
+    def __init__(self, cls: type[Any]) -> None:
+        """Collect messages of a class.
+
+        Raises:
+            TypeError: if the class holds a sequence of messages and so has no columns.
+        """
+        leaves = flat_leaves(cls)
+        if leaves is None:
+            raise TypeError(f"{type_name(cls)} has no columns: read it with messages()")
+        self._cls, self._leaves = cls, leaves
+        self._records: list[bytes] = []
+        self._parts: list[Columns] = []
+
+    def add(self, records: list[bytes]) -> None:
+        """Add records (what follows a message's channel id in the file).
+
+        Raises:
+            CodecError: if one of them is not the message.
+        """
+        self._records += records
+        if len(self._records) >= _BATCH:
+            self._convert()
+
+    def finish(self) -> Columns:
+        """Give the columns of all records, in order.
+
+        Raises:
+            CodecError: if one of them is not the message.
+        """
+        self._convert()
+        names = self._parts[0].keys()
+        return _with_stamp({n: np.concatenate([part[n] for part in self._parts]) for n in names})
+
+    def _convert(self) -> None:
+        if not self._records and self._parts:
+            return
+        columns = _fast_columns(self._leaves, self._records) if self._records else None
+        if columns is None:
+            columns = _slow_columns(self._cls, self._leaves, self._records)
+        self._parts.append(columns)
+        self._records = []
+
+
+def _fixed_count(leaves: tuple[Leaf, ...]) -> int:
+    return 1 + max((i for i, leaf in enumerate(leaves) if _item(leaf)), default=-1)
+
+
+def _item(leaf: Leaf) -> Scalar | None:
+    match leaf.kind:
+        case Scalar():
+            return leaf.kind
+        case Array():
+            return leaf.kind.item
+        case _:
+            return None
+
+
+def _format(leaf: Leaf, item: Scalar) -> Any:
+    code = f"<{item.code}"
+    return (code, (leaf.kind.count,)) if isinstance(leaf.kind, Array) else code
+
+
+def _fast_columns(leaves: tuple[Leaf, ...], records: list[bytes]) -> Columns | None:
+    """Read records of one layout at once; None if they do not share it."""
+    fixed = _fixed_count(leaves)
+    found = _layout(leaves[:fixed], records[0])
+    if found is None:
+        return None
+    dtype, texts = found
+    size = dtype.itemsize
+    lengths = np.fromiter(map(len, records), np.int64, len(records))
+    longest = np.inf if leaves[fixed:] else size + _MAX_TRAILING
+    if lengths.min() < size or lengths.max() > longest:
+        return None
+    whole = bool(lengths.max() == size)
+    table = np.frombuffer(b"".join(records if whole else [r[:size] for r in records]), dtype)
+    if (table[_CDR_HEADER] != _LITTLE_ENDIAN).any():
+        return None
+    if any((table[name] != length).any() for name, length in texts.items()):
+        return None
+    columns = {name: table[name].copy() for name in dtype.names or () if "#" not in name}
+    tails = _tail_columns(leaves[fixed:], records, size)
+    return None if tails is None else columns | tails
+
+
+def _layout(leaves: tuple[Leaf, ...], first: bytes) -> tuple[np.dtype[Any], dict[str, int]] | None:
+    """Give the layout of records like ``first`` and the length each text in it must have."""
+    names = ["sequence", "log_ns", "publish_ns", _CDR_HEADER]
+    formats: list[Any] = ["<u4", "<i8", "<i8", "<u2"]
+    offsets, texts, pos = [0, 4, 12, _PREFIX], {}, 0
+    for leaf in leaves:
+        item = _item(leaf)
+        pos += -pos % (item.size if item else 4)
+        offsets.append(_CDR + pos)
+        names.append(leaf.path if item else f"{leaf.path}#")
+        formats.append(_format(leaf, item) if item else "<u4")
+        if item:
+            pos += item.size * (leaf.kind.count if isinstance(leaf.kind, Array) else 1)
+        else:
+            texts[f"{leaf.path}#"] = length = int.from_bytes(
+                first[_CDR + pos : _CDR + pos + 4], "little"
+            )
+            pos += 4 + length
+        if _CDR + pos > len(first):
+            return None
+    layout = {"names": names, "formats": formats, "offsets": offsets, "itemsize": _CDR + pos}
+    return np.dtype(layout), texts  # type: ignore[call-overload]
+
+
+def _tail_columns(leaves: tuple[Leaf, ...], records: list[bytes], start: int) -> Columns | None:
+    columns: Columns = {leaf.path: np.empty(len(records), object) for leaf in leaves}
+    for row, record in enumerate(records):
+        pos = start
+        for leaf in leaves:
+            pos += (_CDR - pos) % 4
+            length = int.from_bytes(record[pos : pos + 4], "little")
+            pos, raw = pos + 4 + length, record[pos + 4 : pos + 4 + length]
+            if pos > len(record):
+                return None
+            if not isinstance(leaf.kind, Text):
+                columns[leaf.path][row] = raw
+                continue
+            try:
+                columns[leaf.path][row] = read_text(raw)
+            except (CodecError, UnicodeError):
+                return None
+        if leaves and len(record) - pos > _MAX_TRAILING:
+            return None
+    return columns
+
+
+def _slow_columns(cls: type[Any], leaves: tuple[Leaf, ...], records: list[bytes]) -> Columns:
+    """Decode record by record; also where a batch holds a bad record, to say what is wrong."""
+    messages = [decode(cls, record[_PREFIX:]) for record in records]
+    prefixes = [MESSAGE_FIELDS.unpack_from(record) for record in records]
+    numbers = np.array(prefixes, dtype="u8").reshape(-1, 3)
+    columns: Columns = {
+        "sequence": numbers[:, 0].astype("u4"),
+        "log_ns": numbers[:, 1].astype("i8"),
+        "publish_ns": numbers[:, 2].astype("i8"),
+    }
+    fixed = _fixed_count(leaves)
+    for i, leaf in enumerate(leaves):
+        item = _item(leaf)
+        if item is None and i < fixed:
+            continue
+        values = list(map(operator.attrgetter(leaf.path), messages))
+        if item is None:
+            columns[leaf.path] = np.empty(len(values), object)
+            columns[leaf.path][:] = values
+        else:
+            shape = (len(values), leaf.kind.count) if isinstance(leaf.kind, Array) else -1
+            columns[leaf.path] = np.array(values, f"<{item.code}").reshape(shape)
+    return columns
+
+
+def _with_stamp(columns: Columns) -> Columns:
+    sec = columns.pop("header.stamp.sec", None)
+    nanosec = columns.pop("header.stamp.nanosec", None)
+    if sec is not None and nanosec is not None:
+        columns["stamp_ns"] = sec.astype("i8") * 1_000_000_000 + nanosec
+    return columns

@@ -1,0 +1,1 @@
+"""steerd: control, identification and sim-to-real diagnosis for Ackermann cars."""

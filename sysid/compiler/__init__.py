@@ -1,0 +1,1 @@
+"""The compiled car: from recorded equations to vectorised machine code."""

@@ -1,0 +1,247 @@
+"""From recorded equations to Python source that Numba compiles.
+
+Two forms of each piece are printed. The *point* form works on one state and gives its nonzero
+derivatives; its partner, the *push*, carries sensitivity columns through them. The *lane* form has
+the loop over windows innermost, so that LLVM vectorises the equations themselves; it comes with its
+vector-Jacobian product. What depends on parameters and step alone is computed once per call, in
+`constants`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import inf
+from typing import NamedTuple
+
+from steerd.car_model.tape import Entry, Node, gradient, needed, source_of
+from steerd.sysid.compiler.simd_rows import LANES
+from steerd.sysid.compiler.specialised import BRISK, Range, specialise
+from steerd.sysid.compiler.trace import CHASSIS, Piece, Traced
+
+COLUMNS = 72
+"""Most sensitivity columns; a row is 9 cache lines, so that rows do not share cache sets."""
+
+
+class Block(NamedTuple):
+    """A function to print: which inputs it reads from where, and what it writes where."""
+
+    name: str
+    arguments: str
+    loads: tuple[tuple[Node, str], ...]
+    targets: tuple[tuple[str, Node], ...]
+    lanes: bool
+
+
+class Slope(NamedTuple):
+    """A nonzero derivative: of output `output` by source `source` (inputs, then parameters)."""
+
+    output: int
+    source: int
+    formula: Node
+
+
+@dataclass
+class _Constants:
+    """Values that all blocks share: computed once per call, read from `q`."""
+
+    slots: dict[int, int] = field(default_factory=dict)
+
+    def slot(self, place: int) -> int:
+        return self.slots.setdefault(place, len(self.slots))
+
+
+def _row(row: int) -> str:
+    # One workspace with a constant stride: LLVM sees that rows never overlap, and vectorises.
+    return f"w[{row * LANES} + lane]" if row else "w[lane]"
+
+
+def _source(entry: Entry, names: Mapping[int, str]) -> str:
+    # Python's own min and max stay as they are for the loops that share the module.
+    own = {"min": "least", "max": "greatest"}.get(entry.op, entry.op)
+    return source_of(entry._replace(op=own), names)
+
+
+def _column(row: int) -> str:
+    return f"w[{row * COLUMNS} + lane]" if row else "w[lane]"
+
+
+def slopes_of(piece: Piece, traced: Traced) -> list[Slope]:
+    """The derivatives of a piece that are not zero everywhere; time has no sensitivity."""
+    sources = (*piece.inputs, *traced.symbols)
+    found = []
+    for i, output in enumerate(piece.outputs):
+        by = gradient([(output, 1.0)], sources)
+        found += [
+            Slope(i, j, e)
+            for j, (source, e) in enumerate(zip(sources, by, strict=True))
+            if not _zero(e) and source.place != traced.t.place
+        ]
+    return found
+
+
+def jacobian_block(name: str, piece: Piece, slopes: Sequence[Slope]) -> Block:
+    """Outputs and nonzero derivatives at one point: `out[i]`, and `j[s]` for slope `s`."""
+    loads = tuple((s, f"z[{i}]") for i, s in enumerate(piece.inputs))
+    targets = [(f"out[{i}]", e) for i, e in enumerate(piece.outputs)]
+    targets += [(f"j[{k}]", slope.formula) for k, slope in enumerate(slopes)]
+    return Block(name, "z, p, q, h, out, j", loads, tuple(targets), lanes=False)
+
+
+def _print_push(name: str, piece: Piece, slopes: Sequence[Slope]) -> list[str]:
+    """Columns through the derivatives; rows: inputs, outputs (set), parameters (seeds)."""
+    split, outputs = len(piece.inputs), len(piece.outputs)
+    head = [f"j{k} = j[{k}]" for k in range(len(slopes))]
+    body = []
+    for i in range(outputs):
+        terms = [
+            f"j{k} * {_column(s.source if s.source < split else s.source + outputs)}"
+            for k, s in enumerate(slopes)
+            if s.output == i
+        ]
+        body.append(f"{_column(split + i)} = {' + '.join(terms) or '0.0'}")
+    block = Block(name, "j, w, n", (), (), lanes=True)
+    return _assemble(block, head, body)
+
+
+def _zero(node: Node) -> bool:
+    return node.entry.op == "const" and node.entry.value == 0.0
+
+
+def lane_block(name: str, piece: Piece) -> Block:
+    """Workspace rows: inputs, then outputs."""
+    loads = tuple((s, _row(i)) for i, s in enumerate(piece.inputs))
+    targets = tuple((_row(len(loads) + i), e) for i, e in enumerate(piece.outputs))
+    return Block(name, "w, n, p, q, h", loads, targets, lanes=True)
+
+
+def lane_vjp_block(name: str, piece: Piece, traced: Traced) -> Block:
+    """Vector-Jacobian product; rows: inputs, output weights, input slopes (set), parameter slopes.
+
+    Parameter slopes are added to; rows of parameters that the piece does not depend on stay.
+    """
+    tape = traced.tape
+    bars = [tape.symbol(f"bar_{i}") for i in range(len(piece.outputs))]
+    sources = (*piece.inputs, *bars)
+    loads = tuple((s, _row(i)) for i, s in enumerate(sources))
+    slopes = gradient(zip(piece.outputs, bars, strict=True), (*piece.inputs, *traced.symbols))
+    split, first = len(piece.inputs), len(sources)
+    targets = [(_row(first + j), e) for j, e in enumerate(slopes[:split])]
+    for k, e in enumerate(slopes[split:]):
+        if not _zero(e):
+            targets.append((f"{_row(first + split + k)} +", e))
+    return Block(name, "w, n, p, q, h", loads, tuple(targets), lanes=True)
+
+
+def _constant_places(traced: Traced, places: Sequence[int]) -> set[int]:
+    """Which of the places depend on parameters and step alone (and are more than a number)."""
+    fixed = {node.place for node in (*traced.symbols, traced.h)}
+    entries = traced.tape.entries
+    known = set(fixed)
+    for place in places:
+        entry = entries[place]
+        if entry.op == "const" or (entry.args and all(a in known for a in entry.args)):
+            known.add(place)
+    return {p for p in known - fixed if entries[p].op != "const"}
+
+
+def _print_block(block: Block, traced: Traced, constants: _Constants) -> list[str]:
+    entries = traced.tape.entries
+    places = needed(node for _, node in block.targets)
+    hoisted = _constant_places(traced, places)
+    names = {p: repr(entries[p].value) for p in places if entries[p].op == "const"}
+    names |= {p: f"v{p}" for p in places if p not in names}
+    names |= {node.place: "h" for node in (traced.h,)}
+    body_places = [p for p in places if p not in hoisted and entries[p].args]
+    used = {a for p in body_places for a in entries[p].args} | {n.place for _, n in block.targets}
+    head = [f"v{s.place} = p[{k}]" for k, s in enumerate(traced.symbols) if s.place in used]
+    head += [f"v{p} = q[{constants.slot(p)}]" for p in sorted(hoisted & used)]
+    body = [f"v{s.place} = {text}" for s, text in block.loads if s.place in used]
+    body += [f"v{p} = {_source(entries[p], names)}" for p in body_places]
+    body += [
+        f"{target}= {names[node.place]}"
+        if target.endswith("+")
+        else f"{target} = {names[node.place]}"
+        for target, node in block.targets
+    ]
+    return _assemble(block, head, body)
+
+
+def _assemble(block: Block, head: list[str], body: list[str]) -> list[str]:
+    lines = [f"@{'lanes' if block.lanes else 'point'}", f"def {block.name}({block.arguments}):"]
+    lines += [f"    {line}" for line in head]
+    indent = "    "
+    if block.lanes:
+        lines.append("    for lane in range(n):")
+        indent = "        "
+    body = body or ["pass"]
+    return [*lines, *(indent + line for line in body), "", ""]
+
+
+def _print_constants(traced: Traced, constants: _Constants) -> list[str]:
+    entries = traced.tape.entries
+    places = needed(Node(traced.tape, place) for place in constants.slots)
+    names = {p: f"v{p}" if entries[p].op != "const" else repr(entries[p].value) for p in places}
+    names[traced.h.place] = "h"
+    lines = [f"v{s.place} = p[{k}]" for k, s in enumerate(traced.symbols) if s.place in places]
+    lines += [f"v{p} = {_source(entries[p], names)}" for p in places if entries[p].args]
+    lines += [f"q[{slot}] = v{place}" for place, slot in constants.slots.items()]
+    lines = lines or ["pass"]
+    return ["@entry", "def constants(p, h, q):", *(f"    {line}" for line in lines), "", ""]
+
+
+def brisk_rates(traced: Traced) -> Piece:
+    """The rates of a car that is on the move: without the equations for walking pace."""
+    rates = traced.rates
+    speed = rates.inputs[CHASSIS.index("speed")]
+    return Piece(rates.inputs, specialise(rates.outputs, {speed.place: Range(BRISK, inf)}))
+
+
+def _pieces(traced: Traced) -> dict[str, Piece]:
+    return {
+        "actuators": traced.actuators,
+        "rates": traced.rates,
+        "brisk": brisk_rates(traced),
+        "remember": traced.remember,
+        "observe": traced.observe,
+    }
+
+
+def _print_pieces(traced: Traced, constants: _Constants) -> list[str]:
+    printed: list[str] = []
+    for name, piece in {"delays": Piece((), traced.delays), **_pieces(traced)}.items():
+        slopes = slopes_of(piece, traced)
+        jacobian = jacobian_block(f"{name}_jac", piece, slopes)
+        printed += _print_block(jacobian, traced, constants)
+        printed += _print_push(f"{name}_push", piece, slopes)
+        printed += [f"{name.upper()}_SLOPES = {len(slopes)}", "", ""]
+    for name, piece in _pieces(traced).items():
+        for block in (
+            lane_block(f"{name}_lanes", piece),
+            lane_vjp_block(f"{name}_vjp", piece, traced),
+        ):
+            printed += _print_block(block, traced, constants)
+    return printed
+
+
+def generate(traced: Traced) -> str:
+    """Source of a module with all pieces of one model in every form."""
+    constants = _Constants()
+    printed = _print_pieces(traced, constants)
+    header = [
+        '"""Printed by steerd.sysid.compiler.codegen from the equations of car_model."""',
+        "",
+        "from steerd.sysid.compiler.choice import greatest, least, select",
+        "from steerd.sysid.compiler.compile import entry, lanes, point",
+        "from steerd.sysid.compiler.simd_math import abs, atan, cos, exp, sin, sqrt, tan, tanh",
+        "",
+        f"PARAMETERS = {traced.parameters!r}",
+        f"PARAMETER_COUNT = {len(traced.parameters)}",
+        f"MEMORY = {traced.memory}",
+        f"REMEMBERS = {traced.remembers}",
+        f"CONSTANTS = {len(constants.slots)}",
+        f"LANES = {LANES}",
+        f"COLUMNS = {COLUMNS}",
+        f"BRISK = {BRISK}",
+        "",
+        "",
+    ]
+    return "\n".join([*header, *_print_constants(traced, constants), *printed])

@@ -1,0 +1,100 @@
+"""Compiled models: printed, kept in the user's cache folder, loaded again in a moment.
+
+The name of a printed module holds a hash of everything that its compiled code depends on, so a
+cache that is older than the equations is never used. Numba keeps machine code beside it.
+"""
+
+import hashlib
+import importlib.util
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType
+
+import numba
+import platformdirs
+
+from steerd.car_model.effect import Effect
+from steerd.sysid.compiler import (
+    choice,
+    compile,
+    delayed,
+    forward_sensitivities,
+    loops,
+    simd_math,
+    simd_rows,
+)
+from steerd.sysid.compiler.codegen import generate
+from steerd.sysid.compiler.trace import trace
+
+CACHE_VARIABLE = "STEERD_CACHE"
+"""Environment variable that names another cache folder."""
+
+
+def cache_folder() -> Path:
+    """Where compiled models are kept; it need not exist yet."""
+    chosen = os.environ.get(CACHE_VARIABLE)
+    return Path(chosen) if chosen else platformdirs.user_cache_path("steerd")
+
+
+def _text(module: ModuleType) -> str:
+    return Path(str(module.__file__)).read_text(encoding="utf-8")
+
+
+def module_source(effects: Sequence[Effect] = ()) -> str:
+    """The whole source of a model's module: printed pieces, then the loops around them."""
+    loaded = (_text(module) for module in (delayed, loops, forward_sensitivities))
+    return "\n".join([generate(trace(tuple(effects))), *loaded])
+
+
+def _fingerprint(source: str) -> str:
+    parts = [
+        source,
+        *(_text(m) for m in (simd_math, choice, compile, simd_rows)),
+        numba.__version__,
+    ]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+
+
+def write_module(effects: Sequence[Effect] = ()) -> Path:
+    """Write a model's module unless it is there; several processes may do so at once.
+
+    Raises:
+        OSError: the cache folder cannot be written.
+    """
+    source = module_source(effects)
+    folder = cache_folder() / "kernels"
+    path = folder / f"model_{_fingerprint(source)}.py"
+    if path.exists():
+        return path
+    folder.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=folder, suffix=".tmp")
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(source)
+    Path(name).replace(path)
+    return path
+
+
+@lru_cache(maxsize=256)
+def load_module(effects: tuple[Effect, ...] = ()) -> ModuleType:
+    """The compiled module of a car with these effects (compiled on its first calls).
+
+    Raises:
+        OSError: neither the cache folder nor a temporary one can be written.
+    """
+    try:
+        path = write_module(effects)
+    except PermissionError:
+        os.environ[CACHE_VARIABLE] = tempfile.mkdtemp(prefix="steerd-")
+        path = write_module(effects)
+    name = f"steerd_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} cannot be loaded")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module

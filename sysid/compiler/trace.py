@@ -1,0 +1,151 @@
+"""The equations of a car with effects, recorded: the source of the compiled kernels.
+
+`car_model` is run once over a tape in the order in which a step uses it: actuators, rates,
+memory, observation. Nothing is written twice: what is traced is the code that drives the simulated
+car.
+"""
+
+from typing import Any, NamedTuple
+
+from steerd.car_model.effect import Effect
+from steerd.car_model.model import (
+    Model,
+    aim,
+    bound_hooks,
+    car_now,
+    delays,
+    drive_actuators,
+    link,
+    memory_size,
+    model_rates,
+    observe,
+    remember,
+)
+from steerd.car_model.params import Car
+from steerd.car_model.single_track import slip_angles
+from steerd.car_model.state import Command, State
+from steerd.car_model.tape import TAPE, Node, Tape
+
+CHASSIS: tuple[str, ...] = ("x", "y", "yaw", "speed", "yaw_rate", "slip_angle")
+
+
+class Piece(NamedTuple):
+    """A block of formulas with named inputs.
+
+    Attributes:
+        inputs: symbols that change from step to step, differentiated.
+        outputs: formulas in inputs, parameters, `t` and `h`.
+    """
+
+    inputs: tuple[Node, ...]
+    outputs: tuple[Node, ...]
+
+
+class Traced(NamedTuple):
+    """All formulas of one model.
+
+    Attributes:
+        parameters: names, car fields first, then `effect.parameter`.
+        symbols: a symbol for each parameter.
+        memory: how many numbers the effects remember.
+        actuators: (7 states, memory, command) -> wheel at start and end, steer at end, accel,
+            memory.
+        rates: (6 chassis states, wheel, accel, memory) -> their rates.
+        remember: (chassis before, wheel before, chassis after, wheel after, memory) -> memory.
+        remembers: whether `remember` does anything.
+        observe: 7 states -> x, y, yaw, wheel speed, yaw rate.
+        delays: dead times of steer, drive and pose, in the parameters.
+        t: time into the run; h: the step.
+    """
+
+    parameters: tuple[str, ...]
+    symbols: tuple[Node, ...]
+    memory: int
+    actuators: Piece
+    rates: Piece
+    remember: Piece
+    remembers: bool
+    observe: Piece
+    delays: tuple[Node, ...]
+    t: Node
+    h: Node
+    tape: Tape
+
+
+def parameter_names(effects: tuple[Effect, ...]) -> tuple[str, ...]:
+    """Names of all parameters: the car's fields, then `effect.parameter` for each effect."""
+    own = (f"{effect.name}.{p.name}" for effect in effects for p in effect.parameters)
+    return (*Car._fields, *own)
+
+
+def _model(tape: Tape, effects: tuple[Effect, ...]) -> tuple[Model[Node], tuple[Node, ...]]:
+    every = _inputs(tape, *parameter_names(effects))
+    rest = iter(every[len(Car._fields) :])
+    values = tuple(tuple(next(rest) for _ in effect.parameters) for effect in effects)
+    return Model(Car(*every[: len(Car._fields)]), effects, values), every
+
+
+def _inputs(tape: Tape, *names: str) -> tuple[Node, ...]:
+    return tuple(tape.symbol(name) for name in names)
+
+
+class _Setting(NamedTuple):
+    tape: Tape
+    model: Model[Node]
+    state: State[Node]
+    memory: tuple[Node, ...]
+    t: Any
+    h: Any
+
+
+def _trace_actuators(s: _Setting) -> Piece:
+    command = Command(*_inputs(s.tape, "cmd_steer", "cmd_speed"))
+    car = car_now(TAPE, s.model, s.state, s.t)
+    ref = aim(TAPE, s.model, car, command, s.t)
+    out = drive_actuators(TAPE, s.model, car, s.state, ref, s.h)
+    wheel_start, linked = link(TAPE, s.model, s.memory, s.state.steer)
+    wheel_end, linked = link(TAPE, s.model, linked, out.steer)
+    return Piece(
+        (*s.state, *s.memory, *command, s.t),
+        (wheel_start, wheel_end, out.steer, out.accel, *linked),
+    )
+
+
+def _trace_rates(s: _Setting) -> Piece:
+    wheel, accel = _inputs(s.tape, "wheel", "accel")
+    rolling = s.state._replace(steer=wheel)
+    car = car_now(TAPE, s.model, rolling, s.t)
+    rates = model_rates(TAPE, s.model, car, s.memory, rolling, wheel, accel)
+    return Piece((*s.state[:6], wheel, accel, *s.memory, s.t), tuple(rates))
+
+
+def _trace_remember(s: _Setting) -> Piece:
+    before: State[Node] = State(*_inputs(s.tape, *(f"{n}_before" for n in State._fields)))
+    after: State[Node] = State(*_inputs(s.tape, *(f"{n}_after" for n in State._fields)))
+    ends = tuple(slip_angles(TAPE, s.model.car, at, at.steer) for at in (before, after))
+    later = remember(TAPE, s.model, s.memory, after.speed, ends, s.h)
+    return Piece((*before, *after, *s.memory), later)
+
+
+def trace(effects: tuple[Effect, ...] = ()) -> Traced:
+    """Record a car with these effects; every parameter stays an input."""
+    tape = Tape()
+    model, every = _model(tape, effects)
+    state: State[Node] = State(*_inputs(tape, *State._fields))
+    memory = _inputs(tape, *(f"memory_{i}" for i in range(memory_size(effects))))
+    t, h = _inputs(tape, "t", "h")
+    setting = _Setting(tape, model, state, memory, t, h)
+    return Traced(
+        parameters=parameter_names(effects),
+        symbols=every,
+        memory=len(memory),
+        actuators=_trace_actuators(setting),
+        rates=_trace_rates(setting),
+        remember=_trace_remember(setting),
+        remembers=bool(bound_hooks(effects, "remember")),
+        observe=Piece(tuple(state), tuple(observe(TAPE, model, state))),
+        delays=tuple(delays(model)),
+        t=t,
+        h=h,
+        tape=tape,
+    )

@@ -1,0 +1,1 @@
+"""Drives as arrays: segments, checks, windows, jitter of the log."""

@@ -1,0 +1,310 @@
+"""Drives as arrays: commands on a uniform grid, measurements at their own times.
+
+`load_run` reads a session, `make_run` takes arrays; both refuse data that no fit should see
+(`gate`), with a typed error that says what is wrong and what to do.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.steer_bus.messages import ActuationMode
+from steerd.steer_bus.session import Session, open_session
+from steerd.steer_bus.topic_columns import Columns
+from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, split_key
+from steerd.sysid.data.data_checks import DataError, check_run, check_times, noise_of
+from steerd.vesc_link.scaling import F1TENTH
+
+if TYPE_CHECKING:
+    from steerd.sysid.data.log_jitter import Beat
+
+Array = NDArray[np.float64]
+
+GRID = 0.005
+"""Step of the command grid [s], one tick of the control loop; `stability` refines it where needed.
+
+Twice as long serves smooth drives (RK4 is good to 1e-3 mm), but blurs dead times by 0.2 ms.
+"""
+SERVO_FRAME = 0.02
+"""Period of a VESC's servo signal [s]; steerd itself drives servos through nothing else."""
+RAMP_ERPM = 25_000.0
+"""A VESC's own limit of its speed setpoint's slope [ERPM/s] (`s_pid_ramp_erpms_s`, since 5.03)."""
+SHARP = 0.02
+"""Poses whose speed is less noisy tell it better than a wheel, whose slip is larger [m/s]."""
+HISTORY = 0.5
+"""Known commands that the actuators run through before a window [s]."""
+
+
+class Signal(NamedTuple):
+    """A measurement or command: `values[i]` at `t[i]` [s]."""
+
+    t: Array
+    values: Array
+
+
+def _none() -> Signal:
+    return Signal(np.empty(0), np.empty(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One drive, or a part of one. Times in seconds from its own first command.
+
+    Attributes:
+        name: for messages and reports.
+        h: step of the command grid [s].
+        commands: (N, 2) steer [rad] and speed [m/s], means over the grid's steps.
+        speed_source: `command`; or `wheel` or `pose` where there is no speed command and the
+            measured speed is prescribed instead (see `fit.prescribe_speed`).
+        pose: times and (M, 3) x [m], y [m], yaw [rad, unwrapped]; gaps are allowed.
+        wheel: speed as reported with the nominal gain [m/s]; may be empty.
+        yaw_rate: gyro [rad/s]; may be empty.
+        throttle: open-loop motor command; may be empty.
+        steer: the commanded angles at their own times; may be empty.
+        servo_frame: period of the pulses that carry them to the servo [s]; 0 where none are known
+            to do so (see `servo`).
+        asked: the commanded speeds at their own times; may be empty.
+        speed_ramp: how fast the motor controller's setpoint may follow them [m/s^2]; 0 where it is
+            not known to be limited (see `ramp`).
+        start: where in its drive this part begins [s]; what drifts counts from the drive's start.
+        history: so many of the commands before a window count [s]: a linkage with play remembers
+            the last turn.
+        beat: how late its steering was logged, which is undone in `commands` and `steer`.
+    """
+
+    name: str
+    h: float
+    commands: Array
+    pose: Signal
+    speed_source: str = "command"
+    wheel: Signal = field(default_factory=_none)
+    yaw_rate: Signal = field(default_factory=_none)
+    throttle: Signal = field(default_factory=_none)
+    steer: Signal = field(default_factory=_none)
+    servo_frame: float = 0.0
+    asked: Signal = field(default_factory=_none)
+    speed_ramp: float = 0.0
+    start: float = 0.0
+    history: float = HISTORY
+    beat: "Beat | None" = None
+
+    @property
+    def duration(self) -> float:
+        """Length of the commands [s]."""
+        return len(self.commands) * self.h
+
+
+def check_sources(runs: Sequence[Run]) -> None:
+    """Refuse drives of which some have speed commands and others a measured speed in their place.
+
+    One car cannot follow the first with its speed loop and the second at once.
+
+    Raises:
+        DataError: there are both.
+    """
+    asked = [run.name for run in runs if run.speed_source == "command"]
+    measured = [run.name for run in runs if run.speed_source != "command"]
+    if asked and measured:
+        what = f"{measured[0]} has no speed commands, {asked[0]} has"
+        raise DataError(what, "name them apart, or take the measured speed of all: --speed wheel")
+
+
+def hold_means(signal: Signal, edges: Array) -> Array:
+    """Mean of a zero-order-hold signal over each interval between edges (exact).
+
+    Before its first time the first value holds.
+    """
+    t, values = signal
+    area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
+    last = max(edges[-1], t[-1]) + 1.0
+    t_all = np.concatenate([[min(edges[0], t[0]) - 1.0], t, [last]])
+    before = -values[0] * (t[0] - t_all[0])
+    area_all = np.concatenate([[before], area, [area[-1] + values[-1] * (last - t[-1])]])
+    means: Array = np.diff(np.interp(edges, t_all, area_all)) / np.diff(edges)
+    return means
+
+
+def pose_speed(pose: Signal) -> Signal:
+    """Forward speed from poses, over five samples [m/s]."""
+    t, p = pose
+    reach = min(2, (len(t) - 1) // 2)
+    if reach < 1:
+        return Signal(t, np.zeros(len(t)))
+    span = t[2 * reach :] - t[: -2 * reach]
+    velocity = (p[2 * reach :, :2] - p[: -2 * reach, :2]) / span[:, None]
+    yaw = p[reach:-reach, 2]
+    speed = velocity[:, 0] * np.cos(yaw) + velocity[:, 1] * np.sin(yaw)
+    return Signal(t[reach:-reach], speed)
+
+
+def _clean(signal: Signal | None) -> Signal:
+    if signal is None or not len(signal.t):
+        return _none()
+    kept = np.isfinite(signal.values)
+    return Signal(np.asarray(signal.t, float)[kept], np.asarray(signal.values, float)[kept])
+
+
+def make_run(
+    name: str,
+    steer: Signal,
+    speed: Signal | None,
+    pose: Signal,
+    *,
+    wheel: Signal | None = None,
+    yaw_rate: Signal | None = None,
+    throttle: Signal | None = None,
+    h: float = GRID,
+    servo_frame: float = 0.0,
+    speed_ramp: float = 0.0,
+) -> Run:
+    """Put a drive's signals on one clock and grid, and check them.
+
+    Args:
+        name: for messages.
+        steer: commanded road-wheel angle [rad], each held until the next.
+        speed: commanded speed [m/s]; without it a measured speed is prescribed, that of the poses
+            if they are sharp enough, else the wheel's.
+        pose: (M, 3) x, y, yaw; yaw may wrap.
+        wheel: reported speed [m/s].
+        yaw_rate: gyro [rad/s].
+        throttle: open-loop motor command.
+        h: step of the command grid [s].
+        servo_frame: period of the servo's pulses [s]; 0 where it has none.
+        speed_ramp: limit of the motor controller's setpoint [m/s^2]; 0 where it has none.
+
+    Raises:
+        DataError: no fit should see these data.
+    """
+    steer, asked, rolled, gyro, motor = map(_clean, (steer, speed, wheel, yaw_rate, throttle))
+    named = {"steer": steer, "speed": asked, "wheel": rolled, "yaw rate": gyro}
+    for what, signal in {**named, "pose": pose}.items():
+        check_times(name, what, signal.t)
+    if not len(steer.t) or not len(pose.t):
+        missing = "poses" if len(steer.t) else "steering commands"
+        raise DataError(f"{name}: no {missing}", "record mocap and actuation of a drive")
+    if not np.isfinite(pose.values).all():
+        raise DataError(f"{name}: a pose is not a number", "leave out lost samples, keep the gaps")
+    zero, end = steer.t[0], min(steer.t[-1] + h, pose.t[-1])
+    pose = Signal(
+        pose.t - zero, np.column_stack([pose.values[:, :2], np.unwrap(pose.values[:, 2])])
+    )
+    pose = Signal(*(part[(pose.t >= 0.0)] for part in pose))
+    steps = int(max(end - zero, 0.0) / h + 1e-9)
+    edges: Array = np.arange(steps + 1).astype(float) * h
+    moved = [Signal(s.t - zero, s.values) for s in (steer, asked, rolled, gyro, motor)]
+    steer, asked, rolled, gyro, motor = moved
+    source = "command" if len(asked.t) else _measured_source(rolled, pose)
+    check_run(name, edges[-1], pose.t, pose.values, asked.values)
+    run_speed = _speed_input(source, asked, rolled, pose, edges)
+    commands = np.column_stack([hold_means(steer, edges), run_speed])
+    return Run(
+        name, h, commands, pose, source, rolled, gyro, motor, steer, servo_frame, asked, speed_ramp
+    )
+
+
+def _measured_source(rolled: Signal, pose: Signal) -> str:
+    """Which measurement tells the speed: sharp poses do, a wheel that spins or skids does not."""
+    if not len(rolled.t):
+        return "pose"
+    blur = max(noise_of(pose.t, pose.values[:, i]) for i in (0, 1))
+    span = 4.0 * float(np.median(np.diff(pose.t))) if len(pose.t) > 1 else 0.0
+    sharp = 0.0 < 2.0**0.5 * blur < SHARP * span
+    return "pose" if sharp else "wheel"
+
+
+def _speed_input(source: str, asked: Signal, rolled: Signal, pose: Signal, edges: Array) -> Array:
+    """Commanded speed by step; a measured one is what the step's end should reach."""
+    if source == "command":
+        return hold_means(asked, edges)
+    measured = rolled if source == "wheel" else pose_speed(pose)
+    reached: Array = np.interp(edges[1:], *measured)
+    return reached
+
+
+def load_run(path: Path | str, h: float = GRID) -> Run:
+    """Read a drive from a session (steerd's own or an imported one).
+
+    Poses count unless a gate rejected them; commands count where the tick drove (mode 1).
+
+    Raises:
+        DataError: the drive is not fit for identification.
+        steerd.steer_bus.session.SessionError: the file cannot be read.
+    """
+    path = Path(path)
+    session = open_session(path)
+    topics = {t.name: t.type_name for t in session.info().topics}
+    by_name = {(split_key(name) or ("", ""))[1]: name for name in topics}
+    wanted = {by_name[t.name]: t.message for t in _SOURCES if t.name in by_name}
+    for topic in (MOCAP, ACTUATION):
+        if topic.name not in by_name:
+            what = f"{path.name}: no topic {topic.name!r}"
+            raise DataError(
+                what, "record with `steerd run`, or import the log with `steerd import`"
+            )
+    tables = session.tables(wanted)
+    columns = {name: tables[key] for name, key in by_name.items() if key in tables}
+    scaling = session.contents.metadata.get("steerd.scaling", {})
+    return make_run(
+        path.name,
+        **_signals(session, columns),
+        h=h,
+        servo_frame=SERVO_FRAME if scaling else 0.0,
+        speed_ramp=_speed_ramp(scaling) if scaling else 0.0,
+    )
+
+
+_SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL, THROTTLE)
+
+
+def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]:
+    """Every signal on the core's monotonic clock [s]."""
+    mocap, actuation = columns[MOCAP.name], columns[ACTUATION.name]
+    accepted = np.array([reject == "" for reject in mocap["reject"]], bool)
+    epoch = int(mocap["stamp_ns"][0]) - int(mocap["t_valid_ns"][0]) if len(accepted) else 0
+    driven = actuation["mode"] == ActuationMode.SPEED
+    zero = epoch + (int(mocap["t_valid_ns"][0]) if len(accepted) else 0)
+
+    def seconds(stamps: NDArray[Any], offset: int) -> Array:
+        moved: Array = (stamps.astype(np.int64) + (offset - zero)).astype(np.float64) * 1e-9
+        return moved
+
+    t_steer = seconds(actuation["stamp_ns"][driven], 0)
+    pose: Array = np.column_stack([mocap[c][accepted] for c in ("x", "y", "yaw")]).astype(float)
+    found = {
+        "pose": Signal(seconds(mocap["t_valid_ns"][accepted], epoch), pose),
+        "steer": Signal(t_steer, actuation["steer"][driven].astype(float)),
+        "speed": Signal(t_steer, actuation["speed"][driven].astype(float)),
+    }
+    if VESC.name in columns:
+        table = columns[VESC.name]
+        middle = (table["t_sent_ns"] + table["t_received_ns"]) // 2
+        found["wheel"] = Signal(seconds(middle, epoch), _wheel_speed(session, table["erpm"]))
+    elif WHEEL.name in columns:
+        table = columns[WHEEL.name]
+        found["wheel"] = Signal(seconds(table["t_ns"], epoch), table["speed"].astype(float))
+    if IMU.name in columns:
+        table = columns[IMU.name]
+        middle = (table["t_sent_ns"] + table["t_received_ns"]) // 2
+        found["yaw_rate"] = Signal(seconds(middle, epoch), table["gyro_z"].astype(float))
+    if THROTTLE.name in columns:
+        table = columns[THROTTLE.name]
+        found["throttle"] = Signal(seconds(table["t_ns"], epoch), table["throttle"].astype(float))
+    return found
+
+
+def _speed_ramp(scaling: Mapping[str, str]) -> float:
+    """Limit of the motor controller's setpoint [m/s^2] under the session's scaling."""
+    return RAMP_ERPM / abs(float(scaling.get("erpm_gain", F1TENTH.erpm_gain)))
+
+
+def _wheel_speed(session: Session, erpm: NDArray[Any]) -> Array:
+    """Reported speed [m/s] with the scaling that the session was driven with."""
+    scaling = session.contents.metadata.get("steerd.scaling", {})
+    gain = float(scaling.get("erpm_gain", F1TENTH.erpm_gain))
+    offset = float(scaling.get("erpm_offset", F1TENTH.erpm_offset))
+    speed: Array = (erpm.astype(float) - offset) / gain
+    return speed

@@ -1,0 +1,145 @@
+"""Parts of drives: where the car moves, and blocks that are kept back for validation.
+
+Below walking pace motor controllers do not follow a speed, and the yaw mode is so stiff that the
+smallest step would be needed throughout; a fit looks at the rest. Times within a part count from
+the part's first command; the commands of the half second before it (`Run.history`) come along, so
+that the steering's past is known.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sysid.data.data_checks import DataError
+from steerd.sysid.data.dataset import HISTORY, Run, Signal, pose_speed
+
+Array = NDArray[np.float64]
+
+PACE = 0.4
+"""A part moves at least so fast [m/s]."""
+SHORTEST = 2.0
+"""Shorter parts are left out [s]."""
+SMOOTH = 0.3
+"""Width of the bell over which a prescribed speed is smoothed [s]."""
+BLOCK = 5.4
+"""Length of the blocks of which every k-th is kept back [s]."""
+
+
+def cut(run: Run, low: float, high: float) -> Run:
+    """The part of a drive between two times [s].
+
+    Commands begin up to the run's `history` earlier; measurements lie in [low, high].
+    """
+    first = max(0, round((low - run.history) / run.h))
+    last = min(len(run.commands), round(high / run.h))
+    zero = first * run.h
+
+    def part(signal: Signal) -> Signal:
+        inside = (signal.t >= low - 1e-9) & (signal.t <= high + 1e-9)
+        return Signal(signal.t[inside] - zero, signal.values[inside])
+
+    return replace(
+        run,
+        commands=run.commands[first:last],
+        pose=part(run.pose),
+        wheel=part(run.wheel),
+        yaw_rate=part(run.yaw_rate),
+        throttle=part(run.throttle),
+        steer=part(run.steer),
+        asked=part(run.asked),
+        start=run.start + zero,
+    )
+
+
+def with_wheel_speed(run: Run) -> Run:
+    """The drive with its measured wheel speed in place of the command, which was not obeyed.
+
+    Raises:
+        DataError: no wheel speed was recorded.
+    """
+    if len(run.wheel.t) < 2:
+        raise DataError(f"{run.name}: no wheel speed was recorded", "drop --speed wheel")
+    ends = run.h * np.arange(1, len(run.commands) + 1)
+    speed = np.interp(ends, *run.wheel)
+    return replace(run, commands=np.column_stack([run.commands[:, 0], speed]), speed_source="wheel")
+
+
+def smooth_speed(run: Run) -> Run:
+    """The drive with a measured speed smoothed over a fifth of a second.
+
+    Where the speed is prescribed, its slope is the acceleration that shifts load between the axles;
+    an encoder's steps, differentiated, would lift the rear wheels.
+    """
+    if run.speed_source == "command":
+        return run
+    reach = round(0.5 * SMOOTH / run.h)
+    padded = np.pad(run.commands[:, 1], reach, "edge")
+    window = np.hanning(2 * reach + 3)[1:-1]
+    speed = np.convolve(padded, window / window.sum(), "valid")
+    return replace(run, commands=np.column_stack([run.commands[:, 0], speed]))
+
+
+def _spans(run: Run) -> list[tuple[float, float]]:
+    """Stretches in which command and pose both say that the car moves [s]."""
+    t, speed = pose_speed(run.pose)
+    grid = run.h * np.arange(len(run.commands))
+    slow = np.convolve(np.interp(grid, t, np.abs(speed)), np.ones(11) / 11.0, "same")
+    moving = (np.abs(run.commands[:, 1]) > PACE) & (slow > PACE)
+    moving &= (grid >= run.pose.t[0]) & (grid <= run.pose.t[-1])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(int)))
+    return [(a * run.h, b * run.h) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def moving_parts(runs: Sequence[Run]) -> tuple[Run, ...]:
+    """The parts of drives in which the car moves.
+
+    Raises:
+        DataError: there is none.
+    """
+    parts = [
+        cut(run, low + HISTORY, high)
+        for run in map(smooth_speed, runs)
+        for low, high in _spans(run)
+        if high - low - HISTORY >= SHORTEST
+    ]
+    if not parts:
+        names = ", ".join(run.name for run in runs)
+        what = f"{names}: no {SHORTEST:g} s without a stop at more than {PACE:g} m/s"
+        raise DataError(what, "drive `steerd collect --plan mixed`")
+    return tuple(parts)
+
+
+def blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
+    """Parts cut into blocks of about 5 s; the last measurement of one is not in the next.
+
+    No model of a real car holds for a minute: what accumulates over long windows are its errors.
+    """
+    found: list[Run] = []
+    for part in parts:
+        start, end = float(part.pose.t[0]), min(float(part.pose.t[-1]), part.duration)
+        edges = np.linspace(start, end, max(1, round((end - start) / BLOCK)) + 1)
+        found += [cut(part, low, high - 1e-6) for low, high in pairwise(edges)]
+    return tuple(found)
+
+
+def keep_back(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+    """Cut parts into blocks and keep every k-th one back.
+
+    Returns:
+        Blocks to fit and blocks to validate with; no measurement is in both.
+
+    Raises:
+        DataError: the drives are too short to keep anything back.
+    """
+    every_block = blocks(parts)
+    kept = every_block[every - 1 :: every]
+    fitted = tuple(b for i, b in enumerate(every_block) if i % every != every - 1)
+    if not kept or not fitted:
+        count = len(every_block)
+        only = f"only {count} block{'s' * (count != 1)} of {BLOCK:g} s"
+        what = f"{only}: too short to keep every {every}th back"
+        raise DataError(what, "record more drives, or name one with --held-out FILE")
+    return fitted, kept

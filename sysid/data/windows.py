@@ -1,0 +1,233 @@
+"""Runs cut into windows: what is simulated from where, and which measurements it must explain."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sysid.compiler.kernels import Stations, Windows
+from steerd.sysid.data.data_checks import noise_of
+from steerd.sysid.data.dataset import HISTORY, Run, Signal, pose_speed
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+GROUPS: tuple[str, ...] = ("position", "yaw", "wheel_speed", "yaw_rate")
+"""Measurements that share a noise level: [m], [rad], [m/s], [rad/s]."""
+FLOORS = np.array([1e-5, 1e-5, 1e-4, 1e-4])
+"""No instrument is better, and simulated ones may have no noise at all."""
+POSES_MIN = 4
+"""A window that sees fewer poses is left out (its initial state would be free)."""
+_WINDOWS_MIN = 4
+_REACH = 0.12
+"""Poses within this time of a window's start give its first guess [s]."""
+
+
+class Seen(NamedTuple):
+    """Readings at stations, sorted by window: a pose has three rows, the others one.
+
+    Attributes:
+        window: which window; t: time since its start [s]; kind: 0 pose, 1 wheel speed, 2 yaw rate.
+        row: first row of the reading.
+    """
+
+    window: Indices
+    t: Array
+    kind: Indices
+    row: Indices
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Windows of several runs and their measurements.
+
+    Attributes:
+        h: step of the commands [s].
+        commands: (rows, 2) of all runs, one after the other.
+        spans: (W, 5) as `kernels.Windows.spans`, in steps of `h`.
+        t: (W,) time into the drive [s].
+        run: (W,) which run.
+        seen: what is compared.
+        values: (R,) measurements.
+        group: (R,) which noise level.
+        bounds: (W + 1,) rows of each window.
+        guess: (W, 7) first guess of the initial states, from the poses alone; steer 0.
+        has_past: (W,) whether the commands before the window are known.
+    """
+
+    h: float
+    commands: Array
+    spans: Indices
+    t: Array
+    run: Indices
+    seen: Seen
+    values: Array
+    group: Indices
+    bounds: Indices
+    guess: Array
+    has_past: NDArray[np.bool_]
+
+    def kernel_windows(self, substeps: int) -> Windows:
+        """The windows in integration steps."""
+        spans = self.spans.copy()
+        spans[:, 3:] *= substeps
+        return Windows(spans, self.t)
+
+    def stations(self, pose_delay: float, step: float) -> Stations:
+        """Where to read, when poses are `pose_delay` late and steps are `step` long [s]."""
+        seen = self.seen
+        true = (seen.t - np.where(seen.kind == 0, pose_delay, 0.0)) / step
+        k = np.floor(true).astype(np.int64)
+        first = np.array([0, 3, 4])[seen.kind]
+        order = np.lexsort((true, seen.window))
+        places = np.column_stack([k, first, seen.row, seen.kind == 0])[order]
+        spans = np.searchsorted(seen.window, np.arange(len(self.spans) + 1))
+        return Stations(np.ascontiguousarray(places), (true - k)[order], spans, len(self.values))
+
+
+class _Cut(NamedTuple):
+    """One window while the layout is made."""
+
+    run: int
+    span: tuple[int, int, int, int, int]
+    t: float
+    kinds: tuple[tuple[int, Array, Array], ...]
+
+
+def guess_state(pose: Signal, t: float) -> Array:
+    """State at time `t` from a quadratic through the poses about it; steer 0."""
+    near = np.flatnonzero(np.abs(pose.t - t) <= _REACH)
+    if len(near) < 6:
+        near = np.sort(np.argsort(np.abs(pose.t - t))[:6])
+    at = pose.t[near] - t
+    basis = np.column_stack([np.ones_like(at), at, at * at])
+    fit = np.linalg.lstsq(basis, pose.values[near], rcond=None)[0]
+    (x, y, yaw), (vx, vy, rate) = fit[0], fit[1]
+    forward = vx * np.cos(yaw) + vy * np.sin(yaw)
+    aside = -vx * np.sin(yaw) + vy * np.cos(yaw)
+    slip = float(np.clip(np.arctan2(aside, forward), -0.3, 0.3)) if forward > 0.3 else 0.0
+    return np.array([x, y, yaw, np.copysign(np.hypot(vx, vy), forward), rate, slip, 0.0])
+
+
+def _edges(run: Run, horizon: float, pose_delay: float) -> Indices:
+    """Grid indices at which windows of about `horizon` seconds begin and end."""
+    first = max(0.0, run.pose.t[0] - pose_delay)
+    last = min(run.duration, run.pose.t[-1] - pose_delay)
+    low, high = int(np.ceil(first / run.h - 1e-9)), int(np.floor(last / run.h + 1e-9))
+    count = max(1, round((high - low) * run.h / horizon))
+    return np.unique(np.linspace(low, high, count + 1).round().astype(np.int64))
+
+
+def _between(signal: Signal, low: float, high: float) -> tuple[Array, Array]:
+    a, b = np.searchsorted(signal.t, [low, high])
+    return signal.t[a:b] - low, signal.values[a:b]
+
+
+def _cut_run(run: Run, number: int, low: int, horizon: float, pose_delay: float) -> list[_Cut]:
+    edges = _edges(run, horizon, pose_delay)
+    least, most = round(HISTORY / run.h), round(run.history / run.h)
+    rows = len(run.commands)
+    cuts = []
+    for a, b in itertools.pairwise(edges):
+        start, end = a * run.h, b * run.h + (1e-9 if b == edges[-1] else 0.0)
+        t, pose = _between(run.pose, start + pose_delay, end + pose_delay)
+        if len(t) < POSES_MIN:
+            continue
+        kinds = [(0, t + pose_delay, pose)]
+        if run.speed_source == "command":
+            kinds.append((1, *_between(run.wheel, start, end)))
+        kinds.append((2, *_between(run.yaw_rate, start, end)))
+        settle = max(least, min(most, int(a)))
+        span = (low, low + rows, low + int(a), int(b - a), settle)
+        cuts.append(_Cut(number, span, start, tuple(kinds)))
+    return cuts
+
+
+def make_layout(
+    runs: Sequence[Run], horizon: float, pose_delay: float = 0.0, most: float = np.inf
+) -> Layout:
+    """Cut runs into windows of about `horizon` seconds (whole runs when it is longer).
+
+    Args:
+        runs: on one grid.
+        horizon: [s].
+        pose_delay: how late poses are, as far as it is known [s].
+        most: take windows of this many seconds in all, evenly from the whole [s].
+
+    Raises:
+        ValueError: the runs' grids differ, or no window sees enough poses.
+    """
+    if len({run.h for run in runs}) != 1:
+        raise ValueError("runs must share one grid step")
+    lows = np.concatenate([[0], np.cumsum([len(run.commands) for run in runs])])
+    cuts = [
+        cut
+        for number, run in enumerate(runs)
+        for cut in _cut_run(run, number, int(lows[number]), horizon, pose_delay)
+    ]
+    if not cuts:
+        raise ValueError(f"no window of {horizon:g} s sees {POSES_MIN} poses")
+    length = runs[0].h * float(np.mean([cut.span[3] for cut in cuts]))
+    keep = len(cuts)
+    if np.isfinite(most):
+        keep = min(keep, max(_WINDOWS_MIN, round(most / length)))
+    chosen = np.linspace(0, len(cuts) - 1, keep).round().astype(int)
+    return _assemble(runs, [cuts[i] for i in chosen], pose_delay)
+
+
+def _assemble(runs: Sequence[Run], cuts: Sequence[_Cut], pose_delay: float) -> Layout:
+    window, t, kinds, rows, values, groups, bounds = [], [], [], [], [], [], [0]
+    row = 0
+    for w, cut in enumerate(cuts):
+        for kind, times, measured in cut.kinds:
+            width = 3 if kind == 0 else 1
+            window.append(np.full(len(times), w))
+            t.append(times)
+            kinds.append(np.full(len(times), kind))
+            rows.append(row + width * np.arange(len(times)))
+            values.append(measured.ravel())
+            groups.append(np.tile([0, 0, 1] if kind == 0 else [kind + 1], len(times)))
+            row += width * len(times)
+        bounds.append(row)
+    seen = Seen(
+        np.concatenate(window), np.concatenate(t), np.concatenate(kinds), np.concatenate(rows)
+    )
+    spans = np.array([cut.span for cut in cuts], np.int64)
+    return Layout(
+        h=runs[0].h,
+        commands=np.concatenate([run.commands for run in runs]),
+        spans=spans,
+        t=np.array([runs[cut.run].start + cut.t for cut in cuts]),
+        run=np.array([cut.run for cut in cuts]),
+        seen=seen,
+        values=np.concatenate(values),
+        group=np.concatenate(groups),
+        bounds=np.array(bounds),
+        guess=np.array([guess_state(runs[c.run].pose, c.t + pose_delay) for c in cuts]),
+        has_past=spans[:, 2] - spans[:, 0] >= round(HISTORY / runs[0].h) // 2,
+    )
+
+
+def estimate_noise(runs: Sequence[Run]) -> Array:
+    """Noise of each group from the signals' third differences: the median over the runs."""
+    found: list[list[float]] = [[], [], [], []]
+    for run in runs:
+        t, pose = run.pose
+        found[0].append(float(np.hypot(noise_of(t, pose[:, 0]), noise_of(t, pose[:, 1])) / 2**0.5))
+        found[1].append(noise_of(t, pose[:, 2]))
+        found[2].append(noise_of(*run.wheel))
+        found[3].append(noise_of(*run.yaw_rate))
+    middle = np.array([float(np.median([v for v in f if v > 0] or [0.0])) for f in found])
+    noise: Array = np.maximum(middle, FLOORS)
+    return noise
+
+
+def speed_range(runs: Sequence[Run]) -> tuple[float, float]:
+    """Slowest and fastest speed that commands or poses show [m/s], outliers left out."""
+    speeds = [np.percentile(pose_speed(run.pose).values, [2.0, 98.0]) for run in runs]
+    speeds += [np.percentile(run.commands[:, 1], [0.0, 100.0]) for run in runs]
+    every = np.abs(np.concatenate(speeds))
+    return float(every.min()), float(every.max())

@@ -1,0 +1,1 @@
+"""The fit: objective, Levenberg-Marquardt, covariance, identifiability, validation."""

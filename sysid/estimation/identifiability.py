@@ -1,0 +1,255 @@
+"""What the data tell, and the manoeuvre that would tell the rest."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.params import GRAVITY
+from steerd.sysid.estimation.chart import INVERSE, RELATIVE, SPREAD, WHEELBASE, Chart
+
+Array = NDArray[np.float64]
+
+RELATIVE_MAX = 0.05
+"""A length, stiffness or scale is known when its standard error is below this share of it."""
+SPREAD_MAX = 0.2
+"""Anything else is known when its standard error is below this share of its prior's."""
+GAIN_MIN = 8.0
+"""A direction is told when the data shrink its prior standard deviation by more than this.
+
+Less can be an artefact: noise that free initial states take for transients looks informative.
+"""
+DOUBT = 0.2
+"""No tyre is so stiff that its compliance is known better than this before any data [rad].
+
+Priors lie about the start: circles from a start with large stiffness would seem to tell lengths.
+"""
+EXTREME = 2.0
+"""A stiffness within this factor of a bound is no tyre's."""
+BOUNDED = ("lf", "lr", "inertia_z", "steer_gain", "speed_gain")
+"""What no car has at a bound; stiffnesses have doubts of their own there, and zero is a time."""
+AT_BOUND = 1e-3
+"""This share of it away is still at the bound."""
+SUM_MAX = 0.02
+"""A sum is called known when its standard error, doubts included, is below this share of it."""
+NAMED_MIN = 0.25
+"""Coordinates that carry less of a direction are not named in it."""
+
+_SHOWING = "a drive that lets this effect show"
+_TWO_SPEEDS = "constant steering at two or more speeds (`steerd collect --plan mixed`)"
+_STEPS = "step steers or a steering chirp at 1 to 3 m/s (`steerd collect --plan steps`)"
+_SPEED_STEPS = "speed steps on a straight (`steerd collect --plan mixed`)"
+_STRAIGHT = "slow bends of several radii at one low speed (`steerd collect --plan circles`)"
+MANOEUVRES: Mapping[str, str] = {
+    "lf": _TWO_SPEEDS, "lr": _TWO_SPEEDS, "c_sf": _TWO_SPEEDS, "c_sr": _TWO_SPEEDS,
+    "mu": "nothing: only its products with c_sf and c_sr show in this model; fix it",
+    "inertia_z": _STEPS, "mass": "nothing: only its ratio to inertia_z shows; weigh the car",
+    "cog_height": "hard braking and accelerating in bends",
+    "steer_gain": _STRAIGHT, "steer_bias": "any straight stretch",
+    "steer_delay": _STEPS, "steer_lag": _STEPS, "steer_rate": "large, sudden steps of steering",
+    "steer_min": "commands beyond the right stop", "steer_max": "commands beyond the left stop",
+    "speed_gain": "a straight of known length, with wheel speed recorded",
+    "speed_lag": _SPEED_STEPS, "drive_delay": _SPEED_STEPS,
+    "accel_max": "a large step up in speed", "decel_max": "a large step down in speed",
+    "pose_delay": "changes of direction, with a gyro recorded",
+}  # fmt: skip
+"""What would tell each parameter of the car."""
+ANOTHER_END = f"another car explains these drives as well: {_TWO_SPEEDS}"
+"""What would tell one that two fits, as good as each other, place differently."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter.
+
+    Attributes:
+        value: the estimate.
+        sd: its standard error (with the weak prior); of what is not told, with all doubts.
+        prior_sd: what was known before.
+        identifiable: whether the data tell it; if not, the value is largely the prior's.
+        manoeuvre: what would tell it; empty when it is told.
+    """
+
+    value: float
+    sd: float
+    prior_sd: float
+    identifiable: bool
+    manoeuvre: str = ""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A sum of coordinates that the data fix better than its members.
+
+    Attributes:
+        text: the sum.
+        value: its value.
+        sd: its standard error.
+        known: whether that is small enough to call the sum known.
+    """
+
+    text: str
+    value: float
+    sd: float
+    known: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A direction in the coordinates (scaled by what they could be) and how well it is known.
+
+    Attributes:
+        text: its largest parts.
+        parts: weight of each coordinate.
+        gain: prior standard deviation over the posterior one; about 1 says that the data are
+            silent.
+        told: whether the data say more than the prior.
+    """
+
+    text: str
+    parts: Array
+    gain: float
+    told: bool
+
+
+def standard_errors(chart: Chart, z: Array, covariance: Array) -> Array:
+    """Standard error of every parameter (P,); zero for the fixed ones."""
+    slopes = chart.slopes(z)
+    variance = np.einsum("pi,ij,pj->p", slopes, covariance, slopes)
+    sd: Array = np.sqrt(np.maximum(variance, 0.0))
+    return sd
+
+
+def _known(name: str, value: float, sd: float, prior_sd: float) -> bool:
+    relative = name in RELATIVE or name in ("lf", "lr")
+    return sd < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior_sd)
+
+
+def _scale(chart: Chart, z: Array) -> Array:
+    """By how much each coordinate could be off before any data (n,).
+
+    For a compliance no more than lets a gain of `GAIN_MIN` mean that it is known: what noise passes
+    for tells it to a share of itself (a sixth, on circles), and against the wide prior of a start
+    with soft tyres that would look like knowledge.
+    """
+    stiff = np.array([name in INVERSE for name in chart.free])
+    own = GAIN_MIN * RELATIVE_MAX * np.abs(z)
+    return np.where(stiff, np.minimum(chart.spread, own), chart.spread)
+
+
+def _without_untold(chart: Chart, z: Array, covariance: Array) -> Array:
+    """The covariance with untold directions left as their priors have them, or doubt does."""
+    scale = _scale(chart, z)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    stiff = [name in INVERSE for name in chart.free]
+    wider = np.where(stiff, np.maximum(DOUBT, chart.spread), chart.spread) / scale
+    values = np.where(values > GAIN_MIN**-2, (wider**2) @ vectors**2, values)
+    left: Array = (vectors * values) @ vectors.T * np.outer(scale, scale)
+    return left
+
+
+def _doubted(chart: Chart, z: Array, covariance: Array) -> Array:
+    """The covariance with stiffnesses near their bounds in doubt, and what hangs on them.
+
+    A fit that ends there has slid along a valley as far as it goes; how sharp the valley is at its
+    end says nothing about the place along it.
+    """
+    doubted = covariance.copy()
+    low, high = chart.bounds()
+    for i, name in enumerate(chart.free):
+        if name in INVERSE and not EXTREME * low[i] < z[i] < high[i] / EXTREME:
+            along = covariance[:, i] / covariance[i, i]
+            doubted += DOUBT**2 * np.outer(along, along)
+    return doubted
+
+
+def _at_bound(chart: Chart, parameters: Array, moving: Sequence[str]) -> str:
+    """What to do where a fit ended at the bound of a length, an inertia or a gain; empty elsewhere.
+
+    It would have gone on to a car that cannot be, and what it calls the rest goes with that.
+    """
+    for name in (n for n in BOUNDED if n in moving):
+        i = chart.names.index(name)
+        low, high = chart.low[i] * (1.0 + AT_BOUND), chart.high[i] * (1.0 - AT_BOUND)
+        if not low < parameters[i] < high:
+            return f"{name} ends at its bound, no car is like that: check signs and axes"
+    return ""
+
+
+def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
+    """Every free parameter with its standard error and whether the data tell it."""
+    parameters = chart.parameters(z)
+    sds = standard_errors(chart, z, covariance)
+    careful = standard_errors(chart, z, _doubted(chart, z, _without_untold(chart, z, covariance)))
+    priors = standard_errors(chart, z, np.diag(chart.spread**2))
+    moving = [i for i, name in enumerate(chart.names) if priors[i] > 0.0]
+    stuck = _at_bound(chart, parameters, [chart.names[i] for i in moving])
+    out = {}
+    for i in moving:
+        name, value, sd = chart.names[i], float(parameters[i]), float(sds[i])
+        doubt = float(careful[i])
+        known = not stuck and _known(name, value, doubt, float(priors[i]))
+        hint = "" if known else stuck or MANOEUVRES.get(name, _SHOWING)
+        out[name] = Estimate(value, sd if known else max(sd, doubt), float(priors[i]), known, hint)
+    return out
+
+
+def silent_estimates(chart: Chart, names: Sequence[str]) -> dict[str, Estimate]:
+    """What nothing in the drives excites: as believed, and as uncertain as before."""
+    hint = f"the speed was never changed: {_SPEED_STEPS}"
+    values = dict(zip(chart.names, chart.prior.tolist(), strict=True))
+    return {n: Estimate(values[n], SPREAD[n], SPREAD[n], False, hint) for n in names}
+
+
+def directions(chart: Chart, z: Array, information: Array) -> tuple[Direction, ...]:
+    """Singular directions of the data's information at `z`, weakest first."""
+    scale = _scale(chart, z)
+    scaled = information * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    found = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        gain = float(np.sqrt(max(float(value), 1.0)))
+        found.append(Direction(_say(chart, vector), vector, gain, gain > GAIN_MIN))
+    return tuple(found)
+
+
+def _say(chart: Chart, vector: Array) -> str:
+    order = np.argsort(-np.abs(vector))
+    sign = np.sign(vector[order[0]]) or 1.0
+    parts = []
+    for i in order:
+        weight = sign * vector[i]
+        if abs(weight) >= NAMED_MIN:
+            parts.append(f"{weight:+.2f} {chart.labels[i]}")
+    return " ".join(parts).lstrip("+")
+
+
+def combinations(
+    chart: Chart, z: Array, covariance: Array, speed: float
+) -> tuple[Combination, ...]:
+    """The two sums that a steady circle at `speed` fixes, with their standard errors.
+
+    In steady turning `tan(steer) R = L + (v^2 / mu g)(1/Cf - 1/Cr)` and the slip at the centre of
+    gravity is `lr - v^2 / (mu g Cr)` over R: linear in the coordinates. Where other parameters are
+    free as well (the steering's gain), a circle need not fix them: see `Combination.known`.
+    """
+    p = dict(zip(chart.names, chart.parameters(z), strict=True))
+    share = speed**2 / (p["mu"] * GRAVITY)
+    weights = {
+        "L + (v^2/mu g)(1/Cf - 1/Cr)": {WHEELBASE: 1.0, "1/c_sf": share, "1/c_sr": -share},
+        "lr - v^2/(mu g Cr)": {"lr": 1.0, "1/c_sr": -share},
+    }
+    known = {
+        WHEELBASE: p["lf"] + p["lr"], "lr": p["lr"],
+        "1/c_sf": 1.0 / p["c_sf"], "1/c_sr": 1.0 / p["c_sr"],
+    }  # fmt: skip
+    careful = _doubted(chart, z, _without_untold(chart, z, covariance))
+    out = []
+    for text, parts in weights.items():
+        row = np.array([parts.get(label, 0.0) for label in chart.labels])
+        if np.any(row):
+            value = float(sum(weight * known[label] for label, weight in parts.items()))
+            sd, doubt = (float(np.sqrt(row @ c @ row)) for c in (covariance, careful))
+            out.append(Combination(text, value, sd, max(sd, doubt) < SUM_MAX * abs(value)))
+    return tuple(out)

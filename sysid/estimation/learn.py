@@ -1,0 +1,435 @@
+"""From drives to an outcome: fit by one of the methods, validate on what was kept back."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from math import isnan
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.model import Model
+from steerd.car_model.params import PARAMETERS, Car, wheelbase
+from steerd.sysid.data.dataset import Run, check_sources
+from steerd.sysid.data.excitation import measure_excitation, obeyed
+from steerd.sysid.data.segments import blocks, keep_back, moving_parts
+from steerd.sysid.estimation.chart import SPREAD_RELATIVE
+from steerd.sysid.estimation.effect_selection import Step, choose
+from steerd.sysid.estimation.fit import DEFAULT_FREE, Fit, Options, fit
+from steerd.sysid.estimation.identifiability import MANOEUVRES, RELATIVE_MAX
+from steerd.sysid.estimation.multistart import COMPARABLE, has_one_speed, log_cost, opened, rivals
+from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row
+from steerd.sysid.estimation.prediction_horizon import (
+    ROUGH,
+    SHORT,
+    holds,
+    outpaced,
+    reached,
+    reaching,
+    remembering,
+    unstopped,
+)
+from steerd.sysid.estimation.servo_pulse import Pulse, rough_fit, settle_servo
+from steerd.sysid.estimation.setpoint_ramp import Ramp, settle_ramp
+from steerd.sysid.estimation.validation import (
+    HORIZONS,
+    by_lateral_acceleration,
+    errors_at,
+    trace_windows,
+)
+from steerd.sysid.paper.course import NAMES, Course
+from steerd.sysid.parallel import map_jobs
+
+if TYPE_CHECKING:
+    from steerd.sysid.paper.paper_method import PaperRun
+
+Array = NDArray[np.float64]
+
+METHODS: tuple[str, ...] = ("ours", "paper", "cma-es")
+TIMES: dict[str, float] = {
+    "drive_delay": 1e-3, "steer_delay": 1e-3, "pose_delay": 1e-4, "steer_lag": 1e-4,
+}  # fmt: skip
+"""Doubts about times [s] that drives cannot remove: a command's stamp says when it left, not when
+the motor controller took it over with its next tick, some 1 ms later; clocks of mocap and computer
+agree to 0.1 ms; within a step of the grid the servo's course is not known."""
+POOR = 2.0
+"""Residuals so many times the noise say that the car is not explained, or another one is meant."""
+OBEYED = 0.5
+"""A car that obeys its speed command for less of the time is better taken at its measured speed."""
+REGIME = 1.0
+"""Errors are told by lateral acceleration so far ahead [s]."""
+AGREE = 5e-4
+"""Lengths that agree to this are the same measurement [m]."""
+START_SPREAD = 0.3
+"""Further starts lie about the first with this relative standard deviation."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to learn.
+
+    Attributes:
+        runs: drives to fit.
+        held_out: drives to validate with; empty keeps blocks of `runs` back.
+        every: every k-th block of 5 s is kept back.
+        model: the car as believed so far.
+        options: of our fit.
+        method: one of `METHODS`.
+        starts: how many starts.
+        iterations: of the paper's methods; None for 100 (Adam), 500 (CMA-ES).
+        seed: of the random starts.
+        jobs, dask: where to work, see `scale.map_jobs`.
+        truth: the simulated car, if it is known.
+        effects: candidates; those that the drives show are fitted with the car (see `manners`).
+        first: where the fit starts, if not at `model`.
+        stated: parameters that whoever asks vouches for.
+    """
+
+    runs: tuple[Run, ...]
+    model: Model[float]
+    held_out: tuple[Run, ...] = ()
+    every: int = 4
+    options: Options = field(default_factory=Options)
+    method: str = "ours"
+    starts: int = 1
+    iterations: int | None = None
+    seed: int = 0
+    jobs: int = 1
+    dask: str | None = None
+    truth: Car[float] | None = None
+    effects: tuple[str, ...] = ()
+    first: Model[float] | None = None
+    stated: tuple[str, ...] = ()
+
+
+def fit_wheelbase(
+    model: Model[float], length: float | None, fixed: Sequence[str] = ()
+) -> Model[float]:
+    """The model with its axles at a known distance [m], in the same proportion.
+
+    Of `fixed` lengths, one leaves the other to be what is missing; two are as they are.
+
+    Raises:
+        ValueError: fixed lengths and the distance do not agree.
+    """
+    if length is None:
+        return model
+    car = model.car
+    if kept := [name for name in ("lf", "lr") if name in fixed]:
+        other = length - getattr(car, kept[0])
+        name = "lr" if kept[0] == "lf" else "lf"
+        if other <= 0.0 or (len(kept) > 1 and abs(other - getattr(car, name)) > AGREE):
+            told = " and ".join(f"{n} = {getattr(car, n):g}" for n in kept)
+            raise ValueError(f"{told} do not make a wheelbase of {length:g} m")
+        return model if len(kept) > 1 else model._replace(car=car._replace(**{name: other}))
+    scale = length / wheelbase(model.car)
+    return model._replace(car=model.car._replace(lf=model.car.lf * scale, lr=model.car.lr * scale))
+
+
+def scatter(model: Model[float], free: Sequence[str], count: int, seed: int) -> list[Model[float]]:
+    """The model and random ones about it; only lengths, stiffnesses and inertia move."""
+    rng = np.random.default_rng(seed)
+    moving = [n for n in free if n in ("lf", "lr", "c_sf", "c_sr", "inertia_z")]
+    models = [model]
+    for _ in range(count - 1):
+        factors = np.exp(START_SPREAD * rng.standard_normal(len(moving))).tolist()
+        moved = {n: getattr(model.car, n) * f for n, f in zip(moving, factors, strict=True)}
+        models.append(model._replace(car=model.car._replace(**moved)))
+    return models
+
+
+def learn(task: Task, clock: Callable[[], float]) -> Outcome:
+    """Identify a car.
+
+    Args:
+        task: what to learn from what.
+        clock: seconds, for the outcome's `seconds`.
+
+    Raises:
+        DataError: the drives are not fit for it.
+        ValueError: an option makes no sense.
+        FloatingPointError: no start gives a finite simulation.
+        BaselineMissingError: CMA-ES without Optuna.
+    """
+    check_sources((*task.runs, *task.held_out))
+    began, given = clock(), task.model.car
+    task = _opened(task)
+    task, pulses, ramps, rough = _settled(task)
+    task = replace(task, options=replace(task.options, doubts=_doubts(task, pulses)))
+    parts = moving_parts(task.runs)
+    fitted, kept, words = _split(task, parts)
+    manners: tuple[Step, ...] = ()
+    if task.method == "ours":
+        task, manners = _shaped(task, fitted, rough)
+        found: Fit | None = _fit_ours(task, fitted)
+        courses: tuple[Course, ...] = ()
+    else:
+        found, courses = None, _search(task)
+    seconds = clock() - began
+    car, rows = _rows(task, given, found, courses)
+    after = task.model._replace(car=car)
+    if found is not None:
+        after = after._replace(values=found.model.values)
+    traces = [trace_windows(model, kept, max(HORIZONS)) for model in (after, task.model)]
+    errors = [errors_at(each, HORIZONS) for each in traces]
+    return Outcome(
+        method=task.method,
+        sessions=tuple(dict.fromkeys(run.name for run in task.runs)),
+        held_out_of=words,
+        before=task.model.car,
+        after=car,
+        rows=rows,
+        combinations=found.combinations if found else (),
+        held_out=tuple(HeldOut(a, b) for a, b in zip(*errors, strict=True)),
+        excitation=measure_excitation(parts),
+        traces=(traces[0], traces[1]),
+        fit=found,
+        courses=courses,
+        seconds=seconds,
+        notes=_notes(found, obeyed(parts), task.options),
+        truth=task.truth,
+        pulses=pulses,
+        ramps=ramps,
+        effect_rows=_effect_rows(task.model, found),
+        beats=tuple(run.beat for run in (*task.runs, *task.held_out) if run.beat),
+        manners=manners,
+        regimes=by_lateral_acceleration(traces[0], REGIME),
+    )
+
+
+def _split(task: Task, parts: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...], str]:
+    """What is fitted, what is kept back, and the latter in words."""
+    if task.held_out:
+        words = ", ".join(run.name for run in task.held_out)
+        return blocks(parts), moving_parts(task.held_out), words
+    return *keep_back(parts, task.every), f"every {task.every}th block of 5 s, not fitted"
+
+
+def _opened(task: Task) -> Task:
+    """The task with a past as long, and end stops as wide, as the drives need."""
+    if task.method != "ours":
+        return task
+    runs, held_out = (
+        tuple(remembering(drives, task.model, task.effects))
+        for drives in (task.runs, task.held_out)
+    )
+    model = unstopped(task.model, runs, task.options.free or ())
+    return replace(task, runs=runs, held_out=held_out, model=model)
+
+
+def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...], Fit | None]:
+    """The task with commands as servos and motor controllers let them through.
+
+    And the rough car that told them, if one was needed. The paper's methods take commands as they
+    are.
+    """
+    known = any(run.servo_frame or run.speed_ramp for run in task.runs)
+    if task.method != "ours" or not known:
+        return task, (), (), None
+    rough = rough_fit(task.runs, task.model, task.options)
+    settled: list[tuple[Run, ...]] = []
+    pulses: list[Pulse] = []
+    ramps: list[Ramp] = []
+    for drives in (task.runs, task.held_out):
+        limited, rates = settle_ramp(drives, rough, task.options)
+        pulsed, phases = settle_servo(limited, rough, task.options)
+        settled.append(pulsed)
+        pulses += phases
+        ramps += rates
+    task = replace(task, runs=settled[0], held_out=settled[1])
+    return task, tuple(pulses), tuple(ramps), rough
+
+
+def _shaped(task: Task, runs: Sequence[Run], rough: Fit | None) -> tuple[Task, tuple[Step, ...]]:
+    """The task with the effects that the drives show, and windows as long as the car then holds."""
+    short = replace(task.options, horizons=SHORT)
+    if rough is None or task.effects:
+        rough = fit(runs, task.model, options=replace(task.options, horizons=ROUGH))
+    if not task.effects:
+        return replace(task, options=reaching(task.options, rough)), ()
+    manners = choose(runs, rough, short, task.effects)
+    if not manners.steps:
+        return replace(task, options=reaching(task.options, rough)), ()
+    model, free = manners.nulled(task.model), (*(task.options.free or NAMES), *manners.free)
+    better = fit(runs, model, options=replace(short, free=free), starts=[manners.model])
+    options = replace(task.options if holds(better) else short, free=free)
+    return replace(task, model=model, options=options, first=better.model), manners.steps
+
+
+def _doubts(task: Task, pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...]:
+    """What no log tells about times, and the slew limit where it is felt and nobody measured it."""
+    wait = max((pulse.blur for pulse in pulses), default=0.0)
+    doubts = {**TIMES, "steer_delay": float(np.hypot(TIMES["steer_delay"], wait))}
+    free = task.options.free or NAMES
+    if "steer_rate" not in (*free, *task.stated) and outpaced(task.model, task.runs):
+        doubts["steer_rate"] = SPREAD_RELATIVE
+    return (*task.options.doubts, *doubts.items())
+
+
+def _fit_one(
+    model: Model[float], runs: Sequence[Run], prior: Model[float], options: Options
+) -> Fit:
+    return fit(runs, prior, options=options, starts=[model])
+
+
+def _fit_ours(task: Task, runs: Sequence[Run]) -> Fit:
+    """The fit of lowest cost over the starts."""
+    if task.starts <= 1 and not has_one_speed(runs):
+        starts = [task.first] if task.first else []
+        return fit(runs, task.model, options=task.options, starts=starts)
+    if task.starts <= 1:
+        return _fit_one_speed(task, runs)
+    free = task.options.free or NAMES
+    models = scatter(task.first or task.model, free, task.starts, task.seed)
+    work = partial(_fit_one, runs=runs, prior=task.model, options=task.options)
+    fits = map_jobs(work, models, task.jobs, task.dask)
+    return min(fits, key=log_cost)
+
+
+def _fit_one_speed(task: Task, runs: Sequence[Run]) -> Fit:
+    """The best of a few starts; what moves between those as good as it is left open.
+
+    At one speed a longer car that slides more and a servo that is later but quicker look much
+    alike: there is a valley with more than one bottom, and errors at one know nothing of the other.
+    """
+    work = partial(_fit_one, runs=runs, prior=task.model, options=task.options)
+    models = rivals(task.first or task.model, task.options.free or DEFAULT_FREE)
+    fits = sorted(map_jobs(work, models, task.jobs, task.dask), key=log_cost)
+    return opened(fits[0], [f for f in fits[1:] if log_cost(f) - log_cost(fits[0]) < COMPARABLE])
+
+
+def _course(
+    item: tuple[int, Array], runs: "tuple[PaperRun, ...]", method: str, iterations: int | None
+) -> Course:
+    """One start. The problem is made where the work is done: compiled code does not travel."""
+    number, start = item
+    from steerd.sysid.paper.baselines import search_cma
+    from steerd.sysid.paper.paper_method import descend_adam, make_problem
+
+    problem = make_problem(runs)
+    if method == "paper":
+        return descend_adam(problem, start, iterations or 100)
+    return search_cma(problem, start, iterations or 500, seed=number)
+
+
+def _search(task: Task) -> tuple[Course, ...]:
+    """The paper's method or its baseline from random starts."""
+    from steerd.sysid.paper.paper_method import (  # torch: a second that our method need not wait
+        draw_starts,
+        paper_runs,
+    )
+
+    runs = paper_runs(task.runs)
+    starts = draw_starts(np.random.default_rng(task.seed), max(task.starts, 1))
+    work = partial(_course, runs=runs, method=task.method, iterations=task.iterations)
+    courses = map_jobs(work, list(enumerate(starts)), task.jobs, task.dask)
+    if all(course.diverged for course in courses):
+        raise FloatingPointError("the simulation diverges from every start")
+    return tuple(courses)
+
+
+def _best(courses: Sequence[Course]) -> Course:
+    sound = [course for course in courses if not course.diverged]
+    return min(sound, key=lambda course: float(course.losses[-20:].mean()))
+
+
+def _rows(
+    task: Task, given: Car[float], found: Fit | None, courses: Sequence[Course]
+) -> tuple[Car[float], dict[str, Row]]:
+    """The learnt car and a row for each of its parameters."""
+    told = _told(found, courses)
+    values = {name: each[0] for name, each in told.items() if name in Car._fields}
+    car = task.model.car._replace(**values)
+    if task.model.car.steer_max != given.steer_max:
+        car = reached(car, task.runs)
+    rows = {}
+    for p in PARAMETERS:
+        before, value = float(getattr(given, p.name)), float(getattr(car, p.name))
+        sd, known, hint = told[p.name][1:] if p.name in told else (None, False, "")
+        rows[p.name] = Row(value, before, sd, p.unit, p.name in told, known, hint)
+    return car, rows
+
+
+def _effect_rows(model: Model[float], found: Fit | None) -> dict[str, Row]:
+    """A row for each free parameter of the car file's effects."""
+    pairs = ((e, p) for e in model.effects for p in e.parameters)
+    before = [value for values in model.values for value in values]
+    rows = {}
+    for (effect, p), start in zip(pairs, before, strict=True):
+        name = f"{effect.name}.{p.name}"
+        if found is not None and name in found.estimates:
+            told = found.estimates[name]
+            rows[name] = Row(
+                told.value, start, told.sd, p.unit, True, told.identifiable, told.manoeuvre
+            )
+    return rows
+
+
+def _told(
+    found: Fit | None, courses: Sequence[Course]
+) -> dict[str, tuple[float, float | None, bool, str]]:
+    """Value, standard error, identifiable and manoeuvre of every free parameter.
+
+    A search has no standard error; the spread over its starts stands for it.
+    """
+    if found is not None:
+        return {
+            name: (e.value, e.sd, e.identifiable, e.manoeuvre)
+            for name, e in found.estimates.items()
+        }
+    best = _best(courses).final
+    finals = np.array([course.final for course in courses if not course.diverged])
+    spread = finals.std(axis=0, ddof=1) if len(finals) > 1 else np.full(len(NAMES), np.nan)
+    out: dict[str, tuple[float, float | None, bool, str]] = {}
+    for name, value, sd in zip(NAMES, best.tolist(), spread.tolist(), strict=True):
+        known = sd < RELATIVE_MAX * value
+        out[name] = (value, None if isnan(sd) else sd, known, "" if known else MANOEUVRES[name])
+    return out
+
+
+def _notes(found: Fit | None, share: float, options: Options) -> tuple[str, ...]:
+    notes = []
+    if share < OBEYED:
+        notes.append(
+            f"the car went about as fast as it was asked in {share:.0%} of the time only: "
+            "`--speed wheel` takes the measured speed instead"
+        )
+    if found is None:
+        return (*notes, "sd is the spread over the starts: this method has no error bars")
+    if not found.converged:
+        notes.append("the last stage did not converge")
+    if options.horizons == SHORT:
+        notes.append(
+            f"this model does not hold for longer: fitted over windows of {SHORT[-1]:g} s at most"
+        )
+    poor = {group: ratio for group, ratio in found.misfit.items() if ratio > POOR}
+    if poor:
+        worst = max(poor, key=lambda group: poor[group])
+        size = f"{poor[worst]:.{1 if poor[worst] < 10.0 else 0}f}"
+        notes.append(
+            f"residuals of {worst} are {size} times its noise: something is not in the "
+            f"model; {_remedy(found)}, and values may be off by more than their sd"
+        )
+    return tuple(notes)
+
+
+def _remedy(found: Fit) -> str:
+    """What finds out what is missing."""
+    auto = "" if found.model.effects else "`--effects auto` learns what real cars usually have, "
+    return f"{auto}`steerd diagnose` looks for it"
+
+
+def free_names(
+    free: Sequence[str] | None,
+    fixed: Sequence[str],
+    default: Sequence[str],
+    *,
+    axles_known: bool = False,
+) -> tuple[str, ...]:
+    """Free parameters after `--free` and `--fix`.
+
+    With the distance of the axles known, one fixed length leaves nothing of the other to learn.
+    """
+    known = {"lf", "lr"} if axles_known and {"lf", "lr"} & set(fixed) else set()
+    return tuple(name for name in (free or default) if name not in known.union(fixed))

@@ -1,0 +1,59 @@
+"""Drives at one speed: other starts, and what differs between ends that explain them as well."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from steerd.car_model.model import Model
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.excitation import SPEED_SPAN, measure_excitation
+from steerd.sysid.estimation.fit import Fit
+from steerd.sysid.estimation.identifiability import ANOTHER_END, Estimate
+
+COMPARABLE = 12.5
+"""Ends whose log-likelihoods differ by less (5 standard deviations) explain drives as well."""
+_REARWARD = 0.7
+"""One rival's centre of gravity lies nearer to the rear axle by this factor."""
+_LATER, _QUICKER = 0.02, 0.6
+"""Another's servo waits so much longer [s], and then follows faster by this factor."""
+
+
+def has_one_speed(runs: Sequence[Run]) -> bool:
+    """Whether the drives have hardly more than one speed."""
+    driven = measure_excitation(runs)
+    return driven.speed_high - driven.speed_low < SPEED_SPAN
+
+
+def log_cost(found: Fit) -> float:
+    """Negative log-likelihood of a fit's residuals, but for a constant."""
+    counts = np.bincount(found.layout.group, minlength=len(found.noise))
+    return float(counts @ np.log(found.noise))
+
+
+def rivals(model: Model[float], free: Sequence[str]) -> list[Model[float]]:
+    """The start, and others along what one speed leaves open; what is not free stays."""
+    car = model.car
+    lr = _REARWARD * car.lr
+    delay, lag = car.steer_delay + _LATER, _QUICKER * car.steer_lag
+    others = []
+    if "lf" in free and "lr" in free:
+        others.append(car._replace(lf=car.lf + car.lr - lr, lr=lr))
+    if "steer_delay" in free and "steer_lag" in free:
+        others.append(car._replace(steer_delay=delay, steer_lag=lag))
+    return [model, *(model._replace(car=other) for other in others)]
+
+
+def opened(found: Fit, others: Sequence[Fit]) -> Fit:
+    """The fit with everything open that other fits, as good as it, place elsewhere."""
+    return replace(
+        found,
+        estimates={name: _open(name, e, others) for name, e in found.estimates.items()},
+    )
+
+
+def _open(name: str, told: Estimate, others: Sequence[Fit]) -> Estimate:
+    moved = max((abs(o.estimates[name].value - told.value) for o in others), default=0.0)
+    if moved <= told.sd:
+        return told
+    return replace(told, sd=moved, identifiable=False, manoeuvre=told.manoeuvre or ANOTHER_END)

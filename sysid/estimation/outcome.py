@@ -1,0 +1,164 @@
+"""What an identification came to, whatever the method: for the screen, JSON and the report."""
+
+from dataclasses import dataclass, field
+from math import isfinite, isnan
+from typing import Any, NamedTuple
+
+from steerd.car_model.params import Car
+from steerd.sysid.data.excitation import Excitation
+from steerd.sysid.data.log_jitter import Beat
+from steerd.sysid.estimation.effect_selection import Step
+from steerd.sysid.estimation.fit import Fit
+from steerd.sysid.estimation.identifiability import Combination
+from steerd.sysid.estimation.servo_pulse import Pulse
+from steerd.sysid.estimation.setpoint_ramp import Ramp
+from steerd.sysid.estimation.validation import Prediction, Regime, Trace
+from steerd.sysid.paper.course import Course
+
+SCHEMA = "steerd.identify/1"
+REPORTED: tuple[str, ...] = (
+    "lf", "lr", "c_sf", "c_sr", "mu", "inertia_z", "mass", "steer_gain", "steer_bias",
+    "steer_delay", "steer_lag", "steer_rate", "speed_gain", "speed_lag",
+)  # fmt: skip
+"""Parameters of the JSON result."""
+
+
+class Row(NamedTuple):
+    """One parameter.
+
+    Attributes:
+        value: now; before: at the start.
+        sd: standard error; None where it was not free.
+        unit: of value and sd.
+        free: whether it was fitted.
+        identifiable: whether the data tell it.
+        manoeuvre: what would tell it; empty when told or fixed.
+    """
+
+    value: float
+    before: float
+    sd: float | None
+    unit: str
+    free: bool
+    identifiable: bool
+    manoeuvre: str = ""
+
+
+class HeldOut(NamedTuple):
+    """Prediction errors at one horizon, after and before."""
+
+    after: Prediction
+    before: Prediction
+
+    @property
+    def factor(self) -> float:
+        """How many times smaller the position error has become."""
+        return self.before.position / max(self.after.position, 1e-12)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """An identification.
+
+    Attributes:
+        method: `ours`, `paper` or `cma-es`.
+        sessions: fitted files.
+        held_out_of: what the prediction errors were measured on, in words.
+        before, after: the car.
+        rows: every parameter of the car; effect_rows: those of its effects that were free, as
+            `effect.parameter`.
+        combinations: sums that the data fix.
+        held_out: prediction errors.
+        excitation: of the fitted drives.
+        traces: predictions of the held-out drives, after and before.
+        fit: of our method.
+        courses: each start of a search.
+        seconds: how long the fit took.
+        notes: what a person should know.
+        truth: the simulated car, where the sessions are simulated.
+        pulses: phases of the servo's pulses, by drive.
+        ramps: limits of the motor controller's setpoint, by drive.
+        beats: how late slow logs stored the steering, by drive.
+        manners: effects that the drives showed, in the order in which they were taken.
+        regimes: prediction errors after 1 s by lateral acceleration.
+    """
+
+    method: str
+    sessions: tuple[str, ...]
+    held_out_of: str
+    before: Car[float]
+    after: Car[float]
+    rows: dict[str, Row]
+    combinations: tuple[Combination, ...]
+    held_out: tuple[HeldOut, ...]
+    excitation: Excitation
+    traces: tuple[list[Trace], list[Trace]]
+    fit: Fit | None = None
+    courses: tuple[Course, ...] = ()
+    seconds: float = 0.0
+    notes: tuple[str, ...] = ()
+    truth: Car[float] | None = None
+    pulses: tuple[Pulse, ...] = ()
+    ramps: tuple[Ramp, ...] = ()
+    effect_rows: dict[str, Row] = field(default_factory=dict)
+    beats: tuple[Beat, ...] = ()
+    manners: tuple[Step, ...] = ()
+    regimes: tuple[Regime, ...] = ()
+
+    @property
+    def free_rows(self) -> dict[str, Row]:
+        """What was fitted."""
+        return {n: r for n, r in (self.rows | self.effect_rows).items() if r.free}
+
+    @property
+    def unidentified(self) -> dict[str, str]:
+        """Free parameters that the data leave open, and what would tell them."""
+        return {n: r.manoeuvre for n, r in self.free_rows.items() if not r.identifiable}
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None or isnan(value) else value
+
+
+def encode_outcome(outcome: Outcome) -> dict[str, Any]:
+    """The outcome as JSON values: schema `steerd.identify/1`; what is not known is null."""
+    rows = {name: outcome.rows[name] for name in REPORTED} | outcome.effect_rows
+    return {
+        "schema": SCHEMA,
+        "parameters": {
+            name: {
+                "value": row.value,
+                "sd": _number(row.sd),
+                "unit": row.unit,
+                "identifiable": row.identifiable,
+            }
+            for name, row in rows.items()
+        },
+        "combinations": [c.__dict__ for c in outcome.combinations],
+        "held_out": {
+            "horizons": [
+                {
+                    "horizon": h.after.horizon,
+                    "position": _number(h.after.position),
+                    "heading": _number(h.after.heading),
+                    "position_before": _number(h.before.position),
+                    "heading_before": _number(h.before.heading),
+                }
+                for h in outcome.held_out
+            ],
+            "regimes": [
+                {
+                    "lateral_accel_low": r.low,
+                    "lateral_accel_high": r.high if isfinite(r.high) else None,
+                    "predictions": r.windows,
+                    "median": r.median,
+                    "rms": r.rms,
+                }
+                for r in outcome.regimes
+            ],
+        },
+        "excitation": outcome.excitation._asdict(),
+        "converged": None if outcome.fit is None else outcome.fit.converged,
+        "misfit": None if outcome.fit is None else outcome.fit.misfit,
+        "notes": list(outcome.notes),
+    }

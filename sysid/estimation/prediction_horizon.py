@@ -1,0 +1,112 @@
+"""How far a model holds, and a start that does not stand in its way.
+
+Where a model is right, long windows tell most: errors of a start fade, those of a parameter grow.
+Where it is not, what long windows show are the model's own errors, heaped up; a fit to them bends
+every parameter to pass for what is missing, and long windows have more minima than one. So a car
+that is off by more than instruments after 2 s is fitted over 2 s at most.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from steerd.car_model.model import Model
+from steerd.car_model.params import Car, wheelbase
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.windows import GROUPS
+from steerd.sysid.estimation.fit import Fit, Options
+
+ROUGH: tuple[float, ...] = (0.5, 2.0)
+"""Windows that show whether a model holds [s]."""
+SHORT: tuple[float, ...] = (0.5, 1.0, 2.0)
+"""Windows for a model that does not [s]."""
+MISFIT = 10.0
+"""Residuals so many times the noise after 2 s are the model's ..."""
+OFF: dict[str, float] = {"position": 0.005, "yaw": 0.01}
+"""... if they are larger than this, too: no model is right to the noise of a mocap [m, rad]."""
+HISTORY = 4.0
+"""Commands before a window that a linkage with play may remember [s]."""
+_BARELY = 1.05
+"""A slew limit that is passed by less is hardly felt."""
+_ROOM = 1.5
+"""A gain that is not known yet may be so much larger."""
+
+
+def holds(found: Fit) -> bool:
+    """Whether the model explains the fit's windows but for noise."""
+    left = {name: float(found.noise[GROUPS.index(name)]) for name in OFF}
+    return all(found.misfit[name] <= MISFIT or left[name] <= OFF[name] for name in OFF)
+
+
+def reaching(options: Options, rough: Fit) -> Options:
+    """The options, with windows as long as the model holds."""
+    return options if holds(rough) else replace(options, horizons=SHORT)
+
+
+def remembering(runs: Sequence[Run], model: Model[float], candidates: Sequence[str]) -> list[Run]:
+    """The drives, with more of the commands before a window where a linkage may remember them."""
+    plays = any(e.linkage and e.memory for e in model.effects) or "steer_backlash" in candidates
+    return [replace(run, history=HISTORY) if plays else run for run in runs]
+
+
+def furthest(runs: Sequence[Run]) -> float:
+    """Largest commanded steering angle [rad]."""
+    return max(float(np.abs(run.commands[:, 0]).max()) for run in runs)
+
+
+def unstopped(model: Model[float], runs: Sequence[Run], free: Sequence[str]) -> Model[float]:
+    """The car with end stops beyond what was asked for, where they are another car's.
+
+    A log that steerd did not drive may be of any car, and steer in any unit of its own: the end
+    stops of the start values would clip what no servo clipped.
+    """
+    reach = _ROOM * furthest(runs)
+    known = any(run.servo_frame for run in runs) or {"steer_min", "steer_max"} & set(free)
+    if known or reach <= min(-model.car.steer_min, model.car.steer_max):
+        return model
+    return model._replace(car=model.car._replace(steer_min=-reach, steer_max=reach))
+
+
+def outpaced(model: Model[float], runs: Sequence[Run]) -> bool:
+    """Whether commands ask the wheel to turn faster than its slew limit lets it.
+
+    How fast it really turns then decides what follows, and the file's limit is hardly ever this
+    servo's. Drives of steerd's own keep below the limit of their car.
+    """
+    car = model.car
+    return any(_fastest(run, car) > _BARELY * car.steer_rate for run in runs)
+
+
+def _fastest(run: Run, car: Car[float]) -> float:
+    """Largest rate that a wheel with a lag alone would turn at [rad/s]."""
+    keeps = np.exp(-run.h / max(car.steer_lag, run.h))
+    steer = car.steer_gain * run.commands[:, 0]
+    wheel = lfilter([1.0 - keeps], [1.0, -keeps], steer, zi=[keeps * steer[0]])[0]
+    return float(np.abs(np.diff(wheel)).max()) / run.h
+
+
+def reached(car: Car[float], runs: Sequence[Run]) -> Car[float]:
+    """The car with end stops where the drives went: nothing is known beyond."""
+    asked = np.concatenate([run.commands[:, 0] for run in runs])
+    low, high = car.steer_gain * float(asked.min()), car.steer_gain * float(asked.max())
+    side = max(-low, high) + abs(car.steer_bias)
+    return car._replace(steer_min=-side, steer_max=side)
+
+
+def scale_inertia(model: Model[float], known: Model[float]) -> Model[float]:
+    """The car with the yaw inertia of another, in proportion to mass and length squared."""
+    length = wheelbase(model.car) / wheelbase(known.car)
+    scale = model.car.mass / known.car.mass * length**2
+    return model._replace(car=model.car._replace(inertia_z=known.car.inertia_z * scale))
+
+
+def level_loads(model: Model[float], runs: Sequence[Run]) -> Model[float]:
+    """The car without load shift where a measured speed is prescribed.
+
+    The acceleration of a measured speed is mostly noise; `steerd diagnose` leaves it out as well.
+    """
+    if all(run.speed_source == "command" for run in runs):
+        return model
+    return model._replace(car=model.car._replace(cog_height=0.0))

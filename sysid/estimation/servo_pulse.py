@@ -1,0 +1,169 @@
+"""The servo's pulse: commands that a VESC's 50 Hz servo signal takes over, and those it never sees.
+
+A servo signal carries one angle per frame of 20 ms. Of the commands of a 100 Hz loop every second
+one is never seen; which one depends on the phase of the pulses, which no log knows. Here a drive's
+steering is sampled as the pulses do, at the phase that explains its poses best.
+
+The sampled signal is put half a frame early, so that a fitted `steer_delay` goes on meaning what
+controllers and filters, which know no frames, take it for: the dead time with the mean wait for a
+pulse (half a frame) included.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.model import Model
+from steerd.sysid.compiler.kernels import delays_of, make_kernels
+from steerd.sysid.data.dataset import Run, Signal, hold_means
+from steerd.sysid.data.segments import moving_parts
+from steerd.sysid.data.windows import make_layout, speed_range
+from steerd.sysid.estimation.fit import Fit, Options, fit
+from steerd.sysid.estimation.levenberg_marquardt import gain_ahead
+from steerd.sysid.estimation.objective import (
+    Problem,
+    cost_of,
+    normal_equations,
+    robust_limit,
+    solve,
+)
+
+Array = NDArray[np.float64]
+
+PHASES = 8
+"""Phases that are tried, evenly over a frame (2.5 ms apart)."""
+SURE = 3.0
+"""A log-likelihood smaller by less than this does not tell two phases apart."""
+SECONDS = 20.0
+"""This much of a drive is enough to tell its phase [s]."""
+_HORIZONS = (0.5, 2.0)
+
+
+class Pulse(NamedTuple):
+    """How a drive's servo was pulsed.
+
+    Attributes:
+        run: the drive's name.
+        phase: of the pulses after the drive's first command [s].
+        sure: by how much the log-likelihood falls at the best phase that is told apart from it.
+        blur: by how much it may be off: phases between the same two commands look alike, but for a
+            dead time (standard deviation) [s].
+    """
+
+    run: str
+    phase: float
+    sure: float
+    blur: float = 0.0
+
+
+def latch(run: Run, phase: float) -> Run:
+    """The drive with its steering as pulses at `phase` take it over, half a frame early."""
+    frame = run.servo_frame
+    t, angles = run.steer
+    first = np.floor((t[0] - phase) / frame)
+    pulses = phase + frame * np.arange(first, np.ceil((run.duration - phase) / frame) + 2)
+    seen = angles[np.maximum(np.searchsorted(t, pulses, side="right") - 1, 0)]
+    edges: Array = np.arange(len(run.commands) + 1).astype(float) * run.h
+    steer = hold_means(Signal(pulses - 0.5 * frame, seen), edges)
+    return replace(run, commands=np.column_stack([steer, run.commands[:, 1]]))
+
+
+def settle_servo(
+    runs: Sequence[Run], rough: Fit, options: Options
+) -> tuple[tuple[Run, ...], tuple[Pulse, ...]]:
+    """Sample every pulsed drive's steering at its likeliest phase; other drives stay.
+
+    Args:
+        runs: whole drives, not parts of them.
+        rough: a car near the truth, see `rough_fit`.
+        options: of the fit.
+
+    Raises:
+        DataError: a drive does not move.
+    """
+    pulses = {id(run): find_phase(run, rough, options) for run in runs if run.servo_frame}
+    settled = (latch(run, pulses[id(run)].phase) if id(run) in pulses else run for run in runs)
+    return tuple(settled), tuple(pulses.values())
+
+
+def rough_fit(runs: Sequence[Run], model: Model[float], options: Options) -> Fit:
+    """A car good enough to tell phases with: short windows, commands as if each was seen.
+
+    Raises:
+        DataError: no drive moves, or the steering never changes.
+        FloatingPointError: no finite simulation from the start values.
+    """
+    return fit(moving_parts(runs), model, options=replace(options, horizons=_HORIZONS))
+
+
+def find_phase(run: Run, rough: Fit, options: Options) -> Pulse:
+    """The likeliest phase of a drive's pulses, all free parameters adapted to each."""
+    step = run.servo_frame / PHASES
+    phases = step * (np.arange(PHASES) + 0.5)
+    x, limit = settle_states(run, rough, options)
+    candidates = [rough_problem(latch(run, float(phase)), rough, options) for phase in phases]
+    tried = np.array([stepped_loss(problem, rough.z, x, limit) for problem in candidates])
+    best, alike = _middle(tried)
+    others = tried[~alike]
+    sure = float(others.min() - tried.min()) if len(others) else 0.0
+    phase = _on_grid(float(phases[0] + best * step), run.h, step)
+    return Pulse(run.name, phase, sure, float(step * alike.sum() / np.sqrt(12.0)))
+
+
+def _on_grid(phase: float, h: float, step: float) -> float:
+    """The nearest phase whose pulses fall between steps of the grid, if it is as good as this one.
+
+    A pulse within a step would be blurred over it, and 2 ms of blur pass for inertia.
+    """
+    near = h * round(phase / h)
+    return near if abs(near - phase) <= 0.5 * step + 1e-9 else phase
+
+
+def rough_problem(run: Run, rough: Fit, options: Options) -> Problem:
+    """The drive in windows of 2 s, as the rough fit sees it."""
+    parts = moving_parts([run])
+    kernels = make_kernels(rough.model.effects)
+    late = float(delays_of(kernels, rough.parameters)[2])
+    layout = make_layout(parts, _HORIZONS[-1], late, SECONDS)
+    return Problem(
+        kernels, rough.chart, layout, rough.noise, speed_range(parts),
+        options.integrator, options.substeps,
+    )  # fmt: skip
+
+
+def settle_states(run: Run, rough: Fit, options: Options) -> tuple[Array, float]:
+    """Initial states (W, 7) of a drive's windows under the rough fit, and where outliers begin."""
+    plain = rough_problem(run, rough, options)
+    x = plain.layout.guess.copy()
+    at = plain.evaluate(rough.z, x)
+    limit = robust_limit(at.error)
+    x += solve(normal_equations(plain, at, limit), 0.0, np.ones(len(rough.z), bool))[1]
+    return x, robust_limit(plain.evaluate(rough.z, x).error)
+
+
+def profile_loss(problem: Problem, z: Array, x: Array, limit: float) -> float:
+    """Loss at the minimum over coordinates and initial states of the linearised problem."""
+    at = problem.evaluate(z, x)
+    ahead = gain_ahead(problem, normal_equations(problem, at, limit), z)
+    return cost_of(at, limit) - 0.5 * ahead
+
+
+def stepped_loss(problem: Problem, z: Array, x: Array, limit: float) -> float:
+    """As `profile_loss`, after a step towards the minimum: for what moves it far."""
+    normal = normal_equations(problem, problem.evaluate(z, x), limit)
+    dz, dx = solve(normal, 0.0, np.zeros(len(z), bool))
+    return profile_loss(problem, z + dz, x + dx, limit)
+
+
+def _middle(losses: Array) -> tuple[float, NDArray[np.bool_]]:
+    """Middle of the stretch of phases (they form a ring) about the best that are as good."""
+    count, best = len(losses), int(np.argmin(losses))
+    good = losses <= losses[best] + SURE
+    up = next((i for i in range(count) if not good[(best + i + 1) % count]), count - 1)
+    down = next((i for i in range(count) if not good[(best - i - 1) % count]), count - 1)
+    alike = np.zeros(count, bool)
+    alike[np.arange(best - down, best + up + 1) % count] = True
+    return (best + 0.5 * (up - down)) % count, alike

@@ -1,0 +1,236 @@
+"""Validation on drives that were not fitted: how far off a prediction is after 0.5, 1 and 2 s.
+
+Open loop: the model is brought to the state at which it explains the moment before best, and
+then predicts from the commands alone. Both cars, before and after, get the same treatment, so that
+neither profits from a better start.
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.model import Model
+from steerd.sysid.compiler.kernels import Held, delays_of, make_kernels, parameter_vector, read
+from steerd.sysid.data.dataset import Run, check_sources
+from steerd.sysid.data.windows import Layout, estimate_noise, make_layout, speed_range
+from steerd.sysid.estimation.fit import prescribe_speed
+from steerd.sysid.estimation.objective import STATE_SPREAD
+from steerd.sysid.estimation.stability import stable_substeps
+
+Array = NDArray[np.float64]
+
+HORIZONS: tuple[float, ...] = (0.5, 1.0, 2.0)
+"""[s]."""
+PAST = 0.4
+"""Measurements that tell the state at which a prediction starts [s]."""
+_ROUNDS = 8
+_FLOORS = np.array([3e-3, 5e-3, 0.02, 0.05])
+"""A start is not told better than this [m, rad, m/s, rad/s]: no model is that good."""
+_ROOM = 1.15
+"""Windows are cut this much longer: drives do not divide evenly."""
+_NEAR = 0.05
+"""Poses this close to a horizon count for it [s]."""
+_STATES = 7
+LATERAL: tuple[float, ...] = (0.0, 2.0, 4.0, 6.0, np.inf)
+"""Edges of the classes of lateral acceleration [m/s^2]: rolling, lively, hard, at the limit."""
+_STEADY = 0.2
+"""A lateral acceleration is read over so much time [s]."""
+
+
+class Prediction(NamedTuple):
+    """Prediction error at one horizon.
+
+    Attributes:
+        horizon: [s].
+        position: RMS distance [m]; NaN where no window reached so far.
+        heading: RMS angle [rad].
+        poses: how many were compared.
+    """
+
+    horizon: float
+    position: float
+    heading: float
+    poses: int
+
+
+class Trace(NamedTuple):
+    """Measured and predicted poses of one window, for looking at.
+
+    Attributes:
+        run: which drive; t: time into it [s]; ahead: time since the prediction's start [s].
+        measured: (M, 3) poses; predicted: (M, 3) poses.
+    """
+
+    run: int
+    t: Array
+    ahead: Array
+    measured: Array
+    predicted: Array
+
+
+def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> list[Trace]:
+    """Predict every window of the drives.
+
+    Args:
+        model: the car.
+        runs: drives; one whose speed was not commanded is predicted with its measured speed.
+        horizon: how far [s].
+
+    Raises:
+        DataError: only some have speed commands.
+        ValueError: no window sees enough poses.
+    """
+    check_sources(runs)
+    if any(run.speed_source != "command" for run in runs):
+        model = prescribe_speed(model)
+    kernels, parameters = make_kernels(model.effects), parameter_vector(model)
+    late = float(delays_of(kernels, parameters)[2])
+    layout = make_layout(runs, _ROOM * (PAST + horizon), late)
+    substeps = stable_substeps(model.car, *speed_range(runs), layout.h)
+    held = Held(layout.commands, layout.h, substeps)
+    stations, windows = layout.stations(late, held.fine), layout.kernel_windows(substeps)
+    seeds, dfirst = np.zeros((len(parameters), _STATES)), np.eye(_STATES)
+
+    def look(x: Array) -> tuple[Array, Array]:
+        return read(kernels, parameters, seeds, x, dfirst, held, windows, stations)
+
+    sigma = np.maximum(estimate_noise(runs), _FLOORS)
+    return _traces(layout, look(_settle(layout, sigma, look))[0])
+
+
+def _settle(layout: Layout, sigma: Array, look: Callable[[Array], tuple[Array, Array]]) -> Array:
+    """Initial states (W, 7) that explain the past best: damped Gauss-Newton, window by window."""
+    best, share = layout.guess.copy(), np.ones(len(layout.spans))
+    lowest, step = np.full(len(best), np.inf), np.zeros_like(best)
+    for _ in range(_ROUNDS):
+        x = best + share[:, None] * step
+        cost, new = _correct(layout, sigma, x, *look(x))
+        better = cost < lowest
+        best[better], step[better], lowest[better] = x[better], new[better], cost[better]
+        share = np.where(better, 1.0, 0.3 * share)
+    return best
+
+
+def _angles(error: Array) -> Array:
+    wrapped: Array = (error + np.pi) % (2.0 * np.pi) - np.pi
+    return wrapped
+
+
+def _past(layout: Layout) -> NDArray[np.bool_]:
+    """(R,) rows that tell the start."""
+    told = np.zeros(len(layout.values), bool)
+    seen = layout.seen
+    early = seen.t <= PAST
+    for offset in range(3):
+        rows = seen.row[early & ((offset == 0) | (seen.kind == 0))] + offset
+        told[rows] = True
+    return told
+
+
+def _correct(layout: Layout, sigma: Array, x: Array, y: Array, jy: Array) -> tuple[Array, Array]:
+    """Cost of initial states on the past alone (W,), and the Gauss-Newton step from them (W, 7)."""
+    weight = _past(layout) / sigma[layout.group]
+    error = layout.values - y
+    error[layout.group == 1] = _angles(error[layout.group == 1])
+    error, slopes = error * weight, jy * weight[:, None]
+    cost, step = np.full(len(x), np.inf), np.zeros_like(x)
+    for w in range(len(x)):
+        a, b = layout.bounds[w], layout.bounds[w + 1]
+        if not (np.isfinite(error[a:b]).all() and np.isfinite(slopes[a:b]).all()):
+            continue
+        off = (layout.guess[w] - x[w]) / STATE_SPREAD
+        cost[w] = error[a:b] @ error[a:b] + off @ off
+        square = slopes[a:b].T @ slopes[a:b] + np.diag(STATE_SPREAD**-2)
+        step[w] = np.linalg.solve(square, slopes[a:b].T @ error[a:b] + off / STATE_SPREAD)
+    return cost, step
+
+
+def _traces(layout: Layout, y: Array) -> list[Trace]:
+    seen, found = layout.seen, []
+    for w in range(len(layout.spans)):
+        mine = (seen.window == w) & (seen.kind == 0)
+        rows = seen.row[mine][:, None] + np.arange(3)
+        t = seen.t[mine]
+        found.append(
+            Trace(int(layout.run[w]), layout.t[w] + t, t - PAST, layout.values[rows], y[rows])
+        )
+    return found
+
+
+def errors_at(traces: Sequence[Trace], horizons: Sequence[float]) -> tuple[Prediction, ...]:
+    """RMS errors of predictions at horizons."""
+    ahead = np.concatenate([trace.ahead for trace in traces])
+    off = np.concatenate([trace.measured - trace.predicted for trace in traces])
+    out = []
+    for horizon in horizons:
+        near = np.abs(ahead - horizon) <= _NEAR
+        if not near.any():
+            out.append(Prediction(horizon, np.nan, np.nan, 0))
+            continue
+        position = float(np.sqrt(np.mean(np.sum(off[near, :2] ** 2, axis=1))))
+        heading = float(np.sqrt(np.mean(_angles(off[near, 2]) ** 2)))
+        out.append(Prediction(horizon, position, heading, int(near.sum())))
+    return tuple(out)
+
+
+class Regime(NamedTuple):
+    """Prediction error where the car was driven within some range of lateral acceleration.
+
+    Attributes:
+        low, high: of the greatest lateral acceleration on the way [m/s^2].
+        windows: how many predictions.
+        median, rms: of the position error at the horizon [m].
+    """
+
+    low: float
+    high: float
+    windows: int
+    median: float
+    rms: float
+
+
+def by_lateral_acceleration(traces: Sequence[Trace], horizon: float) -> tuple[Regime, ...]:
+    """Where a car predicts well and where not: errors at a horizon by how hard it was driven."""
+    found = [(_lateral(trace, horizon), _off_at(trace, horizon)) for trace in traces]
+    lateral, off = np.array(found).reshape(-1, 2).T
+    regimes = []
+    for low, high in pairwise(LATERAL):
+        mine = off[(lateral >= low) & (lateral < high) & np.isfinite(off)]
+        if len(mine):
+            median, rms = float(np.median(mine)), float(np.sqrt(np.mean(mine**2)))
+            regimes.append(Regime(low, high, len(mine), median, rms))
+    return tuple(regimes)
+
+
+def _off_at(trace: Trace, horizon: float) -> float:
+    """Position error at a horizon [m]; NaN where no pose is near it."""
+    i = int(np.argmin(np.abs(trace.ahead - horizon)))
+    if abs(trace.ahead[i] - horizon) > _NEAR:
+        return float("nan")
+    return float(np.hypot(*(trace.measured[i, :2] - trace.predicted[i, :2])))
+
+
+def _lateral(trace: Trace, horizon: float) -> float:
+    """Greatest lateral acceleration up to a horizon [m/s^2], from the measured poses."""
+    near = (trace.ahead >= -1e-9) & (trace.ahead <= horizon)
+    t, pose = trace.ahead[near], trace.measured[near]
+    if len(t) < 2 or t[-1] - t[0] < _STEADY:
+        return 0.0
+    edges = np.arange(t[0], t[-1] + 1e-9, _STEADY)
+    x, y, yaw = (np.interp(edges, t, pose[:, i]) for i in range(3))
+    turned = np.abs(_angles(np.diff(yaw)))
+    return float((np.hypot(np.diff(x), np.diff(y)) * turned).max() / _STEADY**2)
+
+
+def predict_errors(
+    model: Model[float], runs: Sequence[Run], horizons: Sequence[float] = HORIZONS
+) -> tuple[Prediction, ...]:
+    """Open-loop prediction error of a car on drives.
+
+    Raises:
+        ValueError: no window sees enough poses.
+    """
+    return errors_at(trace_windows(model, runs, max(horizons)), horizons)

@@ -1,0 +1,209 @@
+"""The paper's method: soft-DTW and chamfer distance of simulated and driven paths, by Adam.
+
+"System Identification and Control of Front-Steered Ackermann Vehicles through Differentiable
+Physics", IROS 2023: l_f, l_r, C_Sf, C_Sr of a car whose steering and speed follow at once, 7
+states, Euler at 0.002 s, loss = soft-DTW (gamma 0.1, every 0.2 s) + 100 chamfer (every step) in
+metres, averaged over batches of 4 runs that rotate. What the paper leaves open (step sizes, the
+rotation, the runs' starts at zero yaw rate and slip) is as in its authors' public experiments.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from steerd.car_model.params import Car
+from steerd.sysid.compiler.kernels import Kernels, make_kernels
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.windows import guess_state
+from steerd.sysid.paper.chamfer import chamfer
+from steerd.sysid.paper.course import NAMES, Course
+from steerd.sysid.paper.soft_dtw import PAPER_GAMMA, soft_dtw, squared_distances
+from steerd.sysid.paper.torch_kernel import simulate
+from steerd.sysid.paper.torch_ops import Tensor
+from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, PAPER_STEP
+
+Array = NDArray[np.float64]
+
+LOW = np.array([0.1, 0.1, 2.0, 2.0])
+HIGH = np.array([0.35, 0.35, 10.0, 10.0])
+"""Starts are uniform in between (the paper's 2.857 to 10, divided by 28.57, for the lengths)."""
+RATES = np.array([1.5 / 28.57, 1.5 / 28.57, 0.2, 0.2])
+"""Adam's step sizes, in the parameters' units."""
+CHAMFER_WEIGHT = 100.0
+BATCH = 4
+STRIDE = 100
+"""Steps between the points that soft-DTW aligns (0.2 s)."""
+SECONDS = 8.0
+"""Length of the paper's runs [s]."""
+SHORTEST = 2.0
+MOVING = 0.3
+"""Runs are where the speed command is above this [m/s]."""
+
+
+class PaperRun(NamedTuple):
+    """One piece of a drive as the paper's loss sees it.
+
+    Attributes:
+        commands: (N, 2) steer and speed at the steps.
+        path: (N, 2) driven x and y at the steps [m].
+        first: (7,) first state; yaw rate and slip are zero, as in the paper.
+    """
+
+    commands: Array
+    path: Array
+    first: Array
+
+
+Watch = Callable[[int, Array, float], bool]
+"""Told iteration, parameters and loss; True ends the search."""
+
+
+def _never(iteration: int, parameters: Array, loss: float) -> bool:
+    return False
+
+
+def paper_runs(
+    runs: Sequence[Run], seconds: float = SECONDS, skip: float = 0.0
+) -> tuple[PaperRun, ...]:
+    """Cut drives into the paper's runs: pieces of `seconds` in which the car is told to move.
+
+    Args:
+        runs: drives.
+        seconds: length of a piece.
+        skip: time left out after each launch (the paper leaves out 2 s).
+
+    Raises:
+        ValueError: nothing long enough is left.
+    """
+    found: list[PaperRun] = []
+    for run in runs:
+        moving = np.concatenate([[False], run.commands[:, 1] > MOVING, [False]])
+        edges = np.flatnonzero(np.diff(moving.astype(int)))
+        for low, high in zip(edges[::2] * run.h + skip, edges[1::2] * run.h, strict=True):
+            count = max(1, round((high - low) / seconds))
+            cuts = np.linspace(low, high, count + 1)
+            found += [_piece(run, a, b) for a, b in pairwise(cuts)
+                      if b - a >= SHORTEST]  # fmt: skip
+    if not found:
+        raise ValueError(f"no {SHORTEST:g} s in which the car was told to move")
+    return tuple(found)
+
+
+def _piece(run: Run, low: float, high: float) -> PaperRun:
+    t = low + PAPER_STEP * np.arange(int((high - low) / PAPER_STEP))
+    rows = np.minimum((t / run.h + 1e-9).astype(int), len(run.commands) - 1)
+    path = np.column_stack([np.interp(t, run.pose.t, run.pose.values[:, i]) for i in (0, 1)])
+    first = guess_state(run.pose, low)
+    first[4:6] = 0.0
+    first[:2], first[6] = path[0], run.commands[rows[0], 0]
+    return PaperRun(run.commands[rows], path, first)
+
+
+class PaperProblem(NamedTuple):
+    """The paper's loss over some runs.
+
+    Attributes:
+        kernels: the compiled car without effects.
+        runs: at least one.
+        base: (P,) parameters; those of `NAMES` are replaced.
+    """
+
+    kernels: Kernels
+    runs: tuple[PaperRun, ...]
+    base: Array
+
+
+def make_problem(runs: tuple[PaperRun, ...], base: Car[float] = PAPER_CAR_DIRECT) -> PaperProblem:
+    """The paper's problem about a car whose actuators follow at once."""
+    return PaperProblem(make_kernels(), runs, np.array(base, float))
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Torch on one thread: its tensors here are so small that threads only wait for each other."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def draw_starts(rng: np.random.Generator, count: int) -> Array:
+    """Uniform random starts (count, 4)."""
+    return rng.uniform(LOW, HIGH, (count, len(NAMES)))
+
+
+def batch_of(problem: PaperProblem, iteration: int) -> tuple[PaperRun, ...]:
+    """The runs of an iteration: four in a row, one further each time."""
+    n = len(problem.runs)
+    return tuple(problem.runs[(iteration + 1 + i) % n] for i in range(min(BATCH, n)))
+
+
+def predict(problem: PaperProblem, four: Tensor, runs: Sequence[PaperRun]) -> list[Tensor]:
+    """Simulated paths (N, 2) of runs, differentiable in the four parameters."""
+    places = torch.tensor([problem.kernels.names.index(name) for name in NAMES])
+    kept = torch.clamp(four, min=1e-3)
+    parameters = torch.from_numpy(problem.base.copy()).index_put((places,), kept)
+    longest = max(len(run.commands) for run in runs)
+    commands = np.stack(
+        [np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), "edge") for r in runs]
+    )
+    first = torch.from_numpy(np.stack([run.first for run in runs]))
+    path = simulate(
+        problem.kernels, parameters, first, torch.from_numpy(commands), PAPER_STEP,
+        integrator="euler",
+    )  # fmt: skip
+    return [path[i, : len(run.commands), :2] for i, run in enumerate(runs)]
+
+
+def loss_of(problem: PaperProblem, four: Tensor, runs: Sequence[PaperRun]) -> Tensor:
+    """Soft-DTW plus 100 chamfer, averaged over the runs; NaN if the simulation diverges."""
+    total = torch.zeros((), dtype=torch.float64)
+    for path, run in zip(predict(problem, four, runs), runs, strict=True):
+        driven = torch.from_numpy(run.path)
+        cost = squared_distances(path[None, ::STRIDE], driven[None, ::STRIDE])
+        total = total + soft_dtw(cost, PAPER_GAMMA)[0] + CHAMFER_WEIGHT * chamfer(path, driven)
+    return total / len(runs)
+
+
+@one_thread()
+def descend_adam(
+    problem: PaperProblem, start: Array, iterations: int = 100, watch: Watch = _never
+) -> Course:
+    """One start of the paper's method."""
+    values = [torch.tensor(float(v), dtype=torch.float64, requires_grad=True) for v in start]
+    groups = [{"params": [v], "lr": r} for v, r in zip(values, RATES.tolist(), strict=True)]
+    optimiser = torch.optim.Adam(groups)
+    losses, path, diverged = [], [np.array(start, float)], False
+    for iteration in range(iterations):
+        optimiser.zero_grad()
+        loss = loss_of(problem, torch.stack(values), batch_of(problem, iteration))
+        diverged = not bool(torch.isfinite(loss))
+        if diverged:
+            break
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        losses.append(loss.item())
+        path.append(np.array([v.item() for v in values]))
+        if watch(iteration, path[-1], losses[-1]):
+            break
+    return Course(np.array(start, float), np.array(losses), np.array(path), path[-1], diverged)
+
+
+def loss_value(problem: PaperProblem, four: Array, iteration: int) -> float:
+    """Loss of an iteration's batch without gradient; a large number where it diverges."""
+    with torch.no_grad():
+        value = float(loss_of(problem, torch.from_numpy(four), batch_of(problem, iteration)))
+    return value if np.isfinite(value) else 1e9
+
+
+def nominal(problem: PaperProblem, four: Array) -> Car[float]:
+    """The car with four parameters replaced."""
+    car: Car[float] = Car(*problem.base[: len(Car._fields)].tolist())
+    return car._replace(**dict(zip(NAMES, four.tolist(), strict=True)))

@@ -1,0 +1,80 @@
+"""The readable reference simulator: `car_model`'s own step over tensors, batched over windows.
+
+Whatever the compiled kernels do must agree with this to 1e-9, values and gradients. It takes any
+effects, any loss and any number of runs side by side, and is differentiable in everything.
+"""
+
+from collections.abc import Sequence
+
+import torch
+
+from steerd.car_model.effect import Effect
+from steerd.car_model.model import Model, Moment, delays, memory_size
+from steerd.car_model.params import PAPER_CAR, Car
+from steerd.car_model.rollout import Integrator, channel_delayed, euler, rk4, step
+from steerd.car_model.state import Command, State
+from steerd.sysid.paper.torch_ops import TORCH, Tensor
+
+INTEGRATORS: dict[str, Integrator[Tensor]] = {"euler": euler, "rk4": rk4}
+
+PAPER_STEP = 0.002
+"""Euler step of the paper's simulator [s]."""
+PAPER_CAR_DIRECT: Car[float] = PAPER_CAR._replace(
+    steer_delay=0.0, steer_lag=0.0, steer_rate=1e3, speed_lag=0.0, accel_max=1e3, decel_max=1e3
+)
+"""The paper's car (7 states, steering clipped at +-0.34 rad) with actuators that follow at once."""
+
+
+def tensor_model(effects: Sequence[Effect], parameters: Tensor) -> Model[Tensor]:
+    """The model whose numbers are the entries of `parameters` (P,)."""
+    every = list(parameters.unbind())
+    rest = iter(every[len(Car._fields) :])
+    values = tuple(tuple(next(rest) for _ in effect.parameters) for effect in effects)
+    return Model(Car(*every[: len(Car._fields)]), tuple(effects), values)
+
+
+def simulate_reference(
+    parameters: Tensor,
+    first: Tensor,
+    commands: Tensor,
+    h: float,
+    *,
+    effects: Sequence[Effect] = (),
+    integrator: str = "rk4",
+    history: int = 0,
+    t: float = 0.0,
+) -> Tensor:
+    """Simulate windows side by side.
+
+    Args:
+        parameters: (P,) the car's fields, then every effect's parameters.
+        first: (B, 7) states (x, y, yaw, speed, yaw_rate, slip_angle, steer), or (B, 7 + memory).
+        commands: (B, history + N, 2) steer [rad] and speed [m/s], each held over a step.
+        h: step [s].
+        effects: what is switched on.
+        integrator: `rk4` or `euler`.
+        history: how many of the commands lie before the first step.
+        t: time into the run at the first step [s].
+
+    Returns:
+        (B, N + 1, 7 + memory) states, `first` included.
+    """
+    model = tensor_model(effects, parameters)
+    late = delays(model)
+    steer, speed = list(commands[..., 0].unbind(1)), list(commands[..., 1].unbind(1))
+    moment = _first_moment(first, memory_size(tuple(effects)))
+    path = [torch.stack([*moment.state, *moment.memory], dim=-1)]
+    for k in range(len(steer) - history):
+        command = Command(
+            channel_delayed(steer, history + k, late.steer, h),
+            channel_delayed(speed, history + k, late.drive, h),
+        )
+        moment = step(TORCH, model, moment, command, t + k * h, h, INTEGRATORS[integrator])
+        path.append(torch.stack([*moment.state, *moment.memory], dim=-1))
+    return torch.stack(path, dim=1)
+
+
+def _first_moment(first: Tensor, memory: int) -> Moment[Tensor]:
+    numbers = list(first.unbind(-1))
+    rest = numbers[7:] or [torch.zeros_like(numbers[0])] * memory
+    return Moment(State(*numbers[:7]), tuple(rest))

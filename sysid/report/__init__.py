@@ -1,0 +1,1 @@
+"""The identification report: figures and page."""

@@ -1,0 +1,98 @@
+"""Lane keeping with controllers designed from different parameters, on the same simulated car.
+
+The paper's last figures: a controller is only as good as the parameters that it was designed from.
+The plant is the true car where it is known, else the identified one; floors are the session's and
+one of half its friction. State feedback is exact, so that only the design differs.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.model import Model, Moment
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import Car
+from steerd.car_model.path.path import Path
+from steerd.car_model.path.path_shapes import make_figure_eight
+from steerd.car_model.rollout import channel_delayed, step
+from steerd.car_model.state import ORIGIN, Command
+from steerd.controller.build import make_controller
+from steerd.controller.config import ControllerConfig
+from steerd.controller.design import DesignRefused
+from steerd.controller.lane_controller import LaneController, control, start_controller
+
+Array = NDArray[np.float64]
+
+STEP = 0.01
+SECONDS = 15.0
+SPEED = 2.0
+RADIUS = 1.8
+OFFSET = 0.15
+"""The car starts so far beside its path [m]."""
+FRICTIONS: Mapping[str, float] = {"standard": 1.0, "low": 0.5}
+
+
+class Profile(NamedTuple):
+    """One controlled drive.
+
+    Attributes:
+        design: whose parameters the controller was designed from.
+        friction: which floor.
+        t: [s]; e1: lateral offset [m]; e2: heading error [rad].
+        refused: why there is no drive; empty otherwise.
+    """
+
+    design: str
+    friction: str
+    t: Array
+    e1: Array
+    e2: Array
+    refused: str = ""
+
+    @property
+    def rms(self) -> float:
+        """Of the lateral offset [m]."""
+        return float(np.sqrt(np.mean(self.e1**2))) if len(self.e1) else float("nan")
+
+
+def drive_lane(controller: LaneController, plant: Car[float], offset: float = OFFSET) -> Array:
+    """Time, e1 and e2 (N, 3) of a drive; ends early where the car has left its lane by 2 m."""
+    model: Model[float] = Model(plant)
+    moment = Moment(ORIGIN._replace(y=offset, speed=1.0))
+    now = start_controller(controller, moment.state, 0)
+    steer, speed, rows = [0.0], [1.0], []
+    for k in range(round(SECONDS / STEP)):
+        t_ns = round(k * STEP * 1e9)
+        command, report, now = control(controller, now, moment.state, t_ns)
+        steer.append(command.steer)
+        speed.append(command.speed)
+        rows.append((k * STEP, report.e1, report.e2))
+        late = Command(
+            channel_delayed(steer, k + 1, plant.steer_delay, STEP),
+            channel_delayed(speed, k + 1, plant.drive_delay, STEP),
+        )
+        moment = step(FLOAT, model, moment, late, k * STEP, STEP)
+        if not abs(report.e1) < 2.0:
+            break
+    return np.array(rows)
+
+
+def compare_designs(plant: Car[float], designs: Mapping[str, Car[float]]) -> tuple[Profile, ...]:
+    """Drive a figure eight with each design on each floor."""
+    path = make_figure_eight(RADIUS)
+    found = []
+    for name, car in designs.items():
+        for floor, share in FRICTIONS.items():
+            found.append(_compare(name, car, floor, plant._replace(mu=plant.mu * share), path))
+    return tuple(found)
+
+
+def _compare(name: str, car: Car[float], floor: str, plant: Car[float], path: Path) -> Profile:
+    config = ControllerConfig(speed=SPEED)
+    try:
+        rows = drive_lane(make_controller(car, path, config, 1.0 / STEP), plant)
+    except (DesignRefused, ValueError) as error:
+        return Profile(name, floor, np.empty(0), np.empty(0), np.empty(0), str(error))
+    return Profile(name, floor, rows[:, 0], rows[:, 1], rows[:, 2])

@@ -1,0 +1,69 @@
+"""Effects by name: what a command line may say and what it is told when it is wrong."""
+
+import pytest
+
+from steerd.car_model.effects import ALIASES, EFFECTS, find_effect, parse_effect, parse_effects
+
+
+def test_one_value() -> None:
+    assert parse_effect("steer_delay=0.03") == (EFFECTS["steer_delay"], (0.03,))
+
+
+def test_values_in_order_and_by_name() -> None:
+    assert parse_effect("grip_patch=1,-2, 0.5,0.3")[1] == (1.0, -2.0, 0.5, 0.3)
+    assert parse_effect("grip_patch:drop=0.3,x=2")[1] == (2.0, 0.0, 0.5, 0.3)
+    assert parse_effect("floor_slope=0.01")[1] == (0.01, 0.0, 0.0)
+
+
+def test_several_effects() -> None:
+    found = parse_effects("floor_slope=0.01,0.02,backlash:play=0.02,mu=0.6")
+    assert [(e.name, v) for e, v in found] == [
+        ("floor_slope", (0.01, 0.02, 0.0)),
+        ("steer_backlash", (0.02,)),
+        ("tyre_friction", (0.6,)),
+    ]
+
+
+def test_a_name_that_is_a_parameter_too_starts_a_new_effect_after_plain_values() -> None:
+    found = parse_effects("steer_gain=0.9,mass=0.5")
+    assert [e.name for e, _ in found] == ["steer_gain", "mass"]
+
+
+def test_aliases_lead_to_effects_and_hide_none() -> None:
+    assert not set(ALIASES) & set(EFFECTS)
+    assert sum(len(e.aliases) for e in EFFECTS.values()) == len(ALIASES)
+    for alias, name in ALIASES.items():
+        assert find_effect(alias) is EFFECTS[name]
+
+
+@pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
+def test_every_effect_says_what_it_is(effect: object) -> None:
+    found = find_effect(effect.name)  # type: ignore[attr-defined]
+    assert found is effect
+    assert found.summary
+    assert "\n" not in found.summary + found.equation
+    assert len(found.equation) < 90
+    assert found.family in {"timing", "steering", "drive", "tyre", "mass", "ground", "sensor"}
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("steer_dely=0.03", "did you mean 'steer_delay'"),
+        ("zzzz=1", "steerd effects"),
+        ("steer_delay", "NAME=VALUE"),
+        ("", "NAME=VALUE"),
+        ("steer_delay=", "must be a number"),
+        ("steer_delay=soon", "delay must be a number, not 'soon'"),
+        ("steer_delay=nan", "outside 0 to 0.3"),
+        ("steer_delay=inf", "outside"),
+        ("steer_delay=3", "delay is 3 s, outside 0 to 0.3"),
+        ("steer_delay=0.1,0.2", "takes delay, not 2 values"),
+        ("steer_delay:lag=0.1", "takes delay, not 'lag'"),
+        ("steer_delay=0.1,steer_bias=0.1", "one effect expected, not 2"),
+        ("grip_patch:x=1,2", "NAME=VALUE"),
+    ],
+)
+def test_a_wrong_line_is_told_what_is_wrong(text: str, says: str) -> None:
+    with pytest.raises(ValueError, match=says.replace("(", r"\(")):
+        parse_effect(text)

@@ -1,0 +1,42 @@
+"""`[noise]` of `steerd identify -o`: learnt where the car moves, as `steerd diagnose` judges."""
+
+import numpy as np
+import tomlkit
+
+from steerd.car_model.car_file import default_car_path, load_car
+from steerd.daemon.cli.commands.analysis.identify import with_noise
+from steerd.sim_gap.engine.noise import Noise, noise_section
+from steerd.sysid.data.dataset import Run, Signal, make_run
+from steerd.sysid.data.segments import PACE, moving_parts
+
+NOISE = Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
+
+
+def _half_standing() -> Run:
+    """20 s, of which the car stands for the first ten."""
+    t = np.arange(2000) * 0.01
+    speed = np.where(t < 10.0, 0.0, 1.5)
+    pose = np.column_stack([np.cumsum(speed) * 0.01, np.zeros((2000, 2))])
+    return make_run("half", Signal(t, np.zeros(2000)), Signal(t, speed), Signal(t, pose))
+
+
+def test_noise_is_learnt_where_the_car_moves(monkeypatch):
+    seen = []
+    monkeypatch.setattr(
+        "steerd.sim_gap.healthy_drives.learn_healthy",
+        lambda car, runs: (seen.extend(runs), NOISE)[1],
+    )
+    run = _half_standing()
+    text = with_noise(load_car(default_car_path()), (run,))
+    assert tomlkit.parse(text)["noise"] == noise_section(NOISE)
+    assert [r.duration for r in seen] == [r.duration for r in moving_parts([run])]
+    assert all(np.all(r.commands[:, 1] > PACE) for r in seen)
+    assert sum(r.duration for r in seen) < 10.0
+
+
+def test_a_creeping_car_leaves_the_file_as_it_is():
+    t, pace = np.arange(1000) * 0.01, 0.5 * PACE
+    pose = Signal(t, np.column_stack([pace * t, np.zeros((1000, 2))]))
+    run = make_run("creep", Signal(t, np.zeros(1000)), Signal(t, np.full(1000, pace)), pose)
+    car = load_car(default_car_path())
+    assert with_noise(car, (run,)) == car.text

@@ -1,0 +1,373 @@
+"""`steerd diagnose` on an imported log: what it finds and writes, and what it refuses in a line."""
+
+import argparse
+import contextlib
+import hashlib
+import io
+import itertools
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+
+from steerd.car_model.car_file import load_car
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.daemon.analysis.diagnose_case import make_case, parse_held_out
+from steerd.daemon.analysis.diagnose_text import COLUMNS, LINES
+from steerd.daemon.cli.commands.analysis import diagnose as command
+from steerd.daemon.cli.main import guarded as main
+from steerd.daemon.common.errors import SteerdError
+
+pytestmark = pytest.mark.slow
+
+TRUE = DEFAULT_CAR._replace(steer_delay=DEFAULT_CAR.steer_delay + 0.05)
+MAP = """[columns]
+t = "t"
+x = "x"
+y = "y"
+yaw = "yaw"
+steer_cmd = "steer"
+speed_cmd = "speed"
+[session]
+car = "lab"
+"""
+STEP = 0.01
+
+
+def _drive(seconds):
+    """Rows t, x, y, yaw, steer, speed of a drive of the true car with mocap noise."""
+    from steerd.sysid.compiler.kernels import Held, lane_view, make_kernels, make_lanes, march
+
+    t = np.arange(round(seconds / STEP)) * STEP
+    steer = 0.12 * np.sign(np.sin(2.1 * t)) + 0.08 * np.sin(2 * np.pi * (0.4 + 0.05 * t) * t)
+    speed = 1.2 + 0.6 * np.sign(np.sin(0.37 * t))
+    commands, count = np.column_stack([steer, speed]), len(t)
+    lanes = make_lanes(np.array([[0, count, 0]]), np.zeros(1))
+    first = np.array([[0.0, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0]])
+    path = march(make_kernels(), np.array(TRUE), first, Held(commands, STEP), lanes, count)
+    pose = lane_view(path, 1)[0, :-1, :3]
+    noise = np.random.default_rng(4).normal(size=pose.shape) * [1e-3, 1e-3, 2e-3]
+    return np.column_stack([t, pose + noise, commands])
+
+
+def _import(folder, rows, name):
+    table = folder / f"{name}.csv"
+    lines = [",".join("" if math.isnan(v) else repr(float(v)) for v in row) for row in rows]
+    table.write_text("t,x,y,yaw,steer,speed\n" + "\n".join(lines) + "\n")
+    (folder / "map.toml").write_text(MAP)
+    out = folder / f"{name}.mcap"
+    args = ["import", "csv", str(table), "--map", str(folder / "map.toml"), "-o", str(out)]
+    assert main(args) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return _drive(26.0)
+
+
+@pytest.fixture(scope="module")
+def told(rows, tmp_path_factory):
+    """One diagnosis with every output, shared by the tests."""
+    folder = tmp_path_factory.mktemp("diagnose")
+    session = _import(folder, rows, "run")
+    names = {
+        "--json": "gap.json", "--report": "gap.html", "-o": "car.toml", "--prediction": "told.json"
+    }  # fmt: skip
+    outputs = [arg for flag, name in names.items() for arg in (flag, str(folder / name))]
+    screen, error = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(screen), contextlib.redirect_stderr(error):
+        code = main(["diagnose", str(session), *outputs, "--no-pairs"])
+    assert code == 0, error.getvalue()
+    return folder, screen.getvalue(), error.getvalue()
+
+
+def test_the_screen_names_the_cause_on_one_screen(told):
+    _, screen, _ = told
+    lines = screen.splitlines()
+    assert len(lines) <= LINES
+    assert max(map(len, lines[:-1])) <= COLUMNS
+    assert "steer_delay: delay = " in screen
+    assert "the default car is assumed" in screen
+    assert "cut into blocks of 6.5 s or more" in screen
+    assert lines[-1].startswith("next ")
+    assert "steerd run --sim --fast --duration 20 --car" in lines[-1]
+
+
+def test_json_has_exactly_the_shape_of_the_schema(told):
+    data = json.loads((told[0] / "gap.json").read_text())
+    assert list(data) == [
+        "schema", "verdict", "gap", "where", "causes", "candidates", "next_manoeuvre", "residual"
+    ]  # fmt: skip
+    assert data["schema"] == "steerd.gap/1"
+    assert data["verdict"] in ("explained", "partial")
+    assert set(data["gap"]) == {"before", "after"}
+    assert set(data["where"]) == {
+        "stage", "equation", "channels", "windows", "regimes", "sentence"
+    }  # fmt: skip
+    assert all({"t0", "t1", "share"} <= set(each) for each in data["where"]["windows"])
+    assert all(
+        {"variable", "low", "high", "ratio", "share"} <= set(r) for r in data["where"]["regimes"]
+    )
+    cause = data["causes"][0]
+    assert set(cause) == {
+        "effect", "stage", "family", "parameters", "confidence", "shrink", "ambiguous_with"
+    }  # fmt: skip
+    assert cause["effect"] == "steer_delay"
+    delay = cause["parameters"]["delay"]
+    assert delay["value"] == pytest.approx(0.05, abs=0.006)
+    assert delay["unit"] == "s"
+    assert all(set(each) == {"effect", "gain", "se"} for each in data["candidates"])
+    assert data["residual"]["closed_loop"] is None
+    assert any("closed loop not compared" in note for note in data["residual"]["notes"])
+
+
+def test_the_prediction_is_written_and_hashed_before_it_is_measured(told):
+    folder, screen, error = told
+    prediction = (folder / "told.json").read_bytes()
+    digest = hashlib.sha256(prediction).hexdigest()
+    assert f"predicted before measuring: sha256 {digest}" in error
+    assert digest in screen
+    residual = json.loads((folder / "gap.json").read_text())["residual"]
+    assert residual["prediction"].encode() == prediction
+    assert residual["prediction_sha256"] == digest
+    assert digest in (folder / "gap.html").read_text()
+    shrink = json.loads((folder / "gap.json").read_text())["causes"][0]["shrink"]
+    assert shrink["measured"] > 0.7
+    assert json.loads(prediction)["predicted"] == shrink["predicted"]
+
+
+def test_the_car_file_gets_the_effect_and_drives(told):
+    car = load_car(told[0] / "car.toml")
+    assert [effect.name for effect in car.effects] == ["steer_delay"]
+    assert car.values[0][0] == pytest.approx(0.05, abs=0.006)
+    assert car.sd["steer_delay.delay"] > 0.0
+    assert "run.mcap" in car.source["steer_delay.delay"]
+    assert car.car == DEFAULT_CAR
+
+
+def test_the_report_needs_nothing_else(told):
+    page = (told[0] / "gap.html").read_text()
+    assert len(page) < 2_000_000
+    assert page.count("<svg") >= 6
+    assert not re.search(r"https?://(?!www\.w3\.org)", page)
+    assert not re.search(r"(?:src|href)=\"(?!#)", page)
+    assert "<script" not in page
+    for heading in ("How large the gap is", "Where it lies", "Which effect", "How sure",
+                    "How far the gap shrinks", "What next"):  # fmt: skip
+        assert f"<h2>{heading}</h2>" in page
+
+
+def test_help_says_what_it_does(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["diagnose", "--help"])
+    assert stopped.value.code == 0
+    text = capsys.readouterr().out
+    for option in ("--runs-held-out", "--base", "--only", "--without", "--report", "--dask"):
+        assert option in text
+
+
+# --- what is refused
+
+
+def _millimetres(rows):
+    rows[:, 1:3] *= 1000.0
+
+
+def _clock_step(rows):
+    rows[1200:, 0] += 3.0
+
+
+def _standing(rows):
+    rows[:, 1:4] = rows[0, 1:4]
+
+
+def _crawling(rows):
+    rows[:, 5] = 0.1
+
+
+BROKEN = {
+    "millimetres": (_millimetres, "millimetres"),
+    "clock": (_clock_step, "clock"),
+    "standing": (_standing, "never moved"),
+    "crawling": (_crawling, "m/s"),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_bad_content_is_one_line_with_a_code_and_leaves_nothing(kind, rows, tmp_path, capsys):
+    spoil, words = BROKEN[kind]
+    spoilt = rows.copy()
+    spoil(spoilt)
+    session = _import(tmp_path, spoilt, "bad")
+    before = set(tmp_path.iterdir())
+    capsys.readouterr()
+    out = ["--json", str(tmp_path / "o.json"), "-o", str(tmp_path / "o.toml")]
+    assert main(["diagnose", str(session), *out]) == 4
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") <= 2
+    assert set(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(0.6, "of driving"), (4.0, "of driving")])
+def test_too_short_a_drive_is_refused(seconds, words, rows, tmp_path, capsys):
+    session = _import(tmp_path, rows[: round(seconds / STEP)], "short")
+    assert main(["diagnose", str(session)]) == 4
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "codes"), [(b"", (3, 4)), (b"\x89MCAP0\r\n" + b"\x00" * 40, (3, 4)), (None, (3,))]
+)
+def test_files_that_are_no_sessions(content, codes, tmp_path, capsys):
+    path = tmp_path / "bad.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    assert main(["diagnose", str(path)]) in codes
+    assert capsys.readouterr().err.startswith("steerd: ")
+
+
+def test_a_truncated_session_is_refused_in_a_line(told, tmp_path, capsys):
+    path = tmp_path / "cut.mcap"
+    path.write_bytes((told[0] / "run.mcap").read_bytes()[:400])
+    assert main(["diagnose", str(path)]) in (3, 4)
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_a_session_without_poses_is_refused_with_the_topic(tmp_path, capsys):
+    from steerd.steer_bus.messages import Tick
+    from steerd.steer_bus.session import SessionWriter
+
+    path = tmp_path / "topics.mcap"
+    SessionWriter(path, {"/steerd/car1/tick": Tick}, {}, [], 0).finish({"reason": "end"})
+    assert main(["diagnose", str(path)]) == 4
+    assert "no topic" in capsys.readouterr().err
+
+
+OPTIONS = [
+    (["--only", "wings"], 2, "wings"),
+    (["--without", "steer_dely"], 2, "steer_dely"),
+    (["--only", "steer_lag", "--without", "servo_lag"], 2, "leave no effect"),
+    (["--runs-held-out", "1"], 2, "--runs-held-out 1"),
+    (["--runs-held-out", "none.mcap"], 3, "none.mcap does not exist"),
+    (["--base", "none.toml"], 3, "none.toml"),
+    (["--healthy", "none.mcap"], 3, "none.mcap"),
+    (["--jobs", "0"], 2, "--jobs 0"),
+    (["--report", "nowhere/gap.html"], 3, "nowhere"),
+    (["--json", "drive.mcap"], 2, "that is a session"),
+    (["--runs-held-out", "{run}"], 2, "every session is kept back"),
+    (["--healthy", "{run}"], 2, "its gap would pass for noise"),
+    (["{run}"], 2, "named twice"),
+    (["--report", "."], 3, "that is a folder"),
+]
+
+
+@pytest.mark.parametrize(("options", "code", "words"), OPTIONS, ids=lambda v: str(v)[:40])
+def test_options_that_make_no_sense(options, code, words, told, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    session = str(told[0] / "run.mcap")
+    given = [option.format(run=session) for option in options]
+    assert main(["diagnose", session, *given]) == code
+    error = capsys.readouterr().err
+    assert error.startswith("steerd: ")
+    assert words in error
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("given", "every", "files"),
+    [([], None, 0), (["3"], 3, 0), (["0"], 0, 0), (["a.mcap,b.mcap", "c.mcap"], None, 3)],
+)
+def test_what_is_kept_back(given, every, files):
+    found, paths = parse_held_out(given)
+    assert (found, len(paths)) == (every, files)
+
+
+# --- what is looked at and what is kept back
+
+
+def case_of(*words):
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return make_case(parser.parse_args([str(word) for word in words]), lambda share: None)
+
+
+@pytest.fixture(scope="module")
+def four(rows, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("four")
+    return [_import(folder, rows[i * 650 : (i + 1) * 650], f"run{i}") for i in range(4)]
+
+
+def test_of_many_sessions_every_fourth_is_kept_back_whole(four):
+    case = case_of(*four)
+    assert {run.name for run in case.runs} == {"run0.mcap", "run1.mcap", "run2.mcap"}
+    assert {run.name for run in case.held_out()} == {"run3.mcap"}
+    assert case.held_out_of == "every 4th session: run3.mcap"
+    assert not any("blocks" in note for note in case.notes)
+
+
+def test_named_files_are_kept_back_even_if_they_are_given_twice(four):
+    case = case_of(*four, "--runs-held-out", f"{four[1]},{four[2]}")
+    assert {path.name for path in case.sessions} == {"run0.mcap", "run3.mcap"}
+    assert {run.name for run in case.runs} == {"run0.mcap", "run3.mcap"}
+    assert {run.name for run in case.held_out()} == {"run1.mcap", "run2.mcap"}
+    assert any("2 sessions, cut into blocks" in note for note in case.notes)
+
+
+def test_reserved_sessions_are_not_opened_before_they_are_asked_for(four, tmp_path):
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(b"nothing")
+    case = case_of(*four, "--runs-held-out", broken)
+    with pytest.raises(SteerdError, match=r"broken\.mcap"):
+        case.held_out()
+
+
+def test_blocks_of_one_session_share_no_measurement(told):
+    case = case_of(told[0] / "run.mcap")
+    spans = sorted(
+        (run.start + run.pose.t[0], run.start + run.pose.t[-1])
+        for run in (*case.runs, *case.held_out())
+    )
+    assert len(spans) >= 3
+    assert all(a[1] < b[0] for a, b in itertools.pairwise(spans))
+
+
+def test_windows_of_blocks_reach_a_second_ahead(told):
+    from steerd.sysid.data.windows import make_layout
+
+    layout = make_layout(case_of(told[0] / "run.mcap").runs, 1.0)
+    assert (layout.spans[:, 3] * layout.h).min() >= 0.99
+
+
+def test_too_few_blocks_for_what_is_asked_are_refused(told):
+    with pytest.raises(SteerdError, match="to keep every 4th back"):
+        case_of(told[0] / "run.mcap", "--runs-held-out", "4")
+
+
+def test_nothing_is_kept_back_if_told_so(told):
+    case = case_of(told[0] / "run.mcap", "--runs-held-out", "0")
+    assert case.held_out is None
+    assert any("predicted, not measured" in note for note in case.notes)
+
+
+def test_healthy_drives_and_the_named_base_are_taken(four, told):
+    case = case_of(four[0], "--healthy", f"{four[1]},{four[2]}", "--base", told[0] / "car.toml")
+    assert {run.name for run in case.healthy} == {"run1.mcap", "run2.mcap"}
+    assert [effect.name for effect in case.base.effects] == ["steer_delay"]
+    assert not any("default car" in note for note in case.notes)
+
+
+def test_effects_go_by_their_aliases_too(four):
+    case = case_of(four[0], "--only", "servo_lag", "--only", "steer_delay", "--without", "mass")
+    assert case.only == ("steer_lag", "steer_delay")
+    assert case.without == ("mass",)
+
+
+def test_a_cause_without_a_name_writes_no_effect(told):
+    from types import SimpleNamespace
+
+    case = SimpleNamespace(sessions=(told[0] / "run.mcap",))
+    assert command.learned(case, SimpleNamespace(causes=())) == {}

@@ -1,0 +1,292 @@
+"""`steerd identify` on imported logs: good ones, and every kind that no fit should see."""
+
+import contextlib
+import json
+import math
+
+import numpy as np
+import pytest
+
+from steerd.car_model.car_file import load_car
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.daemon.cli.main import guarded as main
+
+pytestmark = pytest.mark.slow
+
+TRUE = DEFAULT_CAR._replace(steer_gain=0.93, speed_lag=0.14, c_sf=4.3)
+MAP = """[columns]
+t = "t"
+x = "x"
+y = "y"
+yaw = "yaw"
+steer_cmd = "steer"
+speed_cmd = "speed"
+[session]
+car = "lab"
+"""
+STEP = 0.01
+
+
+def _drive(seconds=26.0):
+    """Rows t, x, y, yaw, steer, speed of a drive of the true car with mocap noise."""
+    from steerd.sysid.compiler.kernels import Held, lane_view, make_kernels, make_lanes, march
+
+    t = np.arange(round(seconds / STEP)) * STEP
+    steer = 0.12 * np.sign(np.sin(0.9 * t)) + 0.08 * np.sin(2 * np.pi * (0.4 + 0.05 * t) * t)
+    speed = 1.2 + 0.6 * np.sign(np.sin(0.37 * t))
+    commands, count = np.column_stack([steer, speed]), len(t)
+    lanes = make_lanes(np.array([[0, count, 0]]), np.zeros(1))
+    first = np.array([[0.0, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0]])
+    path = march(make_kernels(), np.array(TRUE), first, Held(commands, STEP), lanes, count)
+    pose = lane_view(path, 1)[0, :-1, :3]
+    noise = np.random.default_rng(4).normal(size=pose.shape) * [1e-3, 1e-3, 2e-3]
+    return np.column_stack([t, pose + noise, commands])
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return _drive()
+
+
+@pytest.fixture
+def importer(tmp_path):
+    def write(rows, name="run"):
+        table = tmp_path / f"{name}.csv"
+        lines = [",".join("" if math.isnan(v) else repr(float(v)) for v in row) for row in rows]
+        table.write_text("t,x,y,yaw,steer,speed\n" + "\n".join(lines) + "\n")
+        (tmp_path / "map.toml").write_text(MAP)
+        out = tmp_path / f"{name}.mcap"
+        args = ["import", "csv", str(table), "--map", str(tmp_path / "map.toml"), "-o", str(out)]
+        assert main(args) == 0
+        return out
+
+    return write
+
+
+def _outputs(folder):
+    names = ("car.toml", "o.json", "r.html")
+    flags = ("-o", "--json", "--report")
+    return [
+        arg for flag, name in zip(flags, names, strict=True) for arg in (flag, str(folder / name))
+    ]
+
+
+FREE = ["--free", "c_sf,c_sr,steer_gain,steer_lag,speed_lag"]
+
+
+def test_a_drive_becomes_a_car_file_json_and_report(rows, importer, tmp_path, capsys):
+    session = importer(rows)
+    capsys.readouterr()
+    given = ["--fix", "mass=3.2"]
+    assert main(["identify", str(session), *FREE, *given, *_outputs(tmp_path)]) == 0
+    screen = capsys.readouterr().out
+    assert "next: steerd run --sim --car" in screen
+    car = load_car(tmp_path / "car.toml")
+    assert car.car.steer_gain == pytest.approx(TRUE.steer_gain, rel=0.02)
+    assert car.car.c_sf == pytest.approx(TRUE.c_sf, rel=0.1)
+    assert car.sd["steer_gain"] > 0.0
+    assert "run.mcap" in car.source["steer_gain"]
+    assert car.car.mass == 3.2
+    assert car.car.cog_height == DEFAULT_CAR.cog_height
+    result = json.loads((tmp_path / "o.json").read_text())
+    last = result["held_out"]["horizons"][-1]
+    assert last["position"] < 0.5 * last["position_before"]
+    assert "<svg" in (tmp_path / "r.html").read_text()
+
+
+@pytest.mark.parametrize("fixed", ["lf=0.15", "lf=0.15,lr=0.18"])
+def test_the_car_that_is_written_has_the_axles_that_were_fitted(
+    fixed, rows, importer, tmp_path, capsys
+):
+    args = ["--fix", fixed, "--wheelbase", "0.33", "--free", "lf,lr,steer_gain,steer_lag"]
+    assert main(["identify", str(importer(rows)), *args, "-o", str(tmp_path / "car.toml")]) == 0
+    car = load_car(tmp_path / "car.toml").car
+    assert (car.lf, car.lr) == (0.15, pytest.approx(0.18))
+    assert car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z * (0.33 / 0.3302) ** 2)
+
+
+def test_steering_of_the_wrong_sign_is_doubted_before_the_fit(rows, importer, capsys):
+    session = importer(rows * [1.0, 1.0, 1.0, 1.0, -1.0, 1.0])
+    capsys.readouterr()
+    main(["identify", str(session), "--free", "steer_lag"])
+    told = capsys.readouterr().err
+    assert "warning: run.mcap:" in told
+    assert "left positive" in told
+
+
+def test_another_drive_validates(rows, importer, tmp_path, capsys):
+    one, two = importer(rows[:1500], "one"), importer(rows[1500:], "two")
+    assert main(["identify", str(one), "--held-out", str(two), *FREE]) == 0
+    assert "prediction of two.mcap" in capsys.readouterr().out
+
+
+def _millimetres(rows):
+    rows[:, 1:3] *= 1000.0
+
+
+def _clock_step(rows):
+    rows[1200:, 0] += 3.0
+
+
+def _degrees(rows):
+    rows[:, 4] = np.degrees(rows[:, 4])
+
+
+def _standing(rows):
+    rows[:, 1:4] = rows[0, 1:4]
+
+
+def _constant(rows):
+    rows[:, 4] = 0.1
+
+
+BROKEN = {
+    "millimetres": (_millimetres, "millimetres"),
+    "clock": (_clock_step, "clock"),
+    "degrees": (_degrees, "is it in degrees?"),
+    "standing": (_standing, "never moved"),
+    "constant": (_constant, "steering is one constant"),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_bad_content_is_one_line_with_a_code_and_leaves_nothing(
+    kind, rows, importer, tmp_path, capsys
+):
+    spoil, words = BROKEN[kind]
+    spoilt = rows.copy()
+    spoil(spoilt)
+    session = importer(spoilt)
+    before = set(tmp_path.iterdir())
+    capsys.readouterr()
+    assert main(["identify", str(session), *_outputs(tmp_path)]) == 4
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") <= 2
+    assert set(tmp_path.iterdir()) == before
+
+
+def test_too_short_a_drive_is_refused(rows, importer, capsys):
+    session = importer(rows[:60])
+    assert main(["identify", str(session)]) == 4
+    assert "of driving" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "code"), [(b"", (3, 4)), (b"\x89MCAP0\r\n" + b"\x00" * 40, (3, 4)), (None, (3,))]
+)
+def test_files_that_are_no_sessions(content, code, tmp_path, capsys):
+    path = tmp_path / "bad.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    assert main(["identify", str(path)]) in code
+    assert capsys.readouterr().err.startswith("steerd: ")
+
+
+def test_a_truncated_session_is_used_or_refused_but_never_crashes(rows, importer, tmp_path, capsys):
+    whole = importer(rows).read_bytes()
+    for share in (0.0005, 0.3):
+        path = tmp_path / f"cut{share}.mcap"
+        path.write_bytes(whole[: int(share * len(whole))])
+        assert main(["identify", str(path)]) in (3, 4)
+        assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["--free", "lenght"],
+        ["--free", "mass.scale"],
+        ["--fix", "mass=heavy"],
+        ["--fix", "lenght=3"],
+        ["--fix", "mass=-3"],
+        ["--fix", "mass=nan"],
+        ["--fix", "lf=0.1,lr=0.15", "--wheelbase", "0.33"],
+        ["--fix", "lf=0.4", "--wheelbase", "0.33"],
+        ["--wheelbase", "324"],
+        ["--held-out", "1"],
+        ["--held-out", "-3"],
+        ["--held-out", "4", "--held-out", "last.mcap"],
+        ["--starts", "0"],
+        ["--jobs", "0"],
+        ["--iterations", "0"],
+        ["--seed", "-1"],
+    ],
+)
+def test_options_that_make_no_sense(args, rows, importer, capsys):
+    assert main(["identify", str(importer(rows)), *args]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("steerd: ")
+    assert "Traceback" not in error
+
+
+def test_an_output_that_cannot_be_written(rows, importer, tmp_path, capsys):
+    session = importer(rows)
+    gone = str(tmp_path / "nowhere" / "o.json")
+    assert main(["identify", str(session), *FREE, "--json", gone]) == 3
+    assert "nowhere" in capsys.readouterr().err
+
+
+def test_a_drive_does_not_judge_its_own_fit(rows, importer, tmp_path, capsys):
+    session = importer(rows)
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes(session.read_bytes())
+    for other in (session, copy):
+        assert main(["identify", str(session), "--held-out", str(other), *FREE]) == 2
+        assert "every session is kept back" in capsys.readouterr().err
+        assert main(["identify", str(session), str(other), *FREE]) == 2
+        assert "name each drive once" in capsys.readouterr().err
+
+
+def test_of_a_folder_the_held_out_session_is_not_fitted(rows, importer, capsys):
+    one, two = importer(rows[:1500], "one"), importer(rows[1500:], "two")
+    capsys.readouterr()
+    assert main(["identify", str(one), str(two), "--held-out", str(two), *FREE]) == 0
+    screen = capsys.readouterr().out
+    assert "prediction of two.mcap" in screen
+    assert "two.mcap" not in screen.partition("prediction of")[0]
+
+
+def test_a_car_file_that_is_missing_is_told_once(tmp_path, capsys):
+    argv = ["identify", str(tmp_path / "a.mcap"), "--car", str(tmp_path / "none.toml")]
+    assert main(argv) == 3
+    error = capsys.readouterr().err
+    assert error.count("check the path") == 1
+
+
+def test_json_to_the_terminal_is_all_that_is_printed(rows, importer, tmp_path, capsys, monkeypatch):
+    session = importer(rows)
+    monkeypatch.chdir(tmp_path)
+    capsys.readouterr()
+    assert main(["identify", str(session), *FREE, "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["schema"] == "steerd.identify/1"
+    assert not (tmp_path / "-").exists()
+
+
+def test_the_noise_is_a_step_with_a_name_and_comes_before_any_file(
+    rows, importer, tmp_path, monkeypatch
+):
+    steps, out = [], tmp_path / "out"
+    out.mkdir()
+
+    @contextlib.contextmanager
+    def shown(label, total):
+        yield lambda done, step="": steps.append((done / total, step))
+
+    def interrupted(car, runs):
+        raise KeyboardInterrupt
+
+    session = importer(rows)
+    monkeypatch.setattr("steerd.daemon.common.progress.show_progress", shown)
+    monkeypatch.setattr("steerd.daemon.cli.commands.analysis.identify.with_noise", interrupted)
+    assert main(["identify", str(session), *FREE, *_outputs(out)]) == 130
+    assert list(out.iterdir()) == []
+    assert [step for _, step in steps] == [
+        "reading the drives",
+        "fitting the car",
+        "drawing the report",
+        "learning the noise for diagnose",
+    ]
+    shares = [share for share, _ in steps]
+    assert shares == sorted(shares)
+    assert shares[-1] < 0.5, "the noise takes longer than all before it"

@@ -1,0 +1,228 @@
+"""`steerd keys`: what it makes, what it refuses, what it says."""
+
+import stat
+import sys
+import tomllib
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from steerd.daemon.cli.main import guarded
+from steerd.daemon.common.errors import ExitCode
+from steerd.steer_bus.lab import load_lab
+
+pytest.importorskip("cryptography")
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+
+def keys(folder, *words):
+    return guarded(["keys", str(folder), *words])
+
+
+@pytest.fixture
+def lab(tmp_path):
+    folder = tmp_path / "lab"
+    people = ["--operator", "desk", "--operator", "tablet", "--viewer", "screen"]
+    assert keys(folder, "--host", "192.168.1.20", "--years", "2", *people) == ExitCode.OK
+    return folder
+
+
+def files(folder):
+    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def certificate(folder):
+    return x509.load_pem_x509_certificate((folder / "cert.pem").read_bytes())
+
+
+def test_only_the_owner_may_read_anything(lab):
+    for path in (lab, *lab.rglob("*")):
+        mode = stat.S_IMODE(path.stat().st_mode)
+        assert mode == (0o600 if path.is_file() else 0o700) or path == lab
+
+
+def test_each_folder_is_all_that_its_machine_needs(lab):
+    for name in ("car1", "desk", "tablet", "screen"):
+        loaded = load_lab(lab / name)
+        assert loaded.car == "car1"
+        assert loaded.endpoint == "tls/192.168.1.20:7447"
+        assert loaded.operators == ("desk", "tablet")
+        assert loaded.viewers == ("screen",)
+        assert not (lab / name / "ca.key").exists()
+
+
+def test_certificates_name_their_holder_and_are_the_authority_s(lab):
+    authority = x509.load_pem_x509_certificate((lab / "authority" / "ca.pem").read_bytes())
+    limits = authority.extensions.get_extension_for_class(x509.BasicConstraints).value
+    assert limits.ca
+    assert limits.path_length == 0
+    for name in ("car1", "desk", "tablet", "screen"):
+        found = certificate(lab / name)
+        found.verify_directly_issued_by(authority)
+        names = found.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+        assert [each.value for each in names] == [name]
+        key = load_pem_private_key((lab / name / "key.pem").read_bytes(), None)
+        assert key.public_key() == found.public_key()
+        assert not found.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+        usage = found.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        server = name == "car1"
+        purpose = ExtendedKeyUsageOID.SERVER_AUTH if server else ExtendedKeyUsageOID.CLIENT_AUTH
+        assert list(usage) == [purpose]
+
+
+@pytest.mark.parametrize(
+    ("host", "endpoint", "kind"),
+    [
+        ("192.168.1.20", "tls/192.168.1.20:7000", x509.IPAddress),
+        ("fd00::5", "tls/[fd00::5]:7000", x509.IPAddress),
+        ("car.lab", "tls/car.lab:7000", x509.DNSName),
+    ],
+)
+def test_the_car_s_certificate_holds_its_address(tmp_path, host, endpoint, kind):
+    assert keys(tmp_path / "lab", "--host", host, "--port", "7000") == ExitCode.OK
+    assert load_lab(tmp_path / "lab" / "car1").endpoint == endpoint
+    found = certificate(tmp_path / "lab" / "car1")
+    names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert [str(value) for value in names.get_values_for_type(kind)] == [host]
+
+
+def test_they_hold_for_the_years_asked(lab):
+    found = certificate(lab / "desk")
+    now = datetime.now(UTC)
+    assert found.not_valid_before_utc < now - timedelta(hours=12)
+    left = found.not_valid_after_utc - now
+    assert timedelta(days=729) < left <= timedelta(days=731)
+
+
+def test_an_operator_is_there_unless_named(tmp_path, capsys):
+    assert keys(tmp_path / "lab", "--host", "10.0.0.2", "--car", "blue") == ExitCode.OK
+    assert load_lab(tmp_path / "lab" / "blue").operators == ("operator",)
+    said = capsys.readouterr().out
+    assert "steerd run --lab blue" in said
+    assert "steerd start --lab operator" in said
+    assert len(said.splitlines()) < 20
+
+
+def test_what_to_copy_where_is_a_screenful(lab, capsys):
+    keys(lab, "--viewer", "tv")
+    said = capsys.readouterr().out.splitlines()
+    assert len(said) < 20
+    assert any("tv" in line and "steerd watch --lab tv" in line for line in said)
+    assert any("authority" in line and "nowhere" in line for line in said)
+
+
+def test_people_are_added_and_the_car_is_told(lab):
+    before = files(lab)
+    assert keys(lab, "--operator", "ann", "--viewer", "tv") == ExitCode.OK
+    after = load_lab(lab / "car1")
+    assert after.operators == ("desk", "tablet", "ann")
+    assert after.viewers == ("screen", "tv")
+    assert load_lab(lab / "ann").operators == after.operators
+    changed = {p for p, data in files(lab).items() if before.get(p, data) != data}
+    assert {str(p) for p in changed} == {"authority/lab.toml", "car1/lab.toml"}
+
+
+def test_people_are_added_when_the_car_s_folder_has_moved_away(lab):
+    for path in (lab / "car1").iterdir():
+        path.unlink()
+    (lab / "car1").rmdir()
+    assert keys(lab, "--operator", "ann") == ExitCode.OK
+    assert not (lab / "car1").exists()
+    roster = tomllib.loads((lab / "authority" / "lab.toml").read_text())
+    assert roster["operators"] == ["desk", "tablet", "ann"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--host", "10.0.0.9"),
+        ("--host", "10.0.0.9", "--operator", "new"),
+        ("--operator", "desk"),
+        ("--viewer", "desk"),
+        ("--operator", "car1"),
+        ("--operator", "new", "--viewer", "new"),
+        ("--operator", "authority"),
+        ("--operator", "../up"),
+        ("--operator", ".hidden"),
+        ("--operator", ""),
+        ("--operator", "a" * 61),
+        (),
+        ("--operator", "new", "--years", "0"),
+        ("--operator", "new", "--years", "nan"),
+        ("--operator", "new", "--port", "70000"),
+    ],
+)
+def test_what_is_there_stays_as_it_is(lab, words, capsys):
+    before = files(lab)
+    assert keys(lab, *words) not in (ExitCode.OK, ExitCode.INTERNAL)
+    assert files(lab) == before
+    assert capsys.readouterr().err.startswith("steerd: ")
+
+
+def test_a_folder_in_the_way_is_not_written_over(lab):
+    (lab / "new").mkdir()
+    assert keys(lab, "--operator", "new") == ExitCode.UNREADABLE
+    assert list((lab / "new").iterdir()) == []
+
+
+@pytest.mark.parametrize("car", ["Car 1", "../car", ""])
+def test_a_car_s_name_is_one_for_the_bus(tmp_path, car):
+    assert keys(tmp_path / "lab", "--host", "10.0.0.2", "--car", car) == ExitCode.USAGE
+    assert not (tmp_path / "lab").exists()
+
+
+def test_adding_needs_a_lab(tmp_path, capsys):
+    assert keys(tmp_path, "--operator", "new") == ExitCode.UNREADABLE
+    error = capsys.readouterr().err
+    assert "--host" in error
+    assert "lab.toml: No such file or directory" in error
+
+
+def test_a_lab_without_an_address_is_none(tmp_path, capsys):
+    assert keys(tmp_path / "lab", "--host", " ") == ExitCode.USAGE
+    assert "--host: no address" in capsys.readouterr().err
+    assert not (tmp_path / "lab").exists()
+
+
+@pytest.mark.parametrize("damage", [b"", b"-----BEGIN PRIVATE KEY-----\nAAAA\n"])
+def test_a_damaged_authority_is_named(lab, damage, capsys):
+    (lab / "authority" / "ca.key").write_bytes(damage)
+    assert keys(lab, "--operator", "new") == ExitCode.UNREADABLE
+    assert "authority" in capsys.readouterr().err
+    assert not (lab / "new").exists()
+
+
+def test_without_the_library_it_says_where_to_get_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "cryptography", None)
+    monkeypatch.delitem(sys.modules, "steerd.daemon.cli.certificates", raising=False)
+    assert keys(tmp_path / "lab", "--host", "10.0.0.2") == ExitCode.UNREADABLE
+    assert "pip install 'steerd[lab]'" in capsys.readouterr().err
+
+
+RUN = ("run", "--sim", "--lab")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--name", "car2"), "are for 'car1', not 'car2'"),
+        (("--listen", "tcp/10.0.0.5:7447"), "--lab speaks TLS"),
+    ],
+)
+def test_run_refuses_what_does_not_fit(lab, words, said, capsys):
+    assert guarded([*RUN, str(lab / "car1"), *words]) == ExitCode.USAGE
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["run --sim", "watch", "status", "arm"])
+def test_a_folder_that_is_none_is_named(tmp_path, command, capsys):
+    assert guarded([*command.split(), "--lab", str(tmp_path)]) == ExitCode.INVALID
+    assert "steerd keys" in capsys.readouterr().err
+
+
+def test_dialling_where_nobody_is_names_the_lab(lab, tmp_path, capsys):
+    where = ["--connect", "tls/127.0.0.1:9", "--lab", str(lab / "desk")]
+    assert guarded(["status", *where]) == ExitCode.UNREACHABLE
+    assert "of the same lab" in capsys.readouterr().err

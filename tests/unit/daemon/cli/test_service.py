@@ -1,0 +1,131 @@
+"""The service: a unit that says what it must, arguments that survive it, heartbeats."""
+
+import configparser
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.service import make_unit, unit_path
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.ipc.sd_notify import make_notify
+from steerd.daemon.setup.probe import UDEV_RULE
+
+OPTIONS = ["--port", "/dev/vesc", "--mocap", "natnet://10.0.0.2/car?up=y&unicast=1"]
+
+
+def read(text):
+    parser = configparser.ConfigParser(strict=False, interpolation=None)
+    parser.optionxform = str
+    parser.read_string(text)
+    return parser
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    return tmp_path / "config" / "systemd" / "user" / "steerd.service"
+
+
+def test_install_print_uninstall(home, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "car.toml").write_text(_default_car())
+    options = [*OPTIONS, "--car", "car.toml"]
+    assert guarded(["service", "install", "--user", *options]) == 0
+    said = capsys.readouterr().out
+    assert "systemctl --user enable --now steerd" in said
+    assert len(said.splitlines()) < 8
+    unit = read(home.read_text())["Service"]
+    assert unit["Type"] == "notify"
+    assert unit["NotifyAccess"] == "all"
+    assert 2 <= int(unit["WatchdogSec"]) <= 10
+    assert unit["KillMode"] == "mixed"
+    assert shlex.split(unit["ExecStart"]) == [
+        sys.executable, "-m", "steerd", "run", *OPTIONS, "--car", str(tmp_path / "car.toml")
+    ]  # fmt: skip
+    assert guarded(["service", "print", *options]) == 0
+    assert capsys.readouterr().out == home.read_text()
+    other = [*options, "--speed", "0.5"]
+    assert guarded(["service", "install", *other]) == 2
+    assert guarded(["service", "install", "--force", *other]) == 0
+    assert "--speed 0.5" in home.read_text()
+    assert guarded(["service", "uninstall", "--user"]) == 0
+    assert not home.exists()
+    assert guarded(["service", "uninstall"]) == 3
+
+
+def _default_car():
+    from steerd.car_model.car_file import default_car_path
+
+    return default_car_path().read_text()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["--port", "/dev/vesc"],
+        ["--sim", "--auto-arm"],
+        ["--sim", "--fast"],
+        [*OPTIONS, "--path", "loop"],
+        [*OPTIONS, "--rate", "5"],
+    ],
+)
+def test_what_could_not_run_is_not_installed(home, wrong):
+    assert guarded(["service", "install", *wrong]) == 2
+    assert not home.exists()
+
+
+def test_arguments_with_meaning_to_systemd_survive():
+    unit = make_unit(["steerd", "a b", "50%", "$HOME"], "car1", user=False)
+    line = read(unit)["Service"]["ExecStart"]
+    words = [w.replace("%%", "%").replace("$$", "$") for w in shlex.split(line)]
+    assert words == ["steerd", "a b", "50%", "$HOME"]
+    assert read(unit)["Install"]["WantedBy"] == "multi-user.target"
+    with pytest.raises(SteerdError, match="unit file"):
+        make_unit(["steerd", "a\nExecStartPre=x"], "car1", user=True)
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd on this machine")
+def test_systemd_finds_nothing_wrong(tmp_path):
+    file = tmp_path / "steerd.service"
+    file.write_text(make_unit([sys.executable, "-m", "steerd", "run"], "car1", user=True))
+    done = subprocess.run(
+        ["systemd-analyze", "--user", "verify", str(file)], capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert "steerd.service" not in done.stderr, done.stderr
+
+
+def test_where_units_lie(tmp_path):
+    assert unit_path(True, {"XDG_CONFIG_HOME": "/x"}).as_posix() == (
+        "/x/systemd/user/steerd.service"
+    )
+    assert unit_path(False, {}).as_posix() == "/etc/systemd/system/steerd.service"
+
+
+def test_udev(capsys):
+    assert guarded(["service", "udev"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == UDEV_RULE
+
+
+@pytest.mark.parametrize("abstract", [False, True])
+def test_notifications_arrive_and_never_block(tmp_path, abstract):
+    name = f"@steerd-test-{tmp_path.name}" if abstract else str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind("\0" + name[1:] if abstract else name)
+        manager.settimeout(2.0)
+        notify = make_notify({"NOTIFY_SOCKET": name})
+        notify("READY=1")
+        assert manager.recv(64) == b"READY=1"
+        for _ in range(2000):  # more than the queue holds
+            notify("WATCHDOG=1")
+    notify("WATCHDOG=1")  # the manager is gone
+
+
+def test_without_a_manager_nothing_happens():
+    make_notify({})("READY=1")
+    make_notify({"NOTIFY_SOCKET": "elsewhere"})("READY=1")

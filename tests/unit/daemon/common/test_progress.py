@@ -1,0 +1,46 @@
+"""The bar of a long command names its step on a terminal, and is silent elsewhere."""
+
+import io
+import sys
+
+from steerd.daemon.common.progress import show_progress
+
+
+class Terminal(io.StringIO):
+    """Standard error that somebody looks at."""
+
+    def isatty(self):
+        return True
+
+
+def watched(monkeypatch):
+    """A terminal of 120 columns, in place of standard error."""
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    return terminal
+
+
+def test_the_step_stands_beside_the_bar(monkeypatch):
+    seen = watched(monkeypatch)
+    with show_progress("identifying", 2.0) as advance:
+        advance(1.0, "learning the noise")
+    assert "identifying: learning the noise" in seen.getvalue()
+    assert "50%" in seen.getvalue()
+
+
+def test_a_step_without_a_name_keeps_the_last_one(monkeypatch):
+    seen = watched(monkeypatch)
+    with show_progress("diagnosing", 4.0) as advance:
+        advance(1.0, "where")
+        advance(3.0)
+    assert "diagnosing: where" in seen.getvalue().rpartition("75%")[0][-120:]
+
+
+def test_nothing_is_written_where_nobody_looks(monkeypatch):
+    unseen = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", unseen)
+    with show_progress("identifying", 2.0) as advance:
+        advance(1.0, "learning the noise")
+    assert unseen.getvalue() == ""

@@ -1,0 +1,374 @@
+"""ROS 1 and ROS 2 bags, written by rosbags itself, become the session that they hold."""
+
+import importlib.util
+import math
+import sys
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.imports.bag import RIGIDS, RIGIDS_TEXT, BagChoice, import_bag
+from steerd.steer_bus.messages import Actuation, MocapPose, VescTelemetry, WheelSpeed
+from steerd.steer_bus.session import open_session
+
+START = 1_726_480_861_000_000_000
+ACKERMANN = """Header header
+ackermann_msgs/AckermannDrive drive
+================================================================================
+MSG: ackermann_msgs/AckermannDrive
+float32 steering_angle
+float32 steering_angle_velocity
+float32 speed
+float32 acceleration
+float32 jerk
+"""
+VESC_1 = """Header header
+vesc_msgs/VescState state
+================================================================================
+MSG: vesc_msgs/VescState
+float64 voltage_input
+float64 temperature_pcb
+float64 current_motor
+float64 current_input
+float64 speed
+float64 duty_cycle
+float64 charge_drawn
+float64 charge_regen
+float64 energy_drawn
+float64 energy_regen
+float64 displacement
+float64 distance_traveled
+int32 fault_code
+"""
+VESC_2 = """std_msgs/Header header
+vesc_msgs/VescState state
+================================================================================
+MSG: vesc_msgs/VescState
+float64 temp_fet
+float64 temp_motor
+float64 current_motor
+float64 current_input
+float64 avg_id
+float64 avg_iq
+float64 duty_cycle
+float64 speed
+float64 voltage_input
+float64 charge_drawn
+float64 charge_regen
+float64 energy_drawn
+float64 energy_regen
+int32 displacement
+int32 distance_traveled
+int32 fault_code
+float64 pid_pos_now
+int32 controller_id
+float64 ntc_temp_mos1
+float64 ntc_temp_mos2
+float64 ntc_temp_mos3
+float64 avg_vd
+float64 avg_vq
+"""
+RIGIDS_1 = RIGIDS_TEXT.replace("float64 heading_y\n", "")
+
+
+class Bag:
+    """Makes one bag, ROS 1 or ROS 2."""
+
+    def __init__(self, path, kind):
+        self.path, self.ros1 = path, kind == "ros1"
+        self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
+        for name, text in {
+            "ackermann_msgs/msg/AckermannDriveStamped": ACKERMANN,
+            "vesc_msgs/msg/VescStateStamped": VESC_1 if self.ros1 else VESC_2,
+            RIGIDS: RIGIDS_1 if self.ros1 else RIGIDS_TEXT,
+        }.items():
+            text = text if self.ros1 else text.replace("Header header", "std_msgs/Header header", 1)
+            text = text.replace("std_msgs/std_msgs", "std_msgs")
+            known = self.store.fielddefs
+            types = get_types_from_msg(text, name)
+            self.store.register({k: v for k, v in types.items() if k not in known})
+        plugin = StoragePlugin.SQLITE3 if kind == "db3" else StoragePlugin.MCAP
+        self.writer = (
+            Writer1(path) if self.ros1 else Writer2(path, version=8, storage_plugin=plugin)
+        )
+        self.connections = {}
+
+    def __enter__(self):
+        self.writer.open()
+        return self
+
+    def __exit__(self, *_):
+        self.writer.close()
+
+    def type(self, name):
+        return self.store.types[name]
+
+    def header(self, t_ns):
+        time = self.type("builtin_interfaces/msg/Time")(t_ns // 10**9, t_ns % 10**9)
+        seq = (0,) if self.ros1 else ()
+        return self.type("std_msgs/msg/Header")(*seq, time, "map")
+
+    def add(self, topic, kind, t_ns, *values, stamp_ns=None):
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
+        header = self.header(t_ns if stamp_ns is None else stamp_ns)
+        message = self.type(kind)(header, *values)
+        serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+        self.writer.write(self.connections[topic], t_ns, serialize(message, kind))
+
+    def raw_pose(self, x, y, yaw):
+        point = self.type("geometry_msgs/msg/Point")(x, y, 0.1)
+        turn = self.type("geometry_msgs/msg/Quaternion")
+        return self.type("geometry_msgs/msg/Pose")(
+            point, turn(0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+        )
+
+    def pose(self, topic, t_ns, x, y, yaw, **more):
+        self.add(topic, "geometry_msgs/msg/PoseStamped", t_ns, self.raw_pose(x, y, yaw), **more)
+
+    def odometry(self, topic, t_ns, x, y, yaw, speed):
+        vector, covariance = self.type("geometry_msgs/msg/Vector3"), np.zeros(36)
+        pose = self.type("geometry_msgs/msg/PoseWithCovariance")(
+            self.raw_pose(x, y, yaw), covariance
+        )
+        twist = self.type("geometry_msgs/msg/Twist")(vector(speed, 0.0, 0.0), vector(0.0, 0.0, 0.0))
+        twist = self.type("geometry_msgs/msg/TwistWithCovariance")(twist, covariance)
+        self.add(topic, "nav_msgs/msg/Odometry", t_ns, "base_link", pose, twist)
+
+    def drive(self, topic, t_ns, steer, speed):
+        drive = self.type("ackermann_msgs/msg/AckermannDrive")(steer, 0.0, speed, 0.0, 0.0)
+        self.add(topic, "ackermann_msgs/msg/AckermannDriveStamped", t_ns, drive)
+
+    def vesc(self, topic, t_ns, **values):
+        cls = self.type("vesc_msgs/msg/VescState")
+        names = [name for name in cls.__dataclass_fields__ if not name.startswith("_")]
+        names = [n for n in names if n.islower()]
+        state = cls(*[values.get(name, 0) for name in names])
+        self.add(topic, "vesc_msgs/msg/VescStateStamped", t_ns, state)
+
+    def rigids(self, topic, t_ns, bodies, **more):
+        cls = self.type("phasespace_msgs/msg/Rigid")
+        made = []
+        for key, x, y, z, cond in bodies:
+            heading = () if self.ros1 else (0.0,)
+            made.append(cls(key, 0, 0, x, y, z, 1.0, 0.0, 0.0, 0.0, *heading, cond))
+        self.add(topic, RIGIDS, t_ns, made, **more)
+
+
+def make_bag(folder, kind, fill):
+    path = folder / ("run.bag" if kind == "ros1" else "run")
+    with Bag(path, kind) as bag:
+        fill(bag)
+    return path
+
+
+def convert(folder, bag, *, topics=(), rigid=None, the_map=None):
+    map_path = None
+    if the_map:
+        map_path = folder / "map.toml"
+        map_path.write_text(the_map)
+    out = folder / "out.mcap"
+    report = import_bag(bag, map_path, out, BagChoice(tuple(topics), rigid), lambda done: None)
+    return report, open_session(out)
+
+
+def refuse(folder, bag, **more):
+    with pytest.raises(SteerdError) as caught:
+        convert(folder, bag, **more)
+    assert "\n" not in str(caught.value)
+    assert not list(folder.glob("out*"))
+    return caught.value
+
+
+def drive(bag):
+    for i in range(20):
+        t_ns = START + i * 10_000_000
+        bag.pose("/vrpn/car/pose", t_ns, 0.1 * i, 1.0, 0.5, stamp_ns=t_ns - 5_000_000)
+        bag.drive("/drive", t_ns + 1, 0.25, 1.5)
+        bag.vesc(
+            "/core", t_ns + 2, speed=4614.0, voltage_input=11.5, temperature_pcb=31.0, temp_fet=31.0
+        )
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap", "db3"])
+def test_a_drive_comes_over_whole(tmp_path, kind):
+    report, session = convert(tmp_path, make_bag(tmp_path, kind, drive))
+    assert report.counts == {"mocap": 20, "actuation": 20, "vesc": 20}
+    pose = session.columns(MocapPose)
+    assert pose["x"] == pytest.approx(0.1 * np.arange(20))
+    assert pose["yaw"] == pytest.approx(np.full(20, 0.5))
+    assert pose["stamp_ns"].tolist() == [START + i * 10_000_000 - 5_000_000 for i in range(20)]
+    assert (pose["t_arrival_ns"] - pose["t_valid_ns"]).tolist() == [5_000_000] * 20
+    command = session.columns(Actuation)
+    assert set(command["steer"]) == {0.25}
+    assert set(command["speed"]) == {1.5}
+    vesc = session.columns(VescTelemetry)
+    assert set(vesc["erpm"]) == {4614}
+    assert set(vesc["v_in"]) == {11.5}
+    assert set(vesc["temp_fet"]) == {31.0}
+    about = session.info().metadata["steerd.session"]
+    assert about["mode"] == "import"
+    assert len(about["source_sha256"]) == 64
+    assert int(about["epoch_ns"]) == START
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_odometry_gives_pose_and_wheel_speed(tmp_path, kind):
+    def fill(bag):
+        for i in range(5):
+            bag.odometry("/odom", START + i, 1.0 * i, 0.0, 0.1, 2.5)
+
+    _, session = convert(
+        tmp_path, make_bag(tmp_path, kind, fill), topics=["pose=/odom", "wheel=/odom"]
+    )
+    assert session.columns(MocapPose)["x"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert session.columns(WheelSpeed)["speed"].tolist() == [2.5] * 5
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap", "db3"])
+def test_phasespace_rigids(tmp_path, kind):
+    def fill(bag):
+        for i in range(4):
+            bodies = [(1, 1000.0, 2.0, 3.0, 5.0), (2, 0.0, 0.0, 0.0, 5.0)]
+            bag.rigids("/phasespace/rigids", START + i, bodies)
+        bag.rigids("/phasespace/rigids", START + 9, [(1, 0.0, 0.0, 0.0, -1.0)])
+
+    bag = make_bag(tmp_path, kind, fill)
+    error = refuse(tmp_path, bag)
+    assert "1, 2" in error.what
+    assert "--rigid" in error.hint
+    the_map = '[frame]\nunits = "mm"\nup = "y"\nbody_forward = "+x"\n'
+    report, session = convert(tmp_path, bag, rigid=1, the_map=the_map)
+    pose = session.columns(MocapPose)
+    assert pose["x"] == pytest.approx([1.0] * 4)
+    assert pose["y"] == pytest.approx([-0.003] * 4)
+    assert pose["height"] == pytest.approx([0.002] * 4)
+    assert report.notes == ("1 frames without the rigid body were left out",)
+
+
+def two_poses(bag):
+    bag.pose("/a", START, 1.0, 0.0, 0.0)
+    bag.pose("/b", START + 1, 2.0, 0.0, 0.0)
+    bag.drive("/drive", START + 2, 0.1, 1.0)
+
+
+def test_several_topics_must_be_chosen(tmp_path):
+    bag = make_bag(tmp_path, "mcap", two_poses)
+    error = refuse(tmp_path, bag)
+    assert "/a (PoseStamped), /b (PoseStamped)" in error.what
+    assert (error.hint, error.code) == ("choose each with --topic TOPIC", ExitCode.USAGE)
+    report, session = convert(tmp_path, bag, topics=["/b"])
+    assert session.columns(MocapPose)["x"].tolist() == [2.0]
+    assert report.counts["actuation"] == 1
+
+
+def test_the_map_may_choose(tmp_path):
+    bag = make_bag(tmp_path, "mcap", two_poses)
+    the_map = '[topics]\npose = "/a"\n[session]\ncar = "blue"\n'
+    _, session = convert(tmp_path, bag, the_map=the_map)
+    assert session.columns(MocapPose, "/steerd/blue/mocap")["x"].tolist() == [1.0]
+
+
+@pytest.mark.parametrize(
+    ("topic", "words"),
+    [
+        ("/none", "no messages on /none"),
+        ("pose=/drive", "cannot use"),
+        ("body=/a", "none of pose"),
+        ("=/a", "none of pose"),
+    ],
+)
+def test_a_choice_that_does_not_fit(tmp_path, topic, words):
+    assert words in refuse(tmp_path, make_bag(tmp_path, "mcap", two_poses), topics=[topic]).what
+
+
+def test_a_bag_of_other_things(tmp_path):
+    def fill(bag):
+        point = bag.type("geometry_msgs/msg/Point")(0.0, 0.0, 0.0)
+        bag.add("/point", "geometry_msgs/msg/PointStamped", START, point)
+
+    error = refuse(tmp_path, make_bag(tmp_path, "mcap", fill))
+    assert "/point (geometry_msgs/msg/PointStamped)" in error.hint
+
+
+def test_a_bag_without_messages(tmp_path):
+    assert "no topic" in refuse(tmp_path, make_bag(tmp_path, "mcap", lambda bag: None)).what
+
+
+def test_stamps_of_another_clock_are_not_used(tmp_path):
+    def fill(bag):
+        for i in range(3):
+            bag.pose("/a", START + i * 10**9, 1.0, 0.0, 0.0, stamp_ns=77 * 10**9)
+
+    report, session = convert(tmp_path, make_bag(tmp_path, "mcap", fill))
+    assert session.columns(MocapPose)["t_valid_ns"].tolist() == [0, 10**9, 2 * 10**9]
+    assert "another clock" in report.notes[0]
+
+
+def test_poses_that_are_none_are_counted(tmp_path):
+    def fill(bag):
+        bag.pose("/a", START, math.nan, 0.0, 0.0)
+        bag.pose("/a", START + 1, 1.0, 0.0, 0.0)
+
+    report, session = convert(tmp_path, make_bag(tmp_path, "mcap", fill))
+    assert session.columns(MocapPose)["x"].tolist() == [1.0]
+    assert report.notes == ("1 pose messages hold no finite values and were left out",)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_damaged_bags_are_one_line(tmp_path, kind):
+    path = make_bag(tmp_path, kind, drive)
+    file = path if kind == "ros1" else next(path.glob("*.mcap"))
+    data = file.read_bytes()
+    rng = np.random.default_rng(5)
+    refused = 0
+    for percent in range(0, 100, 5):
+        bad = bytearray(data[: len(data) * percent // 100] if percent % 10 else data)
+        for _ in range(8):
+            if bad:
+                bad[int(rng.integers(len(bad)))] ^= 1 << int(rng.integers(8))
+        file.write_bytes(bytes(bad))
+        try:
+            convert(tmp_path, path)
+        except SteerdError as error:
+            refused += "\n" not in str(error)
+        else:
+            refused += 1
+            (tmp_path / "out.mcap").unlink()
+        assert not list(tmp_path.glob("out*"))
+    assert refused == 20
+
+
+def test_what_is_no_bag(tmp_path):
+    (tmp_path / "a.bag").write_text("hello")
+    (tmp_path / "folder").mkdir()
+    for name in ("a.bag", "folder", "none.bag", "none"):
+        assert refuse(tmp_path, tmp_path / name).code == ExitCode.UNREADABLE
+
+
+def test_without_rosbags_it_says_what_to_install(tmp_path, monkeypatch):
+    assert importlib.util.find_spec("rosbags") is not None
+    for name in [name for name in sys.modules if name.split(".")[0] == "rosbags"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0")
+    error = refuse(tmp_path, tmp_path / "a.bag")
+    assert "rosbags" in error.what
+    assert "[bag]" in error.hint
+
+
+def test_rosbags_reads_the_session_back(tmp_path):
+    convert(tmp_path, make_bag(tmp_path, "ros1", drive))
+    with AnyReader([tmp_path / "out.mcap"]) as reader:
+        poses = [
+            reader.deserialize(data, c.msgtype)
+            for c, _, data in reader.messages()
+            if c.topic == "/steerd/car/mocap"
+        ]
+    assert [pose.x for pose in poses] == pytest.approx([0.1 * i for i in range(20)])

@@ -1,0 +1,299 @@
+"""A csv file becomes the session that its map says: every cell, every refusal, no leftovers."""
+
+import hashlib
+import math
+import os
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.imports.csv_log import import_csv
+from steerd.daemon.imports.csv_table import LINE_MAX
+from steerd.steer_bus.messages import (
+    Actuation,
+    ActuationMode,
+    MocapPose,
+    Throttle,
+    VescImu,
+    VescTelemetry,
+    WheelSpeed,
+)
+from steerd.steer_bus.session import open_session
+
+ALL = """[columns]
+t = "t"
+x = "x"
+y = "y"
+yaw = "yaw"
+steer_cmd = "steer"
+speed_cmd = "speed"
+throttle = "gas"
+wheel_speed = "wheel"
+erpm = "erpm"
+yaw_rate = "wz"
+"""
+HEADER = "t,x,y,yaw,steer,speed,gas,wheel,erpm,wz\n"
+WHEEL = '[columns]\nt = "t"\nwheel_speed = "v"\n'
+
+
+def convert(folder, text, the_map=ALL, name="run.csv"):
+    source, map_path, out = folder / name, folder / "map.toml", folder / "out.mcap"
+    if isinstance(text, bytes):
+        source.write_bytes(text)
+    else:
+        source.write_text(text, encoding="utf-8")
+    map_path.write_text(the_map)
+    report = import_csv(source, map_path, out, lambda done: None)
+    return report, open_session(out)
+
+
+def refuse(folder, text, the_map=ALL):
+    with pytest.raises(SteerdError) as caught:
+        convert(folder, text, the_map)
+    assert "\n" not in str(caught.value)
+    assert not list(folder.glob("out*")), "something was left behind"
+    return caught.value
+
+
+def test_every_stream_becomes_its_message(tmp_path):
+    report, session = convert(
+        tmp_path, HEADER + "0.5,1,2,0.25,0.1,1.5,0.3,1.4,6000,0.7\n1.0,1.5,2,4,,,,,,\n"
+    )
+    assert report.counts == {
+        "mocap": 2, "actuation": 1, "vesc": 1, "wheel": 1, "throttle": 1, "imu": 1,
+    }  # fmt: skip
+    pose = session.columns(MocapPose)
+    assert pose["x"].tolist() == [1.0, 1.5]
+    assert pose["y"].tolist() == [2.0, 2.0]
+    assert pose["yaw"] == pytest.approx([0.25, 4 - 2 * math.pi])
+    assert pose["t_valid_ns"].tolist() == [500_000_000, 1_000_000_000]
+    assert pose["reject"].tolist() == ["", ""]
+    assert pose["tracking_valid"].tolist() == [1, 1]
+    command = session.columns(Actuation)
+    assert command["mode"].tolist() == [ActuationMode.SPEED]
+    assert (command["steer"][0], command["speed"][0]) == (0.1, 1.5)
+    assert session.columns(VescTelemetry)["erpm"].tolist() == [6000]
+    assert session.columns(VescTelemetry)["tachometer"].tolist() == [-1]
+    assert math.isnan(session.columns(VescTelemetry)["v_in"][0])
+    assert session.columns(WheelSpeed)["speed"].tolist() == [1.4]
+    assert session.columns(WheelSpeed)["t_ns"].tolist() == [500_000_000]
+    assert session.columns(Throttle)["throttle"].tolist() == [0.3]
+    imu = session.columns(VescImu)
+    assert imu["gyro_z"].tolist() == [0.7]
+    assert math.isnan(imu["accel_x"][0])
+
+
+def test_metadata_says_where_it_comes_from(tmp_path):
+    the_map = ALL + '[session]\ncar = "red"\nepoch = 1726480861\ncomment = "dry"\n'
+    text = HEADER + "2,1,2,0,,,,,,\n"
+    _, session = convert(tmp_path, text, the_map)
+    about = session.info().metadata["steerd.session"]
+    assert (about["mode"], about["car"], about["source"]) == ("import", "red", "run.csv")
+    assert about["source_sha256"] == hashlib.sha256(text.encode()).hexdigest()
+    assert session.attachment("map.toml").decode() == the_map
+    assert session.info().clean
+    assert [topic.name for topic in session.info().topics if topic.count] == ["/steerd/red/mocap"]
+    assert session.info().start_ns == 1_726_480_863_000_000_000
+    assert session.columns(MocapPose)["stamp_ns"].tolist() == [1_726_480_863_000_000_000]
+
+
+def test_a_channel_without_a_value_is_nan_and_a_stream_without_one_is_silent(tmp_path):
+    rows = "0,,,,0.1,,,,,\n1,,,,,2,,,,\n2,nan,NaN,NA,,,,1,,null\n3,1,2,,,,,,,\n"
+    report, session = convert(tmp_path, HEADER + rows)
+    command = session.columns(Actuation)
+    np.testing.assert_equal(command["steer"], [0.1, math.nan])
+    np.testing.assert_equal(command["speed"], [math.nan, 2.0])
+    assert report.counts["mocap"] == 0
+    assert report.counts["wheel"] == 1
+    assert report.notes == ("1 rows hold a part of a pose and were left out of it",)
+
+
+def test_scale_offset_and_gate(tmp_path):
+    the_map = (
+        '[columns]\nt = { column = "ms", scale = 1e-3 }\n'
+        'wheel_speed = { column = "rpm", scale = 0.01, offset = -1.0 }\n'
+        'throttle = { column = "gas", scale = 2.0, offset = 0.5, gate = "safe" }\n'
+    )
+    _, session = convert(tmp_path, "ms,rpm,gas,safe\n1500,300,0.2,1\n1600,100,0.2,0\n", the_map)
+    assert session.columns(WheelSpeed)["speed"].tolist() == [2.0, 0.0]
+    assert session.columns(WheelSpeed)["t_ns"].tolist() == [1_500_000_000, 1_600_000_000]
+    assert session.columns(Throttle)["throttle"].tolist() == [0.9, 0.0]
+
+
+def test_the_frame_moves_the_pose_to_the_centre_of_gravity(tmp_path):
+    the_map = ALL + "[frame]\nmarker_rear_x = 0.115\ncog_ahead_of_rear = 0.093\n"
+    _, session = convert(tmp_path, HEADER + f"0,1,2,{math.pi / 2},,,,,,\n", the_map)
+    pose = session.columns(MocapPose)
+    assert (pose["x"][0], pose["y"][0]) == pytest.approx((1.0, 2.0 - 0.022))
+    assert (pose["x_raw"][0], pose["y_raw"][0]) == (1.0, 2.0)
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", "|", " ", ", "])
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+@pytest.mark.parametrize("start", ["", "\ufeff", "# ", "\n\n"])
+def test_delimiters_and_headers_that_labs_write(tmp_path, delimiter, newline, start):
+    rows = [["t", "v", "note"], ["0.5", "1.25", "7"], ["0.75", "-3e-1", "8"]]
+    text = start + newline.join(delimiter.join(row) for row in rows)
+    _, session = convert(tmp_path, text.encode(), WHEEL)
+    assert session.columns(WheelSpeed)["speed"].tolist() == [1.25, -0.3]
+
+
+def test_quoted_names_and_decimal_commas(tmp_path):
+    the_map = '[columns]\nt = "time, s"\nwheel_speed = "v"\n'
+    _, session = convert(tmp_path, '"time, s";"v"\n0,5;1,25\n', the_map)
+    assert session.columns(WheelSpeed)["t_ns"].tolist() == [500_000_000]
+    assert session.columns(WheelSpeed)["speed"].tolist() == [1.25]
+
+
+def test_times_before_zero_raise_the_epoch(tmp_path):
+    _, session = convert(tmp_path, "t,v\n-2.5,1\n-1.5,2\n", WHEEL)
+    assert session.info().start_ns == 0
+    assert session.columns(WheelSpeed)["t_ns"].tolist() == [-2_500_000_000, -1_500_000_000]
+
+
+def test_unix_seconds_as_they_are(tmp_path):
+    _, session = convert(tmp_path, "t,v\n1726480861.25,1\n1726480861.5,2\n", WHEEL)
+    assert session.info().start_ns == 1_726_480_861_250_000_000
+
+
+def test_equal_times_are_kept_and_counted(tmp_path):
+    report, session = convert(tmp_path, "t,v\n1,1\n1,2\n", WHEEL)
+    assert session.columns(WheelSpeed)["speed"].tolist() == [1.0, 2.0]
+    assert report.notes == ("1 rows repeat the time of the row before",)
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "code"),
+    [
+        ("", "is empty", ExitCode.UNREADABLE),
+        ("\n \n", "blank", ExitCode.UNREADABLE),
+        (b"t,v\n0,\xff\xfe\n", "no UTF-8", ExitCode.UNREADABLE),
+        ("t,v\n", "holds no sample", ExitCode.INVALID),
+        ("t,v\n0,\n1,nan\n", "holds no sample", ExitCode.INVALID),
+        ("t,w\n0,1\n", "no column 'v'", ExitCode.INVALID),
+        ("t,v,v\n0,1,2\n", "2 columns named 'v'", ExitCode.INVALID),
+        ("t,v\n0,1\n1,abc\n", "row 3, column 'v': 'abc' is not a number", ExitCode.INVALID),
+        ("t,v\n0,inf\n", "row 2, column 'v': 'inf'", ExitCode.INVALID),
+        ("t,v\n0,1_0\n", "row 2, column 'v'", ExitCode.INVALID),
+        ("t,v\n0,1e999\n", "row 2, column 'v'", ExitCode.INVALID),
+        ("t,v\n0,1\n2,1\n1,1\n", "row 4, column 't': time goes back by 1 s after row 3", 4),
+        ("t,v\n0,1\n,1\n", "row 3, column 't': no time", ExitCode.INVALID),
+        ("t,v\n0,1,2\n", "row 2: 3 cells under 2 column names", ExitCode.INVALID),
+        ("t,v\n1e10,1\n", "row 2, column 't': 1e+10 s is no time", ExitCode.INVALID),
+        ("t,v\n" + "1" * LINE_MAX, "row 2: more than", ExitCode.INVALID),
+        ('t,v\n0,"1' + "1" * 140_000 + '"\n', "row 2: field larger", ExitCode.INVALID),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said_where_it_is(tmp_path, text, words, code):
+    error = refuse(tmp_path, text, WHEEL)
+    assert words in error.what
+    assert error.code == code
+
+
+def test_a_missing_column_names_its_nearest(tmp_path):
+    error = refuse(tmp_path, "t,Wheel_Speed,other\n0,1,1\n", WHEEL.replace('"v"', '"wheel_speed"'))
+    assert "'Wheel_Speed'" in error.hint
+    assert "other" not in error.hint
+
+
+def test_milliseconds_are_suspected(tmp_path):
+    assert "scale = 0.001" in refuse(tmp_path, "t,v\n1726480861250,1\n", WHEEL).hint
+
+
+def test_erpm_has_a_range(tmp_path):
+    the_map = '[columns]\nt = "t"\nerpm = "v"\n'
+    assert "no motor speed" in refuse(tmp_path, "t,v\n0,1e10\n", the_map).what
+
+
+def test_a_map_without_columns(tmp_path):
+    assert "[columns]" in refuse(tmp_path, "t,v\n0,1\n", '[session]\ncar = "a"\n').what
+
+
+@pytest.mark.parametrize("name", ["there.mcap", "out.csv"])
+def test_the_output_is_checked_first(tmp_path, name):
+    out = tmp_path / name
+    if out.suffix == ".mcap":
+        out.write_bytes(b"precious")
+    with pytest.raises(SteerdError) as caught:
+        import_csv(tmp_path / "none.csv", tmp_path / "none.toml", out, lambda done: None)
+    assert caught.value.code == ExitCode.USAGE
+    assert out.suffix == ".csv" or out.read_bytes() == b"precious"
+
+
+def test_what_is_no_file(tmp_path):
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "map.toml").write_text(WHEEL)
+    for name in ("", "fifo", "none"):
+        with pytest.raises(SteerdError) as caught:
+            import_csv(
+                tmp_path / name, tmp_path / "map.toml", tmp_path / "o.mcap", lambda done: None
+            )
+        assert caught.value.code == ExitCode.UNREADABLE
+
+
+def test_a_missing_folder_for_the_output(tmp_path):
+    (tmp_path / "a.csv").write_text("t,v\n0,1\n")
+    (tmp_path / "map.toml").write_text(WHEEL)
+    out = tmp_path / "no" / "o.mcap"
+    with pytest.raises(SteerdError, match="cannot be created"):
+        import_csv(tmp_path / "a.csv", tmp_path / "map.toml", out, lambda done: None)
+
+
+def test_progress_is_told_in_bytes(tmp_path):
+    text = "t,v\n" + "".join(f"{i},1\n" for i in range(5000))
+    (tmp_path / "a.csv").write_text(text)
+    (tmp_path / "map.toml").write_text(WHEEL)
+    told = []
+    import_csv(tmp_path / "a.csv", tmp_path / "map.toml", tmp_path / "o.mcap", told.append)
+    assert len(told) == 5
+    assert told == sorted(told)
+    assert 0 < told[-1] <= len(text)
+
+
+cells = st.one_of(
+    st.floats(-1e6, 1e6).map(repr),
+    st.sampled_from(["", "nan", "NaN", "inf", "-", "1,5", "1e400", "0x10", '"', "abc", "٣", "1 "]),
+    st.text(max_size=4),
+)
+
+
+@pytest.mark.slow
+@settings(derandomize=True, deadline=None, max_examples=150)
+@given(rows=st.lists(st.lists(cells, max_size=4), max_size=6), times=st.booleans())
+def test_any_cells_are_taken_or_refused_in_one_line(tmp_path_factory, rows, times):
+    folder = tmp_path_factory.mktemp("cells")
+    lines = [",".join([str(i), *row] if times else row) for i, row in enumerate(rows)]
+    text = "\n".join(["t,v,x,y", *lines]).encode("utf-8", "replace")
+    refusal = ""
+    try:
+        report, session = convert(folder, text, WHEEL)
+    except SteerdError as error:
+        refusal = str(error)
+    assert "\n" not in refusal
+    assert bool(refusal) != bool(list(folder.glob("out*")))
+    if not refusal:
+        values = session.columns(WheelSpeed)["speed"]
+        assert len(values) == report.counts["wheel"] > 0
+        assert np.isfinite(values).all()
+
+
+@settings(derandomize=True, deadline=None, max_examples=50)
+@given(
+    values=st.lists(st.none() | st.floats(-1e9, 1e9), min_size=1, max_size=30).filter(
+        lambda v: any(x is not None for x in v)
+    ),
+    step_ns=st.integers(1, 10**12),
+)
+def test_numbers_come_back_as_written(tmp_path_factory, values, step_ns):
+    folder = tmp_path_factory.mktemp("numbers")
+    rows = [f"{i * step_ns / 1e9!r},{'' if v is None else repr(v)}" for i, v in enumerate(values)]
+    _, session = convert(folder, "t,v\n" + "\n".join(rows), WHEEL)
+    columns = session.columns(WheelSpeed)
+    kept = [i for i, value in enumerate(values) if value is not None]
+    times = [round(Fraction(i * step_ns / 1e9) * 10**9) for i in kept]
+    assert columns["t_ns"].tolist() == times
+    assert columns["speed"].tolist() == [values[i] for i in kept]

@@ -1,0 +1,120 @@
+"""Maps: what they may say, and that anything else is one clear line."""
+
+from math import radians
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.imports.import_map import STREAM_COLUMNS, load_map, parse_map
+
+POSE = '[columns]\nt = "t"\nx = "x"\ny = "y"\nyaw = "yaw"\n'
+
+
+def test_a_whole_map():
+    the_map = parse_map(
+        '[columns]\nt = "time"\nsteer_cmd = { column = "steer", scale = 0.5, offset = -0.1 }\n'
+        'throttle = { column = "gas", gate = "safety" }\n'
+        "[frame]\nmount_yaw_deg = 90.0\nmarker_rear_x = 0.2\n"
+        '[session]\ncar = "blue_1"\nepoch = 2024-09-16T10:01:01Z\ncomment = "wet"\n'
+    )
+    assert the_map.columns["t"].column == "time"
+    assert (the_map.columns["steer_cmd"].scale, the_map.columns["steer_cmd"].offset) == (0.5, -0.1)
+    assert the_map.columns["throttle"].gate == "safety"
+    assert the_map.frame is not None
+    assert the_map.frame.mount_yaw == radians(90.0)
+    assert (the_map.car, the_map.comment) == ("blue_1", "wet")
+    assert the_map.epoch_ns == 1_726_480_861_000_000_000
+
+
+def test_an_epoch_without_zone_is_utc_and_may_be_seconds():
+    for epoch in ("2024-09-16T10:01:01", "1726480861", "1726480861.0", "2024-09-16T12:01:01+02:00"):
+        the_map = parse_map(f"{POSE}[session]\nepoch = {epoch}\n")
+        assert the_map.epoch_ns == 1_726_480_861_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[columns", "Expected"),
+        ('[columns]\nx = "x"\ny = "y"\nyaw = "yaw"', "lacks 't'"),
+        ('[columns]\nt = "t"', "nothing but the time"),
+        ('[columns]\nt = "t"\nx = "x"', "y, yaw missing"),
+        ('[columns]\nt = "t"\nspeed = "v"', "'speed' is none of"),
+        ('[columns]\nt = "t"\nerpm = 3', "[columns]"),
+        ('[columns]\nt = "t"\nerpm = { column = "e", skale = 2.0 }', "skale"),
+        ('[columns]\nt = "t"\nerpm = { column = "e", scale = 0.0 }', "scale not 0"),
+        ('[columns]\nt = "t"\nerpm = { column = "e", scale = nan }', "finite"),
+        ('[column]\nt = "t"', "'column'"),
+        (POSE + '[session]\ncar = "My Car"', "car name"),
+        (POSE + "[session]\nepoch = -1.0", "epoch"),
+        (POSE + "[session]\nepoch = inf", "epoch"),
+        (POSE + '[frame]\nunits = "ft"', "expected m or mm"),
+        (POSE + '[frame]\nup = "x"', "up axis"),
+        ('[topics]\nposes = "/a"', "'poses' is none of"),
+        ("a = " + "[" * 5000 + "]" * 5000, ""),
+    ],
+)
+def test_what_a_map_cannot_say(tmp_path, text, words):
+    path = tmp_path / "map.toml"
+    path.write_text(text)
+    with pytest.raises(SteerdError) as caught:
+        load_map(path)
+    assert words in caught.value.what
+    assert "\n" not in str(caught.value)
+    assert "$" not in caught.value.what
+    assert caught.value.code == ExitCode.INVALID
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"#" * 1_000_001])
+def test_a_map_that_is_no_text_page(tmp_path, content):
+    path = tmp_path / "map.toml"
+    path.write_bytes(content)
+    with pytest.raises(SteerdError, match="map"):
+        load_map(path)
+
+
+def test_a_missing_map(tmp_path):
+    with pytest.raises(SteerdError) as caught:
+        load_map(tmp_path / "none.toml")
+    assert caught.value.code == ExitCode.UNREADABLE
+
+
+leaves = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
+specs = st.text(max_size=8) | st.fixed_dictionaries(
+    {}, optional={"column": st.text(max_size=8), "scale": st.floats(), "other": leaves}
+)
+
+
+def as_toml(value):
+    match value:
+        case None:
+            return '""'
+        case bool():
+            return str(value).lower()
+        case str():
+            escaped = "".join(f"\\U{ord(c):08x}" for c in value if not 0xD800 <= ord(c) < 0xE000)
+            return f'"{escaped}"'
+        case dict():
+            return "{" + ", ".join(f"{k} = {as_toml(v)}" for k, v in value.items()) + "}"
+        case int():
+            return str(max(-(2**63), min(value, 2**63 - 1)))
+    return str(float(value))
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(
+    st.dictionaries(st.sampled_from(("t", *STREAM_COLUMNS, "z")), specs),
+    st.dictionaries(st.sampled_from(("car", "epoch", "comment", "x")), leaves),
+)
+def test_any_map_is_taken_or_refused_in_one_line(columns, session):
+    lines = ["[columns]", *(f"{k} = {as_toml(v)}" for k, v in columns.items())]
+    lines += ["[session]", *(f"{k} = {as_toml(v)}" for k, v in session.items())]
+    refusal, the_map = "", None
+    try:
+        the_map = parse_map("\n".join(lines))
+    except ValueError as error:
+        refusal = str(error)
+    assert "\n" not in refusal
+    assert refusal or the_map is None or not the_map.columns or "t" in the_map.columns

@@ -1,0 +1,171 @@
+"""One run, one VESC, its session limits, and what is known of the car when it falls silent."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from steerd.daemon.assembly.build import make_core, make_plan
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.loop.core import BOUND_TRIES, Core
+from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.transitions import Request, State
+from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
+from steerd.daemon.settings.run_options import RunOptions
+from steerd.mocap_link.source import ClockKind, PoseSample, RawPose
+from steerd.sim_hw.plant.faults import Fault
+from steerd.vesc_link import events as e
+from steerd.vesc_link.commands import GetMcConfTemp, SetMcConfTemp
+from steerd.vesc_link.events import Stamped, Telemetry
+from steerd.vesc_link.telemetry import Values
+
+MS, NS = 1_000_000, 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return make_plan(RunOptions(car_file="", path="line", speed=1.0, simulated=True))
+
+
+def until(run: VirtualRun, holds, limit_s: float) -> None:
+    end = run.t_ns + round(limit_s * NS)
+    while run.t_ns < end and not holds():
+        run.step()
+
+
+def state_of(run: VirtualRun) -> State:
+    return run.core.loop.supervisor.state
+
+
+def driving(plan) -> VirtualRun:
+    """A run whose car moves."""
+    run = make_virtual_run(plan)
+    until(run, lambda: state_of(run) is State.READY, 20.0)
+    run.core.loop._asked |= Request.ARM
+    until(run, lambda: state_of(run) is State.ARMED, 5.0)
+    run.core.loop._asked |= Request.START
+    until(run, lambda: run.core.loop.perception.wheel_speed > 0.4, 5.0)
+    assert state_of(run) is State.RUNNING
+    return run
+
+
+def limit_of(run: VirtualRun) -> float:
+    """What the simulated VESC itself holds [ERPM]."""
+    return run.world.vesc.motor.limits["erpm_max"]
+
+
+def test_a_vesc_that_starts_anew_gets_the_session_limits_again(plan):
+    run = make_virtual_run(plan)
+    until(run, lambda: state_of(run) is State.READY, 20.0)
+    wanted = run.core.link.limits.erpm_max
+    assert limit_of(run) == pytest.approx(wanted)
+    run.world.add_fault(Fault("V15", run.t_ns, run.t_ns + 2 * NS))
+    until(run, lambda: limit_of(run) > 2 * wanted, 3.0)
+    until(run, lambda: False, 6.0)
+    assert limit_of(run) == pytest.approx(wanted)
+    assert not run.core.flags & Flag.UNBOUNDED
+
+
+def limits(erpm_max: float) -> SimpleNamespace:
+    names = SetMcConfTemp.__dataclass_fields__
+    return SimpleNamespace(**(dict.fromkeys(names, 1.0) | {"erpm_max": erpm_max, "erpm_min": -1e9}))
+
+
+def fresh_core(plan) -> tuple[Core, list]:
+    core, asked = make_core(plan, 1, 0, (), leased=True), []
+    core.link.request = asked.append
+    return core, asked
+
+
+def test_a_vesc_that_refuses_the_session_limits_is_asked_thrice_then_told(plan):
+    core, asked = fresh_core(plan)
+    for k in range(BOUND_TRIES + 1):
+        assert not core.flags & Flag.UNBOUNDED, k
+        core._bound_session(limits(1e9))
+    assert [type(a) for a in asked] == [SetMcConfTemp, GetMcConfTemp] * BOUND_TRIES
+    assert core.flags & Flag.UNBOUNDED
+    core.flags |= Flag.LINKED
+    core.tick(0, 0)
+    assert any("speed limit" in text for text in core.loop._red(None, (), 0.0, 0, core.flags))
+    core._bound_session(asked[0])
+    assert not core.flags & Flag.UNBOUNDED
+
+
+def identity(uuid: bytes, expected: bool = True) -> e.Identity:
+    return SimpleNamespace(version=SimpleNamespace(uuid=uuid), expected=expected)
+
+
+def test_one_run_drives_one_vesc(plan):
+    core, asked = fresh_core(plan)
+    core._know(identity(b"first"))
+    core._bound_session(limits(1e9))
+    own = core.make_farewell()
+    core._know(identity(b"other"))
+    core._bound_session(limits(1e9))
+    assert not core._expected
+    assert len(asked) == 2, "the other one is not given our limits"
+    assert len(core.make_farewell()) < len(own), "nor the first one's at the end"
+    core._know(identity(b"first"))
+    assert core._expected
+
+
+def test_another_vesc_at_the_same_plug_is_not_armed(plan):
+    run = make_virtual_run(plan)
+    until(run, lambda: state_of(run) is State.READY, 20.0)
+    run.world.add_fault(Fault("V3", run.t_ns, run.t_ns + 60 * NS))
+    until(run, lambda: False, 8.0)
+    assert state_of(run) in (State.INIT, State.DISARMED)
+    last = run.core.last
+    assert "not the one this run began with" in run.core._waiting(last.action, last.waiting)
+
+
+@pytest.mark.parametrize("fault", ["V1", "V4"])
+def test_a_blind_stop_ends_though_the_wheels_were_last_seen_turning(plan, fault):
+    run = driving(plan)
+    run.world.add_fault(Fault(fault, run.t_ns, 1 << 62))
+
+    def fail(*_):
+        raise RuntimeError("controller")
+
+    run.core.loop._wish = fail
+    until(run, lambda: state_of(run) is State.FAULT_LATCHED, 6.0)
+    assert state_of(run) is State.FAULT_LATCHED
+    assert run.core.loop.at_rest
+
+
+def test_an_emergency_stop_is_left_by_reset_after_the_plug_was_out(plan):
+    run = driving(plan)
+    run.core.loop._asked |= Request.ESTOP
+    until(run, lambda: False, 0.3)
+    run.world.add_fault(Fault("V1", run.t_ns, run.t_ns + 2 * NS))
+    until(run, lambda: False, 5.0)
+    assert state_of(run) is State.ESTOP
+    for _ in range(4):
+        run.core.loop._asked |= Request.RESET
+        until(run, lambda: False, 0.5)
+    assert state_of(run) in (State.DISARMED, State.READY)
+
+
+def sample(k: int, t_ns: int) -> PoseSample:
+    raw = RawPose("car", k, None, None, t_ns, (0.01 * k, 0, 0.1), (1.0, 0, 0, 0))
+    return PoseSample(t_ns, t_ns, raw, 0.01 * k, 0.0, 0.0, 0.1, 0.0, None, ClockKind.ARRIVAL)
+
+
+def test_a_reply_read_before_an_older_pose_is_fused_all_the_same(plan):
+    core = make_core(plan, 1, 0, (), leased=True)
+    seen = core.loop.perception
+    for k in range(100):
+        core.loop.on_pose(sample(k, k * 10 * MS))
+        seen.estimate(k * 10 * MS + 1)
+    now = 1010 * MS
+    core.loop.on_telemetry(Telemetry(Values(erpm=4614), Stamped(now - MS, now)))
+    core.loop.on_pose(sample(100, now - 4 * MS))
+    health = seen.estimate(now).health
+    assert health.untimely == 0
+    assert health.wheel_speed.seen == 1
+
+
+def test_a_car_is_not_driven_more_slowly_than_its_guardian_waits():
+    options = RunOptions(car_file="", path="line", speed=1.0, port="/dev/x", rate_hz=40.0)
+    with pytest.raises(SteerdError, match="50 to 1000 Hz"):
+        make_plan(options)
+    assert make_plan(RunOptions(car_file="", path="line", speed=1.0, simulated=True, rate_hz=40.0))

@@ -1,0 +1,199 @@
+"""The launch window: a good launch passes, each wiring mistake is found within the first metres."""
+
+from math import atan, cos, pi, sin, tan
+
+import pytest
+
+from steerd.daemon.loop.launch import LaunchInput, make_launch_state, step_launch
+
+WHEELBASE = 0.33
+
+
+def launch(steer=0.0, scale=1.0, flip=0.0, turn=1.0, erpm=1.0, speed=0.5, yaw0=0.3, noise=0.0):
+    """Drive a kinematic car; return (what was wrong, distance by the wheels, done)."""
+    x = y = travelled = 0.0
+    yaw, dt = yaw0, 0.01
+    start = LaunchInput(0, x * scale, y * scale, yaw + flip, 0.0, steer)
+    state, wrong = make_launch_state(start), ""
+    for k in range(1, 400):
+        x, y = x + speed * dt * cos(yaw), y + speed * dt * sin(yaw)
+        yaw += turn * speed * dt * tan(steer) / WHEELBASE
+        wobble = noise if k % 2 else -noise
+        i = LaunchInput(k * 10**7, x * scale + wobble, y * scale, yaw + flip, speed * erpm, steer)
+        state, wrong = step_launch(state, i, WHEELBASE)
+        travelled += abs(speed) * erpm * dt
+        if wrong or state.done:
+            break
+    return wrong, travelled, state.done
+
+
+@pytest.mark.parametrize("steer", [0.0, 0.34, -0.34, 0.05])
+@pytest.mark.parametrize("yaw0", [0.0, 3.0, -3.1])
+def test_a_good_launch_ends_after_half_a_metre(steer, yaw0):
+    wrong, travelled, done = launch(steer=steer, yaw0=yaw0, noise=0.002)
+    assert (wrong, done) == ("", True)
+    assert travelled == pytest.approx(0.5, abs=0.006)
+
+
+@pytest.mark.parametrize("scale", [0.001, 1000.0, 0.0, 0.69, 1.42])
+def test_wrong_unit_or_gear_is_found(scale):
+    wrong, travelled, done = launch(scale=scale)
+    assert "units" in wrong
+    assert travelled <= 0.26
+    assert not done
+
+
+@pytest.mark.parametrize("scale", [0.71, 1.39])
+def test_a_tolerable_gear_ratio_passes(scale):
+    assert launch(scale=scale)[0] == ""
+
+
+def test_wheels_that_do_not_count_are_found_by_mocap():
+    assert "units" in launch(erpm=0.0)[0]
+
+
+@pytest.mark.parametrize(("flip", "found"), [
+    (pi, True), (pi / 2, True), (-0.55, True), (0.55, True), (0.5, False), (-0.5, False),
+])  # fmt: skip
+def test_body_turned_round_is_found(flip, found):
+    assert ("body forward axis" in launch(flip=flip)[0]) is found
+
+
+@pytest.mark.parametrize("steer", [0.2, -0.2])
+def test_inverted_steering_is_found(steer):
+    wrong, _, done = launch(steer=steer, turn=-1.0)
+    assert "against its steering" in wrong
+    assert not done
+
+
+def test_hardly_steered_launches_say_nothing_about_the_sign():
+    assert launch(steer=0.05, turn=-1.0)[0] == ""  # expected turn below 0.1 rad
+    assert launch(steer=0.2, turn=-0.05)[0] == ""  # measured turn below 0.03 rad
+
+
+def test_a_reversing_car_is_judged_in_its_own_direction():
+    assert launch(speed=-0.5)[0] == ""
+    assert "body forward axis" in launch(speed=-0.5, flip=pi)[0]
+
+
+def test_done_stays_done_and_time_does_not_run_backwards():
+    start = LaunchInput(0, 0.0, 0.0, 0.0, 0.5, 0.0)
+    state = make_launch_state(start)
+    back, wrong = step_launch(state, start._replace(t_ns=-(10**9)), WHEELBASE)
+    assert (back.travelled, wrong) == (0.0, "")
+    done = state._replace(done=True)
+    assert step_launch(done, start._replace(x=99.0), WHEELBASE) == (done, "")
+
+
+def shown(mocap, wheels, turned=0.0, expected=0.0, sideways=0.0):
+    """What one more, motionless tick says to a launch that has shown this, far from the origin."""
+    here = LaunchInput(0, 5.0 + mocap, -3.0, 0.0, 0.0, 0.0)
+    state = make_launch_state(here)._replace(
+        x0=5.0, travelled=wheels, turned=turned, expected_turn=expected, forward=mocap
+    )
+    return step_launch(state._replace(sideways=sideways), here, WHEELBASE)
+
+
+def test_every_bound_of_the_launch_exactly():
+    assert shown(0.0, 0.2499)[1] == ""
+    assert "units" in shown(0.0, 0.25)[1]
+    assert "units" in shown(0.25, 0.0)[1]
+    assert shown(0.5, 0.5) == (shown(0.5, 0.5)[0]._replace(done=True), "")
+    assert not shown(0.5, 0.4999)[0].done
+    assert "against" in shown(0.5, 0.5, turned=-0.03, expected=0.10)[1]
+    assert shown(0.5, 0.5, turned=-0.0299, expected=0.10)[1] == ""
+    assert shown(0.5, 0.5, turned=-0.03, expected=0.0999)[1] == ""
+    assert shown(0.5, 0.5, turned=0.03, expected=0.10)[1] == ""
+    assert "heading" in shown(0.5, 0.5, sideways=0.5 * tan(pi / 6) + 1e-9)[1]
+    assert shown(0.5, 0.5, sideways=0.5 * tan(pi / 6) - 1e-9)[1] == ""
+
+
+def end_of(x=0.25, y=0.0, wheels=0.25, yaw=0.0, steer=0.0, wheelbase=1.0):
+    """One long step from the origin, heading along x: the state after it, and what was wrong."""
+    start = LaunchInput(0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    step = LaunchInput(1_000_000_000, x, y, yaw, wheels, steer)
+    return step_launch(make_launch_state(start), step, wheelbase)
+
+
+@pytest.mark.parametrize(
+    ("x", "wheels", "judged"),
+    [(0.0, 0.25, True), (0.0, 0.2499, False), (0.25, 0.0, True), (0.2499, 0.0, False)],
+)
+def test_it_is_judged_from_a_quarter_of_a_metre_by_either(x, wheels, judged):
+    assert bool(end_of(x=x, wheels=wheels)[1]) is judged
+
+
+@pytest.mark.parametrize(
+    ("x", "fits"), [(0.7, True), (0.6999, False), (1.4, True), (1.4001, False)]
+)
+def test_the_ratio_of_distances_to_its_last_digit(x, fits):
+    assert ("units" not in end_of(x=x, wheels=1.0)[1]) is fits
+
+
+def test_distances_are_from_where_the_car_stood():
+    far = LaunchInput(0, 10.0, 20.0, 0.0, 0.0, 0.0)
+    step = LaunchInput(1_000_000_000, 10.5, 20.0, 0.0, 0.5, 0.0)
+    state, wrong = step_launch(make_launch_state(far), step, 1.0)
+    assert (wrong, state.done) == ("", True)
+    north = LaunchInput(0, 10.0, 20.0, pi / 2, 0.0, 0.0)
+    step = LaunchInput(1_000_000_000, 10.0, 20.5, pi / 2, 0.5, 0.0)
+    state, wrong = step_launch(make_launch_state(north), step, 1.0)
+    assert (wrong, state.done) == ("", True)
+
+
+@pytest.mark.parametrize(("wheels", "done"), [(0.5, True), (0.4999, False)])
+def test_the_window_ends_at_half_a_metre(wheels, done):
+    assert end_of(x=wheels, wheels=wheels)[0].done is done
+
+
+def test_backwards_counts_as_well_and_is_no_turned_body():
+    state, wrong = end_of(x=-0.5, wheels=-0.5)
+    assert (wrong, state.done) == ("", True)
+    assert "body forward axis" in end_of(x=0.5, wheels=-0.5)[1]
+
+
+@pytest.mark.parametrize(("angle", "found"), [(pi / 6 - 1e-9, False), (pi / 6 + 1e-9, True)])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_thirty_degrees_off_the_heading(angle, found, side):
+    wrong = end_of(x=0.5 * cos(angle), y=side * 0.5 * sin(angle), wheels=0.5)[1]
+    assert ("body forward axis" in wrong) is found
+    if found:
+        assert f"travels {side * 30:.0f} deg" in wrong
+
+
+@pytest.mark.parametrize(
+    ("expected", "turned", "found"),
+    [
+        (0.11, -0.04, True), (-0.11, 0.04, True), (0.11, 0.04, False), (0.09, -0.04, False),
+        (0.11, -0.02, False), (0.11, 0.0, False), (0.5, -0.03, True),
+    ],
+)  # fmt: skip
+def test_turning_is_judged_when_there_is_enough_of_it(expected, turned, found):
+    """Half a metre at an angle whose tangent is twice the turn, wheelbase 1 m."""
+    wrong = end_of(x=0.5, wheels=0.5, yaw=turned, steer=atan(2.0 * expected))[1]
+    assert ("against its steering" in wrong) is found
+
+
+def test_a_launch_that_went_wrong_is_not_done_and_a_done_one_is_left_alone():
+    state, wrong = end_of(x=2.0, wheels=1.0)
+    assert wrong
+    assert not state.done
+    done = end_of(x=0.5, wheels=0.5)[0]
+    after = LaunchInput(2_000_000_000, 99.0, 0.0, 3.0, 0.0, 0.0)
+    assert step_launch(done, after, 1.0) == (done, "")
+
+
+def test_a_clock_that_goes_back_moves_nothing():
+    start = LaunchInput(10_000_000_000, 0.0, 0.0, 0.0, 0.0, 0.0)
+    step = LaunchInput(9_000_000_000, 0.0, 0.0, 0.0, 5.0, 0.0)
+    state, wrong = step_launch(make_launch_state(start), step, 1.0)
+    assert (state.travelled, wrong) == (0.0, "")
+
+
+def test_what_is_said_is_said_to_the_letter():
+    units = end_of(x=2.0, wheels=1.0)[1]
+    assert units == "mocap moved 2.00 m, wheels 1.00 m: units, body or gear ratio"
+    turned = end_of(y=0.5, x=0.0, wheels=0.5)[1]
+    assert turned == "the car travels 90 deg off its mocap heading: body forward axis"
+    against = end_of(x=0.5, wheels=0.5, yaw=-0.1, steer=atan(0.5))[1]
+    assert against == "the car turns against its steering: servo direction, or mocap handedness"

@@ -1,0 +1,197 @@
+"""Who may command: tables of requests, and every boundary of time and number."""
+
+from math import inf
+
+import pytest
+
+from steerd.daemon.loop.lease import (
+    FORMER_MAX,
+    Lease,
+    Remote,
+    accept,
+    command_age,
+    lease_age,
+    take_command,
+    valid_command,
+)
+from steerd.daemon.loop.transitions import Request
+from steerd.steer_bus.messages import BODY, DriveCommand, OperatorRequest, RequestKind, make_header
+
+BOOT, ANN, BOB = 77, 5, 9
+T0 = 1_000_000_000
+HELD = Lease(BOOT, ANN, 10, T0)
+
+
+def ask(kind=RequestKind.ARM, boot=BOOT, who=ANN, seq=11):
+    return OperatorRequest(make_header(0, BODY), boot, who, seq, int(kind), "somebody")
+
+
+def command(seq=1, boot=BOOT, who=ANN, valid_ms=100, steer=0.1):
+    return DriveCommand(make_header(0, BODY), boot, who, 0, seq, valid_ms, steer, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "request_"),
+    [
+        (RequestKind.ARM, Request.ARM),
+        (RequestKind.START, Request.START),
+        (RequestKind.STOP, Request.STOP),
+        (RequestKind.DISARM, Request.DISARM),
+        (RequestKind.CLEAR, Request.CLEAR | Request.RESET),
+        (RequestKind.ESTOP, Request.ESTOP),
+        (RequestKind.KEEPALIVE, Request.KEEPALIVE),
+    ],
+)
+def test_the_holder_s_requests_pass_and_renew(kind, request_):
+    lease, got = accept(HELD, ask(kind), T0 + 5, idle=False)
+    assert got == request_
+    assert lease == Lease(BOOT, ANN, 11, T0 + 5)
+
+
+def test_every_kind_of_request_is_known():
+    for kind in RequestKind:
+        assert accept(HELD, ask(kind), T0, idle=False)[1] not in (Request.NONE, Request.UNKNOWN)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        ask(seq=10), ask(seq=9), ask(boot=BOOT + 1), ask(who=BOB), ask(who=0),
+        ask(who=BOB, boot=BOOT + 1),
+    ],
+    ids=["same number", "older", "another run", "another operator", "nobody", "both"],
+)  # fmt: skip
+def test_others_and_old_requests_are_refused_and_counted(asked):
+    lease, got = accept(HELD, asked, T0 + 5, idle=False)
+    assert got == Request.NONE
+    assert lease == Lease(BOOT, ANN, 10, T0, refused=1)
+
+
+@pytest.mark.parametrize("kind", [RequestKind.ARM, RequestKind.CLEAR, RequestKind.KEEPALIVE])
+def test_nobody_is_no_holder_even_while_nobody_holds(kind):
+    lease, got = accept(Lease(BOOT), ask(kind, who=0), T0, idle=False)
+    assert got == Request.NONE
+    assert lease == Lease(BOOT, refused=1)
+
+
+@pytest.mark.parametrize("kind", [RequestKind.STOP, RequestKind.ESTOP])
+@pytest.mark.parametrize("asked", [{"who": BOB}, {"seq": 1}, {"boot": 0}, {"who": 0}])
+def test_a_stop_is_anybody_s(kind, asked):
+    lease, got = accept(HELD, ask(kind, **asked), T0 + 5, idle=False)
+    assert got == (Request.STOP if kind == RequestKind.STOP else Request.ESTOP)
+    assert (lease.holder, lease.seq, lease.renewed_ns, lease.refused) == (ANN, 10, T0, 1)
+
+
+@pytest.mark.parametrize("kind", [99, 255, -1])
+def test_an_unknown_request_is_said_to_be_one(kind):
+    lease, got = accept(HELD, ask(kind), T0, idle=False)
+    assert got == Request.UNKNOWN
+    assert lease == Lease(BOOT, ANN, 10, T0, refused=1)
+
+
+def test_an_idle_lease_is_free_for_another_and_not_for_nobody():
+    lease, got = accept(HELD, ask(who=BOB, seq=0), T0 + 5, idle=True)
+    assert got == Request.ARM
+    assert lease == Lease(BOOT, BOB, 0, T0 + 5, former=((ANN, 10),))
+    assert accept(HELD, ask(who=0), T0, idle=True)[1] == Request.NONE
+    assert accept(HELD, ask(who=BOB, boot=1), T0, idle=True)[1] == Request.NONE
+    assert accept(HELD, ask(seq=10), T0, idle=True)[1] == Request.NONE, "its own old number"
+
+
+def take(lease, *asked):
+    """Requests while the holder is silent; what came of the last."""
+    for who, seq in asked:
+        lease, got = accept(lease, ask(who=who, seq=seq), T0, idle=True)
+    return lease, got
+
+
+def test_no_request_of_a_former_holder_is_taken_twice():
+    lease, _ = take(HELD, (BOB, 3))
+    for seq in (10, 9):
+        refused, got = take(lease, (ANN, seq))
+        assert (got, refused.holder, refused.refused) == (Request.NONE, BOB, 1)
+    lease, got = take(lease, (ANN, 11))
+    assert (got, lease.holder, lease.former) == (Request.ARM, ANN, ((ANN, 10), (BOB, 3)))
+    assert take(lease, (BOB, 3))[1] == Request.NONE
+    lease, _ = take(lease, (BOB, 4))
+    assert lease.former == ((BOB, 3), (ANN, 11)), "one number for each"
+    assert take(lease, (ANN, 11))[1] == Request.NONE
+
+
+def test_so_many_former_holders_are_remembered():
+    lease, _ = take(Lease(BOOT), *((who, 1) for who in range(1, FORMER_MAX + 2)))
+    assert len(lease.former) == FORMER_MAX
+    assert take(lease, (1, 1))[1] == Request.NONE
+    lease, _ = take(lease, (FORMER_MAX + 2, 1))
+    assert len(lease.former) == FORMER_MAX
+    assert take(lease, (2, 1))[1] == Request.NONE
+
+
+def test_a_fresh_lease_has_no_holder():
+    fresh = Lease(BOOT)
+    assert lease_age(fresh, T0) == inf
+    assert accept(fresh, ask(who=0, seq=0), T0, idle=False)[0].holder == 0
+    assert accept(fresh, ask(who=ANN, seq=0), T0, idle=True)[0].holder == ANN
+
+
+def test_its_age_is_seconds_since_the_holder_was_heard():
+    assert lease_age(HELD, T0 + 250_000_000) == pytest.approx(0.25)
+    assert lease_age(HELD, T0) == 0.0
+
+
+TAKEN = Remote(ANN, command(7), T0, refused=2)
+
+
+def test_the_first_command_brings_its_holder():
+    assert take_command(Remote(refused=3), BOOT, command(7), T0) == Remote(ANN, command(7), T0, 3)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        command(7), command(6), command(8, boot=1), command(8, who=BOB), command(8, who=0),
+        command(8, valid_ms=0), command(8, valid_ms=301),
+    ],
+    ids=["again", "older", "another run", "another", "nobody", "no time", "too long"],
+)  # fmt: skip
+def test_commands_that_are_refused_leave_the_last(bad):
+    assert take_command(TAKEN, BOOT, bad, T0 + 1) == Remote(ANN, command(7), T0, 3)
+
+
+@pytest.mark.parametrize("valid_ms", [1, 300])
+def test_the_longest_and_shortest_validity(valid_ms):
+    new = command(8, valid_ms=valid_ms)
+    assert take_command(TAKEN, BOOT, new, T0 + 1) == Remote(ANN, new, T0 + 1, 2)
+
+
+def test_a_first_command_of_nobody_is_refused():
+    assert take_command(Remote(), BOOT, command(1, who=0), T0) == Remote(refused=1)
+
+
+def test_another_controller_may_take_over_only_after_a_second_of_silence():
+    other = command(1, who=BOB)
+    assert take_command(TAKEN, BOOT, other, T0 + 1_000_000_000).holder == ANN
+    assert take_command(TAKEN, BOOT, other, T0 + 1_000_000_001) == Remote(
+        BOB, other, T0 + 1_000_000_001, 2, ((ANN, 7),)
+    )
+
+
+def test_no_command_of_a_former_controller_is_taken_twice():
+    late = 2_000_000_000
+    bob = take_command(TAKEN, BOOT, command(1, who=BOB), T0 + late)
+    for seq in (7, 6):
+        refused = take_command(bob, BOOT, command(seq), T0 + 2 * late)
+        assert (refused.holder, refused.refused) == (BOB, 3)
+    back = take_command(bob, BOOT, command(8), T0 + 2 * late)
+    assert (back.holder, back.former) == (ANN, ((ANN, 7), (BOB, 1)))
+
+
+def test_a_command_is_valid_to_the_last_nanosecond_and_no_longer():
+    assert valid_command(TAKEN, T0 + 100_000_000) == command(7)
+    assert valid_command(TAKEN, T0 + 100_000_001) is None
+    assert valid_command(Remote(), T0) is None
+
+
+def test_a_command_s_age():
+    assert command_age(TAKEN, T0 + 30_000_000) == pytest.approx(0.03)
+    assert command_age(Remote(), T0) == inf

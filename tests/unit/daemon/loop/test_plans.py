@@ -1,0 +1,119 @@
+"""Excitation plans: what they ask for, that they fit their box, and that the loop drives them."""
+
+from dataclasses import replace
+from math import isclose
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.state import Command
+from steerd.controller.limits import Limits
+from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.loop import plans
+from steerd.daemon.loop.transitions import State
+from steerd.daemon.offline.virtual import make_virtual_run
+from steerd.daemon.settings.run_options import RunOptions
+
+pytestmark = pytest.mark.slow
+
+LIMITS = Limits(0.33, 0.31, 0.26)
+
+
+def test_circles_are_the_papers_sixteen():
+    drill = plans.parse_drill("circles;speed=2.5", DEFAULT_CAR, LIMITS)
+    driven = [s for s in drill.segments if s.speed > 0.0]
+    assert [s.seconds for s in driven] == [8.0] * 16
+    assert {s.speed for s in driven} == {1.0}
+    assert [s.steer for s in driven] == [0.31] * 8 + [-0.26] * 8
+
+
+def test_after_its_end_a_plan_stands():
+    drill = plans.parse_drill("steps", DEFAULT_CAR, LIMITS)
+    assert drill.at(drill.seconds + 1.0) == Command(0.0, 0.0)
+
+
+@settings(derandomize=True, deadline=None, max_examples=8)
+@given(
+    name=st.sampled_from(plans.NAMES),
+    side=st.floats(4.0, 30.0),
+    speed=st.floats(0.5, 3.0),
+)
+def test_a_plan_fits_its_box_and_its_limits_or_is_refused(name, side, speed):
+    box = plans.parse_box(f"{side}")
+    try:
+        drill = plans.make_open_drill(name, DEFAULT_CAR, LIMITS, box, speed)
+    except plans.PlanError:
+        return
+    reach = plans.forecast(DEFAULT_CAR, drill.segments)
+    assert max(reach.x_max, -reach.x_min, reach.y_max, -reach.y_min) <= 0.5 * side
+    for k in range(int(drill.seconds / 0.1)):
+        wish = drill.at(0.1 * k)
+        assert -LIMITS.steer_right_max - 1e-9 <= wish.steer <= LIMITS.steer_left_max + 1e-9
+        assert 0.0 <= wish.speed <= max(speed, plans.PAPER_SPEED) + 1e-9
+
+
+def test_a_probe_rides_on_the_lane_keeper():
+    drill = plans.parse_drill("mixed;closed", DEFAULT_CAR, LIMITS)
+    lane = Command(0.1, 2.0)
+    asked = [drill.wish(0.05 * k, lane) for k in range(int(drill.seconds / 0.05))]
+    assert max(w.steer for w in asked) == pytest.approx(0.1 + plans.PROBE)
+    assert {round(w.speed, 3) for w in asked} >= {1.0, 1.5, 2.0}
+
+
+@pytest.mark.parametrize(
+    "spec", ["loops", "circles;closed", "mixed;box=1", "mixed;box=a", "steps;box=1,1,0,0"]
+)
+def test_plans_that_make_no_sense_are_refused(spec):
+    with pytest.raises(plans.PlanError):
+        plans.parse_drill(spec, DEFAULT_CAR, LIMITS)
+
+
+def test_box_by_corners():
+    assert plans.parse_box("-1,-2,3,4").fence == ((-1, -2), (3, -2), (3, 4), (-1, 4))
+
+
+@pytest.mark.parametrize(("side", "path"), [("20", "figure8"), ("8", "circle")])
+def test_path_under_a_probe_fits(side, path):
+    assert plans.closed_path(plans.parse_box(side)).startswith(path)
+
+
+def test_a_box_too_small_for_a_probe_is_refused():
+    with pytest.raises(plans.PlanError, match="needs a box"):
+        plans.closed_path(plans.parse_box("4"))
+
+
+def _drive(spec, seconds):
+    options = RunOptions("", path="line", speed=2.5, duration_s=seconds, auto_arm=True,
+                         simulated=True, drill=spec)  # fmt: skip
+    run = make_virtual_run(make_plan(options))
+    orders, states = [], []
+    while not run.core.loop.ran and run.t_ns < 30_000_000_000:
+        run.step()
+        if run.core.loop.supervisor.state is State.RUNNING:
+            orders.append(run.core.last.order.command)
+            states.append(run.world.truth().state)
+    return run, orders, states
+
+
+def test_the_loop_drives_an_open_plan_within_its_limits():
+    run, orders, states = _drive("circles;box=9;speed=2.5", 6.0)
+    assert not run.core.loop.faulted
+    turning = [o.steer for o in orders[300:]]
+    # The order is what the VESC can be told: the nearest servo step to the limit.
+    assert min(turning) == max(turning) == pytest.approx(0.31, abs=5e-4)
+    assert states[-1].yaw > 2.0
+
+
+def test_the_box_is_the_fence():
+    plan = make_plan(RunOptions("", path="line", drill="circles;box=9;speed=1"))
+    assert plan.settings.thresholds.fence == plans.parse_box("9").fence
+    assert isclose(plan.drill.seconds, 16 * 9.5)
+
+
+def test_a_refused_plan_is_a_usage_error():
+    with pytest.raises(SteerdError) as refused:
+        make_plan(replace(RunOptions(""), drill="circles;box=2"))
+    assert refused.value.code == 2

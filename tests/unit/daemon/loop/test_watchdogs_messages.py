@@ -1,0 +1,131 @@
+"""What each watchdog says, to the letter: an operator in a hurry reads nothing else."""
+
+import pytest
+
+from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, step_watchdogs
+from steerd.daemon.loop.watchdogs_pose import PoseWatch
+from steerd.daemon.settings.thresholds import Thresholds
+
+TH = Thresholds()
+S = 10**9
+SQUARE = ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))
+CALM = WatchdogInput(
+    t_ns=10**9, state=State.RUNNING, pose=PoseWatch(), mocap_age=0.0, telemetry_age=0.0,
+    lease_age=0.0, speed=1.5, speed_erpm=1.5, speed_mocap=1.5, speed_limit=2.0, x=0.0, y=0.0,
+    course=0.0, sigma_position=0.01, sigma_yaw=0.01, covariance_ok=True, lateral_error=0.0,
+    heading_error=0.0, steer_share=0.0, status=0, fault_code=0, tachometer=-1, cell_voltage=3.9,
+    fet_temperature=40.0, motor_temperature=40.0, current_share=0.1,
+)  # fmt: skip
+
+
+def said(seconds=0.0, th=TH, **changes):
+    """(id, words) of all findings, at once or after a condition was held for so long."""
+    memory, found = step_watchdogs(th, WatchdogState(), CALM._replace(**changes))
+    if seconds:
+        end = CALM._replace(**{**changes, "t_ns": CALM.t_ns + round(seconds * S)})
+        _, found = step_watchdogs(th, memory, end)
+    return [(finding.id, finding.text) for finding in found]
+
+
+@pytest.mark.parametrize(
+    ("changes", "id", "words"),
+    [
+        ({"mocap_age": 4.0}, "W1", "no good frame for 4000 ms (limit 150 ms)"),
+        ({"mocap_age": 2.0, "speed": 4.0}, "W1", "no good frame for 2000 ms (limit 75 ms)"),
+        ({"pose": PoseWatch(frozen=4)}, "W2", "4 identical frames at 1.50 m/s"),
+        ({"pose": PoseWatch(invalid=3)}, "W3", "3 bad frames in a row"),
+        ({"pose": PoseWatch(jumps=2, jump_times=(1, 2))}, "W4", "2 jumps in a row, 2 lately"),
+        (
+            {"pose": PoseWatch(rejected=2, rejections=0b11011)},
+            "W5",
+            "2 frames in a row rejected, 8% lately",
+        ),
+        ({"sigma_position": 0.2}, "W6", "sigma 0.200 m, 0.6 deg"),
+        ({"covariance_ok": False}, "W6", "covariance not positive definite"),
+        ({"telemetry_age": 3.0}, "W7", "no reply for 3000 ms"),
+        ({"status": 2}, "W10", "status bit 1 is set"),
+        ({"fault_code": 4}, "W11", "fault code 4"),
+        ({"fault_code": 10}, "W12", "fault code 10"),
+        ({"cell_voltage": 3.4}, "W13", "3.40 V per cell"),
+        ({"fet_temperature": 78.0}, "W14", "transistors at 78 C"),
+        ({"fet_temperature": 90.0}, "W14", "transistors at 90 C"),
+        ({"motor_temperature": 84.0}, "W14", "motor at 84 C"),
+        ({"lateral_error": -0.25}, "W17", "0.25 m"),
+        ({"heading_error": 0.6}, "W18", "34 deg"),
+        ({"lease_age": 2.0}, "W25", "not renewed for 2000 ms"),
+    ],
+)
+def test_what_is_said_at_once(changes, id, words):
+    (found,) = said(**changes)
+    assert found[0] == id
+    assert f": {words}; " in found[1]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "changes", "id", "words"),
+    [
+        (0.2, {"status": 1, "state": State.ARMED}, "W9", "status bit 0 stays set"),
+        (0.5, {"cell_voltage": 3.2}, "W13", "3.20 V per cell"),
+        (0.1, {"lateral_error": 0.35}, "W17", "0.35 m"),
+        (0.1, {"speed_erpm": 2.5, "speed_mocap": 2.4}, "W20", "wheels 2.50, mocap 2.40 m/s"),
+        (0.2, {"speed_mocap": 0.5}, "W21", "wheels 1.50, mocap 0.50 m/s"),
+        (
+            1.0,
+            {"current_share": 0.75, "speed_erpm": 0.01, "speed_mocap": 0.0},
+            "W22",
+            "75% of the current limit at 0.01 m/s",
+        ),
+    ],
+)
+def test_what_is_said_after_a_while(seconds, changes, id, words):
+    found = [text for name, text in said(seconds, **changes) if name == id]
+    assert any(f": {words}; " in text for text in found), found
+
+
+def test_what_is_said_of_the_fence():
+    fenced = Thresholds(fence=SQUARE)
+    ((name, text),) = said(th=fenced, x=4.9, y=-1.25)
+    assert name == "W19"
+    assert ": the car at (4.90, -1.25) m needs 0.57 m to stop; " in text
+
+
+@pytest.mark.parametrize(("x", "warned"), [(3.91, False), (3.94, True), (-3.94, False)])
+@pytest.mark.parametrize("along_y", [False, True])
+def test_the_fence_warns_half_a_metre_before(x, warned, along_y):
+    """Ahead are 0.15 + 0.321 + 0.1 m to stop, and 0.5 m more."""
+    fenced = Thresholds(fence=SQUARE)
+    where = {"x": 0.0, "y": x, "course": 1.5707963} if along_y else {"x": x, "y": 0.0}
+    assert bool(said(th=fenced, **where)) is warned
+
+
+def test_what_is_said_of_a_stop_that_does_not_work():
+    memory = WatchdogState()
+    texts = []
+    for tick in range(120):
+        i = CALM._replace(t_ns=CALM.t_ns + tick * 10_000_000, state=State.FAULT_STOP)
+        memory, found = step_watchdogs(TH, memory, i)
+        texts += [f.text for f in found if f.id == "W24"]
+    assert ": still 1.50 m/s, too little slower after 0.3 s; " in texts[0]
+    assert "CUT POWER: still" not in texts[0]
+    assert ": CUT POWER: still 1.50 m/s, too little slower after 0.3 s; " in texts[-1]
+
+
+def test_what_is_said_of_steering_at_its_limit():
+    memory, texts = WatchdogState(), []
+    for tick in range(130):
+        i = CALM._replace(
+            t_ns=CALM.t_ns + tick * 10_000_000, steer_share=1.0, lateral_error=0.1 + 0.001 * tick
+        )
+        memory, found = step_watchdogs(TH, memory, i)
+        texts += [f.text for f in found if f.id == "W23"]
+    assert ": at the limit for 1.0 s, 0.20 m off and growing; " in " ".join(texts)
+
+
+def test_what_is_said_of_a_vesc_that_restarts_or_starves():
+    memory, _ = step_watchdogs(TH, WatchdogState(), CALM._replace(tachometer=500))
+    _, found = step_watchdogs(TH, memory, CALM._replace(tachometer=3))
+    assert ": tachometer fell from 500 to 3; " in found[0].text
+    memory, _ = step_watchdogs(TH, WatchdogState(), CALM)
+    _, found = step_watchdogs(TH, memory, CALM._replace(status=1))
+    assert ": status bit 0 is set while driving; " in found[0].text

@@ -1,0 +1,223 @@
+"""Frame watchdogs: what counts as a bad frame, frozen, jump; and 5 % loss that must not trip."""
+
+from math import cos, inf, nan, nextafter, pi, sin
+
+import numpy as np
+import pytest
+
+from steerd.daemon.loop.watchdogs_pose import (
+    PoseFrame,
+    PoseVerdict,
+    PoseWatch,
+    is_flapping,
+    is_sane,
+    rejected_share,
+    step_innovation,
+    step_pose,
+)
+from steerd.daemon.settings.thresholds import Thresholds
+
+TH = Thresholds(
+    jump_speed=2.0, jump_margin=0.0625, yaw_step=0.5, quaternion_tolerance=0.015625,
+    freeze_speed=0.125,
+)  # fmt: skip
+ACCEPTED, INVALID, FROZEN, JUMP, REBASED = PoseVerdict
+S = 10**9
+
+
+def frame(t_s=1.0, number=1, x=1.0, y=2.0, yaw=0.0, **changes):
+    good = PoseFrame(round(t_s * S), number, (x, y, 0.125), (1.0, 0.0, 0.0, 0.0), yaw)
+    return good._replace(**changes)
+
+
+BASE = PoseWatch(frame())
+
+
+def judge(next_frame, watch=BASE, wheel=0.0, may_rebase=False):
+    return step_pose(TH, watch, next_frame, wheel, may_rebase)
+
+
+def test_first_sane_frame_is_a_start():
+    watch, verdict = judge(frame(), PoseWatch())
+    assert (watch.base, verdict) == (frame(), REBASED)
+    assert judge(frame(valid=False), PoseWatch())[1] == INVALID
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"valid": False},
+        {"position": (0.0, 0.0, 0.0)},
+        {"position": (nan, 1.0, 1.0)},
+        {"position": (1.0, inf, 1.0)},
+        {"position": (inf, -inf, 1.0)},
+        {"yaw": nan},
+        {"quaternion": (0.0, 0.0, 0.0, 0.0)},
+        {"quaternion": (nan, 0.0, 0.0, 1.0)},
+        {"quaternion": (nextafter(1.015625, inf), 0.0, 0.0, 0.0)},
+        {"quaternion": (0.0, 0.0, nextafter(0.984375, 0.0), 0.0)},
+        {"number": 1},
+        {"number": 0},
+        {"t_ns": S},
+        {"t_ns": S - 1},
+    ],
+)
+def test_bad_frames_are_counted_and_dropped(bad):
+    watch = BASE
+    for count in range(1, 7):
+        watch, verdict = judge(frame(1.01, 2)._replace(**bad), watch)
+        assert (verdict, watch.invalid, watch.base) == (INVALID, count, frame())
+    watch, verdict = judge(frame(1.05, 9), watch)
+    assert (verdict, watch.invalid) == (ACCEPTED, 0)
+
+
+@pytest.mark.parametrize("q", [(1.015625, 0, 0, 0), (0, 0.984375, 0, 0), (0.5, 0.5, 0.5, 0.5)])
+def test_quaternions_at_the_edge_are_sane(q):
+    assert is_sane(TH, frame(quaternion=q))
+
+
+@pytest.mark.parametrize("place", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+def test_only_the_exact_origin_is_no_place(place):
+    assert is_sane(TH, frame(position=place))
+
+
+def test_sources_without_frame_numbers_rise_by_time():
+    watch = PoseWatch(frame(number=-1))
+    assert judge(frame(1.01, -1, x=1.01), watch)[1] == ACCEPTED
+    assert judge(frame(1.0, -1, x=1.01), watch)[1] == ACCEPTED, "one stamp, in their order"
+    assert judge(frame(0.999, -1, x=1.01), watch)[1] == INVALID
+
+
+def test_the_poses_of_one_segment_share_its_stamp_and_the_time_before_it():
+    """2 m/s, 0.1 s without a pose: 0.2 m and the margin are theirs together."""
+    watch = PoseWatch(frame(1.0, -1, x=1.0))
+    for x in (1.05, 1.1, 1.15, 1.2, 1.2625):
+        watch, verdict = judge(frame(1.1, -1, x=x), watch, wheel=1.0)
+        assert (verdict, watch.invalid, watch.jumps) == (ACCEPTED, 0, 0)
+    assert judge(frame(1.1, -1, x=nextafter(1.2625, inf)), watch)[1] == JUMP
+    assert judge(frame(1.1, -1, x=1.2, yaw=0.6), watch)[1] == JUMP, "yaw is bounded by frame"
+    watch, verdict = judge(frame(1.11, -1, x=1.3), watch)
+    assert verdict == ACCEPTED, "the next segment counts from the newest pose"
+    assert judge(frame(1.11, -1, x=1.35), watch)[1] == JUMP, "and with its own time alone"
+
+
+def test_a_rebased_pose_has_no_time_before_it():
+    watch = PoseWatch(frame(1.0, -1))
+    assert judge(frame(1.0, -1, x=1.0625), watch)[1] == ACCEPTED
+    assert judge(frame(1.0, -1, x=1.0626), watch)[1] == JUMP
+
+
+def test_freeze_needs_identical_bits_and_turning_wheels():
+    same = frame(1.01, 2)
+    assert judge(same, wheel=0.125)[1] == ACCEPTED
+    for wheel in (nextafter(0.125, 1), -1.0):
+        watch, verdict = judge(same, wheel=wheel)
+        assert (verdict, watch.frozen, watch.base) == (FROZEN, 1, frame())
+    assert judge(frame(1.01, 2, x=nextafter(1.0, 2)), wheel=1.0)[1] == ACCEPTED
+    turned = frame(1.01, 2, quaternion=(nextafter(1.0, 2), 0.0, 0.0, 0.0))
+    assert judge(turned, wheel=1.0)[1] == ACCEPTED
+    watch, _ = judge(frame(1.02, 3), judge(same, wheel=1.0)[0], wheel=1.0)
+    assert watch.frozen == 2
+    assert judge(frame(1.03, 4, x=1.01), watch, wheel=1.0)[0].frozen == 0
+
+
+def test_jump_by_distance_at_its_edge():
+    reach = 2.0 * 0.25 + 0.0625
+    assert judge(frame(1.25, 2, x=1.0 + reach))[1] == ACCEPTED
+    assert judge(frame(1.25, 2, y=2.0 - reach))[1] == ACCEPTED
+    for far in (frame(1.25, 2, x=nextafter(1.0 + reach, 9)), frame(1.25, 2, y=2.0 + reach + 1e-9)):
+        watch, verdict = judge(far)
+        assert (verdict, watch.jumps, watch.base) == (JUMP, 1, frame())
+        assert watch.jump_times == (far.t_ns,)
+
+
+def test_jump_by_yaw_at_its_edge_and_through_the_wrap():
+    assert judge(frame(1.01, 2, yaw=0.5))[1] == ACCEPTED
+    assert judge(frame(1.01, 2, yaw=-0.5))[1] == ACCEPTED
+    assert judge(frame(1.01, 2, yaw=nextafter(0.5, 1)))[1] == JUMP
+    assert judge(frame(1.01, 2, yaw=nextafter(-0.5, -1)))[1] == JUMP
+    near_pi = PoseWatch(frame(yaw=pi - 0.1))
+    assert judge(frame(1.01, 2, yaw=-pi + 0.1), near_pi)[1] == ACCEPTED
+
+
+def test_an_accepted_frame_ends_the_row_but_not_the_memory_of_jumps():
+    watch, _ = judge(frame(1.01, 2, x=9.0))
+    watch, verdict = judge(frame(1.02, 3), watch)
+    assert (verdict, watch.jumps, len(watch.jump_times)) == (ACCEPTED, 0, 1)
+
+
+def test_alternating_yaw_is_flapping_after_five():
+    watch = BASE
+    for k in range(10):
+        flip = pi if k % 2 else 0.0
+        watch, _ = judge(frame(1.01 + k / 100, 2 + k, yaw=flip), watch, wheel=0.0)
+        assert is_flapping(TH, watch, watch.base.t_ns) == (k == 9)
+    assert watch.jumps <= 1
+    first = watch.jump_times[0]
+    assert is_flapping(TH, watch, first + S)
+    assert not is_flapping(TH, watch, first + S + 1)
+
+
+def test_only_the_last_five_jumps_are_kept():
+    watch = BASE
+    for k in range(9):
+        watch, _ = judge(frame(1.0 + k, 2 + k, x=99.0), watch)
+    assert watch.jump_times == tuple(round((1.0 + k) * S) for k in range(4, 9))
+    assert not is_flapping(TH, watch, 9 * S)
+
+
+def test_carried_by_hand_becomes_the_new_truth_only_while_nothing_may_move():
+    watch = BASE
+    for k in range(2):
+        watch, verdict = judge(frame(1.01 + k / 100, 2 + k, x=99.0), watch, may_rebase=True)
+        assert verdict == JUMP
+    last = frame(1.05, 9, x=99.0)
+    assert judge(last, watch, may_rebase=False)[1] == JUMP
+    watch, verdict = judge(last, watch, may_rebase=True)
+    assert (watch, verdict) == (PoseWatch(last), REBASED)
+
+
+def test_restarted_server_becomes_the_new_truth_but_garbage_never_does():
+    watch = PoseWatch(frame(number=10_000))
+    for k in range(4):
+        watch, verdict = judge(frame(1.01 + k / 100, k), watch, may_rebase=True)
+        assert verdict == INVALID
+    assert judge(frame(1.05, 5), watch, may_rebase=False)[1] == INVALID
+    assert judge(frame(1.05, 5), watch, may_rebase=True)[1] == REBASED
+    assert judge(frame(1.05, 5, yaw=0.0, valid=False), watch, may_rebase=True)[1] == INVALID
+
+
+def test_innovations_in_a_row_and_their_share():
+    watch = BASE
+    for _ in range(4):
+        watch = step_innovation(TH, watch, True)
+    assert (watch.rejected, rejected_share(TH, watch)) == (4, 0.08)
+    watch = step_innovation(TH, watch, False)
+    assert (watch.rejected, rejected_share(TH, watch)) == (0, 0.08)
+    for _ in range(45):
+        watch = step_innovation(TH, watch, False)
+    assert rejected_share(TH, watch) == 0.08
+    watch = step_innovation(TH, watch, False)
+    assert rejected_share(TH, watch) == 0.06
+
+
+def test_minutes_of_driving_with_losses_gaps_and_noise_rejects_nothing():
+    rng = np.random.default_rng(7)
+    th, watch, t_ns, dropped_until = Thresholds(), PoseWatch(), 0, 0
+    noise = rng.normal(0.0, 0.0005, (20_000, 3))
+    lost = rng.random(20_000) < 0.05
+    for k in range(20_000):
+        t_ns += 10_000_000
+        if k % 500 == 0:
+            dropped_until = t_ns + 50_000_000
+        if lost[k] or t_ns < dropped_until:
+            continue
+        angle = 3.0 * (t_ns / 1e9)  # 3 m/s on a circle of 1 m
+        place = (cos(angle) + noise[k, 0], sin(angle) + noise[k, 1], 0.1)
+        yaw = angle + pi / 2 + noise[k, 2]
+        watch, verdict = step_pose(
+            th, watch, PoseFrame(t_ns, k, place, (cos(yaw / 2), 0.0, 0.0, sin(yaw / 2)), yaw),
+            3.0, False,
+        )  # fmt: skip
+        assert verdict in (ACCEPTED, REBASED)
+    assert (watch.frozen, watch.invalid, watch.jumps) == (0, 0, 0)

@@ -1,0 +1,338 @@
+"""The guardian: its decisions with injected time, and its bytes with real processes and a pty."""
+
+import os
+import pty
+import runpy
+import select
+import signal
+import subprocess
+import sys
+import time
+import tty
+from pathlib import Path
+
+import pytest
+
+from steerd.daemon.process import guardian
+from steerd.daemon.process.guardian import (
+    BRAKE_NS,
+    PERIOD_NS,
+    STALE_NS,
+    HeartbeatPage,
+    brake,
+    guardian_main,
+    main,
+    make_page_fd,
+    wait_for_fault,
+)
+
+BRAKE, MOTION = b"\x02\x05BRAKE\x03", b"\x02\x05MOVE!\x03"
+MS = 1_000_000
+ROOT = Path(__file__).resolve().parents[4]
+
+
+class Times:
+    """A clock that tells the given times, then runs on by a step."""
+
+    def __init__(self, *times, step=0):
+        self.times, self.step, self.last = list(times), step, 0
+
+    def __call__(self):
+        self.last = self.times.pop(0) if self.times else self.last + self.step
+        return self.last
+
+
+class Core:
+    """Stands for the poll object of the core's pidfd: ends after so many polls."""
+
+    def __init__(self, polls, each=lambda: None):
+        self.polls, self.each, self.waits = polls, each, []
+
+    def poll(self, timeout_ms):
+        self.waits.append(timeout_ms)
+        self.each()
+        self.polls -= 1
+        return [] if self.polls else [(0, 1)]
+
+
+@pytest.fixture
+def page():
+    fd = make_page_fd()
+    yield HeartbeatPage(fd)
+    os.close(fd)
+
+
+def test_both_sides_see_the_same_words():
+    fd = make_page_fd()
+    core, watcher = HeartbeatPage(fd), HeartbeatPage(fd)
+    os.close(fd)
+    assert (watcher.beat_ns, watcher.engaged, watcher.tripped_ns, watcher.clean) == (0, False, 0, 0)
+    core.beat(2**63 + 5, True)
+    assert (watcher.beat_ns, watcher.engaged) == (2**63 + 5, True)
+    watcher.watch(11)
+    watcher.trip(12)
+    assert (core.guardian_ns, core.tripped_ns, core.clean) == (11, 12, False)
+    core.say_clean()
+    assert watcher.clean
+    core.beat(1, False)
+    assert not watcher.engaged
+
+
+def test_core_may_write_only_fresh_ticks_and_never_after_a_trip(page):
+    assert page.may_write(0, STALE_NS - 1)
+    assert not page.may_write(0, STALE_NS)
+    assert page.may_write(0, STALE_NS, stale_ns=STALE_NS + 1)
+    assert page.may_write(10**12, 10**12 + STALE_NS - 1)
+    assert not page.may_write(10**12, 10**12 + STALE_NS)
+    page.trip(1)
+    assert not page.may_write(0, 0)
+
+
+@pytest.mark.parametrize(("age", "faulty"), [(STALE_NS, False), (STALE_NS + 1, True)])
+def test_heartbeat_is_stale_strictly_beyond_its_limit(page, age, faulty):
+    page.beat(1000, True)
+    core = Core(1, page.say_clean)
+    assert wait_for_fault(page, core, STALE_NS, Times(1000 + age)) is faulty
+    assert page.guardian_ns == 1000 + age
+    assert (STALE_NS, guardian.STALE_NS_NO_RT) == (30 * MS, 60 * MS)
+    assert core.waits == ([] if faulty else [1])
+
+
+def test_stale_heartbeat_of_a_disarmed_core_is_none_of_its_business(page):
+    page.beat(1, False)
+    core = Core(3)
+    assert wait_for_fault(page, core, STALE_NS, Times(10**12, step=MS)) is False
+    assert core.waits == [10, 10, 10]
+
+
+def test_it_wakes_when_the_heartbeat_would_be_stale_but_at_least_every_10_ms(page):
+    page.beat(0, True)
+    core = Core(4, lambda: None)
+    assert wait_for_fault(page, core, STALE_NS, Times(0, 25 * MS, 28 * MS + 1, STALE_NS)) is True
+    assert core.waits == [10, 6, 2, 1]
+
+
+@pytest.mark.parametrize("engaged", [True, False])
+@pytest.mark.parametrize("clean", [True, False])
+def test_end_of_the_core_is_a_fault_if_it_was_driving_and_did_not_say_goodbye(page, engaged, clean):
+    page.beat(5, engaged)
+    if clean:
+        page.say_clean()
+    assert wait_for_fault(page, Core(1), STALE_NS, Times(6)) is (engaged and not clean)
+
+
+def test_brake_trips_first_and_repeats_for_two_seconds(page, monkeypatch):
+    seen = []
+    monkeypatch.setattr(guardian.os, "write", lambda fd, data: seen.append((page.tripped_ns, fd)))
+    clock = Times(7, step=PERIOD_NS)
+    brake(page, 42, BRAKE, clock)
+    assert seen == [(7, 42)] * (BRAKE_NS // PERIOD_NS) == [(7, 42)] * 200
+    assert page.guardian_ns > 7
+
+
+@pytest.mark.parametrize(("step", "waits"), [(0, range(10, 2001, 10)), (BRAKE_NS, [0] * 200)])
+def test_brake_frames_are_10_ms_apart_and_late_ones_do_not_wait(page, monkeypatch, step, waits):
+    pauses = []
+
+    class Pause:
+        poll = staticmethod(pauses.append)
+
+    monkeypatch.setattr(guardian.select, "poll", Pause)
+    monkeypatch.setattr(guardian.os, "write", lambda fd, data: len(data))
+    brake(page, 42, BRAKE, Times(7, step=step))
+    assert pauses == list(waits)
+
+
+def test_brake_goes_on_when_the_device_refuses(page, monkeypatch):
+    calls = []
+
+    def refuse(fd, data):
+        calls.append(data)
+        raise BlockingIOError
+
+    monkeypatch.setattr(guardian.os, "write", refuse)
+    brake(page, 42, BRAKE, Times(7, step=PERIOD_NS))
+    assert calls == [BRAKE] * 200
+
+
+@pytest.mark.parametrize("engaged", [True, False])
+@pytest.mark.parametrize("allowed", [True, False])
+def test_main_ignores_signals_asks_for_priority_and_guards(page, monkeypatch, engaged, allowed):
+    ignored, asked, braked = [], [], []
+
+    def schedule(pid, policy, parameter):
+        asked.append((pid, policy, parameter.sched_priority))
+        if not allowed:
+            raise PermissionError
+
+    monkeypatch.setattr(guardian.signal, "signal", lambda s, h: ignored.append((s, h)))
+    monkeypatch.setattr(guardian.os, "sched_setscheduler", schedule)
+    monkeypatch.setattr(guardian, "brake", lambda page, fd, frame, now: braked.append((fd, frame)))
+    fd = make_page_fd()
+    HeartbeatPage(fd).beat(1, engaged)
+    read_end, write_end = os.pipe()
+    os.close(write_end)  # the read end is ready at once, like the pidfd of a core that has ended
+    words = [str(k) for k in (7, fd, read_end)]
+    main([*words, BRAKE.hex(), str(STALE_NS)])
+    assert braked == ([(7, BRAKE)] if engaged else [])
+    assert ignored == [(s, signal.SIG_IGN) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    assert asked == [(0, os.SCHED_FIFO, 60)]
+    os.close(fd)
+    os.close(read_end)
+    assert callable(guardian_main)
+
+
+def test_run_as_a_program_it_wants_its_five_words(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["guardian"])
+    with pytest.raises(SystemExit, match="2"):
+        runpy.run_path(guardian.__file__, run_name="__main__")
+    assert "serial_fd" in capsys.readouterr().err
+
+
+def test_a_port_that_an_unarmed_core_lets_go_is_guarded_no_longer(page):
+    page.beat(0, engaged=False)
+    page.say_clean()
+    assert not wait_for_fault(page, Core(2), STALE_NS, Times(0))
+    page.beat(0, engaged=True)
+    assert wait_for_fault(page, Core(99), STALE_NS, Times(0, STALE_NS + 1)), "armed: it stays"
+
+
+def test_guardian_is_small_and_stands_alone():
+    lines = Path(guardian.__file__).read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 150
+    code = (
+        "import sys; import steerd.daemon.process.guardian;"
+        "print([m for m in sys.modules if m.split('.')[0] in"
+        " ('numpy', 'serial', 'zenoh', 'vesc_link', 'controller', 'car_model', 'msgspec')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == b"[]"
+
+
+CORE = """
+import os, sys, time, select
+from steerd.daemon.process.guardian import HeartbeatPage
+fd, page = int(sys.argv[1]), HeartbeatPage(int(sys.argv[2]))
+engaged, motion = bool(int(sys.argv[3])), bytes.fromhex(sys.argv[4])
+pause = select.poll()
+while True:
+    tick = time.monotonic_ns()
+    page.beat(tick, engaged)
+    if page.may_write(tick, time.monotonic_ns()):
+        os.write(fd, motion)
+    pause.poll(5)
+"""
+
+
+class Rig:
+    """A pty, a core that writes motion frames every 5 ms, and a real guardian."""
+
+    def __init__(self, engaged=True, frame=MOTION):
+        self.device, self.serial = pty.openpty()  # held open, so that the other end lives on
+        serial = self.serial
+        tty.setraw(serial)
+        os.set_blocking(serial, False)
+        page_fd = make_page_fd()
+        self.page = HeartbeatPage(page_fd)
+        self.core = self.spawn(
+            ["-c", CORE, str(serial), str(page_fd), str(int(engaged)), frame.hex()],
+            (serial, page_fd),
+        )
+        pidfd = os.pidfd_open(self.core.pid)
+        self.read_until(lambda data: frame in data)
+        words = [str(k) for k in (serial, page_fd, pidfd)]
+        self.guardian = self.spawn(
+            ["-m", "steerd.daemon.process.guardian", *words, BRAKE.hex(), str(10 * STALE_NS)],
+            (serial, page_fd, pidfd),
+        )
+        for fd in (page_fd, pidfd):
+            os.close(fd)
+        self.read_until(lambda _: self.page.guardian_ns > 0)
+        self.read_until(lambda data: len(data) > 5 * len(frame))
+
+    def spawn(self, words, fds):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        return subprocess.Popen([sys.executable, *words], pass_fds=fds, env=environment, cwd=ROOT)
+
+    def read_until(self, done, seconds=10.0):
+        """Read what arrives until ``done(bytes so far)``; the time of the last arrival too."""
+        data, deadline = b"", time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            if select.select([self.device], [], [], 0.01)[0]:
+                data += os.read(self.device, 4096)
+            if done(data):
+                return data, time.monotonic()
+        raise AssertionError(f"nothing for {seconds} s; last bytes {data[-40:]!r}")
+
+    def close(self):
+        for process in (self.core, self.guardian):
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+        os.close(self.device)
+        os.close(self.serial)
+
+
+@pytest.fixture
+def rig(request):
+    made = Rig(**getattr(request, "param", {}))
+    yield made
+    made.close()
+
+
+def assert_only_brakes_after_the_first(data):
+    """Motion frames, perhaps one cut short, then nothing but whole brake frames."""
+    first = data.index(BRAKE)
+    tail = data[first:]
+    assert MOTION[1:] not in tail
+    assert tail == BRAKE * (len(tail) // len(BRAKE)) + BRAKE[: len(tail) % len(BRAKE)]
+
+
+@pytest.mark.realtime
+def test_killed_core_is_followed_by_brake_frames(rig):
+    killed = time.monotonic()
+    rig.core.kill()
+    data, first = rig.read_until(lambda data: BRAKE in data)
+    assert first - killed < 0.2
+    more, _ = rig.read_until(lambda data: data.count(BRAKE) >= 20)
+    assert_only_brakes_after_the_first(data + more)
+    assert rig.page.tripped_ns > 0
+    rig.read_until(lambda _: rig.guardian.poll() is not None)
+    assert rig.guardian.returncode == 0
+
+
+@pytest.mark.realtime
+def test_stopped_core_is_braked_and_sends_nothing_stale_when_it_goes_on(rig):
+    stopped = time.monotonic()
+    rig.core.send_signal(signal.SIGSTOP)
+    data, first = rig.read_until(lambda data: BRAKE in data)
+    assert first - stopped + 0.05 > 0.2
+    assert first - stopped < 0.5 + 10 * STALE_NS / 1e9
+    rig.core.send_signal(signal.SIGCONT)
+    beat = rig.page.beat_ns
+    more, _ = rig.read_until(lambda data: data.count(BRAKE) >= 50 and rig.page.beat_ns > beat)
+    assert_only_brakes_after_the_first(data + more)
+    assert rig.core.poll() is None
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("rig", [{"engaged": False, "frame": b"\x02POLL\x03"}], indirect=True)
+def test_disarmed_core_may_die_without_a_byte(rig):
+    rig.core.kill()
+    data, _ = rig.read_until(lambda _: rig.guardian.poll() is not None)
+    assert rig.guardian.returncode == 0
+    assert rig.page.tripped_ns == 0
+    assert BRAKE not in data
+    assert not select.select([rig.device], [], [], 0.0)[0]
+
+
+@pytest.mark.realtime
+def test_ctrl_c_to_the_whole_group_does_not_end_the_guardian(rig):
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+        rig.guardian.send_signal(number)
+    alive = rig.page.guardian_ns
+    rig.read_until(lambda _: rig.page.guardian_ns > alive + 50 * MS)
+    assert rig.guardian.poll() is None
+    rig.core.kill()
+    data, _ = rig.read_until(lambda data: data.count(BRAKE) >= 3)
+    assert_only_brakes_after_the_first(data)

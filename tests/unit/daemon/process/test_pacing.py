@@ -1,0 +1,142 @@
+"""Deadlines follow punctual poses, and nothing else."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from steerd.daemon.process.pacing import MARGIN, SLEW, Pace, at_once_ns, step_pace
+
+MS = 1_000_000
+TICKS = 2000
+
+
+def drive(
+    period: int, frames: list[int], ticks: int = TICKS
+) -> tuple[list[int], list[int], list[Pace]]:
+    """Deadlines, and for each the wait of the newest frame, which comes at the given times."""
+    pace, due, newest, coming = Pace(), 0, -1, 0
+    dues, waits, paces = [], [], []
+    for _ in range(ticks):
+        while coming < len(frames) and frames[coming] <= due:
+            newest, coming = frames[coming], coming + 1
+        pace = step_pace(pace, due, newest, period)
+        dues.append(due)
+        waits.append(due - newest)
+        paces.append(pace)
+        due += period + pace.shift_ns
+    return dues, waits, paces
+
+
+def arrivals(every: float, phase: float, jitter: float, seed: int, share: float = 1.0) -> list[int]:
+    draw = np.random.default_rng(seed)
+    count = int(TICKS * 11 * MS / every)
+    times = (np.arange(count) + phase) * every + np.abs(draw.normal(0.0, jitter, count))
+    kept: list[int] = times[draw.random(count) < share].round().astype(int).tolist()
+    return kept
+
+
+@pytest.mark.parametrize("period_ms", [2, 5, 10])
+@pytest.mark.parametrize("phase", [0.02, 0.3, 0.5, 0.7, 0.98])
+def test_a_punctual_pose_comes_shortly_before_its_deadline_from_any_phase(
+    period_ms: int, phase: float
+) -> None:
+    period = period_ms * MS
+    _, waits, _ = drive(period, arrivals(period, phase, 0.02 * MS, 5))
+    settled = np.array(waits[TICKS // 2 :])
+    assert settled.min() > 0
+    assert np.quantile(settled, 0.99) < MARGIN * period + MS // 5
+
+
+@pytest.mark.parametrize("ratio", [0.5, 2.0])
+def test_poses_twice_or_half_as_often_are_followed_too(ratio: float) -> None:
+    period = 5 * MS
+    _, waits, _ = drive(period, arrivals(period * ratio, 0.4, 0.02 * MS, 6))
+    settled = np.array(waits[TICKS // 2 :]) % period
+    assert np.quantile(settled, 0.99) < MARGIN * period + MS // 5
+
+
+def test_lost_poses_do_not_move_what_is_in_step() -> None:
+    period = 10 * MS
+    _, waits, _ = drive(period, arrivals(period, 0.3, 0.02 * MS, 7, share=0.8))
+    fresh = [wait for wait in waits[TICKS // 2 :] if wait < period // 2]
+    assert len(fresh) > 0.7 * TICKS / 2
+    assert max(fresh) < MARGIN * period + MS // 5
+
+
+def test_a_mocap_clock_that_is_a_little_fast_is_followed() -> None:
+    period = 10 * MS
+    dues, waits, _ = drive(period, arrivals(period / 1.002, 0.3, 0.02 * MS, 8))
+    assert max(waits[TICKS // 2 :]) < MARGIN * period + MS // 2
+    assert np.diff(dues[TICKS // 2 :]).mean() == pytest.approx(period / 1.002, rel=2e-4)
+
+
+@pytest.mark.parametrize("rate_hz", [120, 240, 360, 1000 / 7.3])
+def test_poses_that_keep_no_time_with_the_ticks_move_nothing(rate_hz: float) -> None:
+    period = 10 * MS
+    dues, _, _ = drive(period, arrivals(1e9 / rate_hz, 0.3, 0.02 * MS, 9))
+    assert np.ptp(np.diff(dues[50:])) == 0
+
+
+def test_a_jittery_network_moves_nothing() -> None:
+    period = 5 * MS
+    dues, _, _ = drive(period, arrivals(period, 0.3, 1.5 * MS, 10))
+    assert np.ptp(np.diff(dues[50:])) == 0
+
+
+def test_without_poses_ticks_come_on_time() -> None:
+    dues, _, paces = drive(10 * MS, [])
+    assert set(np.diff(dues)) == {10 * MS}
+    assert paces[-1].arrival_ns == -1
+
+
+def test_when_poses_end_the_period_is_the_nominal_one() -> None:
+    period = 10 * MS
+    frames = arrivals(period, 0.9, 0.0, 11)[:300]
+    dues, _, _ = drive(period, frames)
+    assert set(np.diff(dues[302:])) == {period}
+
+
+@given(
+    period=st.integers(MS, 20 * MS),
+    steps=st.lists(st.integers(0, 40 * MS), min_size=1, max_size=60),
+)
+def test_no_arrivals_whatever_bend_a_period_by_more_than_the_slew(
+    period: int, steps: list[int]
+) -> None:
+    frames = np.cumsum(steps).tolist()
+    dues, _, _ = drive(period, frames, 80)
+    assert np.abs(np.diff(dues) - period).max() <= SLEW * period + 1
+
+
+@pytest.mark.parametrize("period_ms", [2, 5, 10])
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
+def test_only_the_pose_that_belongs_to_a_deadline_makes_its_tick(
+    period_ms: int, ratio: float
+) -> None:
+    period = period_ms * MS
+    frames = arrivals(period * ratio, 0.4, 0.02 * MS, 12)
+    dues, waits, paces = drive(period, frames)
+    stretch = range(TICKS // 2, TICKS - 1)
+    room = {at_once_ns(paces[k], period) for k in stretch}
+    assert max(room) < period // 2
+    early = [[due - f for f in frames if due - period < f <= due] for due in dues[-200:]]
+    for lead, pace in zip(early[1:], paces[-200:-1], strict=True):
+        assert sum(wait <= at_once_ns(pace, period) for wait in lead) <= 1
+    fresh = [waits[k + 1] for k in stretch if waits[k + 1] < period / 2]
+    assert all(wait <= min(room) for wait in fresh)
+
+
+@pytest.mark.parametrize(
+    ("every", "jitter"), [(1e9 / 120, 0.0), (5 * MS, 1.5 * MS)], ids=["rhythm", "network"]
+)
+def test_poses_that_are_not_followed_make_no_ticks(every: float, jitter: float) -> None:
+    period = 5 * MS
+    _, _, paces = drive(period, arrivals(every, 0.3, jitter, 13))
+    assert {at_once_ns(pace, period) for pace in paces[50:]} == {0}
+    assert at_once_ns(Pace(), period) == 0
+
+
+@given(jitter=st.floats(0.0, 1e9), period=st.integers(MS, 20 * MS))
+def test_no_pose_is_early_by_more_than_half_a_period(jitter: float, period: int) -> None:
+    assert 0 <= at_once_ns(Pace(0, 0, jitter), period) <= period // 2

@@ -1,0 +1,298 @@
+"""Bad containers through `steerd info` and `recover`: one line, the right exit code, no traceback.
+
+The numbers are those of the safety page's list of bad inputs (section 11, classes 1 to 24).
+"""
+
+import contextlib
+import io
+import json
+import os
+import struct
+import time
+import tracemalloc
+import zlib
+
+import numpy as np
+import pytest
+import zstandard
+
+from steerd.daemon.cli.main import guarded
+from steerd.daemon.imports.import_session import MessageMaker
+from steerd.steer_bus.codec import encode, schema_text
+from steerd.steer_bus.messages import MocapPose
+from steerd.steer_bus.session import SessionWriter, open_session
+
+pytestmark = pytest.mark.slow
+
+MAGIC = b"\x89MCAP0\r\n"
+TOPIC = "/steerd/blue/mocap"
+
+
+def steerd(*argv):
+    """Run a command line: exit code, standard output, standard error."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = guarded([str(arg) for arg in argv])
+    assert "Traceback" not in err.getvalue()
+    assert len(out.getvalue().splitlines()) < 60
+    assert len(err.getvalue().splitlines()) < 20
+    return int(code), out.getvalue(), err.getvalue()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "a.mcap"
+    writer = SessionWriter(path, {TOPIC: MocapPose}, {"steerd.session": {"car": "blue"}})
+    maker = MessageMaker(0)
+    for i in range(300):
+        pose = maker.planar_pose(i * 10_000_000, 0.01 * i, 0.0, 0.0)
+        writer.write(TOPIC, encode(pose), i * 10_000_000)
+        writer.tick(i * 10_000_000)
+    return writer.finish({"reason": "end"}).read_bytes()
+
+
+def put(path, *parts):
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+def record(opcode, body):
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def text(value):
+    raw = value.encode()
+    return struct.pack("<I", len(raw)) + raw
+
+
+def chunk(data, *, raw=None, size=None, crc=None, compression="zstd"):
+    raw = zstandard.compress(data) if raw is None else raw
+    head = (0, 0, len(data) if size is None else size, zlib.crc32(data) if crc is None else crc)
+    body = struct.pack("<QQQI", *head) + text(compression) + struct.pack("<Q", len(raw)) + raw
+    return record(6, body)
+
+
+def schema(key=1):
+    name, layout = text("steerd_msgs/msg/MocapPose"), text(schema_text(MocapPose))
+    return record(3, struct.pack("<H", key) + name + text("ros2msg") + layout)
+
+
+def channel(key=1, topic=TOPIC, schema_id=1):
+    return record(4, struct.pack("<HH", key, schema_id) + text(topic) + text("cdr") + text(""))
+
+
+def message(key=1, log_ns=1, data=None):
+    data = encode(MessageMaker(0).planar_pose(0, 0.0, 0.0, 0.0)) if data is None else data
+    return record(5, struct.pack("<HIQQ", key, 1, log_ns, log_ns) + data)
+
+
+def header():
+    return MAGIC + record(1, text("ros2") + text("test"))
+
+
+GOOD = (schema(), channel(), message())
+
+
+@pytest.mark.parametrize(
+    ("content", "code", "words"),
+    [
+        (b"", 3, "is empty"),  # 1
+        (MAGIC, 4, "holds no session"),  # 2
+        (b"\x89MCAP1\r\n" + bytes(50), 3, "not an MCAP file"),  # 3
+        (b"t,x\n0,1\n", 3, "not an MCAP file"),  # 4
+        (b"PK\x03\x04" + bytes(50), 3, "not an MCAP file"),
+        (b"SQLite format 3\x00" + bytes(50), 3, "not an MCAP file"),
+        (MAGIC + struct.pack("<BQ", 6, 1 << 63), 4, "holds no session"),  # 12
+    ],
+    ids=["empty", "magic", "other_magic", "text", "zip", "sqlite", "endless"],
+)
+@pytest.mark.parametrize("command", ["info", "recover"])
+def test_what_is_no_session(tmp_path, command, content, code, words):
+    found, out, err = steerd(command, put(tmp_path / "a.mcap", content))
+    assert (found, out) == (code, "")
+    assert words in err
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
+
+
+@pytest.mark.parametrize("command", ["info", "recover"])
+def test_what_is_no_file(tmp_path, command):
+    os.mkfifo(tmp_path / "fifo")
+    for name in ("", "fifo", "none"):  # 22, 23
+        code, out, err = steerd(command, tmp_path / name)
+        assert (code, out) == (3, "")
+        assert err.startswith("steerd: ")
+
+
+def test_a_file_without_permission(tmp_path, monkeypatch):  # 21
+    path = put(tmp_path / "a.mcap", MAGIC)
+
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("pathlib.Path.open", refuse)
+    code, _, err = steerd("info", path)
+    assert code == 3
+    assert "Permission denied" in err
+
+
+def test_truncation_at_each_percent(whole, tmp_path):  # 5, 6
+    saved = []
+    for percent in range(1, 100):
+        path = put(tmp_path / "a.mcap", whole[: len(whole) * percent // 100])
+        code, out, _ = steerd("info", path, "--json") if percent % 9 else steerd("info", path)
+        assert code in (0, 4)
+        code, out, err = steerd("recover", path)
+        assert (code == 0) == ("saved" in out)
+        assert code in (0, 4)
+        if code == 0:
+            assert "warning: " in err
+            recovered = tmp_path / "a.recovered.mcap"
+            saved.append(open_session(recovered).info().count)
+            assert not open_session(recovered).warnings
+            recovered.unlink()
+    assert saved == sorted(saved)
+    assert saved[-1] == 300
+
+
+def test_cuts_inside_the_end_cost_nothing(whole, tmp_path):  # 6
+    for cut in range(1, 40, 3):
+        code, out, _ = steerd("info", put(tmp_path / "a.mcap", whole[:-cut]), "--json")
+        assert code == 0
+        assert json.loads(out)["messages"] == 300
+
+
+def test_bit_flips(whole, tmp_path):  # 7
+    rng = np.random.default_rng(11)
+    codes = set()
+    for _ in range(60):
+        bad = bytearray(whole)
+        bad[int(rng.integers(len(bad)))] ^= 1 << int(rng.integers(8))
+        code, _, _ = steerd("info", put(tmp_path / "a.mcap", bytes(bad)))
+        codes.add(code)
+    assert codes <= {0, 3, 4}
+    assert 0 in codes
+
+
+def test_a_zeroed_block_is_named_and_the_rest_is_saved(whole, tmp_path):  # 8
+    middle = len(whole) // 2
+    path = put(tmp_path / "a.mcap", whole[:middle], bytes(200), whole[middle + 200 :])
+    code, out, err = steerd("info", path)
+    assert code == 0
+    assert "warning: " in err
+    code, out, _ = steerd("recover", path)
+    assert code == 0
+    assert 0 < int(out.split()[1]) < 300
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        chunk(b"".join(GOOD), crc=1),  # 9
+        chunk(b"".join(GOOD), size=1 << 40),  # 10
+        chunk(b"".join(GOOD), size=3),
+        chunk(bytes(100 << 20)),  # 11
+        record(6, b"short"),
+        chunk(b"".join(GOOD), compression="rot13"),  # 13
+        record(8, bytes(3)),  # 14
+        record(200, b"future"),
+    ],
+    ids=["crc", "long", "short", "bomb", "stub", "rot13", "index", "unknown"],
+)
+def test_a_bad_record_costs_only_itself(tmp_path, bad):
+    path = put(tmp_path / "a.mcap", header(), bad, chunk(b"".join(GOOD)))
+    code, out, _ = steerd("info", path, "--json")
+    assert code == 0
+    document = json.loads(out)
+    assert document["messages"] == 1
+    assert document["warnings"]
+
+
+def test_a_bomb_costs_little(tmp_path):  # 11
+    bomb = zstandard.compress(bytes(1 << 30))
+    path = put(tmp_path / "a.mcap", header(), chunk(b"", raw=bomb, size=1 << 30))
+    assert path.stat().st_size < 70_000
+    tracemalloc.start()
+    code, _, _ = steerd("info", path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert code == 4
+    assert peak < 64 << 20
+
+
+def test_channels_of_two_minds_and_of_nobody(tmp_path):  # 16, 17
+    path = put(
+        tmp_path / "a.mcap", header(), chunk(b"".join([*GOOD, channel(1, "/other"), message(9)]))
+    )
+    code, out, _ = steerd("info", path, "--json")
+    assert code == 0
+    document = json.loads(out)
+    assert document["messages"] == 1
+    assert len(document["warnings"]) >= 2
+
+
+def test_a_sparse_giant(tmp_path):  # 18
+    path = put(tmp_path / "a.mcap", header(), *GOOD)
+    os.truncate(path, 50 << 30)
+    started = time.process_time()
+    code, _, err = steerd("info", path)
+    assert code == 0
+    assert "zeros" in err
+    assert time.process_time() - started < 30.0
+
+
+def test_a_hundred_thousand_channels(tmp_path):  # 19
+    names = b"".join(channel(key % 65536, f"/steerd/c/{key}") for key in range(100_000))
+    path = put(tmp_path / "a.mcap", header(), chunk(b"".join(GOOD)), chunk(names))
+    code, out, _ = steerd("info", path)
+    assert code == 0
+    assert len(out.splitlines()) < 40
+
+
+def test_messages_that_are_not_their_schema_are_named(tmp_path):
+    data = b"".join([schema(), channel(), message(data=b"\x00\x01\x00\x00junk"), message()])
+    code, _, err = steerd("info", put(tmp_path / "a.mcap", header(), chunk(data)))
+    assert code == 0
+    assert "not what its schema says" in err
+
+
+@pytest.mark.parametrize("log_ns", [(1 << 63) - 1, 1 << 63, (1 << 64) - 1])
+def test_impossible_times(tmp_path, log_ns):  # 37
+    data = b"".join([*GOOD, message(log_ns=log_ns)])
+    path = put(tmp_path / "a.mcap", header(), chunk(data))
+    assert steerd("info", path)[0] == 0
+    assert steerd("info", path, "--json")[0] == 0
+    assert steerd("recover", path)[0] == 0
+
+
+def test_poses_of_huge_and_missing_numbers(tmp_path):  # 24, 53, 63
+    maker = MessageMaker(0)
+    values = [0.0, float("nan"), float("inf"), 1e300, -1e300, 1e9, 5e-324]
+    writer = SessionWriter(tmp_path / "a.mcap", {TOPIC: MocapPose}, {})
+    for i in range(100):
+        x, y = values[i % 7], values[i % 5]
+        writer.write(TOPIC, encode(maker.planar_pose(i, x, y, 0.0)), i)
+    writer.finish({"reason": "end"})
+    code, out, _ = steerd("info", tmp_path / "a.mcap", "--json")
+    assert code == 0
+    assert json.loads(out)["messages"] == 100
+
+
+def test_a_whole_file_needs_no_recovery(whole, tmp_path):
+    code, out, _ = steerd("recover", put(tmp_path / "a.mcap", whole))
+    assert code == 0
+    assert "nothing to recover" in out
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_recovery_names_its_file(whole, tmp_path):
+    path = put(tmp_path / "a.mcap.partial", whole[:-100])
+    assert steerd("recover", path)[0] == 0
+    assert (tmp_path / "a.recovered.mcap").exists()
+    code, _, err = steerd("recover", path)
+    assert code == 2
+    assert "never overwritten" in err
+    assert steerd("recover", path, "-o", tmp_path / "b.mcap")[0] == 0
+    assert steerd("recover", path, "-o", tmp_path / "b.txt")[0] == 2
+    assert steerd("recover", path, "-o", tmp_path / "no" / "b.mcap")[0] == 3
+    _, out, _ = steerd("info", tmp_path / "b.mcap")
+    assert "recovered from a.mcap.partial" in out

@@ -1,0 +1,149 @@
+"""`steerd plot`: what is drawn is what was recorded, in a page that needs nothing else."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from steerd.daemon.cli.main import guarded
+from steerd.daemon.imports.import_session import MessageMaker
+from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.sessions.curves import unpack
+from steerd.daemon.sessions.info import load_session, make_session_report
+from steerd.daemon.sessions.motion import make_track
+from steerd.daemon.sessions.plot_data import Curve, Drawing, Panel, load_lane, make_drawing
+from steerd.daemon.sessions.plot_page import SIZE_MAX, make_page
+from steerd.daemon.settings.run_options import RunOptions, encode_options
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.session import AttachedFile, SessionWriter
+
+EPOCH = 1_726_480_861_000_000_000
+NAN = float("nan")
+
+
+def state(t_ns, i, mode, e1, rng):
+    r = rng.normal(size=24)
+    fields = [*r[:7], *np.abs(r[7:14]), e1, *r[15:20], abs(r[20])]
+    return m.State(m.make_header(t_ns + EPOCH, m.WORLD), t_ns, i, 0, mode, *map(float, fields))
+
+
+def write_noise(path, seconds, rate, *, options=None, files=(), reason="end", car_name="noisy"):
+    """White noise on every curve: nothing packs worse."""
+    rng = np.random.default_rng(3)
+    table = (topics.STATE, topics.MOCAP, topics.ACTUATION, topics.TICK, topics.TRANSITION)
+    names = {topics.make_session_topic(car_name, t): t.message for t in table}
+    about = {"car": car_name, "mode": "hw", "epoch_ns": str(EPOCH)}
+    about |= {"options": encode_options(options)} if options else {}
+    writer = SessionWriter(path, names, {"steerd.session": about}, list(files))
+    maker = MessageMaker(EPOCH)
+
+    def put(topic, message, t_ns):
+        writer.write(topics.make_session_topic(car_name, topic), encode(message), t_ns + EPOCH)
+
+    put(topics.TRANSITION, m.Transition(m.make_header(EPOCH, m.BODY), 4, 5, "c", "go"), 0)
+    for i in range(int(seconds * rate)):
+        t = round(i / rate * 1e9)
+        x, y, yaw = rng.normal(size=3).tolist()
+        put(topics.STATE, state(t, i, Supervised.RUNNING, 0.02 * (1 if i % 2 else -1), rng), t)
+        put(topics.MOCAP, maker.planar_pose(t, x, y, yaw), t)
+        put(topics.ACTUATION, maker.command(t, *rng.normal(size=2).tolist()), t)
+        late, work = rng.integers(0, 1_000_000, 2).tolist()
+        tick = m.Tick(m.make_header(t + EPOCH, m.BODY), t, t + late, work, i, 0)
+        put(topics.TICK, tick, t)
+    return writer.finish({"reason": reason})
+
+
+def page_of(path):
+    session = load_session(path)
+    return make_page(make_session_report(session), make_drawing(session))
+
+
+def data_of(page):
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    return json.loads(found.group(1).replace("<\\/", "</"))
+
+
+def test_the_curves_are_the_recorded_numbers(tmp_path):
+    path = write_noise(tmp_path / "a.mcap", 10, 50)
+    session = load_session(path)
+    data = data_of(page_of(path))
+    slots = data["grid"]["slots"]
+    panels = {panel["title"]: panel for panel in data["panels"]}
+    e1, _ = unpack(panels["lateral error e1"]["curves"][0], slots)
+    assert sorted(set(np.round(e1[np.isfinite(e1)], 3))) == [-2.0, 2.0]
+    yaw, _ = unpack(panels["yaw rate"]["curves"][0], slots)
+    recorded = session.columns(m.State)["yaw_rate"]
+    assert yaw[np.isfinite(yaw)] == pytest.approx(recorded, abs=1e-4)
+    late = panels["control tick"]["curves"][0]
+    assert late["name"] == "late"
+    assert 0.9 < late["high"] <= 1.0
+    facts = dict(data["facts"])
+    assert facts["lateral error RMS, after 3 s"] == "2.00 cm"
+    assert facts["largest"] == "2.00 cm"
+    assert data["states"] == [[0.0, "ARMED"], [0.0, "RUNNING"]]
+
+
+def test_ten_minutes_of_the_worst_noise_stay_small(tmp_path):
+    session = load_session(write_noise(tmp_path / "a.mcap", 1, 20))
+    report, rng = make_session_report(session), np.random.default_rng(4)
+    info = replace(report.info, end_ns=report.info.start_ns + 600_000_000_000)
+    t = np.arange(60_000) * 0.01
+    noise = (Curve(name, "other", t, rng.normal(size=t.size)) for name in "abcdefghijklmnopqrst")
+    panels = tuple(Panel(c.name, "m", (c,)) for c in noise)
+    track = make_track(t, *rng.normal(size=(3, t.size)))
+    drawing = Drawing(panels, track, rng.normal(size=t.size), None, 0.3, ())
+    page = make_page(replace(report, info=info), drawing)
+    assert 1_000_000 < len(page.encode()) < SIZE_MAX
+
+
+def test_the_page_needs_nothing_else_and_takes_no_orders_from_the_session(tmp_path):
+    evil = "</script><script>alert(1)</script><!-- @DATA@"
+    page = page_of(write_noise(tmp_path / "a.mcap", 4, 20, reason=evil))
+    assert "alert(1)</script>" not in page.replace("<\\/script>", "")
+    assert evil in data_of(page)["facts"][-1][1]
+    assert not re.findall(r'(?:src|href)\s*=\s*["\']?(?!data:,)[^"\'\s>]*[/.]', page)
+    assert "default-src 'none'" in page
+
+
+def test_the_lane_comes_from_the_session(tmp_path):
+    rows = "\n".join(f"{2 * np.cos(a):.6f},{2 * np.sin(a):.6f}" for a in np.arange(0, 6.2, 0.1))
+    spec = "csv:/somewhere/else.csv,place=as-is"
+    options = RunOptions("", path=spec)
+    kept = AttachedFile("path.csv", "text/plain", f"# x_m,y_m\n{rows}\n".encode())
+    lane = load_lane(load_session(write_noise(tmp_path / "a.mcap", 2, 20, options=options,
+                                              files=[kept])))  # fmt: skip
+    assert lane is not None
+    assert np.hypot(lane.x, lane.y) == pytest.approx(2.0, abs=0.01)
+    absent = load_session(write_noise(tmp_path / "b.mcap", 2, 20, options=options))
+    assert load_lane(absent) is None
+    drill = RunOptions("", drill="mixed;open")
+    assert load_lane(load_session(write_noise(tmp_path / "c.mcap", 2, 20, options=drill))) is None
+
+
+def test_an_imported_drive_without_state_is_drawn_too(tmp_path):
+    maker = MessageMaker(EPOCH)
+    names = {topics.make_session_topic("blue", t): t.message for t in (topics.MOCAP, topics.WHEEL)}
+    writer = SessionWriter(tmp_path / "a.mcap", names, {"steerd.session": {"car": "blue"}})
+    for i in range(300):
+        pose = maker.planar_pose(i * 10_000_000, 0.015 * i, 0.0, 0.0)
+        writer.write("/steerd/blue/mocap", encode(pose), EPOCH + i * 10_000_000)
+    data = data_of(page_of(writer.finish({"reason": "imported"})))
+    assert [panel["title"] for panel in data["panels"]] == ["speed", "yaw rate"]
+    assert data["panels"][0]["curves"][0]["high"] == pytest.approx(1.5, rel=1e-6)
+    assert data["track"]["colour"] == "speed"
+    assert data["lane"] is None
+
+
+def test_the_command_line(tmp_path, capsys):
+    path = write_noise(tmp_path / "a.mcap", 2, 20)
+    assert guarded(["plot", str(path)]) == 0
+    assert (tmp_path / "a.html").stat().st_size > 50_000
+    assert guarded(["plot", str(path), "-o", str(path)]) == 2
+    assert guarded(["plot", str(path), "-o", str(tmp_path / "no" / "a.html")]) == 3
+    assert guarded(["plot", str(tmp_path / "none.mcap")]) == 3
+    assert "there is no folder" in capsys.readouterr().err
+    assert load_session(path).info().clean

@@ -1,0 +1,326 @@
+"""Sessions whose content is bad, class by class, through `steerd info` and `steerd identify`.
+
+Numbers are those of the safety page's list of bad inputs, 25 to 64; the containers, 1 to 24, are
+in `test_info_damage.py`. Each is answered in bounded time and memory, with a known code, and
+without a traceback; what a person has to know is said.
+"""
+
+import contextlib
+import io
+import json
+import resource
+import struct
+from dataclasses import replace
+from math import inf, nan
+
+import numpy as np
+import pytest
+from mcap.writer import Writer  # noqa: TID251
+
+from steerd.daemon.cli.main import guarded
+from steerd.steer_bus.codec import decode, encode, schema_text, type_name
+from steerd.steer_bus.messages import Actuation, MocapPose, State, Tick, Transition, VescTelemetry
+from steerd.steer_bus.session import open_session
+from steerd.steer_bus.topics import find_topic
+
+pytestmark = pytest.mark.slow
+
+SECOND = 1_000_000_000
+KEPT = (MocapPose, Actuation, State, Tick, Transition, VescTelemetry)
+SEEDS = (1, 2)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    """Records (topic, log_ns, message) of a short simulated drive."""
+    path = tmp_path_factory.mktemp("drive") / "drive.mcap"
+    with contextlib.redirect_stdout(io.StringIO()):
+        words = ["run", "--sim", "--fast", "--duration", "1.5", "--record", str(path)]
+        assert guarded(words) == 0
+    found = []
+    for record in open_session(path).messages():
+        topic = find_topic(record.topic)
+        if topic is not None and topic.message in KEPT:
+            found.append((record.topic, record.log_ns, decode(topic.message, record.data)))
+    return found
+
+
+def write(path, records, *, encoding="cdr", rename=None, schema=schema_text, encoder=encode):
+    """A session of these records; the schema text of a class may lie."""
+    writer, channels = Writer(str(path), chunk_size=8192), {}
+    writer.start("ros2", "test")
+    for topic, log_ns, message in records:
+        cls = type(message)
+        if topic not in channels:
+            text = schema(cls).encode()
+            key = writer.register_schema(type_name(cls), "ros2msg", text)
+            channels[topic] = writer.register_channel(
+                (rename or {}).get(topic, topic), encoding, key
+            )
+        stamp = int(log_ns) % (1 << 64)
+        writer.add_message(channels[topic], stamp, encoder(message), stamp)
+    writer.finish()
+    return path
+
+
+def poses(change):
+    """Change every pose with (pose, index, rng)."""
+    return of(MocapPose, change)
+
+
+def of(cls, change):
+    def spoil(records, rng):
+        count, changed = 0, []
+        for topic, log_ns, message in records:
+            if isinstance(message, cls):
+                message = change(message, count, rng)
+                count += 1
+            changed.append((topic, log_ns, message))
+        return changed
+
+    return spoil
+
+
+def times(change):
+    def spoil(records, rng):
+        return [(t, change(i, log_ns, rng), m) for i, (t, log_ns, m) in enumerate(records)]
+
+    return spoil
+
+
+def without(cls):
+    return lambda records, rng: [r for r in records if not isinstance(r[2], cls)]
+
+
+def some(share):
+    return lambda records, rng: [r for r in records if rng.random() < share]
+
+
+def scaled(k):
+    return poses(lambda p, i, rng: replace(p, x=p.x * k, y=p.y * k, x_raw=p.x_raw * k))
+
+
+def turned(p, i, rng):
+    flip = np.pi if i > 100 else 0.0
+    return replace(p, yaw=p.yaw + flip)
+
+
+def first(count):
+    return lambda records, rng: records[:count]
+
+
+def twice(records, rng):
+    return [record for record in records for _ in range(2)]
+
+
+def shuffled(records, rng):
+    """Neighbours change places, as two threads might write them."""
+    order = np.argsort(np.arange(len(records)) + rng.uniform(0, 20, len(records)))
+    return [records[i] for i in order]
+
+
+def gap(records, rng):
+    start = records[len(records) // 2][1]
+    return [(t, ns + 5 * SECOND * (ns > start), m) for t, ns, m in records]
+
+
+def two_cars(records, rng):
+    return records + [(t.replace("car1", "car2"), ns + 1, m) for t, ns, m in records]
+
+
+def two_clocks(records, rng):
+    """Poses stamped by another computer that started an hour later."""
+    return poses(lambda p, i, _: replace(p, t_valid_ns=p.t_valid_ns + 3600 * SECOND))(records, rng)
+
+
+def bursts(p, i, rng):
+    return replace(p, x=nan, y=inf, yaw=nan) if rng.random() < 0.2 else p
+
+
+def rotated_left(p, i, rng):
+    return replace(p, x=p.y, y=p.x)
+
+
+def standing(records, rng):
+    records = poses(lambda p, i, _: replace(p, x=0.0, y=0.0, yaw=0.0))(records, rng)
+    return of(State, lambda s, i, _: replace(s, x=0.0, y=0.0, yaw=0.0, speed=0.0))(records, rng)
+
+
+def commands(change):
+    return of(Actuation, change)
+
+
+def saturated(records, rng):
+    bound = 0.4 * rng.choice([-1.0, 1.0])
+    return commands(lambda a, i, _: replace(a, steer=bound))(records, rng)
+
+
+def spinning(v, i, rng):
+    return replace(v, erpm=20 * v.erpm)
+
+
+BAD = {
+    "25 topic missing": without(MocapPose),
+    "25b commands missing": without(Actuation),
+    "33 times not rising": shuffled,
+    "34 all times zero": times(lambda i, ns, rng: 0),
+    "35 clock steps by an hour": times(lambda i, ns, rng: ns + 3600 * SECOND * (i > 500)),
+    "35b clock steps back": times(lambda i, ns, rng: ns - 3600 * SECOND * (i > 500)),
+    "36 duplicates": twice,
+    "37 times beyond 63 bits": times(lambda i, ns, rng: (1 << 63) + i),
+    "38 times fall": times(lambda i, ns, rng: 10**15 - i * 1000),
+    "39 two clocks": two_clocks,
+    "40 half is missing": some(0.5),
+    "41 ten times as fast": times(lambda i, ns, rng: ns // 10),
+    "42 a gap of 5 s": gap,
+    "43 nothing but a start": first(1),
+    "44 one sample of each": lambda records, rng: list({r[0]: r for r in records}.values()),
+    "45 never moved": standing,
+    "46 steering is one constant": commands(lambda a, i, rng: replace(a, steer=0.1)),
+    "47 speed is one constant": commands(lambda a, i, rng: replace(a, speed=1.0)),
+    "48 millimetres": scaled(1000.0),
+    "49 degrees": poses(lambda p, i, rng: replace(p, yaw=np.degrees(p.yaw))),
+    "50 yaw unwrapped": poses(lambda p, i, rng: replace(p, yaw=p.yaw + 2 * np.pi * (i // 50))),
+    "51 yaw flips": poses(turned),
+    "52 frozen pose": poses(lambda p, i, rng: replace(p, x=1.0, y=2.0, yaw=0.5)),
+    "53 NaN in bursts": poses(bursts),
+    "54 steering has the other sign": commands(lambda a, i, rng: replace(a, steer=-a.steer)),
+    "55 servo saturated": saturated,
+    "56 wrong pole pairs": of(VescTelemetry, lambda v, i, rng: replace(v, erpm=v.erpm * 7 // 2)),
+    "57 left-handed axes": poses(rotated_left),
+    "59 two cars": two_cars,
+    "60 wheels spin": of(VescTelemetry, spinning),
+    "61 battery sags": of(VescTelemetry, lambda v, i, rng: replace(v, v_in=v.v_in - 0.01 * i)),
+    "61b voltage is no number": of(VescTelemetry, lambda v, i, rng: replace(v, v_in=nan)),
+    "63 huge": poses(lambda p, i, rng: replace(p, x=1e30 * rng.normal(), y=-1e300)),
+    "64 subnormal": poses(lambda p, i, rng: replace(p, x=5e-324, y=p.y * 1e-310)),
+    "64b unknown states": of(Transition, lambda t, i, rng: replace(t, to_state=200 + i)),
+    "64c torn clock": poses(lambda p, i, rng: replace(p, t_valid_ns=-1, t_arrival_ns=2**63 - 1)),
+}
+SCHEMAS = {
+    "27 another version": lambda cls: schema_text(cls).replace("float64 yaw\n", "float32 yaw\n"),
+    "28 field missing": lambda cls: schema_text(cls).replace("float64 yaw\n", ""),
+    "29 extra field": lambda cls: "float64 extra\n" + schema_text(cls),
+    "30 text for a number": lambda cls: schema_text(cls).replace("float64 x\n", "string x\n"),
+    "31 an array for a number": lambda cls: schema_text(cls).replace(
+        "float64 x\n", "float64[3] x\n"
+    ),
+    "31b no schema at all": lambda cls: "",
+    "31c a schema that is noise": lambda cls: "\u2603 [[[ ---\n====\nMSG: \n",
+}
+
+
+def steerd(*argv):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = guarded([str(arg) for arg in argv])
+    assert "Traceback" not in err.getvalue()
+    assert len(err.getvalue().splitlines()) < 20
+    return int(code), out.getvalue(), err.getvalue()
+
+
+def check_info(path):
+    """`steerd info` on it: a known code, nothing endless, JSON that strict readers take."""
+    used = resource.getrusage(resource.RUSAGE_SELF).ru_utime
+    code, out, err = steerd("info", path)
+    assert code in (0, 3, 4)
+    assert out or err.startswith("steerd: ")
+    assert len(out.splitlines()) < 60
+    code, out, err = steerd("info", path, "--json")
+    if code == 0:
+        json.loads(out, parse_constant=pytest.fail)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_utime - used < 20.0
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 2 << 20, "2 GiB"
+    return code, out, err
+
+
+@pytest.mark.parametrize("kind", BAD)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_bad_signals_and_times(drive, tmp_path, kind, seed):
+    records = BAD[kind](list(drive), np.random.default_rng(seed))
+    path = write(tmp_path / "a.mcap", records)
+    assert check_info(path)[0] == 0
+    if seed == SEEDS[0]:
+        assert steerd("identify", path)[0] in (3, 4), "so short a drive teaches nothing"
+        assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+@pytest.mark.parametrize("kind", SCHEMAS)
+def test_bad_schemas(drive, tmp_path, kind):
+    path = write(tmp_path / "a.mcap", drive, schema=SCHEMAS[kind])
+    check_info(path)
+    assert steerd("identify", path)[0] in (3, 4)
+
+
+def test_26_a_renamed_topic(drive, tmp_path):
+    path = write(tmp_path / "a.mcap", drive, rename={"/steerd/car1/mocap": "/tf"})
+    assert check_info(path)[0] == 0
+    code, _, err = steerd("identify", path)
+    assert code in (3, 4)
+    assert "mocap" in err or "pose" in err
+
+
+def test_32_another_encoding(drive, tmp_path):
+    path = write(tmp_path / "a.mcap", drive, encoding="json", encoder=lambda m: b'{"x": NaN}')
+    check_info(path)
+    assert steerd("identify", path)[0] in (3, 4)
+
+
+def test_58_a_car_file_of_another_car(drive, tmp_path):
+    """A wheelbase twice as long is a legal car: read, but no fit comes of this drive."""
+    path = write(tmp_path / "a.mcap", drive)
+    assert steerd("identify", path, "--wheelbase", "0.65")[0] in (3, 4)
+
+
+def test_62_one_drive_to_learn_from_and_to_test(drive, tmp_path):
+    path = write(tmp_path / "a.mcap", drive)
+    assert steerd("identify", path, "--held-out", path)[0] in (2, 3, 4)
+
+
+def test_20_a_file_that_grows_while_it_is_read(drive, tmp_path):
+    path = write(tmp_path / "a.mcap", drive)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    session = open_session(path)
+    with path.open("ab") as file:
+        file.write(whole[len(whole) // 2 :])
+    assert sum(1 for _ in session.messages()) > 0
+    assert check_info(path)[0] == 0
+
+
+def chunk_offsets(whole):
+    """Where the summary's chunk indexes keep the place of their chunk."""
+    at = struct.unpack_from("<Q", whole, len(whole) - 28)[0]
+    places = []
+    while whole[at] != 2:
+        if whole[at] == 8:
+            places.append(at + 9 + 16)
+        at += 9 + struct.unpack_from("<Q", whole, at + 1)[0]
+    return places
+
+
+def test_15_chunk_indexes_that_overlap_and_go_round(drive, tmp_path):
+    """The summary is not believed: what it points to changes nothing that is read."""
+    whole = write(tmp_path / "a.mcap", drive).read_bytes()
+    count = json.loads(check_info(tmp_path / "a.mcap")[1])["messages"]
+    places = chunk_offsets(whole)
+    assert len(places) > 2
+    for offset in (8, places[0], len(whole) - 100, 1 << 62):
+        bad = bytearray(whole)
+        for at in places:
+            bad[at : at + 8] = struct.pack("<Q", offset)
+        (tmp_path / "a.mcap").write_bytes(bytes(bad))
+        code, out, _ = check_info(tmp_path / "a.mcap")
+        assert code == 0
+        assert json.loads(out)["messages"] == count
+
+
+def test_every_class_of_the_list_is_here_or_among_the_containers():
+    here = {int("".join(c for c in kind.split()[0] if c.isdigit())) for kind in (*BAD, *SCHEMAS)}
+    here |= {
+        int(name.split("_")[1])
+        for name in globals()
+        if name.startswith("test_") and name.split("_")[1].isdigit()
+    }
+    containers = set(range(1, 25))
+    assert here | containers == set(range(1, 65))

@@ -1,0 +1,177 @@
+"""Calibration finds what was built into a drive, and refuses drives that tell nothing."""
+
+from dataclasses import astuple, fields
+
+import numpy as np
+import pytest
+
+from steerd.car_model.car_file import default_car_path, load_car
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.setup.calibration import (
+    Drive,
+    Mount,
+    calibrate_mount,
+    calibrate_steering,
+    slip_per_accel,
+)
+
+CAR = load_car(default_car_path()).car
+TRUTH = Mount(np.radians(3.0), 0.21, -0.015, 1.07, 0.018)
+DT = 1e-3
+
+
+def slow_drive(truth, *, seconds=60.0, seed=0, vary=True, one_side=False, straight=False, rate=120):
+    """Rear axle with the tyre's slip, marker and wheel as the truth says, with noise."""
+    t = np.arange(0.0, seconds, DT)
+    speed = 0.8 + (0.4 * np.sin(2 * np.pi * t / 7.0) if vary else 0.0)
+    speed = speed * np.clip(t, 0, 1)
+    curvature = 0.6 * np.sin(2 * np.pi * t / 16.0)
+    curvature = np.abs(curvature) + 0.1 if one_side else 0.0 * t if straight else curvature
+    rate_true = speed * curvature
+    yaw = 0.7 + np.cumsum(rate_true) * DT
+    slip = -slip_per_accel(CAR) * speed * rate_true
+    x = np.cumsum(speed * np.cos(yaw + slip)) * DT
+    y = np.cumsum(speed * np.sin(yaw + slip)) * DT
+    rng = np.random.default_rng(seed)
+    shown = np.arange(0.5, seconds - 0.5, 1 / rate)
+    at = shown - truth.delay
+    px, py, psi = (np.interp(at, t, column) for column in (x, y, yaw))
+    px += np.cos(psi) * truth.rear_x - np.sin(psi) * truth.rear_y
+    py += np.sin(psi) * truth.rear_x + np.cos(psi) * truth.rear_y
+    noise = rng.normal(size=(3, len(at)))
+    wheel = np.interp(shown, t, speed) / truth.speed_gain + 0.01 * rng.normal(size=len(shown))
+    body = np.angle(np.exp(1j * (psi + truth.yaw + 0.002 * noise[2])))
+    return Drive(shown, px + 3e-4 * noise[0], py + 3e-4 * noise[1], body, shown, wheel)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_injected_truth_is_found(seed):
+    found = calibrate_mount(slow_drive(TRUTH, seed=seed), CAR)
+    mount = found.mount
+    assert mount.yaw == pytest.approx(TRUTH.yaw, abs=np.radians(0.1))
+    assert mount.rear_x == pytest.approx(TRUTH.rear_x, abs=2e-3)
+    assert mount.rear_y == pytest.approx(TRUTH.rear_y, abs=2e-3)
+    assert mount.speed_gain == pytest.approx(TRUTH.speed_gain, rel=2e-3)
+    assert mount.delay == pytest.approx(TRUTH.delay, abs=6e-3)
+    assert found.doubts == ()
+    assert found.seconds > 55.0
+
+
+def test_the_standard_errors_cover_the_truth():
+    within = total = 0
+    for seed in range(8):
+        found = calibrate_mount(slow_drive(TRUTH, seed=100 + seed, seconds=30), CAR)
+        for value, sd, true in zip(*map(astuple, (found.mount, found.sd, TRUTH)), strict=True):
+            within += abs(value - true) < 3.5 * sd + 1e-4
+            total += 1
+    assert total == 8 * len(fields(Mount))
+    assert within >= 0.85 * total
+
+
+@pytest.mark.parametrize("turn", [np.pi / 2, -np.pi / 2, np.pi - 0.1, -2.0])
+def test_a_body_that_lies_across_or_backwards(turn):
+    truth = Mount(turn, -0.05, 0.08, 0.93, 0.0)
+    found = calibrate_mount(slow_drive(truth), CAR).mount
+    assert np.angle(np.exp(1j * (found.yaw - turn))) == pytest.approx(0.0, abs=3e-3)
+    assert (found.rear_x, found.rear_y) == pytest.approx((-0.05, 0.08), abs=3e-3)
+    assert found.speed_gain == pytest.approx(0.93, rel=3e-3)
+
+
+def test_a_gap_in_the_poses_does_no_harm():
+    d = slow_drive(TRUTH)
+    keep = (d.t < 20) | (d.t > 23)
+    cut = Drive(d.t[keep], d.x[keep], d.y[keep], d.yaw[keep], d.t_wheel, d.wheel)
+    mount = calibrate_mount(cut, CAR).mount
+    assert mount.rear_x == pytest.approx(TRUTH.rear_x, abs=2e-3)
+    assert mount.delay == pytest.approx(TRUTH.delay, abs=6e-3)
+
+
+def test_what_a_drive_cannot_tell_is_said():
+    found = calibrate_mount(slow_drive(TRUTH, vary=False, one_side=True), CAR)
+    assert any("one side" in doubt for doubt in found.doubts)
+    assert any("delay is uncertain" in doubt for doubt in found.doubts)
+    with pytest.raises(SteerdError, match="turns with"):
+        calibrate_mount(slow_drive(TRUTH, straight=True), CAR)
+    with pytest.raises(SteerdError, match=r"too short|moves for"):
+        calibrate_mount(slow_drive(TRUTH, seconds=5.0), CAR)
+    with pytest.raises(SteerdError, match="times as far as the wheels"):
+        calibrate_mount(slow_drive(Mount(0.0, 0.2, 0.0, 1000.0, 0.0)), CAR)
+
+
+def steered(gain, bias, delay, *, stop=1.0, seed=0, amplitude=0.25):
+    t = np.arange(0.0, 40.0, 0.01)
+    command = amplitude * np.sin(2 * np.pi * t / 6.0) + 0.02
+    wheel = np.clip(gain * np.interp(t - delay, t, command) + bias, -stop, stop)
+    speed = np.full_like(t, 1.0)
+    slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
+    w = np.tan(wheel) / (CAR.lf + CAR.lr) * speed / (1 + slip * speed**2 / (CAR.lf + CAR.lr))
+    rng = np.random.default_rng(seed)
+    return t, speed, w + 0.02 * rng.normal(size=t.size), t, command
+
+
+@pytest.mark.parametrize(("gain", "bias", "delay"), [(1.0, 0.0, 0.05), (0.85, 0.03, 0.1)])
+def test_steering_gain_centre_and_delay(gain, bias, delay):
+    found = calibrate_steering(*steered(gain, bias, delay), CAR)
+    assert found.gain == pytest.approx(gain, rel=0.01)
+    assert found.bias == pytest.approx(bias, abs=0.002)
+    assert found.delay == pytest.approx(delay, abs=0.005)
+    assert not found.clipped_left
+    assert not found.clipped_right
+
+
+def test_steering_that_meets_its_stops():
+    found = calibrate_steering(*steered(1.0, 0.0, 0.05, stop=0.2, amplitude=0.32), CAR)
+    assert found.clipped_left
+    assert found.clipped_right
+    assert (found.left, found.right) == pytest.approx((0.2, -0.2), abs=0.01)
+    assert found.gain == pytest.approx(1.0, rel=0.05)
+
+
+def stepped(hold, *, seed=0, speed=1.0):
+    """A drive in bends that change at once, more of them to the left; truth: 1, 0, 60 ms."""
+    t = np.arange(0.0, 60.0, 0.01)
+    rng = np.random.default_rng(seed)
+    levels = rng.choice([0.14, 0.12, 0.09, 0.05, -0.09], size=int(60 / hold) + 1)
+    command = levels[(t / hold).astype(int)]
+    wheel = np.interp(t - 0.06, t, command)
+    for _ in range(2):  # the servo's lag, and what differentiating smooths
+        wheel = np.convolve(np.pad(wheel, 10, mode="edge"), np.ones(21) / 21, "valid")
+    v = np.full_like(t, speed)
+    slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
+    w = np.tan(wheel) / (CAR.lf + CAR.lr) * v / (1 + slip * v**2 / (CAR.lf + CAR.lr))
+    return t, v, w + 0.02 * rng.normal(size=t.size), t, command
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_steps_of_steering_do_not_dilute_the_gain(seed):
+    found = calibrate_steering(*stepped(1.0, seed=seed), CAR)
+    assert found.gain == pytest.approx(1.0, abs=0.02)
+    assert abs(found.gain - 1.0) < 4 * found.sd_gain + 0.005
+    assert found.bias == pytest.approx(0.0, abs=0.002)
+
+
+def test_steering_that_is_never_followed_or_hardly_told_is_refused():
+    with pytest.raises(SteerdError, match="swings too fast"):
+        calibrate_steering(*stepped(0.1), CAR)
+    t, v, w, tc, command = steered(1.0, 0.0, 0.05, amplitude=0.04)
+    noisy = w + np.repeat(np.random.default_rng(1).normal(scale=0.06, size=40), 100)
+    with pytest.raises(SteerdError, match="tells the steering gain to") as caught:
+        calibrate_steering(t, v, noisy, tc, command, CAR)
+    assert caught.value.code == ExitCode.STOPPED
+
+
+def test_a_drive_too_quick_for_the_steering_is_doubted():
+    assert calibrate_steering(*stepped(1.5), CAR).doubts == ()
+    (doubt,) = calibrate_steering(*stepped(1.5, speed=3.0), CAR).doubts
+    assert "drive slower" in doubt
+
+
+def test_steering_that_tells_nothing():
+    with pytest.raises(SteerdError, match="what was asked for") as caught:
+        calibrate_steering(*steered(-1.0, 0.0, 0.05), CAR)
+    assert "servo_gain" in caught.value.hint
+    with pytest.raises(SteerdError, match="hardly used"):
+        calibrate_steering(*steered(1.0, 0.0, 0.05, amplitude=0.001), CAR)
+    t, speed, w, tc, command = steered(1.0, 0.0, 0.05)
+    with pytest.raises(SteerdError, match="hardly moves"):
+        calibrate_steering(t, 0.0 * speed, w, tc, command, CAR)

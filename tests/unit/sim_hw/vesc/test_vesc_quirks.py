@@ -1,0 +1,451 @@
+"""The checklist of `vesc-serial.md` section 8: one test per quirk, each named after it."""
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from steerd.car_model.state import ORIGIN
+from steerd.sim_hw.vesc.vesc_motor import duty_current
+from steerd.sim_hw.world import World, WorldConfig
+from steerd.vesc_link import commands as c
+from steerd.vesc_link.frames import FLUSH, encode_frame
+from steerd.vesc_link.identity import (
+    Ack,
+    AppConf,
+    CanIds,
+    FwVersion,
+    McConfTemp,
+    Print,
+    RotorPosition,
+)
+from steerd.vesc_link.ids import FW_3_00, FW_3_40, FW_3_60, FW_5_02, FW_5_03, PROFILES, Firmware
+from steerd.vesc_link.packets import encode_command
+from steerd.vesc_link.scaling import F1TENTH, servo_pos_to_steer
+from steerd.vesc_link.telemetry import FAST_MASK, Imu, Stats, Values, ValuesSetup, values_size
+
+MS = 1_000_000
+MakeHost = Callable[..., Any]
+ROLLING = WorldConfig(start=ORIGIN._replace(speed=2.0))
+ERPM_1 = 4614.0
+
+
+def test_head_of_line_blocking_delivers_everything_late_at_once(make_host: MakeHost) -> None:
+    host = make_host(timeout_ms=0)
+    host.world.serial_write(0, b"\x03\x02\x00")
+    for erpm in range(1000, 1051):
+        host.tell(c.SetErpm(erpm))
+        host.run(10)
+    assert host.world.vesc.motor.value == 0.0
+    host.tell(c.SetErpm(1051))  # 3 + 52 frames of 10 bytes: the false frame's 518 are there
+    assert host.world.vesc.motor.value in (1050.0, 1051.0)
+
+
+def test_zero_flush_frees_the_parser(make_host: MakeHost) -> None:
+    host = make_host()
+    host.world.serial_write(0, b"\x03\x02\x00")
+    host.world.serial_write(0, FLUSH)
+    assert isinstance(host.ask(c.GetFwVersion()), FwVersion)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "freed"), [(FW_3_40, True), (FW_3_60, True), (FW_5_02, True), (FW_5_03, False)]
+)
+def test_only_old_firmware_resets_its_parser_after_silence(
+    make_host: MakeHost, firmware: Firmware, freed: bool
+) -> None:
+    host = make_host(firmware=firmware)
+    host.world.serial_write(0, b"\x02\xff\x00")
+    host.run(1500)
+    assert isinstance(host.ask(c.GetFwVersion()), FwVersion) == freed
+
+
+@pytest.mark.parametrize("firmware", [FW_3_00, *PROFILES], ids=str)
+def test_firmware_profiles_send_their_own_layouts(make_host: MakeHost, firmware: Firmware) -> None:
+    host = make_host(firmware=firmware)
+    version = host.ask(c.GetFwVersion())
+    assert version.firmware == firmware
+    host.tell(c.GetValues())
+    host.run(1)
+    (payload,) = host.parser.feed(host.world.serial_read(host.t_ns), host.t_ns)
+    assert len(payload) == values_size(None, firmware)
+    if firmware >= FW_3_60:
+        assert (host.ask(c.GetValuesSelective(FAST_MASK)).status is None) == (firmware < FW_5_03)
+    assert (version.uuid is None) == (firmware <= FW_3_00)
+
+
+def test_numbers_are_single_precision_truncated(make_host: MakeHost) -> None:
+    host = make_host(battery_voltage=11.99)
+    assert host.values().input_voltage == 11.9  # not 12.0
+
+
+def test_reply_comes_as_one_byte_then_the_rest(make_host: MakeHost) -> None:
+    host = make_host(reply_delay_ns=300_000, fragment_gap_ns=50_000)
+    host.tell(c.GetFwVersion())
+    assert host.world.serial_read(299_999) == b""
+    assert host.world.serial_read(300_000) == b"\x02"
+    assert host.world.serial_read(349_999) == b""
+    assert len(host.world.serial_read(350_000)) > 30
+
+
+def test_averages_restart_on_every_read_and_two_pollers_steal(make_host: MakeHost) -> None:
+    host = make_host()
+    host.hold(300, c.SetErpm(ERPM_1))
+    host.values()
+    host.hold(50, c.SetErpm(3 * ERPM_1))
+    host.tell(c.GetValues(), c.GetValues())
+    host.run(1)
+    first, second = host.heard()
+    assert first.motor_current > 5.0
+    assert second.motor_current == 0.0
+    only_voltage = host.ask(c.GetValuesSelective(1 << 8))  # leaves the means of others alone
+    assert only_voltage.motor_current is None
+
+
+def test_timeout_strikes_on_the_10_ms_thread_although_polled(make_host: MakeHost) -> None:
+    """The pre-arm proof: silence but for polls must raise status bit 0 in timeout + 20 ms."""
+    host = make_host(timeout_ms=200)
+    host.tell(c.SetCurrentBrake(1.0))
+    struck = None
+    for ms in range(5, 400, 5):
+        host.run(5)
+        reply = host.ask(c.GetValues(), 0.4)
+        host.t_ns = ms * MS
+        if reply.timeout_active:
+            struck = ms
+            break
+    assert struck is not None
+    assert 200 <= struck <= 220
+
+
+def test_timeout_releases_then_brakes_to_rest(make_host: MakeHost) -> None:
+    host = make_host(timeout_ms=150, timeout_brake_current=20.0)
+    host.hold(1500, c.SetErpm(2 * ERPM_1))
+    x, v = host.world.truth().state.x, host.speed
+    host.run(3000)
+    decel = 20.0 * host.world.config.vesc.accel_per_amp + 0.6
+    assert host.speed == 0.0
+    assert host.world.truth().state.x - x <= v * 0.17 + v * v / 2 / decel + 0.05
+
+
+def test_timeout_with_brake_current_zero_coasts(make_host: MakeHost) -> None:
+    host = make_host(timeout_ms=150, timeout_brake_current=0.0)
+    host.hold(1500, c.SetErpm(2 * ERPM_1))
+    host.run(1160)
+    assert host.speed == pytest.approx(2.0 - 0.6, abs=0.1)
+
+
+def test_timeout_zero_never_strikes(make_host: MakeHost) -> None:
+    host = make_host(timeout_ms=0)
+    host.tell(c.SetErpm(2 * ERPM_1))
+    host.run(5000)
+    assert not host.values().timeout_active
+    assert host.speed == pytest.approx(2.0, abs=0.01)
+
+
+def test_timeout_ends_with_the_next_command(make_host: MakeHost) -> None:
+    host = make_host()
+    host.run(500)
+    assert host.values().timeout_active
+    host.hold(30, c.SetErpm(ERPM_1))
+    assert not host.values().timeout_active
+
+
+def test_servo_commands_and_polls_do_not_feed_the_timeout_but_alive_does(
+    make_host: MakeHost,
+) -> None:
+    host = make_host()
+    host.tell(c.SetErpm(ERPM_1))
+    host.hold(300, c.SetServoPos(0.5), c.GetValues())
+    assert host.world.vesc.motor.timed_out
+    host.hold(500, c.SetErpm(ERPM_1))
+    host.hold(500, c.Alive())
+    assert not host.world.vesc.motor.timed_out
+    assert host.speed == pytest.approx(1.0, abs=0.05)  # ALIVE keeps the last command running
+
+
+def test_servo_holds_its_last_angle_for_ever(make_host: MakeHost) -> None:
+    host = make_host()
+    host.tell(c.SetServoPos(0.3))
+    host.run(20_000)
+    steer = servo_pos_to_steer(F1TENTH, 0.3)
+    assert host.world.truth().state.steer == pytest.approx(steer, abs=1e-6)
+
+
+def test_servo_does_nothing_when_its_output_is_disabled(make_host: MakeHost) -> None:
+    host = make_host(servo_out=False)
+    before = host.ask(c.GetValues()) and host.world.truth().state.steer
+    host.hold(500, c.SetServoPos(0.15))
+    centre = servo_pos_to_steer(F1TENTH, 0.5)
+    assert host.world.truth().state.steer == pytest.approx(centre, abs=1e-3)
+    assert abs(before - centre) < 0.03
+
+
+def test_servo_samples_at_50_hz(make_host: MakeHost) -> None:
+    host = make_host(servo_phase_ns=6 * MS)
+    angles = []
+    for k in range(20):  # a new angle every 5 ms
+        host.tell(c.SetServoPos(0.3 + 0.01 * k))
+        host.run(5)
+        angles.append(host.world.vesc._servo_out)
+    changes = [k for k in range(1, 20) if angles[k] != angles[k - 1]]
+    assert {b - a for a, b in itertools.pairwise(changes)} == {4}
+
+
+def test_speed_ramp_is_25000_erpm_per_second_from_the_actual_speed(make_host: MakeHost) -> None:
+    host = make_host(config=ROLLING)
+    host.tell(c.SetErpm(5 * ERPM_1))
+    host.run(40)
+    assert host.world.vesc.motor.ramped == pytest.approx(2 * ERPM_1 + 1000, abs=60)
+
+
+def test_firmware_before_5_03_has_no_ramp(make_host: MakeHost) -> None:
+    host = make_host(config=ROLLING, firmware=FW_5_02)
+    host.tell(c.SetErpm(5 * ERPM_1))
+    host.run(2)
+    assert host.world.vesc.motor.ramped == 5 * ERPM_1
+
+
+def test_setpoints_below_900_erpm_coast(make_host: MakeHost) -> None:
+    host = make_host(config=ROLLING, firmware=FW_5_02)
+    host.hold(500, c.SetErpm(899))
+    assert host.speed == pytest.approx(2.0 - 0.5 * 0.6, abs=0.02)
+
+
+def test_set_rpm_0_brakes_along_the_ramp_and_then_coasts(make_host: MakeHost) -> None:
+    host = make_host(config=ROLLING)
+    host.hold(1000, c.SetErpm(0))
+    mode_now = host.world.vesc.motor.step(host.t_ns, 0.002).mode.name
+    assert mode_now == "RELEASED"
+    assert 0.0 <= host.speed < 1.0
+
+
+def test_invert_flag_turns_commands_telemetry_and_tachometer(make_host: MakeHost) -> None:
+    host = make_host(invert=True)
+    host.hold(1000, c.SetErpm(ERPM_1))
+    assert host.speed == pytest.approx(-1.0, abs=0.02)
+    values = host.values()
+    assert values.erpm == pytest.approx(ERPM_1, abs=60)
+    assert values.tachometer > 0
+
+
+def test_brake_current_slows_by_its_constant_and_never_reverses(make_host: MakeHost) -> None:
+    host = make_host(config=ROLLING)
+    host.hold(100, c.SetCurrentBrake(10.0))
+    decel = 10.0 * host.world.config.vesc.accel_per_amp + 0.6
+    assert host.speed == pytest.approx(2.0 - 0.1 * decel, abs=0.02)
+    host.hold(2000, c.SetCurrentBrake(10.0))
+    assert host.speed == 0.0
+
+
+def test_current_pushes_both_ways_and_a_tiny_one_releases(make_host: MakeHost) -> None:
+    host = make_host()
+    host.hold(500, c.SetCurrent(-10.0))
+    assert host.speed == pytest.approx(-0.5 * (10.0 * 0.175 - 0.6), rel=0.05)
+    host.hold(20, c.SetCurrent(0.04))
+    assert host.world.vesc.motor.value == 0.0
+    host.hold(500, c.SetCurrentRel(0.5))
+    assert host.speed > 1.0
+
+
+def test_duty_settles_where_back_emf_meets_the_battery(make_host: MakeHost) -> None:
+    host = make_host()
+    host.hold(4000, c.SetDuty(0.1))
+    config = host.world.config.vesc
+    erpm = host.world.vesc._true_erpm()
+    drag = duty_current(config, 0.1, host.world.vesc.power.voltage, erpm)
+    assert drag * config.accel_per_amp == pytest.approx(0.6, abs=0.05)
+    assert host.values().duty == pytest.approx(0.1, abs=0.01)
+
+
+def test_tachometer_counts_60_degree_steps_and_wraps_nothing_away(make_host: MakeHost) -> None:
+    host = make_host(config=ROLLING)
+    host.hold(1000, c.SetErpm(2 * ERPM_1))
+    host.hold(1000, c.SetErpm(-2 * ERPM_1))
+    host.hold(1500, c.SetErpm(-2 * ERPM_1))
+    values, state = host.values(), host.world.truth().state
+    assert values.tachometer == pytest.approx(state.x * ERPM_1 / 10, abs=3)
+    assert values.tachometer_abs > abs(values.tachometer)
+
+
+def test_faults_clear_themselves_500_ms_after_their_condition(make_host: MakeHost) -> None:
+    host = make_host(timeout_ms=0)
+    host.hold(500, c.SetErpm(ERPM_1))
+    host.world.vesc.motor.hold_fault(host.t_ns, 4)
+    assert host.values().fault_name == "ABS_OVER_CURRENT"
+    host.hold(480, c.SetErpm(ERPM_1))
+    assert host.values().fault == 4
+    assert host.world.vesc.motor.mode.name == "RELEASED"  # commands are ignored
+    host.run(30)
+    assert host.values().fault == 0
+    host.hold(500, c.SetErpm(ERPM_1))
+    assert host.speed == pytest.approx(1.0, abs=0.02)  # the next command drives again
+
+
+def test_voltage_sag_ends_in_under_voltage(make_host: MakeHost) -> None:
+    host = make_host(battery_resistance=1.0, voltage_min=9.0)
+    host.hold(400, c.SetErpm(4 * ERPM_1))
+    assert host.values().fault_name == "UNDER_VOLTAGE"
+
+
+def test_blocking_commands_are_discarded_while_one_runs(make_host: MakeHost) -> None:
+    host = make_host()
+    host.tell(c.PingCan())
+    host.run(100)
+    host.tell(c.TerminalCommand("faults"))
+    host.run(2500)
+    assert host.heard() == [CanIds(())]
+    assert host.world.vesc.counts["discarded"] == 1
+    assert host.ask(c.TerminalCommand("faults"), 10) == Print("Fault: FAULT_CODE_NONE")
+
+
+def test_uptime_counts_and_goes_back_with_a_reboot(make_host: MakeHost) -> None:
+    host = make_host(uptime_ns=60_000 * MS)
+    host.run(1000)
+    assert host.ask(c.GetValuesSetupSelective(0x200000)).uptime_ms == 61_000
+    host.tell(c.Reboot())
+    with pytest.raises(OSError, match="Input/output"):
+        host.world.serial_read(host.t_ns + MS)
+    assert host.world.serial_name is None
+    host.run(1600)
+    assert host.world.serial_name == "vesc"
+    assert host.ask(c.GetValuesSetupSelective(0x200000)).uptime_ms <= 101
+
+
+def test_reboot_forgets_ram_limits_and_centres_the_servo(make_host: MakeHost) -> None:
+    host = make_host()
+    host.tell(limits(erpm_max=5000.0), c.SetServoPos(0.2))
+    host.run(50)
+    host.tell(c.Reboot())
+    host.run(1600)
+    assert host.ask(c.GetMcConfTemp()).erpm_max == 50_000.0
+    assert host.world.vesc._servo_out == 0.5
+
+
+def limits(**changes: float) -> c.SetMcConfTemp:
+    usual = c.SetMcConfTemp(1.0, 1.0, -50e3, 50e3, 0.005, 0.95, -1500.0, 1500.0, -40.0, 40.0)
+    return replace(usual, **changes)  # type: ignore[arg-type]
+
+
+def test_limits_in_ram_are_acknowledged_read_back_and_enforced(make_host: MakeHost) -> None:
+    host = make_host()
+    assert isinstance(host.ask(limits(erpm_max=1.5 * ERPM_1, current_min_scale=0.1)), Ack)
+    held = host.ask(c.GetMcConfTemp())
+    assert isinstance(held, McConfTemp)
+    assert held.erpm_max == pytest.approx(1.5 * ERPM_1)
+    assert held.erpm_gain == pytest.approx(ERPM_1, rel=0.002)
+    host.hold(2000, c.SetErpm(4 * ERPM_1))
+    assert host.speed == pytest.approx(1.5, abs=0.01)
+    host.tell(c.SetCurrentBrake(60.0))
+    assert host.world.vesc.motor.value == pytest.approx(6.0)
+
+
+def test_appconf_says_timeout_and_brake_current(make_host: MakeHost) -> None:
+    reply = make_host(timeout_ms=180, timeout_brake_current=12.5).ask(c.GetAppConf())
+    assert isinstance(reply, AppConf)
+    assert (reply.timeout_ms, reply.timeout_brake_current) == (180, 12.5)
+    assert len(reply.tail) > 100
+
+
+def test_imu_measures_the_car_and_repeats_its_200_hz_samples(make_host: MakeHost) -> None:
+    host = make_host(gyro_noise=0.001, accel_noise=0.01)
+    host.tell(c.SetServoPos(0.3))
+    host.hold(2000, c.SetErpm(2 * ERPM_1))
+    one, two = host.ask(c.GetImuData(0xFFFF), 0.5), host.ask(c.GetImuData(0xFFFF), 0.5)
+    assert isinstance(one, Imu)
+    assert one == two
+    truth = host.world.truth()
+    assert one.gyro_z == pytest.approx(truth.state.yaw_rate, abs=0.01)
+    assert one.accel_y == pytest.approx(truth.state.speed * truth.state.yaw_rate, abs=0.1)
+    assert one.has_chip
+    attitude = 2.0 * math.atan2(one.q_z, one.q_w)
+    assert math.remainder(attitude - truth.state.yaw, math.tau) == pytest.approx(0.0, abs=0.05)
+
+
+def test_board_without_imu_answers_zeros_and_identity(make_host: MakeHost) -> None:
+    reply = make_host(imu=False).ask(c.GetImuData(0xFFFF))
+    assert reply.has_chip is False
+    assert (reply.q_w, reply.gyro_z) == (1.0, 0.0)
+
+
+def test_kill_switch_shows_in_the_status_and_releases_the_motor(make_host: MakeHost) -> None:
+    host = make_host(config=ROLLING)
+    host.world.vesc.set_knobs(0, replace(host.world.vesc.knobs, kill=True))
+    host.hold(500, c.SetErpm(3 * ERPM_1))
+    assert host.values().kill_switch
+    assert host.speed < 1.8
+
+
+def test_short_commands_are_ignored_and_counted_as_a_host_bug(make_host: MakeHost) -> None:
+    host = make_host()
+    host.world.serial_write(0, encode_frame(b"\x08\x00\x00"))
+    assert host.world.vesc.motor.value == 0.0
+    assert host.world.vesc.counts["short"] == 1
+    host.world.serial_write(0, encode_frame(b"\xf5abc"))
+    assert host.world.vesc.counts["unknown"] == 1
+
+
+def test_host_that_does_not_read_blocks_the_vesc_and_gets_cut_frames(make_host: MakeHost) -> None:
+    host = make_host(unread_limit=300, timeout_ms=0)
+    for _ in range(4):
+        host.tell(c.GetValues())
+    assert host.world.vesc._wire.cut == 1
+    host.tell(c.SetErpm(2000))
+    assert host.world.vesc.motor.value == 0.0  # waits behind the blocked reply
+    host.run(110)
+    assert host.world.vesc.motor.value == 2000.0
+    host.run(1)
+    assert len([r for r in host.heard() if isinstance(r, Values)]) == 3
+
+
+def test_display_mode_sends_rotor_positions_unasked(make_host: MakeHost) -> None:
+    host = make_host()
+    host.tell(c.SetDetect(3))
+    host.run(100.5)
+    assert len([r for r in host.heard() if isinstance(r, RotorPosition)]) == 10
+    host.tell(c.SetDetect(0))
+    host.run(100)
+    assert host.heard() == []
+
+
+def test_boot_garbage_comes_before_everything(make_host: MakeHost) -> None:
+    host = make_host(boot_garbage=40)
+    host.run(5)
+    assert len(host.world.serial_read(host.t_ns)) == 40
+    assert isinstance(host.ask(c.GetFwVersion()), FwVersion)
+
+
+def test_estop_ignores_motor_commands_for_its_time(make_host: MakeHost) -> None:
+    host = make_host(config=ROLLING, firmware=Firmware(7, 1))
+    host.tell(c.MotorEstop(300))
+    host.hold(290, c.SetErpm(3 * ERPM_1))
+    assert host.speed < 1.9
+    host.hold(800, c.SetErpm(3 * ERPM_1))
+    assert host.speed > 2.5
+
+
+def test_statistics_and_set_up_telemetry(make_host: MakeHost) -> None:
+    host = make_host()
+    assert isinstance(host.ask(c.ResetStats(ack=True)), Ack)
+    host.hold(2000, c.SetErpm(2 * ERPM_1))
+    stats, setup = host.ask(c.GetStats(0x7FF)), host.ask(c.GetValuesSetup())
+    assert isinstance(stats, Stats)
+    assert stats.speed_max == pytest.approx(2.0, abs=0.05)
+    assert 1.0 < stats.speed_avg < stats.speed_max
+    assert isinstance(setup, ValuesSetup)
+    assert setup.speed == pytest.approx(2.0, abs=0.05)
+    assert setup.distance == pytest.approx(host.world.truth().state.x, abs=0.05)
+
+
+def test_byte_log_holds_every_byte_with_time_and_direction(make_host: MakeHost) -> None:
+    host = make_host()
+    host.run(7)
+    frame = encode_frame(encode_command(c.GetFwVersion()))
+    host.ask(c.GetFwVersion())
+    sent, *got = host.world.log.entries
+    assert sent == (7 * MS, "vesc", frame)
+    assert [entry.to for entry in got] == ["host", "host"]
+    assert World(replace(ROLLING, keep_bytes=False)).log.entries == []

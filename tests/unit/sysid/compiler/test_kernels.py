@@ -1,0 +1,227 @@
+"""Compiled windows against the torch reference, torch against finite differences."""
+
+import numpy as np
+import pytest
+import torch
+
+from steerd.car_model.model import Model
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.rollout import euler, start
+from steerd.car_model.rollout import simulate as simulate_floats
+from steerd.car_model.state import Command, State
+from steerd.sysid.compiler.kernels import (
+    Held,
+    Kernels,
+    Stations,
+    Windows,
+    delays_of,
+    lane_view,
+    make_kernels,
+    make_lanes,
+    march,
+    march_back,
+    parameter_vector,
+    read,
+)
+from steerd.sysid.compiler.specialised import BRISK
+from steerd.sysid.paper.torch_kernel import simulate
+from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, PAPER_STEP, simulate_reference
+
+H = 0.005
+
+
+def _inputs(model, count=5, steps=40, history=4, seed=0):
+    rng = np.random.default_rng(seed)
+    first = np.c_[
+        rng.normal(size=(count, 3)),
+        rng.uniform(0.25, 2.0, (count, 1)),
+        0.1 * rng.normal(size=(count, 3)),
+    ]
+    steer = rng.uniform(-0.4, 0.4, (count, history + steps))
+    speed = rng.uniform(0.5, 3.0, (count, history + steps))
+    arrays = (parameter_vector(model), first, np.stack([steer, speed], -1))
+    return [torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in arrays]
+
+
+@pytest.fixture(params=["base", pytest.param("rich", marks=pytest.mark.slow)])
+def any_model(request, rich_model):
+    car = DEFAULT_CAR._replace(steer_delay=0.013, drive_delay=0.004)
+    return Model(car) if request.param == "base" else rich_model
+
+
+@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+def test_kernel_equals_reference_in_value_and_gradient(any_model, integrator):
+    p, first, commands = _inputs(any_model)
+    kernels = make_kernels(any_model.effects)
+    options = {"integrator": integrator, "history": 4, "t": 1.0}
+    fast = simulate(kernels, p, first, commands, H, **options)
+    slow = simulate_reference(p, first, commands, H, effects=any_model.effects, **options)
+    assert fast.shape == slow.shape == (5, 41, 7 + kernels.memory)
+    assert torch.max(torch.abs(fast - slow)) < 1e-9
+    weight = torch.tensor(np.random.default_rng(1).normal(size=tuple(slow.shape)))
+    wanted = torch.autograd.grad((weight * slow).sum(), [p, first, commands])
+    got = torch.autograd.grad((weight * fast).sum(), [p, first, commands])
+    for a, b in zip(got, wanted, strict=True):
+        assert torch.max(torch.abs(a - b)) < 1e-9 * torch.max(torch.abs(b))
+
+
+@pytest.mark.parametrize("slowest", [0.3, 0.8])
+def test_on_the_move_and_through_walking_pace(any_model, slowest):
+    """Above walking pace a block takes the short equations, below it all of them."""
+    p, first, commands = _inputs(any_model, steps=30)
+    first.data[:, 3] = torch.linspace(slowest, 1.5, 5, dtype=torch.float64)
+    commands.data[..., 1] = torch.clamp(commands.data[..., 1], min=slowest)
+    fast = simulate(make_kernels(any_model.effects), p, first, commands, H, history=4)
+    slow = simulate_reference(p, first, commands, H, effects=any_model.effects, history=4)
+    assert bool((slow[..., 3] > BRISK).all()) == (slowest > BRISK)
+    assert torch.max(torch.abs(fast - slow)) < 1e-9
+    weight = torch.tensor(np.random.default_rng(1).normal(size=tuple(slow.shape)))
+    wanted = torch.autograd.grad((weight * slow).sum(), [p, first, commands])
+    got = torch.autograd.grad((weight * fast).sum(), [p, first, commands])
+    for a, b in zip(got, wanted, strict=True):
+        assert torch.max(torch.abs(a - b)) < 1e-9 * torch.max(torch.abs(b))
+
+
+def test_more_windows_than_a_block_and_substeps():
+    p, first, commands = _inputs(Model(DEFAULT_CAR), count=35, steps=12)
+    fast = simulate(make_kernels(), p, first, commands, H, substeps=3, history=4)
+    repeated = commands.repeat_interleave(3, dim=1)
+    slow = simulate_reference(p, first, repeated, H / 3, history=12)[:, ::3]
+    assert torch.max(torch.abs(fast - slow)) < 1e-9
+    got = torch.autograd.grad((fast**2).sum(), [p, first, commands])
+    wanted = torch.autograd.grad((slow**2).sum(), [p, first, commands])
+    for a, b in zip(got, wanted, strict=True):
+        assert torch.max(torch.abs(a - b)) < 1e-9 * torch.max(torch.abs(b))
+
+
+def test_reference_and_kernel_pass_gradcheck(any_model):
+    p, first, commands = _inputs(any_model, count=1, steps=3, history=1)
+    kernels = make_kernels(any_model.effects)
+
+    def reference(a, b, c):
+        return simulate_reference(a, b, c, H, effects=any_model.effects, history=1)
+
+    def compiled(a, b, c):
+        return simulate(kernels, a, b, c, H, history=1)
+
+    for function in (reference, compiled):
+        assert torch.autograd.gradcheck(function, (p, first, commands), eps=1e-7, atol=2e-5)
+
+
+def test_paper_setting_is_the_float_simulation_with_euler():
+    commands = [Command(0.5, 1.0)] * 200
+    moments = simulate_floats(
+        FLOAT, Model(PAPER_CAR_DIRECT),
+        start(Model(PAPER_CAR_DIRECT), State(0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), 0.0),
+        commands, PAPER_STEP, euler,
+    )  # fmt: skip
+    first = torch.zeros(1, 7, dtype=torch.float64)
+    first[0, 3] = 1.0
+    tensor = torch.tensor([commands], dtype=torch.float64)
+    got = simulate(
+        make_kernels(),
+        torch.tensor([*PAPER_CAR_DIRECT], dtype=torch.float64),
+        first,
+        tensor,
+        PAPER_STEP,
+        integrator="euler",
+    )
+    assert np.abs(got[0, -1].numpy() - np.array(moments[-1].state)).max() < 1e-12
+    assert got[0, -1, 6] == PAPER_CAR_DIRECT.steer_max
+
+
+def test_single_precision_is_refused():
+    p, first, commands = _inputs(Model(DEFAULT_CAR), count=1, steps=2)
+    with pytest.raises(TypeError, match="float64"):
+        simulate(make_kernels(), p.float(), first, commands, H)
+
+
+def _stations(kernels: Kernels, p, held: Held, windows: int) -> Stations:
+    late = delays_of(kernels, p)[2]
+    rows, row = [], 0
+    for w in range(windows):
+        for t in np.arange(0.0107, 0.19, 0.0173):
+            for kind, channel in ((0, 0), (1, 3), (2, 4)):
+                true = (t - (late if kind == 0 else 0.0)) / held.fine
+                rows.append((w, int(np.floor(true)), channel, row, kind == 0, true))
+                row += 3 if kind == 0 else 1
+    rows.sort(key=lambda r: (r[0], r[5]))
+    table = np.array([r[:5] for r in rows], np.int64)
+    shares = np.array([r[5] - r[1] for r in rows])
+    spans = np.searchsorted(table[:, 0], np.arange(windows + 1))
+    return Stations(np.ascontiguousarray(table[:, 1:]), shares, spans, row)
+
+
+def test_sensitivities_are_central_differences(any_model):
+    kernels, p = make_kernels(any_model.effects), parameter_vector(any_model)
+    rng = np.random.default_rng(3)
+    first = np.c_[
+        rng.normal(size=(2, 3)), rng.uniform(0.4, 2.0, (2, 1)), 0.1 * rng.normal(size=(2, 3))
+    ]
+    commands = np.stack([rng.uniform(-0.3, 0.3, 120), rng.uniform(0.5, 3.0, 120)], -1)
+    windows = Windows(np.array([[0, 120, 15, 40, 10], [0, 120, 70, 40, 10]]), np.array([0.1, 0.4]))
+    held, count = Held(commands, H), len(p)
+    seeds, dfirst = np.eye(count, count + 7), np.eye(7, count + 7, count)
+
+    def readings(p, first):
+        stations = _stations(kernels, p, held, 2)
+        return read(kernels, p, seeds, first, dfirst, held, windows, stations)
+
+    slopes = readings(p, first)[1]
+    for column in range(count + 7):
+        e = 1e-6
+
+        def moved(sign, column=column, e=e):
+            q, x = p.copy(), first.copy()
+            if column < count:
+                q[column] += sign * e
+            else:
+                x[:, column - count] += sign * e
+            return readings(q, x)[0]
+
+        central = (moved(1) - moved(-1)) / (2 * e)
+        scale = max(1.0, np.abs(central).max())
+        assert np.abs(slopes[:, column] - central).max() < 2e-6 * scale, column
+
+
+def test_sensitivities_agree_with_the_adjoint():
+    model = Model(DEFAULT_CAR._replace(steer_delay=0.013))
+    kernels, p = make_kernels(), parameter_vector(model)
+    rng = np.random.default_rng(5)
+    steps, first = 60, np.array([[0.1, -0.2, 0.4, 1.3, 0.2, 0.02, 0.05]])
+    held = Held(np.stack([rng.uniform(-0.3, 0.3, 70), rng.uniform(1.0, 2.0, 70)], -1), H)
+    stations = Stations(np.array([[steps - 1, 0, 0, 1]]), np.ones(1), np.array([0, 1]), 3)
+    count = len(p)
+    y, slopes = read(
+        kernels, p, np.eye(count, count + 7), first, np.eye(7, count + 7, count), held,
+        Windows(np.array([[0, 70, 10, steps, 0]]), np.zeros(1)), stations,
+    )  # fmt: skip
+    lanes = make_lanes(np.array([[0, 70, 10]]), np.zeros(1))
+    path = march(kernels, p, first, held, lanes, steps)
+    assert np.abs(lane_view(path, 1)[0, -1, :3] - y).max() < 1e-12
+    for row in range(3):
+        bars = np.zeros((1, steps + 1, 7))
+        bars[0, -1, row] = 1.0
+        back = march_back(kernels, p, path, bars, held, lanes)
+        both = np.concatenate([back.parameters, back.first[0]])
+        seen = slopes[row].copy()
+        seen[kernels.names.index("pose_delay")] = 0.0
+        assert np.abs(both - seen).max() < 1e-9 * max(1.0, np.abs(both).max())
+
+
+def test_too_many_columns_are_refused():
+    kernels, p = make_kernels(), parameter_vector(Model(DEFAULT_CAR))
+    stations = Stations(np.zeros((0, 4), np.int64), np.zeros(0), np.zeros(2, np.int64), 0)
+    windows = Windows(np.array([[0, 1, 0, 1, 0]]), np.zeros(1))
+    with pytest.raises(ValueError, match="73 columns"):
+        read(
+            kernels,
+            p,
+            np.zeros((21, 73)),
+            np.zeros((1, 7)),
+            np.zeros((7, 73)),
+            Held(np.zeros((1, 2)), H),
+            windows,
+            stations,
+        )

@@ -1,0 +1,29 @@
+"""Where compiled models live: names that follow the equations, writers side by side."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from steerd.car_model.effects import find_effect
+from steerd.sysid.compiler import simd_math as lane_math
+from steerd.sysid.compiler.modules import module_source, write_module
+
+
+def test_one_file_per_model_whoever_writes_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("STEERD_CACHE", str(tmp_path))
+    with ThreadPoolExecutor(8) as pool:
+        paths = set(pool.map(lambda _: write_module(), range(16)))
+    assert len(paths) == 1
+    assert [p.name for p in (tmp_path / "kernels").iterdir()] == [paths.pop().name]
+    other = write_module((find_effect("steer_bias"),))
+    assert other not in paths
+    assert other.read_text(encoding="utf-8") == module_source((find_effect("steer_bias"),))
+
+
+def test_lane_functions_are_good_to_the_last_places():
+    x = np.linspace(-40.0, 40.0, 4001)
+    for name in ("sin", "cos", "tan"):
+        ours = np.array([getattr(lane_math, name)(v) for v in x])
+        assert np.abs(ours - getattr(np, name)(x)).max() < 4e-16 * (1.0 + np.abs(ours).max() ** 2)
+    ours = np.array([lane_math.atan(v) for v in x])
+    assert np.abs(ours - np.arctan(x)).max() < 4e-16

@@ -1,0 +1,154 @@
+"""Bad drives are refused with a reason; good ones come out on one clock and grid."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steerd.sysid.data.data_checks import DataError, noise_of
+from steerd.sysid.data.dataset import Signal, hold_means, load_run, make_run
+from steerd.sysid.data.excitation import obeyed
+from steerd.sysid.data.windows import make_layout
+
+
+def _good(seconds=4.0):
+    t = np.arange(0.0, seconds, 0.01)
+    pose = np.column_stack([t, 0.1 * np.sin(t), 0.1 * np.cos(t)])
+    return t, np.where(t > 1.0, 0.1, 0.0), np.ones_like(t), pose
+
+
+def _make(t, steer, speed, pose, pose_t=None):
+    pose_t = t if pose_t is None else pose_t
+    return make_run("drive", Signal(t, steer), Signal(t, speed), Signal(pose_t, pose))
+
+
+def test_a_good_drive_passes():
+    run = _make(*_good())
+    assert run.speed_source == "command"
+    assert run.duration == pytest.approx(4.0, abs=0.02)
+    assert run.commands[0, 0] == 0.0
+    assert run.commands[-1, 0] == pytest.approx(0.1)
+
+
+def _backwards(t, steer, speed, pose):
+    late = t.copy()
+    late[200:] -= 0.7
+    return _make(t, steer, speed, pose, late)
+
+
+def _stepped(t, steer, speed, pose):
+    late = t.copy()
+    late[200:] += 1.5
+    return _make(np.concatenate([t, t + 4.0]), np.tile(steer, 2), np.tile(speed, 2), pose, late)
+
+
+def _frozen(t, steer, speed, pose):
+    stuck = pose.copy()
+    stuck[100:280] = stuck[100]
+    return _make(t, steer, speed, stuck)
+
+
+def _not_a_number(t, steer, speed, pose):
+    bad = pose.copy()
+    bad[7, 2] = np.nan
+    return _make(t, steer, speed, bad)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (_backwards, "goes back by 0.69"),
+        (_stepped, "hardly moves on"),
+        (_frozen, "freeze for 1.8"),
+        (_not_a_number, "not a number"),
+        (lambda t, a, v, p: _make(t, a, v, p * [1000.0, 1000.0, 1.0]), "spread over"),
+        (lambda t, a, v, p: _make(t, a, v, 0.0 * p), "never moved"),
+        (lambda t, a, v, p: _make(t[:50], a[:50], v[:50], p[:50]), "of driving"),
+        (lambda t, a, v, p: _make(t[:1], a[:1], v[:1], p[:1]), "of driving"),
+        (lambda t, a, v, p: _make(t, a * np.nan, v, p), "no steering commands"),
+        (lambda t, a, v, p: _make(t, a, v, p[:0], t[:0]), "no poses"),
+        (lambda t, a, v, p: _make(t * np.nan, a, v, p), "time"),
+    ],
+)
+def test_bad_drives_are_refused(spoil, reason):
+    with pytest.raises(DataError, match=reason) as caught:
+        spoil(*_good())
+    assert caught.value.hint
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(
+    st.lists(st.floats(0.001, 0.5), min_size=1, max_size=20),
+    st.integers(0, 1000),
+    st.floats(0.003, 0.3),
+)
+def test_means_keep_the_area_under_a_held_signal(gaps, seed, h):
+    t = np.cumsum([0.0, *gaps])
+    values = np.random.default_rng(seed).normal(size=len(t))
+    edges = np.arange(int(t[-1] / h) + 3) * h
+    means = hold_means(Signal(t, values), edges)
+    fine = np.linspace(0.0, edges[-1], 20001)
+    held = values[np.clip(np.searchsorted(t, fine, side="right") - 1, 0, None)]
+    assert means.sum() * h == pytest.approx(held[:-1].sum() * fine[1], abs=5e-3)
+    inside = np.searchsorted(t, edges, side="right")
+    for k in np.flatnonzero(inside[1:] == inside[:-1]):
+        assert means[k] == pytest.approx(values[inside[k] - 1], abs=1e-9)
+
+
+def test_noise_is_seen_through_motion_gaps_and_outliers():
+    rng = np.random.default_rng(0)
+    t = np.delete(np.arange(0.0, 20.0, 0.005), slice(1000, 1200))
+    values = np.sin(2.0 * t) + 1e-3 * rng.normal(size=len(t))
+    values[::97] += 0.3
+    assert noise_of(t, values) == pytest.approx(1e-3, rel=0.15)
+    assert noise_of(t[:5], values[:5]) == 0.0
+
+
+def test_windows_share_out_every_pose_and_leave_gaps_out():
+    t, steer, speed, pose = _good(8.0)
+    seen = np.delete(np.arange(len(t)), slice(300, 500))
+    run = _make(t, steer, speed, pose[seen], t[seen])
+    layout = make_layout([run], 0.5)
+    poses = np.count_nonzero(layout.seen.kind == 0)
+    assert len(seen) - 8 <= poses <= len(seen)
+    assert len(layout.spans) == 12
+    assert layout.bounds[-1] == len(layout.values)
+    assert np.abs(layout.guess[:, 3] - 1.0).max() < 0.05
+    assert len(make_layout([run], np.inf).spans) == 1
+    with pytest.raises(ValueError, match="grid"):
+        make_layout([run, make_run("other", Signal(t, steer), None, Signal(t, pose), h=0.02)], 0.5)
+
+
+def test_a_session_without_poses_says_what_to_do(tmp_path):
+    from steerd.steer_bus.messages import Actuation
+    from steerd.steer_bus.session import SessionWriter
+    from steerd.steer_bus.topics import ACTUATION, make_session_topic
+
+    path = tmp_path / "drive.mcap"
+    topics = {make_session_topic("car", ACTUATION): Actuation}
+    SessionWriter(path, topics, {"steerd.session": {}}).finish({"reason": "test"})
+    with pytest.raises(DataError, match="no topic 'mocap'"):
+        load_run(path)
+
+
+def test_a_car_that_goes_its_own_speed_is_told():
+    drive = _make(*_good())
+    assert obeyed([drive]) == 1.0
+    slow = replace(drive, commands=drive.commands * [1.0, 3.0])
+    assert obeyed([slow]) == 0.0
+    assert obeyed([drive, slow]) == pytest.approx(0.5)
+    assert obeyed([replace(slow, speed_source="wheel")]) == 1.0
+
+
+@pytest.mark.parametrize(("blur", "source"), [(1e-4, "pose"), (2e-3, "wheel")])
+def test_sharp_poses_tell_a_speed_that_nobody_asked_for_better_than_a_wheel(blur, source):
+    rng = np.random.default_rng(4)
+    t = np.arange(0.0, 8.0, 0.01)
+    path = np.column_stack([t, np.sin(t), 0.2 * np.sin(t)]) + rng.normal(0.0, blur, (len(t), 3))
+    spun = Signal(t, np.full(len(t), 1.4))
+    run = make_run("r", Signal(t, 0.1 * np.sin(t)), None, Signal(t, path), wheel=spun)
+    assert run.speed_source == source
+    speed = run.commands[300:500, 1].mean()
+    assert speed == pytest.approx(1.4, abs=1e-6) if source == "wheel" else speed < 1.25

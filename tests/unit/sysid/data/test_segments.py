@@ -1,0 +1,42 @@
+"""Parts of drives know where in their drive they begin: drift counts from the drive's start."""
+
+import numpy as np
+import pytest
+
+from steerd.sysid.data.dataset import HISTORY, Signal, make_run
+from steerd.sysid.data.segments import blocks, keep_back, moving_parts
+from steerd.sysid.data.windows import make_layout
+
+
+@pytest.fixture
+def drive():
+    t = np.arange(0.0, 26.0, 0.01)
+    speed = np.where(t < 4.0, 0.0, 1.0)
+    x = np.cumsum(speed) * 0.01
+    pose = np.column_stack([x, 0.01 * np.sin(t), 0.0 * t])
+    return make_run("drive", Signal(t, 0.1 * np.sin(t)), Signal(t, speed), Signal(t, pose))
+
+
+def test_a_part_begins_where_the_car_began_to_move(drive):
+    (part,) = moving_parts([drive])
+    assert 3.9 < part.start < 4.1
+    first = part.start + part.pose.t[0]
+    assert np.isclose(
+        np.interp(first, drive.pose.t, drive.pose.values[:, 0]), part.pose.values[0, 0]
+    )
+
+
+def test_windows_of_blocks_tell_the_time_of_the_drive(drive):
+    parts = moving_parts([drive])
+    whole, cut = make_layout(parts, 1.0).t, make_layout(blocks(parts), 1.0).t
+    assert whole[0] == pytest.approx(cut[0])
+    assert np.ptp(cut) > 18.0
+    assert np.all(np.diff(cut) > 0.5)
+    assert cut[0] == pytest.approx(parts[0].start + HISTORY, abs=0.02)
+
+
+def test_what_is_kept_back_keeps_its_time(drive):
+    fitted, kept = keep_back(moving_parts([drive]), 2)
+    starts = sorted(run.start for run in (*fitted, *kept))
+    assert starts == sorted(run.start for run in blocks(moving_parts([drive])))
+    assert len(set(starts)) == len(starts)

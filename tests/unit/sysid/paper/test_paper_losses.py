@@ -1,0 +1,90 @@
+"""The paper's two losses against brute force and hand-made values."""
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+
+from steerd.sysid.paper.chamfer import chamfer
+from steerd.sysid.paper.soft_dtw import soft_dtw, squared_distances
+
+
+def _alignments(rows, columns):
+    """Every monotone path of index pairs from (0, 0) to the far corner."""
+    if rows == 1 and columns == 1:
+        return [[(0, 0)]]
+    found = []
+    for down, right in ((1, 0), (0, 1), (1, 1)):
+        if rows - down >= 1 and columns - right >= 1:
+            tails = _alignments(rows - down, columns - right)
+            found += [[*path, (rows - 1, columns - 1)] for path in tails]
+    return found
+
+
+def _brute_force(cost, gamma):
+    rows, columns = cost.shape
+    totals = np.array([sum(cost[i, j] for i, j in p) for p in _alignments(rows, columns)])
+    return -gamma * np.log(np.exp(-(totals - totals.min()) / gamma).sum()) + totals.min()
+
+
+def test_count_of_alignments_is_delannoy():
+    assert [len(_alignments(n, n)) for n in (1, 2, 3, 4)] == [1, 3, 13, 63]
+
+
+@pytest.mark.parametrize("gamma", [0.01, 0.1, 1.0])
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (1, 4), (3, 2), (4, 5), (5, 5)])
+def test_soft_dtw_is_the_soft_minimum_over_all_alignments(rows, columns, gamma):
+    rng = np.random.default_rng(rows * 10 + columns)
+    cost = rng.uniform(0.0, 2.0, (3, rows, columns))
+    got = soft_dtw(torch.from_numpy(cost), gamma).numpy()
+    want = [_brute_force(each, gamma) for each in cost]
+    np.testing.assert_allclose(got, want, rtol=1e-12, atol=1e-12)
+
+
+def test_soft_dtw_gradient_is_exact():
+    cost = torch.from_numpy(np.random.default_rng(1).uniform(0.0, 1.0, (2, 4, 6)))
+    assert torch.autograd.gradcheck(lambda c: soft_dtw(c, 0.1), cost.requires_grad_())
+
+
+def test_soft_dtw_tends_to_plain_dtw():
+    a = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]], dtype=torch.float64)
+    b = torch.tensor([[[0.0, 0.0], [0.0, 0.0], [1.0, 0.0], [2.0, 1.0]]], dtype=torch.float64)
+    # The first point waits a sample, the last is one metre off.
+    assert soft_dtw(squared_distances(a, b), 1e-4).item() == pytest.approx(1.0, abs=1e-3)
+
+
+def test_soft_dtw_of_long_paths_stays_finite_and_may_be_negative():
+    line = torch.linspace(0.0, 10.0, 400, dtype=torch.float64)[None, :, None]
+    value = soft_dtw(squared_distances(line, line), 0.1)
+    assert torch.isfinite(value).all()
+    assert value.item() < 0.0
+
+
+@pytest.mark.parametrize("gamma", [0.0, -1.0, float("nan")])
+def test_soft_dtw_refuses_a_softness_of_nothing(gamma):
+    with pytest.raises(ValueError, match="softness"):
+        soft_dtw(torch.zeros(1, 2, 2, dtype=torch.float64), gamma)
+
+
+def test_chamfer_by_hand():
+    a = torch.tensor([[0.0, 0.0], [3.0, 0.0]], dtype=torch.float64)
+    b = torch.tensor([[0.0, 1.0], [3.0, 2.0], [0.0, 5.0]], dtype=torch.float64)
+    # a to b: 1 and 4; b to a: 1, 4 and 25.
+    assert chamfer(a, b).item() == pytest.approx(2.5 + 10.0)
+
+
+def test_chamfer_against_all_pairs_and_its_gradient():
+    rng = np.random.default_rng(3)
+    a, b = (torch.from_numpy(rng.normal(size=(n, 2))) for n in (30, 41))
+    table = squared_distances(a[None], b[None])[0]
+    want = table.min(1).values.mean() + table.min(0).values.mean()
+    assert chamfer(a, b).item() == pytest.approx(want.item(), rel=1e-12)
+    assert torch.autograd.gradcheck(lambda x: chamfer(x, b), a.requires_grad_())
+
+
+@pytest.mark.parametrize(("bad", "side"), list(itertools.product([np.nan, np.inf], [0, 1])))
+def test_chamfer_of_what_is_not_finite_is_nan(bad, side):
+    sets = [torch.zeros(3, 2, dtype=torch.float64), torch.zeros(4, 2, dtype=torch.float64)]
+    sets[side][1, 0] = bad
+    assert torch.isnan(chamfer(*sets))

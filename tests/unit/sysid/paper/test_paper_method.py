@@ -1,0 +1,103 @@
+"""The paper's method and its baselines on its own circles."""
+
+import numpy as np
+import pytest
+import torch
+
+from steerd.sysid.paper import paper_method as paper
+from steerd.sysid.paper.baselines import fit_least_squares, search_cma
+from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT
+
+pytestmark = pytest.mark.slow
+
+TRUE = np.array([PAPER_CAR_DIRECT.lf, PAPER_CAR_DIRECT.lr, 4.718, 5.4562])
+START = np.array([0.2, 0.14, 6.5, 4.0])
+
+
+@pytest.fixture(scope="module")
+def problem(make_circles):
+    return paper.make_problem(paper.paper_runs(make_circles(4, 2.5)))
+
+
+def _sums(four):
+    share = 1.0 / (PAPER_CAR_DIRECT.mu * 9.81)
+    lf, lr, cf, cr = four
+    return np.array([lf + lr + share * (1 / cf - 1 / cr), lr - share / cr])
+
+
+def test_drives_are_cut_into_the_papers_runs(make_drive, truth):
+    runs = paper.paper_runs([make_drive(truth, 20.0, 1)], seconds=8.0)
+    assert [round(len(run.commands) * paper.PAPER_STEP, 1) for run in runs] == [10.0, 10.0]
+    assert all(run.first[4] == run.first[5] == 0.0 for run in runs)
+
+
+def test_batches_rotate(problem):
+    first, second = paper.batch_of(problem, 0), paper.batch_of(problem, 1)
+    assert len(first) == paper.BATCH
+    assert all(a is b for a, b in zip(first[1:], second[:-1], strict=True))
+
+
+def test_gradient_of_the_loss_is_that_of_differences(problem):
+    runs = paper.batch_of(problem, 0)[:1]
+    four = torch.tensor(START, requires_grad=True)
+    paper.loss_of(problem, four, runs).backward()
+    for i in range(4):
+        step = np.zeros(4)
+        step[i] = 1e-6
+        ends = [
+            paper.loss_of(problem, torch.from_numpy(START + s), runs).item() for s in (step, -step)
+        ]
+        assert four.grad[i].item() == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=2e-3)
+
+
+def test_adam_lowers_the_loss_but_leaves_the_stiffnesses_where_they_began(problem):
+    course = paper.descend_adam(problem, START, 25)
+    assert course.losses[-5:].min() < 0.2 * course.losses[0]
+    assert np.all(np.abs(course.final[2:] - START[2:]) < 2.0)
+    assert abs(_sums(course.final)[0] / _sums(TRUE)[0] - 1.0) < 0.1
+
+
+def test_a_simulation_that_diverges_ends_the_course(problem):
+    course = paper.descend_adam(problem, np.array([5.0, 0.001, 40.0, 0.001]), 5)
+    assert course.diverged or np.isfinite(course.losses).all()
+    assert np.isfinite(course.path).all()
+
+
+def test_cma_es_finds_a_lower_loss_and_is_repeatable(problem):
+    once = search_cma(problem, START, trials=25, seed=3)
+    again = search_cma(problem, START, trials=25, seed=3)
+    assert len(once.losses) == 25
+    assert once.losses.min() < 0.5 * once.losses[0]
+    np.testing.assert_array_equal(once.path, again.path)
+
+
+def test_a_search_can_be_watched_and_ended(problem):
+    seen = []
+
+    def watch(iteration, four, loss):
+        seen.append((iteration, loss))
+        return iteration >= 2
+
+    assert len(paper.descend_adam(problem, START, 50, watch).losses) == 3
+    assert len(search_cma(problem, START, 50, watch=watch).losses) == 3
+    assert [i for i, _ in seen] == [0, 1, 2] * 2
+
+
+def test_least_squares_finds_the_sum_that_circles_determine(problem):
+    final = fit_least_squares(problem, START).final
+    assert abs(_sums(final)[0] / _sums(TRUE)[0] - 1.0) < 0.01
+
+
+def test_starts_are_the_papers():
+    starts = paper.draw_starts(np.random.default_rng(0), 200)
+    assert starts[:, :2].min() >= 0.1
+    assert starts[:, :2].max() <= 0.35
+    assert starts[:, 2:].min() >= 2.0
+    assert starts[:, 2:].max() <= 10.0
+
+
+def test_a_standing_car_has_no_runs(make_drive, truth):
+    run = make_drive(truth, 5.0, 1)
+    run.commands[:, 1] = 0.0
+    with pytest.raises(ValueError, match="told to move"):
+        paper.paper_runs([run])

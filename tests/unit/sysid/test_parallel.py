@@ -1,0 +1,47 @@
+"""Work on a cluster: compiled cars find their own code there, joblib's work goes there."""
+
+import pickle
+
+import numpy as np
+import pytest
+from joblib import Parallel, delayed
+
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.sysid.compiler.kernels import Held, lane_view, make_kernels, make_lanes, march
+from steerd.sysid.parallel import on_cluster
+
+
+def _square(value):
+    return value * value
+
+
+def test_a_compiled_car_travels_without_its_code():
+    kernels = make_kernels()
+    data = pickle.dumps(kernels)
+    assert len(data) < 5_000
+    again = pickle.loads(data)
+    assert again.names == kernels.names
+    held = Held(np.tile([0.1, 1.5], (50, 1)), 0.01)
+    lanes = make_lanes(np.array([[0, 50, 0]]), np.zeros(1))
+    first = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
+    parameters = np.array(DEFAULT_CAR)
+    paths = [march(each, parameters, first, held, lanes, 50) for each in (kernels, again)]
+    np.testing.assert_array_equal(lane_view(paths[0], 1), lane_view(paths[1], 1))
+
+
+def test_without_an_address_work_stays_here():
+    with on_cluster(None):
+        assert Parallel(n_jobs=1)(delayed(_square)(i) for i in range(4)) == [0, 1, 4, 9]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_work_inside_goes_to_the_cluster():
+    distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+        ) as cluster,
+        on_cluster(cluster.scheduler_address),
+    ):
+        assert Parallel(n_jobs=2)(delayed(pow)(i, 2) for i in range(4)) == [0, 1, 4, 9]
