@@ -66,7 +66,9 @@ def test_help_loads_nothing_heavy(heavy: str) -> None:
     assert done.returncode == 0
 
 
-@pytest.mark.parametrize("command", ["run", "operate", "status", "watch"])
+@pytest.mark.parametrize(
+    "command", ["driving.run", "driving.operate", "driving.status", "driving.watch"]
+)
 def test_a_terminal_starts_without_filter_and_design(command: str) -> None:
     """They took `steerd stop` a second of processor time before it said anything."""
     code = (
