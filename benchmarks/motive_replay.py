@@ -1,13 +1,13 @@
 """Play a recorded Motive session to any NatNet client: same packets, same pace, from this host.
 
-    python benchmarks/motive_replay.py ../shared/spec/natnet-capture/traffic.pcapng
+    python benchmarks/motive_replay.py traffic.pcapng
     steerd run --port … --mocap 'natnet://127.0.0.1:PORT/RaceQuad?up=y&interface=127.0.0.1'
 
-CONNECT, MODELDEF and the frame rate are answered with the packets that Motive itself sent; echo
-requests with Motive's clock, carried on from the first frame; anything else is left unanswered.
-The frames begin with the first model request, on the multicast group and port that the server
-named, each at its recorded distance from the first (absolute deadlines). A pcapng file is read
-with struct alone.
+The recording is the capture of `docs/reference/mocap-protocols.md`. CONNECT, MODELDEF and the frame
+rate are answered with the packets that Motive itself sent; echo requests with Motive's clock,
+carried on from the first frame; anything else is left unanswered. The frames begin with the first
+model request, on the multicast group and port that the server named, each at its recorded distance
+from the first (absolute deadlines). A pcapng file is read with struct alone.
 """
 
 import argparse

@@ -6,8 +6,8 @@ must hold for every sequence of orders: where the tyre's limit falls faster than
 the order moves towards it at full rate and the speed is taken back instead. A number that is not
 finite is never clipped, it is a verdict: the caller brakes.
 
-Source: ``spec/safety.md`` section 4; lateral acceleration as ISO 11270, rates as F1TENTH's throttle
-interpolator.
+Source: `docs/reference/safety-requirements.md#s4.1`; lateral acceleration as ISO 11270, rates as
+F1TENTH's throttle interpolator.
 """
 
 from collections.abc import Mapping

@@ -2,7 +2,7 @@
 
 No epoch is assumed: ticks count from boot (Motive), from 1970 or from power-up, at any frequency.
 Ticks stay integers and are subtracted before anything is divided. Methods and figures:
-`docs/mocap.md`.
+`docs/reference/mocap-protocols.md#m5`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """NatNet messages: one value per message, `encode` and `decode` over whole datagrams.
 
-Wire facts: `docs/mocap.md`. `decode` raises only `NatNetError`, whatever the bytes.
+Wire facts: `docs/reference/mocap-protocols.md#m3`. `decode` raises only `NatNetError`,
+whatever the bytes.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """NatNet FRAMEOFDATA (message 7), 2.9 to 4.2: one definition for reading and for writing.
 
-Layout: `docs/mocap.md`. A frame is a row of counted sections and a suffix of stamps. From 4.1 on
-each section carries its byte size, which lets a reader jump over what it does not need and over
-what later versions may change; older frames must be walked.
+Layout: `docs/reference/mocap-protocols.md#m3.2`. A frame is a row of counted sections and a suffix
+of stamps. From 4.1 on each section carries its byte size, which lets a reader jump over what it
+does not need and over what later versions may change; older frames must be walked.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """NatNet MODELDEF (message 5): what the server streams, by name.
 
-Layout: `docs/mocap.md`. From 4.1 on each item carries its size and is always jumped by it;
-before, an unknown kind ends the list, and what was read until then is kept.
+Layout: `docs/reference/mocap-protocols.md#m3.3`. From 4.1 on each item carries its size and is
+always jumped by it; before, an unknown kind ends the list, and what was read until then is kept.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 All numbers are big-endian. A message is a header of six i32 (length, sec, usec, sender, type,
 sequence), a payload, and zeros up to a multiple of 8. The length field counts header and payload
 WITHOUT the padding (the protocol's own text says otherwise; its code does not). Wire facts:
-`docs/mocap.md`.
+`docs/reference/mocap-protocols.md#m4`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Commands from host to VESC, one frozen dataclass each; `packets` encodes and decodes.
 
-Source: spec page ``vesc-serial.md``, the table of section 2. SET_MCCONF and SET_APPCONF are left
-out on purpose: their blobs change with the firmware and writing them is VESC Tool's work.
+Source: `docs/reference/vesc-serial.md#v2`. SET_MCCONF and SET_APPCONF are left out on purpose:
+their blobs change with the firmware and writing them is VESC Tool's work.
 """
 
 from dataclasses import dataclass

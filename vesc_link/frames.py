@@ -1,7 +1,7 @@
 """VESC framing: payload bytes to frames and back, with no I/O and no clock.
 
 ``start | length | payload | CRC-16/XMODEM (big-endian) | 0x03`` where the start byte is 0x02 with a
-one-byte length or 0x03 with a two-byte length. Source: spec page ``vesc-serial.md``, section 1.
+one-byte length or 0x03 with a two-byte length. Source: `docs/reference/vesc-serial.md#v1`.
 
 One parser serves both ends. ``strict=True`` is the firmware's own receiver, head-of-line blocking
 included (the simulated VESC uses it). ``strict=False`` is the host's: the same frames are legal,
@@ -20,7 +20,7 @@ MAX_PAYLOAD = 512
 RUNNING_CEILING = 128
 """Host ceiling while driving: no reply polled then is longer, so a false header dies young."""
 HOST_GAP_NS = 15_000_000
-"""Silence after which a partial frame counts as stale (``safety.md`` section 7)."""
+"""Silence after which a partial frame is stale (`docs/reference/safety-requirements.md#s7.1`)."""
 FLUSH = bytes(MAX_PAYLOAD + 8)
 """Written on open: zeros never start a frame, so they end any frame the device still waits for."""
 

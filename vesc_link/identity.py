@@ -1,6 +1,7 @@
 """What a VESC is and how it is set: version and UUID, limits, timeout, and the small replies.
 
-Source: spec page ``vesc-serial.md``, sections 2 and 2.4; ``safety.md`` fact 3 for GET_APPCONF.
+Source: `docs/reference/vesc-serial.md#v2`, `docs/reference/vesc-serial.md#v2.4`; for GET_APPCONF
+`docs/reference/vesc-serial.md#v2.6`.
 """
 
 import math

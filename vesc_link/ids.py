@@ -1,6 +1,7 @@
 """Names and numbers of the VESC protocol: command ids, firmware versions, fault codes.
 
-Source: spec page ``vesc-serial.md``, sections 2, 2.4 and 2.5.
+Source: `docs/reference/vesc-serial.md#v2`, `docs/reference/vesc-serial.md#v2.4` and
+`docs/reference/vesc-serial.md#v2.5`.
 """
 
 from enum import IntEnum

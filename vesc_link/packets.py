@@ -4,7 +4,7 @@ Host: `encode_command`, `decode_reply`. Device: `decode_command`, `encode_reply`
 firmware, because ids from 10 up were one lower until 3.00 and layouts grew with every version.
 
 A command is whole or does not exist: the firmware reads arguments without checking the length and
-takes a short payload's CRC for data (spec page ``vesc-serial.md``, section 1.3).
+takes a short payload's CRC for data (`docs/reference/vesc-serial.md#v1.11`).
 """
 
 from collections.abc import Callable

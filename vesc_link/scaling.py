@@ -1,7 +1,7 @@
 """Between SI and the VESC's units: speed and ERPM, road-wheel steer angle and servo position.
 
 ``erpm = erpm_gain * v + erpm_offset`` and ``servo_pos = servo_gain * steer + servo_offset``
-(f1tenth/vesc ``vesc_ackermann``; spec page ``vesc-serial.md``, section 5).
+(f1tenth/vesc ``vesc_ackermann``; `docs/reference/vesc-serial.md#v5.1`).
 """
 
 import math

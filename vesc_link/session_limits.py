@@ -1,7 +1,7 @@
 """Limits that the VESC itself holds during a session, whatever the host does.
 
 They live in the VESC's RAM: SET_MCCONF_TEMP without ``store``, read back with GET_MCCONF_TEMP,
-restored at the end and gone after a power cycle (spec page ``vesc-serial.md``, section 3).
+restored at the end and gone after a power cycle (`docs/reference/vesc-serial.md#v3.9`).
 """
 
 import math

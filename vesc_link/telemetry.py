@@ -2,7 +2,8 @@
 
 A field that the firmware did not send is None, never zero. Fields are read in order until the
 payload ends, so one rule serves every firmware from 2.18 to 7.01 and masks with bits that an old
-firmware does not know. Source: spec page ``vesc-serial.md``, sections 2.1 to 2.3 and GET_STATS.
+firmware does not know. Source: `docs/reference/vesc-serial.md#v2.1`, `#v2.2`, `#v2.3`
+and `#v2` for GET_STATS.
 """
 
 import math
@@ -214,8 +215,9 @@ class Imu:
     def has_chip(self) -> bool | None:
         """False if the board has no IMU: it answers with zeros all the same.
 
-        A real accelerometer at rest reads 1 g; below 0.1 g there is none (section 2.3). None when
-        the reply holds no complete acceleration.
+        A real accelerometer at rest reads 1 g; below 0.1 g there is none
+        (`docs/reference/vesc-serial.md#v2.3.3`). None when the reply holds no complete
+        acceleration.
         """
         if self.accel_x is None or self.accel_y is None or self.accel_z is None:
             return None

@@ -1,8 +1,9 @@
 """The serial port: opened and configured by pyserial, read and written on its file descriptor.
 
-pyserial's ``write`` spins for ever once the transmit buffer is full (``safety.md`` fact 6), so
-nothing here calls it: bytes go through ``os.read`` and ``os.write`` on a non-blocking descriptor,
-and a write that cannot be done whole and at once is a fault of the link.
+pyserial's ``write`` spins for ever once the transmit buffer is full
+(`docs/reference/safety-requirements.md#s7.2`), so nothing here calls it: bytes go through
+``os.read`` and ``os.write`` on a non-blocking descriptor, and a write that cannot be done whole and
+at once is a fault of the link.
 """
 
 import errno
@@ -193,7 +194,7 @@ def open_port(url: str, flush: bool = True, lock_dir: Path | None = None) -> Por
     Args:
         url: a device path, or ``spy:///dev/ttyACM0?file=trace.txt`` to log all traffic.
         flush: write 520 zeros first, which frees the VESC's parser from a frame that a dead
-            predecessor left half sent (``vesc-serial.md`` section 1.1).
+            predecessor left half sent (`docs/reference/vesc-serial.md#v1.7`).
         lock_dir: where lock files live; default the system's directory for temporary files.
 
     Raises:

@@ -54,7 +54,7 @@ CONNECT_TRIES = 5
 """How often a configuration is asked for before the link goes on without it."""
 
 FIRST_KNOWN_APPCONF = Firmware(3, 55)
-"""Older app configurations may begin with other fields (``safety.md`` fact 3)."""
+"""Older app configurations may begin with other fields (`docs/reference/vesc-serial.md#v2.6`)."""
 
 _NOT_BY_REQUEST = (
     *FEEDS_TIMEOUT, c.SetServoPos, c.SetDetect, c.ForwardCan, c.Reboot, c.GetMcConf,

@@ -2,7 +2,7 @@
 
 The host rounds half away from zero, as VESC Tool does. The device multiplies in single precision
 and truncates toward zero, and its numbers are reproduced bit for bit.
-Source: spec page ``vesc-serial.md``, section 1.2.
+Source: `docs/reference/vesc-serial.md#v1.9` and following.
 """
 
 import math

@@ -15,7 +15,7 @@ from steerd.steer_bus.codec import decode
 from steerd.steer_bus.topics import TOPICS, Topic
 
 PIPE_BYTES = 1 << 20
-"""Room for about 4 s of messages at 200 Hz (safety page, section 2)."""
+"""Room for about 4 s of messages at 200 Hz (`docs/reference/safety-requirements.md#s2.3`)."""
 _HEAD = struct.Struct("<IHHIqq")
 _F_SETPIPE_SZ = 1031
 _INDEX = {topic.name: index for index, topic in enumerate(TOPICS)}

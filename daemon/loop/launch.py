@@ -1,8 +1,8 @@
 """First-launch window: after each start the car creeps until mocap, wheels and steering agree.
 
 Catches millimetres for metres, a wrong rigid body, a wrong gear ratio, inverted steering and a body
-turned round, before the car may be fast (``spec/safety.md`` section 3). Pure: sums over the first
-half metre, because single samples at walking pace are mostly noise.
+turned round, before the car may be fast (`docs/reference/safety-requirements.md#s3.3`). Pure: sums
+over the first half metre, because single samples at walking pace are mostly noise.
 """
 
 from math import atan2, cos, degrees, hypot, pi, remainder, sin, tan, tau

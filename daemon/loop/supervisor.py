@@ -2,8 +2,8 @@
 
 ``step`` turns what is true now (``Conditions``) and what was asked for (``Request``) into guard
 bits, takes the first row that matches, and says what the motor bytes and the steering must be. The
-invariants I1-I8 of ``spec/safety.md`` section 3 are enumerated over it in the tests. No clock, no
-I/O, no randomness.
+invariants I1-I8 of `docs/reference/safety-requirements.md#invariants` are enumerated over it in the
+tests. No clock, no I/O, no randomness.
 """
 
 from math import inf, isfinite
@@ -175,7 +175,7 @@ def _next_cap(s: SupervisorState, old: SupervisorState, bits: int, speed: float)
 
 
 def _choose_motor(s: SupervisorState, old: SupervisorState, bits: int) -> Motor:
-    """Motor bytes that follow from the state alone; the table of section 3, second column."""
+    """Motor bytes that follow from the state; `docs/reference/safety-requirements.md#s3.1`."""
     match s.state:
         case State.INIT:
             return Motor.SOFT_BRAKE if s.frames and bits & _LINKED else Motor.SILENT
@@ -196,7 +196,7 @@ def _choose_motor(s: SupervisorState, old: SupervisorState, bits: int) -> Motor:
 
 
 def _choose_steering(s: SupervisorState, bits: int, motor: Motor) -> Steering:
-    """Servo bytes of section 3, third column."""
+    """Servo bytes that follow from the state; `docs/reference/safety-requirements.md#s3.1`."""
     match s.state:
         case State.ARMED:
             return Steering.CENTRE

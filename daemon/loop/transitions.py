@@ -1,7 +1,7 @@
 """The state machine as one table: states, requests, facts, and the rows that join them.
 
-This is ``spec/safety.md`` section 3. ``choose`` is all the logic there is; ``supervisor`` derives
-the facts and says what the wire must carry in each state.
+This is `docs/reference/safety-requirements.md#s3`. ``choose`` is all the logic there is;
+``supervisor`` derives the facts and says what the wire must carry in each state.
 """
 
 from enum import IntEnum, IntFlag

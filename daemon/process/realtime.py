@@ -1,6 +1,7 @@
 """What a control process asks the kernel for, and a plain statement of what it did not get.
 
-Measurements behind each line: safety page section 9, identification page section 5.
+Measurements behind each line: `docs/reference/safety-requirements.md#s8`,
+`docs/reference/identification.md#i5`.
 """
 
 import ctypes

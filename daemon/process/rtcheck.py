@@ -9,7 +9,7 @@ from steerd.daemon.loop.lateness import ON_HARDWARE
 from steerd.steer_bus.clock import Clock
 
 P999_LIMIT_NS = 2_000_000
-"""Later wakes than this in one of a thousand ticks are too many (``safety.md`` section 9)."""
+"""One wake of 1000 may be this late (`docs/reference/safety-requirements.md#s8.3`)."""
 
 
 class Wakes(NamedTuple):

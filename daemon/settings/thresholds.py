@@ -1,4 +1,4 @@
-"""When a watchdog barks: every number of ``spec/safety.md`` section 4, under compiled-in bounds."""
+"""When a watchdog trips: the numbers of `docs/reference/safety-requirements.md#s4`, bounded."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,10 +1,10 @@
 """Every number of the verdict in one place.
 
-Thresholds come from the project's page on the gap (winsorised gains, practical rule, constancy) and
-from tuning sets of the blind test: nonce 1 (36 nulls, some 55 others) at first; nonces 21 and 22
-(71 singles in rich drives, 78 others, 19 nulls among them) before the third report set; nonces 31
-and 32 (79 singles, 47 pairs, 65 nulls, 9 defects outside) before the fourth. None was moved after
-the report set that it is judged by was opened.
+Thresholds come from `docs/reference/diagnosis.md#g4` (winsorised gains, practical rule, constancy)
+and from tuning sets of the blind test: nonce 1 (36 nulls, some 55 others) at first; nonces 21 and
+22 (71 singles in rich drives, 78 others, 19 nulls among them) before the third report set; nonces
+31 and 32 (79 singles, 47 pairs, 65 nulls, 9 defects outside) before the fourth. None was moved
+after the report set that it is judged by was opened.
 """
 
 WINSOR = 50.0
@@ -100,7 +100,7 @@ LEAST = {
 """Smaller changes of an effect's parameters (Euclidean, from the base's) are no gap in practice.
 
 About half of what shows at five sigma in eight drives of 12 s (`severities.json` of the blind test,
-and the page on the gap): a base that is a millisecond off is not a defect.
+and `docs/reference/diagnosis.md#g1.2`): a base that is a millisecond off is not a defect.
 """
 SIZED_BY_FIRST = {"lateral_load_transfer": 1, "friction_ellipse": 1, "floor_slope": 2}
 """How many parameters say how large an effect is; the others say of what shape. All by default."""

@@ -23,7 +23,7 @@ class Bystander(NamedTuple):
 class MocapConfig:
     """Settings of the simulated mocap system.
 
-    The latency is that of a wired Motive system (``mocap.md`` section 5.1).
+    The latency is that of a wired Motive system (`docs/reference/mocap-protocols.md#m5.1`).
 
     Attributes:
         kind: ``natnet`` or ``vrpn``.

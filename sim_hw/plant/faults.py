@@ -1,9 +1,9 @@
 """The fault catalogue: what can happen to the simulated hardware, by name, within a time window.
 
-Names M1-M22 and V1-V24 are those of ``safety.md`` section 6; the words beside them work as well.
-Faults without a number come from ``mocap.md`` section 6.1 and ``vesc-serial.md`` section 8. A fault
-is a change of knobs (`knobs`), so faults at the same time simply add up; where two turn the same
-knob, the later in the list wins.
+Names M1-M22 and V1-V24 are those of `docs/reference/safety-requirements.md#s6`; the words beside
+them work as well. Faults without a number come from `docs/reference/mocap-protocols.md#m6.1` and
+`docs/reference/vesc-serial.md#v8`. A fault is a change of knobs (`knobs`), so faults at the same
+time simply add up; where two turn the same knob, the later in the list wins.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """The simulated VESC: bytes of the serial link in and out, wheels and servo of the car driven.
 
 It uses the firmware's own parser (head-of-line blocking included) and `vesc_link`'s codec. What is
-modelled is the list of spec page ``vesc-serial.md``, section 8; each item has a test that names it.
+modelled is the list of `docs/reference/vesc-serial.md#v8`; each item has a test that names it.
 """
 
 from collections import Counter, deque

@@ -1,7 +1,7 @@
 """What a VESC makes of motor commands: modes, speed ramp, timeout, faults, kill switch.
 
-Source of each behaviour: spec page ``vesc-serial.md``, section 3. Wire signs throughout: the
-motor's direction setting is applied by `SimVesc`.
+Source of each behaviour: `docs/reference/vesc-serial.md#v3`. Wire signs throughout: the motor's
+direction setting is applied by `SimVesc`.
 """
 
 import math

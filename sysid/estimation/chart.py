@@ -1,8 +1,8 @@
 """Coordinates in which the fit is straight: wheelbase, lr, compliances 1/C, logarithms of scales.
 
 A steady circle fixes sums of (L, lr, 1/Cf, 1/Cr); in these the long valley of the circle problem is
-straight, in the parameters themselves it is curved (the optimisers crawl). See the page
-`spec/identify.md`, sections 3 and 4.
+straight, in the parameters themselves it is curved (the optimisers crawl). See
+`docs/reference/identification.md#i3.1` and `docs/reference/identification.md#i4.1`.
 """
 
 from collections.abc import Sequence

@@ -179,7 +179,7 @@ def test_aliases_and_unknown_effects(capsys):
 
 def test_the_page_of_effects_is_the_library(capsys):
     assert guarded(["effects", "--page"]) == 0
-    assert capsys.readouterr().out == (ROOT / "docs" / "effects.md").read_text()
+    assert capsys.readouterr().out == (ROOT / "docs" / "reference" / "effects.md").read_text()
 
 
 _LIMITED = """
@@ -194,7 +194,7 @@ raise SystemExit(guarded(sys.argv[1:]))
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["info", "recover"])
 def test_damage_within_a_gigabyte(tmp_path, command):
-    """The safety page's bounds for one file: 1 GiB of address space, 60 s."""
+    """`docs/reference/safety-requirements.md#s9`: 1 GiB of address space, 60 s for one file."""
     import zstandard
 
     bomb = zstandard.compress(bytes(2 << 30))

@@ -26,7 +26,7 @@ def chunks(data: bytes, cuts: list[int]) -> list[bytes]:
 
 
 def firmware_reference(data: bytes) -> list[tuple[int, bytes]]:
-    """The firmware's receiver as the spec page words it: (bytes read so far, payload)."""
+    """The receiver of `docs/reference/vesc-serial.md#v1.5`: (bytes read so far, payload)."""
     found: list[tuple[int, bytes]] = []
     buffer = b""
     for count, byte in enumerate(data, 1):

@@ -50,7 +50,7 @@ class Ailment:
     """One fault.
 
     Attributes:
-        code: of ``safety.md`` section 6; variants carry a letter.
+        code: of `docs/reference/safety-requirements.md#s6`; variants carry a letter.
         name: in words.
         begin: brings it about, once.
         must: what the car must do while it moves.

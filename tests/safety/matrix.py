@@ -169,7 +169,7 @@ def find_brake(frames: Sequence[MotorFrame], t_ns: int) -> MotorFrame | None:
 
 
 def judge(rig: Rig, ailment: Ailment, phase: str, t_fault: int, seen: int) -> Outcome:
-    """Verdicts (a) to (f) of ``safety.md`` section 6, and the lane."""
+    """Verdicts (a) to (h) of `docs/reference/safety-requirements.md#s6.1`."""
     frames = read_motor_frames(rig.run.world.log.entries)
     followed = rig.notes.transitions[seen:]
     must = must_now(ailment, phase)

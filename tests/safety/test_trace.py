@@ -10,8 +10,8 @@ from steerd.daemon.settings.thresholds import BOUNDS
 from tests.safety.catalogue import BY_CODE
 from tests.safety.trace import TRACES, find_code, run_trace, speaks
 
-PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
-SPEC = Path(__file__).parents[2].parent / "shared" / "spec" / "safety.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "safety.md"
+REQUIREMENTS = Path(__file__).parents[2] / "docs" / "reference" / "safety-requirements.md"
 
 
 def test_every_watchdog_is_traced_and_every_threshold_belongs_to_one() -> None:
@@ -24,11 +24,13 @@ def test_every_watchdog_is_traced_and_every_threshold_belongs_to_one() -> None:
         assert trace.cell[0] in BY_CODE
 
 
-def test_every_watchdog_of_the_spec_page_is_traced() -> None:
-    if not SPEC.exists():
-        pytest.skip("the safety page (../shared/spec/safety.md) is not here")
-    named = re.findall(r"^\| (W\d+) ", SPEC.read_text(encoding="utf-8"), re.M)
-    assert named == list(TRACES)
+def test_every_required_watchdog_is_traced_under_its_name() -> None:
+    text = REQUIREMENTS.read_text(encoding="utf-8")
+    rows = re.findall(r'^\| <a id="(w\d+)"></a>(W\d+) ([^|]+?) \|', text, re.M)
+    assert [id for _, id, _ in rows] == list(TRACES)
+    assert [(anchor, name) for anchor, _, name in rows] == [
+        (id.lower(), WATCHDOGS[id].name) for id in TRACES
+    ]
 
 
 def test_the_page_shows_every_trace() -> None:

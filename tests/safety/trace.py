@@ -1,4 +1,4 @@
-"""From each watchdog of the safety page to its code, its thresholds and the cell that shows it.
+"""From each watchdog of the requirements to its code, its thresholds and the cell that shows it.
 
 A cell is driven twice: as it is, where a transition must name the watchdog; and with the watchdog
 struck dumb, where the cell must fail or another watchdog must step in. So a watchdog that nothing
@@ -208,7 +208,7 @@ def speaks(id: str, outcome: Outcome) -> bool:
 
 
 def write_trace() -> list[str]:
-    """The table for docs/safety.md; drives every watchdog's cell twice."""
+    """The table for docs/reference/safety.md; drives every watchdog's cell twice."""
     lines = [
         "| watchdog | code | thresholds: default, range | shown by | without it |",
         "|---|---|---|---|---|",

@@ -107,7 +107,7 @@ def test_halving_the_step_divides_the_error_by_sixteen() -> None:
 
 
 def test_the_papers_euler_agrees_to_its_own_error() -> None:
-    """spec/identify.md section 2: Euler at 0.002 s is 2 mm off after 8 s on a 1 m/s circle."""
+    """`docs/reference/identification.md#i2.1`: 2 mm after 8 s on a circle at 1 m/s."""
     first = ORIGIN._replace(speed=1.0)
     command = Command(0.34, 1.0)
     exact = run(PAPER_CAR, first, command, 8.0, 0.002)

@@ -1,4 +1,4 @@
-"""I1-I8 of the safety page over every state and every combination of the bits its guards use."""
+"""`docs/reference/safety-requirements.md#invariants`, over every state and all guard bits."""
 
 from itertools import combinations, pairwise
 from math import inf, isfinite, nan

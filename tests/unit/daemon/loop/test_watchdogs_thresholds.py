@@ -1,4 +1,4 @@
-"""Thresholds: defaults of the safety page, bounds that no car file can lift."""
+"""Thresholds: defaults of `docs/reference/safety-requirements.md#s4`, bounds no car file lifts."""
 
 from math import inf, nan, nextafter, radians
 

@@ -1,6 +1,6 @@
 """Bad containers through `steerd info` and `recover`: one line, the right exit code, no traceback.
 
-The numbers are those of the safety page's list of bad inputs (section 11, classes 1 to 24).
+The numbers are those of `docs/reference/safety-requirements.md#s9.1`, 1 to 24.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
 """Sessions whose content is bad, class by class, through `steerd info` and `steerd identify`.
 
-Numbers are those of the safety page's list of bad inputs, 25 to 64; the containers, 1 to 24, are
-in `test_info_damage.py`. Each is answered in bounded time and memory, with a known code, and
+Numbers are those of `docs/reference/safety-requirements.md#s9`, 25 to 64; the containers, 1 to 24,
+are in `test_info_damage.py`. Each is answered in bounded time and memory, with a known code, and
 without a traceback; what a person has to know is said.
 """
 

@@ -1,4 +1,4 @@
-"""The checklist of `vesc-serial.md` section 8: one test per quirk, each named after it."""
+"""The list of `docs/reference/vesc-serial.md#v8`: one test per quirk, each named after it."""
 
 import itertools
 import math

@@ -1,0 +1,152 @@
+"""Every page that code, tests, benchmarks and pages cite is in the repository, with its anchor."""
+
+import os
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = {".py", ".pyi", ".md", ".toml", ".yaml", ".yml", ".html"}
+SKIPPED = {"build", "dist", "node_modules", "site", "__pycache__"}
+NOT_PRODUCT = ("tests", "benchmarks", "docs")
+HISTORY = {"CHANGELOG.md"}
+"""What it names was there when it was written."""
+
+CITED = re.compile(r"(?<![\w./-])(docs/[\w./-]+\.md)\b(?:#([\w.-]*\w))?")
+LINKED = re.compile(r"\]\((?!\w+:)([^)\s#]*)(?:#([^)\s]+))?\)")
+FENCE = re.compile(r"^(```|~~~).*?^\1", re.M | re.S)
+ABROAD = re.compile(
+    r"(?<![\w.])spec/|spec page|(?:safety|identification|mocap|gap) page\b"
+    r"|(?<![\w./-])(?:safety|gap|identify|mocap|vesc-serial|zenoh-mcap)\.md"
+)
+"""How pages outside the repository were cited once."""
+
+
+class Citation(NamedTuple):
+    """Who cites what, both relative to the root; the anchor may be empty."""
+
+    source: str
+    page: str
+    anchor: str
+
+
+def files() -> Iterator[Path]:
+    """Every text file of the repository; links between folders are not followed."""
+    for folder, names, found in os.walk(ROOT):
+        names[:] = sorted(n for n in names if n[0] != "." and n not in SKIPPED)
+        names[:] = [n for n in names if not n.endswith(".egg-info")]
+        yield from (Path(folder, name) for name in sorted(found) if is_text(Path(name)))
+
+
+def is_text(path: Path) -> bool:
+    return (path.suffix in TEXT or path.name == "Makefile") and path.name not in HISTORY
+
+
+def find_citations(path: Path) -> Iterator[Citation]:
+    """Pages named by their path from the root, and in pages also those that are linked."""
+    text = path.read_text(encoding="utf-8")
+    source = str(path.relative_to(ROOT))
+    if path != Path(__file__).resolve():
+        yield from (Citation(source, page, anchor) for page, anchor in CITED.findall(text))
+    if path.suffix == ".md":
+        for target, anchor in LINKED.findall(FENCE.sub("", text)):
+            page = os.path.relpath((path.parent / target) if target else path, ROOT)
+            yield Citation(source, page, anchor)
+
+
+def find_anchors(text: str) -> set[str]:
+    """Explicit ids, and the slugs that headings get (GitHub's rule: repeats are numbered)."""
+    text = FENCE.sub("", text)
+    anchors = set(re.findall(r"<\w+[^>]*\b(?:id|name)=\"([^\"]+)\"", text))
+    anchors |= set(re.findall(r"\{[^}\n]*#([\w.-]+)[^}\n]*\}", text))
+    seen: dict[str, int] = {}
+    for title in re.findall(r"^#{1,6} +(.+?) *#*$", text, re.M):
+        slug = make_slug(title)
+        count = seen[slug] = seen.get(slug, -1) + 1
+        anchors.add(f"{slug}-{count}" if count else slug)
+    return anchors
+
+
+def make_slug(title: str) -> str:
+    bare = re.sub(r"<[^>]*>|\[([^\]]*)\]\([^)]*\)", r"\1", title).strip().lower()
+    return re.sub(r"[^\w\- ]", "", bare).replace(" ", "-")
+
+
+@cache
+def anchors_of(page: str) -> frozenset[str]:
+    return frozenset(find_anchors((ROOT / page).read_text(encoding="utf-8")))
+
+
+def find_fault(citation: Citation) -> str:
+    """What is wrong with a citation; empty if nothing is."""
+    path = ROOT / citation.page
+    if not path.exists():
+        return f"{citation.source}: {citation.page} is not there"
+    if (
+        citation.anchor
+        and path.suffix == ".md"
+        and citation.anchor not in anchors_of(citation.page)
+    ):
+        return f"{citation.source}: {citation.page} has no anchor {citation.anchor}"
+    return ""
+
+
+def test_every_citation_resolves() -> None:
+    cited = [citation for path in files() for citation in find_citations(path)]
+    reference = [citation for citation in cited if citation.page.startswith("docs/reference/")]
+    assert len({c.source for c in reference if c.source.endswith(".py")}) > 25
+    faults = sorted({fault for citation in cited if (fault := find_fault(citation))})
+    assert not faults, "\n".join(faults)
+
+
+def test_the_product_cites_no_page_outside_the_repository() -> None:
+    wrong = [
+        f"{path.relative_to(ROOT)}: {found[0]}"
+        for path in files()
+        if path.relative_to(ROOT).parts[0] not in NOT_PRODUCT and path.suffix != ".md"
+        for found in ABROAD.finditer(path.read_text(encoding="utf-8"))
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "reference").glob("*.md")), ids=str)
+def test_an_anchor_stands_once(page: Path) -> None:
+    ids = re.findall(r"<a id=\"([^\"]+)\"", page.read_text(encoding="utf-8"))
+    assert sorted(set(ids)) == sorted(ids)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("see docs/reference/a.md#s3.2.", ("docs/reference/a.md", "s3.2")),
+        ("(`docs/a.md`)", ("docs/a.md", "")),
+        ("../shared/docs/a.md", None),
+        ("docs/a.mdx", None),
+    ],
+)
+def test_citations_are_recognised(text: str, found: tuple[str, str] | None) -> None:
+    match = CITED.search(text)
+    assert (match and (match[1], match[2] or "")) == found
+
+
+def test_anchors_are_those_that_a_browser_finds() -> None:
+    text = '# <a id="s3"></a>S3 What `steerd run` does\n## Same\n## Same\n- <a id="s3.2"></a>x\n'
+    hidden = "```\n# no heading\n```\n"
+    assert find_anchors(text + hidden) == {
+        "s3",
+        "s3.2",
+        "s3-what-steerd-run-does",
+        "same",
+        "same-1",
+    }
+
+
+def test_a_wrong_anchor_or_page_is_found() -> None:
+    page = "docs/reference/safety-requirements.md"
+    assert not find_fault(Citation("x.py", page, "w5"))
+    assert "no anchor w99" in find_fault(Citation("x.py", page, "w99"))
+    assert "is not there" in find_fault(Citation("x.py", "docs/nothing.md", ""))
