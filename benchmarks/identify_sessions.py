@@ -19,7 +19,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from steerd.car_model.car_file import Learned, default_car_path, load_car, save_car
+from steerd.car_model.car_file import Learned, default_car_path, load_car, update_car
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.daemon.cli import main as cli
@@ -84,7 +84,8 @@ def record(folder: Path, plan: str, seed: int) -> Path:
         return session
     hidden, car_file = hide(seed), folder / f"{seed}.toml"
     values = {n: Learned(float(getattr(hidden.car, n)), None, "hidden") for n in NAMES}
-    save_car(car_file, load_car(default_car_path()), values)
+    hidden_car = update_car(car_file, load_car(default_car_path()), values)
+    car_file.write_text(hidden_car.text, encoding="utf-8")
     words = ["collect", "--sim", "--fast", "--plan", plan, "--seed", str(seed)]
     words += ["--car", str(car_file), "--record", str(session)]
     with pulsed(hidden.phase_ns), contextlib.redirect_stdout(io.StringIO()):

@@ -4,10 +4,7 @@
 handed on as it stands, for the room that it configures. Writing keeps comments, order and sections.
 """
 
-import contextlib
-import os
 import re
-import tempfile
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -152,27 +149,20 @@ def parse_car(text: str, path: Path) -> CarFile:
     )
 
 
-def save_car(path: Path | str, base: CarFile | Path, updates: Mapping[str, Learned]) -> CarFile:
-    """Write `base` with new numbers, keeping its comments and every other section.
+def update_car(path: Path | str, base: CarFile | Path, updates: Mapping[str, Learned]) -> CarFile:
+    """The car file that `base` becomes with new numbers; nothing is written.
 
     Args:
-        path: Where to; replaced in one move, so a reader never sees half a file.
-        base: The car file to start from.
+        path: Where it will lie.
+        base: The car file to start from; its comments and every other section are kept.
         updates: New values by `parameter` or `effect.parameter`; an effect that the base does not
             have is added, its other parameters at their nulls.
 
     Raises:
-        CarFileError: The result would not be a right car file, or cannot be written.
+        CarFileError: The result would not be a right car file.
     """
-    path = Path(path)
     old = base if isinstance(base, CarFile) else load_car(base)
-    new = parse_car(updated_text(old, updates), path)
-    try:
-        _replace_file(path, new.text)
-    except OSError as error:
-        what = f"cannot be written ({error.strerror})"
-        raise CarFileError(path, "", what, "choose a folder that you may write to") from error
-    return new
+    return parse_car(updated_text(old, updates), Path(path))
 
 
 def updated_text(base: CarFile, updates: Mapping[str, Learned]) -> str:
@@ -214,22 +204,6 @@ def _note(table: Any, kind: str, parameter: str, value: float | str | None) -> N
         table[kind].pop(parameter, None)
         if not table[kind]:
             del table[kind]
-
-
-def _replace_file(path: Path, text: str) -> None:
-    """Write a new file beside the old one and move it into its place."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(name).chmod(0o644)
-        Path(name).replace(path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            Path(name).unlink()
-        raise
 
 
 @lru_cache(maxsize=1)

@@ -41,7 +41,7 @@ def _map_dask(work: Callable[[T], R], todo: list[T], address: str) -> list[R]:
     try:
         from distributed import Client
     except ImportError as error:
-        text = "--dask needs Dask: pip install 'steerd[dask]'"
+        text = "--dask needs Dask: pip install distributed"
         raise DaskMissingError(text) from error
     with Client(address, timeout="10s", set_as_default=False) as client:  # type: ignore[no-untyped-call]
         results: list[R] = client.gather(client.map(work, todo, pure=False))
@@ -62,7 +62,7 @@ def on_cluster(address: str | None) -> Iterator[None]:
     try:
         from distributed import Client
     except ImportError as error:
-        text = "--dask needs Dask: pip install 'steerd[dask]'"
+        text = "--dask needs Dask: pip install distributed"
         raise DaskMissingError(text) from error
     from joblib import parallel_config
 

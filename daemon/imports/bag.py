@@ -116,7 +116,7 @@ def _open(source: Path) -> "AnyReader":
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
         what = "reading ROS bags needs the package rosbags"
-        raise SteerdError(what, "pip install -e '.[bag]'", ExitCode.USAGE) from error
+        raise SteerdError(what, "pip install rosbags", ExitCode.USAGE) from error
     store = get_typestore(Stores.ROS2_HUMBLE)
     texts = {type_name(c): schema_text(c) for c in (AckermannDriveStamped, VescStateStamped)}
     for name, text in (texts | {RIGIDS: RIGIDS_TEXT}).items():

@@ -18,6 +18,7 @@ import numba
 import platformdirs
 
 from steerd.car_model.effect import Effect
+from steerd.steer_bus.atomic_file import write_atomically
 from steerd.sysid.compiler import (
     choice,
     compile,
@@ -71,10 +72,7 @@ def write_module(effects: Sequence[Effect] = ()) -> Path:
     if path.exists():
         return path
     folder.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=folder, suffix=".tmp")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(source)
-    Path(name).replace(path)
+    write_atomically(path, source)
     return path
 
 

@@ -35,7 +35,7 @@ def _optuna() -> Any:
         import cmaes as _cmaes  # type: ignore[import-untyped]  # noqa: F401
         import optuna
     except ImportError as error:
-        text = "CMA-ES needs Optuna: pip install 'steerd[baselines]'"
+        text = "CMA-ES needs Optuna: pip install optuna cmaes"
         raise BaselineMissingError(text) from error
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna

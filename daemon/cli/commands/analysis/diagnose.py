@@ -217,7 +217,7 @@ def _write(
     report: str | None,
 ) -> None:  # fmt: skip
     """Every file whole or not at all."""
-    from steerd.car_model.car_file import CarFileError, save_car
+    from steerd.car_model.car_file import CarFileError, update_car
     from steerd.daemon.common.atomic_file import write_whole
     from steerd.daemon.common.translate import of_car_file
 
@@ -227,7 +227,7 @@ def _write(
         write_whole(args.report, report)
     if args.output:
         try:
-            save_car(args.output, case.base, learned(case, told))
+            write_whole(args.output, update_car(args.output, case.base, learned(case, told)).text)
         except CarFileError as error:
             raise of_car_file(error) from None
 

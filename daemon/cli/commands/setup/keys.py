@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         import steerd.daemon.cli.certificates  # noqa: F401
     except ImportError:
-        hint = "pip install 'steerd[lab]', here only: the other machines do not need it"
+        hint = "pip install cryptography, on this machine only"
         raise SteerdError("steerd keys needs cryptography", hint, ExitCode.UNREADABLE) from None
     clock = MonotonicClock()
     now = datetime.fromtimestamp(clock.realtime_ns() * 1e-9).astimezone()

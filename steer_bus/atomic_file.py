@@ -1,0 +1,36 @@
+"""Files replaced in one move: a reader sees the old content or the new, never half of it."""
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+
+MODE = 0o644
+"""Everybody may read, the owner may write."""
+
+
+def write_atomically(path: Path, data: str | bytes, mode: int = MODE) -> None:
+    """Write a temporary file in the same folder, then rename it.
+
+    The data is on the disk before the rename, so a power cut leaves the old file or the new one.
+
+    Args:
+        path: the file; it may exist.
+        data: its new content; text is written as UTF-8.
+        mode: its permission bits.
+
+    Raises:
+        OSError: the folder or the file cannot be written; nothing is left behind.
+    """
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data.encode() if isinstance(data, str) else data)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(name).chmod(mode)
+        Path(name).replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            Path(name).unlink()
+        raise
