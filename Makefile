@@ -47,11 +47,11 @@ all-tests: install
 	# A machine that stalls for 30 ms rightly stops a car; such a drive is driven again, twice at most.
 	$(PYTEST) -m realtime --reruns 2
 
-bench: install     ## measure everything; writes docs/performance.md (10 minutes)
+bench: install     ## measure everything; writes docs/results/performance.md (10 minutes)
 	$(BIN)/python -m pip install --quiet --progress-bar off -c constraints.txt --group bench
 	$(BIN)/python benchmarks/run.py
 
-safety: install   ## all of the fault matrix and its real-time cells; writes the table in docs/safety.md
+safety: install   ## all of the fault matrix and its real-time cells; writes the table in docs/reference/safety.md
 	$(BIN)/python -m tests.safety.report
 	STEERD_LIVE=all $(PYTEST) -m realtime --reruns 2 tests/safety
 

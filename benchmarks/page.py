@@ -1,4 +1,4 @@
-"""docs/performance.md from what the pieces of `make bench` said."""
+"""docs/results/performance.md from what the pieces of `make bench` said."""
 
 from collections.abc import Sequence
 from math import isnan
@@ -76,7 +76,7 @@ def identify(said: dict[str, Any]) -> str:
         "uses the same compiled simulator. The mark is the noise of one pose, 1 mm, open loop on "
         "circles of other steering angles. Slaloms need what circles cannot tell: there each "
         "method ends where its start, its bounds or its prior leave it. The time of `ours` "
-        "includes error bars; docs/identify.md has the whole race.\n\n" + table(head, rows)
+        "includes error bars; docs/explanation/identification.md has the whole race.\n\n" + table(head, rows)
     )
 
 

@@ -1,9 +1,9 @@
-"""`make bench`: every measurement, one after the other, then docs/performance.md.
+"""`make bench`: every measurement, one after the other, then docs/results/performance.md.
 
     python benchmarks/run.py [--only NAME ...] [--render]
 
 Each piece is a process of its own that prints JSON; what it said is kept in
-docs/performance.json, so that a piece can be measured again alone (`--only`) and the page be
+docs/results/performance.json, so that a piece can be measured again alone (`--only`) and the page be
 written again without measuring (`--render`).
 """
 
@@ -23,7 +23,7 @@ from page import render
 HERE = Path(__file__).parent
 ROOT = HERE.parent
 DATA, PAGE, FIGURE = (
-    ROOT / "docs" / name
+    ROOT / "docs" / "results" / name
     for name in ("performance.json", "performance.md", "performance-growth.svg")
 )
 PIECES: dict[str, tuple[str, ...]] = {

@@ -3,7 +3,7 @@
 The law is `wheel_ref = turn(s ahead) - K (errors - errors of the turn)`. The turn is the car's own
 (`Turning`), so an understeering car is asked for more, the heading error that every turn's slip
 brings is not fought, and a changing curvature is followed without offset. `s ahead` is where the
-car will be when the reference has reached the wheel. See `docs/controller.md`.
+car will be when the reference has reached the wheel. See `docs/explanation/controller.md`.
 """
 
 import math

@@ -4,7 +4,7 @@
     python examples/publish_poses.py natnet://HOST/BODY --key lab/poses/car
 
 Reads a NatNet or VRPN server here, as an example of a source, and publishes each pose as one JSON
-object (docs/mocap.md): position and quaternion in the source's own units and axes, and the time at
+object (docs/reference/mocap.md): position and quaternion in the source's own units and axes, and the time at
 which the pose was true on this machine's clock, in nanoseconds from anywhere.
 """
 

@@ -16,7 +16,7 @@ from benchmarks.blind_gap.score import CONFIDENT, score
 from benchmarks.blind_gap.seal import SealError
 from benchmarks.blind_gap.verdicts import VerdictError, load_verdicts, with_own
 
-_PAGE = Path(__file__).resolve().parents[2] / "docs" / "blind-test.md"
+_PAGE = Path(__file__).resolve().parents[2] / "docs" / "results" / "blind-test.md"
 
 
 def _generate(args: argparse.Namespace) -> str:

@@ -1,4 +1,4 @@
-"""`docs/blind-test.md`: the scores against the targets, with tables and two pictures."""
+"""`docs/results/blind-test.md`: the scores against the targets, with tables and two pictures."""
 
 from collections.abc import Callable, Iterable, Mapping
 from math import isnan

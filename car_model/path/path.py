@@ -2,7 +2,7 @@
 
 The nearest point is sought from the last one, along the path: a tick costs the same however long
 the path is, and the crossing of a figure eight cannot pull the search onto the other branch. Per
-tick everything is plain floats. See `docs/path-errors.md`.
+tick everything is plain floats. See `docs/reference/paths.md`.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The library of effects, as a table, one by one, as JSON and as the page `docs/effects.md`."""
+"""The library of effects, as a table, one by one, as JSON and as the page `docs/reference/effects.md`."""
 
 import shutil
 import sys
@@ -101,7 +101,7 @@ def make_json(effects: Iterable[Effect]) -> dict[str, Any]:
 
 
 def make_page() -> str:
-    """The page `docs/effects.md`."""
+    """The page `docs/reference/effects.md`."""
     lines = [_HEAD]
     for stage, effects in by_stage().items():
         lines += [f"## `{stage}`: {_STAGES[stage]}", ""]
@@ -146,7 +146,7 @@ what is not given stays at its null, and at its nulls an effect changes nothing,
 An effect is one file of a page in `car_model/effects/`: name, parameters (null, bounds, unit, prior
 scale: the column "usual" is what is ordinary on a car of this class) and functions for the stages
 it touches. Adding the file is all there is to adding an effect; this page is then rewritten with
-`steerd effects --page > docs/effects.md` (a test compares them).
+`steerd effects --page > docs/reference/effects.md` (a test compares them).
 
 Limits: an effect acts on the planar single-track car, so roll, pitch and the split between left and
 right wheels appear only through their effect on the axles. What a drive cannot tell apart (mocap

@@ -4,7 +4,7 @@ from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """Exit codes of the `steerd` command; documented in docs/troubleshooting.md."""
+    """Exit codes of the `steerd` command; documented in docs/how-to/troubleshooting.md."""
 
     OK = 0
     USAGE = 2

@@ -216,7 +216,7 @@ _GATES = {
 def _judge_poses(seen: MocapSeen) -> Iterator[Advice]:
     for gate, count in seen.refused:
         if count > 0.02 * seen.samples:
-            fix = _GATES.get(gate, "docs/mocap.md says what each gate looks at")
+            fix = _GATES.get(gate, "docs/reference/mocap.md says what each gate looks at")
             yield Advice(f"{count} of {seen.samples} poses are refused: {gate}", fix)
     if seen.tilt is not None and seen.tilt > 0.1 and not any(g == "tilt" for g, _ in seen.refused):
         yield Advice(

@@ -25,7 +25,7 @@ from tests.e2e.conftest import Launcher, free_port
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 ROOMS = "daemon|tests|sim_hw|car_model|vesc_link|mocap_link|estimator|controller|steer_bus"
 HARDWARE = re.compile(r"/dev/tty|/dev/vesc|natnet://|vrpn://|zenoh:")
 OPERATOR = ("arm", "start", "stop", "disarm", "clear", "estop", "status", "control", "watch")
@@ -234,7 +234,7 @@ def test_every_option_of_the_pages_is_driven_somewhere():
 
 
 def test_every_exit_code_is_explained():
-    text = (ROOT / "docs" / "troubleshooting.md").read_text()
+    text = (ROOT / "docs" / "how-to" / "troubleshooting.md").read_text()
     told = {int(code) for code in re.findall(r"^\| (\d+) \|", text, re.MULTILINE)}
     assert told == {int(code) for code in ExitCode}
 

@@ -1,4 +1,4 @@
-"""Run the whole matrix and write its table into docs/safety.md: `python -m tests.safety.report`.
+"""Run the whole matrix and write its table into docs/reference/safety.md: `python -m tests.safety.report`.
 
 `--check` only says whether every cell is good.
 """
@@ -21,7 +21,7 @@ from tests.safety.matrix import MOVING, Outcome, list_cells, run_cell
 from tests.safety.rig import PHASES
 from tests.safety.trace import write_trace
 
-PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "safety.md"
 
 
 def run_fault(code: str) -> list[Outcome]:

@@ -13,7 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The effect and the form of the answer."""
     parser.add_argument("name", nargs="?", metavar="NAME", help="one effect, or an alias of it")
     parser.add_argument("--json", action="store_true", help="the same for programs")
-    parser.add_argument("--page", action="store_true", help="the text of docs/effects.md")
+    parser.add_argument("--page", action="store_true", help="the text of docs/reference/effects.md")
 
 
 def run(args: argparse.Namespace) -> int:

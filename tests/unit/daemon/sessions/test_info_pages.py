@@ -26,30 +26,30 @@ def first_cells(page, head):
 
 
 def test_every_topic_is_explained():
-    assert sorted(first_cells("sessions.md", "| topic |")) == sorted(t.name for t in TOPICS)
+    assert sorted(first_cells("reference/sessions.md", "| topic |")) == sorted(t.name for t in TOPICS)
 
 
 def test_every_gate_is_explained():
-    assert sorted(first_cells("mocap.md", "| reason |")) == sorted(REASONS)
+    assert sorted(first_cells("reference/mocap.md", "| reason |")) == sorted(REASONS)
 
 
 def test_every_clock_is_explained():
-    assert first_cells("mocap.md", "| `clock_kind` |") == [str(kind) for kind in ClockKind]
+    assert first_cells("reference/mocap.md", "| `clock_kind` |") == [str(kind) for kind in ClockKind]
 
 
 def test_every_frame_key_is_explained():
-    keys = first_cells("mocap.md", "| key |")
+    keys = first_cells("reference/mocap.md", "| key |")
     assert {*keys, "cog_ahead_of_rear"} == set(msgspec.structs.asdict(FrameSpec()))
 
 
 def test_every_role_and_column_is_explained():
-    assert tuple(first_cells("sessions.md", "| role |")) == ROLES
-    text = (ROOT / "docs" / "sessions.md").read_text()
+    assert tuple(first_cells("reference/sessions.md", "| role |")) == ROLES
+    text = (ROOT / "docs" / "reference" / "sessions.md").read_text()
     assert all(f"`{name}`" in text for name in ("t", *STREAM_COLUMNS))
 
 
 def test_the_map_on_the_page_is_one():
-    text = (ROOT / "docs" / "sessions.md").read_text()
+    text = (ROOT / "docs" / "reference" / "sessions.md").read_text()
     the_map = parse_map(text.partition("```toml\n")[2].partition("```")[0])
     assert the_map.columns["throttle"].gate == "motor_on"
     assert the_map.frame is not None

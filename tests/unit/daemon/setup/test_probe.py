@@ -60,7 +60,7 @@ def test_what_is_wrong_with_a_vesc(change, said):
         ({"rate_hz": 60.0}, "60 of 100 frames per second arrive -> use a cable"),
         ({"jitter_ms": 30.0}, "varies by 30 ms"),
         ({"refused": (("units", 300),)}, 'units -> set [mocap] units = "mm"'),
-        ({"refused": (("strange", 300),)}, "docs/mocap.md"),
+        ({"refused": (("strange", 300),)}, "docs/reference/mocap.md"),
         ({"tilt": 0.5}, "leans by 29°"),
     ],
 )
