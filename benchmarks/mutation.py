@@ -7,7 +7,7 @@
 
 mutmut changes one operator, constant, argument or call at a time in a copy of the tree, and runs
 the unit tests that reach it. A mutant that no test notices survives. Printed: killed and survived
-by module, with `--survivors` each survivor's change. What docs/reference/safety.md says of them was written
+by module, with `--survivors` each survivor's change. docs/results/safety.md says what they are, written
 by a person who looked at each. `--coverage` measures the branches that the same tests take, in
 these modules and in those that hold little but tables, and fails below 100 %.
 """

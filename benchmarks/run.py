@@ -3,8 +3,8 @@
     python benchmarks/run.py [--only NAME ...] [--render]
 
 Each piece is a process of its own that prints JSON; what it said is kept in
-docs/results/performance.json, so that a piece can be measured again alone (`--only`) and the page be
-written again without measuring (`--render`).
+docs/results/performance.json, so that a piece can be measured again alone (`--only`) and the page
+be written again without measuring (`--render`).
 """
 
 import argparse

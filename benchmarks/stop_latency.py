@@ -155,7 +155,7 @@ def judge(log: list[tuple[int, bytes]], hit_ns: int) -> tuple[int | None, int]:
 
 
 def summarise(how: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """What docs/reference/safety.md says of one kind; a trial without a brake frame counts as endless."""
+    """One kind's row of docs/results/safety.md; no brake frame counts as infinite."""
     took = np.array([np.inf if row["ms"] is None else row["ms"] for row in rows])
     p50, p99 = np.percentile(took, (50, 99), method="higher")
     return {

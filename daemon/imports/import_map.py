@@ -1,8 +1,8 @@
 """The map of an import: which column or topic of a lab's log is which quantity.
 
 One TOML page: `[columns]` for csv files, `[topics]` for ROS bags, `[frame]` where the recorded body
-is not the car's centre of gravity, `[session]` for what the log does not say. `docs/reference/sessions.md`
-explains it; `examples/import-*.toml` are whole ones.
+is not the car's centre of gravity, `[session]` for what the log does not say.
+`docs/how-to/import-logs.md` explains it; `examples/import-*.toml` are whole ones.
 """
 
 import datetime
@@ -29,7 +29,7 @@ STREAM_COLUMNS = (
 ROLES = ("pose", "command", "vesc", "wheel")
 """What a topic of a bag can be: wheel takes the forward speed out of an Odometry."""
 _POSE = {"x", "y", "yaw"}
-_HINT = "docs/reference/sessions.md explains the map; examples/import-dart.toml is one"
+_HINT = "docs/how-to/import-logs.md explains the map; examples/import-dart.toml is one"
 
 
 class ColumnSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -10,7 +10,7 @@ from steerd.daemon.settings.thresholds import BOUNDS
 from tests.safety.catalogue import BY_CODE
 from tests.safety.trace import TRACES, find_code, run_trace, speaks
 
-PAGE = Path(__file__).parents[2] / "docs" / "reference" / "safety.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "safety-matrix.md"
 REQUIREMENTS = Path(__file__).parents[2] / "docs" / "reference" / "safety-requirements.md"
 
 
