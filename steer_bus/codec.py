@@ -1,6 +1,6 @@
 """Messages to and from ROS 2 CDR (XCDR1, little endian), derived from the message class alone.
 
-Wire rules (OMG DDSI-RTPS 10, checked against rosbags): four bytes ``00 01 00 00``, then the
+Wire rules (`docs/reference/sessions-and-bus.md#b1.2`): four bytes ``00 01 00 00``, then the
 fields in order; alignment counts from byte 4; a primitive is aligned to its own size; a string is
 ``uint32`` length with its NUL, bytes, NUL; a fixed array has no length; a sequence starts with
 its ``uint32`` count.

@@ -1,8 +1,9 @@
 """Names under which rmw_zenoh finds a publisher: data keys, liveliness tokens, publisher ids.
 
-Source: rmw_zenoh's design page and its `liveliness_utils` (form since 0.2, binary attachment since
-0.6). Data travel under ``<domain>/<topic>/<dds type>/<hash>``; a node and each of its publishers
-show themselves by a token under ``@ros2_lv/``, in which ``%`` stands for ``/``.
+Source: `docs/reference/sessions-and-bus.md#b3`; rmw_zenoh's design page and its `liveliness_utils`
+(form since 0.2, binary attachment since 0.6). Data travel under ``<domain>/<topic>/<dds
+type>/<hash>``; a node and each of its publishers show themselves by a token under ``@ros2_lv/``, in
+which ``%`` stands for ``/``.
 """
 
 from typing import Any

@@ -31,7 +31,10 @@ __all__ = [
 
 CHUNK_BYTES = 1 << 20
 FLUSH_NS = 250_000_000
-"""How often a chunk is closed and handed to the kernel: the most a SIGKILL can lose [ns]."""
+"""How often a chunk is closed and handed to the kernel: the most a SIGKILL can lose [ns].
+
+Source: `docs/reference/sessions-and-bus.md#b4.2`.
+"""
 SYNC_NS = 1_000_000_000
 """How often the disk itself should have everything: the most a power cut can lose [ns]."""
 SCHEMA_VERSION = "1"

@@ -4,7 +4,7 @@ Nothing is found by scouting: the hub listens on one named endpoint, a spoke dia
 zenoh router so that spokes see each other. Settings come from measurements with zenoh 1.10: DROP
 and a queue of 16 lose nothing at 3000 messages/s (the default queue of 2 does, without a word),
 BLOCK can hold ``put`` for 5 s, an undrained FIFO stalls the sender, and a session left open keeps
-the process from exiting.
+the process from exiting (`docs/reference/sessions-and-bus.md#b2`).
 """
 
 import ipaddress

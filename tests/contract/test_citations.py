@@ -24,6 +24,8 @@ ABROAD = re.compile(
     r"|(?<![\w./-])(?:safety|gap|identify|mocap|vesc-serial|zenoh-mcap)\.md"
 )
 """How pages outside the repository were cited once."""
+ROOMS = "benchmarks|car_model|config|controller|daemon|estimator|examples|mocap_link|sim_gap|sim_hw"
+NAMED_FILE = re.compile(rf"`((?:{ROOMS}|steer_bus|sysid|tests|vesc_link)/[\w./-]+\.\w+)`")
 
 
 class Citation(NamedTuple):
@@ -113,7 +115,19 @@ def test_the_product_cites_no_page_outside_the_repository() -> None:
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "reference").glob("*.md")), ids=str)
+def test_a_page_names_files_that_are_there() -> None:
+    wrong = [
+        f"{page.relative_to(ROOT)}: {name}"
+        for page in sorted((ROOT / "docs").rglob("*.md"))
+        for name in NAMED_FILE.findall(page.read_text(encoding="utf-8"))
+        if not (ROOT / name).exists()
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize(
+    "page", sorted((ROOT / "docs" / "reference").glob("*.md")), ids=lambda page: page.name
+)
 def test_an_anchor_stands_once(page: Path) -> None:
     ids = re.findall(r"<a id=\"([^\"]+)\"", page.read_text(encoding="utf-8"))
     assert sorted(set(ids)) == sorted(ids)
