@@ -33,10 +33,10 @@ from steerd.sysid.paper.baselines import fit_least_squares, search_cma
 from steerd.sysid.paper.paper_method import (
     NAMES,
     PaperProblem,
-    descend_adam,
     draw_starts,
     make_problem,
     paper_runs,
+    search_adam,
 )
 from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, PAPER_STEP
 
@@ -188,7 +188,7 @@ def race(judge: Judge, runs: list[Run], base: Car[float], starts: Array) -> dict
     """Every method from every start; prints a line each."""
     problem: PaperProblem = make_problem(paper_runs(runs), base)
     searches: dict[str, Callable[[Array], Array]] = {
-        "paper": lambda s: descend_adam(problem, s, 100, judge.watch).final,
+        "paper": lambda s: search_adam(problem, s, 100, judge.watch).final,
         "CMA-ES": lambda s: search_cma(problem, s, 500, 0, judge.watch).final,
         "least sq.": lambda s: fit_least_squares(problem, s, judge.watch).final,
     }

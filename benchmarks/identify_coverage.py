@@ -21,7 +21,7 @@ import numpy as np
 from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.sysid.data.segments import blocks
+from steerd.sysid.data.segments import make_blocks
 from steerd.sysid.estimation.fit import DEFAULT_FREE, TYRES, Fit, Options, fit
 
 BAD = (
@@ -110,7 +110,7 @@ def saturate(drives: ModuleType, seeds: range, seconds: float) -> None:
             commands = drives.mixed_commands(seconds, seed, lateral)
             first = np.array([0.0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
             run = drives.simulate_run(plant, commands, first, seed)
-            found = fit(blocks([run]), Model(DEFAULT_CAR), options=Options(wheelbase=base))
+            found = fit(make_blocks([run]), Model(DEFAULT_CAR), options=Options(wheelbase=base))
             true = drives.TRUTH._asdict()
             off.append([100.0 * (found.estimates[n].value / true[n] - 1.0) for n in names])
             misfit.append(found.misfit["position"])

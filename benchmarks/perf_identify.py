@@ -12,7 +12,7 @@ from identify import FRICTIONS, TARGET_MM, Judge, circles, ours, ours_watched
 
 from steerd.sysid.compiler.kernels import make_kernels
 from steerd.sysid.paper.baselines import fit_least_squares, search_cma
-from steerd.sysid.paper.paper_method import descend_adam, draw_starts, make_problem, paper_runs
+from steerd.sysid.paper.paper_method import draw_starts, make_problem, paper_runs, search_adam
 from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT
 
 
@@ -35,7 +35,7 @@ def main() -> int:
     judge, start = Judge(kernels, truth), draw_starts(np.random.default_rng(1), 1)[0]
     problem = make_problem(paper_runs(runs), truth)
     searches = {
-        "paper": lambda: descend_adam(problem, start, 100, judge.watch),
+        "paper": lambda: search_adam(problem, start, 100, judge.watch),
         "CMA-ES": lambda: search_cma(problem, start, 500, 0, judge.watch),
         "scipy least_squares": lambda: fit_least_squares(problem, start, judge.watch),
     }

@@ -22,7 +22,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import SessionError, open_session
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.data.segments import cut, moving_parts
+from steerd.sysid.data.segments import make_segment, moving_segments
 from steerd.sysid.estimation.prediction_horizon import remembering
 
 EVERY = 4
@@ -96,14 +96,14 @@ def make_case(args: argparse.Namespace, advance: Callable[[float], None]) -> Cas
         drives.append(load_drive(path, args.speed))
         advance((number + 1) / len(sessions))
     base, words, notes = find_base(args.base, sessions)
-    beats = tuple(" ".join(drive.beat.describe()) for drive in drives if drive.beat)
+    jitters = tuple(" ".join(drive.log_jitter.describe()) for drive in drives if drive.log_jitter)
     drives = remembering(drives, base.model, ())
     healthy = [load_drive(path, args.speed) for path in sound]
     healthy = remembering(healthy, base.model, ())
     runs, later, told, more = _split(drives, every, reserved, args.speed)
     return Case(
         sessions, runs, later, told, _moving(healthy) if healthy else (), base, words, only,
-        without, (*notes, *beats, *more),
+        without, (*notes, *jitters, *more),
     )  # fmt: skip
 
 
@@ -186,7 +186,7 @@ def _embedded(path: Path) -> str | None:
 
 def _moving(drives: Sequence[Run]) -> tuple[Run, ...]:
     try:
-        return moving_parts(drives)
+        return moving_segments(drives)
     except DataError as error:
         raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
 
@@ -258,7 +258,9 @@ def cut_blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
     for part in parts:
         start, end = float(part.pose.t[0]), min(float(part.pose.t[-1]), part.duration)
         edges = np.linspace(start, end, max(1, int((end - start) / BLOCK)) + 1)
-        found += [cut(part, low, _whole_windows(low, high)) for low, high in pairwise(edges)]
+        found += [
+            make_segment(part, low, _whole_windows(low, high)) for low, high in pairwise(edges)
+        ]
     return tuple(found)
 
 

@@ -30,14 +30,14 @@ def load_drive(path: Path, speed: str = "command") -> "Run":
     from steerd.steer_bus.session_read import SessionError
     from steerd.sysid.data.data_checks import DataError
     from steerd.sysid.data.dataset import load_run
-    from steerd.sysid.data.log_jitter import steadied
+    from steerd.sysid.data.jitter_correction import correct_log_jitter
     from steerd.sysid.data.segments import with_wheel_speed
 
     session = load_session(path)
     damage = [warning.message for warning in session.warnings]
     print_warnings([f"{path.name}: {each}" for each in damage])
     try:
-        run = steadied(load_run(path))
+        run = correct_log_jitter(load_run(path))
         _check_angles(run)
         doubts = [each for each in make_session_report(session).warnings if each not in damage]
         print_warnings([f"{path.name}: {each}" for each in doubts])

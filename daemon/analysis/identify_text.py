@@ -29,7 +29,7 @@ def _data(outcome: Outcome) -> Iterator[str]:
     yield from (f"lacking    {what}" for what in e.lacking)
     how = {"ours": "windows of growing length", "paper": "soft-DTW and chamfer by Adam"}
     effort = f", {outcome.fit.iterations} steps" if outcome.fit else ""
-    effort += f", {len(outcome.courses)} starts" if outcome.courses else ""
+    effort += f", {len(outcome.searches)} starts" if outcome.searches else ""
     name = how.get(outcome.method, "the same loss by CMA-ES")
     for pulse in outcome.pulses:
         certain = "" if pulse.sure > _CERTAIN else " (hardly told)"
@@ -38,10 +38,10 @@ def _data(outcome: Outcome) -> Iterator[str]:
         limit = f"ramp of {ramp.rate:.1f} m/s2" if ramp.rate else "no ramp"
         certain = "" if ramp.sure > _CERTAIN else " (hardly told)"
         yield f"motor      {ramp.run}: {limit}{certain}"
-    for beat in outcome.beats:
-        found, undone = beat.describe()
+    for jitter in outcome.log_jitters:
+        found, corrected = jitter.describe()
         yield f"log        {found}"
-        yield f"           {undone}"
+        yield f"           {corrected}"
     for step in outcome.manners:
         gain = f"gains {step.gain:.0f} ± {step.se:.0f} nats"
         yield f"manner     {step.effect}: these drives show it ({gain})"

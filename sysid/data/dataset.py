@@ -7,7 +7,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,8 @@ from steerd.steer_bus.session import Session, open_session
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, split_key
 from steerd.sysid.data.data_checks import DataError, check_run, check_times, noise_of
+from steerd.sysid.data.log_jitter import LogJitter
 from steerd.vesc_link.scaling import F1TENTH
-
-if TYPE_CHECKING:
-    from steerd.sysid.data.log_jitter import Beat
 
 Array = NDArray[np.float64]
 
@@ -67,13 +65,13 @@ class Run:
         steer: the commanded angles at their own times; may be empty.
         servo_frame: period of the pulses that carry them to the servo [s]; 0 where none are known
             to do so (see `servo`).
-        asked: the commanded speeds at their own times; may be empty.
+        speed_command: the commanded speeds at their own times; may be empty.
         speed_ramp: how fast the motor controller's setpoint may follow them [m/s^2]; 0 where it is
             not known to be limited (see `ramp`).
         start: where in its drive this part begins [s]; what drifts counts from the drive's start.
         history: so many of the commands before a window count [s]: a linkage with play remembers
             the last turn.
-        beat: how late its steering was logged, which is undone in `commands` and `steer`.
+        log_jitter: sampling jitter of the steering log, corrected in `commands` and `steer`.
     """
 
     name: str
@@ -86,11 +84,11 @@ class Run:
     throttle: Signal = field(default_factory=_none)
     steer: Signal = field(default_factory=_none)
     servo_frame: float = 0.0
-    asked: Signal = field(default_factory=_none)
+    speed_command: Signal = field(default_factory=_none)
     speed_ramp: float = 0.0
     start: float = 0.0
     history: float = HISTORY
-    beat: "Beat | None" = None
+    log_jitter: LogJitter | None = None
 
     @property
     def duration(self) -> float:

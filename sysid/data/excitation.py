@@ -62,7 +62,7 @@ def measure_excitation(runs: Sequence[Run]) -> Excitation:
     )  # fmt: skip
 
 
-def obeyed(runs: Sequence[Run]) -> float:
+def speed_tracking_share(runs: Sequence[Run]) -> float:
     """Share of the time in which the cars went about as fast as they were asked to.
 
     1 where no speed was asked for.

@@ -18,7 +18,7 @@ from steerd.sysid.data.dataset import HISTORY, Run, Signal, pose_speed
 
 Array = NDArray[np.float64]
 
-PACE = 0.4
+SPEED_MIN = 0.4
 """A part moves at least so fast [m/s]."""
 SHORTEST = 2.0
 """Shorter parts are left out [s]."""
@@ -28,7 +28,7 @@ BLOCK = 5.4
 """Length of the blocks of which every k-th is kept back [s]."""
 
 
-def cut(run: Run, low: float, high: float) -> Run:
+def make_segment(run: Run, low: float, high: float) -> Run:
     """The part of a drive between two times [s].
 
     Commands begin up to the run's `history` earlier; measurements lie in [low, high].
@@ -49,7 +49,7 @@ def cut(run: Run, low: float, high: float) -> Run:
         yaw_rate=part(run.yaw_rate),
         throttle=part(run.throttle),
         steer=part(run.steer),
-        asked=part(run.asked),
+        speed_command=part(run.speed_command),
         start=run.start + zero,
     )
 
@@ -87,32 +87,32 @@ def _spans(run: Run) -> list[tuple[float, float]]:
     t, speed = pose_speed(run.pose)
     grid = run.h * np.arange(len(run.commands))
     slow = np.convolve(np.interp(grid, t, np.abs(speed)), np.ones(11) / 11.0, "same")
-    moving = (np.abs(run.commands[:, 1]) > PACE) & (slow > PACE)
+    moving = (np.abs(run.commands[:, 1]) > SPEED_MIN) & (slow > SPEED_MIN)
     moving &= (grid >= run.pose.t[0]) & (grid <= run.pose.t[-1])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(int)))
     return [(a * run.h, b * run.h) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def moving_parts(runs: Sequence[Run]) -> tuple[Run, ...]:
+def moving_segments(runs: Sequence[Run]) -> tuple[Run, ...]:
     """The parts of drives in which the car moves.
 
     Raises:
         DataError: there is none.
     """
     parts = [
-        cut(run, low + HISTORY, high)
+        make_segment(run, low + HISTORY, high)
         for run in map(smooth_speed, runs)
         for low, high in _spans(run)
         if high - low - HISTORY >= SHORTEST
     ]
     if not parts:
         names = ", ".join(run.name for run in runs)
-        what = f"{names}: no {SHORTEST:g} s without a stop at more than {PACE:g} m/s"
+        what = f"{names}: no {SHORTEST:g} s without a stop at more than {SPEED_MIN:g} m/s"
         raise DataError(what, "drive `steerd collect --plan mixed`")
     return tuple(parts)
 
 
-def blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
+def make_blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
     """Parts cut into blocks of about 5 s; the last measurement of one is not in the next.
 
     No model of a real car holds for a minute: what accumulates over long windows are its errors.
@@ -121,11 +121,11 @@ def blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
     for part in parts:
         start, end = float(part.pose.t[0]), min(float(part.pose.t[-1]), part.duration)
         edges = np.linspace(start, end, max(1, round((end - start) / BLOCK)) + 1)
-        found += [cut(part, low, high - 1e-6) for low, high in pairwise(edges)]
+        found += [make_segment(part, low, high - 1e-6) for low, high in pairwise(edges)]
     return tuple(found)
 
 
-def keep_back(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+def hold_out(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     """Cut parts into blocks and keep every k-th one back.
 
     Returns:
@@ -134,7 +134,7 @@ def keep_back(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[
     Raises:
         DataError: the drives are too short to keep anything back.
     """
-    every_block = blocks(parts)
+    every_block = make_blocks(parts)
     kept = every_block[every - 1 :: every]
     fitted = tuple(b for i, b in enumerate(every_block) if i % every != every - 1)
     if not kept or not fitted:

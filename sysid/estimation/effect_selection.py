@@ -192,7 +192,7 @@ def choose(
     """Which effects the drives show, with start values for them and the car.
 
     Args:
-        runs: parts of drives, see `cut.moving_parts`.
+        runs: parts of drives, see `cut.moving_segments`.
         rough: the car without further effects, fitted on windows of this length.
         options: of the fit; `free` names the base's free parameters.
         names: candidates.

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from steerd.car_model.model import Model
 from steerd.car_model.params import PARAMETERS, Car, wheelbase
 from steerd.sysid.data.dataset import Run, check_sources
-from steerd.sysid.data.excitation import measure_excitation, obeyed
-from steerd.sysid.data.segments import blocks, keep_back, moving_parts
+from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
+from steerd.sysid.data.segments import hold_out, make_blocks, moving_segments
 from steerd.sysid.estimation.chart import SPREAD_RELATIVE
 from steerd.sysid.estimation.effect_selection import Step, choose
 from steerd.sysid.estimation.fit import DEFAULT_FREE, Fit, Options, fit
@@ -38,7 +38,7 @@ from steerd.sysid.estimation.validation import (
     errors_at,
     trace_windows,
 )
-from steerd.sysid.paper.course import NAMES, Course
+from steerd.sysid.paper.search_history import NAMES, SearchHistory
 from steerd.sysid.parallel import map_jobs
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ TIMES: dict[str, float] = {
 }  # fmt: skip
 """Doubts about times [s] that drives cannot remove: a command's stamp says when it left, not when
 the motor controller took it over with its next tick, some 1 ms later; clocks of mocap and computer
-agree to 0.1 ms; within a step of the grid the servo's course is not known."""
+agree to 0.1 ms; within a step of the grid the servo's search is not known."""
 POOR = 2.0
 """Residuals so many times the noise say that the car is not explained, or another one is meant."""
 OBEYED = 0.5
@@ -157,17 +157,17 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     task = _opened(task)
     task, pulses, ramps, rough = _settled(task)
     task = replace(task, options=replace(task.options, doubts=_doubts(task, pulses)))
-    parts = moving_parts(task.runs)
+    parts = moving_segments(task.runs)
     fitted, kept, words = _split(task, parts)
     manners: tuple[Step, ...] = ()
     if task.method == "ours":
         task, manners = _shaped(task, fitted, rough)
         found: Fit | None = _fit_ours(task, fitted)
-        courses: tuple[Course, ...] = ()
+        searches: tuple[SearchHistory, ...] = ()
     else:
-        found, courses = None, _search(task)
+        found, searches = None, _search(task)
     seconds = clock() - began
-    car, rows = _rows(task, given, found, courses)
+    car, rows = _rows(task, given, found, searches)
     after = task.model._replace(car=car)
     if found is not None:
         after = after._replace(values=found.model.values)
@@ -185,14 +185,14 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         excitation=measure_excitation(parts),
         traces=(traces[0], traces[1]),
         fit=found,
-        courses=courses,
+        searches=searches,
         seconds=seconds,
-        notes=_notes(found, obeyed(parts), task.options),
+        notes=_notes(found, speed_tracking_share(parts), task.options),
         truth=task.truth,
         pulses=pulses,
         ramps=ramps,
         effect_rows=_effect_rows(task.model, found),
-        beats=tuple(run.beat for run in (*task.runs, *task.held_out) if run.beat),
+        log_jitters=tuple(run.log_jitter for run in (*task.runs, *task.held_out) if run.log_jitter),
         manners=manners,
         regimes=by_lateral_acceleration(traces[0], REGIME),
     )
@@ -202,8 +202,8 @@ def _split(task: Task, parts: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run
     """What is fitted, what is kept back, and the latter in words."""
     if task.held_out:
         words = ", ".join(run.name for run in task.held_out)
-        return blocks(parts), moving_parts(task.held_out), words
-    return *keep_back(parts, task.every), f"every {task.every}th block of 5 s, not fitted"
+        return make_blocks(parts), moving_segments(task.held_out), words
+    return *hold_out(parts, task.every), f"every {task.every}th block of 5 s, not fitted"
 
 
 def _opened(task: Task) -> Task:
@@ -301,19 +301,19 @@ def _fit_one_speed(task: Task, runs: Sequence[Run]) -> Fit:
 
 def _course(
     item: tuple[int, Array], runs: "tuple[PaperRun, ...]", method: str, iterations: int | None
-) -> Course:
+) -> SearchHistory:
     """One start. The problem is made where the work is done: compiled code does not travel."""
     number, start = item
     from steerd.sysid.paper.baselines import search_cma
-    from steerd.sysid.paper.paper_method import descend_adam, make_problem
+    from steerd.sysid.paper.paper_method import make_problem, search_adam
 
     problem = make_problem(runs)
     if method == "paper":
-        return descend_adam(problem, start, iterations or 100)
+        return search_adam(problem, start, iterations or 100)
     return search_cma(problem, start, iterations or 500, seed=number)
 
 
-def _search(task: Task) -> tuple[Course, ...]:
+def _search(task: Task) -> tuple[SearchHistory, ...]:
     """The paper's method or its baseline from random starts."""
     from steerd.sysid.paper.paper_method import (  # torch: a second that our method need not wait
         draw_starts,
@@ -323,22 +323,22 @@ def _search(task: Task) -> tuple[Course, ...]:
     runs = paper_runs(task.runs)
     starts = draw_starts(np.random.default_rng(task.seed), max(task.starts, 1))
     work = partial(_course, runs=runs, method=task.method, iterations=task.iterations)
-    courses = map_jobs(work, list(enumerate(starts)), task.jobs, task.dask)
-    if all(course.diverged for course in courses):
+    searches = map_jobs(work, list(enumerate(starts)), task.jobs, task.dask)
+    if all(search.diverged for search in searches):
         raise FloatingPointError("the simulation diverges from every start")
-    return tuple(courses)
+    return tuple(searches)
 
 
-def _best(courses: Sequence[Course]) -> Course:
-    sound = [course for course in courses if not course.diverged]
-    return min(sound, key=lambda course: float(course.losses[-20:].mean()))
+def _best(searches: Sequence[SearchHistory]) -> SearchHistory:
+    sound = [search for search in searches if not search.diverged]
+    return min(sound, key=lambda search: float(search.losses[-20:].mean()))
 
 
 def _rows(
-    task: Task, given: Car[float], found: Fit | None, courses: Sequence[Course]
+    task: Task, given: Car[float], found: Fit | None, searches: Sequence[SearchHistory]
 ) -> tuple[Car[float], dict[str, Row]]:
     """The learnt car and a row for each of its parameters."""
-    told = _told(found, courses)
+    told = _told(found, searches)
     values = {name: each[0] for name, each in told.items() if name in Car._fields}
     car = task.model.car._replace(**values)
     if task.model.car.steer_max != given.steer_max:
@@ -367,7 +367,7 @@ def _effect_rows(model: Model[float], found: Fit | None) -> dict[str, Row]:
 
 
 def _told(
-    found: Fit | None, courses: Sequence[Course]
+    found: Fit | None, searches: Sequence[SearchHistory]
 ) -> dict[str, tuple[float, float | None, bool, str]]:
     """Value, standard error, identifiable and manoeuvre of every free parameter.
 
@@ -378,8 +378,8 @@ def _told(
             name: (e.value, e.sd, e.identifiable, e.manoeuvre)
             for name, e in found.estimates.items()
         }
-    best = _best(courses).final
-    finals = np.array([course.final for course in courses if not course.diverged])
+    best = _best(searches).final
+    finals = np.array([search.final for search in searches if not search.diverged])
     spread = finals.std(axis=0, ddof=1) if len(finals) > 1 else np.full(len(NAMES), np.nan)
     out: dict[str, tuple[float, float | None, bool, str]] = {}
     for name, value, sd in zip(NAMES, best.tolist(), spread.tolist(), strict=True):

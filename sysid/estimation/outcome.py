@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 from steerd.car_model.params import Car
 from steerd.sysid.data.excitation import Excitation
-from steerd.sysid.data.log_jitter import Beat
+from steerd.sysid.data.log_jitter import LogJitter
 from steerd.sysid.estimation.effect_selection import Step
 from steerd.sysid.estimation.fit import Fit
 from steerd.sysid.estimation.identifiability import Combination
 from steerd.sysid.estimation.servo_pulse import Pulse
 from steerd.sysid.estimation.setpoint_ramp import Ramp
 from steerd.sysid.estimation.validation import Prediction, Regime, Trace
-from steerd.sysid.paper.course import Course
+from steerd.sysid.paper.search_history import SearchHistory
 
 SCHEMA = "steerd.identify/1"
 REPORTED: tuple[str, ...] = (
@@ -72,13 +72,13 @@ class Outcome:
         excitation: of the fitted drives.
         traces: predictions of the held-out drives, after and before.
         fit: of our method.
-        courses: each start of a search.
+        searches: each start of a search.
         seconds: how long the fit took.
         notes: what a person should know.
         truth: the simulated car, where the sessions are simulated.
         pulses: phases of the servo's pulses, by drive.
         ramps: limits of the motor controller's setpoint, by drive.
-        beats: how late slow logs stored the steering, by drive.
+        log_jitters: how late slow logs stored the steering, by drive.
         manners: effects that the drives showed, in the order in which they were taken.
         regimes: prediction errors after 1 s by lateral acceleration.
     """
@@ -94,14 +94,14 @@ class Outcome:
     excitation: Excitation
     traces: tuple[list[Trace], list[Trace]]
     fit: Fit | None = None
-    courses: tuple[Course, ...] = ()
+    searches: tuple[SearchHistory, ...] = ()
     seconds: float = 0.0
     notes: tuple[str, ...] = ()
     truth: Car[float] | None = None
     pulses: tuple[Pulse, ...] = ()
     ramps: tuple[Ramp, ...] = ()
     effect_rows: dict[str, Row] = field(default_factory=dict)
-    beats: tuple[Beat, ...] = ()
+    log_jitters: tuple[LogJitter, ...] = ()
     manners: tuple[Step, ...] = ()
     regimes: tuple[Regime, ...] = ()
 

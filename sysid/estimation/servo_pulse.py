@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from steerd.car_model.model import Model
 from steerd.sysid.compiler.kernels import delays_of, make_kernels
 from steerd.sysid.data.dataset import Run, Signal, hold_means
-from steerd.sysid.data.segments import moving_parts
+from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.data.windows import make_layout, speed_range
 from steerd.sysid.estimation.fit import Fit, Options, fit
 from steerd.sysid.estimation.levenberg_marquardt import gain_ahead
@@ -96,7 +96,7 @@ def rough_fit(runs: Sequence[Run], model: Model[float], options: Options) -> Fit
         DataError: no drive moves, or the steering never changes.
         FloatingPointError: no finite simulation from the start values.
     """
-    return fit(moving_parts(runs), model, options=replace(options, horizons=_HORIZONS))
+    return fit(moving_segments(runs), model, options=replace(options, horizons=_HORIZONS))
 
 
 def find_phase(run: Run, rough: Fit, options: Options) -> Pulse:
@@ -124,7 +124,7 @@ def _on_grid(phase: float, h: float, step: float) -> float:
 
 def rough_problem(run: Run, rough: Fit, options: Options) -> Problem:
     """The drive in windows of 2 s, as the rough fit sees it."""
-    parts = moving_parts([run])
+    parts = moving_segments([run])
     kernels = make_kernels(rough.model.effects)
     late = float(delays_of(kernels, rough.parameters)[2])
     layout = make_layout(parts, _HORIZONS[-1], late, SECONDS)

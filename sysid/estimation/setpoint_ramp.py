@@ -21,13 +21,13 @@ from steerd.sysid.estimation.servo_pulse import rough_problem, settle_states, st
 Array = NDArray[np.float64]
 
 
-def _setpoint(asked: Signal, rate: float, end: float) -> Signal:
+def _setpoint(command: Signal, rate: float, end: float) -> Signal:
     """Corners of the setpoint's course: straight in between, moving by `rate` at most."""
-    now = float(asked.values[0])
-    times, values = [float(asked.t[0])], [now]
-    until = np.append(asked.t[1:], max(end, asked.t[-1]) + 1.0)
+    now = float(command.values[0])
+    times, values = [float(command.t[0])], [now]
+    until = np.append(command.t[1:], max(end, command.t[-1]) + 1.0)
     for t, wanted, later in zip(
-        asked.t.tolist(), asked.values.tolist(), until.tolist(), strict=True
+        command.t.tolist(), command.values.tolist(), until.tolist(), strict=True
     ):
         away = wanted - now
         there = t + abs(away) / rate
@@ -51,10 +51,10 @@ def _means(corners: Signal, edges: Array) -> Array:
 
 def ramped(run: Run) -> Run:
     """The drive with its speed commands as the ramp lets them through; without one, as it is."""
-    if not run.speed_ramp or not len(run.asked.t) or run.speed_source != "command":
+    if not run.speed_ramp or not len(run.speed_command.t) or run.speed_source != "command":
         return run
     edges: Array = np.arange(len(run.commands) + 1).astype(float) * run.h
-    speed = _means(_setpoint(run.asked, run.speed_ramp, float(edges[-1])), edges)
+    speed = _means(_setpoint(run.speed_command, run.speed_ramp, float(edges[-1])), edges)
     return replace(run, commands=np.column_stack([run.commands[:, 0], speed]))
 
 

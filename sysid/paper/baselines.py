@@ -7,7 +7,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from steerd.sysid.paper.course import NAMES, BaselineMissingError, Course
 from steerd.sysid.paper.paper_method import (
     HIGH,
     LOW,
@@ -18,6 +17,7 @@ from steerd.sysid.paper.paper_method import (
     one_thread,
     predict,
 )
+from steerd.sysid.paper.search_history import NAMES, BaselineMissingError, SearchHistory
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def _optuna() -> Any:
 @one_thread()
 def search_cma(
     problem: PaperProblem, start: Array, trials: int = 500, seed: int = 0, watch: Watch = _never
-) -> Course:
+) -> SearchHistory:
     """CMA-ES on the paper's loss, one batch a trial.
 
     Raises:
@@ -73,13 +73,13 @@ def search_cma(
 
     study.optimize(try_once, n_trials=trials)
     final = path[1 + int(np.argmin(losses))]
-    return Course(
+    return SearchHistory(
         np.array(start, float), np.array(losses), np.array(path), np.asarray(final, float)
     )
 
 
 @one_thread()
-def fit_least_squares(problem: PaperProblem, start: Array, watch: Watch = _never) -> Course:
+def fit_least_squares(problem: PaperProblem, start: Array, watch: Watch = _never) -> SearchHistory:
     """SciPy's trust region on positions of whole runs, derivatives by differences.
 
     Time-aligned residuals from known starts: what most people write first.
@@ -104,6 +104,6 @@ def fit_least_squares(problem: PaperProblem, start: Array, watch: Watch = _never
     bounds = (np.array([0.02, 0.02, 0.5, 0.5]) * _SCALE, np.array([1.0, 1.0, 40.0, 40.0]) * _SCALE)
     result = least_squares(residuals, start * _SCALE, bounds=bounds, method="trf")
     final: Array = result.x / _SCALE
-    return Course(
+    return SearchHistory(
         np.array(start, float), np.array(losses), np.array(path), np.asarray(final, float)
     )

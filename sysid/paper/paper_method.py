@@ -21,7 +21,7 @@ from steerd.sysid.compiler.kernels import Kernels, make_kernels
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import guess_state
 from steerd.sysid.paper.chamfer import chamfer
-from steerd.sysid.paper.course import NAMES, Course
+from steerd.sysid.paper.search_history import NAMES, SearchHistory
 from steerd.sysid.paper.soft_dtw import PAPER_GAMMA, soft_dtw, squared_distances
 from steerd.sysid.paper.torch_kernel import simulate
 from steerd.sysid.paper.torch_ops import Tensor
@@ -173,9 +173,9 @@ def loss_of(problem: PaperProblem, four: Tensor, runs: Sequence[PaperRun]) -> Te
 
 
 @one_thread()
-def descend_adam(
+def search_adam(
     problem: PaperProblem, start: Array, iterations: int = 100, watch: Watch = _never
-) -> Course:
+) -> SearchHistory:
     """One start of the paper's method."""
     values = [torch.tensor(float(v), dtype=torch.float64, requires_grad=True) for v in start]
     groups = [{"params": [v], "lr": r} for v, r in zip(values, RATES.tolist(), strict=True)]
@@ -193,7 +193,9 @@ def descend_adam(
         path.append(np.array([v.item() for v in values]))
         if watch(iteration, path[-1], losses[-1]):
             break
-    return Course(np.array(start, float), np.array(losses), np.array(path), path[-1], diverged)
+    return SearchHistory(
+        np.array(start, float), np.array(losses), np.array(path), path[-1], diverged
+    )
 
 
 def loss_value(problem: PaperProblem, four: Array, iteration: int) -> float:

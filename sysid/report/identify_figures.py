@@ -12,7 +12,7 @@ from steerd.sysid.data.windows import GROUPS
 from steerd.sysid.estimation.fit import Fit
 from steerd.sysid.estimation.outcome import HeldOut
 from steerd.sysid.estimation.validation import Trace
-from steerd.sysid.paper.course import Course
+from steerd.sysid.paper.search_history import SearchHistory
 from steerd.sysid.report.design_comparison import FRICTIONS, Profile
 from steerd.sysid.report.drawing import (
     AFTER,
@@ -151,19 +151,19 @@ def draw_costs(found: Fit) -> str:
         return to_svg(figure)
 
 
-def draw_courses(courses: Sequence[Course]) -> str:
+def draw_searches(searches: Sequence[SearchHistory]) -> str:
     """The paper's loss curves: every start's, iterations along x, shifted to be positive."""
-    floor = min(float(course.losses.min()) for course in courses if len(course.losses))
+    floor = min(float(search.losses.min()) for search in searches if len(search.losses))
     with rc_context(STYLE):
         figure, axes = make_figure(1, 2, 3.0)
-        for number, course in enumerate(courses):
+        for number, search in enumerate(searches):
             colour = COLOURS[number % len(COLOURS)]
-            best = np.minimum.accumulate(course.losses) - floor + 1e-3
-            axes[0, 0].plot(course.losses - floor + 1e-3, color=colour, lw=0.6, alpha=0.5)
+            best = np.minimum.accumulate(search.losses) - floor + 1e-3
+            axes[0, 0].plot(search.losses - floor + 1e-3, color=colour, lw=0.6, alpha=0.5)
             axes[0, 0].plot(best, color=colour, lw=1.4, label=f"start {number + 1}")
-            axes[0, 1].plot(course.path[:, 2], course.path[:, 3], color=colour, lw=1.0)
-            axes[0, 1].plot(*course.path[0, 2:], "o", color=colour, mfc="white")
-            axes[0, 1].plot(*course.final[2:], "o", color=colour)
+            axes[0, 1].plot(search.path[:, 2], search.path[:, 3], color=colour, lw=1.0)
+            axes[0, 1].plot(*search.path[0, 2:], "o", color=colour, mfc="white")
+            axes[0, 1].plot(*search.final[2:], "o", color=colour)
         axes[0, 0].set(yscale="log", xlabel="iterations", ylabel="loss above the lowest")
         axes[0, 0].set_title("loss of the batch, and the best so far")
         axes[0, 1].set(xlabel="C_Sf", ylabel="C_Sr", title="stiffness from start (open) to end")

@@ -91,11 +91,11 @@ def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Secti
             figures.draw_correlation(outcome.fit),
         )
         yield Section("Convergence", "", figures.draw_costs(outcome.fit))
-    if outcome.courses:
+    if outcome.searches:
         yield Section(
             "Convergence",
             "Ends that stay near their starts were not learnt: the loss does not depend on them.",
-            figures.draw_courses(outcome.courses),
+            figures.draw_searches(outcome.searches),
         )
 
 

@@ -23,10 +23,10 @@ def imported(tmp_path, name):
 
 
 def test_four_drives_of_a_morning_were_logged_late_by_the_same_two_timers(tmp_path, capsys):
-    beats = [imported(tmp_path, name).beat for name in FREE]
+    jitters = [imported(tmp_path, name).log_jitter for name in FREE]
     capsys.readouterr()
-    assert all(beat is not None for beat in beats)
-    drifts = [beat.drift * beat.period for beat in beats]
+    assert all(jitter is not None for jitter in jitters)
+    drifts = [jitter.drift * jitter.period for jitter in jitters]
     assert all(-2.2e-3 < drift < -1.2e-3 for drift in drifts)
 
 

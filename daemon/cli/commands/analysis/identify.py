@@ -113,7 +113,7 @@ def _to_screen(args: argparse.Namespace) -> bool:
 def _learn(task: "Task") -> "Outcome":
     from steerd.sysid.data.data_checks import DataError
     from steerd.sysid.estimation.learn import learn
-    from steerd.sysid.paper.course import BaselineMissingError
+    from steerd.sysid.paper.search_history import BaselineMissingError
     from steerd.sysid.parallel import DaskMissingError
 
     try:
@@ -181,12 +181,12 @@ def with_noise(car: "CarFile", runs: "tuple[Run, ...]") -> str:
 
     from steerd.sim_gap.engine.noise import noise_section
     from steerd.sim_gap.healthy_drives import learn_healthy
-    from steerd.sysid.data.segments import moving_parts
+    from steerd.sysid.data.segments import moving_segments
     from steerd.sysid.estimation.prediction_horizon import remembering
 
     document = tomlkit.parse(car.text)
     try:
-        drives = moving_parts(remembering(runs, car.model, ()))
+        drives = moving_segments(remembering(runs, car.model, ()))
         document["noise"] = noise_section(learn_healthy(car, drives))
     except (ValueError, FloatingPointError):
         return car.text

@@ -7,7 +7,7 @@ from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.cli.commands.analysis.identify import with_noise
 from steerd.sim_gap.engine.noise import Noise, noise_section
 from steerd.sysid.data.dataset import Run, Signal, make_run
-from steerd.sysid.data.segments import PACE, moving_parts
+from steerd.sysid.data.segments import SPEED_MIN, moving_segments
 
 NOISE = Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
 
@@ -29,13 +29,13 @@ def test_noise_is_learnt_where_the_car_moves(monkeypatch):
     run = _half_standing()
     text = with_noise(load_car(default_car_path()), (run,))
     assert tomlkit.parse(text)["noise"] == noise_section(NOISE)
-    assert [r.duration for r in seen] == [r.duration for r in moving_parts([run])]
-    assert all(np.all(r.commands[:, 1] > PACE) for r in seen)
+    assert [r.duration for r in seen] == [r.duration for r in moving_segments([run])]
+    assert all(np.all(r.commands[:, 1] > SPEED_MIN) for r in seen)
     assert sum(r.duration for r in seen) < 10.0
 
 
 def test_a_creeping_car_leaves_the_file_as_it_is():
-    t, pace = np.arange(1000) * 0.01, 0.5 * PACE
+    t, pace = np.arange(1000) * 0.01, 0.5 * SPEED_MIN
     pose = Signal(t, np.column_stack([pace * t, np.zeros((1000, 2))]))
     run = make_run("creep", Signal(t, np.zeros(1000)), Signal(t, np.full(1000, pace)), pose)
     car = load_car(default_car_path())

@@ -9,7 +9,7 @@ import pytest
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.identify_text import describe, improved
 from steerd.sysid.data.excitation import Excitation
-from steerd.sysid.data.log_jitter import Beat
+from steerd.sysid.data.log_jitter import LogJitter
 from steerd.sysid.estimation.effect_selection import Step
 from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row
 from steerd.sysid.estimation.validation import Prediction, Regime
@@ -88,7 +88,7 @@ def test_drives_that_tell_too_little_are_not_blamed_on_the_axles():
 def test_what_was_undone_and_found_stands_on_the_screen():
     told = replace(
         outcome((0.1, 0.2), (0.2, 0.9)),
-        beats=(Beat("a.mcap", 0.1, 0.45, -0.019, 40.0),),
+        log_jitters=(LogJitter("a.mcap", 0.1, 0.45, -0.019, 40.0),),
         manners=(Step("steer_backlash", 97.4, 26.0),),
         regimes=(Regime(0.0, 2.0, 5, 0.02, 0.03), Regime(6.0, inf, 4, 0.15, 0.2)),
     )

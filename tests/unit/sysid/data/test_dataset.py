@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from steerd.sysid.data.data_checks import DataError, noise_of
 from steerd.sysid.data.dataset import Signal, hold_means, load_run, make_run
-from steerd.sysid.data.excitation import obeyed
+from steerd.sysid.data.excitation import speed_tracking_share
 from steerd.sysid.data.windows import make_layout
 
 
@@ -135,11 +135,11 @@ def test_a_session_without_poses_says_what_to_do(tmp_path):
 
 def test_a_car_that_goes_its_own_speed_is_told():
     drive = _make(*_good())
-    assert obeyed([drive]) == 1.0
+    assert speed_tracking_share([drive]) == 1.0
     slow = replace(drive, commands=drive.commands * [1.0, 3.0])
-    assert obeyed([slow]) == 0.0
-    assert obeyed([drive, slow]) == pytest.approx(0.5)
-    assert obeyed([replace(slow, speed_source="wheel")]) == 1.0
+    assert speed_tracking_share([slow]) == 0.0
+    assert speed_tracking_share([drive, slow]) == pytest.approx(0.5)
+    assert speed_tracking_share([replace(slow, speed_source="wheel")]) == 1.0
 
 
 @pytest.mark.parametrize(("blur", "source"), [(1e-4, "pose"), (2e-3, "wheel")])

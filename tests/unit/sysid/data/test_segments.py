@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steerd.sysid.data.dataset import HISTORY, Signal, make_run
-from steerd.sysid.data.segments import blocks, keep_back, moving_parts
+from steerd.sysid.data.segments import hold_out, make_blocks, moving_segments
 from steerd.sysid.data.windows import make_layout
 
 
@@ -18,7 +18,7 @@ def drive():
 
 
 def test_a_part_begins_where_the_car_began_to_move(drive):
-    (part,) = moving_parts([drive])
+    (part,) = moving_segments([drive])
     assert 3.9 < part.start < 4.1
     first = part.start + part.pose.t[0]
     assert np.isclose(
@@ -27,16 +27,16 @@ def test_a_part_begins_where_the_car_began_to_move(drive):
 
 
 def test_windows_of_blocks_tell_the_time_of_the_drive(drive):
-    parts = moving_parts([drive])
-    whole, cut = make_layout(parts, 1.0).t, make_layout(blocks(parts), 1.0).t
-    assert whole[0] == pytest.approx(cut[0])
-    assert np.ptp(cut) > 18.0
-    assert np.all(np.diff(cut) > 0.5)
-    assert cut[0] == pytest.approx(parts[0].start + HISTORY, abs=0.02)
+    parts = moving_segments([drive])
+    whole, yaw = make_layout(parts, 1.0).t, make_layout(make_blocks(parts), 1.0).t
+    assert whole[0] == pytest.approx(yaw[0])
+    assert np.ptp(yaw) > 18.0
+    assert np.all(np.diff(yaw) > 0.5)
+    assert yaw[0] == pytest.approx(parts[0].start + HISTORY, abs=0.02)
 
 
 def test_what_is_kept_back_keeps_its_time(drive):
-    fitted, kept = keep_back(moving_parts([drive]), 2)
+    fitted, kept = hold_out(moving_segments([drive]), 2)
     starts = sorted(run.start for run in (*fitted, *kept))
-    assert starts == sorted(run.start for run in blocks(moving_parts([drive])))
+    assert starts == sorted(run.start for run in make_blocks(moving_segments([drive])))
     assert len(set(starts)) == len(starts)

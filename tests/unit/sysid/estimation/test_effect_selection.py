@@ -7,7 +7,7 @@ import pytest
 from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.sysid.data.segments import blocks, moving_parts
+from steerd.sysid.data.segments import make_blocks, moving_segments
 from steerd.sysid.estimation.effect_selection import choose
 from steerd.sysid.estimation.fit import Options, fit
 from steerd.sysid.estimation.learn import Task, learn
@@ -28,7 +28,7 @@ def bent(make_drive, truth):
 
 
 def _chosen(run, truth):
-    parts = blocks(moving_parts(remembering([run], truth, CANDIDATES)))
+    parts = make_blocks(moving_segments(remembering([run], truth, CANDIDATES)))
     rough = fit(parts, truth, options=replace(OPTIONS, horizons=ROUGH))
     return choose(parts, rough, replace(OPTIONS, horizons=SHORT), CANDIDATES)
 
@@ -61,7 +61,7 @@ def test_the_outcome_holds_the_effect_and_predicts_with_it(bent, truth):
 
 def test_a_model_that_misses_much_is_fitted_over_short_windows(make_drive, truth):
     run = make_drive(truth._replace(effects=(BENT,), values=((0.45,),)), 20.0, 5)
-    parts = blocks(moving_parts([run]))
+    parts = make_blocks(moving_segments([run]))
     assert not holds(fit(parts, truth, options=replace(OPTIONS, horizons=ROUGH)))
     outcome = learn(Task((run,), truth, options=OPTIONS), lambda: 0.0)
     assert any("does not hold for longer" in note for note in outcome.notes)

@@ -11,10 +11,10 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.excitation import measure_excitation
 from steerd.sysid.data.segments import (
-    blocks,
-    cut,
-    keep_back,
-    moving_parts,
+    hold_out,
+    make_blocks,
+    make_segment,
+    moving_segments,
     smooth_speed,
     with_wheel_speed,
 )
@@ -43,7 +43,7 @@ def outcome(run):
 
 
 def test_a_part_keeps_commands_and_measurements_together(run):
-    part = cut(run, 10.0, 14.0)
+    part = make_segment(run, 10.0, 14.0)
     assert part.pose.t[0] == pytest.approx(0.5)
     first = round(9.5 / run.h)
     np.testing.assert_array_equal(part.commands, run.commands[first : first + len(part.commands)])
@@ -54,21 +54,21 @@ def test_a_part_keeps_commands_and_measurements_together(run):
 def test_standstill_is_left_out(make_drive, truth):
     run = make_drive(truth, 12.0, 2)
     run.commands[round(5.0 / run.h) : round(6.0 / run.h), 1] = 0.0
-    spans = [(p.pose.t[-1] - p.pose.t[0]) for p in moving_parts([run])]
+    spans = [(p.pose.t[-1] - p.pose.t[0]) for p in moving_segments([run])]
     assert len(spans) == 2
     assert sum(spans) < 11.0
 
 
 def test_kept_blocks_and_fitted_ones_share_no_pose(run):
-    fitted, kept = keep_back(moving_parts([run]), 3)
+    fitted, kept = hold_out(moving_segments([run]), 3)
     poses = [{tuple(p) for b in group for p in b.pose.values} for group in (fitted, kept)]
     assert not poses[0] & poses[1]
-    assert len(kept) == len(blocks(moving_parts([run]))) // 3
+    assert len(kept) == len(make_blocks(moving_segments([run]))) // 3
 
 
 def test_too_little_to_keep_back_is_said(make_drive, truth):
     with pytest.raises(DataError, match="too short to keep"):
-        keep_back(moving_parts([make_drive(truth, 6.0, 1)]), 4)
+        hold_out(moving_segments([make_drive(truth, 6.0, 1)]), 4)
 
 
 def test_wheel_speed_in_the_commands_place(run):
@@ -140,7 +140,7 @@ def test_the_papers_method_tells_its_spread(make_circles):
     runs = tuple(make_circles(4, 2.5))
     task = Task(runs[:3], DEFAULT, runs[3:], method="paper", starts=2, iterations=4)
     outcome = learn(task, lambda: 0.0)
-    assert len(outcome.courses) == 2
+    assert len(outcome.searches) == 2
     assert outcome.rows["c_sf"].sd > 0.0
     assert not outcome.rows["c_sf"].identifiable
     assert outcome.fit is None
@@ -195,7 +195,7 @@ def test_dask_gives_the_same_answer(make_circles):
     ) as cluster:
         far = learn(replace(task, dask=cluster.scheduler_address), lambda: 0.0)
     near = learn(task, lambda: 0.0)
-    for a, b in zip(far.courses, near.courses, strict=True):
+    for a, b in zip(far.searches, near.searches, strict=True):
         np.testing.assert_array_equal(a.path, b.path)
 
 

@@ -19,7 +19,7 @@ def _asked(speed, rate):
     t = 0.01 * np.arange(len(speed))
     commands = np.column_stack([np.zeros(2 * len(speed)), np.repeat(speed, 2)])
     bare = Signal(np.empty(0), np.empty((0, 3)))
-    return Run("r", 0.005, commands, bare, asked=Signal(t, speed), speed_ramp=rate)
+    return Run("r", 0.005, commands, bare, speed_command=Signal(t, speed), speed_ramp=rate)
 
 
 def test_a_step_becomes_a_straight_slope():
@@ -55,13 +55,17 @@ def test_it_is_told_whether_a_drive_had_the_ramp(make_drive, simulated, had):
     speed = plan.commands[:, 1].copy()
     for k in range(1, len(speed)):
         speed[k] = speed[k - 1] + np.clip(speed[k] - speed[k - 1], -0.0125, 0.0125)
-    asked = Signal(0.01 * np.arange(len(speed) // 2), speed[::2])
-    held = np.column_stack([plan.commands[: 2 * len(asked.t), 0], np.repeat(asked.values, 2)])
-    sent = replace(plan, commands=held, asked=asked, speed_ramp=RATE, servo_frame=0.0)
+    speed_command = Signal(0.01 * np.arange(len(speed) // 2), speed[::2])
+    held = np.column_stack(
+        [plan.commands[: 2 * len(speed_command.t), 0], np.repeat(speed_command.values, 2)]
+    )
+    sent = replace(
+        plan, commands=held, speed_command=speed_command, speed_ramp=RATE, servo_frame=0.0
+    )
     driven = ramped(sent).commands if had else sent.commands
     first = np.array([0.0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
     seen = simulated(Model(DEFAULT_CAR), driven, first, 5)
-    run = replace(seen, commands=sent.commands, asked=asked, speed_ramp=RATE)
+    run = replace(seen, commands=sent.commands, speed_command=speed_command, speed_ramp=RATE)
     free = ("lf", "lr", "c_sf", "c_sr", "speed_lag")
     outcome = learn(Task((run,), Model(DEFAULT_CAR), options=Options(free=free)), lambda: 0.0)
     (ramp,) = outcome.ramps

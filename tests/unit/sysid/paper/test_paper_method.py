@@ -51,16 +51,16 @@ def test_gradient_of_the_loss_is_that_of_differences(problem):
 
 
 def test_adam_lowers_the_loss_but_leaves_the_stiffnesses_where_they_began(problem):
-    course = paper.descend_adam(problem, START, 25)
-    assert course.losses[-5:].min() < 0.2 * course.losses[0]
-    assert np.all(np.abs(course.final[2:] - START[2:]) < 2.0)
-    assert abs(_sums(course.final)[0] / _sums(TRUE)[0] - 1.0) < 0.1
+    search = paper.search_adam(problem, START, 25)
+    assert search.losses[-5:].min() < 0.2 * search.losses[0]
+    assert np.all(np.abs(search.final[2:] - START[2:]) < 2.0)
+    assert abs(_sums(search.final)[0] / _sums(TRUE)[0] - 1.0) < 0.1
 
 
 def test_a_simulation_that_diverges_ends_the_course(problem):
-    course = paper.descend_adam(problem, np.array([5.0, 0.001, 40.0, 0.001]), 5)
-    assert course.diverged or np.isfinite(course.losses).all()
-    assert np.isfinite(course.path).all()
+    search = paper.search_adam(problem, np.array([5.0, 0.001, 40.0, 0.001]), 5)
+    assert search.diverged or np.isfinite(search.losses).all()
+    assert np.isfinite(search.path).all()
 
 
 def test_cma_es_finds_a_lower_loss_and_is_repeatable(problem):
@@ -78,7 +78,7 @@ def test_a_search_can_be_watched_and_ended(problem):
         seen.append((iteration, loss))
         return iteration >= 2
 
-    assert len(paper.descend_adam(problem, START, 50, watch).losses) == 3
+    assert len(paper.search_adam(problem, START, 50, watch).losses) == 3
     assert len(search_cma(problem, START, 50, watch=watch).losses) == 3
     assert [i for i, _ in seen] == [0, 1, 2] * 2
 

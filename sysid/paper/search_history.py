@@ -15,7 +15,7 @@ class BaselineMissingError(ImportError):
     """The optional extra `baselines` is not installed."""
 
 
-class Course(NamedTuple):
+class SearchHistory(NamedTuple):
     """How one start went.
 
     Attributes:

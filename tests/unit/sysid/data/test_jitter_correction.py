@@ -1,4 +1,4 @@
-"""The beat of two timers is found in a drive and undone; a log without one stays as it is."""
+"""The log jitter of two timers is found in a drive and corrected; other logs stay as they are."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from steerd.sysid.data.dataset import Run, Signal, make_run
-from steerd.sysid.data.log_jitter import find_beat, log_period, steadied
+from steerd.sysid.data.jitter_correction import correct_log_jitter, find_log_jitter, log_period
 
 Array = NDArray[np.float64]
 
@@ -15,11 +15,11 @@ SECONDS, SPEED, LENGTH, LAG = 60.0, 1.5, 0.3, 0.06
 
 
 def _drive(wait: float, drift: float, seed: int = 3) -> tuple[Run, Array, Array]:
-    """A car that steers at 10 Hz, logged late by a saw; with it when commands left and were logged.
+    """A car that steers at 10 Hz, logged late by a sawtooth; with the times sent and logged.
 
     Args:
-        wait: of the first command in the recorder [s].
-        drift: how fast waits grow [s/s].
+        wait: delay of the first command in the recorder [s].
+        drift: how fast the delay grows [s/s].
         seed: of steering and noise.
     """
     rng = np.random.default_rng(seed)
@@ -40,26 +40,26 @@ def _drive(wait: float, drift: float, seed: int = 3) -> tuple[Run, Array, Array]
     )  # fmt: skip
 
 
-def test_a_drifting_wait_is_found_and_undone() -> None:
+def test_a_drifting_delay_is_found_and_corrected() -> None:
     run, left, logged = _drive(0.03, 0.002)
-    beat = find_beat(run)
-    assert beat is not None
-    assert beat.period == pytest.approx(0.1, abs=2e-3)
+    jitter = find_log_jitter(run)
+    assert jitter is not None
+    assert jitter.period == pytest.approx(0.1, abs=2e-3)
     true = (logged - left)[1:-1]
-    told = beat.wait(logged[1:-1] - logged[0])
-    off = (told - true + 0.05) % 0.1 - 0.05
-    off -= np.median(off)  # a wait that all share is a dead time: the fit finds it
+    found = jitter.delay(logged[1:-1] - logged[0])
+    off = (found - true + 0.05) % 0.1 - 0.05
+    off -= np.median(off)  # a common delay is a dead time: the fit finds it
     assert np.sqrt(np.mean(off**2)) < 0.012
-    assert beat.describe()[0] == "drive: steering stored 0 to 100 ms late"
-    undone = steadied(run)
-    assert undone.beat == beat
-    assert len(undone.commands) == len(run.commands)
+    assert jitter.describe()[0] == "drive: steering stored 0 to 100 ms late"
+    corrected = correct_log_jitter(run)
+    assert corrected.log_jitter == jitter
+    assert len(corrected.commands) == len(run.commands)
 
 
-def test_a_constant_wait_is_no_beat() -> None:
+def test_a_constant_delay_is_not_jitter() -> None:
     run, _, _ = _drive(0.04, 0.0)
-    assert find_beat(run) is None
-    assert steadied(run) is run
+    assert find_log_jitter(run) is None
+    assert correct_log_jitter(run) is run
 
 
 def test_the_log_of_a_fast_loop_has_no_period() -> None:
@@ -71,7 +71,7 @@ def test_constant_steering_has_no_period() -> None:
     assert log_period(Signal(np.arange(0.0, 10.0, 0.1), np.full(100, 0.3))) == 0.0
 
 
-def test_pulses_of_a_servo_leave_no_beat_to_look_for() -> None:
+def test_a_servo_signal_has_no_log_jitter() -> None:
     run, _, _ = _drive(0.03, 0.002)
     pulsed = replace(run, servo_frame=0.02)
-    assert steadied(pulsed) is pulsed
+    assert correct_log_jitter(pulsed) is pulsed
