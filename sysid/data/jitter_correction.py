@@ -90,7 +90,7 @@ def _interpolated_loss(loss: Array, delays: Array, delay: Array) -> float:
 
 
 def _losses(run: Run, delays: Array) -> tuple[Array, Array]:
-    """Centres of windows (W,) [s], and their loss (W, S) with the steering earlier by each delay."""
+    """Window centres (W,) [s], and their loss (W, S) with the steering earlier by each delay."""
     t, curvature, valid = _curvature(run)
     size, hop = round(_WINDOW / run.h), round(_HOP / run.h)
     starts = [

@@ -52,7 +52,7 @@ TIMES: dict[str, float] = {
 }  # fmt: skip
 """Doubts about times [s] that drives cannot remove: a command's stamp says when it left, not when
 the motor controller took it over with its next tick, some 1 ms later; clocks of mocap and computer
-agree to 0.1 ms; within a step of the grid the servo's search is not known."""
+agree to 0.1 ms; within a step of the grid the servo's motion is not known."""
 POOR = 2.0
 """Residuals so many times the noise say that the car is not explained, or another one is meant."""
 OBEYED = 0.5
