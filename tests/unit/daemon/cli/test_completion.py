@@ -1,4 +1,4 @@
-"""The completion script, asked as bash asks it."""
+"""The completion scripts; bash's is run as bash runs it."""
 
 import shutil
 import subprocess
@@ -8,7 +8,7 @@ import pytest
 from steerd.daemon.cli.main import COMMANDS, guarded
 
 BASH = shutil.which("bash")
-pytestmark = pytest.mark.skipif(BASH is None, reason="no bash on this machine")
+needs_bash = pytest.mark.skipif(BASH is None, reason="no bash on this machine")
 
 
 @pytest.fixture(scope="module")
@@ -26,20 +26,23 @@ def script(tmp_path_factory):
 
 def complete(script, *words):
     line = " ".join(f'"{word}"' for word in words)
-    ask = (
-        f"source {script}; COMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _steerd; "
+    call = (
+        f"source {script}; COMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; "
+        '_shtab_steerd steerd "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD-1]}"; '
         'printf "%s\\n" "${COMPREPLY[@]}"'
     )
-    done = subprocess.run([str(BASH), "-c", ask], capture_output=True, text=True, check=True)
+    done = subprocess.run([str(BASH), "-c", call], capture_output=True, text=True, check=True)
     assert done.stderr == ""
     return done.stdout.split()
 
 
+@needs_bash
 def test_commands(script):
     assert set(COMMANDS) <= set(complete(script, "steerd", ""))
     assert complete(script, "steerd", "prob") == ["probe"]
 
 
+@needs_bash
 def test_options_of_every_command(script):
     for name in COMMANDS:
         assert "--help" in complete(script, "steerd", name, "--h")
@@ -47,13 +50,32 @@ def test_options_of_every_command(script):
     assert "--closed" in complete(script, "steerd", "collect", "--clo")
 
 
-def test_values_and_words(script, tmp_path):
+@needs_bash
+def test_values_of_options_and_kinds_of_commands(script):
     assert complete(script, "steerd", "run", "--controller", "") == ["lane", "zenoh"]
     assert complete(script, "steerd", "mocap", "cal") == ["calibrate"]
+
+
+@needs_bash
+def test_files_where_a_file_is_wanted(script, tmp_path):
     (tmp_path / "drive.mcap").touch()
-    assert complete(script, "steerd", "info", f"{tmp_path}/dri") == [f"{tmp_path}/drive.mcap"]
+    (tmp_path / "lab").mkdir()
+    for words in (("info",), ("run", "--car"), ("run", "--record"), ("plot", "-o")):
+        assert complete(script, "steerd", *words, f"{tmp_path}/dri") == [f"{tmp_path}/drive.mcap"]
+    assert complete(script, "steerd", "run", "--lab", f"{tmp_path}/") == [f"{tmp_path}/lab"]
 
 
-def test_zsh_gets_its_bridge(capsys):
-    assert guarded(["completion", "zsh"]) == 0
-    assert "bashcompinit" in capsys.readouterr().out
+@pytest.mark.parametrize(
+    ("shell", "start", "part"),
+    [
+        ("zsh", "#compdef steerd", "--auto-arm"),
+        ("tcsh", "# AUTOMATICALLY GENERATED", "complete steerd"),
+        ("fish", "# AUTOMATICALLY GENERATED", "complete -c steerd"),
+    ],
+)
+def test_other_shells_get_their_own_script(shell, start, part, capsys):
+    assert guarded(["completion", shell]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith(start)
+    assert part in text
+    assert "rtcheck" in text
