@@ -1,9 +1,7 @@
 """The page of `steerd plot`: one file with its data, its script and its style; no network."""
 
-import json
 from datetime import UTC, datetime
-from html import escape
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +11,7 @@ from steerd.daemon.sessions.info import SessionReport
 from steerd.daemon.sessions.motion import GAP_MAX, Array, Track
 from steerd.daemon.sessions.plot_data import Drawing
 from steerd.daemon.sessions.text import clean
+from steerd.sysid.report.page import render_page
 
 SIZE_MAX = 2_000_000
 """A page must fit into a mail and open at once [bytes]."""
@@ -21,6 +20,14 @@ BUCKETS = (20_000, 12_000, 6_000, 2_000)
 TRACK_SLOTS = 12_000
 LANE_POINTS = 1500
 WARNINGS_SHOWN = 8
+_PAGE = Path(__file__).parent / "page"
+_OWN_FILES = {
+    "css": "plot.css",
+    "js": "plot.js",
+    "uplot_css": "uplot.min.css",
+    "uplot_js": "uplot.min.js",
+}
+"""Styles and scripts of the page, put in as they are: they are ours, not the session's."""
 
 
 def make_page(report: SessionReport, drawing: Drawing) -> str:
@@ -32,26 +39,15 @@ def make_page(report: SessionReport, drawing: Drawing) -> str:
     """
     page = ""
     for buckets in BUCKETS:
-        page = _fill(_data(report, drawing, buckets))
+        page = _render(_data(report, drawing, buckets))
         if len(page.encode()) < SIZE_MAX:
             break
     return page
 
 
-def _fill(data: dict[str, Any]) -> str:
-    folder = files("steerd.daemon.sessions") / "page"
-    parts = {
-        "TITLE": escape(f"{data['title']} · steerd"),
-        # A closing tag inside the data would end the script element.
-        "DATA": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("</", "<\\/"),
-        "UPLOT_CSS": (folder / "uplot.min.css").read_text(),
-        "UPLOT_JS": (folder / "uplot.min.js").read_text(),
-        "CSS": (folder / "plot.css").read_text(),
-        "JS": (folder / "plot.js").read_text(),
-    }
-    head, *rest = (folder / "plot.html").read_text().split("@")
-    # Even pieces are the template's own text, odd ones name a part: nothing is replaced twice.
-    return head + "".join(parts[p] if i % 2 == 0 else p for i, p in enumerate(rest))
+def _render(data: dict[str, Any]) -> str:
+    own = {name: (_PAGE / file).read_text(encoding="utf-8") for name, file in _OWN_FILES.items()}
+    return render_page(_PAGE / "plot.html", data=data, **own)
 
 
 def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, Any]:
