@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.translate import of_car_file, of_session
+from steerd.daemon.common.translate import make_car_file_error, make_session_error
 
 if TYPE_CHECKING:
     from steerd.car_model.car_file import CarFile
@@ -43,7 +43,7 @@ def load_drive(path: Path, speed: str = "command") -> "Run":
         print_warnings([f"{path.name}: {each}" for each in doubts])
         return with_wheel_speed(run) if speed == "wheel" else run
     except SessionError as error:
-        raise of_session(error) from None
+        raise make_session_error(error) from None
     except DataError as error:
         raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
     except OSError as error:
@@ -72,7 +72,7 @@ def load_base(path: Path) -> "CarFile":
     try:
         return load_car(path)
     except CarFileError as error:
-        raise of_car_file(error) from None
+        raise make_car_file_error(error) from None
 
 
 def is_same(one: Path, other: Path) -> bool:

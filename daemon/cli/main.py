@@ -102,7 +102,7 @@ def dispatch(argv: Sequence[str]) -> int:
 
 def main() -> int:
     """Entry point of the console script."""
-    code = guarded(sys.argv[1:])
+    code = run_cli(sys.argv[1:])
     if "zenoh" in sys.modules:
         # zenoh's own threads may be inside Python while the interpreter shuts down, which aborts.
         sys.stdout.flush()
@@ -111,7 +111,7 @@ def main() -> int:
     return code
 
 
-def guarded(argv: Sequence[str]) -> int:
+def run_cli(argv: Sequence[str]) -> int:
     """Run one command line; every failure is a line or two on standard error and a code."""
     try:
         return dispatch(argv)

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from steerd.steer_bus.session_read import SessionError
 
 
-def of_car_file(error: "CarFileError") -> SteerdError:
+def make_car_file_error(error: "CarFileError") -> SteerdError:
     """A car file that cannot be read or written (3), or says what cannot be (4)."""
     unreadable = isinstance(error.__cause__, OSError)
     code = ExitCode.UNREADABLE if unreadable else ExitCode.INVALID
@@ -17,7 +17,7 @@ def of_car_file(error: "CarFileError") -> SteerdError:
     return SteerdError(f"{place}: {error.what}", error.hint, code)
 
 
-def of_session(error: "SessionError", hint: str = "") -> SteerdError:
+def make_session_error(error: "SessionError", hint: str = "") -> SteerdError:
     """A session that cannot be read or written.
 
     Args:

@@ -5,16 +5,16 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from steerd.daemon.assembly.build import Plan, make_world_config
+from steerd.daemon.assembly.build import RunPlan, make_world_config
 from steerd.daemon.assembly.session_meta import (
     default_session_path,
     make_attachments,
     make_metadata,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.translate import of_session
-from steerd.daemon.ipc.pipe_records import Record
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.common.translate import make_session_error
+from steerd.daemon.ipc.pipe_records import PipeRecord
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive, make_virtual_run
 from steerd.daemon.process.recorder import Recording
 from steerd.daemon.terminal.closing import closing_lines
@@ -27,7 +27,7 @@ _GC_THRESHOLD = 20_000
 """A drive makes many small values and no cycles; looking for those every 700 costs 6 %."""
 
 
-def make_recording(plan: Plan, path: Path) -> Recording:
+def make_recording(plan: RunPlan, path: Path) -> Recording:
     """A session file for a run in virtual time.
 
     Raises:
@@ -48,10 +48,10 @@ def make_recording(plan: Plan, path: Path) -> Recording:
     try:
         return Recording(path, plan.options.car, meta)
     except SessionError as error:
-        raise of_session(error, "choose another file with --record") from None
+        raise make_session_error(error, "choose another file with --record") from None
 
 
-def run_fast(plan: Plan) -> int:
+def run_fast(plan: RunPlan) -> int:
     """Drive in virtual time and print what came of it."""
     if plan.options.duration_s is None:
         raise SteerdError("--fast needs an end", "add --duration 30", ExitCode.USAGE)
@@ -68,7 +68,7 @@ def run_fast(plan: Plan) -> int:
     recording = make_recording(plan, path)
     board = Dashboard("")
 
-    def sink(records: list[Record], t_ns: int) -> None:
+    def sink(records: list[PipeRecord], t_ns: int) -> None:
         for each in records:
             recording.add(each)
             line = board.take(each)
@@ -112,7 +112,7 @@ def with_progress(
         task = progress.add_task("driving", total=duration_s)
 
         def tick(now: VirtualRun) -> None:
-            if now.core.loop.supervisor.state is State.RUNNING:
+            if now.core.loop.supervisor.state is SupervisorState.RUNNING:
                 progress.advance(task, now.period_ns * 1e-9)
 
         go(tick)

@@ -14,10 +14,10 @@ from typing import Any
 import msgspec
 
 from steerd.car_model.car_file import CarFileError, parse_car
-from steerd.daemon.assembly.build import Plan, make_loop_setup, make_plan
+from steerd.daemon.assembly.build import RunPlan, make_loop_setup, make_plan
 from steerd.daemon.assembly.session_meta import csv_file
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.translate import of_car_file
+from steerd.daemon.common.translate import make_car_file_error
 from steerd.daemon.loop.core import read_identity
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.loop import Loop
@@ -106,7 +106,7 @@ def read_imu(imu: m.VescImu) -> ImuSample:
     return ImuSample(reading, Stamped(imu.t_sent_ns, imu.t_received_ns))
 
 
-def make_replay_plan(session: Session, name: str) -> tuple[Plan, int, int, bool]:
+def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bool]:
     """The plan of a recorded run, with its boot id, epoch and whether it was leased.
 
     Raises:
@@ -124,7 +124,7 @@ def make_replay_plan(session: Session, name: str) -> tuple[Plan, int, int, bool]
     try:
         settings = make_settings(parse_car(text, Path(f"{name}:car.toml")), options.speed)
     except CarFileError as error:
-        raise of_car_file(error) from None
+        raise make_car_file_error(error) from None
     if csv_file(options.path) is not None:
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / "path.csv"
@@ -145,7 +145,7 @@ class Replay:
         ticks: how many were compared.
     """
 
-    def __init__(self, plan: Plan, boot_id: int, epoch_ns: int, leased: bool) -> None:
+    def __init__(self, plan: RunPlan, boot_id: int, epoch_ns: int, leased: bool) -> None:
         self.loop = Loop(make_loop_setup(plan, boot_id, leased))
         self.ticks = 0
         self._epoch_ns = epoch_ns
@@ -209,7 +209,7 @@ def replay(session: Session, name: str) -> tuple[Replay, Iterator[Difference]]:
     return run, (d for d in map(run.take, session.messages()) if d is not None)
 
 
-def describe(difference: Difference, first_ns: int) -> str:
+def describe_difference(difference: Difference, first_ns: int) -> str:
     """One line for people."""
 
     def order(values: tuple[float, ...]) -> str:
@@ -224,7 +224,7 @@ def describe(difference: Difference, first_ns: int) -> str:
     return f"tick {difference.seq} ({t:.2f} s): recorded {was}; replayed {now}"
 
 
-def expect_same(count: int, ticks: int) -> ExitCode:
+def check_same(count: int, ticks: int) -> ExitCode:
     """The exit code of a replay with so many differences.
 
     Raises:

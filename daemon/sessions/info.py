@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.translate import of_session
-from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.common.translate import make_session_error
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.motion import (
     Array,
     Range,
     Signal,
     Track,
-    find_doubts,
+    find_implausible,
     make_range,
     make_track,
 )
@@ -104,7 +104,7 @@ def load_session(path: Path) -> Session:
     try:
         session = open_session(path)
     except SessionError as error:
-        raise of_session(error) from error
+        raise make_session_error(error) from error
     if not session.info().count and not session.info().metadata:
         why = session.warnings[0].message if session.warnings else "no messages"
         raise SteerdError(f"{path} holds no session ({why})", "", ExitCode.INVALID)
@@ -124,7 +124,7 @@ def make_session_report(session: Session) -> SessionReport:
         track, signals = _motion(tables, times)
         states = _states(session, info.start_ns)
     except SessionError as error:
-        raise of_session(error) from error
+        raise make_session_error(error) from error
     steer, wheel, gyro, speed, lateral = signals
     about = info.metadata.get("steerd.session", {})
     cars = sorted({key[0] for topic in info.topics if (key := split_key(topic.name))})
@@ -145,7 +145,7 @@ def make_session_report(session: Session) -> SessionReport:
         warnings=(
             *(warning.message for warning in info.warnings),
             *unreadable,
-            *find_doubts(track, _some(steer), _some(wheel), _some(gyro)),
+            *find_implausible(track, _some(steer), _some(wheel), _some(gyro)),
         ),
     )
 
@@ -264,7 +264,7 @@ def _states(session: Session, start_ns: int) -> tuple[StateChange, ...]:
 
 def _state_name(number: int) -> str:
     try:
-        return Supervised(number).name
+        return SupervisorState(number).name
     except ValueError:
         return f"state {number}"
 

@@ -130,7 +130,7 @@ def make_range(values: Array) -> Range | None:
 # -- can this be? --------------------------------------------------------------------------------
 
 
-def find_doubts(
+def find_implausible(
     track: Track | None, steer: Signal | None, wheel: Signal | None, gyro: Signal | None
 ) -> list[str]:
     """What looks like a wrong unit, sign or axis; one sentence each."""

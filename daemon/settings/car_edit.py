@@ -8,7 +8,7 @@ import tomlkit
 
 from steerd.car_model.car_file import CarFileError, load_car, parse_car
 from steerd.daemon.common.atomic_file import write_whole
-from steerd.daemon.common.translate import of_car_file
+from steerd.daemon.common.translate import make_car_file_error
 from steerd.daemon.settings.config import make_settings
 
 Values = Mapping[tuple[str, str], float | str]
@@ -24,7 +24,7 @@ def load_text(path: Path) -> str:
     try:
         return load_car(path).text
     except CarFileError as error:
-        raise of_car_file(error) from None
+        raise make_car_file_error(error) from None
 
 
 def edit_text(text: str, values: Values) -> str:
@@ -45,7 +45,7 @@ def edit_text(text: str, values: Values) -> str:
     try:
         make_settings(parse_car(new, Path("the new car file")))
     except CarFileError as error:
-        raise of_car_file(error) from None
+        raise make_car_file_error(error) from None
     return new
 
 

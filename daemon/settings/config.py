@@ -14,7 +14,7 @@ from steerd.car_model.params import wheelbase
 from steerd.controller.config import ControllerConfig, load_controller_config
 from steerd.controller.limits import Limits
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.translate import of_car_file
+from steerd.daemon.common.translate import make_car_file_error
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig, load_filter_config
 from steerd.mocap_link.frame import FrameConfig
@@ -95,7 +95,7 @@ def load_settings(path: Path | str, speed: float | None = None) -> Settings:
     try:
         car_file = load_car(path)
     except CarFileError as error:
-        raise of_car_file(error) from None
+        raise make_car_file_error(error) from None
     return make_settings(car_file, speed)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from steerd.car_model.car_file import CarFileError, default_car_path, parse_car
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.translate import of_car_file
+from steerd.daemon.common.translate import make_car_file_error
 from steerd.daemon.sessions.info import find_table, load_session, read_tables
 from steerd.daemon.sessions.motion import Array, Track, make_track
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
@@ -58,7 +58,7 @@ def load_recorded(path: Path) -> Recorded:
     try:
         settings = make_settings(parse_car(text, Path(f"{path.name}:car.toml")))
     except CarFileError as error:
-        raise of_car_file(error) from None
+        raise make_car_file_error(error) from None
     tables, problems = read_tables(session)
     poses = find_table(tables, topics.MOCAP)
     if poses is None or not (good := poses["reject"] == "").any():

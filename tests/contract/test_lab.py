@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.lab import load_lab, make_tls_settings
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile, make_spoke_profile
@@ -40,7 +40,7 @@ def labs(tmp_path_factory):
     people = ["--operator", "desk", "--operator", "tablet", "--viewer", "screen"]
     for name in ("ours", "theirs"):
         where = [str(root / name), "--host", "127.0.0.1", "--port", port]
-        assert guarded(["keys", *where, *people]) == 0
+        assert run_cli(["keys", *where, *people]) == 0
     return root
 
 

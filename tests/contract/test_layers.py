@@ -81,9 +81,9 @@ def test_a_terminal_starts_without_filter_and_design(command: str) -> None:
 
 
 def test_every_command_has_its_help() -> None:
-    from steerd.daemon.cli.main import COMMANDS, guarded
+    from steerd.daemon.cli.main import COMMANDS, run_cli
 
     for name in COMMANDS:
         with pytest.raises(SystemExit) as ended:
-            guarded([name, "--help"])
+            run_cli([name, "--help"])
         assert ended.value.code == 0, name

@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 
 TRUTH = (
     "--effect speed_scale=1.05 --effect mocap_latency=0.02 --effect marker_offset=0.03,-0.02 "
@@ -20,7 +20,7 @@ def drive(drive_fast):
 
 def test_mocap_calibrate_finds_what_was_injected(drive, tmp_path, capsys):
     out = tmp_path / "car.toml"
-    assert guarded(["mocap", "calibrate", str(drive), "-o", str(out)]) == 0
+    assert run_cli(["mocap", "calibrate", str(drive), "-o", str(out)]) == 0
     shown = capsys.readouterr()
     assert len(shown.out.splitlines()) < 12
     car = tomllib.loads(out.read_text())
@@ -31,27 +31,27 @@ def test_mocap_calibrate_finds_what_was_injected(drive, tmp_path, capsys):
     assert car["vesc"]["erpm_gain"] == pytest.approx(4614 / 1.05, rel=5e-3)
     assert car["car"]["pose_delay"] == pytest.approx(0.02, abs=6e-3)
     assert "# m, body origin ahead" in out.read_text()
-    assert guarded(["config", "--check", str(out)]) == 0
+    assert run_cli(["config", "--check", str(out)]) == 0
 
 
 def test_mocap_check_and_a_printed_calibration(drive, tmp_path, capsys):
-    assert guarded(["mocap", "check", str(drive)]) == 0
+    assert run_cli(["mocap", "check", str(drive)]) == 0
     assert capsys.readouterr().out.count("pass") == 6
-    assert guarded(["mocap", "calibrate", str(drive)]) == 0
+    assert run_cli(["mocap", "calibrate", str(drive)]) == 0
     assert "-o car.toml" in capsys.readouterr().out
-    assert guarded(["mocap", "check"]) == 2
-    assert guarded(["mocap", "calibrate", str(tmp_path / "none.mcap")]) == 3
+    assert run_cli(["mocap", "check"]) == 2
+    assert run_cli(["mocap", "calibrate", str(tmp_path / "none.mcap")]) == 3
 
 
 def test_servo(drive_fast, tmp_path, capsys):
     effects = "--effect steer_gain=0.9 --effect steer_bias=0.02"
     session = drive_fast(f"--path figure8 --speed 1 --duration 25 {effects}").session
     out = tmp_path / "car.toml"
-    assert guarded(["calibrate", "servo", str(session), "-o", str(out)]) == 0
+    assert run_cli(["calibrate", "servo", str(session), "-o", str(out)]) == 0
     found = re.search(r"wheels = ([\d.]+) .* command ([+-][\d.]+)°", capsys.readouterr().out)
     assert float(found[1]) == pytest.approx(0.9, rel=0.02)
     assert float(found[2]) == pytest.approx(1.146, abs=0.1)
     vesc = tomllib.loads(out.read_text())["vesc"]
     assert vesc["servo_gain"] == pytest.approx(-1.2135 / 0.9, rel=0.02)
     assert vesc["servo_offset"] == pytest.approx(0.5304 + 1.2135 / 0.9 * 0.02, abs=3e-3)
-    assert guarded(["calibrate", "servo"]) == 2
+    assert run_cli(["calibrate", "servo"]) == 2

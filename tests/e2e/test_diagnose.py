@@ -18,8 +18,8 @@ from steerd.daemon.analysis.drives import load_base
 from steerd.daemon.analysis.gap_closed_loop import try_lane
 from steerd.daemon.assembly.build import make_plan, make_world_config
 from steerd.daemon.cli.commands.driving import run as run_command
-from steerd.daemon.cli.main import guarded
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.cli.main import run_cli
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import drive, make_virtual_run
 from steerd.sim_hw.world import World
 
@@ -34,7 +34,7 @@ DELAY = 0.05
 def quietly(*argv):
     screen, error = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(screen), contextlib.redirect_stderr(error):
-        code = guarded([str(word) for word in argv])
+        code = run_cli([str(word) for word in argv])
     assert code == 0, error.getvalue()
     return screen.getvalue()
 
@@ -100,7 +100,7 @@ def offsets(plan, world_plan):
 
     def note(now):
         report = now.core.last.report if now.core.last else None
-        if now.core.loop.supervisor.state is State.RUNNING and report is not None:
+        if now.core.loop.supervisor.state is SupervisorState.RUNNING and report is not None:
             found.append((now.t_ns, report.e1))
 
     drive(run, note)
@@ -144,7 +144,7 @@ def test_the_prediction_stands_before_a_reserved_session_is_opened(late, tmp_pat
     session = str(late[0] / "late.mcap")
     words = ["diagnose", session, "--runs-held-out", str(broken), "--prediction", str(told),
              "--no-pairs", "--no-closed-loop", "--only", "steer_delay", "--json"]  # fmt: skip
-    assert guarded(words) in (3, 4)
+    assert run_cli(words) in (3, 4)
     said = capsys.readouterr()
     assert said.out == ""
     assert hashlib.sha256(told.read_bytes()).hexdigest() in said.err

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from steerd.daemon.assembly.build import make_plan
-from steerd.daemon.cli.main import COMMANDS, guarded
+from steerd.daemon.cli.main import COMMANDS, run_cli
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.settings.vesc_yaml import make_vesc_yaml
 from steerd.mocap_link.mocap_url import parse_mocap_url
@@ -141,7 +141,7 @@ def test_every_command_line_is_understood(command):
 def test_what_needs_no_hardware_runs(command, workplace, capsys):
     words = shortened(words_of(command))
     workplace(words)
-    assert guarded(words) == ExitCode.OK, capsys.readouterr().err
+    assert run_cli(words) == ExitCode.OK, capsys.readouterr().err
     assert len(capsys.readouterr().out.splitlines()) < 140
 
 
@@ -201,7 +201,7 @@ def test_what_needs_hardware_runs_against_simulated_hardware(
     workplace(words)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     if words[0] == "service":
-        assert guarded(words) == ExitCode.OK
+        assert run_cli(words) == ExitCode.OK
         return
     if "--sim" not in words and words[0] != "sim":
         words = against(words, *hardware)

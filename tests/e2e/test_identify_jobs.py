@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.cli.main import guarded as main
+from steerd.daemon.cli.main import run_cli as main
 from steerd.sysid.compiler.kernels import Held, lane_view, make_kernels, make_lanes, march
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]

@@ -5,7 +5,7 @@ import socket
 
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 
 pytest.importorskip("cryptography")
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
@@ -27,7 +27,7 @@ def test_operators_command_and_viewers_watch(undisturbed) -> None:
         lab = folder / "lab"
         people = ["--operator", "desk", "--viewer", "screen"]
         where = ["--host", "127.0.0.1", "--port", free_port()]
-        assert guarded(["keys", str(lab), *where, *people]) == 0
+        assert run_cli(["keys", str(lab), *where, *people]) == 0
         port, url = steerd.sim(folder)
         record = folder / "drive.mcap"
         argv = ("--port", port, "--mocap", url, "--record", record, "--path", "circle:radius=2")

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerd.daemon.cli.main import guarded
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.cli.main import run_cli
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.session_read import open_session
@@ -20,7 +20,7 @@ from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 CIRCLE = ("--path", "circle:radius=2", "--speed", "1")
-STOPS = {State.STOPPING, State.FAULT_STOP}
+STOPS = {SupervisorState.STOPPING, SupervisorState.FAULT_STOP}
 
 
 class Watcher:
@@ -44,15 +44,15 @@ class Watcher:
 
     def driving(self, run, seconds):
         """Wait until the car has been driving for so long."""
-        first = self.until(lambda s: s.mode == State.RUNNING, run)
+        first = self.until(lambda s: s.mode == SupervisorState.RUNNING, run)
         end_ns = first.mono_ns + round(seconds * 1e9)
-        return self.until(lambda s: s.mode != State.RUNNING or s.mono_ns >= end_ns, run)
+        return self.until(lambda s: s.mode != SupervisorState.RUNNING or s.mono_ns >= end_ns, run)
 
     def stopped(self, run):
         """Wait until the car is being stopped, and then until it stands."""
         stop = self.until(lambda s: s.mode in STOPS, run)
         self.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
-        return State(stop.mode)
+        return SupervisorState(stop.mode)
 
     def close(self):
         self.bus.close()
@@ -72,7 +72,7 @@ def last_change(session):
 def lane_errors(session):
     """Lateral errors while driving, after the first second [m]."""
     table = open_session(session).columns(m.State)
-    running = table["mode"] == State.RUNNING
+    running = table["mode"] == SupervisorState.RUNNING
     t = table["mono_ns"][running]
     return table["e1"][running][t - t[0] > 1e9]
 
@@ -100,7 +100,7 @@ def test_arm_start_stop_from_other_terminals_over_natnet(undisturbed, capsys) ->
             assert (code, said.startswith("car1: RUNNING")) == (0, True), said
             watcher.driving(run, 1.5)
             assert ask(steerd, "stop")[0] == 0
-            assert watcher.stopped(run) is State.STOPPING
+            assert watcher.stopped(run) is SupervisorState.STOPPING
         assert go.wait() == 0, go.text
         run.send(signal.SIGINT)
         assert run.wait() == 0, run.text
@@ -108,7 +108,7 @@ def test_arm_start_stop_from_other_terminals_over_natnet(undisturbed, capsys) ->
         assert "Traceback" not in run.text
         assert np.abs(lane_errors(record)).max() < 0.03
         capsys.readouterr()
-        assert guarded(["replay", str(record)]) == 0
+        assert run_cli(["replay", str(record)]) == 0
         assert "every one is the recorded one" in capsys.readouterr().out
 
     undisturbed(scenario)
@@ -143,12 +143,12 @@ def test_keys_of_its_own_terminal_over_vrpn(undisturbed, capsys) -> None:
             with closing(Watcher(steerd.endpoint)) as watcher:
                 watcher.driving(run, 2.0)
                 keys.press(" ")
-                assert watcher.stopped(run) is State.STOPPING
+                assert watcher.stopped(run) is SupervisorState.STOPPING
             keys.press("q")
             assert run.wait() == 0, run.text
         assert np.abs(lane_errors(record)).max() < 0.03
         capsys.readouterr()
-        assert guarded(["replay", str(record)]) == 0
+        assert run_cli(["replay", str(record)]) == 0
 
     undisturbed(scenario)
 
@@ -167,12 +167,12 @@ def test_a_dead_terminal_stops_the_car(undisturbed) -> None:
             killed_ns = time.monotonic_ns()
             go.send(signal.SIGKILL)
             stop = watcher.until(lambda s: s.mode in STOPS, run)
-            assert stop.mode == State.STOPPING, run.text
+            assert stop.mode == SupervisorState.STOPPING, run.text
             assert 0.2 < (stop.mono_ns - killed_ns) * 1e-9 < 0.6
             watcher.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
         run.send(signal.SIGINT)
         run.wait()
-        change = next(c for c in last_change(record) if c.to_state == State.STOPPING)
+        change = next(c for c in last_change(record) if c.to_state == SupervisorState.STOPPING)
         assert change.text.startswith("W25 "), change.text
 
     undisturbed(scenario)
@@ -193,15 +193,15 @@ def test_poses_from_the_bus(undisturbed, capsys) -> None:
         go = steerd("start", "--connect", steerd.endpoint)
         go.expect("driving")
         with closing(Watcher(steerd.endpoint)) as watcher:
-            assert watcher.driving(run, 2.0).mode == State.RUNNING, run.text
+            assert watcher.driving(run, 2.0).mode == SupervisorState.RUNNING, run.text
             go.send(signal.SIGINT)
-            assert watcher.stopped(run) is State.STOPPING
+            assert watcher.stopped(run) is SupervisorState.STOPPING
         assert go.wait() == 0, go.text
         run.send(signal.SIGINT)
         assert run.wait() == 0, run.text
         assert np.abs(lane_errors(record)).max() < 0.05
         capsys.readouterr()
-        assert guarded(["replay", str(record)]) == 0
+        assert run_cli(["replay", str(record)]) == 0
 
     undisturbed(scenario)
 
@@ -222,12 +222,15 @@ def test_ctrl_c_stops_the_car_and_ends_well(steerd, tmp_path, capsys) -> None:
         watcher.driving(run, 1.0)
         run.send(signal.SIGINT)
         assert run.wait() == 0, run.text
-    assert [State(c.to_state) for c in last_change(record)][-2:] == [State.STOPPING, State.DISARMED]
+    assert [SupervisorState(c.to_state) for c in last_change(record)][-2:] == [
+        SupervisorState.STOPPING,
+        SupervisorState.DISARMED,
+    ]
     assert open_session(record).info().clean
     assert f"session: {record}" in run.text
     assert "Traceback" not in run.text
     capsys.readouterr()
-    assert guarded(["replay", str(record)]) == 0
+    assert run_cli(["replay", str(record)]) == 0
 
 
 def test_an_external_controller_drives_and_its_death_stops_the_car(
@@ -237,7 +240,7 @@ def test_an_external_controller_drives_and_its_death_stops_the_car(
     with closing(Watcher(steerd.endpoint)) as watcher:
         keeper = steerd("control", "--connect", steerd.endpoint, *CIRCLE)
         watcher.driving(run, 2.5)
-        assert watcher.seen[-1].mode == State.RUNNING, run.text
+        assert watcher.seen[-1].mode == SupervisorState.RUNNING, run.text
         killed_ns = time.monotonic_ns()
         keeper.send(signal.SIGKILL)
         stop = watcher.until(lambda s: s.mode in STOPS, run)
@@ -249,7 +252,7 @@ def test_an_external_controller_drives_and_its_death_stops_the_car(
     assert open_session(record).columns(m.DriveCommand)["seq"].size > 100
     assert np.abs(lane_errors(record)).max() < 0.05
     capsys.readouterr()
-    assert guarded(["replay", str(record)]) == 0
+    assert run_cli(["replay", str(record)]) == 0
 
 
 def test_a_killed_recorder_loses_little_and_stops_the_car(steerd, tmp_path, capsys) -> None:
@@ -261,7 +264,7 @@ def test_a_killed_recorder_loses_little_and_stops_the_car(steerd, tmp_path, caps
         killed_ns = time.monotonic_ns()
         os.kill(recorder, signal.SIGKILL)
         stop = watcher.until(lambda s: s.mode in STOPS, run)
-        assert stop.mode == State.STOPPING
+        assert stop.mode == SupervisorState.STOPPING
         assert (stop.mono_ns - killed_ns) * 1e-9 < 0.3
         published = {s.seq: s for s in watcher.seen if s.mono_ns < killed_ns}
         watcher.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
@@ -271,7 +274,7 @@ def test_a_killed_recorder_loses_little_and_stops_the_car(steerd, tmp_path, caps
     assert not record.exists()
     capsys.readouterr()
     partial = record.with_name(record.name + ".partial")
-    assert guarded(["recover", str(partial)]) == 0
+    assert run_cli(["recover", str(partial)]) == 0
     whole = record.with_name("drive.recovered.mcap")
     kept = {s.seq: s for s in map(decode_record, open_session(whole).messages(STATE))}
     assert (killed_ns - max(s.mono_ns for s in kept.values())) * 1e-9 <= 0.3
@@ -280,7 +283,7 @@ def test_a_killed_recorder_loses_little_and_stops_the_car(steerd, tmp_path, caps
     assert len(published) > 100
     for seq in filter(last.__ge__, published):
         assert encode(kept[seq]) == encode(published[seq])  # NaN equals NaN in bytes alone
-    assert guarded(["replay", str(whole)]) == 0
+    assert run_cli(["replay", str(whole)]) == 0
 
 
 STATE = "/steerd/car1/state"

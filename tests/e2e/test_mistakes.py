@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 
 LIBC = ctypes.CDLL(None)
 CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH = 1, 2
@@ -73,7 +73,7 @@ def is_clear(said: str, words: list[str]) -> None:
 def test_a_mistake_is_told_in_a_line(argv, code, words, place, capsys, monkeypatch) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", str(place))
     before = sorted(place.rglob("*"))
-    assert guarded([text.format(tmp=place) for text in argv]) == code
+    assert run_cli([text.format(tmp=place) for text in argv]) == code
     is_clear(capsys.readouterr().err, words)
     assert sorted(place.rglob("*")) == before
 
@@ -158,7 +158,7 @@ def test_a_busy_endpoint_is_told_in_a_line(place) -> None:
 @pytest.mark.slow
 def test_nobody_answers(capsys) -> None:
     for command in ("status", "arm", "start", "stop", "disarm", "control"):
-        assert guarded([command, "--connect", free_endpoint()]) == 6
+        assert run_cli([command, "--connect", free_endpoint()]) == 6
         is_clear(capsys.readouterr().err, ["no steerd answers", "steerd run"])
 
 

@@ -10,7 +10,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from steerd.car_model.effects import ALIASES, EFFECTS, parse_effect
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.messages import Actuation, MocapPose, Throttle, WheelSpeed
 from steerd.steer_bus.session import open_session
 
@@ -28,11 +28,11 @@ def data_file(*parts):
 
 def import_csv(source, map_name, out):
     the_map = ROOT / "examples" / map_name
-    return guarded(["import", "csv", str(source), "--map", str(the_map), "-o", str(out)])
+    return run_cli(["import", "csv", str(source), "--map", str(the_map), "-o", str(out)])
 
 
 def info(path, capsys):
-    assert guarded(["info", str(path), "--json"]) == 0
+    assert run_cli(["info", str(path), "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
@@ -129,7 +129,7 @@ def test_a_wrong_unit_is_warned_of(tmp_path, capsys):
     names = "\n".join(f'{name} = "{name}"' for name in ("t", "x", "y", "yaw"))
     (tmp_path / "a.toml").write_text(f"[columns]\n{names}\n")
     argv = ["import", "csv", str(tmp_path / "a.csv"), "--map", str(tmp_path / "a.toml")]
-    assert guarded([*argv, "-o", str(tmp_path / "a.mcap")]) == 0
+    assert run_cli([*argv, "-o", str(tmp_path / "a.mcap")]) == 0
     assert "millimetres" in capsys.readouterr().err
 
 
@@ -137,7 +137,7 @@ def test_errors_are_two_lines(tmp_path, capsys):
     (tmp_path / "a.csv").write_text("time,v\n0,1\n")
     (tmp_path / "a.toml").write_text('[columns]\nt = "t"\nwheel_speed = "v"\n')
     argv = ["import", "csv", str(tmp_path / "a.csv"), "--map", str(tmp_path / "a.toml")]
-    assert guarded([*argv, "-o", str(tmp_path / "a.mcap")]) == 4
+    assert run_cli([*argv, "-o", str(tmp_path / "a.mcap")]) == 4
     shown = capsys.readouterr()
     assert shown.out == ""
     assert shown.err == (
@@ -148,7 +148,7 @@ def test_errors_are_two_lines(tmp_path, capsys):
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_each_effect_is_told(name, capsys):
-    assert guarded(["effects", name]) == 0
+    assert run_cli(["effects", name]) == 0
     text = capsys.readouterr().out
     effect = EFFECTS[name]
     assert effect.equation in text
@@ -160,25 +160,25 @@ def test_each_effect_is_told(name, capsys):
 
 
 def test_all_effects_in_a_table(capsys):
-    assert guarded(["effects"]) == 0
+    assert run_cli(["effects"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert {line.split()[0] for line in lines if line.startswith("  ")} == set(EFFECTS)
     assert all(any(e.equation in line for line in lines) for e in EFFECTS.values())
-    assert guarded(["effects", "--json"]) == 0
+    assert run_cli(["effects", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert {effect["name"] for effect in document["effects"]} == set(EFFECTS)
 
 
 def test_aliases_and_unknown_effects(capsys):
     alias, name = next(iter(ALIASES.items()))
-    assert guarded(["effects", alias]) == 0
+    assert run_cli(["effects", alias]) == 0
     assert capsys.readouterr().out.startswith(f"{name}:")
-    assert guarded(["effects", "steer_dely"]) == 2
+    assert run_cli(["effects", "steer_dely"]) == 2
     assert "did you mean 'steer_delay'?" in capsys.readouterr().err
 
 
 def test_the_page_of_effects_is_the_library(capsys):
-    assert guarded(["effects", "--page"]) == 0
+    assert run_cli(["effects", "--page"]) == 0
     assert capsys.readouterr().out == (ROOT / "docs" / "reference" / "effects.md").read_text()
 
 
@@ -186,8 +186,8 @@ _LIMITED = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
 resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
-from steerd.daemon.cli.main import guarded
-raise SystemExit(guarded(sys.argv[1:]))
+from steerd.daemon.cli.main import run_cli
+raise SystemExit(run_cli(sys.argv[1:]))
 """
 
 

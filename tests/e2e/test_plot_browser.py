@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
 FLAGS = [
@@ -38,7 +38,7 @@ def browse(page, profile, *more):
 def test_a_drive_is_drawn_without_an_error(drive_fast, tmp_path):
     session = drive_fast("--path figure8 --speed 1.5 --duration 6").session
     page, picture = tmp_path / "drive.html", tmp_path / "drive.png"
-    assert guarded(["plot", str(session), "-o", str(page)]) == 0
+    assert run_cli(["plot", str(session), "-o", str(page)]) == 0
     shown = browse(page, tmp_path / "profile", "--dump-dom")
     console = [line for line in shown.stderr.splitlines() if "CONSOLE" in line]
     assert console == []
@@ -54,7 +54,7 @@ def test_a_drive_is_drawn_without_an_error(drive_fast, tmp_path):
 def test_a_damaged_page_says_so(drive_fast, tmp_path):
     session = drive_fast("--path line --speed 1 --duration 2").session
     page = tmp_path / "drive.html"
-    assert guarded(["plot", str(session), "-o", str(page)]) == 0
+    assert run_cli(["plot", str(session), "-o", str(page)]) == 0
     page.write_text(page.read_text().replace('"data":"eN', '"data":"AA', 1))
     shown = browse(page, tmp_path / "profile", "--dump-dom")
     assert "could not be drawn" in shown.stdout

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.daemon.setup.probe_ask import discover
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.sim_hw.mocap.mocap_config import MocapConfig
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.realtime
 
 
 def probe(capsys, *arguments):
-    code = guarded(["probe", "--json", *arguments])
+    code = run_cli(["probe", "--json", *arguments])
     return code, json.loads(capsys.readouterr().out)
 
 
@@ -74,4 +74,4 @@ def test_a_dead_port_and_a_silent_server(capsys, tmp_path):
 
 @pytest.mark.parametrize("wrong", [["--mocap", "optitrack:car"], ["--seconds", "0"]])
 def test_what_cannot_be_asked(capsys, wrong):
-    assert guarded(["probe", "--port", "/dev/null", *wrong]) == 2
+    assert run_cli(["probe", "--port", "/dev/null", *wrong]) == 2

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from steerd.daemon.analysis.drives import load_drive
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 
 ROOT = Path(__file__).resolve().parents[2]
 DART = ROOT.parent / "shared" / "data" / "dart"
@@ -18,7 +18,7 @@ def imported(tmp_path, name):
         pytest.skip(f"the recorded drives are not here: ../shared/data/dart/{source.name}")
     out = tmp_path / f"{name}.mcap"
     the_map = ROOT / "examples" / "import-dart.toml"
-    assert guarded(["import", "csv", str(source), "--map", str(the_map), "-o", str(out)]) == 0
+    assert run_cli(["import", "csv", str(source), "--map", str(the_map), "-o", str(out)]) == 0
     return load_drive(out)
 
 

@@ -11,7 +11,7 @@ import xxhash  # noqa: TID251
 import zenoh  # noqa: TID251
 from rosbags.typesys import Stores, get_typestore
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 
@@ -77,10 +77,10 @@ def test_a_ros_subscription_finds_and_decodes_the_car(steerd, tmp_path):
 
 
 def test_a_domain_that_is_none_is_told(capsys):
-    assert guarded(["run", "--sim", "--ros-domain", "233"]) == 2
+    assert run_cli(["run", "--sim", "--ros-domain", "233"]) == 2
     assert "0 to 232" in capsys.readouterr().err
 
 
 def test_a_lab_with_keys_shows_nothing_to_ros(tmp_path, capsys):
-    assert guarded(["run", "--sim", "--ros-domain", "0", "--lab", str(tmp_path)]) == 2
+    assert run_cli(["run", "--sim", "--ros-domain", "0", "--lab", str(tmp_path)]) == 2
     assert "--ros-domain" in capsys.readouterr().err

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.sim_hw.plant.faults import Fault
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
@@ -25,7 +25,7 @@ def rms(values):
 def replays(session, capsys):
     """`steerd replay` finds every order again."""
     capsys.readouterr()
-    code = guarded(["replay", str(session)])
+    code = run_cli(["replay", str(session)])
     said = capsys.readouterr().out
     assert re.fullmatch(r"\d{3,} orders replayed: every one is the recorded one\n", said), said
     return code == 0
@@ -86,7 +86,7 @@ def test_an_unstable_design_is_refused_with_its_reason(tmp_path, capsys):
     car.write_text(text.replace("[-150.0, 15.0], [-150.0, -15.0]", "[-8.0, 3.0], [-8.0, -3.0]"))
     record = tmp_path / "never.mcap"
     argv = ["run", "--sim", "--fast", "--duration", "1", "--car", str(car), "--record", str(record)]
-    assert guarded(argv) == 4
+    assert run_cli(argv) == 4
     said = capsys.readouterr().err
     assert "spectral radius" in said
     assert "'pole_placement' refused" in said
@@ -108,7 +108,7 @@ def test_same_seed_same_bytes_other_seed_other_bytes(drive_fast, tmp_path, capsy
     assert files[0] == files[1]
     record = tmp_path / "again.mcap"
     argv = ["run", "--sim", "--fast", *line.split(), "--record", str(record)]
-    assert guarded(argv) == 0
+    assert run_cli(argv) == 0
     assert first.wire[:16] in capsys.readouterr().out
     assert content(record) == content(first.session)
     other = drive_fast(line.replace("--seed 7", "--seed 8"))
@@ -119,7 +119,7 @@ def test_same_seed_same_bytes_other_seed_other_bytes(drive_fast, tmp_path, capsy
 def test_a_pose_that_was_moved_in_the_recording_is_found(drive_fast, tamper_pose, capsys):
     driven = drive_fast("--path circle:radius=2 --speed 1 --duration 2")
     assert replays(driven.session, capsys)
-    assert guarded(["replay", str(tamper_pose(driven.session))]) == 7
+    assert run_cli(["replay", str(tamper_pose(driven.session))]) == 7
     said = capsys.readouterr().out
     first, last = said.splitlines()[0], said.splitlines()[-1]
     assert re.match(r"tick \d+ .*: recorded SPEED steer .*; replayed SPEED steer ", first)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 
 pytest.importorskip("cryptography")
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(120)]
@@ -34,7 +34,7 @@ def labs(tmp_path_factory):
     root = tmp_path_factory.mktemp("labs")
     for whose in ("ours", "theirs"):
         words = ["--operator", "desk", "--viewer", "screen"]
-        assert guarded(["keys", str(root / whose), "--host", HOST, *words]) == 0
+        assert run_cli(["keys", str(root / whose), "--host", HOST, *words]) == 0
     return root
 
 

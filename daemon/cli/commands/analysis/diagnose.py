@@ -219,7 +219,7 @@ def _write(
     """Every file whole or not at all."""
     from steerd.car_model.car_file import CarFileError, update_car
     from steerd.daemon.common.atomic_file import write_whole
-    from steerd.daemon.common.translate import of_car_file
+    from steerd.daemon.common.translate import make_car_file_error
 
     if args.json and args.json != "-":
         write_whole(Path(args.json), json.dumps(data, indent=1) + "\n")
@@ -229,7 +229,7 @@ def _write(
         try:
             write_whole(args.output, update_car(args.output, case.base, learned(case, told)).text)
         except CarFileError as error:
-            raise of_car_file(error) from None
+            raise make_car_file_error(error) from None
 
 
 def learned(case: "Case", told: "Diagnosis") -> dict[str, Any]:

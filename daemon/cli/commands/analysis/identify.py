@@ -150,14 +150,14 @@ def _car_text(
     """The car file that comes out; nothing of it is written before all of it is known."""
     from steerd.car_model.car_file import CarFileError, parse_car, updated_text
     from steerd.daemon.analysis.identify_case import given_values
-    from steerd.daemon.common.translate import of_car_file
+    from steerd.daemon.common.translate import make_car_file_error
 
     try:
         updates = {**given_values(args.fix), **learned(outcome)}
         text = updated_text(base, {**_carried(base, outcome), **updates})
         return with_noise(parse_car(text, args.output), runs)
     except CarFileError as error:
-        raise of_car_file(error) from None
+        raise make_car_file_error(error) from None
 
 
 def _carried(base: "CarFile", outcome: "Outcome") -> dict[str, Any]:

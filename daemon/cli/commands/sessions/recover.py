@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.translate import of_session
+from steerd.daemon.common.translate import make_session_error
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         report = recover(source, out)
     except SessionError as error:
-        raise of_session(error) from error
+        raise make_session_error(error) from error
     print_warnings([warning.message for warning in report.warnings])
     print(f"saved    {report.messages} messages, {session.info().duration_s:.1f} s")
     print(

@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from steerd.daemon.cli.main import COMMANDS, guarded
+from steerd.daemon.cli.main import COMMANDS, run_cli
 
 BASH = shutil.which("bash")
 needs_bash = pytest.mark.skipif(BASH is None, reason="no bash on this machine")
@@ -18,7 +18,7 @@ def script(tmp_path_factory):
 
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
-        assert guarded(["completion", "bash"]) == 0
+        assert run_cli(["completion", "bash"]) == 0
     path = tmp_path_factory.mktemp("completion") / "steerd.bash"
     path.write_text(out.getvalue())
     return path
@@ -74,7 +74,7 @@ def test_files_where_a_file_is_wanted(script, tmp_path):
     ],
 )
 def test_other_shells_get_their_own_script(shell, start, part, capsys):
-    assert guarded(["completion", shell]) == 0
+    assert run_cli(["completion", shell]) == 0
     text = capsys.readouterr().out
     assert text.startswith(start)
     assert part in text

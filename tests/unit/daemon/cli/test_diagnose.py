@@ -17,7 +17,7 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.diagnose_case import make_case, parse_held_out
 from steerd.daemon.analysis.diagnose_text import COLUMNS, LINES
 from steerd.daemon.cli.commands.analysis import diagnose as command
-from steerd.daemon.cli.main import guarded as main
+from steerd.daemon.cli.main import run_cli as main
 from steerd.daemon.common.errors import SteerdError
 
 pytestmark = pytest.mark.slow

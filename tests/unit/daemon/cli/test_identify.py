@@ -9,7 +9,7 @@ import pytest
 
 from steerd.car_model.car_file import load_car
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.cli.main import guarded as main
+from steerd.daemon.cli.main import run_cli as main
 
 pytestmark = pytest.mark.slow
 

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode
 from steerd.steer_bus.lab import load_lab
 
@@ -18,7 +18,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 
 def keys(folder, *words):
-    return guarded(["keys", str(folder), *words])
+    return run_cli(["keys", str(folder), *words])
 
 
 @pytest.fixture
@@ -212,17 +212,17 @@ RUN = ("run", "--sim", "--lab")
     ],
 )
 def test_run_refuses_what_does_not_fit(lab, words, said, capsys):
-    assert guarded([*RUN, str(lab / "car1"), *words]) == ExitCode.USAGE
+    assert run_cli([*RUN, str(lab / "car1"), *words]) == ExitCode.USAGE
     assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["run --sim", "watch", "status", "arm"])
 def test_a_folder_that_is_none_is_named(tmp_path, command, capsys):
-    assert guarded([*command.split(), "--lab", str(tmp_path)]) == ExitCode.INVALID
+    assert run_cli([*command.split(), "--lab", str(tmp_path)]) == ExitCode.INVALID
     assert "steerd keys" in capsys.readouterr().err
 
 
 def test_dialling_where_nobody_is_names_the_lab(lab, tmp_path, capsys):
     where = ["--connect", "tls/127.0.0.1:9", "--lab", str(lab / "desk")]
-    assert guarded(["status", *where]) == ExitCode.UNREACHABLE
+    assert run_cli(["status", *where]) == ExitCode.UNREACHABLE
     assert "of the same lab" in capsys.readouterr().err

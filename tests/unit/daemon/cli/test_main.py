@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.process.core_process import _tell
 from steerd.steer_bus.session_read import open_session
@@ -15,7 +15,7 @@ def test_a_bug_has_its_own_code_and_says_that_it_is_one(monkeypatch, capsys):
         raise ZeroDivisionError("in a command")
 
     monkeypatch.setattr("steerd.daemon.cli.commands.analysis.effects.run", broken)
-    assert guarded(["effects"]) == ExitCode.INTERNAL
+    assert run_cli(["effects"]) == ExitCode.INTERNAL
     error = capsys.readouterr().err
     assert "ZeroDivisionError: in a command" in error
     assert error.splitlines()[-1].startswith("steerd: this is a bug in steerd")
@@ -51,7 +51,7 @@ def test_a_drive_that_was_interrupted_does_not_say_that_it_ended(tmp_path, monke
     monkeypatch.setattr("steerd.daemon.offline.fast.drive", some)
     path = tmp_path / "drive.mcap"
     argv = ["run", "--sim", "--fast", "--duration", "3", "--record", str(path)]
-    assert guarded(argv) == ExitCode.INTERRUPTED
+    assert run_cli(argv) == ExitCode.INTERRUPTED
     assert f"interrupted; what was driven so far: {path}" in capsys.readouterr().err
     info = open_session(path).info()
     assert info.metadata["steerd.end"]["reason"] == "interrupted"

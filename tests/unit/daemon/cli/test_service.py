@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.daemon.cli.service import make_unit, unit_path
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.sd_notify import make_notify
@@ -35,7 +35,7 @@ def test_install_print_uninstall(home, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "car.toml").write_text(_default_car())
     options = [*OPTIONS, "--car", "car.toml"]
-    assert guarded(["service", "install", "--user", *options]) == 0
+    assert run_cli(["service", "install", "--user", *options]) == 0
     said = capsys.readouterr().out
     assert "systemctl --user enable --now steerd" in said
     assert len(said.splitlines()) < 8
@@ -47,15 +47,15 @@ def test_install_print_uninstall(home, capsys, tmp_path, monkeypatch):
     assert shlex.split(unit["ExecStart"]) == [
         sys.executable, "-m", "steerd", "run", *OPTIONS, "--car", str(tmp_path / "car.toml")
     ]  # fmt: skip
-    assert guarded(["service", "print", *options]) == 0
+    assert run_cli(["service", "print", *options]) == 0
     assert capsys.readouterr().out == home.read_text()
     other = [*options, "--speed", "0.5"]
-    assert guarded(["service", "install", *other]) == 2
-    assert guarded(["service", "install", "--force", *other]) == 0
+    assert run_cli(["service", "install", *other]) == 2
+    assert run_cli(["service", "install", "--force", *other]) == 0
     assert "--speed 0.5" in home.read_text()
-    assert guarded(["service", "uninstall", "--user"]) == 0
+    assert run_cli(["service", "uninstall", "--user"]) == 0
     assert not home.exists()
-    assert guarded(["service", "uninstall"]) == 3
+    assert run_cli(["service", "uninstall"]) == 3
 
 
 def _default_car():
@@ -75,7 +75,7 @@ def _default_car():
     ],
 )
 def test_what_could_not_run_is_not_installed(home, wrong):
-    assert guarded(["service", "install", *wrong]) == 2
+    assert run_cli(["service", "install", *wrong]) == 2
     assert not home.exists()
 
 
@@ -108,7 +108,7 @@ def test_where_units_lie(tmp_path):
 
 
 def test_udev(capsys):
-    assert guarded(["service", "udev"]) == 0
+    assert run_cli(["service", "udev"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == UDEV_RULE
 
 

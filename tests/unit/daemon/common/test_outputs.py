@@ -2,7 +2,7 @@
 
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.outputs import check_outputs
 from steerd.steer_bus.mcap_records import MAGIC
@@ -33,7 +33,7 @@ def test_a_session_is_never_written_over(argv, name, session, tmp_path, capsys):
     kept = tmp_path / name
     kept.write_bytes(session.read_bytes())
     words = [word.format(drive=session, kept=kept) for word in argv]
-    assert guarded(words) == 2
+    assert run_cli(words) == 2
     assert "no session is ever written over" in capsys.readouterr().err
     assert kept.read_bytes() == MAGIC + bytes(100)
 
@@ -44,7 +44,7 @@ def test_a_session_is_never_written_over(argv, name, session, tmp_path, capsys):
 )
 def test_what_cannot_be_written_is_told_before_the_work(name, code, words, tmp_path, capsys):
     argv = ["identify", str(tmp_path / "none.mcap"), "-o", str(tmp_path / name)]
-    assert guarded(argv) == code, "the session's absence would be told by the work"
+    assert run_cli(argv) == code, "the session's absence would be told by the work"
     assert words in capsys.readouterr().err
 
 

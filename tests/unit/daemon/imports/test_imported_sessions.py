@@ -2,7 +2,7 @@
 
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 
 MAP = '[columns]\nt = "t"\nx = "x"\ny = "y"\nyaw = "yaw"\nsteer_cmd = "steer"\n'
 
@@ -14,18 +14,18 @@ def imported(tmp_path, capsys):
     (tmp_path / "map.toml").write_text(MAP)
     out = tmp_path / "log.mcap"
     words = [str(tmp_path / "log.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(out)]
-    assert guarded(["import", "csv", *words]) == 0
+    assert run_cli(["import", "csv", *words]) == 0
     capsys.readouterr()
     return out
 
 
 def test_the_body_of_an_imported_log_is_not_calibrated(imported, capsys):
-    assert guarded(["mocap", "calibrate", str(imported)]) == 4
+    assert run_cli(["mocap", "calibrate", str(imported)]) == 4
     assert "the car's poses only" in capsys.readouterr().err
 
 
 def test_an_imported_log_has_nothing_to_replay(imported, capsys):
-    assert guarded(["replay", str(imported)]) == 4
+    assert run_cli(["replay", str(imported)]) == 4
     assert "it says nothing of its options" in capsys.readouterr().err
 
 
@@ -33,11 +33,11 @@ def test_an_imported_log_has_nothing_to_replay(imported, capsys):
 def test_a_session_that_breaks_off_is_warned_of(argv, imported, tmp_path, capsys):
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(imported.read_bytes()[:-200])
-    guarded([*argv, str(broken)])
+    run_cli([*argv, str(broken)])
     assert "warning: " in capsys.readouterr().err.replace("broken.mcap: ", "")
 
 
 @pytest.mark.parametrize("argv", [("replay",), ("identify",), ("diagnose",)], ids=" ".join)
 def test_a_folder_is_told_once(argv, tmp_path, capsys):
-    assert guarded([*argv, str(tmp_path)]) == 3
+    assert run_cli([*argv, str(tmp_path)]) == 3
     assert capsys.readouterr().err.count("name a session .mcap file") == 1

@@ -10,11 +10,11 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import make_plan
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.outbox import Outbox
 from steerd.daemon.ipc.pipe_records import PipeWriter, make_pipe, pack_record, unpack_records
-from steerd.daemon.process.view import Known, Viewer, make_channel, run_viewer
+from steerd.daemon.process.view import ReadOnlyParameters, Viewer, make_channel, run_viewer
 from steerd.daemon.process.view_job import make_view_job, parse_view
 from steerd.daemon.process.view_scene import (
     Body,
@@ -96,7 +96,7 @@ def test_a_lane_runs_beside_its_path():
 def test_parameters_are_flat_and_cannot_be_set():
     flat = make_parameters({"car": {"lf": 0.1}, "record": {"required": True}, "name": "x"})
     assert flat == {"car.lf": 0.1, "record.required": 1.0, "name": "x"}
-    known = Known(flat)
+    known = ReadOnlyParameters(flat)
     asked = [SimpleNamespace(name="car.lf"), SimpleNamespace(name="unknown")]
     (kept,) = known.on_set_parameters(None, asked)
     assert (kept.name, kept.get_value()) == ("car.lf", 0.1)
@@ -183,13 +183,13 @@ def test_others_may_look_on_if_that_is_meant():
 
 
 def test_virtual_time_is_not_shown_live(capsys):
-    assert guarded(["run", "--sim", "--fast", "--view"]) == 2
+    assert run_cli(["run", "--sim", "--fast", "--view"]) == 2
     assert "steerd plot" in capsys.readouterr().err
 
 
 def test_a_missing_package_is_one_line_with_its_mend(capsys, monkeypatch):
     monkeypatch.setattr("steerd.daemon.process.view_job.find_spec", lambda name: None)
-    assert guarded(["run", "--sim", "--view"]) == 3
+    assert run_cli(["run", "--sim", "--view"]) == 3
     said = capsys.readouterr().err
     assert "foxglove-sdk" in said
     assert "pip install" in said

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from steerd.daemon.imports.import_session import MessageMaker
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import load_session, make_session_report
-from steerd.daemon.sessions.motion import Signal, find_doubts, make_range, make_track
+from steerd.daemon.sessions.motion import Signal, find_implausible, make_range, make_track
 from steerd.daemon.sessions.text import WIDTH, clean, format_report, make_json
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import BODY, Transition, make_header
@@ -38,7 +38,7 @@ def write_circle(path, *, finish=True, gap=False, texts=()):
     for i, (t, x, y, yaw) in enumerate(zip(*circle(), strict=True)):
         t_ns = round(t * 1e9)
         if i % 100 == 0 and i < 700:
-            states = (State(i // 100), State(i // 100 + 1))
+            states = (SupervisorState(i // 100), SupervisorState(i // 100 + 1))
             text = texts[0] if texts else "because"
             message = Transition(make_header(t_ns + EPOCH, BODY), *states, "code", text)
             writer.write("/steerd/blue/transition", encode(message), t_ns + EPOCH)
@@ -70,7 +70,7 @@ def test_a_known_circle_is_described_as_it_was(tmp_path):
     assert report.steer is not None
     assert report.steer.high == pytest.approx(0.2, rel=1e-3)
     assert report.excitation == ("speed is constant: no drive lag or delay",)
-    assert [s.state for s in report.states] == [State(i).name for i in range(8)]
+    assert [s.state for s in report.states] == [SupervisorState(i).name for i in range(8)]
     assert [s.t_s for s in report.states] == pytest.approx([0.0, *range(7)])
     assert {t.name: (t.count, t.gaps) for t in report.topics} == {
         "/steerd/blue/mocap": (1000, 0),
@@ -183,7 +183,7 @@ def doubts(*, pose=1.0, yaw=1.0, front=0.0, steer=1.0, wheel=1.0, gyro=1.0):
         Signal(t, wheel * np.full_like(t, SPEED)),
         Signal(t, gyro * turn),
     )
-    return find_doubts(make_track(t, pose * x, pose * y, yaw * heading + front), *signals)
+    return find_implausible(make_track(t, pose * x, pose * y, yaw * heading + front), *signals)
 
 
 def test_an_honest_drive_raises_no_doubt():
@@ -215,6 +215,6 @@ def test_a_wrong_unit_or_sign_is_named(wrong, words):
 
 
 def test_doubts_without_poses():
-    assert find_doubts(None, None, None, None) == []
+    assert find_implausible(None, None, None, None) == []
     steer = Signal(np.arange(3.0), np.array([0.0, 20.0, -20.0]))
-    assert len(find_doubts(None, steer, None, None)) == 1
+    assert len(find_implausible(None, steer, None, None)) == 1

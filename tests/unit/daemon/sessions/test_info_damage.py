@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.daemon.imports.import_session import MessageMaker
 from steerd.steer_bus.codec import encode, schema_text
 from steerd.steer_bus.messages import MocapPose
@@ -32,7 +32,7 @@ def steerd(*argv):
     """Run a command line: exit code, standard output, standard error."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = guarded([str(arg) for arg in argv])
+        code = run_cli([str(arg) for arg in argv])
     assert "Traceback" not in err.getvalue()
     assert len(out.getvalue().splitlines()) < 60
     assert len(err.getvalue().splitlines()) < 20

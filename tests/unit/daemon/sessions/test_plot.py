@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.daemon.imports.import_session import MessageMaker
-from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.curves import unpack
 from steerd.daemon.sessions.info import load_session, make_session_report
 from steerd.daemon.sessions.motion import make_track
@@ -48,7 +48,7 @@ def write_noise(path, seconds, rate, *, options=None, files=(), reason="end", ca
     for i in range(int(seconds * rate)):
         t = round(i / rate * 1e9)
         x, y, yaw = rng.normal(size=3).tolist()
-        put(topics.STATE, state(t, i, Supervised.RUNNING, 0.02 * (1 if i % 2 else -1), rng), t)
+        put(topics.STATE, state(t, i, SupervisorState.RUNNING, 0.02 * (1 if i % 2 else -1), rng), t)
         put(topics.MOCAP, maker.planar_pose(t, x, y, yaw), t)
         put(topics.ACTUATION, maker.command(t, *rng.normal(size=2).tolist()), t)
         late, work = rng.integers(0, 1_000_000, 2).tolist()
@@ -144,10 +144,10 @@ def test_an_imported_drive_without_state_is_drawn_too(tmp_path):
 
 def test_the_command_line(tmp_path, capsys):
     path = write_noise(tmp_path / "a.mcap", 2, 20)
-    assert guarded(["plot", str(path)]) == 0
+    assert run_cli(["plot", str(path)]) == 0
     assert (tmp_path / "a.html").stat().st_size > 50_000
-    assert guarded(["plot", str(path), "-o", str(path)]) == 2
-    assert guarded(["plot", str(path), "-o", str(tmp_path / "no" / "a.html")]) == 3
-    assert guarded(["plot", str(tmp_path / "none.mcap")]) == 3
+    assert run_cli(["plot", str(path), "-o", str(path)]) == 2
+    assert run_cli(["plot", str(path), "-o", str(tmp_path / "no" / "a.html")]) == 3
+    assert run_cli(["plot", str(tmp_path / "none.mcap")]) == 3
     assert "there is no folder" in capsys.readouterr().err
     assert load_session(path).info().clean

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer  # noqa: TID251
 
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.codec import decode, encode, schema_text, type_name
 from steerd.steer_bus.messages import Actuation, MocapPose, State, Tick, Transition, VescTelemetry
 from steerd.steer_bus.session import open_session
@@ -36,7 +36,7 @@ def drive(tmp_path_factory):
     path = tmp_path_factory.mktemp("drive") / "drive.mcap"
     with contextlib.redirect_stdout(io.StringIO()):
         words = ["run", "--sim", "--fast", "--duration", "1.5", "--record", str(path)]
-        assert guarded(words) == 0
+        assert run_cli(words) == 0
     found = []
     for record in open_session(path).messages():
         topic = find_topic(record.topic)
@@ -213,7 +213,7 @@ SCHEMAS = {
 def steerd(*argv):
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = guarded([str(arg) for arg in argv])
+        code = run_cli([str(arg) for arg in argv])
     assert "Traceback" not in err.getvalue()
     assert len(err.getvalue().splitlines()) < 20
     return int(code), out.getvalue(), err.getvalue()

@@ -5,7 +5,7 @@ import tomllib
 import pytest
 
 from steerd.car_model.car_file import default_car_path
-from steerd.daemon.cli.main import guarded
+from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.settings.car_edit import edit_text, save_values
 from steerd.daemon.settings.vesc_yaml import car_values, make_vesc_yaml, read_vesc_yaml
@@ -32,12 +32,12 @@ vesc_driver:
 
 
 def test_what_is_printed_is_the_commented_default_and_passes_the_check(tmp_path, capsys):
-    assert guarded(["config"]) == 0
+    assert run_cli(["config"]) == 0
     printed = capsys.readouterr().out
     assert printed == DEFAULT
     path = tmp_path / "car.toml"
     path.write_text(printed)
-    assert guarded(["config", "--check", str(path)]) == 0
+    assert run_cli(["config", "--check", str(path)]) == 0
     shown = capsys.readouterr().out
     assert "wheelbase 0.3302 m" in shown
     assert "4614 ERPM per m/s" in shown
@@ -59,12 +59,12 @@ def test_wrong_files_are_named(tmp_path, capsys, old, new, code, said):
     path = tmp_path / "car.toml"
     assert old in DEFAULT
     path.write_text(DEFAULT.replace(old, new, 1))
-    assert guarded(["config", "--check", str(path)]) == code
+    assert run_cli(["config", "--check", str(path)]) == code
     assert said in capsys.readouterr().err
 
 
 def test_an_absent_file(tmp_path, capsys):
-    assert guarded(["config", "--check", str(tmp_path / "none.toml")]) == 3
+    assert run_cli(["config", "--check", str(tmp_path / "none.toml")]) == 3
     assert "steerd config" in capsys.readouterr().err
 
 
@@ -125,12 +125,12 @@ def test_yaml_that_cannot_be(text, said):
 def test_yaml_by_command_line(tmp_path, capsys):
     yaml, car, back = tmp_path / "vesc.yaml", tmp_path / "car.toml", tmp_path / "back.yaml"
     yaml.write_text(YAML)
-    assert guarded(["config", "--from-vesc-yaml", str(yaml)]) == 0
+    assert run_cli(["config", "--from-vesc-yaml", str(yaml)]) == 0
     car.write_text(capsys.readouterr().out)
     assert "# erpm per m/s" in car.read_text()
     table = tomllib.loads(car.read_text())["vesc"]
     assert all(table[key] == value for (_, key), value in
                car_values(read_vesc_yaml(YAML, F1TENTH)).items())  # fmt: skip
-    assert guarded(["config", "--check", str(car), "--to-vesc-yaml", str(back)]) == 0
+    assert run_cli(["config", "--check", str(car), "--to-vesc-yaml", str(back)]) == 0
     assert read_vesc_yaml(back.read_text(), F1TENTH) == read_vesc_yaml(YAML, F1TENTH)
-    assert guarded(["config", "--from-vesc-yaml", str(tmp_path / "no.yaml")]) == 3
+    assert run_cli(["config", "--from-vesc-yaml", str(tmp_path / "no.yaml")]) == 3
