@@ -16,16 +16,21 @@ from typing import Annotated, Any, NamedTuple
 import msgspec
 import tomlkit
 
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect, EffectParameter
 from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import PARAMETERS, Car, Parameter
+from steerd.car_model.planar import CHASSIS_NAMES, find_chassis
+from steerd.car_model.single_track import SINGLE_TRACK
 
 SIZE_MAX = 1_000_000
 """A car file is a page; what is larger than this is something else [bytes]."""
 MESSAGE_MAX = 200
 """A parser's message may quote the file; no more than this is repeated [characters]."""
 _OWN = ("car", "effects")
+_LATER = frozenset({"c_x"})
+"""Parameters that files from before the planar chassis do not have."""
 
 
 class CarFileError(ValueError):
@@ -73,11 +78,13 @@ class CarFile:
     sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """All other sections, unchecked."""
     text: str = field(default="", repr=False)
+    chassis: Chassis = SINGLE_TRACK
+    """The equations that `[car] chassis` and `drive` name."""
 
     @property
     def model(self) -> Model[float]:
         """The car with its effects switched on."""
-        return Model(self.car, self.effects, self.values)
+        return Model(self.car, self.effects, self.values, self.chassis)
 
 
 def default_car_path() -> Path:
@@ -146,7 +153,21 @@ def parse_car(text: str, path: Path) -> CarFile:
         source=source,
         sections={name: table for name, table in tables.items() if name not in _OWN},
         text=text,
+        chassis=_read_chassis(path, own),
     )
+
+
+def _read_chassis(path: Path, own: Any) -> Chassis:
+    """The chassis that `[car]` names.
+
+    Raises:
+        CarFileError: there is none of that name, or its wheels are driven in no known way.
+    """
+    try:
+        return find_chassis(own.chassis, own.drive)
+    except ValueError as error:
+        hint = f"chassis = one of {', '.join(CHASSIS_NAMES)}; drive = rear, front or all"
+        raise CarFileError(path, "car.chassis", str(error), hint) from error
 
 
 def update_car(path: Path | str, base: CarFile | Path, updates: Mapping[str, Learned]) -> CarFile:
@@ -212,8 +233,11 @@ def _car_table() -> type[msgspec.Struct]:
     return msgspec.defstruct(
         "CarTable",
         [
-            *((p.name, _bounded(p)) for p in PARAMETERS),
+            *((p.name, _bounded(p)) for p in PARAMETERS if p.name not in _LATER),
+            *((p.name, _bounded(p), p.default) for p in PARAMETERS if p.name in _LATER),
             ("name", str, ""),
+            ("chassis", str, SINGLE_TRACK.name),
+            ("drive", str, "all"),
             ("sd", dict[str, Annotated[float, msgspec.Meta(ge=0.0)]], msgspec.field(default={})),
             ("source", dict[str, str], msgspec.field(default={})),
         ],

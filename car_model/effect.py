@@ -6,15 +6,20 @@ parameters it must return it unchanged, bit for bit. An effect may keep memory b
 play of a linkage, the build-up of a tyre force).
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple, Protocol
 
+from steerd.car_model.actuators import Actuated
+from steerd.car_model.chassis import Axles, Rates
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import Actuated, Axles, Rates
 from steerd.car_model.state import Command, Delays, Observation, State
+
+_EDGE = 1e-6
+"""A value so near a bound is at it [share of the range]."""
 
 
 class Stage(StrEnum):
@@ -24,6 +29,45 @@ class Stage(StrEnum):
     ACTUATOR = "actuator"
     FORCES = "forces"
     OBSERVE = "observe"
+
+
+class Channel(StrEnum):
+    """A channel of the command."""
+
+    STEER = "steer"
+    SPEED = "speed"
+
+
+class BaseSelection(StrEnum):
+    """Whether an effect may be a built-in part of a car's base, and which fit puts it there."""
+
+    NEVER = "never"
+    """A matter of a place or a day, or not identifiable from poses: always a gap."""
+    HEALTHY = "healthy"
+    """Built in where drives without a gap show it clearly."""
+    IDENTIFY = "identify"
+    """The same, and a candidate of `steerd identify`: any car may have it, and no parameter of the
+    base equations stands for it."""
+
+
+class Role(StrEnum):
+    """What a parameter says of its effect."""
+
+    SIZE = "size"
+    """How large the effect is: its distance from the null counts in the effect's size."""
+    FORM = "form"
+    """Of what form it is: it changes nothing while the others are at their nulls."""
+    PLACE = "place"
+    """Where it acts: no part of its size, but a value at a bound means another cause."""
+
+
+class Confounding(NamedTuple):
+    """Other effects whose data look the same, exactly or nearly."""
+
+    effects: tuple[str, ...]
+    """Their names."""
+    note: str = ""
+    """Which effect it looks like under which condition; a report prints it beside the name."""
 
 
 class EffectParameter(NamedTuple):
@@ -39,7 +83,24 @@ class EffectParameter(NamedTuple):
     """Prior standard deviation about the null: what is ordinary on a car of this class."""
     meaning: str
     scan: tuple[float, ...] = ()
-    """Values worth trying where the gradient at the null says nothing."""
+    """Values worth trying where the gradient at the null is zero."""
+    role: Role = Role.SIZE
+
+    @property
+    def typical(self) -> float:
+        """An ordinary severity within the bounds: the scan's middle, or one scale off the null.
+
+        The contract test exercises each effect with it, about the place (2, 2) m.
+        """
+        if self.scan:
+            return self.scan[len(self.scan) // 2]
+        return min(self.null + self.scale, 0.5 * (self.null + self.high))
+
+
+class ScanHook(Protocol):
+    """Values of all parameters worth trying, where `places` are those of the worst errors [m]."""
+
+    def __call__(self, places: Sequence[tuple[float, float]]) -> Sequence[tuple[float, ...]]: ...
 
 
 class DelayHook(Protocol):
@@ -156,7 +217,14 @@ class ObserveHook(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """An unmodelled effect. Only the hooks that it needs are given."""
+    """An unmodelled effect: all that simulation, identification and diagnosis know of it.
+
+    Only the hooks that it needs are given. What the diagnosis must know has no default: an effect
+    that leaves it out does not construct.
+
+    Raises:
+        ValueError: the fields contradict each other.
+    """
 
     name: str
     stage: Stage
@@ -165,6 +233,29 @@ class Effect:
     summary: str
     equation: str
     parameters: tuple[EffectParameter, ...]
+    least_size: float
+    """Least size that matters in practice: smaller changes are no gap (see `size`).
+
+    About half of what shows at five standard errors in eight drives of 12 s; 0 where the distance
+    from the null says nothing, as for a limit, which matters as soon as something meets it.
+    Source: docs/reference/diagnosis.md#g1.2.
+    """
+    confounded_with: Confounding | None
+    """What it looks like exactly, or nearly under a condition; None: nothing known."""
+    needs_commands: Channel | None
+    """The command without which drives cannot show it; None: the motion alone shows it."""
+    selectable_in_base: BaseSelection
+    zero_gradient: bool
+    """Whether the gradient at the null is zero (a limit, play): it is then found by a scan."""
+    nameable_alone: bool = True
+    """False: no drive distinguishes it from `confounded_with`, so both are always named."""
+    on_every_car: bool = False
+    """Whether no car is without it: the base learnt from healthy drives then always has it."""
+    follows_acceleration: bool = False
+    """Whether it follows the acceleration, which is mostly noise where the measured speed stands in
+    for the command: a base then goes without it."""
+    scan: ScanHook | None = None
+    """Values worth trying where they depend on the drives; else each parameter's own scan."""
     memory: int = 0
     """How many numbers it remembers from step to step; all start at zero."""
     delays: DelayHook | None = None
@@ -178,15 +269,39 @@ class Effect:
     rates: RateHook | None = None
     remember: RememberHook | None = None
     observe: ObserveHook | None = None
-    smooth: bool = True
-    """Whether the gradient at the null says in which direction to go (a limit's does not)."""
     aliases: tuple[str, ...] = ()
     """Other names that people use for it."""
+
+    def __post_init__(self) -> None:
+        """Refuse fields that contradict each other."""
+        if self.zero_gradient and not (self.scan or any(p.scan for p in self.parameters)):
+            raise ValueError(f"{self.name}: with a zero gradient at its null it needs a scan")
+        if not self.nameable_alone and self.confounded_with is None:
+            raise ValueError(f"{self.name}: not nameable alone, but confounded with nothing")
 
     @property
     def nulls(self) -> tuple[float, ...]:
         """Parameter values at which the effect changes nothing."""
         return tuple(parameter.null for parameter in self.parameters)
+
+    @property
+    def remembers_commands(self) -> bool:
+        """Whether what it remembers comes from commands that may lie far back (play)."""
+        return self.linkage is not None and self.memory > 0
+
+    def size(self, values: Sequence[float], nulls: Sequence[float]) -> float:
+        """Euclidean distance of the size parameters from their nulls, in their units."""
+        numbers = zip(self.parameters, values, nulls, strict=True)
+        return math.hypot(*(v - null for p, v, null in numbers if p.role is Role.SIZE))
+
+    def is_at_bound(self, values: Sequence[float]) -> bool:
+        """Whether a parameter that is not of form only is at a bound other than its null."""
+        return any(
+            abs(value - bound) <= _EDGE * (p.high - p.low)
+            for p, value in zip(self.parameters, values, strict=True)
+            for bound in (p.low, p.high)
+            if p.role is not Role.FORM and bound != p.null
+        )
 
 
 HOOKS: tuple[str, ...] = (

@@ -4,29 +4,22 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Generic, NamedTuple
 
+from steerd.car_model.actuators import Actuated, actuate, references
+from steerd.car_model.chassis import Axles, Chassis, Rates, lateral_forces
 from steerd.car_model.effect import HOOKS, Bound, Effect
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import (
-    Actuated,
-    Axles,
-    Rates,
-    actuate,
-    axle_loads,
-    chassis_rates,
-    lateral_forces,
-    references,
-    slip_angles,
-)
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, Delays, Observation, State
 
 
 class Model(NamedTuple, Generic[T]):
-    """A car, the effects switched on, and their parameter values (one tuple per effect)."""
+    """A car, the effects switched on, their parameter values (one tuple per effect), a chassis."""
 
     car: Car[T]
     effects: tuple[Effect, ...] = ()
     values: tuple[tuple[T, ...], ...] = ()
+    chassis: Chassis = SINGLE_TRACK
 
 
 class Moment(NamedTuple, Generic[T]):
@@ -107,10 +100,16 @@ def link(ops: Ops[T], model: Model[T], memory: tuple[T, ...], angle: T) -> tuple
 
 
 def felt_slips(
-    ops: Ops[T], model: Model[T], car: Car[T], memory: tuple[T, ...], state: State[T], wheel: T
+    ops: Ops[T],
+    model: Model[T],
+    car: Car[T],
+    memory: tuple[T, ...],
+    state: State[T],
+    wheel: T,
+    accel: T,
 ) -> Axles[T]:
     """Slip angles that the tyres answer to [rad]."""
-    slips = slip_angles(ops, car, state, wheel)
+    slips = model.chassis.slip_angles(ops, car, state, wheel, accel)
     for b in bound_hooks(model.effects, "slips"):
         slips = b.hook(ops, model.values[b.position], memory[b.start : b.stop], slips)
     return slips
@@ -126,14 +125,14 @@ def model_rates(
     accel: T,
 ) -> Rates[T]:
     """Rates of the chassis states with every effect in its place."""
-    slips = felt_slips(ops, model, car, memory, state, wheel)
-    loads = axle_loads(car, accel)
+    slips = felt_slips(ops, model, car, memory, state, wheel, accel)
+    loads = model.chassis.axle_loads(ops, car, state, accel)
     for b in bound_hooks(model.effects, "loads"):
         loads = b.hook(ops, model.values[b.position], car, state, accel, loads)
     forces = lateral_forces(car, slips, loads)
     for b in bound_hooks(model.effects, "forces"):
         forces = b.hook(ops, model.values[b.position], car, slips, loads, accel, forces)
-    rates = chassis_rates(ops, car, state, wheel, accel, forces)
+    rates = model.chassis.rates(ops, car, state, wheel, accel, loads, forces)
     for b in bound_hooks(model.effects, "rates"):
         rates = b.hook(ops, model.values[b.position], car, state, wheel, forces, rates)
     return rates

@@ -19,6 +19,7 @@ class Car(NamedTuple, Generic[T]):
     lr: T
     c_sf: T
     c_sr: T
+    c_x: T
     mu: T
     inertia_z: T
     mass: T
@@ -60,6 +61,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("lr", 0.17145, 0.02, 1.0, "m", "CoG to rear axle", _GYM),
     Parameter("c_sf", 4.718, 0.5, 40.0, "1/rad", "front cornering coefficient cf/(mu Fz)", _GYM),
     Parameter("c_sr", 5.4562, 0.5, 40.0, "1/rad", "rear cornering coefficient cr/(mu Fz)", _GYM),
+    Parameter("c_x", 15.0, 2.0, 200.0, "1", "longitudinal coefficient Fx/(mu Fz slip)", _ESTIMATE),
     Parameter("mu", 1.0489, 0.05, 2.0, "1", "friction coefficient", _GYM),
     Parameter("inertia_z", 0.04712, 1e-3, 2.0, "kg m^2", "yaw inertia about the CoG", _GYM),
     Parameter("mass", 3.74, 0.2, 50.0, "kg", "mass", _GYM),

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 
+from steerd.car_model.chassis import SPEED_KINEMATIC, Rates
 from steerd.car_model.model import (
     Model,
     Moment,
@@ -18,14 +19,6 @@ from steerd.car_model.model import (
 )
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import GRAVITY, Car
-from steerd.car_model.single_track import (
-    SPEED_KINEMATIC,
-    Rates,
-    axle_loads,
-    chassis_rates,
-    lateral_forces,
-    slip_angles,
-)
 from steerd.car_model.state import Command, State
 
 RatesAt = Callable[[State[T], float], Rates[T]]
@@ -105,8 +98,6 @@ def glide(
     following a speed.
     """
     state = moment.state
-    if not model.effects:
-        return _glide_base(ops, car, state, steer, accel, h, integrate)
     wheel_start, memory = link(ops, model, moment.memory, state.steer)
     wheel_end, memory = link(ops, model, memory, steer)
     wheel_move = wheel_end - wheel_start
@@ -116,34 +107,13 @@ def glide(
 
     after = integrate(rates_at, state, h)._replace(steer=steer)
     if bound_hooks(model.effects, "remember"):
+        rest = 0.0 * accel  # the build-up of a force does not ask how hard the wheels push
         ends = (
-            slip_angles(ops, car, state, wheel_start),
-            slip_angles(ops, car, after, wheel_end),
+            model.chassis.slip_angles(ops, car, state, wheel_start, rest),
+            model.chassis.slip_angles(ops, car, after, wheel_end, rest),
         )
         memory = remember(ops, model, memory, after.speed, ends, h)
     return Moment(after, memory)
-
-
-def _glide_base(
-    ops: Ops[T],
-    car: Car[T],
-    state: State[T],
-    steer: T,
-    accel: T,
-    h: float,
-    integrate: Integrator[T],
-) -> Moment[T]:
-    """`glide` without effects: the wheels are the actuator's, and loads hold for the whole step."""
-    loads = axle_loads(car, accel)
-    wheel_start = state.steer
-    wheel_move = steer - wheel_start
-
-    def rates_at(at: State[T], share: float) -> Rates[T]:
-        wheel = wheel_start + share * wheel_move
-        forces = lateral_forces(car, slip_angles(ops, car, at, wheel), loads)
-        return chassis_rates(ops, car, at, wheel, accel, forces)
-
-    return Moment(State(*integrate(rates_at, state, h)[:6], steer))
 
 
 def stiffness_rate(car: Car[float], speed: float) -> float:

@@ -51,7 +51,7 @@ class ControllerConfig:
     """A closed loop with a mode less damped than this is refused."""
     grid_speed_min: float = 0.1
     """Lowest design speed [m/s]; its gains hold below. `pole_placement` starts no lower than where
-    the tyre equations hold alone (`steerd.car_model.single_track.SPEED_DYNAMIC`): a car that rolls
+    the tyre equations hold alone (`steerd.car_model.chassis.SPEED_DYNAMIC`): a car that rolls
     without
     slip has one fast mode that no steering moves."""
     grid_spacing: float = 0.25

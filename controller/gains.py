@@ -11,9 +11,9 @@ import math
 import control  # noqa: TID251
 import numpy as np
 
+from steerd.car_model.chassis import SPEED_DYNAMIC
 from steerd.car_model.linear import lane_errors
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import SPEED_DYNAMIC
 from steerd.controller.config import ControllerConfig, LqrWeights
 from steerd.controller.design import DesignRefused
 from steerd.controller.gain_table import GainTable

@@ -124,7 +124,7 @@ def control(
 def to_command(car: Car[float], wheel: float, speed: float) -> Command[float]:
     """The command that makes the car's actuators aim at a wheel angle [rad] and a speed [m/s].
 
-    Inverse of `steerd.car_model.single_track.references` within the end stops.
+    Inverse of `steerd.car_model.actuators.references` within the end stops.
     """
     return Command((wheel - car.steer_bias) / car.steer_gain, speed / car.speed_gain)
 

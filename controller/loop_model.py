@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from steerd.car_model.actuators import LAG_FLOOR
 from steerd.car_model.linear import augmented, lane_errors, sample
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import LAG_FLOOR
 from steerd.controller.gain_table import N_LANE, Turning
 
 Matrix = npt.NDArray[np.float64]

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple, cast
 
+from steerd.car_model.actuators import actuate, references
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import actuate, references
 from steerd.car_model.state import Command, State
 from steerd.car_model.straight_line import compiled
 from steerd.car_model.tape import TAPE, Tape, gradient

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import chdtri
 
-from steerd.car_model.single_track import SPEED_DYNAMIC
+from steerd.car_model.chassis import SPEED_DYNAMIC
 from steerd.car_model.state import State
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.kalman import Array, Belief

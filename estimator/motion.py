@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from steerd.car_model.chassis import SPEED_DYNAMIC, derivative
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import SPEED_DYNAMIC, derivative
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import State
 from steerd.car_model.straight_line import compiled
 from steerd.car_model.tape import TAPE, Tape, jacobian
@@ -150,7 +151,7 @@ def _program(car: Car[float]) -> Callable[..., tuple[float, ...]]:
     density, h = inputs[-SIZE - 1 : -1], inputs[-1]
     fixed: Car[Any] = Car(*map(tape.constant, car))
     along = (*state[:-1], driven.wheel, driven.accel)
-    rates = derivative(TAPE, fixed, state, *along[-2:])
+    rates = derivative(SINGLE_TRACK, TAPE, fixed, state, *along[-2:])
     mean, transition = implicit_step(rates, jacobian(rates, along), state, driven, h)
     noise = entered_noise(transition, density, h)
     rows = (number for matrix in (transition, noise) for row in matrix for number in row)

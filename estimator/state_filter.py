@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from steerd.car_model.actuators import references
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import references
 from steerd.car_model.state import Command, State
 from steerd.estimator.actuation import (
     NO_HISTORY,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.car_model.single_track import SPEED_KINEMATIC
+from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.sim_gap.engine.engine import Engine
 from steerd.sim_gap.engine.values import first_states, paths, readings_of
 from steerd.sysid.compiler.kernels import Held, delays_of, lane_view, make_lanes, march

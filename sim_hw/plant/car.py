@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
+from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.car_model.model import Model, delays, hooked, memory_size, observe
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import GRAVITY
 from steerd.car_model.rollout import stiffness_rate
-from steerd.car_model.single_track import SPEED_KINEMATIC
 from steerd.car_model.state import ORIGIN, Observation, State
 from steerd.sim_hw.plant.delay import DelayLine
 from steerd.sim_hw.plant.noise import Noise

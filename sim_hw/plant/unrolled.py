@@ -90,5 +90,5 @@ def _unrolled(model: Model[float], half: _Half) -> Callable[..., Numbers]:
     memory = (f"memory_{i}" for i in range(memory_size(model.effects)))
     inputs = [tape.symbol(name) for name in (*_STATE, *memory, "first", "second", "t", "h")]
     values = tuple(tuple(map(tape.constant, own)) for own in model.values)
-    fixed = Model(Car(*map(tape.constant, model.car)), model.effects, values)
+    fixed = Model(Car(*map(tape.constant, model.car)), model.effects, values, model.chassis)
     return compiled(inputs, [tape.node(result) for result in half(TAPE, fixed, inputs)])

@@ -7,6 +7,7 @@ car.
 
 from typing import Any, NamedTuple
 
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.model import (
     Model,
@@ -22,7 +23,7 @@ from steerd.car_model.model import (
     remember,
 )
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import slip_angles
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
 from steerd.car_model.tape import TAPE, Node, Tape
 
@@ -78,11 +79,13 @@ def parameter_names(effects: tuple[Effect, ...]) -> tuple[str, ...]:
     return (*Car._fields, *own)
 
 
-def _model(tape: Tape, effects: tuple[Effect, ...]) -> tuple[Model[Node], tuple[Node, ...]]:
+def _model(
+    tape: Tape, effects: tuple[Effect, ...], chassis: Chassis
+) -> tuple[Model[Node], tuple[Node, ...]]:
     every = _inputs(tape, *parameter_names(effects))
     rest = iter(every[len(Car._fields) :])
     values = tuple(tuple(next(rest) for _ in effect.parameters) for effect in effects)
-    return Model(Car(*every[: len(Car._fields)]), effects, values), every
+    return Model(Car(*every[: len(Car._fields)]), effects, values, chassis), every
 
 
 def _inputs(tape: Tape, *names: str) -> tuple[Node, ...]:
@@ -120,17 +123,19 @@ def _trace_rates(s: _Setting) -> Piece:
 
 
 def _trace_remember(s: _Setting) -> Piece:
+    rest = s.tape.constant(0.0)
+    slip_angles = s.model.chassis.slip_angles
     before: State[Node] = State(*_inputs(s.tape, *(f"{n}_before" for n in State._fields)))
     after: State[Node] = State(*_inputs(s.tape, *(f"{n}_after" for n in State._fields)))
-    ends = tuple(slip_angles(TAPE, s.model.car, at, at.steer) for at in (before, after))
+    ends = tuple(slip_angles(TAPE, s.model.car, at, at.steer, rest) for at in (before, after))
     later = remember(TAPE, s.model, s.memory, after.speed, ends, s.h)
     return Piece((*before, *after, *s.memory), later)
 
 
-def trace(effects: tuple[Effect, ...] = ()) -> Traced:
-    """Record a car with these effects; every parameter stays an input."""
+def trace(effects: tuple[Effect, ...] = (), chassis: Chassis = SINGLE_TRACK) -> Traced:
+    """Record a car with these effects on this chassis; every parameter stays an input."""
     tape = Tape()
-    model, every = _model(tape, effects)
+    model, every = _model(tape, effects, chassis)
     state: State[Node] = State(*_inputs(tape, *State._fields))
     memory = _inputs(tape, *(f"memory_{i}" for i in range(memory_size(effects))))
     t, h = _inputs(tape, "t", "h")

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
+from steerd.car_model.chassis import KINEMATIC_RATE, dynamic_share
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.params import Car
 from steerd.car_model.rollout import stiffness_rate
-from steerd.car_model.single_track import KINEMATIC_RATE, dynamic_share
 
 DECAY_MAX = 2.0
 """Decay per RK4 step that is surely stable (its limit is 2.78)."""

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from steerd.car_model.actuators import actuate
+from steerd.car_model.chassis import derivative
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, Car
-from steerd.car_model.single_track import actuate, derivative
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
 from steerd.car_model.straight_line import compiled
 from steerd.car_model.tape import TAPE, Node, Tape
@@ -81,8 +83,8 @@ def test_rates_agree(torch_ops: Any) -> None:
     for ops, number in kinds(torch_ops).values():
         for state, wheel, accel in points(20):
             car, at = Car(*map(number, DEFAULT_CAR)), State(*map(number, state))
-            found = derivative(ops, car, at, number(wheel), number(accel))
-            expected = derivative(FLOAT, DEFAULT_CAR, state, wheel, accel)
+            found = derivative(SINGLE_TRACK, ops, car, at, number(wheel), number(accel))
+            expected = derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, state, wheel, accel)
             assert [value(v) for v in found] == pytest.approx(list(expected), rel=1e-12, abs=1e-12)
 
 
@@ -90,9 +92,9 @@ def test_lanes_of_an_array_are_cars_of_their_own() -> None:
     drawn = points(16)
     lanes = State(*(np.array(v) for v in zip(*(s for s, _, _ in drawn), strict=True)))
     wheel, accel = (np.array([d[i] for d in drawn]) for i in (1, 2))
-    found = derivative(NUMPY, DEFAULT_CAR, lanes, wheel, accel)
+    found = derivative(SINGLE_TRACK, NUMPY, DEFAULT_CAR, lanes, wheel, accel)
     for i, (state, one_wheel, one_accel) in enumerate(drawn):
-        expected = derivative(FLOAT, DEFAULT_CAR, state, one_wheel, one_accel)
+        expected = derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, state, one_wheel, one_accel)
         assert [v[i] for v in found] == pytest.approx(list(expected), rel=1e-12, abs=1e-12)
 
 
@@ -103,14 +105,14 @@ def test_recorded_programs_give_the_floats(exact: bool) -> None:
     inputs = [tape.symbol(name) for name in names]
     car, rest = Car(*inputs[: len(Car._fields)]), inputs[len(Car._fields) :]
     state, (wheel, accel, steer, speed, h) = State(*rest[:7]), rest[7:]
-    rates = derivative(TAPE, car, state, wheel, accel)
+    rates = derivative(SINGLE_TRACK, TAPE, car, state, wheel, accel)
     ref, step = Command(steer, speed), cast("float", h)
     moved = actuate(TAPE, car, state, ref, step)
     program = compiled(inputs, [*rates, *moved])
     for at, w, a in points(20):
         found = program(*DEFAULT_CAR, *at, w, a, 0.3, 2.0, 0.01)
         expected = (
-            *derivative(FLOAT, DEFAULT_CAR, at, w, a),
+            *derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, at, w, a),
             *actuate(FLOAT, DEFAULT_CAR, at, Command(0.3, 2.0), 0.01),
         )
         assert found == (expected if exact else pytest.approx(expected, rel=1e-11, abs=1e-12))

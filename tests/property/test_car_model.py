@@ -6,12 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steerd.car_model.chassis import SPEED_DYNAMIC, SPEED_KINEMATIC, derivative
 from steerd.car_model.jacobian_generated import rates_and_jacobian
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, GRAVITY, PARAMETERS, Car, axle_stiffness, wheelbase
 from steerd.car_model.rollout import simulate, start
-from steerd.car_model.single_track import SPEED_DYNAMIC, SPEED_KINEMATIC, derivative
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
 
 repeatable = settings(derandomize=True, deadline=None, max_examples=60)
@@ -62,7 +63,7 @@ def test_generated_rates_are_the_equations(
     car: Car[float], state: State[float], wheel: float, accel: float
 ) -> None:
     rates, _ = rates_and_jacobian(car, state, wheel, accel)
-    expected = derivative(FLOAT, car, state, wheel, accel)
+    expected = derivative(SINGLE_TRACK, FLOAT, car, state, wheel, accel)
     assert rates == pytest.approx(tuple(expected), rel=1e-11, abs=1e-11)
 
 
@@ -81,7 +82,7 @@ def test_generated_jacobian_is_that_of_central_differences(
         for side in (width, -width):
             moved = [v + side * (i == column) for i, v in enumerate(point)]
             at = State(*moved[:6], state.steer)
-            ends.append(derivative(FLOAT, car, at, moved[6], moved[7]))
+            ends.append(derivative(SINGLE_TRACK, FLOAT, car, at, moved[6], moved[7]))
         slopes = [(a - b) / (2.0 * width) for a, b in zip(*ends, strict=True)]
         found = [row[column] for row in jacobian]
         scale = 1.0 + max(map(abs, slopes))
@@ -109,7 +110,7 @@ def test_above_walking_pace_it_is_commonroads_single_track_model(
         - (mu / (v * (lr + lf))) * (c_r * rear + c_f * front) * beta
         + (mu / (v * (lr + lf))) * c_f * front * wheel
     )
-    rates = derivative(FLOAT, car, state, wheel, accel)
+    rates = derivative(SINGLE_TRACK, FLOAT, car, state, wheel, accel)
     size = 1.0 + abs(r) * 100.0 / v + 300.0 * (abs(beta) + abs(wheel))
     assert rates.yaw_rate == pytest.approx(r_dot, rel=1e-12, abs=1e-12 * size)
     assert rates.slip_angle == pytest.approx(beta_dot, rel=1e-12, abs=1e-12 * size)
@@ -159,7 +160,7 @@ def test_a_run_may_be_cut_anywhere(
 def test_lateral_forces_never_make_speed(
     car: Car[float], state: State[float], wheel: float, accel: float
 ) -> None:
-    assert derivative(FLOAT, car, state, wheel, accel).speed == accel
+    assert derivative(SINGLE_TRACK, FLOAT, car, state, wheel, accel).speed == accel
 
 
 @repeatable

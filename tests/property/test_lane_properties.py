@@ -6,11 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steerd.car_model.chassis import derivative
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.path.path import Path, project
 from steerd.car_model.path.path_spec import parse_path
-from steerd.car_model.single_track import derivative
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import State
 from steerd.controller.lane_keeper import LaneErrors, lane_errors
 
@@ -42,7 +43,7 @@ def test_rates_are_the_derivatives_of_the_errors(
 ) -> None:
     hint, x, y, yaw = beside(EIGHT, share, e1, e2)
     state = State(x, y, yaw, speed, yaw_rate, slip, 0.0)
-    rates = derivative(FLOAT, DEFAULT_CAR, state, 0.0, 0.0)
+    rates = derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, state, 0.0, 0.0)
     h = 1e-3
 
     def moved(by: float) -> LaneErrors:

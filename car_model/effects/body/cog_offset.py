@@ -6,7 +6,7 @@ marker offset, and the same as one at low speed.
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Confounding, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import Observation, State
@@ -31,6 +31,14 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("offset", 0.0, -0.1, 0.1, "m", 0.02, "forward of the modelled CoG"),
     ),
+    least_size=0.012,
+    confounded_with=Confounding(
+        ("marker_offset",),
+        "marker_offset in slow drives",
+    ),
+    needs_commands=None,
+    selectable_in_base=BaseSelection.NEVER,
+    zero_gradient=False,
     car=_car,
     observe=_observe,
     aliases=("cg_offset", "cog_shift"),

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
@@ -22,6 +22,12 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("height", 0.0, -0.1, 0.2, "m", 0.03, "CoG height beyond the car's own"),
     ),
+    least_size=0.02,
+    confounded_with=None,
+    needs_commands=Channel.SPEED,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
+    follows_acceleration=True,
     car=_car,
     aliases=("longitudinal_transfer", "pitch_transfer", "cog_height"),
 )

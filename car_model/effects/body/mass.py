@@ -7,7 +7,7 @@ and lower acceleration limits.
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Confounding, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
@@ -31,6 +31,15 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("payload", 0.0, -0.15, 5.0, "kg", 0.5, "mass beyond the car's own"),
     ),
+    least_size=0.16,
+    confounded_with=Confounding(
+        ("yaw_inertia",),
+        "smaller yaw_inertia with lower acceleration limits: mass cancels from planar motion",
+    ),
+    nameable_alone=False,
+    needs_commands=None,
+    selectable_in_base=BaseSelection.NEVER,
+    zero_gradient=False,
     car=_car,
     aliases=("payload",),
 )

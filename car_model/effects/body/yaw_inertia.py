@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Confounding, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
@@ -22,6 +22,14 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("ratio", 1.0, 0.4, 3.0, "1", 0.25, "inertia per modelled inertia"),
     ),
+    least_size=0.063,
+    confounded_with=Confounding(
+        ("mass",),
+    ),
+    nameable_alone=False,
+    needs_commands=None,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
     car=_car,
     aliases=("inertia", "inertia_z"),
 )

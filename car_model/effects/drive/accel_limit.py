@@ -6,7 +6,7 @@ a scan.
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
@@ -37,7 +37,11 @@ EFFECT = Effect(
             scan=(0.5, 1.0, 1.5, 2.0, 3.0, 4.0),
         ),
     ),
+    least_size=0.0,
+    confounded_with=None,
+    needs_commands=Channel.SPEED,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=True,
     car=_car,
-    smooth=False,
     aliases=("current_limit", "acceleration_limit"),
 )

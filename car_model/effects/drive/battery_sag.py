@@ -5,7 +5,7 @@ The motor controller sees the lower speed too, so its report stays true.
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.state import Command
 
@@ -24,6 +24,11 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("rate", 0.0, -0.3, 1.0, "1/min", 0.05, "share of speed lost per minute"),
     ),
+    least_size=0.025,
+    confounded_with=None,
+    needs_commands=Channel.SPEED,
+    selectable_in_base=BaseSelection.NEVER,
+    zero_gradient=False,
     reference=_reference,
     aliases=("battery", "voltage_sag"),
 )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
 from steerd.car_model.ops import T
 from steerd.car_model.state import Delays
 
@@ -22,6 +22,11 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("delay", 0.0, 0.0, 0.3, "s", 0.03, "dead time beyond the car's own"),
     ),
+    least_size=0.004,
+    confounded_with=None,
+    needs_commands=Channel.SPEED,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
     delays=_delays,
     aliases=("speed_delay", "motor_delay"),
 )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
@@ -22,6 +22,11 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("lag", 0.0, -0.2, 0.6, "s", 0.08, "time constant beyond the car's own"),
     ),
+    least_size=0.0055,
+    confounded_with=None,
+    needs_commands=Channel.SPEED,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
     car=_car,
     aliases=("motor_lag", "speed_lag", "esc_lag"),
 )

@@ -6,10 +6,17 @@ constant speed error, so at one speed it looks like a speed scale.
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.chassis import Axles, Rates
+from steerd.car_model.effect import (
+    BaseSelection,
+    Channel,
+    Confounding,
+    Effect,
+    EffectParameter,
+    Stage,
+)
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import Axles, Rates
 from steerd.car_model.state import State
 
 _FADE = 10.0
@@ -38,6 +45,14 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("drag", 0.0, -1.0, 3.0, "m/s^2", 0.4, "deceleration when left to roll"),
     ),
+    least_size=0.07,
+    confounded_with=Confounding(
+        ("speed_scale",),
+        "speed_scale at a single speed",
+    ),
+    needs_commands=Channel.SPEED,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
     rates=_rates,
     aliases=("drag", "rolling_resistance", "friction_drag"),
 )

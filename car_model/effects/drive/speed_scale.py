@@ -6,7 +6,14 @@ speed stays true to the command.
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import (
+    BaseSelection,
+    Channel,
+    Confounding,
+    Effect,
+    EffectParameter,
+    Stage,
+)
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import Observation, State
@@ -31,6 +38,14 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("scale", 1.0, 0.6, 1.5, "1", 0.05, "true speed per modelled true speed"),
     ),
+    least_size=0.0032,
+    confounded_with=Confounding(
+        ("rolling_drag",),
+        "rolling_drag at a single speed",
+    ),
+    needs_commands=Channel.SPEED,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
     car=_car,
     observe=_observe,
     aliases=("erpm_gain", "wheel_radius", "speed_gain"),

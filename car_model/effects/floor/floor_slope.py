@@ -5,10 +5,10 @@ Along the path it has to spin up wheels and motor as well as move the car, acros
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.chassis import SPEED_KINEMATIC, Axles, Rates, dynamic_share
+from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Role, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import GRAVITY, Car
-from steerd.car_model.single_track import SPEED_KINEMATIC, Axles, Rates, dynamic_share
 from steerd.car_model.state import State
 
 
@@ -43,9 +43,21 @@ EFFECT = Effect(
         EffectParameter("x", 0.0, -0.1, 0.1, "rad", 0.01, "downhill towards world x"),
         EffectParameter("y", 0.0, -0.1, 0.1, "rad", 0.01, "downhill towards world y"),
         EffectParameter(
-            "spinning", 0.0, 0.0, 1.0, "1", 0.15, "inertia of wheels and motor per mass of the car"
+            "spinning",
+            0.0,
+            0.0,
+            1.0,
+            "1",
+            0.15,
+            "inertia of wheels and motor per mass of the car",
+            role=Role.FORM,
         ),
     ),
+    least_size=0.004,
+    confounded_with=None,
+    needs_commands=None,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
     rates=_rates,
     aliases=("slope", "tilt"),
 )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
@@ -20,6 +20,11 @@ EFFECT = Effect(
     summary="grip changes over the run",
     equation="mu(t) = mu exp(rate t)",
     parameters=(EffectParameter("rate", 0.0, -1.0, 1.0, "1/min", 0.1, "growth per minute"),),
+    least_size=0.27,
+    confounded_with=None,
+    needs_commands=None,
+    selectable_in_base=BaseSelection.NEVER,
+    zero_gradient=False,
     car=_car,
     aliases=("tyre_warmup", "warm_up"),
 )

@@ -5,13 +5,17 @@ Where it lies has no gradient while it does nothing: look for place and drop tog
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Role, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
 
 _EDGE = 0.1
 """Half width of the edge [m]."""
+_SCAN_RADIUS = 0.6
+"""Radius at which a scan tries a disc [m]."""
+_SCAN_DROPS = (0.25, 0.5)
+"""Shares of grip lost that a scan tries."""
 
 
 def _car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
@@ -23,6 +27,11 @@ def _car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) ->
     return car._replace(mu=car.mu * (1.0 - drop * inside))
 
 
+def _scan(places: Sequence[tuple[float, float]]) -> Sequence[tuple[float, ...]]:
+    """Discs of two strengths about the places of the worst errors."""
+    return [(x, y, _SCAN_RADIUS, drop) for x, y in places for drop in _SCAN_DROPS]
+
+
 EFFECT = Effect(
     name="grip_patch",
     stage=Stage.FORCES,
@@ -30,14 +39,19 @@ EFFECT = Effect(
     summary="a slippery patch on the floor",
     equation="mu(x, y) = mu (1 - drop [distance to (x, y) < radius])",
     parameters=(
-        EffectParameter("x", 0.0, -100.0, 100.0, "m", 2.0, "centre in the world"),
-        EffectParameter("y", 0.0, -100.0, 100.0, "m", 2.0, "centre in the world"),
-        EffectParameter("radius", 0.5, 0.1, 20.0, "m", 0.5, "of the disc"),
+        EffectParameter("x", 0.0, -100.0, 100.0, "m", 2.0, "centre in the world", role=Role.PLACE),
+        EffectParameter("y", 0.0, -100.0, 100.0, "m", 2.0, "centre in the world", role=Role.PLACE),
+        EffectParameter("radius", 0.5, 0.1, 20.0, "m", 0.5, "of the disc", role=Role.PLACE),
         EffectParameter(
             "drop", 0.0, 0.0, 0.95, "1", 0.3, "share of grip lost inside", scan=(0.2, 0.4, 0.6)
         ),
     ),
+    least_size=0.0,
+    confounded_with=None,
+    needs_commands=None,
+    selectable_in_base=BaseSelection.NEVER,
+    zero_gradient=True,
+    scan=_scan,
     car=_car,
-    smooth=False,
     aliases=("slippery_patch", "patch"),
 )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Confounding, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.state import Observation, State
 
@@ -26,6 +26,14 @@ EFFECT = Effect(
         EffectParameter("forward", 0.0, -0.3, 0.3, "m", 0.02, "ahead of the CoG"),
         EffectParameter("left", 0.0, -0.3, 0.3, "m", 0.02, "to the left of the CoG"),
     ),
+    least_size=0.0038,
+    confounded_with=Confounding(
+        ("cog_offset",),
+        "cog_offset in slow drives",
+    ),
+    needs_commands=None,
+    selectable_in_base=BaseSelection.IDENTIFY,
+    zero_gradient=False,
     observe=_observe,
     aliases=("mocap_offset", "lever_arm"),
 )

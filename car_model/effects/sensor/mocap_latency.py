@@ -6,7 +6,7 @@ it without a second clock (a gyro, wheel speed).
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Confounding, Effect, EffectParameter, Stage
 from steerd.car_model.ops import T
 from steerd.car_model.state import Delays
 
@@ -26,6 +26,15 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("latency", 0.0, 0.0, 0.3, "s", 0.02, "age of a pose at its stamp"),
     ),
+    least_size=0.002,
+    confounded_with=Confounding(
+        ("steer_delay", "drive_delay"),
+        "equal dead time on both commands (steer_delay and drive_delay): the same"
+        " poses without a second clock",
+    ),
+    needs_commands=None,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
     delays=_delays,
     aliases=("latency", "pose_latency", "mocap_delay"),
 )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.state import Observation, State
 
@@ -21,6 +21,11 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("offset", 0.0, -0.3, 0.3, "rad", 0.02, "body's heading in the car"),
     ),
+    least_size=0.0012,
+    confounded_with=None,
+    needs_commands=None,
+    selectable_in_base=BaseSelection.IDENTIFY,
+    zero_gradient=False,
     observe=_observe,
     aliases=("yaw_misalignment", "mount_yaw", "yaw_offset"),
 )

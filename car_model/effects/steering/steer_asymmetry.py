@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 
 
@@ -28,6 +28,11 @@ EFFECT = Effect(
             "gain 1 + this to the left, 1 - this to the right",
         ),
     ),
+    least_size=0.0045,
+    confounded_with=None,
+    needs_commands=Channel.STEER,
+    selectable_in_base=BaseSelection.IDENTIFY,
+    zero_gradient=False,
     linkage=_linkage,
     aliases=("left_right_asymmetry", "steering_asymmetry"),
 )

@@ -6,7 +6,7 @@ other. It has a kink at the null (the gap cannot be negative): look for it with 
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 
 
@@ -35,8 +35,12 @@ EFFECT = Effect(
             scan=(0.005, 0.01, 0.02, 0.03, 0.04, 0.06),
         ),
     ),
+    least_size=0.0019,
+    confounded_with=None,
+    needs_commands=Channel.STEER,
+    selectable_in_base=BaseSelection.IDENTIFY,
+    zero_gradient=True,
     memory=1,
     linkage=_linkage,
-    smooth=False,
     aliases=("backlash", "play", "steer_deadband"),
 )

@@ -6,7 +6,7 @@ looked for with a scan.
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.state import Command
 
@@ -34,7 +34,11 @@ EFFECT = Effect(
             scan=(0.1, 0.15, 0.2, 0.24, 0.28, 0.32),
         ),
     ),
+    least_size=0.0,
+    confounded_with=None,
+    needs_commands=Channel.STEER,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=True,
     reference=_reference,
-    smooth=False,
     aliases=("clip", "end_stop", "steer_limit"),
 )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
@@ -22,6 +22,11 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("gain", 1.0, 0.5, 1.6, "1", 0.1, "ratio to the car's steering gain"),
     ),
+    least_size=0.009,
+    confounded_with=None,
+    needs_commands=Channel.STEER,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
     car=_car,
     aliases=("steering_gain", "steer_scale"),
 )

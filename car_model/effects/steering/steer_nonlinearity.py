@@ -5,7 +5,7 @@ The lower bound is 1 / (3 x 0.34^2): beyond it the wheels would turn back at the
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 
 
@@ -25,6 +25,12 @@ EFFECT = Effect(
             "cubic", 0.0, -2.85, 4.0, "1/rad^2", 1.0, "at -1 the wheels turn 12 % less at 0.34 rad"
         ),
     ),
+    least_size=0.2,
+    confounded_with=None,
+    needs_commands=Channel.STEER,
+    selectable_in_base=BaseSelection.IDENTIFY,
+    on_every_car=True,
+    zero_gradient=False,
     linkage=_linkage,
     aliases=("steer_cubic", "steering_nonlinearity"),
 )

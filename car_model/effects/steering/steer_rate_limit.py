@@ -6,7 +6,7 @@ a scan.
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
@@ -35,7 +35,11 @@ EFFECT = Effect(
             scan=(0.5, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 4.0),
         ),
     ),
+    least_size=0.0,
+    confounded_with=None,
+    needs_commands=Channel.STEER,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=True,
     car=_car,
-    smooth=False,
     aliases=("rate_limit", "slew_limit", "steer_slew"),
 )

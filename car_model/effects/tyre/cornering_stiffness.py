@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Confounding, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
@@ -22,6 +22,14 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("ratio", 1.0, 0.25, 3.0, "1", 0.2, "stiffness per modelled stiffness"),
     ),
+    least_size=0.034,
+    confounded_with=Confounding(
+        ("tyre_friction",),
+        "tyre_friction below about 70 % of the limit",
+    ),
+    needs_commands=None,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
     car=_car,
     aliases=("stiffness", "tyre_stiffness"),
 )

@@ -6,10 +6,10 @@ floor of mu 1.05 a full ellipse costs 4 % of the force where both axles drive al
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.chassis import Axles
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Role, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import GRAVITY, Car
-from steerd.car_model.single_track import Axles
 
 _FLOOR = 0.01
 """Some lateral grip stays when the tyres are spinning."""
@@ -41,8 +41,23 @@ EFFECT = Effect(
     equation="F -> F sqrt(1 - share (2 part accel / (mu g))^2), part: rear, or 1 - rear in front",
     parameters=(
         EffectParameter("share", 0.0, 0.0, 9.0, "1", 0.5, "1: the textbook ellipse at mu"),
-        EffectParameter("rear", 0.5, 0.0, 1.0, "1", 0.15, "rear axle's part of drive and braking"),
+        EffectParameter(
+            "rear",
+            0.5,
+            0.0,
+            1.0,
+            "1",
+            0.15,
+            "rear axle's part of drive and braking",
+            role=Role.FORM,
+        ),
     ),
+    least_size=0.16,
+    confounded_with=None,
+    needs_commands=Channel.SPEED,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
+    follows_acceleration=True,
     forces=_forces,
     aliases=("combined_slip", "friction_circle"),
 )

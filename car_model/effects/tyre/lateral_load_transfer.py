@@ -9,10 +9,10 @@ acceleration a_y is the one that the weakened tyre forces give.
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.chassis import Axles
+from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Role, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import GRAVITY, Car
-from steerd.car_model.single_track import Axles
 
 _FLOOR = 0.1
 """Some of the coefficient stays under any load."""
@@ -52,9 +52,21 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("k", 0.0, 0.0, 5.0, "1", 0.5, "grip lost per (a_y / g)^2"),
         EffectParameter(
-            "moved", _MOVED, 0.3, 1.5, "1", 0.1, "load moved at 1 g per load of a side: 2 h / track"
+            "moved",
+            _MOVED,
+            0.3,
+            1.5,
+            "1",
+            0.1,
+            "load moved at 1 g per load of a side: 2 h / track",
+            role=Role.FORM,
         ),
     ),
+    least_size=0.4,
+    confounded_with=None,
+    needs_commands=None,
+    selectable_in_base=BaseSelection.IDENTIFY,
+    zero_gradient=False,
     forces=_forces,
     aliases=("lateral_transfer", "roll_transfer"),
 )

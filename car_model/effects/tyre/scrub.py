@@ -7,10 +7,10 @@ moment against the yaw rate. Lateral forces also have a part that points back al
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.chassis import Axles, Rates, dynamic_share
+from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import Axles, Rates, dynamic_share
 from steerd.car_model.state import State
 
 
@@ -43,6 +43,11 @@ EFFECT = Effect(
         EffectParameter("yaw_damping", 0.0, -5.0, 20.0, "1/s", 2.0, "of a locked differential"),
         EffectParameter("drag", 0.0, -1.0, 4.0, "1", 0.5, "1: all slip power taken from speed"),
     ),
+    least_size=0.39,
+    confounded_with=None,
+    needs_commands=None,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
     rates=_rates,
     aliases=("locked_differential", "corner_drag", "tyre_scrub"),
 )

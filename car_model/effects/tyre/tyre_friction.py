@@ -6,11 +6,11 @@ the plateau, `p^2 / sqrt(1 - p^2)` of the base car's `mu Fz` (0.33 at p = 0.53).
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.chassis import Axles
+from steerd.car_model.effect import BaseSelection, Confounding, Effect, EffectParameter, Stage
 from steerd.car_model.effects.tyre._saturation import saturated
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import Axles
 
 
 def _forces(
@@ -39,6 +39,14 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("ratio", 1.0, 0.2, 1.3, "1", 0.2, "p: friction per modelled friction"),
     ),
+    least_size=0.02,
+    confounded_with=Confounding(
+        ("cornering_stiffness",),
+        "cornering_stiffness below about 70 % of the limit",
+    ),
+    needs_commands=None,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
     forces=_forces,
     aliases=("friction", "mu", "grip", "low_friction"),
 )

@@ -6,9 +6,9 @@ solved exactly over each step for a steady slip that changes linearly; at length
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.chassis import SPEED_KINEMATIC, Axles
+from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
-from steerd.car_model.single_track import SPEED_KINEMATIC, Axles
 
 _TINY = 1e-7
 """A length this short has relaxed within any step: the exponential underflows to zero [m]."""
@@ -47,6 +47,11 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("length", 0.0, 0.0, 0.5, "m", 0.05, "distance to 63 % of the force"),
     ),
+    least_size=0.003,
+    confounded_with=None,
+    needs_commands=None,
+    selectable_in_base=BaseSelection.IDENTIFY,
+    zero_gradient=False,
     memory=2,
     slips=_slips,
     remember=_remember,

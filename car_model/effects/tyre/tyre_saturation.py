@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.chassis import Axles
+from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Stage
 from steerd.car_model.effects.tyre._saturation import saturated
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import Axles
 
 
 def _forces(
@@ -36,6 +36,11 @@ EFFECT = Effect(
             "q", 0.0, 0.0, 12.0, "1", 1.0, "1: plateau at mu Fz; 4: at half of it; 0: never"
         ),
     ),
+    least_size=0.2,
+    confounded_with=None,
+    needs_commands=None,
+    selectable_in_base=BaseSelection.IDENTIFY,
+    zero_gradient=False,
     forces=_forces,
     aliases=("saturation", "pacejka"),
 )

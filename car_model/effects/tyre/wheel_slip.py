@@ -8,10 +8,10 @@ passes for a late pose.
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.chassis import Axles, Rates
+from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import Axles, Rates
 from steerd.car_model.state import State
 
 
@@ -40,6 +40,13 @@ EFFECT = Effect(
             "slip", 0.0, 0.0, 0.1, "s^2/m", 0.005, "slip per acceleration: 1 / (mu g C)"
         ),
     ),
+    least_size=0.004,
+    confounded_with=None,
+    needs_commands=Channel.SPEED,
+    selectable_in_base=BaseSelection.HEALTHY,
+    on_every_car=True,
+    zero_gradient=False,
+    follows_acceleration=True,
     rates=_rates,
     aliases=("longitudinal_slip",),
 )

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from steerd.car_model.chassis import derivative
 from steerd.car_model.linear import (
     augmented,
     feedforward_steer,
@@ -18,7 +19,7 @@ from steerd.car_model.linear import (
 )
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, Car, axle_stiffness, wheelbase
-from steerd.car_model.single_track import derivative
+from steerd.car_model.single_track import SINGLE_TRACK
 
 CAR = DEFAULT_CAR
 OVERSTEERING = CAR._replace(c_sf=6.0, c_sr=4.0)
@@ -28,7 +29,7 @@ OVERSTEERING = CAR._replace(c_sf=6.0, c_sr=4.0)
 @pytest.mark.parametrize("curvature", [-0.9, -0.1, 0.0, 0.4, 1.0])
 def test_a_steady_turn_stands_still_in_yaw_rate_and_slip(speed: float, curvature: float) -> None:
     turn = steady_turn(CAR, speed, curvature)
-    rates = derivative(FLOAT, CAR, turn.state, turn.wheel, 0.0)
+    rates = derivative(SINGLE_TRACK, FLOAT, CAR, turn.state, turn.wheel, 0.0)
     assert turn.curvature == pytest.approx(curvature, abs=1e-12)
     assert (rates.yaw_rate, rates.slip_angle) == pytest.approx((0.0, 0.0), abs=1e-9)
     assert steady_steer(CAR, speed, turn.wheel).curvature == pytest.approx(curvature, abs=1e-9)

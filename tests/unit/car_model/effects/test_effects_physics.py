@@ -4,13 +4,14 @@ import math
 
 import pytest
 
+from steerd.car_model.chassis import Axles, Rates, lateral_forces
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.linear import steady_turn
 from steerd.car_model.model import Model, Moment, observe
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, GRAVITY
 from steerd.car_model.rollout import glide, simulate, start
-from steerd.car_model.single_track import Axles, Rates, axle_loads, lateral_forces
+from steerd.car_model.single_track import loads_at
 from steerd.car_model.state import ORIGIN, Command, State
 
 CAR = DEFAULT_CAR
@@ -34,7 +35,7 @@ def tyres(
 ) -> Axles[float]:
     effect = EFFECTS[name]
     assert effect.forces is not None
-    loads = axle_loads(CAR, accel)
+    loads = loads_at(CAR, accel)
     linear = lateral_forces(CAR, slips, loads)
     forces: Axles[float] = effect.forces(FLOAT, values, CAR, slips, loads, accel, linear)
     return forces
@@ -73,7 +74,7 @@ def test_relaxation_leaves_the_steady_turn_alone() -> None:
 
 @pytest.mark.parametrize("q", [1.0, 4.0])
 def test_saturation_levels_off_at_the_friction_limit(q: float) -> None:
-    limit = CAR.mu * axle_loads(CAR, 0.0).front
+    limit = CAR.mu * loads_at(CAR, 0.0).front
     small, large = tyres("tyre_saturation", (q,), Axles(1e-3, 0.0)), Axles(100.0, 0.0)
     assert small.front == pytest.approx(limit * CAR.c_sf * 1e-3, rel=1e-4)
     assert tyres("tyre_saturation", (q,), large).front == pytest.approx(
@@ -82,7 +83,7 @@ def test_saturation_levels_off_at_the_friction_limit(q: float) -> None:
 
 
 def test_friction_is_stiffness_when_gentle_and_a_plateau_at_the_limit() -> None:
-    p, limit = 0.5, CAR.mu * axle_loads(CAR, 0.0).front
+    p, limit = 0.5, CAR.mu * loads_at(CAR, 0.0).front
     gentle = tyres("tyre_friction", (p,), Axles(1e-3, 1e-3))
     assert gentle.front == pytest.approx(p * limit * CAR.c_sf * 1e-3, rel=1e-4)
     plateau = tyres("tyre_friction", (p,), Axles(100.0, 0.0)).front
@@ -91,7 +92,7 @@ def test_friction_is_stiffness_when_gentle_and_a_plateau_at_the_limit() -> None:
 
 def test_the_ellipse_takes_what_acceleration_uses() -> None:
     slips, accel = Axles(0.05, 0.04), 3.0
-    whole = lateral_forces(CAR, slips, axle_loads(CAR, accel))
+    whole = lateral_forces(CAR, slips, loads_at(CAR, accel))
     left = math.sqrt(1.0 - (accel / (CAR.mu * GRAVITY)) ** 2)
     found = tyres("friction_ellipse", (1.0, 0.5), slips, accel)
     assert found == pytest.approx((whole.front * left, whole.rear * left))
@@ -99,7 +100,7 @@ def test_the_ellipse_takes_what_acceleration_uses() -> None:
 
 def test_rear_wheel_drive_takes_grip_from_the_rear_alone() -> None:
     slips, accel = Axles(0.05, 0.04), 3.0
-    whole = lateral_forces(CAR, slips, axle_loads(CAR, accel))
+    whole = lateral_forces(CAR, slips, loads_at(CAR, accel))
     left = math.sqrt(1.0 - (2.0 * accel / (CAR.mu * GRAVITY)) ** 2)
     found = tyres("friction_ellipse", (1.0, 1.0), slips, accel)
     assert found == pytest.approx((whole.front, whole.rear * left))
@@ -107,7 +108,7 @@ def test_rear_wheel_drive_takes_grip_from_the_rear_alone() -> None:
 
 def test_lateral_transfer_costs_grip_with_the_square_of_lateral_acceleration() -> None:
     slips = Axles(0.05, 0.05)
-    whole = lateral_forces(CAR, slips, axle_loads(CAR, 0.0))
+    whole = lateral_forces(CAR, slips, loads_at(CAR, 0.0))
     found = tyres("lateral_load_transfer", (0.5, 0.6), slips)
     lateral = (found.front + found.rear) / (CAR.mass * GRAVITY)
     assert found.front == pytest.approx(whole.front * (1.0 - 0.5 * lateral**2))
@@ -119,7 +120,7 @@ def test_what_falls_with_load_across_the_car_does_so_along_it() -> None:
     pair = sum(0.5 * load * (1.0 - e * (load - 1.0)) for load in (1.0 + moved, 1.0 - moved))
     assert pair == pytest.approx(1.0 - e * moved**2)
     slips = Axles(1e-6, 1e-6)
-    still, loads = axle_loads(CAR, 0.0), axle_loads(CAR, accel)
+    still, loads = loads_at(CAR, 0.0), loads_at(CAR, accel)
     whole = lateral_forces(CAR, slips, loads)
     found = tyres("lateral_load_transfer", (e * moved**2, moved), slips, accel)
     assert found.rear == pytest.approx(whole.rear * (1.0 - e * (loads.rear / still.rear - 1.0)))
@@ -140,7 +141,7 @@ def test_scrub_with_drag_one_takes_the_power_of_slip() -> None:
     turn = steady_turn(CAR, 2.0, 0.8)
     v, r, beta = turn.state.speed, turn.state.yaw_rate, turn.state.slip_angle
     slips = Axles(turn.wheel - beta - CAR.lf * r / v, CAR.lr * r / v - beta)
-    forces = lateral_forces(CAR, slips, axle_loads(CAR, 0.0))
+    forces = lateral_forces(CAR, slips, loads_at(CAR, 0.0))
     found = hook(FLOAT, (0.0, 1.0), CAR, turn.state, turn.wheel, forces, NO_RATES)
     power = forces.front * slips.front * v + forces.rear * slips.rear * v
     assert -found.speed * CAR.mass * v == pytest.approx(power, rel=1e-9)
