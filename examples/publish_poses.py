@@ -1,11 +1,11 @@
 """Bring your own motion capture: put poses on the bus that `--mocap zenoh:KEY` listens to.
 
     steerd run --port … --mocap zenoh:lab/poses/car
-    python examples/publish_poses.py natnet://HOST/BODY --key lab/poses/car
+    python publish_poses.py natnet://HOST/BODY --key lab/poses/car
 
 Reads a NatNet or VRPN server here, as an example of a source, and publishes each pose as one JSON
-object (docs/reference/mocap.md): position and quaternion in the source's own units and axes, and the time at
-which the pose was true on this machine's clock, in nanoseconds from anywhere.
+object: position and quaternion in the source's own units and axes, and the time at which the pose
+was true on this machine's clock, in nanoseconds from anywhere.
 """
 
 import argparse

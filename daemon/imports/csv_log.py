@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.progress import Advance
 from steerd.daemon.imports.csv_table import Row, fail_cell, open_table, read_table
 from steerd.daemon.imports.import_map import NS, ImportMap, load_map
@@ -52,7 +53,7 @@ def import_csv(source: Path, map_path: Path, out: Path, advance: Advance) -> Imp
     check_output(out)
     the_map = load_map(map_path)
     if not the_map.columns:
-        hint = "copy examples/import-dart.toml and name your columns"
+        hint = f"copy {EXAMPLE_MAP} and name your columns"
         raise SteerdError(f"map {map_path} has no [columns]", hint)
     notes = ImportNotes()
     topics = list(dict.fromkeys(_TOPICS[q] for q in the_map.columns if q in _TOPICS))

@@ -17,6 +17,7 @@ from typing import Any
 import msgspec
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.mocap_link.frame import FrameConfig
 from steerd.steer_bus.topics import check_car_name
 
@@ -29,7 +30,7 @@ STREAM_COLUMNS = (
 ROLES = ("pose", "command", "vesc", "wheel")
 """What a topic of a bag can be: wheel takes the forward speed out of an Odometry."""
 _POSE = {"x", "y", "yaw"}
-_HINT = "docs/how-to/import-logs.md explains the map; examples/import-dart.toml is one"
+_HINT = f"copy {EXAMPLE_MAP} and edit it: its comments explain the map"
 
 
 class ColumnSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

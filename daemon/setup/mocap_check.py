@@ -69,7 +69,7 @@ def _stream(m: Movement, refused: int) -> Check:
     rate = 1.0 / float(np.median(np.diff(m.t))) if len(m.t) > 1 else 0.0
     ok = refused <= 0.02 * total and gap < GAP_MAX
     figure = f"{rate:.0f} Hz, {refused} of {total} refused, longest gap {1e3 * gap:.0f} ms"
-    fix = "`steerd probe --mocap URL` names the gate; docs/reference/mocap.md explains each"
+    fix = "`steerd probe --mocap URL` says which check refuses them and what to do"
     return Check("stream", ok, figure, "" if ok else fix)
 
 

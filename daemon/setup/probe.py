@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import degrees, inf
 
-from steerd.daemon.loop.checks import VescSelf, red_vesc
+from steerd.daemon.loop.checks import VescInfo, check_vesc
 from steerd.daemon.settings.config import BrakeSettings
+from steerd.mocap_link.gates import REASONS
 
 UDEV_NAME = "/etc/udev/rules.d/99-vesc.rules"
 UDEV_RULE = (
@@ -129,8 +130,8 @@ class SocketFound:
 
 def judge_vesc(vesc: VescFound, brakes: BrakeSettings) -> Iterator[Advice]:
     """What keeps a VESC from being driven well."""
-    told = VescSelf(True, vesc.uuid, vesc.firmware, vesc.timeout_ms, vesc.timeout_brake_a)
-    for text in red_vesc(told, brakes):
+    told = VescInfo(True, vesc.uuid, vesc.firmware, vesc.timeout_ms, vesc.timeout_brake_a)
+    for text in check_vesc(told, brakes):
         what, _, fix = text.partition(": ")
         yield Advice(what, fix)
     if vesc.firmware < SERVO_SINCE:
@@ -216,7 +217,7 @@ _GATES = {
 def _judge_poses(seen: MocapSeen) -> Iterator[Advice]:
     for gate, count in seen.refused:
         if count > 0.02 * seen.samples:
-            fix = _GATES.get(gate, "docs/reference/mocap.md says what each gate looks at")
+            fix = _GATES.get(gate, REASONS.get(gate, ""))
             yield Advice(f"{count} of {seen.samples} poses are refused: {gate}", fix)
     if seen.tilt is not None and seen.tilt > 0.1 and not any(g == "tilt" for g, _ in seen.refused):
         yield Advice(

@@ -1,6 +1,6 @@
 """Turn a lab's own log into a session: a csv file through a map, or a ROS 1 or ROS 2 bag.
 
-steerd import csv RUN.csv --map examples/import-dart.toml -o RUN.mcap
+steerd import csv RUN.csv --map MAP.toml -o RUN.mcap
 steerd import bag RUN.bag --topic /vrpn/car/pose -o RUN.mcap
 """
 
@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 from steerd.daemon.common.errors import ExitCode
+from steerd.daemon.common.packaged import EXAMPLE_MAP
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,7 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for kind in (table, bag):
         kind.add_argument("source", type=Path, metavar="FILE", help="the log")
         kind.add_argument("-o", "--output", type=Path, required=True, metavar="SESSION.mcap")
-    table.add_argument("--map", type=Path, required=True, help="which column is what (TOML)")
+    table.add_argument(
+        "--map", type=Path, required=True, help=f"which column is what (TOML; {EXAMPLE_MAP} is one)"
+    )
     bag.add_argument("--map", type=Path, help="topics, frame and car name (TOML)")
     bag.add_argument(
         "--topic",

@@ -1,0 +1,8 @@
+"""Files that are installed with steerd, for texts that name them."""
+
+from importlib.resources import files
+from pathlib import Path
+
+EXAMPLES = Path(str(files("steerd") / "data" / "examples"))
+"""Maps for `steerd import`, layouts for viewers, a pose publisher: `examples/` of the sources."""
+EXAMPLE_MAP = EXAMPLES / "import-dart.toml"

@@ -1,0 +1,139 @@
+"""The wheel in an environment of its own: one import name, all its files, every kind of command.
+
+It is built from a source distribution, that from a copy of the checkout, and installed beside
+python-daemon, whose `daemon` package once wrote over ours. Dependencies are those of the tests.
+"""
+
+import importlib.metadata
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).resolve().parents[2]
+ROOMS = (
+    "car_model", "controller", "daemon", "estimator", "mocap_link",
+    "sim_gap", "sim_hw", "steer_bus", "sysid", "vesc_link",
+)  # fmt: skip
+LATE = "--path figure8 --speed 1.8 --duration 20 --effect steer_delay=0.06 --record late.mcap"
+
+
+def build(kind: str, source: Path, folder: Path) -> Path:
+    command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(folder)]
+    done = subprocess.run(command, cwd=source, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (made,) = folder.glob("*.whl" if kind == "wheel" else "*.tar.gz")
+    return made
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Checkout to source distribution to wheel."""
+    folder = tmp_path_factory.mktemp("wheel")
+    unwanted = shutil.ignore_patterns(".[!g]*", ".git", "__pycache__", "*.mcap", "docs", "tests")
+    shutil.copytree(ROOT, folder / "checkout", symlinks=True, ignore=unwanted)
+    archive = build("sdist", folder / "checkout", folder / "sdist")
+    with tarfile.open(archive) as packed:
+        packed.extractall(folder / "unpacked", filter="data")
+    (source,) = (folder / "unpacked").iterdir()
+    return build("wheel", source, folder / "wheel")
+
+
+@pytest.fixture(scope="module")
+def home(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A virtual environment with python-daemon and then the wheel; sessions are made in it."""
+    home = tmp_path_factory.mktemp("home")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", home], check=True)
+    (site,) = (home / "lib").glob("python*/site-packages")
+    for file in importlib.metadata.files("python-daemon") or ():
+        if ".." not in file.parts:
+            target = site / file
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(file.locate(), target)
+    pip = [sys.executable, "-m", "pip", "--python", str(home / "bin" / "python")]
+    options = ["--quiet", "--no-deps", "--no-index", "--disable-pip-version-check"]
+    subprocess.run([*pip, "install", *options, str(wheel)], check=True)
+    # After the environment's own folder, so that its steerd and its daemon come first; the links
+    # of editable installs (.pth files) do not count in a folder that a .pth file names.
+    site.joinpath("dependencies.pth").write_text(
+        "\n".join(sorted({str(Path(p)) for p in sys.path if p.endswith("site-packages")}))
+    )
+    return home
+
+
+def steerd(home: Path, *words: str, codes: tuple[int, ...] = (0,)) -> str:
+    """Run a command of the wheel outside the checkout; give what it printed."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    done = subprocess.run(
+        [home / "bin" / "steerd", *words], cwd=home, env=environment,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode in codes, done.stderr
+    return done.stdout
+
+
+def run_python(home: Path, code: str) -> str:
+    done = subprocess.run(
+        [home / "bin" / "python", "-c", code], cwd=home, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_the_wheel_has_one_top_level_name_and_every_file(wheel: Path) -> None:
+    names = {PurePosixPath(name) for name in zipfile.ZipFile(wheel).namelist()}
+    tops = {name.parts[0] for name in names}
+    version = importlib.metadata.version("steerd")
+    assert tops == {"steerd", f"steerd-{version}.dist-info"}
+    for room in ROOMS:
+        kept = {
+            PurePosixPath("steerd") / path.relative_to(ROOT).as_posix()
+            for path in (ROOT / room).rglob("*")
+            if path.is_file() and "__pycache__" not in path.parts
+        }
+        assert kept <= names, room
+    assert PurePosixPath("steerd/data/f1tenth.toml") in names
+    assert PurePosixPath("steerd/data/examples/import-dart.toml") in names
+    assert PurePosixPath("steerd/py.typed") in names
+    assert not [name for name in names if "test_" in name.name or "tests" in name.parts]
+
+
+def test_python_daemon_and_steerd_leave_each_other_alone(home: Path) -> None:
+    code = (
+        "import daemon, steerd.daemon; print(daemon.DaemonContext.__name__); "
+        "print(daemon.__file__); print(steerd.daemon.__file__)"
+    )
+    context, theirs, ours = run_python(home, code).splitlines()
+    assert context == "DaemonContext"
+    assert Path(theirs).is_relative_to(home)
+    assert Path(ours).is_relative_to(home)
+
+
+def test_the_wheel_drives_plots_identifies_and_diagnoses(home: Path) -> None:
+    steerd(home, "run", "--sim", "--fast", *LATE.split())
+    steerd(home, "plot", "late.mcap")
+    assert "<script" in (home / "late.html").read_text()
+    steerd(home, "identify", "late.mcap", "-o", "car.toml", "--report", "fit.html", codes=(0, 5))
+    assert "[noise]" in (home / "car.toml").read_text()
+    assert (home / "fit.html").stat().st_size > 10_000
+    screen = steerd(home, "diagnose", "late.mcap", "--only", "steer_delay", "--report", "gap.html")
+    assert "steer_delay" in screen
+    assert (home / "gap.html").stat().st_size > 10_000
+
+
+def test_the_wheel_brings_its_car_file_effects_and_maps(home: Path) -> None:
+    assert "wheelbase" in steerd(home, "config")
+    assert "steer_backlash" in steerd(home, "effects")
+    code = "from steerd.daemon.common.packaged import EXAMPLE_MAP; print(EXAMPLE_MAP)"
+    shown = Path(run_python(home, code))
+    assert shown.is_relative_to(home)
+    (home / "run.csv").write_text("t,x,y,yaw,steer_cmd,safety,throttle,enc_v\n")
+    text = " ".join(steerd(home, "import", "csv", "--help").split())
+    assert shown.name in text
