@@ -1,1 +1,1 @@
-"""What every room of the daemon uses: errors with advice, files written whole, progress."""
+"""What every room of the daemon uses: errors with hints, files written whole, progress."""

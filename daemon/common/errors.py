@@ -1,4 +1,4 @@
-"""What can go wrong, as one sentence that says what happened and one that says what to try."""
+"""Failures: one sentence for what happened, one for what to try, and an exit code."""
 
 from enum import IntEnum
 
@@ -14,7 +14,7 @@ class ExitCode(IntEnum):
     INVALID = 4
     """A car file, map or session was read but its content is wrong."""
     STOPPED = 5
-    """A safety stop ended the run, or a result would not be trustworthy."""
+    """A safety stop ended the run, or a result is not reliable enough to be used."""
     UNREACHABLE = 6
     """No running daemon answered."""
     DIFFERS = 7

@@ -1,4 +1,4 @@
-"""Where a command may write: told before the work, and a recorded drive is never written over."""
+"""Output files of a command, checked before the work; a recorded drive is never overwritten."""
 
 import os
 from collections.abc import Mapping
@@ -9,13 +9,14 @@ from steerd.steer_bus.mcap_records import MAGIC
 
 
 def check_outputs(outputs: Mapping[str, Path | None]) -> None:
-    """Refuse what cannot be written, or would cost a session.
+    """Refuse output files that cannot be written or that are sessions.
 
     Args:
-        outputs: files to write by the option that names each; None where it was not given.
+        outputs: path by option name; None where the option was not given.
 
     Raises:
-        SteerdError: one is a session, a folder or in none that can be written, or two are one.
+        SteerdError: an output is a session or a folder, its folder is missing or read-only, or
+            two options name one file.
     """
     taken: dict[Path, str] = {}
     for option, path in outputs.items():
@@ -30,7 +31,7 @@ def check_outputs(outputs: Mapping[str, Path | None]) -> None:
 
 def _check(option: str, path: Path) -> None:
     if _is_session(path):
-        what = f"{option} {path}: that is a session, and no session is ever written over"
+        what = f"{option} {path}: that is a session, and a session is never overwritten"
         raise SteerdError(what, "choose another name", ExitCode.USAGE)
     if path.is_dir():
         what = f"{option} {path}: that is a folder"
@@ -44,7 +45,7 @@ def _check(option: str, path: Path) -> None:
 
 
 def _is_session(path: Path) -> bool:
-    """Whether it begins as sessions do; what cannot be read is told by who reads it."""
+    """Whether it begins as sessions do; an unreadable file is reported by its reader."""
     try:
         if not path.is_file():
             return False

@@ -1,4 +1,4 @@
-"""How far a long command is: a bar on a terminal, silence elsewhere."""
+"""Progress of a long command: a bar on a terminal, nothing elsewhere."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -6,11 +6,11 @@ from contextlib import contextmanager
 from typing import Protocol
 
 Advance = Callable[[float], None]
-"""Told how much is done, in the unit of the total."""
+"""Called with the amount of work done, in the unit of the total."""
 
 
 class Step(Protocol):
-    """Told how much is done, and what is done next where that has a name."""
+    """Called with the amount of work done, and the name of the next step where it has one."""
 
     def __call__(self, done: float, step: str = "", /) -> None:
         """Move the bar."""
@@ -18,7 +18,7 @@ class Step(Protocol):
 
 @contextmanager
 def show_progress(label: str, total: float) -> Iterator[Step]:
-    """A bar on standard error while the block runs, if somebody can see it."""
+    """A bar on standard error while the block runs, if that is a terminal."""
     if not sys.stderr.isatty():
         yield lambda done, step="", /: None
         return
@@ -27,7 +27,7 @@ def show_progress(label: str, total: float) -> Iterator[Step]:
 
     columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn()
     console = Console(stderr=True)
-    # The time so far moves on where a step is long and says nothing of its share.
+    # The elapsed time moves on during a long step that reports no share of its own.
     with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as progress:
         task = progress.add_task(label, total=total)
 

@@ -1,4 +1,4 @@
-"""Errors of the rooms below as the command line tells them: what, what to try, which code."""
+"""Errors of other rooms as the command line reports them: what, what to try, which exit code."""
 
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def make_car_file_error(error: "CarFileError") -> SteerdError:
-    """A car file that cannot be read or written (3), or says what cannot be (4)."""
+    """For a car file that cannot be read or written (exit code 3) or is not valid (4)."""
     unreadable = isinstance(error.__cause__, OSError)
     code = ExitCode.UNREADABLE if unreadable else ExitCode.INVALID
     place = f"{error.path}: {error.where}" if error.where else str(error.path)
@@ -18,11 +18,11 @@ def make_car_file_error(error: "CarFileError") -> SteerdError:
 
 
 def make_session_error(error: "SessionError", hint: str = "") -> SteerdError:
-    """A session that cannot be read or written.
+    """For a session that cannot be read or written.
 
     Args:
-        error: as it was raised; its own hint counts.
-        hint: what to try where the error knows nothing.
+        error: as it was raised.
+        hint: what to try where the error has no hint of its own.
     """
     what = str(error).removesuffix(f" ({error.hint})") if error.hint else str(error)
     return SteerdError(what, error.hint or hint, ExitCode(error.exit_code))

@@ -3,12 +3,12 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from steerd.daemon.assembly.build import Plan
+from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.terminal.dashboard import Tally
 
 
-def closing_lines(plan: Plan, tally: Tally, session: Path) -> Iterator[str]:
-    """What a person needs at the end; a plan that left the lane has no lateral error to tell."""
+def closing_lines(plan: RunPlan, tally: Tally, session: Path) -> Iterator[str]:
+    """Distance, errors, session and next command; open-loop plans have no lateral error."""
     collected = plan.drill is not None
     followed = plan.drill is None or plan.drill.closed
     yield tally.describe(lane=followed)

@@ -1,4 +1,4 @@
-"""What a person at the terminal sees of a run: state, what it waits for, errors, timing."""
+"""The dashboard of a run in the terminal: state, what it waits for, errors, timing."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -10,13 +10,13 @@ from rich.table import Table
 from rich.text import Text
 
 from steerd.daemon.ipc.diagnostics import read_diagnostics
-from steerd.daemon.ipc.pipe_records import Record, read_message
-from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 
 SETTLE_NS = 3_000_000_000
-"""The first seconds of a drive are the way into the lane, not lane keeping."""
+"""The first seconds of a drive are the approach to the lane and are left out of its errors [ns]."""
 _COLOURS = {"RUNNING": "green", "ARMED": "yellow", "FAULT_STOP": "red", "FAULT_LATCHED": "red",
             "ESTOP": "red", "STOPPING": "yellow"}  # fmt: skip
 
@@ -42,8 +42,8 @@ class Tally:
     _last: tuple[int, float, float] | None = None
 
     def add(self, state: m.State) -> None:
-        """Count one tick."""
-        if state.mode != Supervised.RUNNING:
+        """Add the state of one tick."""
+        if state.mode != SupervisorState.RUNNING:
             self._since_ns = self._last = None
             return
         if self._since_ns is None:
@@ -64,7 +64,7 @@ class Tally:
         return sqrt(self.square / self.count) if self.count else 0.0
 
     def describe(self, *, lane: bool = True) -> str:
-        """One line for the end of a run; `lane` says whether there was one to keep."""
+        """One line for the end of a run; `lane`: whether the car followed a path."""
         driven = f"drove {self.distance:.1f} m in {self.driven_ns * 1e-9:.1f} s"
         if not self.count or not lane:
             return driven
@@ -76,7 +76,17 @@ class Tally:
 
 @dataclass
 class Dashboard:
-    """The latest of everything, for rendering."""
+    """The latest messages of a run, for rendering.
+
+    Attributes:
+        title: of the panel.
+        state: latest estimate; None before the first.
+        tick: latest timing; None before the first.
+        status: latest diagnostics by name.
+        events: latest transitions, one line each.
+        tally: figures of the drive so far.
+        keys: help line of the keys; empty where there is no keyboard.
+    """
 
     title: str
     state: m.State | None = None
@@ -86,8 +96,8 @@ class Dashboard:
     tally: Tally = field(default_factory=Tally)
     keys: str = ""
 
-    def take(self, record: Record) -> str | None:
-        """Take a record in; a line worth printing where nothing is rendered."""
+    def take(self, record: PipeRecord) -> str | None:
+        """Take in a record; returns a line to print where nothing is rendered, or None."""
         if record.topic is topics.STATE:
             state: m.State = read_message(record)
             self.state = state
@@ -98,7 +108,7 @@ class Dashboard:
             self.status = read_diagnostics(read_message(record))
         elif record.topic is topics.TRANSITION:
             change: m.Transition = read_message(record)
-            line = f"{Supervised(change.to_state).name:<14}{change.text}"
+            line = f"{SupervisorState(change.to_state).name:<14}{change.text}"
             self.events.append(line)
             return line
         return None
@@ -138,7 +148,7 @@ class Dashboard:
             f"RMS {100 * self.tally.rms:.2f} cm",
         )
         table.add_row(
-            "order", f"steer {degrees(s.steer_ref):+6.2f}°", f"speed {s.speed_ref:+5.2f} m/s"
+            "command", f"steer {degrees(s.steer_ref):+6.2f}°", f"speed {s.speed_ref:+5.2f} m/s"
         )
         table.add_row(
             "links",

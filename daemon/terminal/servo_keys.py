@@ -1,4 +1,4 @@
-"""Moving a servo by keys, to note its centre and its stops. The motor is never commanded."""
+"""Moving a servo by keys, to find its centre and its stops. The motor is never commanded."""
 
 import os
 import select
@@ -14,25 +14,32 @@ from steerd.vesc_link.packets import encode_command
 from steerd.vesc_link.scaling import Scaling
 from steerd.vesc_link.transport import PortError, open_port
 
-HELP = "[a]/[d] or arrows: move   [A]/[D]: far   [c]entre  [l]eft stop  [r]ight stop   [w]rite  [q]"
+HELP = """\
+[a] [d] or arrows: move   [A] [D]: move far   [w]rite   [q]uit
+set here: [c]entre   [l]eft stop   [r]ight stop"""
 STEP, FAR = 0.005, 0.05
+"""Servo positions per key press [-]; the whole range is 0 to 1."""
+KEY_WAIT_S = 0.1
+"""The position is sent again after this long without a key [s]; the VESC's timeout is longer."""
+ESCAPE_NS = 20_000_000
+"""The three bytes of an arrow key arrive within this time [ns]."""
 _MOVES = {"a": -STEP, "d": STEP, "A": -FAR, "D": FAR, "\x1b[D": -STEP, "\x1b[C": STEP}
 _ENDS = ("w", "q", "\x03", "\x04")
 
 
 @dataclass(frozen=True)
 class Servo:
-    """Where the servo is, and what was noted; positions 0 to 1."""
+    """The servo's position (0 to 1) and the scaling set so far."""
 
     position: float
     scaling: Scaling
 
 
 def press(servo: Servo, key: str) -> Servo:
-    """One key. Left is where `servo_gain` says that positive angles lie.
+    """Apply one key. Positive angles are left; `servo_gain` gives their direction.
 
     Raises:
-        ValueError: what was noted cannot be, a stop beyond the other for instance.
+        ValueError: the limits would not be valid, e.g. one stop beyond the other.
     """
     if key in _MOVES:
         return replace(servo, position=min(max(servo.position + _MOVES[key], 0.0), 1.0))
@@ -47,7 +54,7 @@ def press(servo: Servo, key: str) -> Servo:
 
 
 def steer_by_keys(url: str, scaling: Scaling, clock: Clock) -> Scaling | None:
-    """Move the servo until [w] (the new scaling) or [q] (None).
+    """Move the servo by keys until [w] (returns the new scaling) or [q] (returns None).
 
     Raises:
         SteerdError: no terminal, or the port cannot be used.
@@ -80,11 +87,11 @@ def steer_by_keys(url: str, scaling: Scaling, clock: Clock) -> Scaling | None:
 
 
 def _next_key(fd: int, clock: Clock) -> str:
-    """A key; an arrow's three bytes count as one. Nothing for 100 ms counts as a key, too."""
-    if not select.select([fd], [], [], 0.1)[0]:
+    """The next key, an arrow's three bytes as one; empty after `KEY_WAIT_S` without a key."""
+    if not select.select([fd], [], [], KEY_WAIT_S)[0]:
         return ""
     key = os.read(fd, 1).decode("latin-1")
-    end = clock.now_ns() + 20_000_000
+    end = clock.now_ns() + ESCAPE_NS
     while key.startswith("\x1b") and len(key) < 3 and clock.now_ns() < end:
         if select.select([fd], [], [], 0.01)[0]:
             key += os.read(fd, 1).decode("latin-1")

@@ -1,4 +1,4 @@
-"""The parent's part of a run: shows the core's records, passes keys and signals on."""
+"""The terminal of a run: shows the core's records, passes keys and signals on to it."""
 
 import contextlib
 import os
@@ -15,9 +15,9 @@ from rich.live import Live
 from steerd.daemon.ipc.gateway_wire import pack_request
 from steerd.daemon.ipc.operator import KEEPALIVE_NS, Operator
 from steerd.daemon.ipc.pipe_records import unpack_records
-from steerd.daemon.ipc.signals import block_stop_signals, stop_signal_pipe
-from steerd.daemon.loop.transitions import State
-from steerd.daemon.process.children import Crew
+from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.children import RunProcesses
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import Clock
@@ -33,9 +33,14 @@ KEYS = {
 }
 KEY_HELP = "[a]rm  [s]tart  [space] stop  [d]isarm  [c]lear  [e]stop  [q]uit"
 _POLL_MS = 50
-_HELD = (State.SELF_TEST, State.ARMED, State.RUNNING, State.STOPPING)
+_HELD = (
+    SupervisorState.SELF_TEST,
+    SupervisorState.ARMED,
+    SupervisorState.RUNNING,
+    SupervisorState.STOPPING,
+)
 _ANSWER_NS = 1_500_000_000
-"""A car that has not left its parking place by then was not armed."""
+"""A car that is not yet in a held state after this time refused to arm [ns]."""
 
 
 @contextlib.contextmanager
@@ -54,24 +59,26 @@ def keys_one_by_one() -> Iterator[int | None]:
 
 
 class Terminal:
-    """One person's view of one run."""
+    """One operator's terminal of one run."""
 
-    def __init__(self, crew: Crew, board: Dashboard, operator: Operator, clock: Clock) -> None:
-        self._crew = crew
+    def __init__(
+        self, processes: RunProcesses, board: Dashboard, operator: Operator, clock: Clock
+    ) -> None:
+        self._processes = processes
         self._board = board
         self._operator = operator
         self._clock = clock
         self._buffer = bytearray()
         self._holding = False
-        self._asked_ns = 0
+        self._requested_ns = 0
         self._waiting = ""
         self._alive_ns = 0
 
     def run(self) -> None:
-        """Show and pass on until the core has ended."""
+        """Show records and pass on keys and signals until the core has ended."""
         console = Console(stderr=True)
         block_stop_signals()
-        signals = stop_signal_pipe()
+        signals = make_stop_signal_pipe()
         with keys_one_by_one() as keys:
             self._board.keys = KEY_HELP if keys is not None else ""
             if not console.is_terminal:
@@ -82,15 +89,15 @@ class Terminal:
                 live.update(self._board.render(), refresh=True)
 
     def _loop(self, signals: int, keys: int | None, live: Live | None, console: Console) -> None:
-        core = os.pidfd_open(self._crew.core.process.pid)
+        core = os.pidfd_open(self._processes.core.process.pid)
         poll = select.poll()
-        fds = [core, signals, self._crew.status_fd, *([] if keys is None else [keys])]
+        fds = [core, signals, self._processes.status_fd, *([] if keys is None else [keys])]
         for fd in fds:
             poll.register(fd, select.POLLIN | select.POLLHUP)
         while True:
             ready = [fd for fd, _ in poll.poll(_POLL_MS)]
-            if self._crew.status_fd in ready and not self._show(live, console):
-                poll.unregister(self._crew.status_fd)
+            if self._processes.status_fd in ready and not self._show(live, console):
+                poll.unregister(self._processes.status_fd)
             if signals in ready:
                 for number in os.read(signals, 16):
                     self._pass_signal(number)
@@ -103,7 +110,7 @@ class Terminal:
             self._keep_alive()
 
     def _show(self, live: Live | None, console: Console) -> bool:
-        data = os.read(self._crew.status_fd, 1 << 16)
+        data = os.read(self._processes.status_fd, 1 << 16)
         self._buffer += data
         for record in unpack_records(self._buffer):
             line = self._board.take(record)
@@ -112,14 +119,14 @@ class Terminal:
         waiting = self._board.status.get("waiting", "")
         if live is None and waiting != self._waiting:
             self._waiting = waiting
-            console.print(f"{'':14}waits for {waiting}", highlight=False, soft_wrap=True)
+            console.print(f"{'':14}waiting for {waiting}", highlight=False, soft_wrap=True)
         if live is not None:
             live.update(self._board.render(), refresh=True)
         return bool(data)
 
     def _pass_signal(self, number: int) -> None:
         with contextlib.suppress(ProcessLookupError):
-            self._crew.core.process.send_signal(
+            self._processes.core.process.send_signal(
                 signal.SIGTERM if number == signal.SIGHUP else number
             )
 
@@ -129,24 +136,24 @@ class Terminal:
         elif key in KEYS:
             kind = KEYS[key]
             if kind in (RequestKind.ARM, RequestKind.START):
-                self._holding, self._asked_ns = True, self._clock.now_ns()
+                self._holding, self._requested_ns = True, self._clock.now_ns()
             elif kind is RequestKind.DISARM:
                 self._holding = False
-            self._ask(kind)
+            self._send(kind)
 
     def _keep_alive(self) -> None:
-        """Feed the lease of a car that was armed or started here, and let it go with the car."""
+        """Keep the lease of a car that was armed or started here, until it is parked again."""
         now, state = self._clock.now_ns(), self._board.state
         held = state is not None and state.mode in _HELD
-        if not held and now - self._asked_ns > _ANSWER_NS:
+        if not held and now - self._requested_ns > _ANSWER_NS:
             self._holding = False
         if self._holding and now - self._alive_ns >= KEEPALIVE_NS:
-            self._ask(RequestKind.KEEPALIVE)
+            self._send(RequestKind.KEEPALIVE)
 
-    def _ask(self, kind: RequestKind) -> None:
+    def _send(self, kind: RequestKind) -> None:
         self._alive_ns = self._clock.now_ns()
         packet = pack_request(
-            topics.OPERATOR.name, self._operator.make(kind, self._clock.realtime_ns())
+            topics.OPERATOR.name, self._operator.make_request(kind, self._clock.realtime_ns())
         )
         with contextlib.suppress(OSError):
-            self._crew.requests.send(packet)
+            self._processes.requests.send(packet)

@@ -1,4 +1,4 @@
-"""Any car on the bus in a terminal: what the dashboard shows, and how fast each topic comes."""
+"""Any car on the bus in a terminal: the dashboard, and the message rate of each topic."""
 
 from collections import Counter, deque
 from dataclasses import dataclass, field
@@ -8,8 +8,8 @@ from rich.table import Table
 from rich.text import Text
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.ipc.pipe_records import Record
-from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.ipc.pipe_records import PipeRecord
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -20,14 +20,18 @@ from steerd.vesc_link.ids import fault_name
 
 SECOND = 1_000_000_000
 SILENT_NS = 1_500_000_000
+"""A car that sends nothing for this long is reported as silent [ns]."""
 DEPTH = 1024
+"""Messages kept between two refreshes."""
+_TIMES_KEPT = 2048
+"""Arrival times kept per topic; more than a second of the fastest topic."""
 
 
 def find_car(bus: Bus, name: str | None) -> str:
-    """The car that is asked for, or the only one there is.
+    """The named car, or the only one on the bus.
 
     Raises:
-        SteerdError: no car is on the bus, not this one, or more than one and none is named.
+        SteerdError: no car is on the bus, not this one, or several and none is named.
     """
     alive = bus.alive(f"{ROOT}/*/alive")
     cars = sorted(parts[0] for key in alive if (parts := split_key(key)))
@@ -46,36 +50,36 @@ def find_car(bus: Bus, name: str | None) -> str:
 
 @dataclass
 class Watch:
-    """What was heard of one car.
+    """What was received from one car.
 
     Attributes:
         board: the dashboard that it feeds.
         vesc: the last telemetry.
-        heard_ns: when anything came last; None before.
-        odd: messages that were not what their topic says.
+        heard_ns: arrival of the last message; None before the first.
+        undecodable: count of messages that do not decode as their topic's type.
     """
 
     board: Dashboard
     vesc: m.VescTelemetry | None = None
     heard_ns: int | None = None
-    odd: int = 0
+    undecodable: int = 0
     _times: dict[str, deque[int]] = field(default_factory=dict)
     _counts: Counter[str] = field(default_factory=Counter)
 
     def take(self, sample: Sample, t_ns: int) -> str | None:
-        """Take a message in; a line worth printing where nothing is rendered."""
+        """Take in a message; returns a line to print where nothing is rendered, or None."""
         topic = find_topic(sample.key)
         if topic is None or topic.direction is topics.Direction.IN:
             return None
         self.heard_ns = t_ns
         self._counts[topic.name] += 1
-        self._times.setdefault(topic.name, deque(maxlen=2048)).append(t_ns)
+        self._times.setdefault(topic.name, deque(maxlen=_TIMES_KEPT)).append(t_ns)
         try:
             if topic is topics.VESC:
                 self.vesc = decode(m.VescTelemetry, sample.data)
-            return self.board.take(Record(topic, 0, t_ns, t_ns, sample.data))
+            return self.board.take(PipeRecord(topic, 0, t_ns, t_ns, sample.data))
         except (CodecError, SteerdError, ValueError):
-            self.odd += 1
+            self.undecodable += 1
             return None
 
     def rates(self, t_ns: int) -> dict[str, float]:
@@ -86,7 +90,7 @@ class Watch:
         return {name: float(len(times)) for name, times in sorted(self._times.items())}
 
     def silence(self, t_ns: int) -> float:
-        """Seconds since anything came [s]; 0 before and while messages flow."""
+        """Time since the last message [s]; 0 before the first and while messages arrive."""
         if self.heard_ns is None or t_ns - self.heard_ns < SILENT_NS:
             return 0.0
         return (t_ns - self.heard_ns) * 1e-9
@@ -95,8 +99,8 @@ class Watch:
         """One line: for pipes and logs."""
         state, status = self.board.state, self.board.status
         if (silent := self.silence(t_ns)) > 0.0:
-            return f"nothing for {silent:.1f} s: is the daemon gone?"
-        name = Supervised(state.mode).name if state else status.get("state", "?")
+            return f"no message for {silent:.1f} s: is the daemon still running?"
+        name = SupervisorState(state.mode).name if state else status.get("state", "?")
         motion = f"{state.speed:+.2f} m/s, e1 {100 * state.e1:+.2f} cm" if state else "no state"
         rates = self.rates(t_ns)
         shown = ", ".join(f"{key} {rates[key]:.0f}" for key in _SHOWN if key in rates)
@@ -104,15 +108,15 @@ class Watch:
 
     @property
     def fault(self) -> str:
-        """The VESC's fault, in its own words."""
+        """The VESC's name of its fault; `none` without one."""
         code = self.vesc.fault_code if self.vesc else 0
         return fault_name(code) if code > 0 else "none"
 
     def render(self, t_ns: int) -> RenderableType:
-        """The dashboard, with rates and the motor controller under it."""
+        """The dashboard, with message rates and the VESC's telemetry under it."""
         parts: list[RenderableType] = [self.board.render()]
         if (silent := self.silence(t_ns)) > 0.0:
-            text = f" nothing for {silent:.1f} s: is the daemon gone? "
+            text = f" no message for {silent:.1f} s: is the daemon still running? "
             parts.append(Text(text, style="bold reverse red"))
         table = Table.grid(padding=(0, 2))
         rates = self.rates(t_ns)
@@ -128,8 +132,10 @@ class Watch:
                     style=style,
                 )
             )
-        if self.odd:
-            parts.append(Text(f"{self.odd} messages of another steerd version", style="yellow"))
+        if self.undecodable:
+            parts.append(
+                Text(f"{self.undecodable} messages of another steerd version", style="yellow")
+            )
         return Group(*parts)
 
 

@@ -32,20 +32,20 @@ COMMANDS = [
 def test_a_session_is_never_written_over(argv, name, session, tmp_path, capsys):
     kept = tmp_path / name
     kept.write_bytes(session.read_bytes())
-    words = [word.format(drive=session, kept=kept) for word in argv]
-    assert run_cli(words) == 2
-    assert "no session is ever written over" in capsys.readouterr().err
+    arguments = [word.format(drive=session, kept=kept) for word in argv]
+    assert run_cli(arguments) == 2
+    assert "a session is never overwritten" in capsys.readouterr().err
     assert kept.read_bytes() == MAGIC + bytes(100)
 
 
 @pytest.mark.parametrize(
-    ("name", "code", "words"),
+    ("name", "code", "text"),
     [("", 3, "that is a folder"), ("none/car.toml", 3, "there is no folder")],
 )
-def test_what_cannot_be_written_is_told_before_the_work(name, code, words, tmp_path, capsys):
+def test_what_cannot_be_written_is_reported_before_the_work(name, code, text, tmp_path, capsys):
     argv = ["identify", str(tmp_path / "none.mcap"), "-o", str(tmp_path / name)]
-    assert run_cli(argv) == code, "the session's absence would be told by the work"
-    assert words in capsys.readouterr().err
+    assert run_cli(argv) == code, "only the work itself would find the session missing"
+    assert text in capsys.readouterr().err
 
 
 def test_a_folder_without_permission(tmp_path, monkeypatch):

@@ -19,14 +19,14 @@ def lines(drill):
 
 
 def test_a_lane_was_kept():
-    told, where, then = lines("")
-    assert told.startswith("drove 12.0 m in 6.0 s; lateral error RMS 1.00 cm")
+    summary, where, then = lines("")
+    assert summary.startswith("drove 12.0 m in 6.0 s; lateral error RMS 1.00 cm")
     assert where == "session: drive.mcap"
     assert "steerd plot drive.mcap" in then
 
 
 @pytest.mark.parametrize(("drill", "lane"), [("mixed;speed=2", False), ("chirp;closed", True)])
 def test_a_plan_was_driven(drill, lane):
-    told, _, then = lines(drill)
-    assert ("lateral error" in told) is lane
+    summary, _, then = lines(drill)
+    assert ("lateral error" in summary) is lane
     assert "steerd identify drive.mcap -o car.toml" in then

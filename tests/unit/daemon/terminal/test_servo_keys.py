@@ -1,4 +1,4 @@
-"""Keys move the servo and note its centre and stops; the session's servo becomes a new scaling."""
+"""Keys move the servo and set its centre and stops; the session's servo becomes a new scaling."""
 
 import pytest
 
@@ -22,13 +22,13 @@ def test_moves_stay_between_0_and_1():
     assert after("D" * 30).position == 1.0
 
 
-def test_centre_and_stops_are_noted_where_the_servo_is():
+def test_centre_and_stops_are_set_where_the_servo_is():
     s = after("dd" + "c" + "AAAA" + "l" + "DDDDDDDD" + "r").scaling
     assert s.servo_offset == pytest.approx(0.5404)
     assert s.servo_min == pytest.approx(0.3404)
     assert s.servo_max == pytest.approx(0.7404)
-    other_way = Scaling(servo_gain=1.0, servo_offset=0.5)
-    s = after("DDDlAAAAAAr", other_way).scaling
+    mirrored = Scaling(servo_gain=1.0, servo_offset=0.5)
+    s = after("DDDlAAAAAAr", mirrored).scaling
     assert (s.servo_min, s.servo_max) == pytest.approx((0.35, 0.65))
 
 
@@ -48,11 +48,11 @@ def steering(**change):
 
 
 @pytest.mark.parametrize("angle", [-0.2, 0.0, 0.17])
-def test_with_the_new_scaling_the_wheels_go_where_they_are_told(angle):
+def test_with_the_new_scaling_the_wheels_go_where_they_are_commanded(angle):
     found, new = steering(), servo_scaling(steering(), F1TENTH)
     position = steer_to_servo_pos(new, angle)
-    asked = (position - F1TENTH.servo_offset) / F1TENTH.servo_gain
-    assert found.gain * asked + found.bias == pytest.approx(angle, abs=1e-12)
+    commanded = (position - F1TENTH.servo_offset) / F1TENTH.servo_gain
+    assert found.gain * commanded + found.bias == pytest.approx(angle, abs=1e-12)
 
 
 def test_limits_move_inwards_to_the_stops_only():

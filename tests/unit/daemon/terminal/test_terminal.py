@@ -6,14 +6,19 @@ import pytest
 
 from steerd.daemon.ipc.gateway_wire import unpack_request
 from steerd.daemon.ipc.operator import KEEPALIVE_NS, Operator
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.terminal.terminal import KEYS, Terminal
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.messages import OperatorRequest, RequestKind
 
 KEEPALIVE = int(RequestKind.KEEPALIVE)
-HELD = [State.SELF_TEST, State.ARMED, State.RUNNING, State.STOPPING]
-LET_GO = [state for state in State if state not in HELD]
+HELD = [
+    SupervisorState.SELF_TEST,
+    SupervisorState.ARMED,
+    SupervisorState.RUNNING,
+    SupervisorState.STOPPING,
+]
+LET_GO = [state for state in SupervisorState if state not in HELD]
 
 
 class Desk:
@@ -24,8 +29,8 @@ class Desk:
         self.now_ns = 77 * 10**9
         self.board = SimpleNamespace(state=None)
         clock = SimpleNamespace(now_ns=lambda: self.now_ns, realtime_ns=lambda: self.now_ns)
-        crew = SimpleNamespace(requests=SimpleNamespace(send=self.sent.append))
-        self.terminal = Terminal(crew, self.board, Operator(1, 77, "desk"), clock)
+        processes = SimpleNamespace(requests=SimpleNamespace(send=self.sent.append))
+        self.terminal = Terminal(processes, self.board, Operator(1, 77, "desk"), clock)
 
     def press(self, key):
         self.terminal._on_key(key)
@@ -44,8 +49,8 @@ class Desk:
         return [decode(OperatorRequest, unpack_request(packet)[1]).kind for packet in packets]
 
 
-def test_nobody_holds_a_car_that_nobody_asked_for():
-    assert Desk().show(State.READY).wait(3.0) == []
+def test_nobody_holds_a_car_that_nobody_armed_or_started():
+    assert Desk().show(SupervisorState.READY).wait(3.0) == []
 
 
 @pytest.mark.parametrize("key", "as")
@@ -57,29 +62,29 @@ def test_who_arms_or_starts_the_car_holds_it_for_as_long_as_it_needs_somebody(ke
 
 @pytest.mark.parametrize("state", [None, *LET_GO])
 def test_a_parked_or_faulted_car_is_let_go(state):
-    desk = Desk().press("a").show(State.RUNNING)
+    desk = Desk().press("a").show(SupervisorState.RUNNING)
     desk.wait(10.0)
     desk.board.state = None if state is None else SimpleNamespace(mode=int(state))
     assert desk.wait(1.0) == []
-    assert desk.show(State.ARMED).wait(1.0) == [], "armed again by somebody else"
+    assert desk.show(SupervisorState.ARMED).wait(1.0) == [], "armed again by somebody else"
 
 
-def test_an_arm_that_is_not_heard_is_held_until_the_answer_is_due():
-    desk = Desk().show(State.READY).press("a")
+def test_an_arm_request_without_an_answer_is_held_until_the_answer_is_due():
+    desk = Desk().show(SupervisorState.READY).press("a")
     assert desk.wait(1.5) == [KEYS["a"]] + [KEEPALIVE] * 30
     assert desk.wait(1.0) == []
-    assert len(desk.press("a").wait(1.0)) == 21, "asked again, held again"
+    assert len(desk.press("a").wait(1.0)) == 21, "requested again, held again"
 
 
 def test_disarm_lets_go_at_once():
-    desk = Desk().press("a").show(State.ARMED)
+    desk = Desk().press("a").show(SupervisorState.ARMED)
     desk.wait(1.0)
     assert desk.press("d").wait(1.0) == [KEYS["d"]]
 
 
 @pytest.mark.parametrize("key", " ce")
 def test_other_keys_take_no_hold_and_lose_none(key):
-    desk = Desk().show(State.RUNNING)
+    desk = Desk().show(SupervisorState.RUNNING)
     assert desk.press(key).wait(1.0) == [KEYS[key]], "somebody else's car"
     desk.press("s").wait(1.0)
     assert desk.press(key).wait(1.0) == [KEYS[key]] + [KEEPALIVE] * 20

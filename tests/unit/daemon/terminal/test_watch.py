@@ -1,10 +1,10 @@
-"""`steerd watch`: what it says is what was heard, and silence is told from standing."""
+"""`steerd watch`: what it shows is what was received, and silence is not standing still."""
 
 import pytest
 from rich.console import Console
 
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.watch import SECOND, Watch, find_car
 from steerd.steer_bus import messages as m
@@ -21,7 +21,7 @@ def sample(name, message):
 def state(speed=1.5, e1=0.012):
     numbers = [0.0] * 21
     numbers[3], numbers[14] = speed, e1
-    return m.State(HEADER, 0, 1, 0, State.RUNNING, *numbers)
+    return m.State(HEADER, 0, 1, 0, SupervisorState.RUNNING, *numbers)
 
 
 def vesc(fault=0):
@@ -53,14 +53,14 @@ def test_state_rates_and_faults():
     assert "state 100" in text
 
 
-def test_silence_is_told():
+def test_silence_is_reported():
     watch = Watch(Dashboard("car1"))
     assert watch.silence(9 * SECOND) == 0.0
     watch.take(sample("state", state()), SECOND)
     assert watch.silence(2 * SECOND) == 0.0
     assert watch.silence(5 * SECOND) == 4.0
-    assert "nothing for 4.0 s" in watch.line(5 * SECOND)
-    assert "nothing for 4.0 s" in shown(watch, 5 * SECOND)
+    assert "no message for 4.0 s" in watch.line(5 * SECOND)
+    assert "no message for 4.0 s" in shown(watch, 5 * SECOND)
     watch.take(sample("state", state()), 6 * SECOND)
     assert watch.silence(6 * SECOND) == 0.0
 
@@ -69,12 +69,14 @@ def test_what_is_no_message_of_ours_is_counted_and_requests_are_left_alone():
     watch = Watch(Dashboard("car1"))
     assert watch.take(Sample("steerd/car1/state", b"\0\1\0\0nonsense"), 0) is None
     assert watch.take(Sample("steerd/car1/diagnostics", b""), 0) is None
-    assert watch.odd == 2
+    assert watch.undecodable == 2
     assert watch.take(Sample("steerd/car1/cmd/drive", b"x"), 0) is None
     assert watch.take(Sample("other/key", b"x"), 0) is None
-    assert watch.odd == 2
-    change = m.Transition(HEADER, State.ARMED, State.RUNNING, "c", "start asked for")
-    assert watch.take(sample("transition", change), 0) == "RUNNING       start asked for"
+    assert watch.undecodable == 2
+    change = m.Transition(
+        HEADER, SupervisorState.ARMED, SupervisorState.RUNNING, "c", "start requested"
+    )
+    assert watch.take(sample("transition", change), 0) == "RUNNING       start requested"
 
 
 def test_which_car():

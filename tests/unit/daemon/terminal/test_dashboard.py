@@ -1,0 +1,87 @@
+"""The dashboard of a run: figures of the drive, and what fits a terminal of 80 columns."""
+
+from math import nan, pi
+
+import pytest
+from rich.console import Console
+
+from steerd.daemon.ipc.pipe_records import PipeRecord
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.terminal.dashboard import SETTLE_NS, Dashboard, Tally
+from steerd.daemon.terminal.terminal import KEY_HELP
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import encode
+
+TICK_NS = 10_000_000
+HEADER = m.make_header(1, m.WORLD)
+
+
+def state(t_ns, x=0.0, e1=0.0, mode=SupervisorState.RUNNING):
+    numbers = [0.0] * 21
+    numbers[0], numbers[2], numbers[14] = x, pi, e1
+    return m.State(HEADER, t_ns, 1, 0, mode, *numbers)
+
+
+def drive(tally, ticks, e1, start_ns=0, speed=1.5):
+    for i in range(ticks):
+        tally.add(state(start_ns + i * TICK_NS, x=speed * i * TICK_NS * 1e-9, e1=e1))
+    return tally
+
+
+def test_distance_and_time_count_from_the_first_running_tick():
+    tally = drive(Tally(), 201, 0.0)
+    assert tally.distance == pytest.approx(3.0)
+    assert tally.driven_ns == 2_000_000_000
+    assert tally.describe() == "drove 3.0 m in 2.0 s"
+
+
+def test_lateral_errors_count_after_settling_and_only_where_they_are_known():
+    ticks = SETTLE_NS // TICK_NS
+    tally = drive(Tally(), ticks, 0.5)
+    assert (tally.count, tally.worst) == (0, 0.0)
+    tally.add(state(SETTLE_NS, e1=-0.03))
+    tally.add(state(SETTLE_NS + TICK_NS, e1=0.01))
+    tally.add(state(SETTLE_NS + 2 * TICK_NS, e1=nan))
+    assert (tally.count, tally.worst) == (2, 0.03)
+    assert tally.rms == pytest.approx(((9e-4 + 1e-4) / 2) ** 0.5)
+    assert "lateral error RMS 2.24 cm, largest 3.00 cm (after 3 s)" in tally.describe()
+    assert "lateral" not in tally.describe(lane=False)
+
+
+def test_a_stop_between_two_drives_is_not_driven_and_settles_anew():
+    tally = drive(Tally(), 401, 0.0)
+    tally.add(state(5_000_000_000, mode=SupervisorState.ARMED, x=90.0))
+    before = tally.count
+    drive(tally, 101, 0.4, start_ns=6_000_000_000)
+    assert tally.count == before
+    assert tally.distance == pytest.approx(6.0 + 1.5)
+    assert tally.driven_ns == 5_000_000_000
+
+
+def test_the_panel_fits_80_columns_and_breaks_lines_between_words():
+    board = Dashboard("steerd · car1 on simulated hardware · figure8", keys=KEY_HELP)
+    board.status = {
+        "state": "DISARMED",
+        "waiting": "an estimate: the filter starts with the first mocap pose and wheel speed",
+        "warnings": "the battery is at 10.2 V\nthis kernel allows no fixed priority, so ticks may "
+        "come late on a busy machine",
+        "mocap": "natnet",
+        "mocap_rate_hz": "240",
+    }
+    board.take(PipeRecord(topics.STATE, 0, 1, 1, encode(state(1, x=-12.345, e1=-1.234))))
+    change = m.Transition(
+        HEADER, SupervisorState.INIT, SupervisorState.DISARMED, "c", "ready " * 15
+    )
+    line = board.take(PipeRecord(topics.TRANSITION, 0, 1, 1, encode(change)))
+    assert line is not None
+    assert line.startswith("DISARMED      ready")
+    console = Console(width=80)
+    with console.capture() as caught:
+        console.print(board.render())
+    lines = caught.get().splitlines()
+    assert max(map(len, lines)) <= 80
+    words = {word for text in lines for word in text.replace("│", " ").split()}
+    wanted = " ".join([*board.status.values(), change.text, KEY_HELP]).split()
+    assert set(wanted) <= words
+    assert "-123.40" in words
