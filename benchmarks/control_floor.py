@@ -104,7 +104,7 @@ def ticking(rest: Callable[[int], None]) -> dict[str, float]:
     config = replace(config, mocap=replace(config.mocap, rate_hz=RATE))
     run: VirtualRun = make_virtual_run(plan, (lambda _records, _t_ns: None,), World(config))
     spent: list[int] = []
-    tick, tell = run.core.tick, run.core.tell
+    tick, tell = run.core.tick, run.core.post_tick
 
     def timed_tick(due_ns: int, now_ns: int, work_ns: int = 0) -> bytes:
         rest(len(spent))
@@ -118,7 +118,7 @@ def ticking(rest: Callable[[int], None]) -> dict[str, float]:
         tell(written)
         spent[-1] += CLOCK.now_ns() - began
 
-    run.core.tick, run.core.tell = timed_tick, timed_tell  # type: ignore[method-assign]
+    run.core.tick, run.core.post_tick = timed_tick, timed_tell  # type: ignore[method-assign]
     while len(spent) < RATE * (2 + SECONDS):
         run.step()
     return percentiles(spent[2 * RATE :])

@@ -2,7 +2,7 @@
 
     python benchmarks/control_path.py --seconds 8
 
-A real crew (core, recorder, gateway, guardian) drives simulated hardware. Between them sits the
+Real processes (core, recorder, gateway, guardian) drive simulated hardware. Between them sits a
 tap: it passes datagrams and serial bytes on and stamps both (CLOCK_MONOTONIC), so that neither
 the core nor the simulation times itself: `path`. In step with mocap, the core ticks as a pose
 comes in; before that, poses wait for the next deadline. `work` is the core's own work in a tick,
@@ -32,8 +32,8 @@ import numpy as np
 
 from steerd.daemon.assembly.build import make_plan, make_world_config
 from steerd.daemon.ipc.pipe_records import unpack_records
-from steerd.daemon.loop.transitions import State
-from steerd.daemon.process.children import Crew, start_crew
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.children import RunProcesses, start_processes
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.real_time.links import spawn_sim
 from steerd.steer_bus import messages as m
@@ -106,12 +106,12 @@ def guardian_of(core: int) -> list[int]:
     return [int(pid) for pid in text.split()]
 
 
-def told(crew: Crew, heard: bytearray, seconds: float) -> bool:
+def told(processes: RunProcesses, heard: bytearray, seconds: float) -> bool:
     """Read what the core tells for a while; whether the car moves by now."""
     end, moves = CLOCK.now_ns() + round(seconds * 1e9), False
     while (left := end - CLOCK.now_ns()) > 0:
-        if select.select([crew.status_fd], [], [], left * 1e-9)[0]:
-            data = os.read(crew.status_fd, 1 << 16)
+        if select.select([processes.status_fd], [], [], left * 1e-9)[0]:
+            data = os.read(processes.status_fd, 1 << 16)
             if not data:
                 return moves
             heard += data
@@ -121,10 +121,10 @@ def told(crew: Crew, heard: bytearray, seconds: float) -> bool:
     return moves
 
 
-def wait_moving(crew: Crew) -> None:
+def wait_moving(processes: RunProcesses) -> None:
     heard = bytearray()
     for _ in range(60):
-        if told(crew, heard, 0.2):
+        if told(processes, heard, 0.2):
             return
     raise TimeoutError("the car never drove")
 
@@ -181,7 +181,9 @@ def judge(session: Path, frames: list[int], orders: list[int], begin: int, end: 
         "late_ms": percentiles(np.maximum(woke - due, 0)[inside]),
         "work_ms": percentiles(work[inside]),
         "ticks": int(inside.sum()),
-        "stopped": bool(np.isin(reached, [State.FAULT_STOP, State.ESTOP]).any()),
+        "stopped": bool(
+            np.isin(reached, [SupervisorState.FAULT_STOP, SupervisorState.ESTOP]).any()
+        ),
         "unrecorded": int(numbers[-1] - numbers[0]) + 1 - numbers.size,
     }
 
@@ -205,31 +207,33 @@ def measure(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]
         where = sim.mocap_url.replace(f":{server[1]}/", f":{mocap}/")
         plan = make_plan(replace(asked, port=port, mocap=where))
         session = Path(folder) / "drive.mcap"
-        crew = start_crew(plan, session, BOOT_ID, CLOCK.realtime_ns() - CLOCK.now_ns(), False)
+        processes = start_processes(
+            plan, session, BOOT_ID, CLOCK.realtime_ns() - CLOCK.now_ns(), False
+        )
         try:
-            wait_moving(crew)
-            core = crew.core.process.pid
+            wait_moving(processes)
+            core = processes.core.process.pid
             guardian = guardian_of(core)
             granted = set_scheduling([core, *guardian], fifo)
             # A real car needs no CPU: the simulated one must not starve beside the load.
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(int(sim.process.pid or 0), os.SCHED_FIFO, os.sched_param(40))
-            pids = {"core": core, "recorder": crew.recorder.process.pid,
-                    "gateway": crew.gateway.process.pid, "guardian": guardian[0],
+            pids = {"core": core, "recorder": processes.recorder.process.pid,
+                    "gateway": processes.gateway.process.pid, "guardian": guardian[0],
                     "simulation": sim.process.pid, "tap": tapping.pid}  # fmt: skip
             with loaded(os.cpu_count() or 1 if busy else 0):
-                told(crew, bytearray(), 1.0)
+                told(processes, bytearray(), 1.0)
                 before, begin = {n: cpu_s(p) for n, p in pids.items()}, CLOCK.now_ns()
-                told(crew, bytearray(), seconds)
+                told(processes, bytearray(), seconds)
                 end = CLOCK.now_ns()
                 share = {n: (cpu_s(p) - before[n]) / (end - begin) * 1e9 for n, p in pids.items()}
             ours.send("stop")
             frames, orders = ours.recv()
         finally:
-            crew.core.process.terminate()
-            crew.requests.close()
-            told(crew, bytearray(), 0.5)
-            crew.end()
+            processes.core.process.terminate()
+            processes.requests.close()
+            told(processes, bytearray(), 0.5)
+            processes.end()
             tapping.join(5)
         found = judge(session, frames, orders, begin, end)
     shares = {name: round(100.0 * value, 1) for name, value in share.items()}

@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from joblib import Parallel, delayed
 
 from steerd.daemon.assembly.build import make_plan, make_world_config
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import drive, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.plant.faults import Fault
@@ -47,7 +47,7 @@ def drive_once(seed: int, seconds: float) -> Drive:
 
     def count(now) -> None:  # type: ignore[no-untyped-def]
         nonlocal driven
-        driven += now.core.loop.supervisor.state is State.RUNNING
+        driven += now.core.loop.supervisor.state is SupervisorState.RUNNING
 
     drive(run, count)
     loop = run.core.loop

@@ -15,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.assembly.build import Plan, make_plan, make_world_config
+from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
 from steerd.daemon.ipc.outbox import Sink
 from steerd.daemon.offline.fast import make_recording
 from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
@@ -30,7 +30,7 @@ RATES = (100, 200)
 
 
 @lru_cache
-def plan_of(rate: int) -> Plan:
+def plan_of(rate: int) -> RunPlan:
     """The drive; its controller is designed once."""
     return make_plan(
         RunOptions(

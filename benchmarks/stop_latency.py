@@ -60,7 +60,7 @@ def be_core(serial_fd: int) -> None:
         pause.poll(5)  # as the loop does: nothing is armed before the guardian shows itself
     while True:
         now = time.monotonic_ns()
-        guard.beat(now, engaged=True)
+        guard.write_heartbeat(now, engaged=True)
         if guard.may_write(now, time.monotonic_ns()):
             os.write(serial_fd, DRIVE)
         due = max(due + PERIOD_NS, now)

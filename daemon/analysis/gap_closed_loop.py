@@ -17,11 +17,11 @@ from steerd.car_model.car_file import CarFile, CarFileError, parse_car
 from steerd.car_model.effect import Effect
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.state import ORIGIN, State
-from steerd.daemon.assembly.build import Plan, make_plan, make_world_config
+from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
 from steerd.daemon.assembly.session_meta import csv_file
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.ipc.pipe_records import Record
-from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.ipc.pipe_records import PipeRecord
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import drive, make_virtual_run
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions, decode_options
@@ -72,7 +72,7 @@ def compare_lane(path: Path, base: CarFile, found: Values) -> LaneComparison:
     return LaneComparison(recorded, without, other, path.name, again, tuple(remarks))
 
 
-def _again(plan: Plan) -> str:
+def _again(plan: RunPlan) -> str:
     """Options of `steerd run` for the same lane; a path file's own place is not known."""
     options = plan.options
     spec = "csv:path.csv" if csv_file(options.path) is not None else options.path
@@ -80,7 +80,7 @@ def _again(plan: Plan) -> str:
 
 
 @contextmanager
-def _planned(session: Session) -> Iterator[Plan]:
+def _planned(session: Session) -> Iterator[RunPlan]:
     """The session's plan; the file that its path names comes from the session itself."""
     options = _options_of(session)
     try:
@@ -131,13 +131,13 @@ def _recorded(session: Session) -> Rows:
     t = (table["stamp_ns"] - table["stamp_ns"][:1]).astype(float) * 1e-9
     names = ("path_s", "e1", "e2", "steer_ref", "x", "y", "yaw")
     rows: Rows = np.column_stack([t, *(table[name].astype(float) for name in names)])
-    rows = rows[(table["mode"] == Supervised.RUNNING) & np.isfinite(rows).all(axis=1)]
+    rows = rows[(table["mode"] == SupervisorState.RUNNING) & np.isfinite(rows).all(axis=1)]
     if not len(rows):
         raise NotALaneDriveError("it was never driven")
     return rows
 
 
-def _lane_drive(rows: Rows, plan: Plan) -> LaneDrive:
+def _lane_drive(rows: Rows, plan: RunPlan) -> LaneDrive:
     """The settled part of rows t, s, e1, e2, steer.
 
     Raises:
@@ -160,7 +160,7 @@ def _with_effects(
 
 
 def _simulated(
-    plan: Plan, base: CarFile, found: Values, start: State[float], remarks: list[str]
+    plan: RunPlan, base: CarFile, found: Values, start: State[float], remarks: list[str]
 ) -> LaneDrive | None:
     """The plan driven by its controller on a car; None, and a remark, if it does not last."""
     label = "with the effect" if found else "without the effect"
@@ -170,11 +170,11 @@ def _simulated(
     )
     rows: list[tuple[float, ...]] = []
 
-    def sink(records: list[Record], t_ns: int) -> None:
+    def sink(records: list[PipeRecord], t_ns: int) -> None:
         for each in records:
             if each.topic is topics.STATE:
                 now = decode(topics.STATE.message, each.data)
-                if now.mode == Supervised.RUNNING:
+                if now.mode == SupervisorState.RUNNING:
                     rows.append((t_ns * 1e-9, now.path_s, now.e1, now.e2, now.steer_ref))
 
     run = make_virtual_run(plan, (sink,), World(config))

@@ -36,7 +36,7 @@ SLOWEST_HZ, SLOWEST_SIMULATED_HZ = 50.0, 20.0
 
 
 @dataclass(frozen=True)
-class Plan:
+class RunPlan:
     """A run that is ready to start: everything that could be refused has been accepted."""
 
     options: RunOptions
@@ -56,7 +56,10 @@ class Plan:
 
         try:
             return make_controller(
-                reachable(self.settings), self.path, self.settings.controller, self.options.rate_hz
+                make_design_car(self.settings),
+                self.path,
+                self.settings.controller,
+                self.options.rate_hz,
             )
         except DesignRefused as error:
             raise SteerdError(str(error), "", ExitCode.INVALID) from None
@@ -72,7 +75,7 @@ class Plan:
 
 def make_plan(
     options: RunOptions, settings: Settings | None = None, *, design: bool = True
-) -> Plan:
+) -> RunPlan:
     """Read the car file (unless its settings are given), the path, and design the controller.
 
     Args:
@@ -99,26 +102,26 @@ def make_plan(
         raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.UNREADABLE) from None
     except ValueError as error:
         raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.USAGE) from None
-    plan = Plan(options, settings, path)
+    plan = RunPlan(options, settings, path)
     if options.drill:
         try:
             drill = parse_drill(options.drill, settings.file.car, settings.limits)
         except PlanError as error:
             raise SteerdError(str(error), "", ExitCode.USAGE) from None
-        plan = Plan(options, fenced(settings, drill), path, drill)
+        plan = RunPlan(options, add_drill_fence(settings, drill), path, drill)
     if design:
         _ = plan.controller
     return plan
 
 
-def fenced(settings: Settings, drill: Drill) -> Settings:
+def add_drill_fence(settings: Settings, drill: Drill) -> Settings:
     """The settings with the drill's box as the fence."""
     if drill.box is None:
         return settings
     return replace(settings, thresholds=replace(settings.thresholds, fence=drill.box.fence))
 
 
-def reachable(settings: Settings) -> Car[float]:
+def make_design_car(settings: Settings) -> Car[float]:
     """The car with the end stops that the last gate enforces: what a design may count on.
 
     Effects that the car file knows of count as far as they are changes of parameters.
@@ -130,7 +133,7 @@ def reachable(settings: Settings) -> Car[float]:
     )
 
 
-def make_loop_setup(plan: Plan, boot_id: int, leased: bool) -> LoopSetup:
+def make_loop_setup(plan: RunPlan, boot_id: int, leased: bool) -> LoopSetup:
     """What the loop of a plan keeps to; also what a replay of it keeps to."""
     from steerd.daemon.loop.loop import LoopSetup
 
@@ -149,7 +152,9 @@ def make_loop_setup(plan: Plan, boot_id: int, leased: bool) -> LoopSetup:
     )
 
 
-def make_core(plan: Plan, boot_id: int, epoch_ns: int, sinks: Sequence[Sink], leased: bool) -> Core:
+def make_core(
+    plan: RunPlan, boot_id: int, epoch_ns: int, sinks: Sequence[Sink], leased: bool
+) -> Core:
     """The control core of a plan.
 
     Args:
@@ -176,7 +181,7 @@ def make_core(plan: Plan, boot_id: int, epoch_ns: int, sinks: Sequence[Sink], le
 
 
 def make_world_config(
-    plan: Plan, mocap_kind: str = "natnet", keep_bytes: bool = False
+    plan: RunPlan, mocap_kind: str = "natnet", keep_bytes: bool = False
 ) -> WorldConfig:
     """Simulated hardware that fits a plan: the car of the car file, with the effects asked for.
 

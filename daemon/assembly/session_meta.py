@@ -8,7 +8,7 @@ from pathlib import Path
 
 import platformdirs
 
-from steerd.daemon.assembly.build import Plan
+from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.settings.run_options import encode_options
 
 
@@ -35,7 +35,7 @@ def _git() -> dict[str, str]:
 
 
 def make_metadata(
-    plan: Plan, boot_id: int, epoch_ns: int, *, leased: bool, reproducible: bool = False
+    plan: RunPlan, boot_id: int, epoch_ns: int, *, leased: bool, reproducible: bool = False
 ) -> dict[str, dict[str, str]]:
     """Metadata records of a session.
 
@@ -65,7 +65,7 @@ def make_metadata(
     return {"steerd.session": session, "steerd.vehicle": vehicle, "steerd.scaling": scaling}
 
 
-def make_attachments(plan: Plan) -> dict[str, str]:
+def make_attachments(plan: RunPlan) -> dict[str, str]:
     """Texts to keep inside the session: car file and path file exactly as they were."""
     texts = {"car.toml": plan.settings.file.text}
     path_file = csv_file(plan.options.path)

@@ -16,7 +16,7 @@ from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import make_key
 from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
 
-PLAIN = f"tcp/127.0.0.1:{DEFAULT_PORT}"
+DEFAULT_ENDPOINT = f"tcp/127.0.0.1:{DEFAULT_PORT}"
 
 KEEPALIVE_NS = 50_000_000
 """Well within the deadman's 300 ms."""
@@ -38,7 +38,7 @@ class Operator:
     name: str = "operator"
     seq: int = 0
 
-    def make(self, kind: RequestKind, realtime_ns: int) -> bytes:
+    def make_request(self, kind: RequestKind, realtime_ns: int) -> bytes:
         """The next request, encoded."""
         self.seq += 1
         header = make_header(realtime_ns, BODY)
@@ -50,7 +50,9 @@ class Operator:
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Where the daemon is, and who we are there."""
-    parser.add_argument("--connect", metavar="ENDPOINT", help=f"the daemon's (default {PLAIN})")
+    parser.add_argument(
+        "--connect", metavar="ENDPOINT", help=f"the daemon's (default {DEFAULT_ENDPOINT})"
+    )
     parser.add_argument("--lab", type=Path, metavar="DIR", help="our folder of `steerd keys`")
 
 
@@ -61,7 +63,7 @@ def connect(args: argparse.Namespace) -> ZenohBus:
         SteerdError: there is none, or it does not take us.
     """
     lab = read_lab(args.lab) if args.lab else None
-    endpoint = args.connect or (lab.endpoint if lab else PLAIN)
+    endpoint = args.connect or (lab.endpoint if lab else DEFAULT_ENDPOINT)
     try:
         return ZenohBus(make_spoke_profile(endpoint, lab))
     except BusError as error:

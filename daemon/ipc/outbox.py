@@ -7,11 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from steerd.daemon.ipc.pipe_records import Record
+from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.steer_bus.codec import CodecError, encode
 from steerd.steer_bus.topics import Topic
 
-Sink = Callable[[list[Record], int], None]
+Sink = Callable[[list[PipeRecord], int], None]
 """Takes the records of one tick and the monotonic time [ns]; must not block."""
 
 
@@ -26,7 +26,7 @@ class Outbox:
 
     epoch_ns: int
     sinks: tuple[Sink, ...]
-    _pending: list[Record] = field(default_factory=list)
+    _pending: list[PipeRecord] = field(default_factory=list)
     _counts: dict[str, int] = field(default_factory=dict)
     _last_ns: int = 0
 
@@ -40,7 +40,7 @@ class Outbox:
         self._last_ns = max(self._last_ns, t_ns)
         publish_ns = (t_ns if valid_ns is None else valid_ns) + self.epoch_ns
         log_ns = self._last_ns + self.epoch_ns
-        self._pending.append(Record(topic, count, log_ns, publish_ns, b"", message))
+        self._pending.append(PipeRecord(topic, count, log_ns, publish_ns, b"", message))
 
     def flush(self, t_ns: int) -> None:
         """Encode everything queued and hand it to the sinks.
@@ -58,7 +58,7 @@ class Outbox:
             raise wrong
 
 
-def _encode_all(queued: list[Record]) -> tuple[list[Record], CodecError | None]:
+def _encode_all(queued: list[PipeRecord]) -> tuple[list[PipeRecord], CodecError | None]:
     """Encode each record; also give the first error."""
     records, wrong = [], None
     for record in queued:

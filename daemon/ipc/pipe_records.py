@@ -21,7 +21,7 @@ _F_SETPIPE_SZ = 1031
 _INDEX = {topic.name: index for index, topic in enumerate(TOPICS)}
 
 
-class Record(NamedTuple):
+class PipeRecord(NamedTuple):
     """One encoded message on its way out of the core."""
 
     topic: Topic
@@ -37,13 +37,13 @@ class Record(NamedTuple):
     """What was encoded, for readers in the core's own process; None behind a pipe."""
 
 
-def read_message(record: Record) -> Any:
+def read_message(record: PipeRecord) -> Any:
     """The message of a record, decoded where it crossed a pipe."""
     known = record.message
     return decode(record.topic.message, record.data) if known is None else known
 
 
-def pack_record(record: Record) -> bytes:
+def pack_record(record: PipeRecord) -> bytes:
     """The record as pipe bytes."""
     head = _HEAD.pack(
         len(record.data),
@@ -56,7 +56,7 @@ def pack_record(record: Record) -> bytes:
     return head + record.data
 
 
-def unpack_records(buffer: bytearray) -> Iterator[Record]:
+def unpack_records(buffer: bytearray) -> Iterator[PipeRecord]:
     """Take every whole record off the front of `buffer`."""
     start = 0
     while len(buffer) - start >= _HEAD.size:
@@ -66,7 +66,7 @@ def unpack_records(buffer: bytearray) -> Iterator[Record]:
             break
         data = bytes(buffer[start + _HEAD.size : end])
         start = end
-        yield Record(TOPICS[index], sequence, log_ns, publish_ns, data)
+        yield PipeRecord(TOPICS[index], sequence, log_ns, publish_ns, data)
     del buffer[:start]
 
 

@@ -16,7 +16,7 @@ def block_stop_signals() -> None:
     signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
 
 
-def stop_signal_pipe() -> int:
+def make_stop_signal_pipe() -> int:
     """Start the waiting thread; the descriptor yields one byte (the signal's number) each.
 
     The stop signals must be blocked (`block_stop_signals`).

@@ -13,7 +13,7 @@ STANDING_SPEED = 0.05
 _TOOL = "in VESC Tool: App Settings > General"
 
 
-class VescSelf(NamedTuple):
+class VescInfo(NamedTuple):
     """What the VESC told about itself; None where it did not.
 
     Attributes:
@@ -31,7 +31,7 @@ class VescSelf(NamedTuple):
     timeout_brake_current: float | None
 
 
-class Lane(NamedTuple):
+class LaneStatus(NamedTuple):
     """Where the car stands against its path [m, rad], or that it is told from elsewhere."""
 
     e1: float
@@ -40,7 +40,7 @@ class Lane(NamedTuple):
     remote_alive: bool
 
 
-def red_vesc(vesc: VescSelf | None, brakes: BrakeSettings) -> Iterator[str]:
+def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:
     """What is wrong with the VESC: which it is, its own timeout."""
     if vesc is None:
         return
@@ -62,13 +62,13 @@ def red_vesc(vesc: VescSelf | None, brakes: BrakeSettings) -> Iterator[str]:
         yield f"the VESC would coast on timeout: set Timeout Brake Current above 0 A {_TOOL}"
 
 
-def red_flags(flags: int) -> Iterator[str]:
+def check_flags(flags: int) -> Iterator[str]:
     """What the core found out about the VESC since it is linked."""
     if flags & Flag.UNBOUNDED:
         yield "the VESC does not take this session's speed limit: power it off and on"
 
 
-def red_lane(lane: Lane, thresholds: Thresholds) -> Iterator[str]:
+def check_lane(lane: LaneStatus, thresholds: Thresholds) -> Iterator[str]:
     """What is wrong with where the car stands."""
     if lane.remote:
         if not lane.remote_alive:
@@ -81,12 +81,12 @@ def red_lane(lane: Lane, thresholds: Thresholds) -> Iterator[str]:
         yield f"the car points {degrees(lane.e2):+.0f} deg off the path: turn it"
 
 
-def red_findings(findings: Iterable[Finding]) -> Iterator[str]:
+def check_findings(findings: Iterable[Finding]) -> Iterator[str]:
     """Watchdogs that would trip."""
     return (finding.text for finding in findings if finding.severity > Severity.WARN)
 
 
-def red_motion(speed: float) -> Iterator[str]:
+def check_motion(speed: float) -> Iterator[str]:
     """A car that moves is not armed."""
     if not abs(speed) < STANDING_SPEED:
         yield f"the car moves at {speed:.2f} m/s: let it stand"

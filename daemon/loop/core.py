@@ -5,8 +5,8 @@ time drive the same object.
 """
 
 from steerd.daemon.ipc.outbox import Outbox
-from steerd.daemon.loop.checks import VescSelf, red_vesc
-from steerd.daemon.loop.failed_loop import describe_error, tick_blind
+from steerd.daemon.loop.checks import VescInfo, check_vesc
+from steerd.daemon.loop.failed_loop import describe_error, make_failed_tick
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.loop import Loop, TickResult
 from steerd.daemon.loop.outgoing import (
@@ -19,7 +19,7 @@ from steerd.daemon.loop.outgoing import (
     make_transition,
 )
 from steerd.daemon.loop.supervisor import Action
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.mocap_link.source import PoseSample, SourceStatus
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -38,7 +38,7 @@ DIAGNOSTICS_PERIOD_NS = 500_000_000
 BOUND_TRIES = 3
 """A frame may be lost; a VESC that will not take the session's limits is told so to people."""
 _INFO, _WARN, _ERROR = 20, 30, 40
-_ALARM = (State.FAULT_STOP, State.FAULT_LATCHED, State.ESTOP)
+_ALARM = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
 
 
 class Core:
@@ -79,7 +79,7 @@ class Core:
         try:
             self._on_serial(t_ns, data)
         except Exception as error:
-            self.strand(error)
+            self.latch_exception(error)
 
     def _on_serial(self, t_ns: int, data: bytes) -> None:
         epoch = self.outbox.epoch_ns
@@ -119,7 +119,7 @@ class Core:
         version, appconf = self.link.version, self.link.appconf
         if version is None:
             return
-        vesc = VescSelf(
+        vesc = VescInfo(
             self._expected,
             version.uuid.hex() if version.uuid else "",
             (version.firmware.major, version.firmware.minor),
@@ -155,12 +155,12 @@ class Core:
         current = self.loop.setup.settings.brakes.brake_current_a
         return encode_frame(encode_command(SetCurrentBrake(current)))
 
-    def strand(self, error: BaseException) -> None:
+    def latch_exception(self, error: BaseException) -> None:
         """An exception that nothing expects, wherever it was raised: stop for good (W29)."""
         self.flags |= Flag.EXCEPTION
         self.error = self.error or error
 
-    def make_farewell(self) -> bytes:
+    def make_shutdown_frames(self) -> bytes:
         """Frames for a car at rest: let the motor go, give the VESC its own limits back."""
         frames = encode_frame(encode_command(SetCurrent(0.0)))
         if self._limits_before is not None and self._expected:
@@ -175,7 +175,7 @@ class Core:
                 message = make_mocap(sample, self.outbox.epoch_ns)
                 self.outbox.post(topics.MOCAP, message, sample.t_arrival_ns, sample.t_valid_ns)
         except Exception as error:
-            self.strand(error)
+            self.latch_exception(error)
 
     def on_request(self, name: str, data: bytes, t_ns: int) -> bool:
         """A message for the car from outside; False if it is not one."""
@@ -208,7 +208,7 @@ class Core:
         self._ticked = m.Tick(header, due_ns, now_ns, work_ns, self._seq & 0xFFFFFFFF, flags)
         return wire
 
-    def tell(self, written: bytes) -> None:
+    def post_tick(self, written: bytes) -> None:
         """Tell of the tick, when its bytes are on their way: a car cannot wait, messages can.
 
         Never raises: what cannot be told stops the car.
@@ -217,7 +217,7 @@ class Core:
             if self.last is not None and self._ticked is not None:
                 self._tell_tick(self.last, self._ticked, written)
         except Exception as error:
-            self.strand(error)
+            self.latch_exception(error)
 
     def _tell_tick(self, result: TickResult, tick: m.Tick, written: bytes) -> None:
         now_ns, epoch = tick.woke_ns, self.outbox.epoch_ns
@@ -244,8 +244,8 @@ class Core:
         try:
             return self.loop.tick(due_ns, now_ns, flags)
         except Exception as error:
-            self.strand(error)
-            return tick_blind(self.loop, error, now_ns, bool(flags & Flag.LINKED))
+            self.latch_exception(error)
+            return make_failed_tick(self.loop, error, now_ns, bool(flags & Flag.LINKED))
 
     def _wire(self, drive: e.Drive, now_ns: int) -> bytes:
         """This tick's bytes: drive order and polls, and connecting where that is not done."""
@@ -290,14 +290,14 @@ class Core:
 
     def _waiting(self, action: Action, waiting: str) -> str:
         """What the loop waits for, made concrete where only the links know."""
-        if action.waiting != waiting or self.loop.supervisor.state is not State.INIT:
+        if action.waiting != waiting or self.loop.supervisor.state is not SupervisorState.INIT:
             return waiting
         if not self.flags & Flag.LINKED:
             return "the serial port to open"
         if self.loop.vesc is None:
             return "the VESC to answer: is it powered, and is this its port?"
         if not self.loop.vesc.expected:
-            return next(red_vesc(self.loop.vesc, self.loop.setup.settings.brakes))
+            return next(check_vesc(self.loop.vesc, self.loop.setup.settings.brakes))
         if self.loop.perception.accepted_ns is None:
             detail = f" ({self.source.detail})" if self.source and self.source.detail else ""
             return f"a first pose of the car from mocap{detail}"
@@ -318,7 +318,7 @@ class Core:
         return telling
 
 
-def make_identity(vesc: VescSelf, t_ns: int, epoch_ns: int) -> m.VescIdentity:
+def make_identity(vesc: VescInfo, t_ns: int, epoch_ns: int) -> m.VescIdentity:
     """What the VESC told about itself, as a message."""
     brake = vesc.timeout_brake_current
     return m.VescIdentity(
@@ -333,10 +333,10 @@ def make_identity(vesc: VescSelf, t_ns: int, epoch_ns: int) -> m.VescIdentity:
     )
 
 
-def read_identity(message: m.VescIdentity) -> VescSelf:
+def read_identity(message: m.VescIdentity) -> VescInfo:
     """The inverse of `make_identity`."""
     known = message.timeout_ms >= 0
-    return VescSelf(
+    return VescInfo(
         bool(message.expected),
         message.uuid,
         (message.fw_major, message.fw_minor),

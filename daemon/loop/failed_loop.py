@@ -13,14 +13,14 @@ from steerd.controller.limits import make_gate_state
 from steerd.daemon.loop.findings import make_finding, summarise
 from steerd.daemon.loop.orders import make_order
 from steerd.daemon.loop.supervisor import Conditions, step
-from steerd.daemon.loop.transitions import Is, State
+from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.vesc_link.events import Drive, DriveBrake, DriveSpeed
 
 if TYPE_CHECKING:
     from steerd.daemon.loop.loop import Loop, TickResult
 
-_DRIVING = (State.RUNNING, State.STOPPING)
+_DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
 
 
 def describe_error(error: BaseException) -> str:
@@ -30,18 +30,18 @@ def describe_error(error: BaseException) -> str:
     return f"{type(error).__name__}{place}: {error}"
 
 
-def tick_blind(loop: "Loop", error: BaseException, now_ns: int, linked: bool) -> "TickResult":
+def make_failed_tick(loop: "Loop", error: BaseException, now_ns: int, linked: bool) -> "TickResult":
     """Decide this tick's bytes without the part that failed: an armed car brakes and latches."""
     from steerd.daemon.loop.loop import TickResult
 
     finding = make_finding("W29", describe_error(error))
     bits, text = summarise((finding,))
-    facts = Is(bits) | Is.IDENTIFIED | Is.SLOWING | (Is.LINKED if linked else Is(0))
+    facts = Fact(bits) | Fact.IDENTIFIED | Fact.SLOWING | (Fact.LINKED if linked else Fact(0))
     settings, speed = loop.setup.settings, loop.perception.recent_wheel_speed(now_ns)
     old = loop.supervisor.state
     conditions = Conditions(int(facts), speed, 0, text)
     loop.supervisor, action = step(loop.supervisor, conditions, 0, now_ns)
-    loop.faulted = loop.faulted or loop.supervisor.state is State.FAULT_STOP
+    loop.faulted = loop.faulted or loop.supervisor.state is SupervisorState.FAULT_STOP
     loop.ran = loop.ran or (old in _DRIVING and loop.supervisor.state not in _DRIVING)
     gate = make_gate_state(settings.limits, Command(0.0, 0.0), now_ns)
     order = make_order(

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from enum import IntEnum
 from typing import NamedTuple
 
-from steerd.daemon.loop.transitions import Is
+from steerd.daemon.loop.transitions import Fact
 
 
 class Severity(IntEnum):
@@ -85,7 +85,7 @@ def make_finding(id: str, measured: str, severity: Severity | None = None) -> Fi
     return Finding(id, level, f"{id} {watchdog.name}: {measured}; {watchdog.advice}")
 
 
-_FACT = (0, int(Is.SOFT), int(Is.HARD), int(Is.KILLED))
+_FACT = (0, int(Fact.SOFT), int(Fact.HARD), int(Fact.KILLED))
 
 
 def summarise(findings: Iterable[Finding]) -> tuple[int, str]:

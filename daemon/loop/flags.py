@@ -38,7 +38,7 @@ _REPORTS = (
 )
 
 
-def reported_findings(flags: int) -> Iterator[Finding]:
+def make_reported_findings(flags: int) -> Iterator[Finding]:
     """The watchdogs that the runner watches itself."""
     if flags != Flag.LINKED:
         for flag, name, words in _REPORTS:

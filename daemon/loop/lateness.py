@@ -22,13 +22,13 @@ class LatenessRules(NamedTuple):
     share: float
 
 
-def make_rules(thresholds: Thresholds) -> LatenessRules:
+def make_lateness_rules(thresholds: Thresholds) -> LatenessRules:
     """What a car file allows on hardware."""
     late_ns = round(thresholds.late * 1e9)
     return LatenessRules(late_ns, thresholds.late_run, thresholds.late_share)
 
 
-ON_HARDWARE = make_rules(Thresholds())
+ON_HARDWARE = make_lateness_rules(Thresholds())
 IN_SIMULATION = LatenessRules(250_000_000, 25, 0.5)
 """Nobody stands in a simulated lane, and a laptop hiccups: late ticks are counted and told."""
 

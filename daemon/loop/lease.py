@@ -62,7 +62,9 @@ def _remember(former: Numbers, who: int, seq: int) -> Numbers:
     return (*rest, (who, seq))[-FORMER_MAX:] if who else former
 
 
-def accept(lease: Lease, asked: OperatorRequest, t_ns: int, idle: bool) -> tuple[Lease, Request]:
+def accept_request(
+    lease: Lease, asked: OperatorRequest, t_ns: int, idle: bool
+) -> tuple[Lease, Request]:
     """Take a request or refuse it.
 
     A stop is taken from anybody. All else needs this run's boot id, the lease (free for others

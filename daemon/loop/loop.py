@@ -22,40 +22,40 @@ from steerd.controller.lane_controller import (
 from steerd.controller.limits import Verdict, make_gate_state
 from steerd.daemon.loop.checks import (
     STANDING_SPEED,
-    Lane,
-    VescSelf,
-    red_findings,
-    red_flags,
-    red_lane,
-    red_motion,
-    red_vesc,
+    LaneStatus,
+    VescInfo,
+    check_findings,
+    check_flags,
+    check_lane,
+    check_motion,
+    check_vesc,
 )
 from steerd.daemon.loop.findings import Finding, make_finding, summarise
-from steerd.daemon.loop.flags import Flag, reported_findings
-from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_rules, step_lateness
+from steerd.daemon.loop.flags import Flag, make_reported_findings
+from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
 from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
 from steerd.daemon.loop.lease import (
     Lease,
     Remote,
-    accept,
+    accept_request,
     command_age,
     lease_age,
     take_command,
     valid_command,
 )
 from steerd.daemon.loop.orders import Order, make_order
-from steerd.daemon.loop.perception import Perception, best_speed, place
+from steerd.daemon.loop.perception import Perception, best_speed, estimated_state
 from steerd.daemon.loop.plans import Drill
 from steerd.daemon.loop.supervisor import (
     LAUNCH_SPEED,
     NEVER,
     Action,
     Conditions,
-    SupervisorState,
-    make_supervisor_state,
+    SupervisorMemory,
+    make_supervisor_memory,
 )
 from steerd.daemon.loop.supervisor import step as step_supervisor
-from steerd.daemon.loop.transitions import Is, Request, State
+from steerd.daemon.loop.transitions import Fact, Request, SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, is_slowing, step_watchdogs
 from steerd.daemon.settings.config import Settings
 from steerd.estimator.state_filter import Estimate
@@ -63,16 +63,21 @@ from steerd.mocap_link.source import PoseSample
 from steerd.steer_bus.messages import DriveCommand, OperatorRequest
 from steerd.vesc_link.events import ImuSample, Telemetry
 
-_DRIVING = (State.RUNNING, State.STOPPING)
-_PARKED = (State.INIT, State.DISARMED, State.READY, State.FAULT_LATCHED)
+_DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
+_PARKED = (
+    SupervisorState.INIT,
+    SupervisorState.DISARMED,
+    SupervisorState.READY,
+    SupervisorState.FAULT_LATCHED,
+)
 _RELOCATE_TICKS = 25
 _LEASE_KEPT_S = 1.0
 """How long a silent operator's lease is kept while the car is not parked."""
 _FACTS = tuple(
     int(fact)
     for fact in (
-        Is.LINKED, Is.IDENTIFIED, Is.GREEN, Is.FW_TIMEOUT, Is.LEASED, Is.ENDED, Is.LAUNCHED,
-        Is.ESTIMATED, Is.SLOWING,
+        Fact.LINKED, Fact.IDENTIFIED, Fact.CHECKS_PASS, Fact.FW_TIMEOUT, Fact.LEASED, Fact.ENDED,
+        Fact.LAUNCHED, Fact.ESTIMATED, Fact.SLOWING,
     )
 )  # fmt: skip
 
@@ -106,7 +111,7 @@ class LoopSetup:
     drill: Drill | None = None
 
     @property
-    def blind(self) -> bool:
+    def ignores_lane(self) -> bool:
         """Whether the lane is nobody's business: something else than the lane keeper drives."""
         return self.remote or (self.drill is not None and not self.drill.closed)
 
@@ -116,8 +121,8 @@ class TickResult(NamedTuple):
 
     order: Order
     action: Action
-    old: State
-    supervisor: SupervisorState
+    old: SupervisorState
+    supervisor: SupervisorMemory
     estimate: Estimate | None
     report: ControlReport | None
     findings: tuple[Finding, ...]
@@ -143,10 +148,10 @@ class Loop:
         self.setup = setup
         car = believed_car(s.file.model)
         self.perception = Perception(car, s.filter, s.thresholds, s.scaling)
-        self.supervisor = make_supervisor_state(0)
+        self.supervisor = make_supervisor_memory(0)
         self.lease = Lease(setup.boot_id)
         self.remote = Remote()
-        self.vesc: VescSelf | None = None
+        self.vesc: VescInfo | None = None
         self.faulted = False
         self.ran = False
         self._gate = make_gate_state(s.limits, Command(0.0, 0.0), 0)
@@ -155,7 +160,7 @@ class Loop:
         self._launch: LaunchState | None = None
         self._watchdogs = WatchdogState()
         self._lateness = Lateness()
-        self._late_rules = IN_SIMULATION if setup.simulated else make_rules(s.thresholds)
+        self._late_rules = IN_SIMULATION if setup.simulated else make_lateness_rules(s.thresholds)
         self._asked = Request.NONE
         self._not_finite = False
         self._started_ns = 0
@@ -175,7 +180,7 @@ class Loop:
         """An IMU reading arrived."""
         self.perception.on_imu(sample)
 
-    def on_vesc(self, vesc: VescSelf | None) -> None:
+    def on_vesc(self, vesc: VescInfo | None) -> None:
         """The VESC told more about itself, or went away."""
         self.vesc = vesc
 
@@ -184,7 +189,7 @@ class Loop:
         parked = self.supervisor.state in _PARKED
         patience = self.setup.settings.thresholds.lease if parked else _LEASE_KEPT_S
         idle = lease_age(self.lease, t_ns) > patience
-        self.lease, request = accept(self.lease, asked, t_ns, idle)
+        self.lease, request = accept_request(self.lease, asked, t_ns, idle)
         self._asked |= request
 
     def on_drive(self, command: DriveCommand, t_ns: int) -> None:
@@ -220,7 +225,9 @@ class Loop:
             now_ns,
         )
         self._leave(order, now_ns)
-        waiting = red[0] if red and self.supervisor.state is State.DISARMED else action.waiting
+        waiting = (
+            red[0] if red and self.supervisor.state is SupervisorState.DISARMED else action.waiting
+        )
         return TickResult(
             order, action, old, self.supervisor, estimate, report, findings, waiting, facts
         )
@@ -236,7 +243,7 @@ class Loop:
         lost = self.supervisor.state in _PARKED and self._ticks % _RELOCATE_TICKS == 0
         if self._control is None or lost:
             self._control = start_controller(self.setup.controller, estimate.state, now_ns)
-        stop = self.supervisor.state is not State.RUNNING
+        stop = self.supervisor.state is not SupervisorState.RUNNING
         wish, report, self._control = control(
             self.setup.controller,
             self._control,
@@ -253,7 +260,7 @@ class Loop:
 
     def _drilled(self, drill: Drill, lane: Command[float], now_ns: int) -> Command[float]:
         """The excitation plan's wish; outside the drive the wheels stay where they are."""
-        if self.supervisor.state is State.RUNNING:
+        if self.supervisor.state is SupervisorState.RUNNING:
             return drill.wish((now_ns - self._started_ns) * 1e-9, lane)
         return lane if drill.closed else Command(self._gate.order.steer, lane.speed)
 
@@ -274,7 +281,7 @@ class Loop:
         now_ns: int,
         flags: int,
     ) -> tuple[Finding, ...]:
-        reported = list(reported_findings(flags))
+        reported = list(make_reported_findings(flags))
         self._lateness, late = step_lateness(
             self._lateness, due_ns, now_ns, self.setup.period_ns, self._late_rules
         )
@@ -288,7 +295,7 @@ class Loop:
         return findings
 
     def _judge_launch(self, estimate: Estimate | None, now_ns: int) -> Iterator[Finding]:
-        if self.supervisor.state is not State.RUNNING or estimate is None:
+        if self.supervisor.state is not SupervisorState.RUNNING or estimate is None:
             return
         s = estimate.state
         wheel_speed = self.perception.wheel_speed
@@ -303,7 +310,7 @@ class Loop:
     def _judge_commands(self, now_ns: int) -> Iterator[Finding]:
         if self._not_finite:
             yield make_finding("gate", "the controller gave a number that is not finite")
-        driving = self.supervisor.state is State.RUNNING and self.setup.remote
+        driving = self.supervisor.state is SupervisorState.RUNNING and self.setup.remote
         if driving and valid_command(self.remote, now_ns) is None:
             age = command_age(self.remote, now_ns)
             yield make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")
@@ -318,11 +325,11 @@ class Loop:
     ) -> WatchdogInput:
         settings, seen = self.setup.settings, self.perception
         values = seen.telemetry.values if seen.telemetry else None
-        s, health = place(estimate), estimate.health if estimate else None
+        s, health = estimated_state(estimate), estimate.health if estimate else None
         steer = self._gate.order.steer
         limits = settings.limits
         side = limits.steer_left_max if steer > 0.0 else limits.steer_right_max
-        lane = None if self.setup.blind else report
+        lane = None if self.setup.ignores_lane else report
         launched = self._launch is not None and self._launch.done
         cap = limits.speed_max if launched else min(LAUNCH_SPEED, limits.speed_max)
         return WatchdogInput(
@@ -342,8 +349,8 @@ class Loop:
             sigma_position=health.position_sd if health else nan,
             sigma_yaw=health.yaw_sd if health else nan,
             covariance_ok=health.sound if health else False,
-            lateral_error=lane.e1 if lane else (0.0 if self.setup.blind else nan),
-            heading_error=lane.e2 if lane else (0.0 if self.setup.blind else nan),
+            lateral_error=lane.e1 if lane else (0.0 if self.setup.ignores_lane else nan),
+            heading_error=lane.e2 if lane else (0.0 if self.setup.ignores_lane else nan),
             steer_share=abs(steer) / side,
             status=(values.status or 0) if values else 0,
             fault_code=(values.fault or 0) if values else 0,
@@ -369,15 +376,15 @@ class Loop:
         """Pre-arm checks that fail, the most telling first."""
         settings = self.setup.settings
         alive = valid_command(self.remote, now_ns) is not None
-        red = [*red_vesc(self.vesc, settings.brakes), *red_flags(flags)]
+        red = [*check_vesc(self.vesc, settings.brakes), *check_flags(flags)]
         if report is None:
             red.append("no estimate yet: mocap must see the car for a moment, standing")
-        red += red_findings(findings)
-        if report is not None and (self.setup.remote or not self.setup.blind):
-            lane = Lane(report.e1, report.e2, self.setup.remote, alive)
-            red += red_lane(lane, settings.thresholds)
-        if self.supervisor.state is not State.RUNNING:
-            red += red_motion(speed)
+        red += check_findings(findings)
+        if report is not None and (self.setup.remote or not self.setup.ignores_lane):
+            lane = LaneStatus(report.e1, report.e2, self.setup.remote, alive)
+            red += check_lane(lane, settings.thresholds)
+        if self.supervisor.state is not SupervisorState.RUNNING:
+            red += check_motion(speed)
         return red
 
     def _facts(self, estimate: Estimate | None, red: list[str], now_ns: int, flags: int) -> int:
@@ -386,7 +393,7 @@ class Loop:
         known = self.vesc is not None and self.vesc.expected and self.vesc.timeout_ms is not None
         values = seen.telemetry.values if seen.telemetry else None
         fresh = seen.telemetry_age(now_ns) <= th.telemetry
-        running = self.supervisor.state is State.RUNNING
+        running = self.supervisor.state is SupervisorState.RUNNING
         over = setup.duration_ns is not None and now_ns - self._started_ns >= setup.duration_ns
         refused = flags & Flag.MOCAP_REFUSED
         holds = (
@@ -414,20 +421,20 @@ class Loop:
         if flags & Flag.ABORT:
             asked |= Request.ABORT
         if self.setup.auto_arm and not self.ran and not flags & (Flag.QUIT | Flag.ABORT):
-            asked |= Request.ARM if state is State.READY else Request.NONE
-            asked |= Request.START if state is State.ARMED else Request.NONE
+            asked |= Request.ARM if state is SupervisorState.READY else Request.NONE
+            asked |= Request.START if state is SupervisorState.ARMED else Request.NONE
         return int(asked)
 
-    def _enter(self, old: State, estimate: Estimate | None, now_ns: int) -> None:
+    def _enter(self, old: SupervisorState, estimate: Estimate | None, now_ns: int) -> None:
         """What a change of state begins or ends."""
         new = self.supervisor.state
-        if new is State.RUNNING and old is not State.RUNNING:
+        if new is SupervisorState.RUNNING and old is not SupervisorState.RUNNING:
             self._started_ns, self._launch = now_ns, None
             if estimate is not None:
                 self._control = start_controller(self.setup.controller, estimate.state, now_ns)
         if old in _DRIVING and new not in _DRIVING:
             self.ran, self._launch = True, None
-        self.faulted = self.faulted or new in (State.FAULT_STOP, State.ESTOP)
+        self.faulted = self.faulted or new in (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
         rolling = abs(self.perception.wheel_speed) > STANDING_SPEED
         self.perception.may_rebase = new in _PARKED and not rolling
 
@@ -447,7 +454,9 @@ class Loop:
     @property
     def at_rest(self) -> bool:
         """Whether this process may end: parked, or stopped by an emergency stop and standing."""
-        stopped = self.supervisor.state is State.ESTOP and self.supervisor.still_ns != NEVER
+        stopped = (
+            self.supervisor.state is SupervisorState.ESTOP and self.supervisor.still_ns != NEVER
+        )
         return self.parked or stopped
 
 

@@ -6,7 +6,7 @@ from math import isfinite
 from steerd.car_model.state import Command
 from steerd.controller.limits import Gated, GateState, Limits, Verdict, gate, make_gate_state
 from steerd.daemon.loop.supervisor import Action
-from steerd.daemon.loop.transitions import Motor, Steering
+from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.vesc_link.events import (
     Drive,
@@ -18,7 +18,7 @@ from steerd.vesc_link.events import (
 )
 from steerd.vesc_link.scaling import Scaling, as_sent
 
-_DRIVEN = (Motor.DRIVE, Motor.RAMP_STOP)
+_DRIVEN = (MotorOutput.DRIVE, MotorOutput.RAMP_STOP)
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def make_order(
     if driven:
         sent = Command(*as_sent(scaling, gated.order.steer, gated.order.speed))
         return Order(DriveSpeed(*sent), gated.state, sent, gated.verdict)
-    steer = None if action.steering is Steering.NONE else gated.order.steer
+    steer = None if action.steering is SteeringOutput.NONE else gated.order.steer
     rolling = _rolling(limits, gated, measured, t_ns)
     return Order(_undriven(action.motor, brakes, steer), rolling, None, gated.verdict)
 
@@ -79,9 +79,9 @@ def _aim(
     action: Action, state: GateState, wish: Command[float] | None, speed: float
 ) -> Command[float]:
     steer = state.order.steer
-    if action.steering is Steering.CENTRE:
+    if action.steering is SteeringOutput.CENTRE:
         steer = 0.0
-    elif action.steering is Steering.LIVE and wish is not None:
+    elif action.steering is SteeringOutput.LIVE and wish is not None:
         steer = wish.steer
     return Command(steer, wish.speed if wish is not None and action.motor in _DRIVEN else speed)
 
@@ -92,19 +92,19 @@ def _rolling(limits: Limits, gated: Gated, speed: float, t_ns: int) -> GateState
     return make_gate_state(limits, order, t_ns)
 
 
-def _undriven(motor: Motor, brakes: BrakeSettings, steer: float | None) -> Drive:
+def _undriven(motor: MotorOutput, brakes: BrakeSettings, steer: float | None) -> Drive:
     match motor:
-        case Motor.SOFT_BRAKE:
+        case MotorOutput.SOFT_BRAKE:
             return DriveBrake(steer, brakes.soft_brake_current_a)
-        case Motor.HOLD_BRAKE:
+        case MotorOutput.HOLD_BRAKE:
             return DriveBrake(steer, brakes.hold_brake_current_a)
-        case Motor.BRAKE:
+        case MotorOutput.BRAKE:
             return DriveBrake(steer, brakes.brake_current_a)
-        case Motor.ESTOP_BRAKE:
+        case MotorOutput.ESTOP_BRAKE:
             return DriveBrake(steer, brakes.estop_brake_current_a)
-        case Motor.DUTY_ZERO:
+        case MotorOutput.DUTY_ZERO:
             return DriveShort(steer)
-        case Motor.RELEASE_ONCE:
+        case MotorOutput.RELEASE_ONCE:
             return DriveRelease(steer)
         case _:
             return DriveSilent(steer)

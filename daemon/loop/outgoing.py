@@ -5,8 +5,8 @@ from math import nan
 
 from steerd.controller.lane_controller import ControlReport
 from steerd.daemon.loop.findings import Finding
-from steerd.daemon.loop.supervisor import Action, SupervisorState
-from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.loop.supervisor import Action, SupervisorMemory
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.estimator.state_filter import Estimate
 from steerd.mocap_link.source import ClockKind, PoseSample
 from steerd.steer_bus import messages as m
@@ -125,7 +125,7 @@ def make_state(
     estimate: Estimate | None,
     report: ControlReport | None,
     drive: Drive,
-    mode: Supervised,
+    mode: SupervisorState,
     flags: int,
     seq: int,
     t_ns: int,
@@ -153,14 +153,14 @@ def make_state(
     )
 
 
-def make_transition(old: Supervised, new: SupervisorState, stamp_ns: int) -> m.Transition:
+def make_transition(old: SupervisorState, new: SupervisorMemory, stamp_ns: int) -> m.Transition:
     """A change of the supervisor's state and why."""
     code = f"{old.name.lower()}_{new.state.name.lower()}"
     return m.Transition(m.make_header(stamp_ns, m.BODY), old, new.state, code, new.reason)
 
 
 def make_diagnostics(
-    supervisor: SupervisorState,
+    supervisor: SupervisorMemory,
     action: Action,
     waiting: str,
     findings: Iterable[Finding],
@@ -168,8 +168,10 @@ def make_diagnostics(
     stamp_ns: int,
 ) -> DiagnosticArray:
     """State, why it is so, what it waits for, warnings: for `steerd status` and for viewers."""
-    level = 2 if supervisor.state in (Supervised.FAULT_STOP, Supervised.FAULT_LATCHED) else 0
-    level = 2 if supervisor.state is Supervised.ESTOP else level
+    level = (
+        2 if supervisor.state in (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED) else 0
+    )
+    level = 2 if supervisor.state is SupervisorState.ESTOP else level
     warnings = [finding.text for finding in findings]
     if warnings and level == 0:
         level = 1

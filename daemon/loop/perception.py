@@ -178,6 +178,6 @@ def best_speed(estimate: Estimate | None, wheel_speed: float) -> float:
     return estimate.state.speed if fed else nan
 
 
-def place(estimate: Estimate | None) -> State[float]:
+def estimated_state(estimate: Estimate | None) -> State[float]:
     """The estimated state, or NaNs."""
     return estimate.state if estimate is not None else State(*(nan,) * 7)

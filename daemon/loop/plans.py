@@ -113,7 +113,7 @@ class Drill:
         """Length of the plan [s]."""
         return sum(s.seconds for s in self.segments)
 
-    def at(self, t: float) -> Command[float]:
+    def command_at(self, t: float) -> Command[float]:
         """The plan's own command `t` seconds into it; afterwards it stands."""
         for segment in self.segments:
             if t < segment.seconds:
@@ -123,7 +123,7 @@ class Drill:
 
     def wish(self, t: float, lane: Command[float]) -> Command[float]:
         """What to ask for, given what the lane keeper would ask for."""
-        own = self.at(t)
+        own = self.command_at(t)
         if not self.closed:
             return own
         return Command(lane.steer + own.steer, lane.speed * own.speed)
@@ -242,7 +242,7 @@ def _follow(car: Car[float], segments: Iterable[Segment], gain: float = 1.0) -> 
             yield g
 
 
-def forecast(car: Car[float], segments: Sequence[Segment]) -> Box:
+def forecast_extent(car: Car[float], segments: Sequence[Segment]) -> Box:
     """What a plan needs from its start at the origin, for a car that may steer 3 % otherwise.
 
     The way that a stop would take is included.
@@ -297,7 +297,7 @@ def make_open_drill(
         segments = _segments(name, car, limits, max(radius, smallest), speed)
         if box is None:
             return Drill(name, segments, False, None)
-        reach = forecast(car, segments)
+        reach = forecast_extent(car, segments)
         if _fits(box, reach):
             return Drill(name, segments, False, box)
         if radius < smallest or name == "circles":
@@ -329,7 +329,7 @@ def _check_name(name: str) -> None:
         raise PlanError(f"plan {name!r}: one of {', '.join(NAMES)}")
 
 
-def closed_path(box: Box | None) -> str:
+def make_closed_path(box: Box | None) -> str:
     """The lane keeper's path under a probe: a figure eight if the box has room, else a circle.
 
     Raises:

@@ -9,7 +9,15 @@ tests. No clock, no I/O, no randomness.
 from math import inf, isfinite
 from typing import NamedTuple
 
-from steerd.daemon.loop.transitions import STOP_REASON, Is, Motor, Row, State, Steering, choose
+from steerd.daemon.loop.transitions import (
+    STOP_REASON,
+    Fact,
+    MotorOutput,
+    SteeringOutput,
+    SupervisorState,
+    TransitionRow,
+    choose_row,
+)
 
 STILL_SPEED = 0.05  # [m/s] slower than this is standing
 SOFT_DECEL = 1.5  # [m/s2] slope of the speed cap while stopping
@@ -17,17 +25,17 @@ SOFT_BRAKE_SPEED = 0.3  # [m/s] below it a VESC's speed loop lets go, so brake c
 LAUNCH_SPEED = 0.5  # [m/s] until the launch checks have passed
 OPEN_FRAMES = 3  # brake frames after the port was (re)opened
 STILL_NS = 300_000_000
-GREEN_NS = 1_000_000_000
+CHECKS_HOLD_NS = 1_000_000_000
 PROOF_NS = 210_000_000  # longer than the 200 ms between the ALIVEs of a forgotten VESC Tool
 PROOF_SLACK_NS = 50_000_000
 CENTRE_NS = 500_000_000  # full lock to centre takes 0.1 s; the rest is for lost frames
 GAP_NS = 100_000_000  # nobody looked for so long: what held before proves nothing
 NEVER = -1
 DURATIONS = {
-    State.ARMED: 30 * 10**9,
-    State.STOPPING: 4 * 10**9,
-    State.FAULT_STOP: 2 * 10**9,
-    State.ESTOP: 2 * 10**9,
+    SupervisorState.ARMED: 30 * 10**9,
+    SupervisorState.STOPPING: 4 * 10**9,
+    SupervisorState.FAULT_STOP: 2 * 10**9,
+    SupervisorState.ESTOP: 2 * 10**9,
 }
 
 
@@ -47,16 +55,16 @@ class Conditions(NamedTuple):
     text: str = ""
 
 
-class SupervisorState(NamedTuple):
+class SupervisorMemory(NamedTuple):
     """All that the supervisor remembers; times are [ns], monotonic."""
 
-    state: State
+    state: SupervisorState
     t_ns: int
     since_ns: int
     reason: str
     still_ns: int
-    """Seen standing since, or ``NEVER``; likewise ``green_ns`` and ``proof_ns``."""
-    green_ns: int
+    """Seen standing since, or ``NEVER``; likewise ``checks_ns`` and ``proof_ns``."""
+    checks_ns: int
     proof_ns: int
     cap: float
     rearm: bool
@@ -75,8 +83,8 @@ class Action(NamedTuple):
         waiting: what it waits for.
     """
 
-    motor: Motor
-    steering: Steering
+    motor: MotorOutput
+    steering: SteeringOutput
     cap: float
     reason: str
     waiting: str
@@ -87,17 +95,27 @@ _REQUESTS = (1 << 9) - 1
 _KNOWN = (1 << 10) - 1
 _SHIFT = 18
 (
-    _LINKED, _IDENTIFIED, _GREEN, _FW_TIMEOUT, _LEASED, _SOFT, _HARD, _KILLED, _ENDED, _LAUNCHED,
-    _ESTIMATED, _SLOWING, _GREEN_HELD, _STILL, _MEASURED, _PROVEN, _ELAPSED, _REARM,
+    _LINKED, _IDENTIFIED, _CHECKS_PASS, _FW_TIMEOUT, _LEASED, _SOFT, _HARD, _KILLED, _ENDED,
+    _LAUNCHED, _ESTIMATED, _SLOWING, _CHECKS_HELD, _STILL, _MEASURED, _PROVEN, _ELAPSED, _REARM,
 ) = (1 << bit for bit in range(_SHIFT))  # fmt: skip
-_UNKNOWN = int(Is.UNKNOWN)
-_SPOILS_REARM = int(Is.SOFT | Is.DISARM | Is.UNKNOWN)
+_UNKNOWN = int(Fact.UNKNOWN)
+_SPOILS_REARM = int(Fact.SOFT | Fact.DISARM | Fact.UNKNOWN)
 
 
-def make_supervisor_state(t_ns: int) -> SupervisorState:
+def make_supervisor_memory(t_ns: int) -> SupervisorMemory:
     """Return the state of a process that has just started: INIT, nothing proven."""
-    return SupervisorState(
-        State.INIT, t_ns, t_ns, "started", NEVER, NEVER, NEVER, 0.0, False, False, OPEN_FRAMES
+    return SupervisorMemory(
+        SupervisorState.INIT,
+        t_ns,
+        t_ns,
+        "started",
+        NEVER,
+        NEVER,
+        NEVER,
+        0.0,
+        False,
+        False,
+        OPEN_FRAMES,
     )
 
 
@@ -108,15 +126,15 @@ def _since(holds: object, began: int, t_ns: int) -> int:
     return t_ns if began == NEVER else began
 
 
-def _renew_timers(s: SupervisorState, c: Conditions, t_ns: int) -> tuple[int, int, int]:
-    """Return since when the car stands, the checks are green, the timeout shows."""
+def _renew_timers(s: SupervisorMemory, c: Conditions, t_ns: int) -> tuple[int, int, int]:
+    """Return since when the car stands, the checks pass, the timeout shows."""
     if not 0 <= t_ns - s.t_ns <= GAP_NS:
         return NEVER, NEVER, NEVER
     still = -STILL_SPEED < c.speed < STILL_SPEED
-    proof = c.facts & _FW_TIMEOUT and s.state == State.SELF_TEST
+    proof = c.facts & _FW_TIMEOUT and s.state == SupervisorState.SELF_TEST
     return (
         _since(still, s.still_ns, t_ns),
-        _since(c.facts & _GREEN, s.green_ns, t_ns),
+        _since(c.facts & _CHECKS_PASS, s.checks_ns, t_ns),
         _since(proof, s.proof_ns, t_ns),
     )
 
@@ -125,14 +143,14 @@ def _held(began: int, t_ns: int, duration_ns: int) -> bool:
     return began != NEVER and t_ns - began >= duration_ns
 
 
-def derive(s: SupervisorState, c: Conditions, requests: int, t_ns: int) -> int:
+def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -> int:
     """Return all guard bits (``Is``); the timers in ``s`` must be those of this tick."""
     asked = int(requests)
     bits = (int(c.facts) & _GIVEN) | (asked & _REQUESTS) << _SHIFT
     if asked & ~_KNOWN:
         bits |= _UNKNOWN
-    if _held(s.green_ns, t_ns, GREEN_NS):
-        bits |= _GREEN_HELD
+    if _held(s.checks_ns, t_ns, CHECKS_HOLD_NS):
+        bits |= _CHECKS_HELD
     if _held(s.still_ns, t_ns, STILL_NS):
         bits |= _STILL
     if isfinite(c.speed):
@@ -140,100 +158,106 @@ def derive(s: SupervisorState, c: Conditions, requests: int, t_ns: int) -> int:
     if _held(s.proof_ns, t_ns, PROOF_NS):
         bits |= _PROVEN
     allowed = (
-        c.timeout_ns + PROOF_SLACK_NS if s.state == State.SELF_TEST else DURATIONS.get(s.state)
+        c.timeout_ns + PROOF_SLACK_NS
+        if s.state == SupervisorState.SELF_TEST
+        else DURATIONS.get(s.state)
     )
     if allowed is not None and t_ns - s.since_ns >= allowed:
         bits |= _ELAPSED
-    if s.state == State.INIT and s.frames:
+    if s.state == SupervisorState.INIT and s.frames:
         bits &= ~_IDENTIFIED
     if s.rearm and not bits & _SPOILS_REARM and bits & _LEASED:
         bits |= _REARM
     return bits
 
 
-def _enter(s: SupervisorState, row: Row, c: Conditions, t_ns: int) -> SupervisorState:
-    own_words = s.reason if row.to == State.FAULT_LATCHED else c.text
+def _enter(s: SupervisorMemory, row: TransitionRow, c: Conditions, t_ns: int) -> SupervisorMemory:
+    own_words = s.reason if row.to == SupervisorState.FAULT_LATCHED else c.text
     reason = row.reason or own_words or "a watchdog tripped"
-    frames = OPEN_FRAMES if row.to == State.INIT else s.frames
+    frames = OPEN_FRAMES if row.to == SupervisorState.INIT else s.frames
     rearm = row.reason == STOP_REASON
-    return SupervisorState(
+    return SupervisorMemory(
         row.to, t_ns, t_ns, reason, s.still_ns, NEVER, NEVER, s.cap, rearm, False, frames
     )
 
 
-def _next_cap(s: SupervisorState, old: SupervisorState, bits: int, speed: float) -> float:
+def _next_cap(s: SupervisorMemory, old: SupervisorMemory, bits: int, speed: float) -> float:
     """Speed cap [m/s]: it only ever falls while stopping, starting at what the car really does."""
-    if s.state == State.RUNNING:
+    if s.state == SupervisorState.RUNNING:
         # What shows as launched when a drive begins is the drive before.
-        launched = old.state == State.RUNNING and bits & _LAUNCHED
+        launched = old.state == SupervisorState.RUNNING and bits & _LAUNCHED
         return inf if launched else LAUNCH_SPEED
-    if s.state != State.STOPPING:
+    if s.state != SupervisorState.STOPPING:
         return 0.0
-    if old.state != State.STOPPING:
+    if old.state != SupervisorState.STOPPING:
         return min(old.cap, abs(speed)) if bits & _MEASURED else 0.0
     return max(0.0, old.cap - SOFT_DECEL * max(0, s.t_ns - old.t_ns) * 1e-9)
 
 
-def _choose_motor(s: SupervisorState, old: SupervisorState, bits: int) -> Motor:
-    """Motor bytes that follow from the state; `docs/reference/safety-requirements.md#s3.1`."""
+def _choose_motor(s: SupervisorMemory, old: SupervisorMemory, bits: int) -> MotorOutput:
+    """Motor bytes by state; `docs/reference/safety-requirements.md#s3.1`."""
     match s.state:
-        case State.INIT:
-            return Motor.SOFT_BRAKE if s.frames and bits & _LINKED else Motor.SILENT
-        case State.ARMED:
-            return Motor.HOLD_BRAKE
-        case State.RUNNING:
-            return Motor.DRIVE
-        case State.STOPPING:
-            return Motor.SOFT_BRAKE if s.braking else Motor.RAMP_STOP
-        case State.FAULT_STOP:
-            return Motor.BRAKE if bits & _SLOWING else Motor.DUTY_ZERO
-        case State.FAULT_LATCHED:
-            return Motor.RELEASE_ONCE if old.state != State.FAULT_LATCHED else Motor.SILENT
-        case State.ESTOP if not (bits & _ELAPSED and bits & _STILL):
-            return Motor.ESTOP_BRAKE if bits & _SLOWING else Motor.DUTY_ZERO
+        case SupervisorState.INIT:
+            return MotorOutput.SOFT_BRAKE if s.frames and bits & _LINKED else MotorOutput.SILENT
+        case SupervisorState.ARMED:
+            return MotorOutput.HOLD_BRAKE
+        case SupervisorState.RUNNING:
+            return MotorOutput.DRIVE
+        case SupervisorState.STOPPING:
+            return MotorOutput.SOFT_BRAKE if s.braking else MotorOutput.RAMP_STOP
+        case SupervisorState.FAULT_STOP:
+            return MotorOutput.BRAKE if bits & _SLOWING else MotorOutput.DUTY_ZERO
+        case SupervisorState.FAULT_LATCHED:
+            return (
+                MotorOutput.RELEASE_ONCE
+                if old.state != SupervisorState.FAULT_LATCHED
+                else MotorOutput.SILENT
+            )
+        case SupervisorState.ESTOP if not (bits & _ELAPSED and bits & _STILL):
+            return MotorOutput.ESTOP_BRAKE if bits & _SLOWING else MotorOutput.DUTY_ZERO
         case _:
-            return Motor.SILENT
+            return MotorOutput.SILENT
 
 
-def _choose_steering(s: SupervisorState, bits: int, motor: Motor) -> Steering:
-    """Servo bytes that follow from the state; `docs/reference/safety-requirements.md#s3.1`."""
+def _choose_steering(s: SupervisorMemory, bits: int, motor: MotorOutput) -> SteeringOutput:
+    """Servo bytes by state; `docs/reference/safety-requirements.md#s3.1`."""
     match s.state:
-        case State.ARMED:
-            return Steering.CENTRE
-        case State.RUNNING | State.STOPPING:
-            return Steering.LIVE
-        case State.DISARMED | State.FAULT_LATCHED:
-            return Steering.CENTRE if s.t_ns - s.since_ns < CENTRE_NS else Steering.NONE
-        case State.FAULT_STOP | State.ESTOP if motor != Motor.SILENT:
+        case SupervisorState.ARMED:
+            return SteeringOutput.CENTRE
+        case SupervisorState.RUNNING | SupervisorState.STOPPING:
+            return SteeringOutput.LIVE
+        case SupervisorState.DISARMED | SupervisorState.FAULT_LATCHED:
+            return SteeringOutput.CENTRE if s.t_ns - s.since_ns < CENTRE_NS else SteeringOutput.NONE
+        case SupervisorState.FAULT_STOP | SupervisorState.ESTOP if motor != MotorOutput.SILENT:
             if bits & _STILL:
-                return Steering.CENTRE
-            return Steering.LIVE if bits & _ESTIMATED else Steering.HOLD
+                return SteeringOutput.CENTRE
+            return SteeringOutput.LIVE if bits & _ESTIMATED else SteeringOutput.HOLD
         case _:
-            return Steering.NONE
+            return SteeringOutput.NONE
 
 
-def _count_frames(s: SupervisorState, bits: int) -> int:
+def _count_frames(s: SupervisorMemory, bits: int) -> int:
     """Brake frames still owed to a port that was just opened."""
     return max(0, s.frames - 1) if bits & _LINKED else OPEN_FRAMES
 
 
 _WAITING = {
-    State.INIT: "VESC firmware, UUID and settings, and a first mocap frame",
-    State.DISARMED: "all checks green for 1 s",
-    State.READY: "arm",
-    State.SELF_TEST: "the VESC's timeout to show",
-    State.ARMED: "start",
-    State.RUNNING: "stop, or the end of the run",
-    State.STOPPING: "the car to stand still",
-    State.FAULT_STOP: "the car to stand still",
-    State.FAULT_LATCHED: "the cause to go, then clear",
-    State.ESTOP: "the car to stand still, then reset",
+    SupervisorState.INIT: "VESC firmware, UUID and settings, and a first mocap frame",
+    SupervisorState.DISARMED: "all checks pass for 1 s",
+    SupervisorState.READY: "arm",
+    SupervisorState.SELF_TEST: "the VESC's timeout to show",
+    SupervisorState.ARMED: "start",
+    SupervisorState.RUNNING: "stop, or the end of the run",
+    SupervisorState.STOPPING: "the car to stand still",
+    SupervisorState.FAULT_STOP: "the car to stand still",
+    SupervisorState.FAULT_LATCHED: "the cause to go, then clear",
+    SupervisorState.ESTOP: "the car to stand still, then reset",
 }
 
 
 def step(
-    old: SupervisorState, conditions: Conditions, requests: int, t_ns: int
-) -> tuple[SupervisorState, Action]:
+    old: SupervisorMemory, conditions: Conditions, requests: int, t_ns: int
+) -> tuple[SupervisorMemory, Action]:
     """One tick of the supervisor.
 
     Args:
@@ -245,22 +269,22 @@ def step(
     Returns:
         The new state, and what this very tick must put on the wire.
     """
-    still, green, proof = _renew_timers(old, conditions, t_ns)
-    s = old._replace(t_ns=t_ns, still_ns=still, green_ns=green, proof_ns=proof)
-    bits = derive(s, conditions, requests, t_ns)
-    row = choose(s.state, bits)
+    still, checks, proof = _renew_timers(old, conditions, t_ns)
+    s = old._replace(t_ns=t_ns, still_ns=still, checks_ns=checks, proof_ns=proof)
+    bits = derive_facts(s, conditions, requests, t_ns)
+    row = choose_row(s.state, bits)
     if row is not None and row.to != s.state:
         s = _enter(s, row, conditions, t_ns)
-        bits = derive(s, conditions, requests, t_ns)
+        bits = derive_facts(s, conditions, requests, t_ns)
     else:
         s = s._replace(rearm=bool(bits & _REARM))
     cap = _next_cap(s, old, bits, conditions.speed)
-    braking = s.state == State.STOPPING and (
+    braking = s.state == SupervisorState.STOPPING and (
         s.braking or cap < SOFT_BRAKE_SPEED or not abs(conditions.speed) >= SOFT_BRAKE_SPEED
     )
     s = s._replace(cap=cap, braking=braking)
     motor = _choose_motor(s, old, bits)
     steering = _choose_steering(s, bits, motor)
-    if s.state == State.INIT:
+    if s.state == SupervisorState.INIT:
         s = s._replace(frames=_count_frames(s, bits))
     return s, Action(motor, steering, cap, s.reason, _WAITING[s.state])

@@ -1,6 +1,6 @@
 """The state machine as one table: states, requests, facts, and the rows that join them.
 
-This is `docs/reference/safety-requirements.md#s3`. ``choose`` is all the logic there is;
+This is `docs/reference/safety-requirements.md#s3`. ``choose_row`` is all the logic there is;
 ``supervisor`` derives the facts and says what the wire must carry in each state.
 """
 
@@ -8,7 +8,7 @@ from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
 
-class State(IntEnum):
+class SupervisorState(IntEnum):
     """Where the car is between switched on and driving; the order carries no meaning."""
 
     INIT = 0
@@ -39,7 +39,7 @@ class Request(IntFlag):
     KEEPALIVE = 512  # feeds the deadman (W25), moves nothing here
 
 
-class Motor(IntEnum):
+class MotorOutput(IntEnum):
     """What the motor bytes of this tick must be."""
 
     SILENT = 0  # telemetry polls only
@@ -53,7 +53,7 @@ class Motor(IntEnum):
     ESTOP_BRAKE = 8  # SET_CURRENT_BRAKE(I_max)
 
 
-class Steering(IntEnum):
+class SteeringOutput(IntEnum):
     """What the servo bytes of this tick must be; every angle goes through the gate."""
 
     NONE = 0
@@ -62,12 +62,12 @@ class Steering(IntEnum):
     HOLD = 3  # the last accepted angle, as far as the gate's lateral acceleration allows it
 
 
-class Is(IntFlag):
-    """Facts that guards look at: the loop gives the first twelve, ``derive`` adds the others."""
+class Fact(IntFlag):
+    """Facts that guards test: the loop gives the first twelve, ``derive_facts`` the others."""
 
     LINKED = 1 << 0  # port open
     IDENTIFIED = 1 << 1  # firmware, UUID and appconf prefix match, and mocap has been seen
-    GREEN = 1 << 2  # every pre-arm check passes now
+    CHECKS_PASS = 1 << 2  # every pre-arm check passes now
     FW_TIMEOUT = 1 << 3  # status bit 0 of a fresh GET_VALUES
     LEASED = 1 << 4  # a valid lease, and the deadman where one is required
     SOFT = 1 << 5  # a watchdog asks for STOPPING
@@ -77,7 +77,7 @@ class Is(IntFlag):
     LAUNCHED = 1 << 9  # the launch checks have passed
     ESTIMATED = 1 << 10  # the estimator is healthy
     SLOWING = 1 << 11  # the stop works, as far as W24 can tell
-    GREEN_HELD = 1 << 12  # GREEN for 1 s
+    CHECKS_HELD = 1 << 12  # CHECKS_PASS for 1 s
     STILL = 1 << 13  # |v| < 0.05 m/s for 0.3 s
     MEASURED = 1 << 14  # the speed is known, from any source
     PROVEN = 1 << 15  # FW_TIMEOUT through 210 ms of silence
@@ -94,81 +94,88 @@ class Is(IntFlag):
     UNKNOWN = 1 << 26
 
 
-class Row(NamedTuple):
+class TransitionRow(NamedTuple):
     """One transition: all of ``needs``, at least one of ``one_of`` (if any), none of ``unless``."""
 
-    sources: tuple[State, ...]
+    sources: tuple[SupervisorState, ...]
     needs: int
     one_of: int
     unless: int
-    to: State
+    to: SupervisorState
     reason: str
     """Empty: the watchdog's own words."""
 
 
-_ANY = tuple(State)
+_ANY = tuple(SupervisorState)
 INIT, DISARMED, READY, SELF_TEST, ARMED, RUNNING, STOPPING, FAULT_STOP, FAULT_LATCHED, ESTOP = _ANY
 _QUIET = (DISARMED, READY, SELF_TEST)
 _DRIVEN = (ARMED, RUNNING, STOPPING)
-_RED = Is.SOFT | Is.HARD
-_LEAVE = Is.DISARM | Is.UNKNOWN
-_HALT = Is.STOP | Is.DISARM | Is.ABORT | Is.UNKNOWN
+_RED = Fact.SOFT | Fact.HARD
+_LEAVE = Fact.DISARM | Fact.UNKNOWN
+_HALT = Fact.STOP | Fact.DISARM | Fact.ABORT | Fact.UNKNOWN
 STOP_REASON = "stop asked for"
 UNPROVEN = (
     "the VESC's timeout did not show: status bit 0 must stay set while nobody sends commands."
     " Close VESC Tool and its apps, and set App Settings > General > Timeout to 100-200 ms"
 )
-_0 = Is(0)
+_0 = Fact(0)
 
 # The first row that matches wins. A fault of a car that is not armed is a red check: it keeps it
 # silent and disarmed. Faults of an armed car latch.
-TABLE: tuple[Row, ...] = tuple(
-    Row(sources, int(needs), int(one_of), int(unless), to, reason)
+TABLE: tuple[TransitionRow, ...] = tuple(
+    TransitionRow(sources, int(needs), int(one_of), int(unless), to, reason)
     for sources, needs, one_of, unless, to, reason in (
-        (_ANY, Is.CALL_ESTOP, _0, _0, ESTOP, "emergency stop called"),
-        (_ANY, Is.KILLED, _0, _0, ESTOP, ""),
-        (_DRIVEN, Is.HARD, _0, _0, FAULT_STOP, ""),
-        (_DRIVEN, _0, _0, Is.LINKED, FAULT_STOP, "serial link lost"),
-        (_DRIVEN, Is.ABORT, _0, _0, FAULT_STOP, "second signal: stopping hard"),
-        (_QUIET, _0, _0, Is.LINKED, INIT, "serial link lost"),
-        (_QUIET, _0, _0, Is.IDENTIFIED, INIT, "VESC or mocap is not what the car file names"),
-        ((INIT,), Is.LINKED | Is.IDENTIFIED, _0, _0, DISARMED, "VESC identified, mocap seen"),
-        ((DISARMED,), Is.GREEN_HELD, _0, _RED, READY, "all checks green"),
+        (_ANY, Fact.CALL_ESTOP, _0, _0, ESTOP, "emergency stop called"),
+        (_ANY, Fact.KILLED, _0, _0, ESTOP, ""),
+        (_DRIVEN, Fact.HARD, _0, _0, FAULT_STOP, ""),
+        (_DRIVEN, _0, _0, Fact.LINKED, FAULT_STOP, "serial link lost"),
+        (_DRIVEN, Fact.ABORT, _0, _0, FAULT_STOP, "second signal: stopping hard"),
+        (_QUIET, _0, _0, Fact.LINKED, INIT, "serial link lost"),
+        (_QUIET, _0, _0, Fact.IDENTIFIED, INIT, "VESC or mocap is not what the car file names"),
+        ((INIT,), Fact.LINKED | Fact.IDENTIFIED, _0, _0, DISARMED, "VESC identified, mocap seen"),
+        ((DISARMED,), Fact.CHECKS_HELD, _0, _RED, READY, "all checks pass"),
         ((READY, SELF_TEST), _0, _RED, _0, DISARMED, ""),
-        ((READY, SELF_TEST), _0, _0, Is.GREEN, DISARMED, "a pre-arm check turned red"),
-        ((READY,), Is.ARM | Is.LEASED, _0, _HALT, SELF_TEST, "proving the VESC's timeout"),
-        ((SELF_TEST,), _0, _0, Is.LEASED, DISARMED, "lease or deadman lost"),
+        ((READY, SELF_TEST), _0, _0, Fact.CHECKS_PASS, DISARMED, "a pre-arm check failed"),
+        ((READY,), Fact.ARM | Fact.LEASED, _0, _HALT, SELF_TEST, "proving the VESC's timeout"),
+        ((SELF_TEST,), _0, _0, Fact.LEASED, DISARMED, "lease or deadman lost"),
         ((SELF_TEST,), _0, _HALT, _0, DISARMED, "arming called off"),
-        ((SELF_TEST,), Is.PROVEN, _0, _0, ARMED, "VESC's timeout proven"),
-        ((SELF_TEST,), Is.ELAPSED, _0, Is.FW_TIMEOUT, DISARMED, UNPROVEN),
-        ((ARMED,), Is.SOFT, _0, _0, DISARMED, ""),
-        ((ARMED,), _0, _0, Is.LEASED, DISARMED, "lease or deadman lost"),
+        ((SELF_TEST,), Fact.PROVEN, _0, _0, ARMED, "VESC's timeout proven"),
+        ((SELF_TEST,), Fact.ELAPSED, _0, Fact.FW_TIMEOUT, DISARMED, UNPROVEN),
+        ((ARMED,), Fact.SOFT, _0, _0, DISARMED, ""),
+        ((ARMED,), _0, _0, Fact.LEASED, DISARMED, "lease or deadman lost"),
         ((ARMED,), _0, _LEAVE, _0, DISARMED, "disarm asked for"),
-        ((ARMED,), Is.START | Is.GREEN, _0, _HALT, RUNNING, "start asked for"),
-        ((ARMED,), Is.ELAPSED, _0, _0, DISARMED, "armed for 30 s without a start"),
-        ((RUNNING,), Is.SOFT, _0, _0, STOPPING, ""),
-        ((RUNNING,), _0, _0, Is.LEASED, STOPPING, "lease or deadman lost"),
+        ((ARMED,), Fact.START | Fact.CHECKS_PASS, _0, _HALT, RUNNING, "start asked for"),
+        ((ARMED,), Fact.ELAPSED, _0, _0, DISARMED, "armed for 30 s without a start"),
+        ((RUNNING,), Fact.SOFT, _0, _0, STOPPING, ""),
+        ((RUNNING,), _0, _0, Fact.LEASED, STOPPING, "lease or deadman lost"),
         ((RUNNING,), _0, _LEAVE, _0, STOPPING, "disarm asked for"),
-        ((RUNNING,), Is.STOP, _0, _0, STOPPING, STOP_REASON),
-        ((RUNNING,), Is.ENDED, _0, _0, STOPPING, "end of the run"),
-        ((STOPPING,), Is.STILL | Is.REARM, _0, _0, ARMED, "stopped"),
-        ((STOPPING,), Is.STILL, _0, _0, DISARMED, "stopped"),
-        ((STOPPING,), Is.ELAPSED, _0, _0, FAULT_STOP, "not stopped after 4 s: braking hard"),
-        ((FAULT_STOP,), Is.STILL, _0, _0, FAULT_LATCHED, ""),
-        ((FAULT_STOP,), Is.ELAPSED, _0, Is.MEASURED, FAULT_LATCHED, ""),
-        ((FAULT_LATCHED,), Is.CLEAR | Is.STILL, _0, _RED, DISARMED, "fault cleared"),
-        ((ESTOP,), Is.RESET | Is.STILL | Is.ELAPSED, _0, _RED, DISARMED, "emergency stop reset"),
+        ((RUNNING,), Fact.STOP, _0, _0, STOPPING, STOP_REASON),
+        ((RUNNING,), Fact.ENDED, _0, _0, STOPPING, "end of the run"),
+        ((STOPPING,), Fact.STILL | Fact.REARM, _0, _0, ARMED, "stopped"),
+        ((STOPPING,), Fact.STILL, _0, _0, DISARMED, "stopped"),
+        ((STOPPING,), Fact.ELAPSED, _0, _0, FAULT_STOP, "not stopped after 4 s: braking hard"),
+        ((FAULT_STOP,), Fact.STILL, _0, _0, FAULT_LATCHED, ""),
+        ((FAULT_STOP,), Fact.ELAPSED, _0, Fact.MEASURED, FAULT_LATCHED, ""),
+        ((FAULT_LATCHED,), Fact.CLEAR | Fact.STILL, _0, _RED, DISARMED, "fault cleared"),
+        (
+            (ESTOP,),
+            Fact.RESET | Fact.STILL | Fact.ELAPSED,
+            _0,
+            _RED,
+            DISARMED,
+            "emergency stop reset",
+        ),
     )
 )
-ROWS = tuple(tuple(row for row in TABLE if state in row.sources) for state in State)
+ROWS = tuple(tuple(row for row in TABLE if state in row.sources) for state in SupervisorState)
 
 
-def is_engaged(state: State) -> bool:
+def is_engaged(state: SupervisorState) -> bool:
     """Whether motor bytes flow in this state, so that the guardian must brake if the core dies."""
     return state in (ARMED, RUNNING, STOPPING, FAULT_STOP, ESTOP)
 
 
-def choose(state: State, bits: int) -> Row | None:
+def choose_row(state: SupervisorState, bits: int) -> TransitionRow | None:
     """Return the first row of ``TABLE`` that matches, or None to stay."""
     for row in ROWS[state]:
         if (

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from steerd.daemon.loop.findings import Finding, Severity, make_finding
 from steerd.daemon.loop.supervisor import SOFT_DECEL
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs_pose import PoseWatch, is_flapping, rejected_share
 from steerd.daemon.settings.thresholds import Thresholds
 
@@ -56,7 +56,7 @@ class WatchdogInput(NamedTuple):
     """
 
     t_ns: int
-    state: State
+    state: SupervisorState
     pose: PoseWatch
     mocap_age: float
     telemetry_age: float
@@ -86,10 +86,10 @@ class WatchdogInput(NamedTuple):
 
 Say = Callable[[Finding], None]
 Check = Callable[[Thresholds, WatchdogInput, Say], None]
-_DRIVING = (State.RUNNING, State.STOPPING)
-_FED = (State.ARMED, State.RUNNING)
-_LEASED = (State.ARMED, State.RUNNING, State.STOPPING)
-_STOPS = (State.STOPPING, State.FAULT_STOP, State.ESTOP)
+_DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
+_FED = (SupervisorState.ARMED, SupervisorState.RUNNING)
+_LEASED = (SupervisorState.ARMED, SupervisorState.RUNNING, SupervisorState.STOPPING)
+_STOPS = (SupervisorState.STOPPING, SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
 
 
 def mocap_timeout(th: Thresholds, speed: float) -> float:
@@ -243,7 +243,7 @@ def _is_mismatched(th: Thresholds, i: WatchdogInput) -> bool:
 def _is_blocked(th: Thresholds, i: WatchdogInput) -> bool:
     # The wheels' own speed: a filter that disbelieves its sensors would go on "driving".
     stands = not abs(i.speed_erpm) >= th.blocked_speed
-    return stands and i.current_share > th.blocked_current and i.state == State.RUNNING
+    return stands and i.current_share > th.blocked_current and i.state == SupervisorState.RUNNING
 
 
 TIMED: tuple[Timed, ...] = (
@@ -302,7 +302,7 @@ class WatchdogState(NamedTuple):
     tachometer: int = -1
     saturated_ns: int = NEVER
     saturated_error: float = 0.0
-    stop: State | None = None
+    stop: SupervisorState | None = None
     stop_ns: int = 0
     stop_speed: float = 0.0
     weak: int = 0
@@ -329,7 +329,7 @@ def _step_timed(th: Thresholds, w: WatchdogState, i: WatchdogInput, say: Say) ->
 def _step_vesc(w: WatchdogState, i: WatchdogInput, say: Say) -> tuple[bool, int]:
     """W9 once the VESC has been seen to listen, and W12 by its tachometer."""
     timeout = bool(i.status & 1)
-    if w.fed and timeout and i.state == State.RUNNING:
+    if w.fed and timeout and i.state == SupervisorState.RUNNING:
         say(make_finding("W9", "status bit 0 is set while driving"))
     if 0 <= i.tachometer < w.tachometer:
         say(make_finding("W12", f"tachometer fell from {w.tachometer} to {i.tachometer}"))
@@ -364,7 +364,7 @@ def _step_stop(th: Thresholds, w: WatchdogState, i: WatchdogInput, say: Say) -> 
     if seconds <= 0.0:
         return w._replace(stop_speed=i.speed)
     if seconds >= th.stop_window:
-        plan = SOFT_DECEL if i.state == State.STOPPING else th.brake_decel
+        plan = SOFT_DECEL if i.state == SupervisorState.STOPPING else th.brake_decel
         drop = abs(w.stop_speed) - abs(i.speed)
         weak = abs(i.speed) > th.stop_speed and not drop >= th.stop_share * plan * seconds
         w = w._replace(stop_ns=i.t_ns, stop_speed=i.speed, weak=w.weak + weak)

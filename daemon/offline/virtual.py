@@ -8,11 +8,11 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from steerd.daemon.assembly.build import Plan, make_core, make_world_config
+from steerd.daemon.assembly.build import RunPlan, make_core, make_world_config
 from steerd.daemon.ipc.outbox import Sink
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.flags import Flag
-from steerd.daemon.loop.transitions import State, is_engaged
+from steerd.daemon.loop.transitions import SupervisorState, is_engaged
 from steerd.mocap_link.natnet_client import Socket
 from steerd.mocap_link.sessions import NatNetSource
 from steerd.sim_hw.mocap.network import COMMAND, DATA
@@ -65,7 +65,7 @@ class VirtualRun:
         data = self.core.tick(due, now)
         if data and self.core.flags & Flag.LINKED:
             self._write(now, data)
-        self.core.tell(data)
+        self.core.post_tick(data)
         self._pass(due + self.period_ns * (1 + late_ns // self.period_ns))
 
     def _pass(self, end: int) -> None:
@@ -136,7 +136,7 @@ class VirtualRun:
 
 
 def make_virtual_run(
-    plan: Plan, sinks: tuple[Sink, ...] = (), world: World | None = None
+    plan: RunPlan, sinks: tuple[Sink, ...] = (), world: World | None = None
 ) -> VirtualRun:
     """A drive in virtual time; `world` replaces the one that the plan describes."""
     config: WorldConfig = make_world_config(plan)
@@ -155,7 +155,10 @@ def drive(run: VirtualRun, on_tick: Callable[[VirtualRun], None] | None = None) 
         loop = run.core.loop
         if loop.ran and loop.parked:
             return
-        if loop.faulted and loop.supervisor.state in (State.FAULT_LATCHED, State.ESTOP):
+        if loop.faulted and loop.supervisor.state in (
+            SupervisorState.FAULT_LATCHED,
+            SupervisorState.ESTOP,
+        ):
             return
         if run.t_ns > _GRACE_NS and not loop.ran and loop.parked:
             return

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.assembly.build import Plan
+from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import make_pipe
@@ -76,7 +76,7 @@ def spawn(
 
 
 @dataclass
-class Crew:
+class RunProcesses:
     """All processes of a run.
 
     Attributes:
@@ -122,7 +122,9 @@ class Crew:
             print(f"note: the viewer ended with code {code}", file=sys.stderr)
 
 
-def start_crew(plan: Plan, session: Path, boot_id: int, epoch_ns: int, leased: bool) -> Crew:
+def start_processes(
+    plan: RunPlan, session: Path, boot_id: int, epoch_ns: int, leased: bool
+) -> RunProcesses:
     """Start recorder, gateway, core and, if asked for, viewer, in this order.
 
     Raises:
@@ -174,7 +176,7 @@ def start_crew(plan: Plan, session: Path, boot_id: int, epoch_ns: int, leased: b
     for end in (asked, asking, parent):
         end.close()
     viewer = others[0] if others else None
-    return Crew(core, recorder, gateway, viewer, ours, pipes["status"][0], session, told)
+    return RunProcesses(core, recorder, gateway, viewer, ours, pipes["status"][0], session, told)
 
 
 def _expect_ready(child: Child, name: str, code: ExitCode) -> None:
@@ -202,7 +204,7 @@ def _give_up(
 
 
 def _start_recorder(
-    plan: Plan, session: Path, meta: dict[str, dict[str, str]], epoch_ns: int, pipe_fd: int
+    plan: RunPlan, session: Path, meta: dict[str, dict[str, str]], epoch_ns: int, pipe_fd: int
 ) -> Child:
     try:
         session.parent.mkdir(parents=True, exist_ok=True)
@@ -223,7 +225,7 @@ def _start_recorder(
     return spawn("steerd.daemon.process.recorder", {"pipe": pipe_fd}, job)
 
 
-def _start_gateway(plan: Plan, pipe_fd: int, asked_fd: int) -> Child:
+def _start_gateway(plan: RunPlan, pipe_fd: int, asked_fd: int) -> Child:
     mocap = plan.options.mocap or ""
     pose_key = parse_mocap_url(mocap).key if mocap.startswith("zenoh:") else None
     job = {

@@ -10,16 +10,16 @@ import traceback
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from steerd.daemon.assembly.build import Plan, make_core, make_plan
+from steerd.daemon.assembly.build import RunPlan, make_core, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.outbox import Sink
-from steerd.daemon.ipc.pipe_records import PipeWriter, Record, pack_record
+from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, pack_record
 from steerd.daemon.ipc.sd_notify import make_notify
-from steerd.daemon.ipc.signals import block_stop_signals, stop_signal_pipe
+from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
 from steerd.daemon.loop.core import Core
 from steerd.daemon.process.guard import ProcessGuard
 from steerd.daemon.process.realtime import enter_realtime, settle_memory
-from steerd.daemon.process.runner import Ends, Runner
+from steerd.daemon.process.runner import CoreLinks, Runner
 from steerd.daemon.settings.run_options import decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.sessions import BusPoseSource
@@ -32,10 +32,10 @@ STATUS_PERIOD_NS = 100_000_000
 _SHOWN = (topics.STATE.name, topics.DIAGNOSTICS.name, topics.TRANSITION.name, topics.TICK.name)
 
 
-def pipe_sink(pipe: PipeWriter, wanted: Callable[[Record], bool]) -> Sink:
+def pipe_sink(pipe: PipeWriter, wanted: Callable[[PipeRecord], bool]) -> Sink:
     """A sink that writes the wanted records into a pipe."""
 
-    def sink(records: list[Record], t_ns: int) -> None:
+    def sink(records: list[PipeRecord], t_ns: int) -> None:
         pipe.write([pack_record(record) for record in records if wanted(record)], t_ns)
 
     return sink
@@ -45,7 +45,7 @@ def status_sink(pipe: PipeWriter) -> Sink:
     """A sink for the terminal: transitions and diagnostics at once, the rest ten times a second."""
     due = 0
 
-    def sink(records: list[Record], t_ns: int) -> None:
+    def sink(records: list[PipeRecord], t_ns: int) -> None:
         nonlocal due
         ticks = t_ns >= due
         due = t_ns + STATUS_PERIOD_NS if ticks else due
@@ -56,7 +56,7 @@ def status_sink(pipe: PipeWriter) -> Sink:
     return sink
 
 
-def make_mocap(plan: Plan) -> MocapReceiver | BusPoseSource:
+def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
     """The mocap source that the options name.
 
     Raises:
@@ -117,11 +117,11 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
         sinks,
         leased=bool(job["leased"]),
     )
-    strand_on_strays(core)
+    latch_stray_exceptions(core)
     requests = tuple(socket.socket(fileno=fds[name]) for name in ("parent", "asking"))
     for end in requests:
         end.setblocking(False)
-    ends = Ends(pipes["recorder"], pipes["gateway"], requests, stop_signal_pipe())
+    ends = CoreLinks(pipes["recorder"], pipes["gateway"], requests, make_stop_signal_pipe())
     report = enter_realtime()
     _tell(fds["ready"], {"realtime": report.refused, "design": plan.controller.report.describe()})
     runner = Runner(
@@ -142,11 +142,11 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
     return core
 
 
-def strand_on_strays(core: Core) -> None:
+def latch_stray_exceptions(core: Core) -> None:
     """What is raised in a thread or a destructor has no caller; the car stops for it (W29)."""
 
     def take(error: BaseException | None) -> None:
-        core.strand(error or RuntimeError("an exception without a value"))
+        core.latch_exception(error or RuntimeError("an exception without a value"))
 
     sys.unraisablehook = lambda stray: take(stray.exc_value)
     threading.excepthook = lambda stray: take(stray.exc_value)

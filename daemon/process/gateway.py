@@ -53,7 +53,7 @@ class Gateway:
     def publish(self, buffer: bytearray) -> None:
         """Put every whole record on the bus, with its standard view."""
         for record in unpack_records(buffer):
-            for each in (record, *self._views.of(record)):
+            for each in (record, *self._views.convert(record)):
                 if each.topic.direction is topics.Direction.OUT:
                     with contextlib.suppress(BusError):
                         self._bus.publish(make_key(self._car, each.topic), each.data)

@@ -23,7 +23,7 @@ class Guard(Protocol):
         """Guard this port from now on."""
         ...
 
-    def beat(self, t_ns: int, engaged: bool) -> None:
+    def write_heartbeat(self, t_ns: int, engaged: bool) -> None:
         """The core is alive; motor bytes may flow or not."""
         ...
 
@@ -31,15 +31,15 @@ class Guard(Protocol):
         """Whether a motion frame of this tick may still go out."""
         ...
 
-    def silent(self, now_ns: int) -> bool:
+    def is_silent(self, now_ns: int) -> bool:
         """Whether the guardian itself has stopped."""
         ...
 
-    def tripped(self) -> bool:
+    def has_tripped(self) -> bool:
         """Whether it has taken over."""
         ...
 
-    def say_clean(self) -> None:
+    def mark_clean(self) -> None:
         """The wheels stand; nothing is left to guard."""
         ...
 
@@ -72,15 +72,15 @@ class ProcessGuard:
 
     def watch(self, serial_fd: int, brake_frame: bytes, t_ns: int) -> None:
         """Start a guardian for a port that was just opened."""
-        self.say_clean()
-        self._let_go()
+        self.mark_clean()
+        self._forget_ended_guardians()
         page_fd = make_page_fd()
         pid_fd = os.pidfd_open(os.getpid())
         fds = (serial_fd, page_fd, pid_fd)
         command = [sys.executable, "-I", "-m", "steerd.daemon.process.guardian", *map(str, fds)]
         command += [brake_frame.hex(), str(self._stale_ns)]
         self._page = HeartbeatPage(page_fd)
-        self._page.beat(t_ns, engaged=False)
+        self._page.write_heartbeat(t_ns, engaged=False)
         lifeline = Lifeline(page_fd)
         lifeline.hold()
         self._process = subprocess.Popen(command, pass_fds=fds, process_group=0)
@@ -89,23 +89,23 @@ class ProcessGuard:
         os.close(page_fd)
         os.close(pid_fd)
 
-    def _let_go(self) -> None:
+    def _forget_ended_guardians(self) -> None:
         """Forget the guardians that have gone; a plug that flaps all day must cost nothing."""
         gone = [pair for pair in self._lifelines if pair[0].poll() is not None]
         self._lifelines = [pair for pair in self._lifelines if pair not in gone]
         for _, lifeline in gone:
-            lifeline.let_go()
+            lifeline.release()
 
-    def beat(self, t_ns: int, engaged: bool) -> None:
+    def write_heartbeat(self, t_ns: int, engaged: bool) -> None:
         """The core is alive at `t_ns`."""
         if self._page is not None:
-            self._page.beat(t_ns, engaged)
+            self._page.write_heartbeat(t_ns, engaged)
 
     def may_write(self, tick_ns: int, now_ns: int) -> bool:
         """Whether a motion frame may go out: the guardian has not tripped, the tick is fresh."""
         return self._page is not None and self._page.may_write(tick_ns, now_ns, self._stale_ns)
 
-    def silent(self, now_ns: int) -> bool:
+    def is_silent(self, now_ns: int) -> bool:
         """Whether the guardian is gone or has not shown itself for a while (W16)."""
         if self._page is None or self._process is None:
             return False
@@ -114,14 +114,14 @@ class ProcessGuard:
         stale = now_ns - self._page.guardian_ns > max(self._silent_ns, self._stale_ns)
         return stale or self._process.poll() is not None
 
-    def tripped(self) -> bool:
+    def has_tripped(self) -> bool:
         """Whether the guardian has taken over."""
         return self._page is not None and self._page.tripped_ns != 0
 
-    def say_clean(self) -> None:
+    def mark_clean(self) -> None:
         """The wheels stand: the guardian goes when the core does."""
         if self._page is not None:
-            self._page.say_clean()
+            self._page.mark_clean()
 
 
 def sleep_lag_ns() -> int:

@@ -21,7 +21,7 @@ PAGE_BYTES = OFFSET + MUTEX_BYTES
 STALE_NS, STALE_NS_NO_RT = 30_000_000, 60_000_000
 PERIOD_NS, BRAKE_NS = 10_000_000, 2_000_000_000
 PRIORITY = 60  # SCHED_FIFO, above the core's 50
-_BEAT, _ENGAGED, _TRIPPED, _GUARDIAN, _CLEAN = range(5)
+_HEARTBEAT, _ENGAGED, _TRIPPED, _GUARDIAN, _CLEAN = range(5)
 
 
 class HeartbeatPage:
@@ -36,16 +36,16 @@ class HeartbeatPage:
         # A memoryview of native 'Q' copies 8 aligned bytes at once; struct.pack_into does not.
         self._words = memoryview(mmap.mmap(fd, PAGE_BYTES)).cast("Q")
 
-    def beat(self, t_ns: int, engaged: bool) -> None:
+    def write_heartbeat(self, t_ns: int, engaged: bool) -> None:
         """Core, each tick before its write: alive at ``t_ns``; motor bytes may flow or not."""
-        self._words[_BEAT] = t_ns
+        self._words[_HEARTBEAT] = t_ns
         self._words[_ENGAGED] = engaged
 
     def may_write(self, tick_ns: int, now_ns: int, stale_ns: int = STALE_NS) -> bool:
         """Core, right before a write: the guardian has not tripped and the tick is still fresh."""
         return not self._words[_TRIPPED] and now_ns - tick_ns < stale_ns
 
-    def say_clean(self) -> None:
+    def mark_clean(self) -> None:
         """Core: the wheels stand, nothing is left to guard."""
         self._words[_CLEAN] = 1
 
@@ -58,9 +58,9 @@ class HeartbeatPage:
         self._words[_TRIPPED] = t_ns
 
     @property
-    def beat_ns(self) -> int:
+    def heartbeat_ns(self) -> int:
         """When the core was last alive."""
-        return self._words[_BEAT]
+        return self._words[_HEARTBEAT]
 
     @property
     def engaged(self) -> bool:
@@ -97,12 +97,12 @@ def wait_for_fault(
     while True:
         t_ns = now()
         page.watch(t_ns)
-        beat_ns = page.beat_ns
-        if page.engaged and t_ns - beat_ns > stale_ns:
+        heartbeat_ns = page.heartbeat_ns
+        if page.engaged and t_ns - heartbeat_ns > stale_ns:
             return True
         if page.clean and not page.engaged:
             return False
-        left_ms = (beat_ns + stale_ns - t_ns) // 1_000_000 + 1 if page.engaged else 10
+        left_ms = (heartbeat_ns + stale_ns - t_ns) // 1_000_000 + 1 if page.engaged else 10
         if core.poll(max(1, min(10, left_ms))):
             return page.engaged and not page.clean
 

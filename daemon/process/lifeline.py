@@ -55,7 +55,7 @@ class Lifeline:
         self._library.pthread_mutex_init(self._mutex, kind)
         self._library.pthread_mutex_lock(self._mutex)
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Core: the guardian at the other end has gone; take the mutex off this thread's list."""
         if self._library is not None:
             self._library.pthread_mutex_unlock(self._mutex)

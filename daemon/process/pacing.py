@@ -66,7 +66,7 @@ def step_pace(pace: Pace, due_ns: int, arrival_ns: int, period_ns: int) -> Pace:
     return Pace(arrival_ns, lead + shift, jitter, shift, pace.steady + 1 if in_place else 0)
 
 
-def at_once_ns(pace: Pace, period_ns: int) -> int:
+def early_window_ns(pace: Pace, period_ns: int) -> int:
     """A pose that comes at most so long before a deadline [ns] is that deadline's: tick now.
 
     None is until ticks and poses are in step: 0.

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.ipc.pipe_records import Record, unpack_records
+from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.views import Views
 from steerd.steer_bus.clock import MonotonicClock
@@ -53,9 +53,9 @@ class Recording:
         self.written = 0
         self._views = Views()
 
-    def add(self, record: Record) -> None:
+    def add(self, record: PipeRecord) -> None:
         """Write one record, and what viewers want to see of it."""
-        for each in (record, *self._views.of(record)):
+        for each in (record, *self._views.convert(record)):
             topic = self._topics[each.topic.name]
             self.writer.write(topic, each.data, each.log_time_ns, each.publish_time_ns)
             self.written += 1

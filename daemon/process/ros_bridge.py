@@ -3,7 +3,7 @@
 import contextlib
 from typing import Any, Protocol
 
-from steerd.daemon.ipc.pipe_records import Record
+from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError, Token
 from steerd.steer_bus.codec import decode, encode
@@ -55,7 +55,7 @@ class RosBridge:
             bus.name_publisher(key, make_gid(token))
             self._tokens.append(bus.declare_alive(token))
 
-    def publish(self, record: Record) -> None:
+    def publish(self, record: PipeRecord) -> None:
         """One record under its ROS key; what went to the wire also as a drive command."""
         self._put(record.topic.name, record.data)
         if record.topic.name == topics.ACTUATION.name:

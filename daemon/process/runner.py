@@ -15,12 +15,12 @@ from dataclasses import dataclass
 
 from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, unpack_request
 from steerd.daemon.ipc.pipe_records import PipeWriter
-from steerd.daemon.ipc.sd_notify import ALIVE, READY, STOPPING, Notify, say_nothing
+from steerd.daemon.ipc.sd_notify import ALIVE, READY, STOPPING, Notify, notify_nobody
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.transitions import is_engaged
 from steerd.daemon.process.guard import Guard, sleep_lag_ns
-from steerd.daemon.process.pacing import Pace, at_once_ns, step_pace
+from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
 from steerd.mocap_link.sessions import BusPoseSource
 from steerd.mocap_link.sockets import MocapReceiver
 from steerd.mocap_link.source import PoseSample
@@ -38,7 +38,7 @@ OpenPort = Callable[[], Port]
 
 
 @dataclass(frozen=True)
-class Ends:
+class CoreLinks:
     """The core's ends of what leads to the other processes.
 
     Attributes:
@@ -68,9 +68,9 @@ class Runner:
         clock: Clock,
         open_port: OpenPort,
         mocap: MocapReceiver | BusPoseSource,
-        ends: Ends,
+        ends: CoreLinks,
         guard: Guard,
-        notify: Notify = say_nothing,
+        notify: Notify = notify_nobody,
     ) -> None:
         self._core = core
         self._notify = notify
@@ -98,11 +98,11 @@ class Runner:
         work_ns, pace = 0, Pace()
         while not self._done():
             # Only a pose that came since the last tick makes one.
-            self._wait(due, max(due - at_once_ns(pace, self._period_ns), self._pose_ns + 1))
+            self._wait(due, max(due - early_window_ns(pace, self._period_ns), self._pose_ns + 1))
             now = self._clock.now_ns()
             self._raise_flags()
             wire = self._core.tick(due, now, work_ns)
-            self._core.tell(self._write(wire, now))
+            self._core.post_tick(self._write(wire, now))
             after = self._clock.now_ns()
             work_ns = after - now
             self._housekeeping(after)
@@ -142,7 +142,7 @@ class Runner:
         try:
             take(what)
         except Exception as error:
-            self._core.strand(error)
+            self._core.latch_exception(error)
 
     def _take(self, fd: int) -> None:
         if self._port is not None and fd == self._port.fd:
@@ -189,7 +189,7 @@ class Runner:
         else:
             self._core.flags |= Flag.GATEWAY_LOST
         end.close()
-        self._ends = Ends(self._ends.recorder, self._ends.gateway, rest, self._ends.stop_fd)
+        self._ends = CoreLinks(self._ends.recorder, self._ends.gateway, rest, self._ends.stop_fd)
 
     # --- what is not an arrival
 
@@ -241,12 +241,12 @@ class Runner:
             core.flags |= Flag.GATEWAY_LOST
         if self._port is not None:
             self._watch_guardian(now_ns)
-        if self._guard.tripped():
+        if self._guard.has_tripped():
             core.flags |= Flag.GUARDIAN_TRIPPED
 
     def _watch_guardian(self, now_ns: int) -> None:
         """A guardian that is slow to start is a red check until it shows itself, no fault."""
-        if self._guard.silent(now_ns):
+        if self._guard.is_silent(now_ns):
             self._core.flags |= Flag.GUARDIAN_LOST
         elif not is_engaged(self._core.loop.supervisor.state):
             self._core.flags &= ~Flag.GUARDIAN_LOST
@@ -285,7 +285,7 @@ class Runner:
             return b""
         last = self._core.last
         engaged = last is not None and is_engaged(last.supervisor.state)
-        self._guard.beat(tick_ns, engaged)
+        self._guard.write_heartbeat(tick_ns, engaged)
         moves = last is not None and last.order.command is not None
         if moves and not self._guard.may_write(tick_ns, self._clock.now_ns()):
             self._core.flags |= Flag.GUARDIAN_TRIPPED
@@ -316,7 +316,7 @@ class Runner:
         port, self._port = self._port, None
         self._clogged = 0
         if not is_engaged(self._core.loop.supervisor.state):
-            self._guard.say_clean()  # it holds the port too, which must come free to be reopened
+            self._guard.mark_clean()  # it holds the port too, which must come free to be reopened
         if port is not None:
             with contextlib.suppress(OSError):
                 port.close()
@@ -336,9 +336,9 @@ class Runner:
         now = self._clock.now_ns()
         if self._port is not None:
             if self._core.loop.at_rest:
-                self._guard.say_clean()
+                self._guard.mark_clean()
                 with contextlib.suppress(PortError):
-                    self._port.write(self._core.make_farewell())
+                    self._port.write(self._core.make_shutdown_frames())
             with contextlib.suppress(OSError):
                 self._port.close()
         self._core.outbox.flush(now)

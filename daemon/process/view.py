@@ -15,11 +15,11 @@ import foxglove  # noqa: TID251
 from foxglove.channels import FrameTransformsChannel, SceneUpdateChannel  # noqa: TID251
 from foxglove.websocket import Capability, Client, Parameter, ServerListener  # noqa: TID251
 
-from steerd.daemon.ipc.pipe_records import Record, unpack_records
+from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.view_scene import (
     Body,
-    Lane,
+    LaneLines,
     make_car_scene,
     make_lane,
     make_lane_scene,
@@ -42,7 +42,7 @@ _READ_BYTES = 1 << 20
 _NICE = 10
 
 
-class Known(ServerListener):
+class ReadOnlyParameters(ServerListener):
     """Parameters that can be looked at; setting one gives the old value back."""
 
     def __init__(self, values: Mapping[str, float | str]) -> None:
@@ -69,7 +69,7 @@ class Viewer:
         missed: messages that the pipe had no room for.
     """
 
-    def __init__(self, car: str, body: Body, lane: Lane) -> None:
+    def __init__(self, car: str, body: Body, lane: LaneLines) -> None:
         # The SDK closes the channels of a context that nobody refers to, without a word.
         self.context = foxglove.Context()
         self._channels = {t.name: make_channel(car, t, self.context) for t in TOPICS if t.on_bus}
@@ -81,12 +81,12 @@ class Viewer:
         self._scene_due_ns = self._lane_due_ns = 0
         self.missed = 0
 
-    def show(self, record: Record) -> None:
+    def show(self, record: PipeRecord) -> None:
         """Pass one record on, with what is drawn of it."""
         name = record.topic.name
         self.missed += record.sequence - self._seen.get(name, record.sequence - 1) - 1
         self._seen[name] = record.sequence
-        for each in (record, *self._views.of(record)):
+        for each in (record, *self._views.convert(record)):
             channel = self._channels.get(each.topic.name)
             if channel is not None:
                 channel.log(each.data, log_time=each.log_time_ns)
@@ -135,7 +135,7 @@ def start_viewer(job: Mapping[str, Any]) -> tuple[Viewer, Any]:
         host=job["host"],
         port=job["port"],
         capabilities=[Capability.Parameters],
-        server_listener=Known(make_parameters(job["parameters"])),
+        server_listener=ReadOnlyParameters(make_parameters(job["parameters"])),
         context=viewer.context,
     )
     return viewer, server

@@ -5,7 +5,7 @@ import tomllib
 from importlib.util import find_spec
 from typing import Any
 
-from steerd.daemon.assembly.build import Plan
+from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 DEFAULT_PORT = 8765
@@ -47,7 +47,7 @@ def check_view(text: str, insecure_lan: bool) -> None:
         raise SteerdError("--view needs the package foxglove-sdk", hint, ExitCode.UNREADABLE)
 
 
-def make_view_job(plan: Plan) -> dict[str, Any]:
+def make_view_job(plan: RunPlan) -> dict[str, Any]:
     """The viewer's job as JSON values.
 
     Raises:

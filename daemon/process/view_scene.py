@@ -41,7 +41,7 @@ class Body(NamedTuple):
     width: float
 
 
-class Lane(NamedTuple):
+class LaneLines(NamedTuple):
     """What is drawn of the lane [m]: points of the path, borders on both sides of it."""
 
     points: Sequence[tuple[float, float]]
@@ -50,7 +50,7 @@ class Lane(NamedTuple):
     closed: bool
 
 
-def make_lane(points: Sequence[Sequence[float]], half_width: float, *, closed: bool) -> Lane:
+def make_lane(points: Sequence[Sequence[float]], half_width: float, *, closed: bool) -> LaneLines:
     """A lane of a path's samples.
 
     Args:
@@ -62,7 +62,7 @@ def make_lane(points: Sequence[Sequence[float]], half_width: float, *, closed: b
     def beside(offset: float) -> list[tuple[float, float]]:
         return [(x - offset * sin(yaw), y + offset * cos(yaw)) for x, y, yaw in points]
 
-    return Lane(beside(0.0), beside(half_width), beside(-half_width), closed)
+    return LaneLines(beside(0.0), beside(half_width), beside(-half_width), closed)
 
 
 def make_transform(state: State) -> FrameTransforms:
@@ -110,7 +110,7 @@ def _wheels(body: Body, steer: float) -> list[CubePrimitive]:
     ]
 
 
-def make_lane_scene(lane: Lane) -> SceneUpdate:
+def make_lane_scene(lane: LaneLines) -> SceneUpdate:
     """The path and the lane's borders on the floor."""
     entity = SceneEntity(
         frame_id=WORLD,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from math import cos, sin
 from typing import Any
 
-from steerd.daemon.ipc.pipe_records import Record, read_message
+from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
@@ -104,7 +104,7 @@ class Views:
     _due_ns: dict[str, int] = field(default_factory=dict)
     _count: dict[str, int] = field(default_factory=dict)
 
-    def of(self, record: Record) -> Iterator[Record]:
+    def convert(self, record: PipeRecord) -> Iterator[PipeRecord]:
         """The standard message that shows this record, if one is due."""
         view = _VIEWS.get(record.topic.name)
         if view is None or record.log_time_ns < self._due_ns.get(record.topic.name, 0):
@@ -113,4 +113,4 @@ class Views:
         topic, make = view
         count = self._count[topic.name] = self._count.get(topic.name, -1) + 1
         data = encode(make(read_message(record)))
-        yield Record(topic, count, record.log_time_ns, record.publish_time_ns, data)
+        yield PipeRecord(topic, count, record.log_time_ns, record.publish_time_ns, data)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from steerd.car_model.path.path import Path as Lane
 from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.assembly.session_meta import csv_file
-from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import Times, find_table, make_track_of, read_tables
 from steerd.daemon.sessions.motion import Array, Track
 from steerd.daemon.settings.run_options import decode_options
@@ -169,7 +169,7 @@ def _figures(s: _Tables, track: Track | None) -> tuple[tuple[str, str], ...]:
         facts.append(("driven", f"{track.length:.1f} m"))
     state, tick = s.table(topics.STATE), s.table(topics.TICK)
     if state is not None:
-        running = state["mode"] == Supervised.RUNNING
+        running = state["mode"] == SupervisorState.RUNNING
         e1 = np.abs(state["e1"][_settled(running, s.times(state))])
         e1 = e1[np.isfinite(e1)]
         if e1.size:

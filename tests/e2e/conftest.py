@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerd.daemon.assembly.build import Plan, make_plan, make_world_config
+from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
 from steerd.daemon.cli.commands.driving import run as run_command
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import make_recording
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
 from steerd.sim_hw.plant.faults import Fault
@@ -46,7 +46,7 @@ class Driven:
         reason: why the last state was entered.
     """
 
-    plan: Plan
+    plan: RunPlan
     session: Path
     wire: str = ""
     track: list[tuple[int, float, float]] = field(default_factory=list)
@@ -86,7 +86,7 @@ def rms(values: np.ndarray) -> float:
 Drive = Callable[..., Driven]
 
 
-def make_drive_plan(line: str) -> Plan:
+def make_drive_plan(line: str) -> RunPlan:
     """The plan of a command line after `steerd run --sim --fast`."""
     parser = argparse.ArgumentParser()
     run_command.add_arguments(parser)
@@ -110,7 +110,7 @@ def drive_fast(tmp_path: Path) -> Drive:
                 recording.add(record)
 
         def note(run: VirtualRun) -> None:
-            if run.core.loop.supervisor.state is State.RUNNING:
+            if run.core.loop.supervisor.state is SupervisorState.RUNNING:
                 truth = run.world.truth()
                 driven.track.append((truth.t_ns, truth.state.x, truth.state.y))
 

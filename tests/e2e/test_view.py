@@ -12,13 +12,13 @@ import pytest
 import websockets
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 WANTED = ("/steerd/car1/state", "/steerd/car1/odom", "/scene", "/tf")
-LATE_MODES = (State.FAULT_STOP, State.FAULT_LATCHED, State.ESTOP)
+LATE_MODES = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
 
 
 async def look(port, seconds):
@@ -74,7 +74,7 @@ def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, t
     told, heard = asyncio.run(look(port, 20.0))
     channels = {c["topic"]: c for c in told["advertise"]["channels"]}
     state = decode_ros(channels[WANTED[0]], heard[WANTED[0]][-1][1])
-    assert state.mode == State.RUNNING
+    assert state.mode == SupervisorState.RUNNING
     odom = decode_ros(channels[WANTED[1]], heard[WANTED[1]][-1][1])
     assert odom.child_frame_id == m.BODY
     assert odom.pose.pose.position.x == pytest.approx(state.x, abs=0.2)
@@ -89,7 +89,7 @@ def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, t
     table = open_session(record).columns(m.State)
     assert not set(table["mode"]) & set(LATE_MODES)
     recorded = {c.to_state for c in transitions(record)}
-    assert State.RUNNING in recorded
+    assert SupervisorState.RUNNING in recorded
 
 
 def transitions(session):

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import pytest
 
-from steerd.daemon.assembly.build import NS, Plan, make_plan, make_world_config
+from steerd.daemon.assembly.build import NS, RunPlan, make_plan, make_world_config
 from steerd.daemon.cli.commands.driving.run import RunOptions
 from steerd.daemon.loop.loop import Flag
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import make_recording
-from steerd.daemon.offline.replay import TOLERANCE, describe, replay
+from steerd.daemon.offline.replay import TOLERANCE, describe_difference, replay
 from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.world import World
@@ -59,7 +59,11 @@ class Scene(NamedTuple):
     options: RunOptions
     faults: tuple[Fault, ...] = ()
     act: Callable[[], Callable[[VirtualRun], None]] = lambda: nobody
-    visits: tuple[State, ...] = (State.RUNNING, State.STOPPING, State.DISARMED)
+    visits: tuple[SupervisorState, ...] = (
+        SupervisorState.RUNNING,
+        SupervisorState.STOPPING,
+        SupervisorState.DISARMED,
+    )
     seconds: float = 30.0
 
 
@@ -73,7 +77,7 @@ def between(name: str, begin_s: float, end_s: float) -> Fault:
     return Fault(name, round(begin_s * NS), round(end_s * NS))
 
 
-_BROKEN = (State.RUNNING, State.FAULT_STOP, State.FAULT_LATCHED)
+_BROKEN = (SupervisorState.RUNNING, SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED)
 SCENES = {
     "straight": Scene(drive_options("line", 1.5, 2.5, 1)),
     "circle": Scene(drive_options("circle:radius=2", 1.0, 2.5, 2)),
@@ -81,7 +85,7 @@ SCENES = {
     "estop": Scene(
         drive_options("circle:radius=-2", 1.5, 9.0, 4),
         act=lambda: stop_at(3.0),
-        visits=(State.RUNNING, State.ESTOP),
+        visits=(SupervisorState.RUNNING, SupervisorState.ESTOP),
         seconds=4.5,
     ),
     "mocap_dropout": Scene(
@@ -103,7 +107,7 @@ SCENES = {
 
 def record(scene: Scene, target: Path) -> None:
     """Drive a scene, keeping what a replay needs."""
-    plan: Plan = make_plan(scene.options)
+    plan: RunPlan = make_plan(scene.options)
     target.unlink(missing_ok=True)
     recording = make_recording(plan, target)
 
@@ -125,7 +129,7 @@ def record(scene: Scene, target: Path) -> None:
 def replayed(path: Path) -> tuple[int, list[str]]:
     """Ticks that were compared, and what differs."""
     going, differences = replay(open_session(path), path.name)
-    lines = [describe(each, 0) for each in differences]
+    lines = [describe_difference(each, 0) for each in differences]
     return going.ticks, lines
 
 
@@ -149,7 +153,7 @@ def test_it_holds_the_scene_that_its_name_promises(name: str) -> None:
     session = open_session(path)
     assert session.info().clean
     changes = [r.decode() for r in session.messages("/steerd/car1/transition")]
-    states = [State(change.to_state) for change in changes]
+    states = [SupervisorState(change.to_state) for change in changes]
     wanted = iter(states)
     assert all(state in wanted for state in SCENES[name].visits), states
     poses = session.columns(m.MocapPose)

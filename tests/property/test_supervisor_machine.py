@@ -6,11 +6,13 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from steerd.daemon.loop.supervisor import Conditions, make_supervisor_state, step
-from steerd.daemon.loop.transitions import Is, Motor, Request, State
+from steerd.daemon.loop.supervisor import Conditions, make_supervisor_memory, step
+from steerd.daemon.loop.transitions import Fact, MotorOutput, Request, SupervisorState
 
-GOOD = int(Is.LINKED | Is.IDENTIFIED | Is.GREEN | Is.FW_TIMEOUT | Is.LEASED | Is.SLOWING)
-TRIPS = int(Is.SOFT | Is.HARD | Is.KILLED)
+GOOD = int(
+    Fact.LINKED | Fact.IDENTIFIED | Fact.CHECKS_PASS | Fact.FW_TIMEOUT | Fact.LEASED | Fact.SLOWING
+)
+TRIPS = int(Fact.SOFT | Fact.HARD | Fact.KILLED)
 
 
 class CarLife(RuleBasedStateMachine):
@@ -19,7 +21,7 @@ class CarLife(RuleBasedStateMachine):
     def __init__(self):
         super().__init__()
         self.t_ns, self.facts, self.speed = 0, GOOD, 0.0
-        self.memory = make_supervisor_state(0)
+        self.memory = make_supervisor_memory(0)
         self.action = None
         self.proven = self.asked_start = False
 
@@ -32,22 +34,28 @@ class CarLife(RuleBasedStateMachine):
 
     def check(self, before, requests):
         now = self.memory.state
-        if before.state == State.SELF_TEST and now == State.ARMED:
+        if before.state == SupervisorState.SELF_TEST and now == SupervisorState.ARMED:
             self.proven = True
-        if now in (State.DISARMED, State.INIT, State.FAULT_STOP, State.FAULT_LATCHED, State.ESTOP):
+        if now in (
+            SupervisorState.DISARMED,
+            SupervisorState.INIT,
+            SupervisorState.FAULT_STOP,
+            SupervisorState.FAULT_LATCHED,
+            SupervisorState.ESTOP,
+        ):
             self.proven = False
-        if now == State.RUNNING:
+        if now == SupervisorState.RUNNING:
             assert self.proven
-            assert before.state == State.RUNNING or requests & Request.START
-        if requests & Request.ESTOP or self.facts & Is.KILLED:
-            assert now == State.ESTOP
-        if before.state == State.RUNNING and self.facts & Is.HARD:
-            assert now in (State.FAULT_STOP, State.ESTOP)
-        if before.state == now == State.STOPPING:
+            assert before.state == SupervisorState.RUNNING or requests & Request.START
+        if requests & Request.ESTOP or self.facts & Fact.KILLED:
+            assert now == SupervisorState.ESTOP
+        if before.state == SupervisorState.RUNNING and self.facts & Fact.HARD:
+            assert now in (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
+        if before.state == now == SupervisorState.STOPPING:
             assert self.memory.cap <= before.cap
             assert self.memory.braking >= before.braking
-        if before.state == State.FAULT_LATCHED and now != before.state:
-            assert now == State.ESTOP or requests & Request.CLEAR
+        if before.state == SupervisorState.FAULT_LATCHED and now != before.state:
+            assert now == SupervisorState.ESTOP or requests & Request.CLEAR
 
     @rule(requests=st.integers(0, 1023), dt_ns=st.integers(-(10**9), 10**11))
     def anything_asked_at_any_time(self, requests, dt_ns):
@@ -74,12 +82,12 @@ class CarLife(RuleBasedStateMachine):
         for _ in range(round(seconds * 100)):
             self.tick(0)
 
-    @precondition(lambda self: self.memory.state == State.READY)
+    @precondition(lambda self: self.memory.state == SupervisorState.READY)
     @rule()
     def arm(self):
         self.tick(int(Request.ARM))
 
-    @precondition(lambda self: self.memory.state == State.ARMED)
+    @precondition(lambda self: self.memory.state == SupervisorState.ARMED)
     @rule(speed=st.floats(0, 3))
     def start(self, speed):
         self.tick(int(Request.START))
@@ -91,10 +99,12 @@ class CarLife(RuleBasedStateMachine):
         if self.action is None:
             return
         state, motor = self.memory.state, self.action.motor
-        assert (motor == Motor.DRIVE) == (state == State.RUNNING)
-        assert motor != Motor.RAMP_STOP or state == State.STOPPING
+        assert (motor == MotorOutput.DRIVE) == (state == SupervisorState.RUNNING)
+        assert motor != MotorOutput.RAMP_STOP or state == SupervisorState.STOPPING
         assert 0.0 <= self.action.cap <= inf
-        assert state in (State.RUNNING, State.STOPPING) or self.action.cap == 0.0
+        assert (
+            state in (SupervisorState.RUNNING, SupervisorState.STOPPING) or self.action.cap == 0.0
+        )
         assert self.action.reason
         assert self.action.waiting
 

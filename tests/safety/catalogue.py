@@ -237,7 +237,7 @@ def _raise(*_: object) -> Any:
 
 
 def _strand(rig: Rig) -> None:
-    rig.run.core.strand(BoomError("injected"))
+    rig.run.core.latch_exception(BoomError("injected"))
 
 
 def _break_parser(rig: Rig) -> None:

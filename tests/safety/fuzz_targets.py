@@ -17,7 +17,7 @@ from typing import Any
 import zstandard
 
 from steerd.daemon.ipc.gateway_wire import pack_request, unpack_request
-from steerd.daemon.loop.lease import Lease, Remote, accept, take_command
+from steerd.daemon.loop.lease import Lease, Remote, accept_request, take_command
 from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.loop.transitions import Request
 from steerd.mocap_link import natnet, vrpn
@@ -330,7 +330,7 @@ def check_requests(script: bytes) -> None:
             if name == topics.OPERATOR.name:
                 asked = decode(m.OperatorRequest, data)
                 idle, before = bool(op & 4), lease
-                lease, request = accept(lease, asked, t_ns, idle)
+                lease, request = accept_request(lease, asked, t_ns, idle)
                 ours = asked.boot_id == BOOT and asked.lease_id != 0
                 rises = asked.lease_id != before.holder or asked.seq > before.seq
                 free = idle or asked.lease_id == before.holder

@@ -19,8 +19,8 @@ from steerd.daemon.assembly.build import NS, make_plan, make_world_config
 from steerd.daemon.ipc.gateway_wire import pack_request
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import unpack_records
-from steerd.daemon.loop.transitions import State
-from steerd.daemon.process.children import Crew, start_crew
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.children import RunProcesses, start_processes
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.judge import MotorFrame, read_motor_frames
 from steerd.sim_hw.plant.device import Logged
@@ -60,10 +60,10 @@ def serve_hardware(config: Any, pipe: Connection) -> None:
 
 @dataclass
 class Live:
-    """One running crew and the hardware that it drives.
+    """One running processes and the hardware that it drives.
 
     Attributes:
-        crew: the processes.
+        processes: the processes.
         hardware: commands to the simulated hardware's process.
         state: the supervisor's, as last told.
         transitions: (from, to, words) so far.
@@ -71,11 +71,11 @@ class Live:
         alive: whether the operator keeps the lease alive.
     """
 
-    crew: Crew
+    processes: RunProcesses
     hardware: Connection
     operator: Operator
-    state: State = State.INIT
-    transitions: list[tuple[State, State, str]] = field(default_factory=list)
+    state: SupervisorState = SupervisorState.INIT
+    transitions: list[tuple[SupervisorState, SupervisorState, str]] = field(default_factory=list)
     speed: float = 0.0
     alive: bool = True
     ended: bool = False
@@ -85,11 +85,12 @@ class Live:
     def ask(self, kind: RequestKind, operator: Operator | None = None) -> int:
         """An operator's request; the time at which it was sent."""
         packet = pack_request(
-            topics.OPERATOR.name, (operator or self.operator).make(kind, CLOCK.realtime_ns())
+            topics.OPERATOR.name,
+            (operator or self.operator).make_request(kind, CLOCK.realtime_ns()),
         )
         now_ns = CLOCK.now_ns()
         with contextlib.suppress(OSError):
-            self.crew.requests.send(packet)
+            self.processes.requests.send(packet)
         return now_ns
 
     def break_it(self, fault: str) -> int:
@@ -110,17 +111,17 @@ class Live:
         if self.alive and now_ns - self._spoke_ns >= KEEPALIVE_NS:
             self._spoke_ns = now_ns
             self.ask(RequestKind.KEEPALIVE)
-        fds = [] if self.ended else [self.crew.status_fd]
+        fds = [] if self.ended else [self.processes.status_fd]
         if not select.select(fds, [], [], wait_s)[0]:
             return
-        data = os.read(self.crew.status_fd, 1 << 16)
+        data = os.read(self.processes.status_fd, 1 << 16)
         self.ended = not data
         self._heard += data
         for record in unpack_records(self._heard):
             if record.topic is topics.TRANSITION:
                 told = decode(Transition, record.data)
-                self.state = State(told.to_state)
-                self.transitions.append((State(told.from_state), self.state, told.text))
+                self.state = SupervisorState(told.to_state)
+                self.transitions.append((SupervisorState(told.from_state), self.state, told.text))
             elif record.topic is topics.STATE:
                 self.speed = decode(StateMessage, record.data).speed
 
@@ -143,24 +144,24 @@ class Live:
 
     def reach(self, phase: str) -> None:
         """Bring the car into a phase of the matrix."""
-        self.until(lambda: self.state is State.READY)
+        self.until(lambda: self.state is SupervisorState.READY)
         if phase == "P1":
             return
         self.ask(RequestKind.ARM)
-        self.until(lambda: self.state is State.ARMED)
+        self.until(lambda: self.state is SupervisorState.ARMED)
         if phase == "P3":
             self.live(0.2)
             return
         self.ask(RequestKind.START)
-        self.until(lambda: self.state is State.RUNNING)
-        self.until(lambda: self.speed > 0.8 or self.state is not State.RUNNING)
+        self.until(lambda: self.state is SupervisorState.RUNNING)
+        self.until(lambda: self.speed > 0.8 or self.state is not SupervisorState.RUNNING)
         if phase == "P7":
             self.ask(RequestKind.STOP)
-            self.until(lambda: self.state is not State.RUNNING)
+            self.until(lambda: self.state is not SupervisorState.RUNNING)
 
     def children_of_core(self) -> list[int]:
         """Processes that the core started: its guardian."""
-        core = self.crew.core.process.pid
+        core = self.processes.core.process.pid
         text = Path(f"/proc/{core}/task/{core}/children").read_text(encoding="ascii")
         return [int(pid) for pid in text.split()]
 
@@ -174,7 +175,7 @@ def free_port() -> int:
 
 @contextlib.contextmanager
 def start_live(folder: Path) -> Iterator[Live]:
-    """Hardware and crew; everything is ended and waited for on the way out."""
+    """Hardware and processes; everything is ended and waited for on the way out."""
     plan = make_plan(RunOptions(car_file="", path="line", speed=1.0))
     context = mp.get_context("spawn")
     ours, theirs = context.Pipe()
@@ -192,22 +193,24 @@ def start_live(folder: Path) -> Iterator[Live]:
         listen=f"tcp/127.0.0.1:{free_port()}",
     )
     epoch_ns = CLOCK.realtime_ns() - CLOCK.now_ns()
-    crew = start_crew(make_plan(options), folder / "drive.mcap", BOOT_ID, epoch_ns, leased=True)
+    processes = start_processes(
+        make_plan(options), folder / "drive.mcap", BOOT_ID, epoch_ns, leased=True
+    )
     try:
-        yield Live(crew, ours, Operator(BOOT_ID, LEASE_ID, "test"))
+        yield Live(processes, ours, Operator(BOOT_ID, LEASE_ID, "test"))
     finally:
-        for child in (crew.core, crew.gateway, crew.recorder):
+        for child in (processes.core, processes.gateway, processes.recorder):
             with contextlib.suppress(ProcessLookupError):
                 child.process.send_signal(signal.SIGCONT)
         with contextlib.suppress(OSError):
-            crew.requests.close()
-        for child in (crew.core, crew.gateway, crew.recorder):
+            processes.requests.close()
+        for child in (processes.core, processes.gateway, processes.recorder):
             try:
                 child.process.wait(15)
             except Exception:
                 child.process.kill()
                 child.process.wait()
-        os.close(crew.status_fd)
+        os.close(processes.status_fd)
         ours.close()
         device.join(5)
         if device.is_alive():

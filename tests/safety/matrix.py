@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import hypot, inf
 
 from steerd.daemon.assembly.build import NS
-from steerd.daemon.loop.transitions import State, is_engaged
+from steerd.daemon.loop.transitions import SupervisorState, is_engaged
 from steerd.sim_hw.judge import (
     Effort,
     MotorFrame,
@@ -29,7 +29,7 @@ SPEED_LAG_S = 0.1
 """How far a VESC's speed loop stays behind the ramp."""
 LAUNCH_M = 0.80
 """The launch window of 0.5 m, and a stop from 0.5 m/s after up to 0.3 s."""
-UPWARD = {State.SELF_TEST, State.ARMED, State.RUNNING}
+UPWARD = {SupervisorState.SELF_TEST, SupervisorState.ARMED, SupervisorState.RUNNING}
 MOVING = ("P4", "P5", "P6", "P7", "P8")
 
 
@@ -76,7 +76,7 @@ class Facts:
     ailment: Ailment
     must: Must
     frames: Sequence[MotorFrame]
-    states: tuple[State, ...]
+    states: tuple[SupervisorState, ...]
     reasons: tuple[str, ...]
     told_s: float
     stop_s: float
@@ -89,7 +89,7 @@ class Facts:
         """Whether the only step up is the end of a stop that the operator asked for."""
         wanted = self.ailment.asks_stop or self.ailment.rearms
         asked = phase == "P7" or wanted or self.must is Must.LIVE_ON
-        return asked and set(self.states) & UPWARD == {State.ARMED}
+        return asked and set(self.states) & UPWARD == {SupervisorState.ARMED}
 
 
 def run_cell(ailment: Ailment, phase: str) -> Outcome:
@@ -126,7 +126,7 @@ def drive_on(rig: Rig, ailment: Ailment, phase: str, t_fault: int) -> None:
 
 def settled(rig: Rig) -> bool:
     """Whether nothing is left to happen: half a second after motor bytes ended."""
-    quiet = not is_engaged(rig.state) or rig.state is State.ARMED
+    quiet = not is_engaged(rig.state) or rig.state is SupervisorState.ARMED
     since_ns = rig.run.core.loop.supervisor.since_ns
     return quiet and rig.t_ns - since_ns > 500 * MS
 
@@ -136,12 +136,12 @@ def drive_cold(rig: Rig, ailment: Ailment) -> None:
     end = rig.t_ns + round(COLD_S * NS)
     while rig.t_ns < end:
         ailment.each(rig)
-        if rig.state is State.READY:
+        if rig.state is SupervisorState.READY:
             rig.ask(RequestKind.ARM)
-        elif rig.state is State.ARMED:
+        elif rig.state is SupervisorState.ARMED:
             rig.ask(RequestKind.START)
         rig.step()
-        if rig.state in (State.FAULT_STOP, State.ESTOP) and rig.resting:
+        if rig.state in (SupervisorState.FAULT_STOP, SupervisorState.ESTOP) and rig.resting:
             return
 
 
@@ -189,7 +189,7 @@ def judge(rig: Rig, ailment: Ailment, phase: str, t_fault: int, seen: int) -> Ou
         ailment=ailment,
         must=must,
         frames=[frame for frame in frames if frame.t_ns >= t_fault],
-        states=tuple(State(message.to_state) for _, message in followed),
+        states=tuple(SupervisorState(message.to_state) for _, message in followed),
         reasons=tuple(message.text for _, message in followed),
         told_s=(followed[0][0] - t_fault) / NS if followed else inf,
         stop_s=(stop.t_ns - t_fault) / NS if stop else inf,
@@ -253,9 +253,9 @@ def judge_stop(f: Facts, phase: str) -> Iterator[str]:
             yield f"(a) first stop byte after {f.stop_s:.3f} s, bound {f.bound_s:.3f}"
     elif driven_after(f.frames, f.rig.track[0].t_ns + 200 * MS):
         yield "(b) a drive frame after the link came back"
-    wanted = State[f.must.value]
+    wanted = SupervisorState[f.must.value]
     if phase == "P7" and f.must is Must.STOP_SOFT:
-        if State.ARMED in f.states and not f.ailment.rearms:
+        if SupervisorState.ARMED in f.states and not f.ailment.rearms:
             yield "(c) armed again although something is wrong"
     elif wanted not in f.states:
         yield f"(a) {wanted.name} was never entered: {f.states}"
@@ -265,7 +265,11 @@ def judge_stop(f: Facts, phase: str) -> Iterator[str]:
 
 def judge_undisturbed(f: Facts, phase: str) -> Iterator[str]:
     """A fault that a car must live with."""
-    bad = [s for s in f.states if s in (State.FAULT_STOP, State.ESTOP, State.INIT)]
+    bad = [
+        s
+        for s in f.states
+        if s in (SupervisorState.FAULT_STOP, SupervisorState.ESTOP, SupervisorState.INIT)
+    ]
     if bad:
         yield f"(f) false stop: {f.states} {f.reasons[-1]}"
     elif phase != "P7" and f.told_s < WATCH_S:
@@ -274,7 +278,7 @@ def judge_undisturbed(f: Facts, phase: str) -> Iterator[str]:
 
 def judge_deaf(f: Facts) -> Iterator[str]:
     """A VESC that ignores commands: the daemon must notice, go on braking and say so."""
-    if State.FAULT_STOP not in f.states:
+    if SupervisorState.FAULT_STOP not in f.states:
         yield f"(a) nobody noticed that the stop has no effect: {f.states}"
     elif f.frames[-1].effort is not Effort.BRAKE:
         yield "(b) gave up braking"
@@ -287,32 +291,40 @@ def judge_standing(f: Facts, phase: str) -> Iterator[str]:
     if f.way_m > 0.02:
         yield f"(d) moved {f.way_m:.2f} m"
     now = f.rig.state
-    if State.RUNNING in f.states or (phase != "P2" and set(f.states) & UPWARD):
+    if SupervisorState.RUNNING in f.states or (phase != "P2" and set(f.states) & UPWARD):
         yield f"(c) went up by itself: {f.states}"
     if f.ailment.cold == "red" and phase not in f.ailment.unseen:
-        wrong = {"P1": (State.READY,), "P2": (State.ARMED,), "P3": (State.ARMED,)}[phase]
+        wrong = {
+            "P1": (SupervisorState.READY,),
+            "P2": (SupervisorState.ARMED,),
+            "P3": (SupervisorState.ARMED,),
+        }[phase]
         if now in wrong:
             yield f"(a) {now.name} in spite of it"
     if f.must is Must.LIVE_ON:
-        good = {"P1": State.READY, "P2": State.ARMED, "P3": State.ARMED}[phase]
+        good = {
+            "P1": SupervisorState.READY,
+            "P2": SupervisorState.ARMED,
+            "P3": SupervisorState.ARMED,
+        }[phase]
         if now is not good:
             yield f"(f) {now.name} instead of {good.name}: {f.reasons[-1:]}"
 
 
 def judge_cold(f: Facts, _phase: str) -> Iterator[str]:
     """An operator who arms and starts with the fault there from the beginning."""
-    driven = State.RUNNING in f.states
+    driven = SupervisorState.RUNNING in f.states
     match f.ailment.cold:
         case "red":
-            if State.ARMED in f.states:
+            if SupervisorState.ARMED in f.states:
                 yield f"(a) armed in spite of it: {f.states}"
         case "launch":
             if f.way_m > LAUNCH_M:
                 yield f"(d) {f.way_m:.2f} m before the launch checks stopped it"
-            if driven and State.FAULT_STOP not in f.states:
+            if driven and SupervisorState.FAULT_STOP not in f.states:
                 yield f"(a) the launch checks let it pass: {f.states}"
         case _ if f.must is Must.LIVE_ON:
-            if not driven or State.FAULT_STOP in f.states:
+            if not driven or SupervisorState.FAULT_STOP in f.states:
                 yield f"(f) cannot drive: {f.states} {f.reasons[-1:]}"
     if f.ailment.obeys and f.off_m > f.ailment.lane_m:
         yield f"(g) left the lane by {f.off_m:.2f} m"

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
-from steerd.daemon.assembly.build import NS, Plan, make_core, make_plan, make_world_config
-from steerd.daemon.ipc.pipe_records import Record
+from steerd.daemon.assembly.build import NS, RunPlan, make_core, make_plan, make_world_config
+from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.flags import Flag
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.mocap_link.sessions import NatNetSource
@@ -36,7 +36,7 @@ class Notes:
     def __init__(self) -> None:
         self.transitions: list[tuple[int, Transition]] = []
 
-    def __call__(self, records: list[Record], t_ns: int) -> None:
+    def __call__(self, records: list[PipeRecord], t_ns: int) -> None:
         for record in records:
             if record.topic is topics.TRANSITION:
                 self.transitions.append((t_ns, decode(Transition, record.data)))
@@ -54,7 +54,7 @@ class Rig:
         late_ns: lateness of the next tick.
     """
 
-    plan: Plan
+    plan: RunPlan
     run: VirtualRun
     notes: Notes
     track: list[Motion] = field(default_factory=list)
@@ -65,7 +65,7 @@ class Rig:
     said: list[bytes] = field(default_factory=list)
 
     @property
-    def state(self) -> State:
+    def state(self) -> SupervisorState:
         """The supervisor's state."""
         return self.run.core.loop.supervisor.state
 
@@ -110,7 +110,7 @@ class Rig:
             assert self.t_ns < end, (self.state, self.run.core.last)
             self.step()
 
-    def reach(self, state: State, then_s: float = 0.0) -> None:
+    def reach(self, state: SupervisorState, then_s: float = 0.0) -> None:
         """Step until a state is there, and a little longer."""
         self.until(lambda rig: rig.state is state)
         end = self.t_ns + round(then_s * NS)
@@ -134,7 +134,7 @@ def make_rig(path: str, speed: float) -> Rig:
 
 
 @lru_cache
-def _plan(path: str, speed: float) -> Plan:
+def _plan(path: str, speed: float) -> RunPlan:
     return make_plan(RunOptions(car_file="", path=path, speed=speed))
 
 
@@ -169,26 +169,26 @@ def at_phase(phase: str) -> Rig:
     if phase == "P0":
         rig.step()
         return rig
-    rig.reach(State.DISARMED, 0.1)
+    rig.reach(SupervisorState.DISARMED, 0.1)
     if phase == "P1":
         return rig
-    rig.reach(State.READY)
+    rig.reach(SupervisorState.READY)
     rig.ask(RequestKind.ARM)
-    rig.reach(State.SELF_TEST, 0.05)
+    rig.reach(SupervisorState.SELF_TEST, 0.05)
     if phase == "P2":
         return rig
-    rig.reach(State.ARMED, 0.2)
+    rig.reach(SupervisorState.ARMED, 0.2)
     if phase == "P3":
         return rig
     rig.ask(RequestKind.START)
-    rig.reach(State.RUNNING, 0.6)
+    rig.reach(SupervisorState.RUNNING, 0.6)
     if phase == "P4":
         return rig
-    rig.reach(State.RUNNING, 3.0)
+    rig.reach(SupervisorState.RUNNING, 3.0)
     if phase == "P7":
         rig.ask(RequestKind.STOP)
-        rig.reach(State.STOPPING, 0.05)
+        rig.reach(SupervisorState.STOPPING, 0.05)
     elif phase == "P8":
         rig.run.core.flags |= Flag.SUSPENDED
-        rig.reach(State.FAULT_STOP, 0.05)
+        rig.reach(SupervisorState.FAULT_STOP, 0.05)
     return rig

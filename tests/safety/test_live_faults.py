@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from steerd.daemon.ipc.operator import Operator
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.sim_hw.judge import Effort, driven_after, find_stop
 from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.session_read import open_session
@@ -46,7 +46,7 @@ class LiveFault:
 
 def send(process: str, number: signal.Signals, times: int = 1) -> Callable[[Live], int]:
     def act(live: Live) -> int:
-        pid = getattr(live.crew, process).process.pid
+        pid = getattr(live.processes, process).process.pid
         now_ns = CLOCK.now_ns()
         for _ in range(times):
             os.kill(pid, number)
@@ -141,7 +141,7 @@ def test_live_cell(name, phase, tmp_path) -> None:
         assert not driven_after(after, brake_ns)
     else:
         assert not driven_after(after, fault_ns + round(fault.bound_s * 1e9))
-    assert State.RUNNING not in [to for _, to, _ in followed]
+    assert SupervisorState.RUNNING not in [to for _, to, _ in followed]
     if fault.told and phase in ("P3", "P5"):
         assert followed
         assert all(words for _, _, words in followed)
@@ -151,9 +151,10 @@ def test_a_killed_recorder_leaves_a_readable_session(tmp_path) -> None:
     with start_live(tmp_path) as live:
         live.reach("P5")
         send("recorder", signal.SIGKILL)(live)
-        live.until(lambda: live.state is State.DISARMED)
+        live.until(lambda: live.state is SupervisorState.DISARMED)
         assert any(
-            to is State.STOPPING and "recorder" in words for _, to, words in live.transitions
+            to is SupervisorState.STOPPING and "recorder" in words
+            for _, to, words in live.transitions
         )
     (partial,) = tmp_path.glob("drive.mcap*")
     session = open_session(partial)

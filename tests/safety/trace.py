@@ -99,7 +99,7 @@ TRACES = {
         also="`test_lateness.py`; live: SIGSTOP core",
     ),
     "W16": Trace(
-        "steerd.daemon.process.guard:ProcessGuard.silent",
+        "steerd.daemon.process.guard:ProcessGuard.is_silent",
         _names("guardian"),
         ("H6", "P5"),
         also=_RUNNER + "; live: SIGKILL guardian",
@@ -159,7 +159,7 @@ TRACES = {
         _names("suspend_step"), ("H17", "P5"), also=_RUNNER
     ),
     "W29": Trace(
-        "steerd.daemon.loop.failed_loop:tick_blind", (),
+        "steerd.daemon.loop.failed_loop:make_failed_tick", (),
         ("H13", "P5"), also="H13b to H13e; " + _RUNNER
     ),
 }  # fmt: skip

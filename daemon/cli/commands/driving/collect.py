@@ -11,10 +11,10 @@ limits as in `steerd run` stand above the plan; a box is their fence.
 import argparse
 from dataclasses import replace
 
-from steerd.daemon.assembly.build import Plan, make_plan
+from steerd.daemon.assembly.build import RunPlan, make_plan
 from steerd.daemon.cli.commands.driving import run as driving
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.loop.plans import NAMES, PlanError, closed_path, parse_box
+from steerd.daemon.loop.plans import NAMES, PlanError, make_closed_path, parse_box
 from steerd.daemon.settings.run_options import RunOptions
 
 SPEED = 2.5
@@ -62,12 +62,12 @@ def _path(args: argparse.Namespace) -> str:
     if not args.closed:
         return "line"
     try:
-        return closed_path(parse_box(args.box) if args.box else None)
+        return make_closed_path(parse_box(args.box) if args.box else None)
     except PlanError as error:
         raise SteerdError(str(error), "", _USAGE) from None
 
 
-def plan_drive(options: RunOptions, *, design: bool = True) -> Plan:
+def plan_drive(options: RunOptions, *, design: bool = True) -> RunPlan:
     """The run of these options, as long as its plan unless they say how long.
 
     Raises:

@@ -21,7 +21,7 @@ from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.cli.commands.driving.run import add_drive_arguments
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.ipc.operator import add_bus_arguments, connect, read_status
-from steerd.daemon.loop.transitions import State as Supervised
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus
@@ -66,7 +66,7 @@ class RemoteKeeper:
         if not all(map(isfinite, state)):
             self._state = None
             return None
-        driving = message.mode == Supervised.RUNNING
+        driving = message.mode == SupervisorState.RUNNING
         if self._state is None or driving is not self._driving:
             self._state = start_controller(self._controller, state, message.mono_ns)
             self._driving = driving

@@ -21,7 +21,7 @@ from steerd.daemon.ipc.operator import (
     connect,
     read_status,
 )
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock, MonotonicClock
@@ -40,20 +40,25 @@ _KINDS = {
     "estop": RequestKind.ESTOP,
 }
 _WANTED = {
-    "arm": (State.ARMED,),
-    "start": (State.RUNNING,),
-    "stop": (State.STOPPING, State.ARMED, State.DISARMED, State.READY),
-    "disarm": (State.STOPPING, State.DISARMED, State.READY),
-    "clear": (State.DISARMED, State.READY),
-    "estop": (State.ESTOP,),
+    "arm": (SupervisorState.ARMED,),
+    "start": (SupervisorState.RUNNING,),
+    "stop": (
+        SupervisorState.STOPPING,
+        SupervisorState.ARMED,
+        SupervisorState.DISARMED,
+        SupervisorState.READY,
+    ),
+    "disarm": (SupervisorState.STOPPING, SupervisorState.DISARMED, SupervisorState.READY),
+    "clear": (SupervisorState.DISARMED, SupervisorState.READY),
+    "estop": (SupervisorState.ESTOP,),
 }
 _OVER = (
-    State.DISARMED,
-    State.READY,
-    State.INIT,
-    State.FAULT_STOP,
-    State.FAULT_LATCHED,
-    State.ESTOP,
+    SupervisorState.DISARMED,
+    SupervisorState.READY,
+    SupervisorState.INIT,
+    SupervisorState.FAULT_STOP,
+    SupervisorState.FAULT_LATCHED,
+    SupervisorState.ESTOP,
 )
 
 
@@ -81,21 +86,21 @@ class _Link:
         self._changes = bus.subscribe(make_key(car, topics.TRANSITION), 32)
         self._status = bus.subscribe(make_key(car, topics.DIAGNOSTICS))
         self._clock = clock
-        self.state = State.INIT
+        self.state = SupervisorState.INIT
         self.values: dict[str, str] = {}
         self._show: Callable[[str], None] = lambda line: print(line, file=sys.stderr)
 
     def ask(self, kind: RequestKind) -> None:
-        self._bus.publish(self._key, self._operator.make(kind, self._clock.realtime_ns()))
+        self._bus.publish(self._key, self._operator.make_request(kind, self._clock.realtime_ns()))
 
     def hear(self) -> None:
         for sample in self._changes.poll():
             change = decode(Transition, sample.data)
-            self.state = State(change.to_state)
+            self.state = SupervisorState(change.to_state)
             self._show(f"{self.state.name:<14}{change.text}")
         for sample in self._status.poll():
             self.values = read_diagnostics(decode(DiagnosticArray, sample.data))
-            self.state = State[self.values["state"]]
+            self.state = SupervisorState[self.values["state"]]
 
     def wait(self, done: Callable[[], bool], limit_ns: int | None) -> bool:
         """Keep alive and listen until it is done or the time is over."""
@@ -118,13 +123,13 @@ def run(args: argparse.Namespace) -> int:
     with connect(args) as bus:
         status = read_status(bus, args.name, clock)
         holder = int(status.get("holder", "0"))
-        shared = name == "start" and status["state"] == State.ARMED.name and holder
+        shared = name == "start" and status["state"] == SupervisorState.ARMED.name and holder
         lease = holder if shared else secrets.randbits(62) + 1
         operator = Operator(int(status["boot_id"]), lease, getpass.getuser())
         operator.seq = clock.realtime_ns() // 1_000_000 % 2_000_000_000
         link = _Link(bus, args.name, operator, clock)
-        link.state, link.values = State[status["state"]], status
-        if name == "start" and link.state is not State.ARMED:
+        link.state, link.values = SupervisorState[status["state"]], status
+        if name == "start" and link.state is not SupervisorState.ARMED:
             _arm_first(link)
         return _ask(link, name, hold=not args.no_hold)
 
@@ -155,7 +160,7 @@ def _ask(link: _Link, name: str, *, hold: bool) -> int:
 
 def _hold(link: _Link, name: str) -> int:
     """Stay as the deadman until the state that was asked for is left."""
-    stay = State.ARMED if name == "arm" else State.RUNNING
+    stay = SupervisorState.ARMED if name == "arm" else SupervisorState.RUNNING
     doing = "armed: `steerd start` from another terminal" if name == "arm" else "driving"
     print(f"{doing}; Ctrl-C {'disarms' if name == 'arm' else 'stops'}", file=sys.stderr)
     try:
@@ -163,13 +168,21 @@ def _hold(link: _Link, name: str) -> int:
     except KeyboardInterrupt:
         link.ask(RequestKind.DISARM if name == "arm" else RequestKind.STOP)
         link.wait(lambda: link.state is not stay, ANSWER_NS)
-        link.wait(lambda: link.state is not State.STOPPING, 5_000_000_000)
+        link.wait(lambda: link.state is not SupervisorState.STOPPING, 5_000_000_000)
     print(link.state.name)
-    return ExitCode.STOPPED if link.state in (State.FAULT_LATCHED, State.ESTOP) else ExitCode.OK
+    return (
+        ExitCode.STOPPED
+        if link.state in (SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
+        else ExitCode.OK
+    )
 
 
-def _left(link: _Link, stay: State) -> bool:
+def _left(link: _Link, stay: SupervisorState) -> bool:
     """Whether there is nothing to hold any more."""
-    if stay is State.ARMED:
-        return link.state not in (State.ARMED, State.RUNNING, State.STOPPING)
-    return link.state not in (State.RUNNING, State.STOPPING)
+    if stay is SupervisorState.ARMED:
+        return link.state not in (
+            SupervisorState.ARMED,
+            SupervisorState.RUNNING,
+            SupervisorState.STOPPING,
+        )
+    return link.state not in (SupervisorState.RUNNING, SupervisorState.STOPPING)

@@ -11,7 +11,7 @@ import sys
 from math import inf
 from pathlib import Path
 
-from steerd.daemon.assembly.build import Plan, make_plan
+from steerd.daemon.assembly.build import RunPlan, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.process.view_job import DEFAULT_PORT, check_view, parse_view
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
@@ -171,7 +171,7 @@ def run(args: argparse.Namespace) -> int:
     return drive(make_plan(make_options(args), design=args.fast), fast=args.fast)
 
 
-def drive(plan: Plan, *, fast: bool) -> int:
+def drive(plan: RunPlan, *, fast: bool) -> int:
     """Drive a plan: in virtual time, on simulated hardware or on a car."""
     if fast:
         from steerd.daemon.offline.fast import run_fast
@@ -182,7 +182,7 @@ def drive(plan: Plan, *, fast: bool) -> int:
     return _run_live(plan)
 
 
-def _run_simulated(plan: Plan) -> int:
+def _run_simulated(plan: RunPlan) -> int:
     from dataclasses import replace
 
     from steerd.daemon.assembly.build import make_world_config
@@ -194,10 +194,10 @@ def _run_simulated(plan: Plan) -> int:
         return _run_live(replace(plan, options=options))
 
 
-def _run_live(plan: Plan) -> int:
+def _run_live(plan: RunPlan) -> int:
     from steerd.daemon.assembly.session_meta import default_session_path
     from steerd.daemon.ipc.operator import Operator
-    from steerd.daemon.process.children import start_crew
+    from steerd.daemon.process.children import start_processes
     from steerd.daemon.terminal.closing import closing_lines
     from steerd.daemon.terminal.dashboard import Dashboard
     from steerd.daemon.terminal.terminal import Terminal
@@ -212,17 +212,17 @@ def _run_live(plan: Plan) -> int:
         else default_session_path(plan.options.car, clock.realtime_ns(), boot_id)
     )
     leased = plan.settings.deadman and not plan.options.simulated
-    crew = start_crew(plan, session, boot_id, epoch_ns, leased)
-    for line in crew.told.get("realtime", ()):
+    processes = start_processes(plan, session, boot_id, epoch_ns, leased)
+    for line in processes.core_report.get("realtime", ()):
         print(f"note: {line}", file=sys.stderr)
-    if crew.viewer is not None:
+    if processes.viewer is not None:
         host, port = parse_view(plan.options.view, plan.options.insecure_lan)
         print(f"view: ws://{host}:{port} (Foxglove or Lichtblick: Open connection)")
     where = "simulated hardware" if plan.options.simulated else str(plan.options.port)
     board = Dashboard(f"steerd · {plan.options.car} on {where} · {plan.path.name}")
     operator = Operator(boot_id, secrets.randbits(62) + 1, "terminal")
-    Terminal(crew, board, operator, clock).run()
-    code = crew.end()
+    Terminal(processes, board, operator, clock).run()
+    code = processes.end()
     told, *where_to = closing_lines(plan, board.tally, session)
     print(told)
     if board.status.get("state") in ("FAULT_LATCHED", "FAULT_STOP", "ESTOP"):

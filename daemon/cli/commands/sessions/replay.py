@@ -12,7 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
-    from steerd.daemon.offline.replay import describe, expect_same, replay
+    from steerd.daemon.offline.replay import check_same, describe_difference, replay
     from steerd.daemon.sessions.info import load_session
     from steerd.daemon.sessions.text import print_warnings
 
@@ -24,8 +24,8 @@ def run(args: argparse.Namespace) -> int:
         first_ns = first_ns or difference.t_ns
         count += 1
         if count <= args.show:
-            print(describe(difference, first_ns))
-    code = expect_same(count, going.ticks)
+            print(describe_difference(difference, first_ns))
+    code = check_same(count, going.ticks)
     verdict = f"{count} of them differ" if count else "every one is the recorded one"
     print(f"{going.ticks} orders replayed: {verdict}")
     return code

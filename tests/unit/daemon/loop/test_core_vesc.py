@@ -8,7 +8,7 @@ from steerd.daemon.assembly.build import make_core, make_plan
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.core import BOUND_TRIES, Core
 from steerd.daemon.loop.flags import Flag
-from steerd.daemon.loop.transitions import Request, State
+from steerd.daemon.loop.transitions import Request, SupervisorState
 from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.mocap_link.source import ClockKind, PoseSample, RawPose
@@ -32,19 +32,19 @@ def until(run: VirtualRun, holds, limit_s: float) -> None:
         run.step()
 
 
-def state_of(run: VirtualRun) -> State:
+def state_of(run: VirtualRun) -> SupervisorState:
     return run.core.loop.supervisor.state
 
 
 def driving(plan) -> VirtualRun:
     """A run whose car moves."""
     run = make_virtual_run(plan)
-    until(run, lambda: state_of(run) is State.READY, 20.0)
+    until(run, lambda: state_of(run) is SupervisorState.READY, 20.0)
     run.core.loop._asked |= Request.ARM
-    until(run, lambda: state_of(run) is State.ARMED, 5.0)
+    until(run, lambda: state_of(run) is SupervisorState.ARMED, 5.0)
     run.core.loop._asked |= Request.START
     until(run, lambda: run.core.loop.perception.wheel_speed > 0.4, 5.0)
-    assert state_of(run) is State.RUNNING
+    assert state_of(run) is SupervisorState.RUNNING
     return run
 
 
@@ -55,7 +55,7 @@ def limit_of(run: VirtualRun) -> float:
 
 def test_a_vesc_that_starts_anew_gets_the_session_limits_again(plan):
     run = make_virtual_run(plan)
-    until(run, lambda: state_of(run) is State.READY, 20.0)
+    until(run, lambda: state_of(run) is SupervisorState.READY, 20.0)
     wanted = run.core.link.limits.erpm_max
     assert limit_of(run) == pytest.approx(wanted)
     run.world.add_fault(Fault("V15", run.t_ns, run.t_ns + 2 * NS))
@@ -98,22 +98,22 @@ def test_one_run_drives_one_vesc(plan):
     core, asked = fresh_core(plan)
     core._know(identity(b"first"))
     core._bound_session(limits(1e9))
-    own = core.make_farewell()
+    own = core.make_shutdown_frames()
     core._know(identity(b"other"))
     core._bound_session(limits(1e9))
     assert not core._expected
     assert len(asked) == 2, "the other one is not given our limits"
-    assert len(core.make_farewell()) < len(own), "nor the first one's at the end"
+    assert len(core.make_shutdown_frames()) < len(own), "nor the first one's at the end"
     core._know(identity(b"first"))
     assert core._expected
 
 
 def test_another_vesc_at_the_same_plug_is_not_armed(plan):
     run = make_virtual_run(plan)
-    until(run, lambda: state_of(run) is State.READY, 20.0)
+    until(run, lambda: state_of(run) is SupervisorState.READY, 20.0)
     run.world.add_fault(Fault("V3", run.t_ns, run.t_ns + 60 * NS))
     until(run, lambda: False, 8.0)
-    assert state_of(run) in (State.INIT, State.DISARMED)
+    assert state_of(run) in (SupervisorState.INIT, SupervisorState.DISARMED)
     last = run.core.last
     assert "not the one this run began with" in run.core._waiting(last.action, last.waiting)
 
@@ -127,8 +127,8 @@ def test_a_blind_stop_ends_though_the_wheels_were_last_seen_turning(plan, fault)
         raise RuntimeError("controller")
 
     run.core.loop._wish = fail
-    until(run, lambda: state_of(run) is State.FAULT_LATCHED, 6.0)
-    assert state_of(run) is State.FAULT_LATCHED
+    until(run, lambda: state_of(run) is SupervisorState.FAULT_LATCHED, 6.0)
+    assert state_of(run) is SupervisorState.FAULT_LATCHED
     assert run.core.loop.at_rest
 
 
@@ -138,11 +138,11 @@ def test_an_emergency_stop_is_left_by_reset_after_the_plug_was_out(plan):
     until(run, lambda: False, 0.3)
     run.world.add_fault(Fault("V1", run.t_ns, run.t_ns + 2 * NS))
     until(run, lambda: False, 5.0)
-    assert state_of(run) is State.ESTOP
+    assert state_of(run) is SupervisorState.ESTOP
     for _ in range(4):
         run.core.loop._asked |= Request.RESET
         until(run, lambda: False, 0.5)
-    assert state_of(run) in (State.DISARMED, State.READY)
+    assert state_of(run) in (SupervisorState.DISARMED, SupervisorState.READY)
 
 
 def sample(k: int, t_ns: int) -> PoseSample:

@@ -4,7 +4,7 @@ import pytest
 
 from steerd.daemon.loop.failed_loop import describe_error
 from steerd.daemon.loop.loop import Flag
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.sim_hw.judge import Effort, read_motor_frames
 from steerd.steer_bus.messages import RequestKind
 from tests.safety.rig import at_phase, twin
@@ -24,7 +24,7 @@ def test_whatever_raises_the_same_tick_brakes(part):
     broken_ns = rig.t_ns
     setattr(rig.run.core.loop, part, broken)
     rig.step()
-    assert rig.state is State.FAULT_STOP
+    assert rig.state is SupervisorState.FAULT_STOP
     after = [f for f in read_motor_frames(rig.run.world.log.entries) if f.t_ns >= broken_ns]
     assert [frame.effort for frame in after] == [Effort.BRAKE]
     assert "no such gain" in rig.run.core.loop.supervisor.reason
@@ -37,11 +37,11 @@ def test_one_exception_keeps_the_car_latched_for_good():
     loop._wish = broken
     rig.step()
     del loop._wish
-    rig.reach(State.FAULT_LATCHED, 1.0)
+    rig.reach(SupervisorState.FAULT_LATCHED, 1.0)
     rig.ask(RequestKind.CLEAR)
     for _ in range(50):
         rig.step()
-    assert rig.state is State.FAULT_LATCHED
+    assert rig.state is SupervisorState.FAULT_LATCHED
     assert rig.run.core.flags & Flag.EXCEPTION
 
 

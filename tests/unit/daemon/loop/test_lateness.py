@@ -12,7 +12,7 @@ from steerd.daemon.loop.lateness import (
     WINDOW_NS,
     Lateness,
     LatenessRules,
-    make_rules,
+    make_lateness_rules,
     step_lateness,
 )
 from steerd.daemon.settings.thresholds import Thresholds
@@ -35,8 +35,8 @@ def test_in_time_nothing_is_said_and_a_missed_tick_is_a_warning():
 
 
 def test_the_rules_are_the_thresholds():
-    assert make_rules(Thresholds()) == ON_HARDWARE == LatenessRules(25_000_000, 3, 0.02)
-    assert make_rules(replace(Thresholds(), late=0.0125)).late_ns == 12_500_000
+    assert make_lateness_rules(Thresholds()) == ON_HARDWARE == LatenessRules(25_000_000, 3, 0.02)
+    assert make_lateness_rules(replace(Thresholds(), late=0.0125)).late_ns == 12_500_000
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_more_than_two_of_a_hundred_trip_and_the_next_second_begins_anew():
     [({"late": 0.015}, [15.1]), ({"late_run": 2}, [12, 12]), ({"late_share": 0.0}, [12, 0, 12])],
 )
 def test_a_car_file_may_be_stricter(changes, late_ms):
-    strict = make_rules(replace(Thresholds(), **changes))
+    strict = make_lateness_rules(replace(Thresholds(), **changes))
     assert run(late_ms)[0][-1] is Severity.WARN
     assert run(late_ms, strict)[0][-1] is Severity.HARD
 

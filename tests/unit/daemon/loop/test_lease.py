@@ -8,7 +8,7 @@ from steerd.daemon.loop.lease import (
     FORMER_MAX,
     Lease,
     Remote,
-    accept,
+    accept_request,
     command_age,
     lease_age,
     take_command,
@@ -43,14 +43,17 @@ def command(seq=1, boot=BOOT, who=ANN, valid_ms=100, steer=0.1):
     ],
 )
 def test_the_holder_s_requests_pass_and_renew(kind, request_):
-    lease, got = accept(HELD, ask(kind), T0 + 5, idle=False)
+    lease, got = accept_request(HELD, ask(kind), T0 + 5, idle=False)
     assert got == request_
     assert lease == Lease(BOOT, ANN, 11, T0 + 5)
 
 
 def test_every_kind_of_request_is_known():
     for kind in RequestKind:
-        assert accept(HELD, ask(kind), T0, idle=False)[1] not in (Request.NONE, Request.UNKNOWN)
+        assert accept_request(HELD, ask(kind), T0, idle=False)[1] not in (
+            Request.NONE,
+            Request.UNKNOWN,
+        )
 
 
 @pytest.mark.parametrize(
@@ -62,14 +65,14 @@ def test_every_kind_of_request_is_known():
     ids=["same number", "older", "another run", "another operator", "nobody", "both"],
 )  # fmt: skip
 def test_others_and_old_requests_are_refused_and_counted(asked):
-    lease, got = accept(HELD, asked, T0 + 5, idle=False)
+    lease, got = accept_request(HELD, asked, T0 + 5, idle=False)
     assert got == Request.NONE
     assert lease == Lease(BOOT, ANN, 10, T0, refused=1)
 
 
 @pytest.mark.parametrize("kind", [RequestKind.ARM, RequestKind.CLEAR, RequestKind.KEEPALIVE])
 def test_nobody_is_no_holder_even_while_nobody_holds(kind):
-    lease, got = accept(Lease(BOOT), ask(kind, who=0), T0, idle=False)
+    lease, got = accept_request(Lease(BOOT), ask(kind, who=0), T0, idle=False)
     assert got == Request.NONE
     assert lease == Lease(BOOT, refused=1)
 
@@ -77,31 +80,31 @@ def test_nobody_is_no_holder_even_while_nobody_holds(kind):
 @pytest.mark.parametrize("kind", [RequestKind.STOP, RequestKind.ESTOP])
 @pytest.mark.parametrize("asked", [{"who": BOB}, {"seq": 1}, {"boot": 0}, {"who": 0}])
 def test_a_stop_is_anybody_s(kind, asked):
-    lease, got = accept(HELD, ask(kind, **asked), T0 + 5, idle=False)
+    lease, got = accept_request(HELD, ask(kind, **asked), T0 + 5, idle=False)
     assert got == (Request.STOP if kind == RequestKind.STOP else Request.ESTOP)
     assert (lease.holder, lease.seq, lease.renewed_ns, lease.refused) == (ANN, 10, T0, 1)
 
 
 @pytest.mark.parametrize("kind", [99, 255, -1])
 def test_an_unknown_request_is_said_to_be_one(kind):
-    lease, got = accept(HELD, ask(kind), T0, idle=False)
+    lease, got = accept_request(HELD, ask(kind), T0, idle=False)
     assert got == Request.UNKNOWN
     assert lease == Lease(BOOT, ANN, 10, T0, refused=1)
 
 
 def test_an_idle_lease_is_free_for_another_and_not_for_nobody():
-    lease, got = accept(HELD, ask(who=BOB, seq=0), T0 + 5, idle=True)
+    lease, got = accept_request(HELD, ask(who=BOB, seq=0), T0 + 5, idle=True)
     assert got == Request.ARM
     assert lease == Lease(BOOT, BOB, 0, T0 + 5, former=((ANN, 10),))
-    assert accept(HELD, ask(who=0), T0, idle=True)[1] == Request.NONE
-    assert accept(HELD, ask(who=BOB, boot=1), T0, idle=True)[1] == Request.NONE
-    assert accept(HELD, ask(seq=10), T0, idle=True)[1] == Request.NONE, "its own old number"
+    assert accept_request(HELD, ask(who=0), T0, idle=True)[1] == Request.NONE
+    assert accept_request(HELD, ask(who=BOB, boot=1), T0, idle=True)[1] == Request.NONE
+    assert accept_request(HELD, ask(seq=10), T0, idle=True)[1] == Request.NONE, "its own old number"
 
 
 def take(lease, *asked):
     """Requests while the holder is silent; what came of the last."""
     for who, seq in asked:
-        lease, got = accept(lease, ask(who=who, seq=seq), T0, idle=True)
+        lease, got = accept_request(lease, ask(who=who, seq=seq), T0, idle=True)
     return lease, got
 
 
@@ -130,8 +133,8 @@ def test_so_many_former_holders_are_remembered():
 def test_a_fresh_lease_has_no_holder():
     fresh = Lease(BOOT)
     assert lease_age(fresh, T0) == inf
-    assert accept(fresh, ask(who=0, seq=0), T0, idle=False)[0].holder == 0
-    assert accept(fresh, ask(who=ANN, seq=0), T0, idle=True)[0].holder == ANN
+    assert accept_request(fresh, ask(who=0, seq=0), T0, idle=False)[0].holder == 0
+    assert accept_request(fresh, ask(who=ANN, seq=0), T0, idle=True)[0].holder == ANN
 
 
 def test_its_age_is_seconds_since_the_holder_was_heard():

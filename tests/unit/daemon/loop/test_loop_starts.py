@@ -2,7 +2,7 @@
 
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.loop.supervisor import LAUNCH_SPEED
-from steerd.daemon.loop.transitions import Is, State
+from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.offline.virtual import make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, make_header
@@ -30,16 +30,16 @@ def test_a_second_start_is_as_slow_as_the_first():
     def reach(state):
         until(run, lambda: loop.supervisor.state is state)
 
-    reach(State.READY)
+    reach(SupervisorState.READY)
     ask(run, RequestKind.ARM)
-    reach(State.ARMED)
+    reach(SupervisorState.ARMED)
     for _ in range(2):
         ask(run, RequestKind.START)
-        reach(State.RUNNING)
+        reach(SupervisorState.RUNNING)
         assert run.core.last.action.cap == LAUNCH_SPEED
-        assert not run.core.last.facts & Is.LAUNCHED
-        until(run, lambda: run.core.last.facts & Is.LAUNCHED)
+        assert not run.core.last.facts & Fact.LAUNCHED
+        until(run, lambda: run.core.last.facts & Fact.LAUNCHED)
         ask(run, RequestKind.STOP)
-        reach(State.ARMED)
+        reach(SupervisorState.ARMED)
         run.step()
-        assert not run.core.last.facts & Is.LAUNCHED
+        assert not run.core.last.facts & Fact.LAUNCHED

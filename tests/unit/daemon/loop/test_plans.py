@@ -13,7 +13,7 @@ from steerd.controller.limits import Limits
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop import plans
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
 
@@ -32,7 +32,7 @@ def test_circles_are_the_papers_sixteen():
 
 def test_after_its_end_a_plan_stands():
     drill = plans.parse_drill("steps", DEFAULT_CAR, LIMITS)
-    assert drill.at(drill.seconds + 1.0) == Command(0.0, 0.0)
+    assert drill.command_at(drill.seconds + 1.0) == Command(0.0, 0.0)
 
 
 @settings(derandomize=True, deadline=None, max_examples=8)
@@ -47,10 +47,10 @@ def test_a_plan_fits_its_box_and_its_limits_or_is_refused(name, side, speed):
         drill = plans.make_open_drill(name, DEFAULT_CAR, LIMITS, box, speed)
     except plans.PlanError:
         return
-    reach = plans.forecast(DEFAULT_CAR, drill.segments)
+    reach = plans.forecast_extent(DEFAULT_CAR, drill.segments)
     assert max(reach.x_max, -reach.x_min, reach.y_max, -reach.y_min) <= 0.5 * side
     for k in range(int(drill.seconds / 0.1)):
-        wish = drill.at(0.1 * k)
+        wish = drill.command_at(0.1 * k)
         assert -LIMITS.steer_right_max - 1e-9 <= wish.steer <= LIMITS.steer_left_max + 1e-9
         assert 0.0 <= wish.speed <= max(speed, plans.PAPER_SPEED) + 1e-9
 
@@ -77,12 +77,12 @@ def test_box_by_corners():
 
 @pytest.mark.parametrize(("side", "path"), [("20", "figure8"), ("8", "circle")])
 def test_path_under_a_probe_fits(side, path):
-    assert plans.closed_path(plans.parse_box(side)).startswith(path)
+    assert plans.make_closed_path(plans.parse_box(side)).startswith(path)
 
 
 def test_a_box_too_small_for_a_probe_is_refused():
     with pytest.raises(plans.PlanError, match="needs a box"):
-        plans.closed_path(plans.parse_box("4"))
+        plans.make_closed_path(plans.parse_box("4"))
 
 
 def _drive(spec, seconds):
@@ -92,7 +92,7 @@ def _drive(spec, seconds):
     orders, states = [], []
     while not run.core.loop.ran and run.t_ns < 30_000_000_000:
         run.step()
-        if run.core.loop.supervisor.state is State.RUNNING:
+        if run.core.loop.supervisor.state is SupervisorState.RUNNING:
             orders.append(run.core.last.order.command)
             states.append(run.world.truth().state)
     return run, orders, states

@@ -6,7 +6,7 @@ from math import cos, inf, nan, nextafter, pi
 import pytest
 
 from steerd.daemon.loop.findings import WATCHDOGS, Severity, make_finding, summarise
-from steerd.daemon.loop.transitions import Is, State
+from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.loop.watchdogs import (
     FED_S,
     WatchdogInput,
@@ -34,7 +34,7 @@ TH = Thresholds(
     lease_warn=0.125, lease=0.25,
 )  # fmt: skip
 CALM = WatchdogInput(
-    t_ns=10**9, state=State.RUNNING, pose=PoseWatch(), mocap_age=0.0, telemetry_age=0.0,
+    t_ns=10**9, state=SupervisorState.RUNNING, pose=PoseWatch(), mocap_age=0.0, telemetry_age=0.0,
     lease_age=0.0, speed=1.5, speed_erpm=1.5, speed_mocap=1.5, speed_limit=2.0, x=0.0, y=0.0,
     course=0.0, sigma_position=0.01, sigma_yaw=0.01, covariance_ok=True, lateral_error=0.0,
     heading_error=0.0, steer_share=0.0, status=0, fault_code=0, tachometer=-1, cell_voltage=3.9,
@@ -146,7 +146,7 @@ def test_mocap_is_never_blind_for_more_than_its_distance():
 
 @pytest.mark.parametrize(("speed", "erpm"), [(4.0, 0.0), (0.0, 4.0), (0.0, -4.0), (-4.0, 1.0)])
 def test_mocap_age_is_judged_at_the_faster_speed(speed, erpm):
-    changes = {"speed": speed, "speed_erpm": erpm, "state": State.ARMED}
+    changes = {"speed": speed, "speed_erpm": erpm, "state": SupervisorState.ARMED}
     assert brief(look(mocap_age=0.0625, **changes)) == [("W1", WARN)]
     assert brief(look(mocap_age=up(0.0625), **changes)) == [("W1", HARD)]
 
@@ -228,7 +228,7 @@ NOT_HELD = [
     {"speed_erpm": 3.0, "speed_mocap": 4.0, "speed_limit": 6.0},
     {**STUCK, "current_share": 0.5},
     {**STUCK, "speed_erpm": 0.0625},
-    {**STUCK, "state": State.ARMED},
+    {**STUCK, "state": SupervisorState.ARMED},
 ]
 
 
@@ -268,7 +268,10 @@ def test_an_interruption_starts_the_time_again():
     assert brief(found) == [("W17", WARN), ("W17", HARD)]
 
 
-@pytest.mark.parametrize("state", [s for s in State if s not in (State.RUNNING, State.STOPPING)])
+@pytest.mark.parametrize(
+    "state",
+    [s for s in SupervisorState if s not in (SupervisorState.RUNNING, SupervisorState.STOPPING)],
+)
 def test_driving_watchdogs_are_silent_when_nobody_drives(state):
     changes = {
         "state": state, "lateral_error": 9.0, "heading_error": 3.0, "speed_erpm": 9.0,
@@ -277,16 +280,16 @@ def test_driving_watchdogs_are_silent_when_nobody_drives(state):
     assert hold(0.24, **changes) == ([], [])
 
 
-@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("state", SupervisorState)
 def test_lease_matters_while_armed_or_driving(state):
-    matters = state in (State.ARMED, State.RUNNING, State.STOPPING)
+    matters = state in (SupervisorState.ARMED, SupervisorState.RUNNING, SupervisorState.STOPPING)
     assert brief(look(state=state, lease_age=inf)) == ([("W25", SOFT)] if matters else [])
 
 
 def test_starved_at_once_after_the_vesc_was_seen_to_listen():
-    state, _ = step_watchdogs(TH, WatchdogState(), CALM._replace(state=State.ARMED))
+    state, _ = step_watchdogs(TH, WatchdogState(), CALM._replace(state=SupervisorState.ARMED))
     assert state.fed
-    still, found = step_watchdogs(TH, state, CALM._replace(state=State.ARMED, status=1))
+    still, found = step_watchdogs(TH, state, CALM._replace(state=SupervisorState.ARMED, status=1))
     assert (still.fed, found) == (True, ())
     assert brief(look(memory=still, status=1)) == [("W9", HARD)]
     assert "while driving" in look(memory=still, status=1)[0].text
@@ -294,11 +297,16 @@ def test_starved_at_once_after_the_vesc_was_seen_to_listen():
 
 def test_timeout_bit_left_from_the_self_test_is_no_starvation():
     assert look(status=1) == ()
-    quiet, _ = step_watchdogs(TH, WatchdogState(fed=True), CALM._replace(state=State.READY))
+    quiet, _ = step_watchdogs(
+        TH, WatchdogState(fed=True), CALM._replace(state=SupervisorState.READY)
+    )
     assert not quiet.fed
-    state, found = step_watchdogs(TH, quiet, CALM._replace(state=State.ARMED, status=1))
+    state, found = step_watchdogs(TH, quiet, CALM._replace(state=SupervisorState.ARMED, status=1))
     assert (state.fed, found) == (False, ())
-    assert step_watchdogs(TH, WatchdogState(), CALM._replace(state=State.STOPPING))[0].fed is False
+    assert (
+        step_watchdogs(TH, WatchdogState(), CALM._replace(state=SupervisorState.STOPPING))[0].fed
+        is False
+    )
 
 
 def test_reboot_shows_in_the_tachometer():
@@ -346,9 +354,11 @@ def test_fence_counts_the_way_to_standstill():
             assert brief(look(th, x=sign * (edge + 0.001), **changes)) == [("W19", HARD)]
     assert brief(look(th, y=2.0 - reach + 0.001, course=pi / 2, speed=2.0)) == [("W19", HARD)]
     assert brief(look(th, x=nan)) == [("W19", HARD)]
-    assert brief(look(th, x=1.0, speed=0.0, state=State.DISARMED)) == []
+    assert brief(look(th, x=1.0, speed=0.0, state=SupervisorState.DISARMED)) == []
     assert cos(0.0) == 1.0
-    assert brief(look(th, x=2.0 - 0.125, speed=0.0, state=State.DISARMED)) == [("W19", HARD)]
+    assert brief(look(th, x=2.0 - 0.125, speed=0.0, state=SupervisorState.DISARMED)) == [
+        ("W19", HARD)
+    ]
 
 
 def saturate(seconds, first=0.0, last=0.1, share=0.99):
@@ -393,13 +403,21 @@ def stop(kind, speeds, dt=S // 16):
 
 
 def test_a_stop_that_works_says_nothing():
-    for decel, kind in ((0.75, State.STOPPING), (2.0, State.FAULT_STOP), (2.0, State.ESTOP)):
+    for decel, kind in (
+        (0.75, SupervisorState.STOPPING),
+        (2.0, SupervisorState.FAULT_STOP),
+        (2.0, SupervisorState.ESTOP),
+    ):
         found = stop(kind, [2.0 - decel * max(0.0, k / 16 - 0.125) for k in range(12)])
         assert all(words == [] and slowing for words, slowing in found)
 
 
 def test_a_stop_that_is_too_weak_is_found_after_lag_and_window():
-    for decel, kind in ((0.74, State.STOPPING), (1.99, State.FAULT_STOP), (1.99, State.ESTOP)):
+    for decel, kind in (
+        (0.74, SupervisorState.STOPPING),
+        (1.99, SupervisorState.FAULT_STOP),
+        (1.99, SupervisorState.ESTOP),
+    ):
         found = stop(kind, [2.0 - decel * max(0.0, k / 16 - 0.125) for k in range(11)])
         assert [slowing for _, slowing in found] == [True] * 6 + [False] * 5
         assert "W24" in found[6][0][0]
@@ -409,27 +427,29 @@ def test_a_stop_that_is_too_weak_is_found_after_lag_and_window():
 
 def test_a_stop_that_does_nothing_alarms_and_stays_found_even_if_it_starts_to_work():
     speeds = [2.0] * 11 + [2.0 - 0.25 * k for k in range(6)]
-    found = stop(State.FAULT_STOP, speeds)
+    found = stop(SupervisorState.FAULT_STOP, speeds)
     assert not any(slowing for _, slowing in found[6:])
 
 
 def test_slow_or_unknown_speeds_are_not_judged():
     for speeds in ([0.125] * 12, [nan] * 12, [-0.125] * 12):
-        assert all(words == [] for words, _ in stop(State.FAULT_STOP, speeds))
-    assert stop(State.FAULT_STOP, [up(0.125)] * 12)[6][0]
-    assert stop(State.FAULT_STOP, [-1.0] * 12)[6][0]
+        assert all(words == [] for words, _ in stop(SupervisorState.FAULT_STOP, speeds))
+    assert stop(SupervisorState.FAULT_STOP, [up(0.125)] * 12)[6][0]
+    assert stop(SupervisorState.FAULT_STOP, [-1.0] * 12)[6][0]
 
 
 def test_each_kind_of_stop_is_judged_anew():
     state = WatchdogState()
     for k in range(7):
         state, _ = step_watchdogs(
-            TH, state, CALM._replace(t_ns=S + k * S // 16, state=State.STOPPING)
+            TH, state, CALM._replace(t_ns=S + k * S // 16, state=SupervisorState.STOPPING)
         )
     assert not is_slowing(state)
-    state, found = step_watchdogs(TH, state, CALM._replace(t_ns=2 * S, state=State.FAULT_STOP))
+    state, found = step_watchdogs(
+        TH, state, CALM._replace(t_ns=2 * S, state=SupervisorState.FAULT_STOP)
+    )
     assert (is_slowing(state), found) == (True, ())
-    state, _ = step_watchdogs(TH, state, CALM._replace(t_ns=2 * S, state=State.DISARMED))
+    state, _ = step_watchdogs(TH, state, CALM._replace(t_ns=2 * S, state=SupervisorState.DISARMED))
     assert state.stop is None
 
 
@@ -438,7 +458,7 @@ def test_what_the_runner_reports_comes_first_and_counts():
     found = look(reported=(late,), telemetry_age=1.0)
     assert brief(found) == [("W15", HARD), ("W7", HARD)]
     bits, text = summarise(found)
-    assert bits == Is.HARD
+    assert bits == Fact.HARD
     assert text == late.text
     assert text.startswith("W15 loop late: a tick 31 ms late; run steerd rtcheck")
 
@@ -448,8 +468,8 @@ def test_summary_takes_the_worst_words_and_all_bits():
     soft, kill = make_finding("W13", "3.2 V"), make_finding("W10", "pressed")
     assert summarise(()) == (0, "")
     assert summarise((warn,)) == (0, "")
-    assert summarise((warn, soft)) == (Is.SOFT, soft.text)
-    assert summarise((soft, kill, soft)) == (Is.SOFT | Is.KILLED, kill.text)
+    assert summarise((warn, soft)) == (Fact.SOFT, soft.text)
+    assert summarise((soft, kill, soft)) == (Fact.SOFT | Fact.KILLED, kill.text)
 
 
 def test_every_watchdog_of_the_page_exists_with_advice():
@@ -492,7 +512,7 @@ def test_words_carry_the_measured_number():
 
 def test_nothing_is_weak_before_and_after_a_stop():
     assert is_slowing(WatchdogState())
-    weak = WatchdogState(stop=State.STOPPING, weak=3)
+    weak = WatchdogState(stop=SupervisorState.STOPPING, weak=3)
     assert is_slowing(step_watchdogs(TH, weak, CALM)[0])
 
 

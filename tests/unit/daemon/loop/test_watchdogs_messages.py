@@ -2,7 +2,7 @@
 
 import pytest
 
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, step_watchdogs
 from steerd.daemon.loop.watchdogs_pose import PoseWatch
 from steerd.daemon.settings.thresholds import Thresholds
@@ -11,7 +11,7 @@ TH = Thresholds()
 S = 10**9
 SQUARE = ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))
 CALM = WatchdogInput(
-    t_ns=10**9, state=State.RUNNING, pose=PoseWatch(), mocap_age=0.0, telemetry_age=0.0,
+    t_ns=10**9, state=SupervisorState.RUNNING, pose=PoseWatch(), mocap_age=0.0, telemetry_age=0.0,
     lease_age=0.0, speed=1.5, speed_erpm=1.5, speed_mocap=1.5, speed_limit=2.0, x=0.0, y=0.0,
     course=0.0, sigma_position=0.01, sigma_yaw=0.01, covariance_ok=True, lateral_error=0.0,
     heading_error=0.0, steer_share=0.0, status=0, fault_code=0, tachometer=-1, cell_voltage=3.9,
@@ -65,7 +65,7 @@ def test_what_is_said_at_once(changes, id, words):
 @pytest.mark.parametrize(
     ("seconds", "changes", "id", "words"),
     [
-        (0.2, {"status": 1, "state": State.ARMED}, "W9", "status bit 0 stays set"),
+        (0.2, {"status": 1, "state": SupervisorState.ARMED}, "W9", "status bit 0 stays set"),
         (0.5, {"cell_voltage": 3.2}, "W13", "3.20 V per cell"),
         (0.1, {"lateral_error": 0.35}, "W17", "0.35 m"),
         (0.1, {"speed_erpm": 2.5, "speed_mocap": 2.4}, "W20", "wheels 2.50, mocap 2.40 m/s"),
@@ -103,7 +103,7 @@ def test_what_is_said_of_a_stop_that_does_not_work():
     memory = WatchdogState()
     texts = []
     for tick in range(120):
-        i = CALM._replace(t_ns=CALM.t_ns + tick * 10_000_000, state=State.FAULT_STOP)
+        i = CALM._replace(t_ns=CALM.t_ns + tick * 10_000_000, state=SupervisorState.FAULT_STOP)
         memory, found = step_watchdogs(TH, memory, i)
         texts += [f.text for f in found if f.id == "W24"]
     assert ": still 1.50 m/s, too little slower after 0.3 s; " in texts[0]

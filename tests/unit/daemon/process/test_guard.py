@@ -15,11 +15,11 @@ BRAKE = b"\x02\x01\x00\x00\x00\x03"
 def test_before_a_port_is_open_nothing_may_move_and_nothing_is_missed():
     guard = ProcessGuard(realtime=True)
     now = time.monotonic_ns()
-    guard.beat(now, engaged=True)
-    guard.say_clean()
+    guard.write_heartbeat(now, engaged=True)
+    guard.mark_clean()
     assert not guard.may_write(now, now)
-    assert not guard.silent(now)
-    assert not guard.tripped()
+    assert not guard.is_silent(now)
+    assert not guard.has_tripped()
 
 
 @pytest.mark.parametrize(
@@ -41,27 +41,27 @@ def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed(
     guard = ProcessGuard(realtime=False, simulated=True)
     start = time.monotonic_ns()
     guard.watch(write, BRAKE, start)
-    assert not guard.silent(start + START_NS - 1), "it has a second to come up"
-    assert guard.silent(start + START_NS), "and no longer"
+    assert not guard.is_silent(start + START_NS - 1), "it has a second to come up"
+    assert guard.is_silent(start + START_NS), "and no longer"
     end = time.monotonic() + 20.0
     while not guard._page.guardian_ns and time.monotonic() < end:
-        guard.beat(time.monotonic_ns(), engaged=False)
+        guard.write_heartbeat(time.monotonic_ns(), engaged=False)
         select.select([], [], [], 0.005)
     shown = guard._page.guardian_ns
     assert shown
-    assert not guard.silent(shown + 300_000_000)
-    assert guard.silent(shown + 300_000_001)
+    assert not guard.is_silent(shown + 300_000_000)
+    assert guard.is_silent(shown + 300_000_001)
     now = time.monotonic_ns()
-    guard.beat(now, engaged=True)
+    guard.write_heartbeat(now, engaged=True)
     assert guard.may_write(now, now)
     assert not guard.may_write(now, now + 300_000_000), "a tick of before a stop is not sent after"
     assert select.select([read], [], [], 20.0)[0], "no beat any more: the guardian brakes"
     assert os.read(read, 1000).startswith(BRAKE)
-    assert guard.tripped()
+    assert guard.has_tripped()
     assert not guard.may_write(time.monotonic_ns(), time.monotonic_ns())
     guard._process.kill()
     guard._process.wait()
-    assert guard.silent(time.monotonic_ns())
+    assert guard.is_silent(time.monotonic_ns())
     os.close(read)
     os.close(write)
 
@@ -74,7 +74,7 @@ def test_a_plug_that_flaps_leaves_nothing_behind():
     for _ in range(4):
         guard.watch(write, BRAKE, time.monotonic_ns())
         counts.append(len(list(Path("/proc/self/fd").iterdir())))
-        guard.say_clean()
+        guard.mark_clean()
         assert guard._process.wait(20.0) == 0, "let go of, and the car is not armed"
     assert len(set(counts[1:])) == 1
     assert not select.select([read], [], [], 0.0)[0], "nobody braked"

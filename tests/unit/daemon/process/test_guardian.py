@@ -66,15 +66,20 @@ def test_both_sides_see_the_same_words():
     fd = make_page_fd()
     core, watcher = HeartbeatPage(fd), HeartbeatPage(fd)
     os.close(fd)
-    assert (watcher.beat_ns, watcher.engaged, watcher.tripped_ns, watcher.clean) == (0, False, 0, 0)
-    core.beat(2**63 + 5, True)
-    assert (watcher.beat_ns, watcher.engaged) == (2**63 + 5, True)
+    assert (watcher.heartbeat_ns, watcher.engaged, watcher.tripped_ns, watcher.clean) == (
+        0,
+        False,
+        0,
+        0,
+    )
+    core.write_heartbeat(2**63 + 5, True)
+    assert (watcher.heartbeat_ns, watcher.engaged) == (2**63 + 5, True)
     watcher.watch(11)
     watcher.trip(12)
     assert (core.guardian_ns, core.tripped_ns, core.clean) == (11, 12, False)
-    core.say_clean()
+    core.mark_clean()
     assert watcher.clean
-    core.beat(1, False)
+    core.write_heartbeat(1, False)
     assert not watcher.engaged
 
 
@@ -90,8 +95,8 @@ def test_core_may_write_only_fresh_ticks_and_never_after_a_trip(page):
 
 @pytest.mark.parametrize(("age", "faulty"), [(STALE_NS, False), (STALE_NS + 1, True)])
 def test_heartbeat_is_stale_strictly_beyond_its_limit(page, age, faulty):
-    page.beat(1000, True)
-    core = Core(1, page.say_clean)
+    page.write_heartbeat(1000, True)
+    core = Core(1, page.mark_clean)
     assert wait_for_fault(page, core, STALE_NS, Times(1000 + age)) is faulty
     assert page.guardian_ns == 1000 + age
     assert (STALE_NS, guardian.STALE_NS_NO_RT) == (30 * MS, 60 * MS)
@@ -99,14 +104,14 @@ def test_heartbeat_is_stale_strictly_beyond_its_limit(page, age, faulty):
 
 
 def test_stale_heartbeat_of_a_disarmed_core_is_none_of_its_business(page):
-    page.beat(1, False)
+    page.write_heartbeat(1, False)
     core = Core(3)
     assert wait_for_fault(page, core, STALE_NS, Times(10**12, step=MS)) is False
     assert core.waits == [10, 10, 10]
 
 
 def test_it_wakes_when_the_heartbeat_would_be_stale_but_at_least_every_10_ms(page):
-    page.beat(0, True)
+    page.write_heartbeat(0, True)
     core = Core(4, lambda: None)
     assert wait_for_fault(page, core, STALE_NS, Times(0, 25 * MS, 28 * MS + 1, STALE_NS)) is True
     assert core.waits == [10, 6, 2, 1]
@@ -115,9 +120,9 @@ def test_it_wakes_when_the_heartbeat_would_be_stale_but_at_least_every_10_ms(pag
 @pytest.mark.parametrize("engaged", [True, False])
 @pytest.mark.parametrize("clean", [True, False])
 def test_end_of_the_core_is_a_fault_if_it_was_driving_and_did_not_say_goodbye(page, engaged, clean):
-    page.beat(5, engaged)
+    page.write_heartbeat(5, engaged)
     if clean:
-        page.say_clean()
+        page.mark_clean()
     assert wait_for_fault(page, Core(1), STALE_NS, Times(6)) is (engaged and not clean)
 
 
@@ -169,7 +174,7 @@ def test_main_ignores_signals_asks_for_priority_and_guards(page, monkeypatch, en
     monkeypatch.setattr(guardian.os, "sched_setscheduler", schedule)
     monkeypatch.setattr(guardian, "brake", lambda page, fd, frame, now: braked.append((fd, frame)))
     fd = make_page_fd()
-    HeartbeatPage(fd).beat(1, engaged)
+    HeartbeatPage(fd).write_heartbeat(1, engaged)
     read_end, write_end = os.pipe()
     os.close(write_end)  # the read end is ready at once, like the pidfd of a core that has ended
     words = [str(k) for k in (7, fd, read_end)]
@@ -190,10 +195,10 @@ def test_run_as_a_program_it_wants_its_five_words(monkeypatch, capsys):
 
 
 def test_a_port_that_an_unarmed_core_lets_go_is_guarded_no_longer(page):
-    page.beat(0, engaged=False)
-    page.say_clean()
+    page.write_heartbeat(0, engaged=False)
+    page.mark_clean()
     assert not wait_for_fault(page, Core(2), STALE_NS, Times(0))
-    page.beat(0, engaged=True)
+    page.write_heartbeat(0, engaged=True)
     assert wait_for_fault(page, Core(99), STALE_NS, Times(0, STALE_NS + 1)), "armed: it stays"
 
 
@@ -217,7 +222,7 @@ engaged, motion = bool(int(sys.argv[3])), bytes.fromhex(sys.argv[4])
 pause = select.poll()
 while True:
     tick = time.monotonic_ns()
-    page.beat(tick, engaged)
+    page.write_heartbeat(tick, engaged)
     if page.may_write(tick, time.monotonic_ns()):
         os.write(fd, motion)
     pause.poll(5)
@@ -309,8 +314,8 @@ def test_stopped_core_is_braked_and_sends_nothing_stale_when_it_goes_on(rig):
     assert first - stopped + 0.05 > 0.2
     assert first - stopped < 0.5 + 10 * STALE_NS / 1e9
     rig.core.send_signal(signal.SIGCONT)
-    beat = rig.page.beat_ns
-    more, _ = rig.read_until(lambda data: data.count(BRAKE) >= 50 and rig.page.beat_ns > beat)
+    beat = rig.page.heartbeat_ns
+    more, _ = rig.read_until(lambda data: data.count(BRAKE) >= 50 and rig.page.heartbeat_ns > beat)
     assert_only_brakes_after_the_first(data + more)
     assert rig.core.poll() is None
 

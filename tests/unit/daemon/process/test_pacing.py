@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerd.daemon.process.pacing import MARGIN, SLEW, Pace, at_once_ns, step_pace
+from steerd.daemon.process.pacing import MARGIN, SLEW, Pace, early_window_ns, step_pace
 
 MS = 1_000_000
 TICKS = 2000
@@ -118,11 +118,11 @@ def test_only_the_pose_that_belongs_to_a_deadline_makes_its_tick(
     frames = arrivals(period * ratio, 0.4, 0.02 * MS, 12)
     dues, waits, paces = drive(period, frames)
     stretch = range(TICKS // 2, TICKS - 1)
-    room = {at_once_ns(paces[k], period) for k in stretch}
+    room = {early_window_ns(paces[k], period) for k in stretch}
     assert max(room) < period // 2
     early = [[due - f for f in frames if due - period < f <= due] for due in dues[-200:]]
     for lead, pace in zip(early[1:], paces[-200:-1], strict=True):
-        assert sum(wait <= at_once_ns(pace, period) for wait in lead) <= 1
+        assert sum(wait <= early_window_ns(pace, period) for wait in lead) <= 1
     fresh = [waits[k + 1] for k in stretch if waits[k + 1] < period / 2]
     assert all(wait <= min(room) for wait in fresh)
 
@@ -133,10 +133,10 @@ def test_only_the_pose_that_belongs_to_a_deadline_makes_its_tick(
 def test_poses_that_are_not_followed_make_no_ticks(every: float, jitter: float) -> None:
     period = 5 * MS
     _, _, paces = drive(period, arrivals(every, 0.3, jitter, 13))
-    assert {at_once_ns(pace, period) for pace in paces[50:]} == {0}
-    assert at_once_ns(Pace(), period) == 0
+    assert {early_window_ns(pace, period) for pace in paces[50:]} == {0}
+    assert early_window_ns(Pace(), period) == 0
 
 
 @given(jitter=st.floats(0.0, 1e9), period=st.integers(MS, 20 * MS))
 def test_no_pose_is_early_by_more_than_half_a_period(jitter: float, period: int) -> None:
-    assert 0 <= at_once_ns(Pace(0, 0, jitter), period) <= period // 2
+    assert 0 <= early_window_ns(Pace(0, 0, jitter), period) <= period // 2

@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from steerd.daemon.ipc.pipe_records import Record
+from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.process.ros_bridge import RosBridge
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -46,7 +46,7 @@ def test_a_record_goes_out_once_and_unchanged(bus):
     bridge = RosBridge(bus, "car1", 0)
     heard = bus.subscribe("0/**", 8)
     data = encode(m.ClockSample(m.make_header(1, m.BODY), 2, 3, 4))
-    bridge.publish(Record(topics.CLOCK, 0, 0, 0, data))
+    bridge.publish(PipeRecord(topics.CLOCK, 0, 0, 0, data))
     (sample,) = heard.poll()
     assert (sample.key, sample.data) == (
         make_ros_key(0, "steerd/car1/clock", m.ClockSample), data,
@@ -57,7 +57,7 @@ def test_what_went_to_the_wire_goes_out_as_a_drive_command_too(bus):
     bridge = RosBridge(bus, "car1", 0)
     heard = bus.subscribe("0/steerd/car1/drive/**", 8)
     sent = m.Actuation(m.make_header(7, m.BODY), 1, m.ActuationMode.SPEED, 0.25, 1.5, 0.0, b"\2")
-    bridge.publish(Record(topics.ACTUATION, 0, 0, 0, encode(sent)))
+    bridge.publish(PipeRecord(topics.ACTUATION, 0, 0, 0, encode(sent)))
     (sample,) = heard.poll()
     drive = decode(AckermannDriveStamped, sample.data)
     assert (drive.header, drive.drive.steering_angle, drive.drive.speed) == (sent.header, 0.25, 1.5)
@@ -67,7 +67,7 @@ def test_what_went_to_the_wire_goes_out_as_a_drive_command_too(bus):
 def test_what_is_not_the_cars_to_send_stays(bus):
     bridge = RosBridge(bus, "car1", 0)
     heard = bus.subscribe("0/**", 8)
-    bridge.publish(Record(topics.OPERATOR, 0, 0, 0, b""))
+    bridge.publish(PipeRecord(topics.OPERATOR, 0, 0, 0, b""))
     assert heard.poll() == []
 
 
@@ -75,6 +75,6 @@ def test_a_closed_bus_stops_no_gateway(bus):
     bridge = RosBridge(bus, "car1", 0)
     bus.close()
     data = encode(m.ClockSample(m.make_header(1, m.BODY), 2, 3, 4))
-    bridge.publish(Record(topics.CLOCK, 0, 0, 0, data))
+    bridge.publish(PipeRecord(topics.CLOCK, 0, 0, 0, data))
     with pytest.raises(BusError):
         bus.publish("a", data)

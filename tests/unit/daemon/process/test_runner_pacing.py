@@ -8,7 +8,7 @@ import pytest
 from steerd.daemon.assembly.build import make_core, make_plan
 from steerd.daemon.process import runner as runner_module
 from steerd.daemon.process.pacing import MARGIN
-from steerd.daemon.process.runner import Ends, Runner
+from steerd.daemon.process.runner import CoreLinks, Runner
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
@@ -78,8 +78,8 @@ def ticks_of(monkeypatch, every_ns: int, count: int = 400, **wrong: int):
     arrivals: list[int] = []
     core.on_poses = lambda samples: arrivals.extend(s.t_arrival_ns for s in samples)
     monkeypatch.setattr(runner_module.select, "select", world.select)
-    guard = SimpleNamespace(tripped=lambda: False)
-    it = Runner(core, world, lambda: None, world, Ends(None, None, (), STOP), guard)
+    guard = SimpleNamespace(has_tripped=lambda: False)
+    it = Runner(core, world, lambda: None, world, CoreLinks(None, None, (), STOP), guard)
     it._try_open = lambda _t_ns: None
     it._done = lambda: len(told) >= count
     it.run()
@@ -139,7 +139,9 @@ def runner_with(monkeypatch, world: World, told: list[str]) -> Runner:
         on_poses=lambda _samples: None,
     )
     monkeypatch.setattr(runner_module.select, "select", world.select)
-    it = Runner(core, world, lambda: None, world, Ends(None, None, (), STOP), SimpleNamespace())
+    it = Runner(
+        core, world, lambda: None, world, CoreLinks(None, None, (), STOP), SimpleNamespace()
+    )
     it._write = lambda wire, _t_ns: told.append(wire.decode()) or wire
     it._raise_flags = it._leave = lambda: None
     it._housekeeping = lambda _t_ns: told.append("tidied")

@@ -13,10 +13,10 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.pipe_records import PipeWriter, read_message
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.supervisor import NEVER
-from steerd.daemon.loop.transitions import State
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import runner as runner_module
-from steerd.daemon.process.core_process import strand_on_strays
-from steerd.daemon.process.runner import Ends, Runner
+from steerd.daemon.process.core_process import latch_stray_exceptions
+from steerd.daemon.process.runner import CoreLinks, Runner
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import topics
@@ -54,19 +54,19 @@ class FakeGuard:
     def watch(self, *_):
         self.clean = False
 
-    def beat(self, *_):
+    def write_heartbeat(self, *_):
         pass
 
     def may_write(self, *_):
         return not self.took_over
 
-    def silent(self, _):
+    def is_silent(self, _):
         return self.quiet
 
-    def tripped(self):
+    def has_tripped(self):
         return self.took_over
 
-    def say_clean(self):
+    def mark_clean(self):
         self.clean = True
 
 
@@ -81,7 +81,7 @@ def make_runner(plan, sinks=(), **record):
     pipes = [PipeWriter(-1), PipeWriter(-1)]
     clock = SimpleNamespace(now_ns=lambda: 0, realtime_ns=lambda: 0)
     guard, port = FakeGuard(), FakePort()
-    made = Runner(core, clock, lambda: port, None, Ends(*pipes, (), -1), guard)
+    made = Runner(core, clock, lambda: port, None, CoreLinks(*pipes, (), -1), guard)
     made._try_open(0)
     assert core.flags == Flag.LINKED
     return SimpleNamespace(it=made, core=core, pipes=pipes, guard=guard, port=port)
@@ -89,7 +89,7 @@ def make_runner(plan, sinks=(), **record):
 
 def engage(r):
     """The core has just decided a tick of an armed car."""
-    supervisor = SimpleNamespace(state=State.ARMED)
+    supervisor = SimpleNamespace(state=SupervisorState.ARMED)
     r.core.last = SimpleNamespace(supervisor=supervisor, order=SimpleNamespace(command=None))
 
 
@@ -186,7 +186,7 @@ def test_w29_an_exception_without_a_caller_stops_the_car_for_good(plan, monkeypa
     core = make_runner(plan).core
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
     monkeypatch.setattr(threading, "excepthook", threading.excepthook)
-    strand_on_strays(core)
+    latch_stray_exceptions(core)
     if where == "thread":
         thread = threading.Thread(target=lambda: [][1])
         thread.start()
@@ -206,7 +206,7 @@ def test_w29_what_was_raised_while_a_reply_came_in_is_told_once(plan):
     assert r.core.flags == Flag.LINKED | Flag.EXCEPTION
     for t_ns in (0, 10_000_000):
         r.core.tick(t_ns, t_ns)
-        r.core.tell(b"")
+        r.core.post_tick(b"")
     logs = [read_message(record).msg for record in told if record.topic is topics.LOG]
     (said,) = [text for text in logs if "W29" in text]
     assert said.startswith("W29 IndexError at <lambda>:")
@@ -220,7 +220,9 @@ def test_w29_what_no_reader_expects_stops_the_car_and_the_core_lives(plan):
     assert r.core.flags == Flag.LINKED | Flag.EXCEPTION
 
 
-@pytest.mark.parametrize(("state", "clean"), [(State.RUNNING, False), (State.DISARMED, True)])
+@pytest.mark.parametrize(
+    ("state", "clean"), [(SupervisorState.RUNNING, False), (SupervisorState.DISARMED, True)]
+)
 def test_only_a_car_at_rest_is_left_in_good_order(plan, state, clean):
     """A third signal leaves at once: what still moves is the guardian's to brake."""
     r = make_runner(plan)
@@ -232,7 +234,9 @@ def test_only_a_car_at_rest_is_left_in_good_order(plan, state, clean):
     assert r.port.gone
 
 
-@pytest.mark.parametrize(("state", "freed"), [(State.RUNNING, False), (State.READY, True)])
+@pytest.mark.parametrize(
+    ("state", "freed"), [(SupervisorState.RUNNING, False), (SupervisorState.READY, True)]
+)
 def test_the_guardian_frees_a_lost_port_unless_the_car_is_armed(plan, state, freed):
     r = make_runner(plan)
     r.core.loop.supervisor = r.core.loop.supervisor._replace(state=state)
@@ -242,7 +246,11 @@ def test_the_guardian_frees_a_lost_port_unless_the_car_is_armed(plan, state, fre
 
 @pytest.mark.parametrize(
     ("state", "still_ns", "opened"),
-    [(State.ESTOP, 5, True), (State.ESTOP, NEVER, False), (State.RUNNING, 5, False)],
+    [
+        (SupervisorState.ESTOP, 5, True),
+        (SupervisorState.ESTOP, NEVER, False),
+        (SupervisorState.RUNNING, 5, False),
+    ],
 )
 def test_a_port_comes_back_after_an_emergency_stop_at_rest(plan, state, still_ns, opened):
     r = make_runner(plan)
@@ -282,7 +290,7 @@ def test_w29_what_cannot_be_told_stops_the_car_and_the_core_lives(plan):
 
     r = make_runner(plan, (refuse,))
     r.core.tick(0, 0)
-    r.core.tell(b"")
+    r.core.post_tick(b"")
     assert isinstance(r.core.error, LookupError)
     assert r.core.flags & Flag.EXCEPTION
 
