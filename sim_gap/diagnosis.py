@@ -32,7 +32,6 @@ from steerd.sim_gap.engine.superset import Superset, make_superset
 from steerd.sim_gap.healthy_drives import learn_healthy, refine
 from steerd.sim_gap.verdict.candidates import Score, blocks_of, gain_of, scored, singles
 from steerd.sim_gap.verdict.decide import (
-    ALIASES,
     Choice,
     Split,
     at_bound,
@@ -380,7 +379,7 @@ def _causes(engine: Engine, choice: Choice, verdict: str) -> tuple[Cause, ...]:
             for q, i in zip(effect.parameters, places, strict=True)
         }
         sure = confidence_of(doubt, broken, partial)
-        alias = ALIASES.get(name, "")
+        alias = effect.confounded_with.note if effect.confounded_with else ""
         causes.append(
             Cause(name, effect.stage.value, effect.family, parameters, sure, rivals, alias)
         )

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from steerd.car_model.car_file import CarFile
+from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
 from steerd.sim_gap.engine import constants as c
 from steerd.sim_gap.engine.base_fit import null_fit, open_engine
@@ -36,12 +37,6 @@ from steerd.sysid.data.windows import estimate_noise
 
 _ROUNDS = 2
 _REFITS = 4
-NEVER_OWN = frozenset({"grip_patch", "grip_drift", "battery_sag", "mass", "cog_offset"})
-"""Effects of a place or a day, what no pose can tell, and what the base's axle distances say."""
-EVERY_CAR = ("wheel_slip", "steer_nonlinearity")
-"""What no car is without: driven wheels slip, and turned wheels lose a part of their angle to the
-geometry that small angles leave out. Left out of the base, slip passes for pose latency and the
-other for a longer, softer car; a gyro in later drives would then show both as a gap."""
 _FAR = 1.0
 """A parameter so many prior standard deviations off is tried again about where it went ..."""
 _AGAIN = 3
@@ -72,7 +67,11 @@ def _always(base: CarFile | Model[float], superset: Superset, runs: Sequence[Run
     """Manners that every car has, unless the base knows its own."""
     known = {effect.name for effect in base.effects}
     telling = telling_effects(superset, runs)
-    return [name for name in EVERY_CAR if name in telling and name not in known]
+    return [
+        e.name
+        for e in superset.effects
+        if e.on_every_car and e.name in telling and e.name not in known
+    ]
 
 
 def learn_healthy(base: CarFile | Model[float], runs: Sequence[Run]) -> Noise:
@@ -118,7 +117,9 @@ def _with_own_effects(base: CarFile, runs: Sequence[Run], noise: Noise) -> CarFi
     engine = open_engine(superset, runs)
     engine = whitened(engine, null_fit(engine, nuisance, effects=own), noise)
     found = null_fit(engine, nuisance, effects=own)
-    never = {e.name for e in base.effects} | NEVER_OWN
+    never = {e.name for e in base.effects} | {
+        e.name for e in superset.effects if e.selectable_in_base is BaseSelection.NEVER
+    }
     for _ in range(c.BUILT_IN):
         taken = never | set(found.space.effects)
         only = [name for name in telling_effects(superset, runs) if name not in taken]

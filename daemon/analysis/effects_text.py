@@ -1,4 +1,4 @@
-"""The library of effects, as a table, one by one, as JSON and as the page `docs/reference/effects.md`."""
+"""The library of effects: table, single effect, JSON and the page `docs/reference/effects.md`."""
 
 import shutil
 import sys
@@ -93,11 +93,17 @@ def make_json(effects: Iterable[Effect]) -> dict[str, Any]:
                 "summary": effect.summary,
                 "equation": effect.equation,
                 "aliases": list(effect.aliases),
-                "parameters": [p._asdict() for p in effect.parameters],
+                "parameters": [_parameter_json(p) for p in effect.parameters],
             }
             for effect in effects
         ],
     }
+
+
+def _parameter_json(p: EffectParameter) -> dict[str, Any]:
+    """A parameter as JSON values."""
+    names = ("name", "null", "low", "high", "unit", "scale", "meaning", "scan")
+    return {name: getattr(p, name) for name in names}
 
 
 def make_page() -> str:

@@ -86,21 +86,3 @@ BUILT_IN_GAIN = 12.0
 """And what each gains on held-out parts of the healthy drives, at least [nats] ..."""
 BUILT_IN_SE = 2.0
 """... and in its standard errors: a manner too many costs less than one that passes for a gap."""
-LEAST = {
-    "steer_delay": 0.0015, "steer_lag": 0.003, "steer_bias": 0.0006, "steer_gain": 0.009,
-    "steer_nonlinearity": 0.2, "steer_asymmetry": 0.0045, "steer_backlash": 0.0019,
-    "drive_delay": 0.004, "drive_lag": 0.0055, "speed_scale": 0.0032, "rolling_drag": 0.07,
-    "battery_sag": 0.025, "tyre_saturation": 0.2, "tyre_friction": 0.02,
-    "cornering_stiffness": 0.034, "tyre_balance": 0.029, "tyre_relaxation": 0.003,
-    "friction_ellipse": 0.16, "lateral_load_transfer": 0.4, "longitudinal_load_transfer": 0.02,
-    "grip_drift": 0.27, "scrub": 0.39, "mass": 0.16, "cog_offset": 0.012, "yaw_inertia": 0.063,
-    "floor_slope": 0.004, "mocap_latency": 0.002, "marker_offset": 0.0038, "mocap_yaw": 0.0012,
-    "wheel_slip": 0.004,
-}  # fmt: skip
-"""Smaller changes of an effect's parameters (Euclidean, from the base's) are no gap in practice.
-
-About half of what shows at five sigma in eight drives of 12 s (`severities.json` of the blind test,
-and `docs/reference/diagnosis.md#g1.2`): a base that is a millisecond off is not a defect.
-"""
-SIZED_BY_FIRST = {"lateral_load_transfer": 1, "friction_ellipse": 1, "floor_slope": 2}
-"""How many parameters say how large an effect is; the others say of what shape. All by default."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.car_model.effect import Channel
 from steerd.sim_gap.engine.superset import Superset
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.estimation.chart import INVERSE, LOGARITHM, RELATIVE, Chart, make_chart
@@ -30,8 +31,6 @@ FLOORS = {
 
 Relative for stiffnesses, inertia and gains, else in the parameter's unit.
 """
-NEED_COMMANDS = frozenset({"drive_delay", "longitudinal_load_transfer", "friction_ellipse"})
-"""Effects beside the drive's own that follow the speed command or the acceleration."""
 UNKNOWN = 3.0
 """How much wider the floors are where the car file gives no standard error."""
 
@@ -77,11 +76,8 @@ def telling_effects(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     What the motor does is then no prediction, a limit on it would only hold the car back from the
     speed that was measured, and that speed's acceleration is mostly noise.
     """
-    names = tuple(e.name for e in superset.effects)
-    if all(run.speed_source == "command" for run in runs):
-        return names
-    drive = {e.name for e in superset.effects if e.family == "drive"}
-    return tuple(name for name in names if name not in drive | NEED_COMMANDS)
+    missing = set() if all(run.speed_source == "command" for run in runs) else {Channel.SPEED}
+    return tuple(e.name for e in superset.effects if e.needs_commands not in missing)
 
 
 def _spread(superset: Superset, name: str) -> float:

@@ -69,9 +69,10 @@ def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset
     if any(run.speed_source != "command" for run in runs):
         model = prescribe_speed(model)
         model = model._replace(car=model.car._replace(cog_height=0.0))
-        own.pop("wheel_slip", None)
+        own = {e.name: own[e.name] for e in model.effects if not e.follows_acceleration}
     effects = tuple(EFFECTS.values())
     nulls = {e.name: own.get(e.name, e.nulls) for e in effects}
-    full: Model[float] = Model(Car(*model.car), effects, tuple(nulls[e.name] for e in effects))
-    kernels = make_kernels(effects)
+    values = tuple(nulls[e.name] for e in effects)
+    full: Model[float] = Model(Car(*model.car), effects, values, model.chassis)
+    kernels = make_kernels(effects, model.chassis)
     return Superset(kernels, parameter_vector(full), nulls, sd)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.car_model.effects import find_effect
 from steerd.sim_gap.engine import constants as c
 from steerd.sim_gap.engine.descent import Fitted, curvature, descend, step_within
 from steerd.sim_gap.engine.engine import Engine
@@ -17,23 +18,6 @@ from steerd.sysid.compiler.codegen import COLUMNS
 from steerd.sysid.estimation.objective import STATES
 
 Array = NDArray[np.float64]
-
-ALIASES = {
-    "mocap_latency": "equal dead time on both commands (steer_delay and drive_delay): the same"
-    " poses without a second clock",
-    "mass": "smaller yaw_inertia with lower acceleration limits: mass cancels from planar motion",
-    "cog_offset": "marker_offset in slow drives",
-    "marker_offset": "cog_offset in slow drives",
-    "tyre_friction": "cornering_stiffness below about 70 % of the limit",
-    "cornering_stiffness": "tyre_friction below about 70 % of the limit",
-    "speed_scale": "rolling_drag at a single speed",
-    "rolling_drag": "speed_scale at a single speed",
-}
-"""What can never, or hardly, be told apart; always said beside the name."""
-
-
-NEVER_ALONE = {"mass": ("yaw_inertia",), "yaw_inertia": ("mass",)}
-"""Effects that no drive tells apart without a force measurement."""
 
 
 @dataclass(frozen=True)
@@ -136,26 +120,19 @@ def needs_both(pair: Score, single: Score, null: Score, blocks: NDArray[np.int64
 
 def large(engine: Engine, score: Score, name: str) -> bool:
     """Whether a hypothesis' effect differs from the base's by an amount that matters."""
-    places = engine.superset.places(name)[: c.SIZED_BY_FIRST.get(name)]
-    nulls = np.array(engine.superset.nulls[name])[: len(places)]
-    size = float(np.linalg.norm(score.fitted.parameters[places] - nulls))
-    return size >= c.LEAST.get(name, 0.0)
+    effect = find_effect(name)
+    values = score.fitted.parameters[engine.superset.places(name)].tolist()
+    return effect.size(values, engine.superset.nulls[name]) >= effect.least_size
 
 
 def at_bound(engine: Engine, score: Score) -> tuple[str, ...]:
     """Effects with a parameter at a bound that is not its null: beyond what any car has."""
-    found = []
-    for effect in engine.superset.effects:
-        if effect.name not in score.effects:
-            continue
-        kept = c.SIZED_BY_FIRST.get(effect.name)
-        values = score.fitted.parameters[engine.superset.places(effect.name)][:kept]
-        for value, q in zip(values.tolist(), effect.parameters[:kept], strict=True):
-            edge = 1e-6 * (q.high - q.low)
-            ends = [end for end in (q.low, q.high) if end != q.null]
-            if any(abs(value - end) <= edge for end in ends):
-                found.append(effect.name)
-    return tuple(dict.fromkeys(found))
+    places, p = engine.superset.places, score.fitted.parameters
+    return tuple(
+        effect.name
+        for effect in engine.superset.effects
+        if effect.name in score.effects and effect.is_at_bound(p[places(effect.name)].tolist())
+    )
 
 
 def near(ranked: Sequence[Score], blocks: NDArray[np.int64]) -> int:
@@ -262,7 +239,8 @@ def look_alikes(engine: Engine, fitted: Fitted, nuisance: Sequence[str]) -> dict
     own = set(fitted.space.effects)
     room, others = COLUMNS - STATES - len(fitted.z), []
     for effect in engine.superset.effects:
-        if effect.name not in own and effect.smooth and len(effect.parameters) <= room:
+        has_gradient = effect.name not in own and not effect.zero_gradient
+        if has_gradient and len(effect.parameters) <= room:
             room -= len(effect.parameters)
             others.append(effect.name)
     return signature_cosines(engine, fitted, nuisance, others)
@@ -281,8 +259,16 @@ def rivals_of(
             names.append(other.effects[-1])
     names += [name for name, cos in cosines.items() if cos >= c.AMBIGUOUS_COS]
     if len(best.effects) == 1:
-        names += NEVER_ALONE.get(best.name, ())
+        names += _inseparable_from(best.name)
     return tuple(dict.fromkeys(names))
+
+
+def _inseparable_from(name: str) -> tuple[str, ...]:
+    """Effects that no drive distinguishes from this one."""
+    effect = find_effect(name)
+    if effect.nameable_alone or effect.confounded_with is None:
+        return ()
+    return effect.confounded_with.effects
 
 
 def se_of_lead(lead: float, se: float) -> float:

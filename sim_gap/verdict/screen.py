@@ -15,8 +15,10 @@ from steerd.sysid.estimation.objective import STATES
 
 Array = NDArray[np.float64]
 
-_PATCHES = 3
-_PATCH_RADIUS = 0.6
+_PLACES = 3
+"""Places of the worst windows that a scan is given."""
+_APART = 0.6
+"""They lie at least so far from each other [m]."""
 
 
 class Promise(NamedTuple):
@@ -56,14 +58,14 @@ def screen(
     effects = [
         e for e in open_effects(engine, fitted.space.effects) if only is None or e.name in only
     ]
-    smooth = [e for e in effects if e.smooth]
+    smooth = [e for e in effects if not e.zero_gradient]
     room = COLUMNS - STATES - len(fitted.z)
     while smooth:
         part: list[Effect] = []
         while smooth and sum(len(e.parameters) for e in (*part, smooth[0])) <= room:
             part.append(smooth.pop(0))
         found += _linear(engine, fitted, nuisance, part)
-    found += [_scan(engine, fitted, nuisance, e) for e in effects if not e.smooth]
+    found += [_scan(engine, fitted, nuisance, e) for e in effects if e.zero_gradient]
     return sorted(found, key=lambda promise: -promise.gain)
 
 
@@ -125,33 +127,31 @@ def _scan(engine: Engine, fitted: Fitted, nuisance: Sequence[str], effect: Effec
 
 
 def scan_values(engine: Engine, fitted: Fitted, effect: Effect) -> list[tuple[float, ...]]:
-    """Values worth trying: a parameter's own list; a patch where windows are worst."""
-    if effect.name == "grip_patch":
-        return _patches(engine, fitted)
+    """Values worth trying: by the effect's own scan, else by its parameters' lists."""
+    if effect.scan is not None:
+        return list(effect.scan(_worst_places(fitted)))
     nulls = list(engine.superset.nulls[effect.name])
     values = []
     for i, parameter in enumerate(effect.parameters):
-        for value in parameter.scan or (parameter.null + parameter.scale,):
+        for value in parameter.scan:
             tried = nulls.copy()
             tried[i] = value
             values.append(tuple(tried))
     return values
 
 
-def _patches(engine: Engine, fitted: Fitted) -> list[tuple[float, ...]]:
-    """Discs about the places of the worst windows, apart from each other."""
+def _worst_places(fitted: Fitted) -> list[tuple[float, float]]:
+    """Centres of the worst windows, the worst first, apart from each other [m]."""
     where = fitted.x[:, :2] + 0.5 * fitted.x[:, 3:4] * np.column_stack(
         [np.cos(fitted.x[:, 2]), np.sin(fitted.x[:, 2])]
     )
     badness = fitted.at.square / fitted.at.dof
-    near = np.linalg.norm(where[:, None] - where[None, :], axis=2) < 2.0 * _PATCH_RADIUS
+    near = np.linalg.norm(where[:, None] - where[None, :], axis=2) < 2.0 * _APART
     smooth = (near * badness[None, :]).sum(axis=1) / near.sum(axis=1)
     centres: list[Array] = []
     for w in np.argsort(-smooth):
-        if all(np.linalg.norm(where[w] - c) > _PATCH_RADIUS for c in centres):
+        if all(np.linalg.norm(where[w] - c) > _APART for c in centres):
             centres.append(where[w])
-        if len(centres) == _PATCHES:
+        if len(centres) == _PLACES:
             break
-    return [
-        (float(c[0]), float(c[1]), _PATCH_RADIUS, drop) for c in centres for drop in (0.25, 0.5)
-    ]
+    return [(float(c[0]), float(c[1])) for c in centres]

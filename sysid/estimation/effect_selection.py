@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.car_model.effect import Effect
-from steerd.car_model.effects import find_effect
+from steerd.car_model.effect import BaseSelection, Effect
+from steerd.car_model.effects import EFFECTS, find_effect
 from steerd.car_model.model import Model
 from steerd.sysid.compiler.kernels import (
     Kernels,
@@ -40,11 +40,12 @@ from steerd.sysid.estimation.objective import (
 
 Array = NDArray[np.float64]
 
-CANDIDATES: tuple[str, ...] = (
-    "tyre_saturation", "lateral_load_transfer", "tyre_relaxation", "steer_backlash",
-    "steer_asymmetry", "steer_nonlinearity", "mocap_yaw", "marker_offset",
-)  # fmt: skip
-"""Manners that any car may have and that no parameter of the base equations stands for."""
+CANDIDATES: tuple[str, ...] = tuple(
+    effect.name
+    for effect in EFFECTS.values()
+    if effect.selectable_in_base is BaseSelection.IDENTIFY
+)
+"""Effects that any car may have and that no parameter of the base equations stands for."""
 HORIZON = 1.0
 """Length of the windows [s]."""
 SECONDS = 240.0
@@ -242,7 +243,7 @@ def _open(
     model = rough.model._replace(
         effects=(*own, *extra), values=(*rough.model.values, *(e.nulls for e in extra))
     )
-    kernels, prior = make_kernels(model.effects), parameter_vector(model)
+    kernels, prior = make_kernels(model.effects, model.chassis), parameter_vector(model)
     late = float(delays_of(kernels, prior)[2])
     layout = make_layout(runs, HORIZON, late, SECONDS)
     search = _Search(
@@ -307,6 +308,6 @@ def _closed(search: _Search, rough: Fit, point: _Point, steps: Sequence[Step]) -
         for effect, values in zip(full.effects, full.values, strict=True)
         if effect.name in own or effect.name in point.taken
     ]
-    model = Model(full.car, tuple(e for e, _ in kept), tuple(v for _, v in kept))
+    model = Model(full.car, tuple(e for e, _ in kept), tuple(v for _, v in kept), full.chassis)
     free = tuple(name for effect in point.taken for name in search.names(effect))
     return Manners(model, free, tuple(steps))

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
+from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car, wheelbase
 from steerd.sysid.data.dataset import Run
@@ -47,7 +48,8 @@ def reaching(options: Options, rough: Fit) -> Options:
 
 def remembering(runs: Sequence[Run], model: Model[float], candidates: Sequence[str]) -> list[Run]:
     """The drives, with more of the commands before a window where a linkage may remember them."""
-    plays = any(e.linkage and e.memory for e in model.effects) or "steer_backlash" in candidates
+    effects = (*model.effects, *map(find_effect, candidates))
+    plays = any(effect.remembers_commands for effect in effects)
     return [replace(run, history=HISTORY) if plays else run for run in runs]
 
 

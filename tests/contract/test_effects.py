@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from steerd.car_model.effect import Effect
+from steerd.car_model.effect import BaseSelection, Confounding, Effect, EffectParameter, Role, Stage
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model, delays, observe
 from steerd.car_model.ops import FLOAT
@@ -27,10 +27,6 @@ CONTRACT = set(
 STEP = 0.01
 SHORT = 15
 """Steps of a run over scalar tensors, which are slow one by one."""
-SHAPES = {
-    ("lateral_load_transfer", "moved"), ("friction_ellipse", "rear"), ("floor_slope", "spinning"),
-}  # fmt: skip
-"""Parameters that do nothing until another of their effect does something."""
 EVERY = [pytest.param(effect, id=name) for name, effect in EFFECTS.items()]
 
 
@@ -74,10 +70,7 @@ def tensor(value: float) -> torch.Tensor:
 
 def ordinary(effect: Effect) -> tuple[float, ...]:
     """A severity that is ordinary on such a car, within bounds."""
-    return tuple(
-        p.scan[len(p.scan) // 2] if p.scan else min(p.null + p.scale, 0.5 * (p.null + p.high))
-        for p in effect.parameters
-    )
+    return tuple(p.typical for p in effect.parameters)
 
 
 def test_the_contract_names_are_all_there() -> None:
@@ -134,6 +127,43 @@ def test_bounds_are_finite_and_hold_the_null(effect: Effect) -> None:
 
 
 @pytest.mark.parametrize("effect", EVERY)
+def test_what_the_diagnosis_knows_of_it_fits_together(effect: Effect) -> None:
+    others = effect.confounded_with.effects if effect.confounded_with else ()
+    assert effect.name not in others
+    assert set(others) <= set(EFFECTS)
+    assert effect.least_size >= 0.0
+    assert any(p.role is Role.SIZE for p in effect.parameters)
+    assert effect.size(effect.nulls, effect.nulls) == 0.0
+    assert effect.size(ordinary(effect), effect.nulls) > 0.0
+
+
+REQUIRED = {
+    "least_size", "confounded_with", "needs_commands", "selectable_in_base", "zero_gradient",
+}  # fmt: skip
+COMPLETE: dict[str, Any] = {
+    "name": "x", "stage": Stage.FORCES, "family": "tyre", "summary": "", "equation": "",
+    "parameters": (EffectParameter("p", 0.0, 0.0, 1.0, "1", 0.1, ""),), "least_size": 0.1,
+    "confounded_with": None, "needs_commands": None, "zero_gradient": False,
+    "selectable_in_base": BaseSelection.HEALTHY,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("field", sorted(REQUIRED))
+def test_an_effect_that_leaves_out_what_the_diagnosis_needs_does_not_construct(field: str) -> None:
+    Effect(**COMPLETE)
+    with pytest.raises(TypeError, match=field):
+        Effect(**{name: value for name, value in COMPLETE.items() if name != field})
+
+
+def test_fields_that_contradict_each_other_do_not_construct() -> None:
+    with pytest.raises(ValueError, match="needs a scan"):
+        Effect(**{**COMPLETE, "zero_gradient": True})
+    with pytest.raises(ValueError, match="confounded with nothing"):
+        Effect(**COMPLETE, nameable_alone=False)
+    Effect(**{**COMPLETE, "confounded_with": Confounding(("mass",))}, nameable_alone=False)
+
+
+@pytest.mark.parametrize("effect", EVERY)
 def test_both_ends_of_the_bounds_keep_a_run_finite(effect: Effect) -> None:
     for values in (
         tuple(p.low for p in effect.parameters),
@@ -177,10 +207,12 @@ def test_gradients_at_and_beside_the_null_are_finite(effect: Effect, torch_ops: 
         at = tuple(p.null + share * p.scale for p in effect.parameters)
         found = gradient(torch_ops, effect, at, 2)
         assert all(map(math.isfinite, found))
-        if effect.smooth:
+        if not effect.zero_gradient:
             named = zip(effect.parameters, found, strict=True)
-            acting = [g for p, g in named if (effect.name, p.name) not in SHAPES]
-            assert all(acting), "a smooth effect's gradient at the null must say where to go"
+            acting = [g for p, g in named if p.role is Role.SIZE]
+            assert all(acting), (
+                "zero_gradient must say so where no gradient at the null says where to go"
+            )
 
 
 @pytest.mark.parametrize("effect", EVERY)

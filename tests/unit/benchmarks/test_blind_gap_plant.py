@@ -138,25 +138,21 @@ def test_outside_defect_shows(name):
     assert np.abs(changed.poses - base.poses).max() > 2e-3
 
 
-SHAPES = {
-    "friction_ellipse": {"rear"}, "lateral_load_transfer": {"moved"}, "floor_slope": {"spinning"},
-}  # fmt: skip
-"""What the library leaves open about an effect's shape, and the plant does not vary."""
-
-
 NOT_HIDDEN = {"wheel_slip"}
 """What every hidden car has anyway: its tyres slip along as well."""
 
 
 def test_names_of_the_contract():
     import steerd.car_model.effects as library
+    from steerd.car_model.effect import Role
 
     for name, effect in EFFECTS.items():
         known = library.EFFECTS[name]
         assert known.family == effect.family
         theirs = {p.name: p.unit for p in known.parameters}
         assert dict(effect.units).items() <= theirs.items()
-        assert theirs.keys() - effect.units.keys() <= SHAPES.get(name, set())
+        form = {p.name for p in known.parameters if p.role is Role.FORM}
+        assert theirs.keys() - effect.units.keys() <= form  # the plant varies no form
         nulls = {p.name: p.null for p in known.parameters}
         assert nulls | dict(effect.null) == nulls
     assert set(library.EFFECTS) - set(EFFECTS) == NOT_HIDDEN

@@ -91,7 +91,7 @@ def test_a_gain_of_a_few_blocks_is_one():
 
 
 def test_a_near_equal_is_a_rival_and_lowers_confidence():
-    best = score("a", np.zeros(12))
+    best = score("steer_lag", np.zeros(12))
     near, far = score("b", np.full(12, 0.2)), score("c", np.full(12, 20.0))
     assert rivals_of(best, [best, near, far], {"d": 0.97, "e": 0.5}, BLOCKS) == ("b", "d")
     alone = confidence_of(doubt_of(best, [best, far], BLOCKS))

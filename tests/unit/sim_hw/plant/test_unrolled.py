@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from steerd.car_model.effect import Effect, Stage
+from steerd.car_model.effect import BaseSelection, Effect, Stage
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
@@ -50,7 +50,20 @@ def branching(ops, p, ref, t):  # type: ignore[no-untyped-def]
 
 
 def test_a_model_that_branches_on_values_runs_as_it_is() -> None:
-    effect = Effect("branching", Stage.COMMAND, "steering", "", "", (), reference=branching)
+    effect = Effect(
+        name="branching",
+        stage=Stage.COMMAND,
+        family="steering",
+        summary="",
+        equation="",
+        parameters=(),
+        least_size=0.0,
+        confounded_with=None,
+        needs_commands=None,
+        selectable_in_base=BaseSelection.NEVER,
+        zero_gradient=False,
+        reference=branching,
+    )
     model = Model(DEFAULT_CAR, (effect,), ((),))
     assert not make_steps(model).unrolled
     drive(model, seed=3)
