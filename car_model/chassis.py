@@ -5,7 +5,7 @@ Two chassis share effects and actuators: `single_track` (the paper's, small angl
 chain slips -> loads -> forces -> rates, so that an unmodelled effect can touch one link.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, NamedTuple, Protocol
 
 from steerd.car_model.ops import Ops, T
@@ -69,7 +69,7 @@ class ChassisRates(Protocol):
 
 @dataclass(frozen=True)
 class Chassis:
-    """The equations of a planar body on two axles.
+    """The equations of a planar body on two axles. Name and drive say which: they alone compare.
 
     Attributes:
         name: as the car file says it.
@@ -82,9 +82,9 @@ class Chassis:
 
     name: str
     drive: str
-    slip_angles: SlipAngles
-    axle_loads: AxleLoads
-    rates: ChassisRates
+    slip_angles: SlipAngles = field(compare=False)
+    axle_loads: AxleLoads = field(compare=False)
+    rates: ChassisRates = field(compare=False)
 
     @property
     def label(self) -> str:

@@ -254,6 +254,8 @@ class Effect:
     follows_acceleration: bool = False
     """Whether it follows the acceleration, which is mostly noise where the measured speed stands in
     for the command: a base then goes without it."""
+    built_into: tuple[str, ...] = ()
+    """Chassis whose own equations contain it: on those it is no effect."""
     scan: ScanHook | None = None
     """Values worth trying where they depend on the drives; else each parameter's own scan."""
     memory: int = 0

@@ -42,7 +42,7 @@ def body_acceleration(ops: Ops[T], state: State[T], accel: T) -> T:
 
 def slip_per_force(car: Car[T], loads: Axles[T], front: float) -> T:
     """Longitudinal slip of the driven wheels per drive force [1/N]: `1 / (mu C_x F_z)`."""
-    driven = min(1.0, 2.0 * (1.0 - front)) * loads.rear + min(1.0, 2.0 * front) * loads.front
+    driven: T = min(1.0, 2.0 * (1.0 - front)) * loads.rear + min(1.0, 2.0 * front) * loads.front
     compliance: T = 1.0 / (car.mu * car.c_x * driven)
     return compliance
 

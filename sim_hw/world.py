@@ -11,9 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, State
 from steerd.sim_hw.mocap.cameras import Cameras
 from steerd.sim_hw.mocap.mocap_config import MocapConfig
@@ -39,6 +41,7 @@ class WorldConfig:
     Attributes:
         seed: root of all randomness.
         car: true parameters of the car.
+        chassis: its true equations.
         effects, effect_values: unmodelled effects that are on, and their parameters.
         scaling: how the car's servo and motor are really geared.
         vesc, mocap: the devices.
@@ -53,6 +56,7 @@ class WorldConfig:
     car: Car[float] = DEFAULT_CAR
     effects: tuple[Effect, ...] = ()
     effect_values: tuple[tuple[float, ...], ...] = ()
+    chassis: Chassis = SINGLE_TRACK
     scaling: Scaling = F1TENTH
     vesc: VescConfig = field(default_factory=VescConfig)
     mocap: MocapConfig = field(default_factory=MocapConfig)
@@ -99,7 +103,7 @@ class World:
             config.process_noise,
             config.start,
         )
-        model = Model(config.car, config.effects, config.effect_values)
+        model = Model(config.car, config.effects, config.effect_values, config.chassis)
         self.car = SimCar(model, setup, make_noise(config.seed, "car"), t_start_ns)
         self.log = ByteLog(config.keep_bytes)
         self.vesc = SimVesc(

@@ -166,7 +166,12 @@ def _simulated(
     label = "with the effect" if found else "without the effect"
     effects, values = _with_effects(base, found)
     config = replace(
-        make_world_config(plan), car=base.car, effects=effects, effect_values=values, start=start
+        make_world_config(plan),
+        car=base.car,
+        chassis=base.chassis,
+        effects=effects,
+        effect_values=values,
+        start=start,
     )
     rows: list[tuple[float, ...]] = []
 

@@ -12,7 +12,7 @@ from steerd.daemon.analysis.drives import load_drive, refuse_copies, without_res
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import open_session
 from steerd.sysid.estimation.effect_selection import CANDIDATES
-from steerd.sysid.estimation.fit import DEFAULT_FREE, Options
+from steerd.sysid.estimation.fit import Options, default_free
 from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names
 from steerd.sysid.estimation.prediction_horizon import level_loads, scale_inertia
 
@@ -73,7 +73,9 @@ def make_task(args: argparse.Namespace, base: CarFile) -> Task:
         every=every,
         model=model,
         options=Options(
-            free=free_names(free, fixed, DEFAULT_FREE, axles_known=args.wheelbase is not None),
+            free=free_names(
+                free, fixed, default_free(model.chassis), axles_known=args.wheelbase is not None
+            ),
             wheelbase=args.wheelbase,
         ),
         method=args.method,

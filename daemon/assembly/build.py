@@ -199,6 +199,7 @@ def make_world_config(
     return WorldConfig(
         seed=options.seed,
         car=file.car,
+        chassis=file.chassis,
         effects=(*file.effects, *(effect for effect, _ in added)),
         effect_values=(*file.values, *(values for _, values in added)),
         scaling=settings.scaling,

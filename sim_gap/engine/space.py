@@ -23,8 +23,8 @@ BOX = 3.0
 EFFECT_WIDER = 3.0
 """Prior standard deviation of an effect's parameter per its scale: hardly a prior at all."""
 FLOORS = {
-    "lf": 0.002, "lr": 0.002, "c_sf": 0.02, "c_sr": 0.02, "inertia_z": 0.03, "steer_gain": 0.004,
-    "steer_bias": 5e-4, "steer_delay": 1e-3, "steer_lag": 2e-3, "speed_gain": 0.002,
+    "lf": 0.002, "lr": 0.002, "c_sf": 0.02, "c_sr": 0.02, "c_x": 0.1,
+    "inertia_z": 0.03, "steer_gain": 0.004, "steer_bias": 5e-4, "steer_delay": 1e-3, "steer_lag": 2e-3, "speed_gain": 0.002,
     "speed_lag": 4e-3, "drive_delay": 2e-3, "pose_delay": 5e-4,
 }  # fmt: skip
 """Least prior standard deviation: what an identified car is off by because every model is wrong.
@@ -60,7 +60,8 @@ class Space:
 
 def nuisance_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     """Base parameters that are free in every hypothesis: those that identification frees."""
-    names = list(FLOORS)
+    slipping = bool(superset.kernels.chassis.drive)
+    names = [name for name in FLOORS if name != "c_x" or slipping]
     sources = {run.speed_source for run in runs}
     if sources != {"command"}:
         gone = {"speed_lag", "drive_delay"} | ({"speed_gain"} if "wheel" not in sources else set())
@@ -77,7 +78,13 @@ def telling_effects(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     speed that was measured, and that speed's acceleration is mostly noise.
     """
     missing = set() if all(run.speed_source == "command" for run in runs) else {Channel.SPEED}
-    return tuple(e.name for e in superset.effects if e.needs_commands not in missing)
+    chassis = superset.kernels.chassis.name
+    built_in = {e.name for e in superset.effects if chassis in e.built_into}
+    return tuple(
+        e.name
+        for e in superset.effects
+        if e.needs_commands not in missing and e.name not in built_in
+    )
 
 
 def _spread(superset: Superset, name: str) -> float:

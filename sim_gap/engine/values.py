@@ -38,7 +38,7 @@ def active_model(kernels: Kernels, parameters: Array) -> Model[float]:
         for effect, values in zip(full.effects, full.values, strict=True)
         if values != effect.nulls
     ]
-    return Model(full.car, tuple(e for e, _ in kept), tuple(v for _, v in kept))
+    return Model(full.car, tuple(e for e, _ in kept), tuple(v for _, v in kept), full.chassis)
 
 
 def _linkage_places(effects: tuple[Effect, ...]) -> list[int]:

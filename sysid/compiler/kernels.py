@@ -13,9 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model, memory_size
 from steerd.car_model.params import Car
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.sysid.compiler.codegen import COLUMNS
 from steerd.sysid.compiler.modules import load_module
 from steerd.sysid.compiler.simd_rows import LANES
@@ -45,16 +47,18 @@ class Kernels:
         names: of all parameters.
         memory: numbers that the effects remember; a state has 7 + memory numbers.
         module: the compiled functions.
+        chassis: whose equations they are.
     """
 
     effects: tuple[Effect, ...]
     names: tuple[str, ...]
     memory: int
     module: ModuleType
+    chassis: Chassis = SINGLE_TRACK
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Another process loads its own compiled functions: code does not travel."""
-        return make_kernels, (self.effects,)
+        return make_kernels, (self.effects, self.chassis)
 
 
 class Held(NamedTuple):
@@ -78,10 +82,11 @@ class Held(NamedTuple):
         return self.h / self.substeps
 
 
-def make_kernels(effects: Sequence[Effect] = ()) -> Kernels:
-    """The compiled car with these effects (compiled the first time, then from the cache)."""
+def make_kernels(effects: Sequence[Effect] = (), chassis: Chassis = SINGLE_TRACK) -> Kernels:
+    """The compiled car with these effects on this chassis (compiled the first time, then from the cache)."""
     chosen = tuple(effects)
-    return Kernels(chosen, parameter_names(chosen), memory_size(chosen), load_module(chosen))
+    module = load_module(chosen, chassis)
+    return Kernels(chosen, parameter_names(chosen), memory_size(chosen), module, chassis)
 
 
 def parameter_vector(model: Model[float]) -> Array:
@@ -93,7 +98,9 @@ def model_of(kernels: Kernels, parameters: Array) -> Model[float]:
     """The model that a vector of parameters describes."""
     rest = iter(parameters[len(Car._fields) :].tolist())
     values = tuple(tuple(next(rest) for _ in e.parameters) for e in kernels.effects)
-    return Model(Car(*parameters[: len(Car._fields)].tolist()), kernels.effects, values)
+    return Model(
+        Car(*parameters[: len(Car._fields)].tolist()), kernels.effects, values, kernels.chassis
+    )
 
 
 def constants_of(kernels: Kernels, parameters: Array, h: float) -> Array:

@@ -17,7 +17,9 @@ from types import ModuleType
 import numba
 import platformdirs
 
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.steer_bus.atomic_file import write_atomically
 from steerd.sysid.compiler import (
     choice,
@@ -45,10 +47,10 @@ def _text(module: ModuleType) -> str:
     return Path(str(module.__file__)).read_text(encoding="utf-8")
 
 
-def module_source(effects: Sequence[Effect] = ()) -> str:
+def module_source(effects: Sequence[Effect] = (), chassis: Chassis = SINGLE_TRACK) -> str:
     """The whole source of a model's module: printed pieces, then the loops around them."""
     loaded = (_text(module) for module in (delayed, loops, forward_sensitivities))
-    return "\n".join([generate(trace(tuple(effects))), *loaded])
+    return "\n".join([generate(trace(tuple(effects), chassis)), *loaded])
 
 
 def _fingerprint(source: str) -> str:
@@ -60,13 +62,13 @@ def _fingerprint(source: str) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 
-def write_module(effects: Sequence[Effect] = ()) -> Path:
+def write_module(effects: Sequence[Effect] = (), chassis: Chassis = SINGLE_TRACK) -> Path:
     """Write a model's module unless it is there; several processes may do so at once.
 
     Raises:
         OSError: the cache folder cannot be written.
     """
-    source = module_source(effects)
+    source = module_source(effects, chassis)
     folder = cache_folder() / "kernels"
     path = folder / f"model_{_fingerprint(source)}.py"
     if path.exists():
@@ -77,17 +79,17 @@ def write_module(effects: Sequence[Effect] = ()) -> Path:
 
 
 @lru_cache(maxsize=256)
-def load_module(effects: tuple[Effect, ...] = ()) -> ModuleType:
+def load_module(effects: tuple[Effect, ...] = (), chassis: Chassis = SINGLE_TRACK) -> ModuleType:
     """The compiled module of a car with these effects (compiled on its first calls).
 
     Raises:
         OSError: neither the cache folder nor a temporary one can be written.
     """
     try:
-        path = write_module(effects)
+        path = write_module(effects, chassis)
     except PermissionError:
         os.environ[CACHE_VARIABLE] = tempfile.mkdtemp(prefix="steerd-")
-        path = write_module(effects)
+        path = write_module(effects, chassis)
     name = f"steerd_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:

@@ -17,7 +17,7 @@ from steerd.sysid.compiler.trace import parameter_names
 
 Array = NDArray[np.float64]
 
-INVERSE = frozenset({"c_sf", "c_sr"})
+INVERSE = frozenset({"c_sf", "c_sr", "c_x"})
 LOGARITHM = frozenset({"mu", "mass", "speed_gain", "steer_rate"})
 RELATIVE = INVERSE | LOGARITHM | {"inertia_z", "steer_gain"}
 """What is judged by its relative error.

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
 from steerd.sysid.compiler.kernels import (
@@ -52,6 +53,8 @@ DEFAULT_FREE: tuple[str, ...] = (
     "steer_lag", "speed_gain", "speed_lag",
 )  # fmt: skip
 """Free unless said otherwise. mu only scales the stiffnesses, mass only the inertia: fixed."""
+SLIPPING: tuple[str, ...] = (*DEFAULT_FREE, "c_x")
+"""The same for a chassis whose driven wheels slip."""
 TYRES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
 """What the paper identifies."""
 HORIZONS: tuple[float, ...] = (0.5, 2.0, 8.0, np.inf)
@@ -79,12 +82,17 @@ _MANY = 8
 """From so many windows of the last stage, a few are fitted before all are."""
 
 
+def default_free(chassis: Chassis) -> tuple[str, ...]:
+    """Names of the parameters that are free unless said otherwise."""
+    return SLIPPING if chassis.drive else DEFAULT_FREE
+
+
 @dataclass(frozen=True)
 class Options:
     """How to fit.
 
     Attributes:
-        free: names of the free parameters; None takes `DEFAULT_FREE`.
+        free: names of the free parameters; None takes `default_free`.
         wheelbase: known distance of the axles [m].
         horizons: windows' lengths by stage [s].
         integrator: `rk4` or `euler`.
@@ -169,8 +177,8 @@ def prescribe_speed(model: Model[float]) -> Model[float]:
     return model._replace(car=car)
 
 
-def _free_names(runs: Sequence[Run], options: Options) -> tuple[str, ...]:
-    free = options.free if options.free is not None else DEFAULT_FREE
+def _free_names(runs: Sequence[Run], options: Options, chassis: Chassis) -> tuple[str, ...]:
+    free = options.free if options.free is not None else default_free(chassis)
     sources = {run.speed_source for run in runs}
     if sources == {"command"}:
         silent = _silent_names(runs, free)
@@ -255,8 +263,8 @@ def fit(
     check_sources(runs)
     if any(run.speed_source != "command" for run in runs):
         model, starts = prescribe_speed(model), [prescribe_speed(start) for start in starts]
-    kernels = make_kernels(model.effects)
-    free = _free_names(runs, options)
+    kernels = make_kernels(model.effects, model.chassis)
+    free = _free_names(runs, options, model.chassis)
     if not free:
         hint = "drive `steerd collect --plan mixed`"
         raise DataError("the speed was never changed: these drives tell none of it", hint)
@@ -410,7 +418,8 @@ def _report(work: _Work, problem: Problem, found: Descent, signal: Array) -> Fit
     pace = float(np.median(np.abs(np.concatenate([run.commands[:, 1] for run in work.runs]))))
     pace *= model_of(work.kernels, parameters).car.speed_gain
     told_of = estimates(chart, found.z, covariance)
-    told_of |= silent_estimates(chart, _silent_names(work.runs, work.options.free or DEFAULT_FREE))
+    free = work.options.free or default_free(work.kernels.chassis)
+    told_of |= silent_estimates(chart, _silent_names(work.runs, free))
     return Fit(
         model=model_of(work.kernels, parameters),
         parameters=parameters,

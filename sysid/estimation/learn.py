@@ -16,7 +16,7 @@ from steerd.sysid.data.excitation import measure_excitation, speed_tracking_shar
 from steerd.sysid.data.segments import hold_out, make_blocks, moving_segments
 from steerd.sysid.estimation.chart import SPREAD_RELATIVE
 from steerd.sysid.estimation.effect_selection import Step, choose
-from steerd.sysid.estimation.fit import DEFAULT_FREE, Fit, Options, fit
+from steerd.sysid.estimation.fit import Fit, Options, default_free, fit
 from steerd.sysid.estimation.identifiability import MANOEUVRES, RELATIVE_MAX
 from steerd.sysid.estimation.multistart import COMPARABLE, has_one_speed, log_cost, opened, rivals
 from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row
@@ -294,7 +294,7 @@ def _fit_one_speed(task: Task, runs: Sequence[Run]) -> Fit:
     alike: there is a valley with more than one bottom, and errors at one know nothing of the other.
     """
     work = partial(_fit_one, runs=runs, prior=task.model, options=task.options)
-    models = rivals(task.first or task.model, task.options.free or DEFAULT_FREE)
+    models = rivals(task.first or task.model, task.options.free or default_free(task.model.chassis))
     fits = sorted(map_jobs(work, models, task.jobs, task.dask), key=log_cost)
     return opened(fits[0], [f for f in fits[1:] if log_cost(f) - log_cost(fits[0]) < COMPARABLE])
 

@@ -125,7 +125,7 @@ def _on_grid(phase: float, h: float, step: float) -> float:
 def rough_problem(run: Run, rough: Fit, options: Options) -> Problem:
     """The drive in windows of 2 s, as the rough fit sees it."""
     parts = moving_segments([run])
-    kernels = make_kernels(rough.model.effects)
+    kernels = make_kernels(rough.model.effects, rough.model.chassis)
     late = float(delays_of(kernels, rough.parameters)[2])
     layout = make_layout(parts, _HORIZONS[-1], late, SECONDS)
     return Problem(

@@ -86,7 +86,7 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
     check_sources(runs)
     if any(run.speed_source != "command" for run in runs):
         model = prescribe_speed(model)
-    kernels, parameters = make_kernels(model.effects), parameter_vector(model)
+    kernels, parameters = make_kernels(model.effects, model.chassis), parameter_vector(model)
     late = float(delays_of(kernels, parameters)[2])
     layout = make_layout(runs, _ROOM * (PAST + horizon), late)
     substeps = stable_substeps(model.car, *speed_range(runs), layout.h)

@@ -47,6 +47,7 @@ EFFECT = Effect(
     on_every_car=True,
     zero_gradient=False,
     follows_acceleration=True,
+    built_into=("planar",),
     rates=_rates,
     aliases=("longitudinal_slip",),
 )
