@@ -1,4 +1,4 @@
-"""New values in a car file: comments, order and everything else stay as they are."""
+"""Set values in a car file; comments, order and everything else stay."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,7 +7,6 @@ from typing import Any
 import tomlkit
 
 from steerd.car_model.car_file import CarFileError, load_car, parse_car
-from steerd.daemon.common.atomic_file import write_whole
 from steerd.daemon.common.translate import make_car_file_error
 from steerd.daemon.settings.config import make_settings
 
@@ -16,10 +15,10 @@ Values = Mapping[tuple[str, str], float | str]
 
 
 def load_text(path: Path) -> str:
-    """The text of a car file that is in order.
+    """The text of a valid car file.
 
     Raises:
-        SteerdError: it cannot be read, or says something that cannot be.
+        SteerdError: it cannot be read, or it is invalid.
     """
     try:
         return load_car(path).text
@@ -31,7 +30,7 @@ def edit_text(text: str, values: Values) -> str:
     """The text with new values; sections and keys that it lacks are added.
 
     Raises:
-        SteerdError: the result would not be a car file that may be driven with.
+        SteerdError: the result would not be a valid car file.
     """
     document = tomlkit.parse(text)
     for (section, key), value in values.items():
@@ -47,12 +46,3 @@ def edit_text(text: str, values: Values) -> str:
     except CarFileError as error:
         raise make_car_file_error(error) from None
     return new
-
-
-def save_values(path: Path, base: Path, values: Values) -> None:
-    """Write `base` with new values to `path` (which may be `base` itself).
-
-    Raises:
-        SteerdError: see `edit_text`, `load_text`; or the file cannot be written.
-    """
-    write_whole(path, edit_text(load_text(base), values))

@@ -1,4 +1,4 @@
-"""A car file as everything that a drive needs: each section checked by the room that uses it."""
+"""A car file as settings: each section is checked by the room that uses it."""
 
 import difflib
 from collections.abc import Callable, Mapping
@@ -15,29 +15,38 @@ from steerd.controller.config import ControllerConfig, load_controller_config
 from steerd.controller.limits import Limits
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.translate import make_car_file_error
-from steerd.daemon.settings.thresholds import Thresholds
+from steerd.daemon.settings.thresholds import Thresholds, check_bounds
 from steerd.estimator.config import FilterConfig, load_filter_config
 from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.vesc_link.scaling import Scaling, steer_limits
 
 S = TypeVar("S")
-FLUSH_MS, DISK_FREE_MIN_MB = (10, 250), 100
-"""What no car file may leave."""
+FLUSH_MS_MIN, FLUSH_MS_MAX = 10, 250
+"""Range of `[record] flush_ms` [ms]: rarer loses too much, more often costs too much."""
+DISK_FREE_MIN_MB = 100
+"""Least `[record] disk_free_min_mb` [MB]."""
+BRAKE_CURRENT_MAX_A = 200.0
+"""Largest brake current that a car file may give [A]."""
+UUID_BYTES = 12
+"""Length of a VESC's UUID."""
+_BRAKE_CURRENTS = (
+    "brake_current_a", "soft_brake_current_a", "hold_brake_current_a", "estop_brake_current_a",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class BrakeSettings:
-    """What stops the car, and what the VESC must do by itself. Currents in ampere.
+    """Brake currents [A], and what the VESC must do by itself.
 
     Attributes:
         brake_current_a: of a fault stop.
         soft_brake_current_a: at the end of an ordinary stop.
         hold_brake_current_a: while armed.
         estop_brake_current_a: of an emergency stop.
-        timeout_max_ms: longest own timeout of the VESC that may be armed.
-        current_max_a: motor current that counts as full.
-        cells: of the battery in series.
+        timeout_max_ms: longest timeout of the VESC with which the car may be armed [ms].
+        current_max_a: motor current that counts as full [A].
+        cells: number of battery cells in series.
         uuid: 24 hex digits of the VESC that must answer; empty takes any.
     """
 
@@ -53,12 +62,12 @@ class BrakeSettings:
 
 @dataclass(frozen=True)
 class RecordSettings:
-    """What the recorder must be able to do before the car may drive.
+    """Requirements on the recorder.
 
     Attributes:
-        required: whether a lost recorder stops the car (W26); it keeps it from being armed too.
-        flush_ms: at most so much of a session is lost when everything is killed; 10 to 250.
-        disk_free_min_mb: less free space ends the recording in good order; at least 100.
+        required: whether a lost recorder stops the car, and prevents arming (W26).
+        flush_ms: time between writes to the disk [ms], which a killed recorder loses.
+        disk_free_min_mb: less free space [MB] ends the recording; the file stays complete.
     """
 
     required: bool = True
@@ -68,7 +77,7 @@ class RecordSettings:
 
 @dataclass(frozen=True)
 class Settings:
-    """Everything a car file says, validated."""
+    """A car file with every section checked."""
 
     file: CarFile
     scaling: Scaling
@@ -90,7 +99,7 @@ def load_settings(path: Path | str, speed: float | None = None) -> Settings:
         speed: cruise speed that replaces the file's [m/s].
 
     Raises:
-        SteerdError: the file cannot be read, or a value in it cannot be; says which and what to do.
+        SteerdError: the file cannot be read, or a value is invalid; names it and the remedy.
     """
     try:
         car_file = load_car(path)
@@ -103,29 +112,35 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
     """The settings of a car file that was read.
 
     Raises:
-        SteerdError: a section holds something that cannot be.
+        SteerdError: a section holds an unknown key or an invalid value.
     """
-    take = _Sections(car_file)
-    vesc = dict(take.section("vesc"))
+    sections = _Sections(car_file)
+    vesc = dict(sections.section("vesc"))
     brakes = {k: vesc.pop(k) for k in list(vesc) if k in _names(BrakeSettings)}
-    safety = dict(take.section("safety"))
+    safety = dict(sections.section("safety"))
     deadman = bool(safety.pop("deadman", True))
-    control = dict(take.section("controller"))
+    control = dict(sections.section("controller"))
     control.pop("rate_hz", None)
     if speed is not None:
         control["speed"] = speed
-    scaling = take.make("vesc", lambda: _convert(vesc, Scaling))
+    scaling = sections.make("vesc", lambda: _convert(vesc, Scaling))
     settings = Settings(
         file=car_file,
         scaling=scaling,
-        brakes=take.make("vesc", lambda: _positive_brakes(_convert(brakes, BrakeSettings))),
-        ingest=take.make("mocap", lambda: IngestConfig(_frame(car_file, take.section("mocap")))),
-        limits=take.make("limits", lambda: _limits(car_file, scaling, take.section("limits"))),
-        controller=take.make("controller", lambda: load_controller_config(control)),
-        filter=take.make("estimator", lambda: load_filter_config(take.section("estimator"))),
-        thresholds=take.make("safety", lambda: _thresholds(safety)),
+        brakes=sections.make("vesc", lambda: _check_brakes(_convert(brakes, BrakeSettings))),
+        ingest=sections.make(
+            "mocap", lambda: IngestConfig(_frame(car_file, sections.section("mocap")))
+        ),
+        limits=sections.make(
+            "limits", lambda: _limits(car_file, scaling, sections.section("limits"))
+        ),
+        controller=sections.make("controller", lambda: load_controller_config(control)),
+        filter=sections.make(
+            "estimator", lambda: load_filter_config(sections.section("estimator"))
+        ),
+        thresholds=sections.make("safety", lambda: _thresholds(safety)),
         deadman=deadman,
-        record=take.make("record", lambda: _record(take.section("record"))),
+        record=sections.make("record", lambda: _record(sections.section("record"))),
     )
     if settings.controller.speed > settings.limits.speed_max:
         raise SteerdError(
@@ -137,7 +152,7 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
 
 
 class _Sections:
-    """The sections of one car file, each read at most by the room that owns it."""
+    """The sections of one car file; errors name the file and the section."""
 
     def __init__(self, car_file: CarFile) -> None:
         self._file = car_file
@@ -170,19 +185,19 @@ def _convert(table: Mapping[str, Any], cls: type[S]) -> S:
     return msgspec.convert(dict(table), cls)
 
 
-def _positive_brakes(brakes: BrakeSettings) -> BrakeSettings:
-    for name in _names(BrakeSettings)[:4]:
-        if not 0.0 < getattr(brakes, name) <= 200.0:
+def _check_brakes(brakes: BrakeSettings) -> BrakeSettings:
+    for name in _BRAKE_CURRENTS:
+        if not 0.0 < getattr(brakes, name) <= BRAKE_CURRENT_MAX_A:
             raise ValueError(f"{name} = {getattr(brakes, name)}: a stop needs a current above 0 A")
-    if brakes.uuid and len(bytes.fromhex(brakes.uuid)) != 12:
+    if brakes.uuid and len(bytes.fromhex(brakes.uuid)) != UUID_BYTES:
         raise ValueError(f"uuid = {brakes.uuid!r}: 24 hex digits, as `steerd status` shows them")
     return brakes
 
 
 def _record(table: Mapping[str, Any]) -> RecordSettings:
     record = _convert(table, RecordSettings)
-    if not FLUSH_MS[0] <= record.flush_ms <= FLUSH_MS[1]:
-        raise ValueError(f"flush_ms = {record.flush_ms}: {FLUSH_MS[0]} to {FLUSH_MS[1]} ms")
+    if not FLUSH_MS_MIN <= record.flush_ms <= FLUSH_MS_MAX:
+        raise ValueError(f"flush_ms = {record.flush_ms}: {FLUSH_MS_MIN} to {FLUSH_MS_MAX} ms")
     if record.disk_free_min_mb < DISK_FREE_MIN_MB:
         text = f"disk_free_min_mb = {record.disk_free_min_mb}: at least {DISK_FREE_MIN_MB} MB"
         raise ValueError(text)
@@ -223,4 +238,5 @@ def _thresholds(table: Mapping[str, Any]) -> Thresholds:
     values = dict(table)
     if "fence" in values:
         values["fence"] = tuple((float(x), float(y)) for x, y in values["fence"])
+    check_bounds(values)
     return _convert(values, Thresholds)

@@ -1,4 +1,4 @@
-"""What `steerd run` was asked to do, as one value that travels to its processes as JSON."""
+"""Options of a drive, as one value that goes to the processes as JSON."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -7,7 +7,7 @@ import msgspec
 
 
 class ControllerKind(StrEnum):
-    """Who steers: the built-in lane keeper, or whoever publishes commands on the bus."""
+    """Who steers: the built-in lane keeper, or a program that publishes commands on the bus."""
 
     LANE = "lane"
     ZENOH = "zenoh"
@@ -15,7 +15,7 @@ class ControllerKind(StrEnum):
 
 @dataclass(frozen=True)
 class RunOptions:
-    """One drive.
+    """Options of one drive.
 
     Attributes:
         car_file: path of the TOML car file.
@@ -23,11 +23,11 @@ class RunOptions:
         port: serial device or pyserial URL; None in virtual time.
         mocap: mocap address as `--mocap` takes it; None in virtual time.
         path: path description as `--path` takes it.
-        speed: speed asked for on straights [m/s].
-        duration_s: how long to drive once running; None until stopped.
+        speed: target speed on straights [m/s].
+        duration_s: length of the drive [s]; None until stopped.
         record: session file, or None for a name made from date and car.
-        seed: of everything random in simulated hardware.
-        rate_hz: control rate.
+        seed: of the random numbers in simulated hardware.
+        rate_hz: control rate [Hz].
         controller: who steers.
         simulated: whether the hardware is simulated.
         auto_arm: arm and start without an operator (simulated hardware only).

@@ -1,7 +1,7 @@
 """F1TENTH's `vesc.yaml`: the same calibration under the names of the ROS stack.
 
-Only lines `name: number` are looked at, so comments and every other node's parameters stay as they
-are, and no YAML library is needed. Names and meaning: f1tenth_system, `vesc.yaml` (humble-devel).
+Only lines `name: number` are read, so comments and other nodes' parameters stay, and no YAML
+library is needed. Names and meaning: f1tenth_system, `vesc.yaml` (humble-devel).
 """
 
 import re
@@ -47,8 +47,8 @@ def read_vesc_yaml(text: str, base: Scaling) -> Scaling:
     """The calibration of a `vesc.yaml`; what it does not name comes from `base`.
 
     Raises:
-        SteerdError: it names none of the gains, gives one twice with different values, or a value
-            that cannot be.
+        SteerdError: it names none of the gains, gives one twice with different values, or gives
+            an invalid value.
     """
     found: dict[str, float] = {}
     for match in _LINE.finditer(text):
@@ -82,6 +82,6 @@ def make_vesc_yaml(scaling: Scaling, text: str = "") -> str:
     return _SPEED_MIN.sub(lambda m: f"{m[1]}{-float(scaling.erpm_max)!r}", new)
 
 
-def car_values(scaling: Scaling) -> Mapping[tuple[str, str], float]:
+def make_car_values(scaling: Scaling) -> Mapping[tuple[str, str], float]:
     """The calibration as values of a car file."""
     return {("vesc", field): float(getattr(scaling, field)) for field in NAMES.values()}

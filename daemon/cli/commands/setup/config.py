@@ -40,11 +40,11 @@ def run(args: argparse.Namespace) -> int:
 
     path = args.check or default_car_path()
     if args.from_vesc_yaml:
-        from steerd.daemon.settings.vesc_yaml import car_values, read_vesc_yaml
+        from steerd.daemon.settings.vesc_yaml import make_car_values, read_vesc_yaml
 
         base = load_settings(path).scaling
         scaling = read_vesc_yaml(_read(args.from_vesc_yaml), base)
-        print(edit_text(load_text(path), car_values(scaling)), end="")
+        print(edit_text(load_text(path), make_car_values(scaling)), end="")
         return ExitCode.OK
     if args.to_vesc_yaml:
         return _to_yaml(load_settings(path), args.to_vesc_yaml)

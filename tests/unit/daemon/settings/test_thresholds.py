@@ -2,10 +2,11 @@
 
 from math import inf, nan, nextafter, radians
 
+import msgspec
 import pytest
 
 from steerd.controller.limits import LimitError
-from steerd.daemon.settings.thresholds import BOUNDS, Thresholds
+from steerd.daemon.settings.thresholds import BOUNDS, Thresholds, check_bounds
 
 SQUARE = ((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0))
 
@@ -25,6 +26,20 @@ def test_fence_must_be_a_polygon():
         with pytest.raises(LimitError, match="fence needs"):
             Thresholds(fence=fence)
     assert Thresholds(fence=SQUARE[:3]).fence == SQUARE[:3]
+
+
+def test_units_and_ranges_are_those_of_the_annotations():
+    assert BOUNDS["jump_speed"] == (1.0, 8.0, "m/s")
+    assert BOUNDS["out_queue"] == (64, 256, "B")
+    for name, bound in BOUNDS.items():
+        with pytest.raises(msgspec.ValidationError):
+            msgspec.convert({name: bound.high + 1}, Thresholds)
+
+
+def test_numbers_of_a_table_are_checked_before_they_are_converted():
+    check_bounds({"jump_speed": 8, "fence": [], "deadman": False, "late": True, "unknown": 1e9})
+    with pytest.raises(LimitError, match=r"^jump_speed = 9 m/s is outside 1\.\.8 m/s: "):
+        check_bounds({"jump_speed": 9})
 
 
 def test_every_threshold_but_the_fence_is_bounded():
