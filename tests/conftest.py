@@ -1,5 +1,6 @@
 """Options of the whole suite."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 import pytest
@@ -8,6 +9,21 @@ import pytest
 def pytest_addoption(parser: pytest.Parser) -> None:
     """`--update-golden`: drive the golden sessions again, and show what changes."""
     parser.addoption("--update-golden", action="store_true", help="record golden sessions anew")
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """List what `--reruns` ran again, each with its first failure: a flaky test is no secret."""
+    first: dict[str, pytest.TestReport] = {}
+    counts: Counter[str] = Counter()
+    for report in terminalreporter.getreports("rerun"):
+        first.setdefault(report.nodeid, report)
+        counts[report.nodeid] += 1
+    if not first:
+        return
+    terminalreporter.section("failed and run again: the first failure of each", yellow=True)
+    for name, report in first.items():
+        terminalreporter.line(f"{name} (failed {counts[name]} x before its last run)", bold=True)
+        terminalreporter.line(report.longreprtext)
 
 
 @pytest.fixture(autouse=True, scope="session")
