@@ -73,10 +73,11 @@ def identify(said: dict[str, Any]) -> str:
     ]
     return (
         "The paper's sixteen circles with mocap noise, one random start, CPU seconds; every method "
-        "uses the same compiled simulator. The mark is the noise of one pose, 1 mm, open loop on "
-        "circles of other steering angles. Slaloms need what circles cannot tell: there each "
+        "uses the same compiled simulator. The target is the noise of one pose, 1 mm, open loop on "
+        "circles of other steering angles. Slaloms need what circles do not determine: there each "
         "method ends where its start, its bounds or its prior leave it. The time of `ours` "
-        "includes error bars; docs/explanation/identification.md has the whole race.\n\n" + table(head, rows)
+        "includes standard errors; [identification](identification.md) has the whole race.\n\n"
+        + table(head, rows)
     )
 
 
@@ -172,7 +173,7 @@ def virtual(said: dict[str, Any]) -> str:
         "the rest; nothing is left that costs a tenth by itself but the four predictions and three "
         f"updates of the filter. The 80 × that was asked for, 125 µs a tick, is a budget of "
         f"{number(125.0 / each_us)} calls: it takes another language for filter and codecs, not "
-        "another tune of this one. mypyc brought nothing (decision 44).\n"
+        "another tune of this one. mypyc brought nothing ([decision 44](../decisions/rooms-and-code.md#d44)).\n"
     )
 
 

@@ -155,7 +155,7 @@ it touches. Adding the file is all there is to adding an effect; this page is th
 `steerd effects --page > docs/reference/effects.md` (a test compares them).
 
 Limits: an effect acts on the planar single-track car, so roll, pitch and the split between left and
-right wheels appear only through their effect on the axles. What a drive cannot tell apart (mocap
-latency against an equal delay of both commands; friction against stiffness in gentle driving) the
-diagnosis says.
+right wheels appear only through their effect on the axles. The diagnosis reports effects that are
+not distinguishable on a drive (mocap latency against an equal delay of both commands; friction
+against stiffness in gentle driving).
 """

@@ -1,4 +1,4 @@
-"""Run the whole matrix and write its table into docs/reference/safety.md: `python -m tests.safety.report`.
+"""Run the whole matrix and write the tables of the safety pages: `python -m tests.safety.report`.
 
 `--check` only says whether every cell is good.
 """
@@ -21,7 +21,7 @@ from tests.safety.matrix import MOVING, Outcome, list_cells, run_cell
 from tests.safety.rig import PHASES
 from tests.safety.trace import write_trace
 
-PAGE = Path(__file__).parents[2] / "docs" / "reference" / "safety.md"
+PAGES = Path(__file__).parents[2] / "docs" / "reference"
 
 
 def run_fault(code: str) -> list[Outcome]:
@@ -98,6 +98,15 @@ def replace_section(text: str, name: str, lines: Iterable[str]) -> str:
     return head + begin + "\n" + "\n".join(lines) + "\n" + end + tail
 
 
+def write_sections(page: str, **sections: Iterable[str]) -> None:
+    """Replace the generated sections of one page."""
+    path = PAGES / page
+    text = path.read_text(encoding="utf-8")
+    for name, lines in sections.items():
+        text = replace_section(text, name, lines)
+    path.write_text(text, encoding="utf-8")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -111,12 +120,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(outcome.code, outcome.phase, *outcome.wrong)
     print(f"{len(outcomes)} cells, {len(bad)} bad")
     if not args.check:
-        text = PAGE.read_text(encoding="utf-8")
-        text = replace_section(text, "matrix", write_matrix(outcomes))
-        text = replace_section(text, "watchdogs", write_watchdogs())
-        text = replace_section(text, "trace", write_trace())
-        text = replace_section(text, "thresholds", write_thresholds())
-        PAGE.write_text(text, encoding="utf-8")
+        write_sections("safety.md", watchdogs=write_watchdogs(), thresholds=write_thresholds())
+        write_sections("safety-matrix.md", trace=write_trace(), matrix=write_matrix(outcomes))
     return 1 if bad else 0
 
 

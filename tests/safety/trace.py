@@ -208,7 +208,7 @@ def speaks(id: str, outcome: Outcome) -> bool:
 
 
 def write_trace() -> list[str]:
-    """The table for docs/reference/safety.md; drives every watchdog's cell twice."""
+    """The table for docs/reference/safety-matrix.md; drives every watchdog's cell twice."""
     lines = [
         "| watchdog | code | thresholds: default, range | shown by | without it |",
         "|---|---|---|---|---|",
