@@ -15,8 +15,11 @@ from numpy.typing import NDArray
 from steerd.daemon.sessions.motion import Array
 
 HELD, VALUE, BREAK = 0, 1, 2
-"""What a slot holds: nothing new (a line goes through), a value, or a break in the line."""
+"""What a slot holds: nothing new (the line passes through), a value, or a break in the line."""
 LEVELS = 65535
+"""Largest level of a packed value: 16 bits."""
+FINEST_S = 0.005
+"""Shortest pair of slots [s]; half the period of a 100 Hz loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +35,7 @@ class Grid:
             raise ValueError(f"a grid of {self.slots} slots, {self.step} s apart")
 
 
-def make_grid(start: float, end: float, buckets: int, finest: float = 0.005) -> Grid:
+def make_grid(start: float, end: float, buckets: int, finest: float = FINEST_S) -> Grid:
     """A grid over [start, end] of at most `buckets` pairs of slots, each pair >= `finest` [s]."""
     span = max(end - start, finest)
     count = max(1, min(buckets, round(span / finest)))
@@ -43,7 +46,7 @@ def decimate(grid: Grid, t: Array, value: Array) -> tuple[Array, NDArray[np.uint
     """Values and kinds (`HELD`, `VALUE`, `BREAK`) of a curve on a grid.
 
     Args:
-        grid: where to put it.
+        grid: instants of the result.
         t: times [s], not decreasing, shape (n,).
         value: shape (n,); NaN where the line breaks.
 
@@ -69,10 +72,10 @@ def decimate(grid: Grid, t: Array, value: Array) -> tuple[Array, NDArray[np.uint
     out[place], kinds[place] = value[early], VALUE
     two = late > early
     out[place[two] + 1], kinds[place[two] + 1] = value[late[two]], VALUE
-    return out, _stay_broken(kinds)
+    return out, _extend_breaks(kinds)
 
 
-def _stay_broken(kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _extend_breaks(kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A break lasts until the next value."""
     last = np.maximum.accumulate(np.where(kinds == HELD, 0, np.arange(len(kinds))))
     return np.where((kinds == HELD) & (kinds[last] == BREAK), BREAK, kinds)

@@ -1,4 +1,4 @@
-"""What is in a session: a value made of its file, for `steerd info` and after an import."""
+"""The contents of a session as one value, for `steerd info` and after an import."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -35,9 +35,17 @@ from steerd.steer_bus.topics import (
 )
 
 GAP_FACTOR = 3.0
-"""A pause of more than so many ordinary intervals is a gap."""
+"""A pause of more than this many median intervals is a gap."""
 STATES_MAX = 1000
-_GENTLE = 1.0
+"""State changes kept; a damaged file may hold any number."""
+DISTANCE_MIN = 0.5
+"""A shorter drive identifies nothing [m]."""
+STEER_SD_MIN = 0.01
+"""Steering that varies less counts as constant [rad]."""
+SPEED_SPAN_MIN = 0.3
+"""Speed that varies less counts as constant [m/s]."""
+LATERAL_ACCEL_MIN = 1.0
+"""Tyre parameters need more lateral acceleration than this [m/s^2]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +79,13 @@ class StateChange:
 
 @dataclass(frozen=True, slots=True)
 class SessionReport:
-    """What `steerd info` tells.
+    """What `steerd info` shows.
 
     Attributes:
         end: why the recording ended; empty if it does not say.
         length_m: path driven; None without poses.
-        excitation: what the drive is too gentle to tell, one line each.
-        warnings: what is wrong with the file or doubtful in its numbers.
+        excitation: what cannot be identified from this drive, one sentence each.
+        warnings: what is wrong with the file or implausible in its numbers.
     """
 
     info: SessionInfo
@@ -112,7 +120,7 @@ def load_session(path: Path) -> Session:
 
 
 def make_session_report(session: Session) -> SessionReport:
-    """Look through a session once.
+    """Read a session once and summarise it.
 
     Raises:
         SteerdError: the file has changed since it was opened.
@@ -141,11 +149,11 @@ def make_session_report(session: Session) -> SessionReport:
         speed=speed_range,
         steer=steer_range,
         lateral_accel=lateral_range,
-        excitation=_excitation(track, speed_range, steer_range, lateral_range),
+        excitation=_find_unidentifiable(track, speed_range, steer_range, lateral_range),
         warnings=(
             *(warning.message for warning in info.warnings),
             *unreadable,
-            *find_implausible(track, _some(steer), _some(wheel), _some(gyro)),
+            *find_implausible(track, _nonempty(steer), _nonempty(wheel), _nonempty(gyro)),
         ),
     )
 
@@ -211,7 +219,7 @@ def _signal(tables: dict[str, Columns], topic: Topic, name: str, times: Times) -
     return Signal(t[order], values[order])
 
 
-def _some(signal: Signal) -> Signal | None:
+def _nonempty(signal: Signal) -> Signal | None:
     return signal if np.isfinite(signal.value).any() else None
 
 
@@ -227,9 +235,9 @@ def _motion(
     state = find_table(tables, STATE)
     if state is not None and np.isfinite(state["speed"]).any():
         return track, (steer, wheel, gyro, state["speed"], state["speed"] * state["yaw_rate"])
-    if track is not None and not (track.coarse and _some(wheel)):
+    if track is not None and not (track.coarse and _nonempty(wheel)):
         return track, (steer, wheel, gyro, track.speed, track.lateral_accel)
-    turning = gyro if _some(gyro) or track is None else Signal(track.t, track.yaw_rate)
+    turning = gyro if _nonempty(gyro) or track is None else Signal(track.t, track.yaw_rate)
     rate = np.interp(wheel.t, turning.t, turning.value) if turning.t.size else wheel.t * np.nan
     return track, (steer, wheel, gyro, wheel.value, wheel.value * rate)
 
@@ -269,7 +277,7 @@ def _state_name(number: int) -> str:
         return f"state {number}"
 
 
-# -- telling -------------------------------------------------------------------------------------
+# -- summary -------------------------------------------------------------------------------------
 
 
 def _topic(topic: TopicInfo, tables: dict[str, Columns], start_ns: int) -> TopicReport:
@@ -297,17 +305,20 @@ def _topic(topic: TopicInfo, tables: dict[str, Columns], start_ns: int) -> Topic
     )
 
 
-def _excitation(
+def _find_unidentifiable(
     track: Track | None, speed: Range | None, steer: Range | None, lateral: Range | None
 ) -> tuple[str, ...]:
-    """What a fit will not be able to tell from this drive."""
+    """What cannot be identified from this drive."""
     remarks = []
-    if track is not None and track.length < 0.5:
-        return ("the car hardly moved: nothing to learn",)
-    if steer is not None and steer.sd < 0.01:
-        remarks.append("steering is constant: no steering gain, delay or lag")
-    if speed is not None and speed.high - speed.low < 0.3:
-        remarks.append("speed is constant: no drive lag or delay")
-    if lateral is not None and max(-lateral.low, lateral.high) < _GENTLE:
-        remarks.append(f"lateral acceleration stays below {_GENTLE:g} m/s²: no tyre parameters")
+    if track is not None and track.length < DISTANCE_MIN:
+        return ("the car barely moved: nothing can be identified",)
+    if steer is not None and steer.sd < STEER_SD_MIN:
+        remarks.append("steering is constant: its gain, delay and lag are not identifiable")
+    if speed is not None and speed.high - speed.low < SPEED_SPAN_MIN:
+        remarks.append("speed is constant: drive lag and delay are not identifiable")
+    if lateral is not None and max(-lateral.low, lateral.high) < LATERAL_ACCEL_MIN:
+        limit = f"{LATERAL_ACCEL_MIN:g} m/s²"
+        remarks.append(
+            f"lateral acceleration stays below {limit}: tyre parameters are not identifiable"
+        )
     return tuple(remarks)

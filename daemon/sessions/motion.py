@@ -1,7 +1,7 @@
-"""How a recorded car moved, and whether the figures can be what they claim to be.
+"""The motion of a recorded car, and checks of units, signs and axes.
 
-Speed and yaw rate come from differences of poses over a window, as long as the poses' own noise
-asks for. All functions are linear in the number of samples.
+Speed and yaw rate are differences of poses over a window whose length follows from the noise of
+the poses. All functions are linear in the number of samples.
 """
 
 from dataclasses import dataclass
@@ -16,18 +16,35 @@ WINDOW = 0.2
 WINDOW_MAX = 1.0
 """Span of the differences [s]: the shorter for mocap, up to the longer for coarse poses."""
 _SPEED_NOISE = 0.05
+"""Standard deviation of the speed that the window allows [m/s]."""
 GAP_MAX = 0.5
-"""No motion is invented across a longer gap between poses [s]."""
+"""No motion is interpolated across a longer gap between poses [s]."""
+COORDINATE_MAX = 1e9
+"""Larger coordinates are damage, not places [m]."""
 MOVING = 0.05
 """Below this a car counts as standing [m/s]."""
-_STEADY = 0.3
+_DRIVING = 0.3
+"""Ratios of speeds are formed above this [m/s]."""
 _TURNING = 0.1
-_THROUGHOUT = 0.95
+"""The gyro is compared above this yaw rate [rad/s, rms]."""
+_SHARE = 0.95
+"""A car that moves backwards for this share of its samples does so throughout."""
+_SAMPLES_MIN = 10
+"""Fewer samples decide nothing."""
+_EXTENT_MAX, _SPEED_MAX = 100.0, 20.0
+"""A larger room [m] at a higher speed [m/s] is a wrong unit."""
+_STEP = 0.05
+"""Directions of the path are taken over this distance [m]."""
+_STEPS_MAX = 10_000
+_RATIO_LOW, _RATIO_HIGH = 0.8, 1.25
+"""Wheel speed over path speed within these is plausible [-]."""
+_STEER_LATENCY = 0.15
+"""Delay and lag of an ordinary car's steering [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Poses over time and what follows from them; arrays of one length, times increasing."""
+    """Poses over time, with speed and yaw rate; arrays of shape (n,), times increasing."""
 
     t: Array
     x: Array
@@ -52,14 +69,14 @@ class Track:
 
     @property
     def length(self) -> float:
-        """Path driven, standing still left out [m]."""
+        """Distance driven, without standstill [m]."""
         speed = np.abs(np.nan_to_num(self.speed))
         return float(np.sum(np.where(speed > MOVING, speed, 0.0)[:-1] * _steps(self.t)))
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """One stream: values at times; times do not go back."""
+    """One stream: values at times, which do not decrease."""
 
     t: Array
     value: Array
@@ -67,7 +84,7 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Where a signal lies: its ends without the outermost 0.1 %, and its standard deviation."""
+    """A signal's 0.1 % and 99.9 % quantiles and its standard deviation."""
 
     low: float
     high: float
@@ -81,7 +98,7 @@ def _steps(t: Array) -> Array:
 def make_track(t: Array, x: Array, y: Array, yaw: Array) -> Track | None:
     """Make a track of poses; None for fewer than three usable ones."""
     good = np.isfinite(t) & np.isfinite(x) & np.isfinite(y) & np.isfinite(yaw)
-    good &= (np.abs(x) < 1e9) & (np.abs(y) < 1e9) & (np.abs(yaw) < 1e9)
+    good &= (np.maximum(np.abs(x), np.abs(y)) < COORDINATE_MAX) & (np.abs(yaw) < COORDINATE_MAX)
     t, x, y, yaw = t[good], x[good], y[good], yaw[good]
     order = np.argsort(t, kind="stable")
     order = order[np.diff(t[order], prepend=-np.inf) > 0]
@@ -100,7 +117,7 @@ def make_track(t: Array, x: Array, y: Array, yaw: Array) -> Track | None:
 
 
 def _window(x: Array, y: Array) -> float:
-    """The window over which the poses' noise makes less than 5 cm/s.
+    """The window over which the noise of the poses gives less than 5 cm/s of speed noise.
 
     White noise of deviation s has second differences of deviation sqrt(6) s, and a difference over
     a window w has sqrt(2) s / w.
@@ -111,7 +128,7 @@ def _window(x: Array, y: Array) -> float:
 
 
 def _unbroken(t: Array) -> tuple[Array, Array]:
-    """For each time the first and the last one that no gap parts from it."""
+    """For each time, the first and last time of its gap-free stretch."""
     starts = np.concatenate(([0], np.flatnonzero(np.diff(t) > GAP_MAX) + 1))
     ends = np.append(starts[1:], len(t))
     lengths = ends - starts
@@ -127,49 +144,49 @@ def make_range(values: Array) -> Range | None:
     return Range(float(low), float(high), float(np.std(values)))
 
 
-# -- can this be? --------------------------------------------------------------------------------
+# -- plausibility --------------------------------------------------------------------------------
 
 
 def find_implausible(
     track: Track | None, steer: Signal | None, wheel: Signal | None, gyro: Signal | None
 ) -> list[str]:
-    """What looks like a wrong unit, sign or axis; one sentence each."""
-    doubts = []
+    """Find signs of a wrong unit, sign or axis; one sentence each."""
+    warnings = []
     if steer is not None and (found := make_range(steer.value)):
         worst = max(-found.low, found.high)
         if worst > pi / 2:
-            doubts.append(f"steering reaches {worst:.3g} rad: is it in degrees?")
+            warnings.append(f"steering reaches {worst:.3g} rad: is it in degrees?")
     if track is None:
-        return doubts
-    doubts += _doubt_position(track)
-    heading = _doubt_heading(track) or _doubt_front(track, wheel)
-    doubts += heading
+        return warnings
+    warnings += _check_position(track)
+    heading = _check_heading(track) or _check_front(track, wheel)
+    warnings += heading
     if heading:
-        return doubts
+        return warnings
     if wheel is not None:
-        doubts += _doubt_wheel(track, wheel)
+        warnings += _check_wheel(track, wheel)
     if gyro is not None:
-        doubts += _doubt_gyro(track, gyro)
+        warnings += _check_gyro(track, gyro)
     if steer is not None:
-        doubts += _doubt_steer(track, steer)
-    return doubts
+        warnings += _check_steer(track, steer)
+    return warnings
 
 
-def _doubt_position(track: Track) -> list[str]:
+def _check_position(track: Track) -> list[str]:
     extent = float(max(np.ptp(track.x), np.ptp(track.y)))
     found = make_range(np.abs(track.speed))
-    if extent > 100.0 and found and found.high > 20.0:
+    if extent > _EXTENT_MAX and found and found.high > _SPEED_MAX:
         return [f"x, y span {extent:.4g} m at {found.high:.3g} m/s: are they in millimetres?"]
     return []
 
 
-def _doubt_heading(track: Track) -> list[str]:
-    """Compare turns of the path with turns of the body, over steps of 5 cm and more."""
+def _check_heading(track: Track) -> list[str]:
+    """Compare the turning of the path with that of the body, over steps of 5 cm and more."""
     distance = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(track.x), np.diff(track.y)))))
     total = float(distance[-1])
     if not 1.0 <= total < 1e7:
         return []
-    step = max(0.05, total / 10_000)
+    step = max(_STEP, total / _STEPS_MAX)
     at = np.arange(0.0, total, step)
     x, y = np.interp(at, distance, track.x), np.interp(at, distance, track.y)
     yaw = np.interp(at[1:-1], distance, track.yaw)
@@ -187,27 +204,27 @@ def _doubt_heading(track: Track) -> list[str]:
     return []
 
 
-def _doubt_front(track: Track, wheel: Signal | None) -> list[str]:
-    """Whether the poses drive backwards throughout, while no wheel says so."""
-    moving = np.abs(np.nan_to_num(track.speed)) > _STEADY
-    if np.count_nonzero(moving) < 10 or np.mean(track.speed[moving] < 0.0) < _THROUGHOUT:
+def _check_front(track: Track, wheel: Signal | None) -> list[str]:
+    """Whether the poses move backwards throughout, and the wheels do not."""
+    moving = np.abs(np.nan_to_num(track.speed)) > _DRIVING
+    if np.count_nonzero(moving) < _SAMPLES_MIN or np.mean(track.speed[moving] < 0.0) < _SHARE:
         return []
     if wheel is not None and wheel.value.size and float(np.nanmedian(wheel.value)) < 0.0:
         return []
-    return ["the car drives backwards throughout: does yaw point to its rear, 180 deg off?"]
+    return ["the car drives backwards throughout: does yaw point to its rear, 180° off?"]
 
 
 def _wrap(angle: Array) -> Array:
     return np.asarray((angle + pi) % (2 * pi) - pi)
 
 
-def _doubt_wheel(track: Track, wheel: Signal) -> list[str]:
+def _check_wheel(track: Track, wheel: Signal) -> list[str]:
     speed = np.interp(wheel.t, track.t, np.nan_to_num(track.speed), np.nan, np.nan)
-    both = np.isfinite(speed) & np.isfinite(wheel.value) & (np.abs(speed) > _STEADY)
-    if np.count_nonzero(both) < 10:
+    both = np.isfinite(speed) & np.isfinite(wheel.value) & (np.abs(speed) > _DRIVING)
+    if np.count_nonzero(both) < _SAMPLES_MIN:
         return []
     ratio = float(np.sum(np.abs(wheel.value[both])) / np.sum(np.abs(speed[both])))
-    if 0.8 <= ratio <= 1.25:
+    if _RATIO_LOW <= ratio <= _RATIO_HIGH:
         return []
     kinds: tuple[tuple[float, str], ...] = (
         (1000.0, "millimetres"),
@@ -215,12 +232,12 @@ def _doubt_wheel(track: Track, wheel: Signal) -> list[str]:
         (57.3, "degrees"),
         (0.001, "millimetres (x, y)"),
     )
-    near = [name for factor, name in kinds if 0.8 <= ratio / factor <= 1.25]
+    near = [name for factor, name in kinds if _RATIO_LOW <= ratio / factor <= _RATIO_HIGH]
     guess = f": {near[0]}?" if near else ": another unit, gear ratio or wheel?"
     return [f"the wheel drives {ratio:.3g} times the path{guess}"]
 
 
-def _doubt_gyro(track: Track, gyro: Signal) -> list[str]:
+def _check_gyro(track: Track, gyro: Signal) -> list[str]:
     rate = np.interp(gyro.t, track.t, np.nan_to_num(track.yaw_rate), np.nan, np.nan)
     both = np.isfinite(rate) & np.isfinite(gyro.value)
     rate, measured = rate[both], gyro.value[both]
@@ -235,12 +252,13 @@ def _doubt_gyro(track: Track, gyro: Signal) -> list[str]:
     return []
 
 
-def _doubt_steer(track: Track, steer: Signal) -> list[str]:
-    # A command acts a little later; 0.15 s is the delay and lag of an ordinary car.
-    rate = np.interp(steer.t + 0.15, track.t, np.nan_to_num(track.yaw_rate), np.nan, np.nan)
-    speed = np.interp(steer.t + 0.15, track.t, np.nan_to_num(track.speed), np.nan, np.nan)
-    both = np.isfinite(rate) & np.isfinite(steer.value) & (np.abs(speed) > _STEADY)
-    if np.count_nonzero(both) < 10:
+def _check_steer(track: Track, steer: Signal) -> list[str]:
+    rate = np.interp(
+        steer.t + _STEER_LATENCY, track.t, np.nan_to_num(track.yaw_rate), np.nan, np.nan
+    )
+    speed = np.interp(steer.t + _STEER_LATENCY, track.t, np.nan_to_num(track.speed), np.nan, np.nan)
+    both = np.isfinite(rate) & np.isfinite(steer.value) & (np.abs(speed) > _DRIVING)
+    if np.count_nonzero(both) < _SAMPLES_MIN:
         return []
     curvature, value = rate[both] / speed[both], steer.value[both]
     strength = float(np.sqrt(np.sum(curvature**2) * np.sum(value**2)))

@@ -1,4 +1,4 @@
-"""What the page of `steerd plot` shows of a session: panels of curves, track and lane."""
+"""The contents of the plot page: panels of curves, track and lane of a session."""
 
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -28,7 +28,7 @@ NIS_95 = 7.815
 LANE_HALF_WIDTH = 0.30
 """[m], where the lateral watchdog stops the car unless the car file says otherwise."""
 SETTLE = 3.0
-"""The way into the lane is no lane keeping [s]."""
+"""The approach to the lane at the start of a drive is left out of the errors [s]."""
 GAP = 0.5
 """A line breaks where samples are further apart [s]."""
 
@@ -57,12 +57,12 @@ class Drawing:
     """Everything that is drawn; times in seconds from the session's start.
 
     Attributes:
-        panels: those for which the session holds anything.
+        panels: those for which the session holds data.
         track: of the car; None without poses.
         e1: lateral error at the track's times [m], NaN where unknown; empty without a track.
         lane: the path, if the session names one.
         half_width: of the lane [m].
-        facts: label and figure of what a reader asks first.
+        facts: label and value of the key figures.
     """
 
     panels: tuple[Panel, ...]
@@ -91,14 +91,14 @@ class _Tables:
     def curve(
         self, topic: Topic, field: str, name: str, role: str, scale: float = 1.0
     ) -> Iterator[Curve]:
-        """A field of a topic, if any of it is a number."""
+        """A field of a topic, if it has a finite value."""
         table = self.table(topic)
         if table is not None:
             yield from make_curve(name, role, self.times(table), scale * table[field].astype(float))
 
 
 def make_curve(name: str, role: str, t: Array, value: Array) -> Iterator[Curve]:
-    """A curve with breaks at gaps, unless it is empty or constant NaN."""
+    """A curve with breaks at gaps; none without a finite value."""
     if not np.isfinite(value).any():
         return
     order = np.argsort(t, kind="stable")
@@ -111,7 +111,7 @@ def make_curve(name: str, role: str, t: Array, value: Array) -> Iterator[Curve]:
 
 
 def make_drawing(session: Session) -> Drawing:
-    """Look through a session once.
+    """Read a session once and make its panels.
 
     Raises:
         SteerdError: the file has changed since it was opened.
@@ -120,7 +120,7 @@ def make_drawing(session: Session) -> Drawing:
     track = tables.track()
     found = [
         _lane_errors(tables), _heading(tables), _speed(tables, session, track), _steer(tables),
-        _yaw_rate(tables, track), _innovation(tables), _disagreement(tables, track),
+        _yaw_rate(tables, track), _innovation(tables), _pose_residual(tables, track),
         _timing(tables), _latency(tables), _current(tables),
     ]  # fmt: skip
     e1 = np.empty(0)
@@ -135,7 +135,7 @@ def make_drawing(session: Session) -> Drawing:
 
 
 def load_lane(session: Session) -> Lane | None:
-    """The path that a recorded drive kept to; None if the session does not say.
+    """The path of a recorded drive; None if the session does not hold it.
 
     A path file comes from the session itself, never from this machine's disk.
     """
@@ -206,7 +206,7 @@ def _heading(s: _Tables) -> Panel:
 
 
 def _command(s: _Tables, field: str, scale: float = 1.0) -> Iterator[Curve]:
-    """A field of the orders, where the car was driven; imported logs drive throughout."""
+    """A field of the commands while the car was driven; imported logs drive throughout."""
     table = s.table(topics.ACTUATION)
     if table is not None:
         driven = table["mode"] == ActuationMode.SPEED
@@ -252,7 +252,7 @@ def _innovation(s: _Tables) -> Panel:
     return Panel("pose innovation (NIS)", "", curves)
 
 
-def _disagreement(s: _Tables, track: Track | None) -> Panel:
+def _pose_residual(s: _Tables, track: Track | None) -> Panel:
     """Mocap minus estimate at the same instant, along and across the car."""
     state = s.table(topics.STATE)
     if state is None or track is None or not np.isfinite(state["x"]).any():
@@ -282,7 +282,7 @@ def _timing(s: _Tables) -> Panel:
 
 
 def _late_ms(ticks: Mapping[str, Array]) -> Array:
-    """How far past their deadlines ticks began; one that came with its pose was not late."""
+    """Start of each tick after its deadline; 0 for a tick that came early, with its pose [ms]."""
     past = ticks["woke_ns"].astype(np.int64) - ticks["due_ns"].astype(np.int64)
     return np.maximum(past, 0).astype(np.float64) * 1e-6
 
@@ -291,7 +291,7 @@ def _latency(s: _Tables) -> Panel:
     curves: list[Curve] = []
     for topic, since, until, name, role in (
         (topics.MOCAP, "t_valid_ns", "t_arrival_ns", "pose, from exposure", "estimate"),
-        (topics.VESC, "t_sent_ns", "t_received_ns", "VESC, from question", "measured"),
+        (topics.VESC, "t_sent_ns", "t_received_ns", "VESC, from request", "measured"),
     ):
         table = s.table(topic)
         if table is not None:

@@ -6,19 +6,21 @@ from typing import Any
 
 import numpy as np
 
+from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.curves import BREAK, VALUE, Grid, decimate, make_grid, pack
 from steerd.daemon.sessions.info import SessionReport
 from steerd.daemon.sessions.motion import GAP_MAX, Array, Track
 from steerd.daemon.sessions.plot_data import Drawing
-from steerd.daemon.sessions.text import clean
 from steerd.sysid.report.page import render_page
 
 SIZE_MAX = 2_000_000
-"""A page must fit into a mail and open at once [bytes]."""
+"""A page must fit into a mail and open quickly [bytes]."""
 BUCKETS = (20_000, 12_000, 6_000, 2_000)
 """Pairs of slots for all curves: the first number whose page is small enough is taken."""
 TRACK_SLOTS = 12_000
+"""Largest number of points of the track."""
 LANE_POINTS = 1500
+"""Largest number of points of the lane."""
 WARNINGS_SHOWN = 8
 _PAGE = Path(__file__).parent / "page"
 _OWN_FILES = {
@@ -31,7 +33,7 @@ _OWN_FILES = {
 
 
 def make_page(report: SessionReport, drawing: Drawing) -> str:
-    """The whole page, smaller than `SIZE_MAX` where curves can be thinned to reach it.
+    """The whole page; curves are thinned until it is smaller than `SIZE_MAX`.
 
     Args:
         report: of the session.
@@ -97,7 +99,7 @@ def _grid(grid: Grid) -> dict[str, float]:
 
 
 def _track(track: Track, e1: Array) -> dict[str, Any]:
-    """The track at equal times, with what colours it: the lateral error, else the speed."""
+    """The track at equal times, coloured by the lateral error, or by speed without one."""
     t = track.t
     slots = min(TRACK_SLOTS, 2 * len(t))
     span = max(float(t[-1] - t[0]), 1e-3)

@@ -1,34 +1,30 @@
-"""A session's report on one screen, and as JSON."""
+"""A session's report as text for one screen, and as JSON."""
 
 import math
 import sys
-import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
+from steerd.daemon.common.screen import NBSP, WIDTH, clean, join_words, print_labelled, wrap
 from steerd.daemon.sessions.info import SessionReport, TopicReport
 from steerd.daemon.sessions.motion import Range
 from steerd.steer_bus.topics import split_key
 
-WIDTH = 96
 TOPICS_SHOWN = 18
 STATES_SHOWN = 10
 WARNINGS_SHOWN = 10
+EMPTY_SHOWN = 12
 _LABEL = 12
-
-
-def clean(text: str, length: int = 200) -> str:
-    """Text from a file, safe for a terminal: no control characters, not too long."""
-    shown = "".join(c if c.isprintable() else "?" for c in text[:length])
-    return shown + ("…" if len(text) > length else "")
+_NAME_MIN, _NAME_MAX, _TYPE_MIN = 12, 24, 6
+"""Columns of the topic table [characters]."""
 
 
 def print_warnings(texts: Sequence[str]) -> None:
-    """What is wrong or doubtful in a session's file, on standard error; the work goes on."""
+    """Print warnings about a session's file on standard error; the command goes on."""
     for text in texts[:WARNINGS_SHOWN]:
-        print(f"warning: {clean(text)}", file=sys.stderr)
+        print_labelled("warning: ", clean(text), sys.stderr)
     if len(texts) > WARNINGS_SHOWN:
         print(f"warning: and {len(texts) - WARNINGS_SHOWN} more", file=sys.stderr)
 
@@ -51,10 +47,7 @@ def format_report(report: SessionReport) -> str:
 
 
 def _item(label: str, text: str) -> list[str]:
-    if not text:
-        return []
-    head = f"  {label:<{_LABEL - 2}}"
-    return textwrap.wrap(text, WIDTH, initial_indent=head, subsequent_indent=" " * _LABEL)
+    return wrap(text, f"  {label:<{_LABEL - 2}}", " " * _LABEL) if text else []
 
 
 def _car(report: SessionReport) -> str:
@@ -95,15 +88,15 @@ def _end(report: SessionReport) -> str:
     if report.info.finished:
         return "not recorded"
     name = clean(str(report.info.path))
-    return f"the recorder was killed, or is still writing; `steerd recover {name}` makes it whole"
+    return f"the recorder was killed or is still writing; to repair it: steerd recover {name}"
 
 
 def _states(report: SessionReport) -> str:
     shown = report.states[:STATES_SHOWN]
-    later = (f" → {change.state.lower()} {change.t_s:.1f}" for change in shown[1:])
+    later = (f" {join_words(f'→ {change.state.lower()} {change.t_s:.1f}')}" for change in shown[1:])
     text = shown[0].state.lower() + "".join(later)
     more = len(report.states) - len(shown)
-    return text + (f" → … {more} more" if more else "") + " s"
+    return text + (f" → … {more} more" if more else "") + f"{NBSP}s"
 
 
 def _drive(report: SessionReport) -> str:
@@ -117,7 +110,7 @@ def _drive(report: SessionReport) -> str:
     if report.lateral_accel:
         worst = max(-report.lateral_accel.low, report.lateral_accel.high)
         parts.append(f"lateral acceleration up to {worst:.1f} m/s²")
-    return ", ".join(parts)
+    return ", ".join(map(join_words, parts))
 
 
 def _span(found: Range, digits: int) -> str:
@@ -129,25 +122,36 @@ def _topics(report: SessionReport) -> list[str]:
     shown = report.topics[:TOPICS_SHOWN]
     if not shown:
         return []
-    rows = [(_short(t.name), _type(t), _count(t.count), _rate(t), _gaps(t)) for t in shown]
     head = ("topic", "type", "messages", "rate", "gaps")
-    widths = [min(max(len(row[i]) for row in (head, *rows)), 28) for i in range(4)]
-    lines = [_row(row, widths) for row in (head, *rows)]
+    rows = [
+        head,
+        *((_short(t.name), _type(t), _count(t.count), _rate(t), _gaps(t)) for t in shown),
+    ]
+    lines = _table(rows)
     more = len(report.topics) - len(shown)
     if more:
         lines.append(f"  … and {more} topics more (--json lists them)")
     if report.empty_topics:
-        names = ", ".join(_short(name) for name in report.empty_topics[:12])
-        lines += textwrap.wrap(f"  without a message: {names}", WIDTH, subsequent_indent="  ")
+        names = ", ".join(_short(name) for name in report.empty_topics[:EMPTY_SHOWN])
+        lines += wrap(names, "  no messages: ", "    ")
     return lines
 
 
-def _row(row: tuple[str, ...], widths: list[int]) -> str:
-    name, kind, count, rate = (
-        f"{cell[:width]:<{width}}" if i < 2 else f"{cell:>{width}}"
-        for i, (cell, width) in enumerate(zip(row, widths, strict=False))
-    )
-    return f"  {name}  {kind}  {count}  {rate}  {row[4]}".rstrip()
+def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    """Aligned rows of at most `WIDTH` columns; names and types are cut before figures are."""
+    name, kind, count, rate, gaps = (max(map(len, column)) for column in zip(*rows, strict=True))
+    room = max(WIDTH - 2 * len(rows[0]) - count - rate - gaps, _NAME_MIN + _TYPE_MIN)
+    name = min(name, _NAME_MAX, room - _TYPE_MIN)
+    kind = min(kind, room - name)
+    return [
+        f"  {_fit(r[0], name)}  {_fit(r[1], kind)}  {r[2]:>{count}}  {r[3]:>{rate}}  "
+        f"{r[4]}".rstrip()
+        for r in rows
+    ]
+
+
+def _fit(text: str, width: int) -> str:
+    return f"{text:<{width}}" if len(text) <= width else text[: width - 1] + "…"
 
 
 def _short(name: str) -> str:
@@ -156,7 +160,7 @@ def _short(name: str) -> str:
 
 
 def _type(topic: TopicReport) -> str:
-    return clean(topic.type_name.rpartition("/")[2] or "?", 28)
+    return clean(topic.type_name.rpartition("/")[2] or "?", 40)
 
 
 def _rate(topic: TopicReport) -> str:
@@ -168,7 +172,7 @@ def _gaps(topic: TopicReport) -> str:
         return ""
     if not topic.gaps:
         return "none"
-    return f"{topic.gaps}, longest {topic.longest_gap_s:.3g} s at {topic.longest_gap_at_s:.1f} s"
+    return f"{topic.gaps}, worst {topic.longest_gap_s:.3g} s at {topic.longest_gap_at_s:.1f} s"
 
 
 def _count(number: int) -> str:

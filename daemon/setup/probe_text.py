@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from math import degrees
 from typing import Any
 
-from steerd.daemon.sessions.text import WIDTH, clean
+from steerd.daemon.common.screen import WIDTH, clean
 from steerd.daemon.setup.probe import (
     UDEV_NAME,
     UDEV_RULE,

@@ -1,4 +1,4 @@
-"""`steerd info`: a drive of known motion is described as it was, and doubts are named."""
+"""`steerd info`: a drive of known motion is summarised, implausible numbers are named."""
 
 import json
 import math
@@ -9,8 +9,7 @@ import pytest
 from steerd.daemon.imports.import_session import MessageMaker
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import load_session, make_session_report
-from steerd.daemon.sessions.motion import Signal, find_implausible, make_range, make_track
-from steerd.daemon.sessions.text import WIDTH, clean, format_report, make_json
+from steerd.daemon.sessions.text import format_report, make_json
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import BODY, Transition, make_header
 from steerd.steer_bus.session import SessionWriter
@@ -69,7 +68,7 @@ def test_a_known_circle_is_described_as_it_was(tmp_path):
     assert report.lateral_accel.high == pytest.approx(SPEED**2 / RADIUS, rel=2e-3)
     assert report.steer is not None
     assert report.steer.high == pytest.approx(0.2, rel=1e-3)
-    assert report.excitation == ("speed is constant: no drive lag or delay",)
+    assert report.excitation == ("speed is constant: drive lag and delay are not identifiable",)
     assert [s.state for s in report.states] == [SupervisorState(i).name for i in range(8)]
     assert [s.t_s for s in report.states] == pytest.approx([0.0, *range(7)])
     assert {t.name: (t.count, t.gaps) for t in report.topics} == {
@@ -94,7 +93,7 @@ def test_gaps_are_found(tmp_path):
 def test_it_fits_a_screen(tmp_path):
     lines = format_report(report_of(write_circle(tmp_path / "a.mcap", gap=True))).splitlines()
     assert len(lines) < 24
-    assert max(map(len, lines)) <= WIDTH
+    assert max(map(len, lines)) <= 80
     text = "\n".join(lines)
     for words in (
         "blue, on the car",
@@ -102,7 +101,7 @@ def test_it_fits_a_screen(tmp_path):
         "2024-09-16 10:01:01 UTC, 10.0 s",
         "3 messages dropped",
         "init → disarmed 0.0 → ready 1.0",
-        "100.0 Hz  1, longest 0.51 s at 3.0 s",
+        "100.0 Hz  1, worst 0.51 s at 3.0 s",
     ):
         assert words in text
 
@@ -114,18 +113,6 @@ def test_an_unfinished_file_says_what_to_do(tmp_path):
     assert report.length_m == pytest.approx(SPEED * 9.99, rel=2e-3)
 
 
-def test_texts_of_a_file_cannot_play_tricks_on_a_terminal(tmp_path):
-    path = tmp_path / "a.mcap"
-    writer = SessionWriter(
-        path, {"/\x1b[31m": Transition}, {"steerd.session": {"car": "\x1b]0;x\a"}}
-    )
-    writer.write("/\x1b[31m", encode(Transition(make_header(0, BODY), 99, 98, "", "\x1b")), 0)
-    writer.finish({"reason": "\x1b[2J"})
-    assert "\x1b" not in format_report(report_of(path))
-    assert clean("a\nb\x07") == "a?b?"
-    assert clean("x" * 300) == "x" * 200 + "…"
-
-
 def test_json_has_no_numbers_that_json_lacks(tmp_path):
     document = make_json(report_of(write_circle(tmp_path / "a.mcap")))
     again = json.loads(json.dumps(document, allow_nan=False))
@@ -134,87 +121,3 @@ def test_json_has_no_numbers_that_json_lacks(tmp_path):
     assert again["states"][1]["state"] == "DISARMED"
     assert again["metadata"]["steerd.end"]["dropped"] == "3"
     assert make_json(report_of(tmp_path / "a.mcap")) == document
-
-
-# -- motion --------------------------------------------------------------------------------------
-
-
-def test_noise_widens_the_window_and_the_length_stays():
-    for noise in (0.0, 3e-4, 0.02, 0.05):
-        track = make_track(*circle(2000, noise=noise))
-        assert track is not None
-        assert track.length == pytest.approx(SPEED * 19.99, rel=0.03)
-        assert track.coarse == (noise > 0.01)
-
-
-def test_reversing_has_a_sign():
-    t, x, y, yaw = circle()
-    track = make_track(t, x[::-1], y[::-1], yaw[::-1])
-    assert track is not None
-    assert np.nanmedian(track.speed) == pytest.approx(-SPEED, rel=1e-2)
-
-
-def test_tracks_of_bad_poses():
-    nan = np.full(5, np.nan)
-    five = np.arange(5.0)
-    assert make_track(five, nan, five, five) is None
-    assert make_track(np.zeros(5), five, five, five) is None
-    assert make_track(five[:2], five[:2], five[:2], five[:2]) is None
-    assert make_track(five, five * 1e300, five, five) is None
-    shuffled = make_track(np.array([2.0, 0.0, 1.0, 1.0, 3.0]), five, five, five)
-    assert shuffled is not None
-    assert shuffled.t.tolist() == [0.0, 1.0, 2.0, 3.0]
-
-
-def test_a_range_of_nothing():
-    assert make_range(np.array([np.nan])) is None
-    assert make_range(np.empty(0)) is None
-
-
-def doubts(*, pose=1.0, yaw=1.0, front=0.0, steer=1.0, wheel=1.0, gyro=1.0):
-    t = np.arange(3000) * 0.01
-    turn = 0.8 * np.sin(0.7 * t)
-    heading = np.concatenate(([0.0], np.cumsum(turn[:-1] * 0.01)))
-    x = np.cumsum(SPEED * np.cos(heading) * 0.01)
-    y = np.cumsum(SPEED * np.sin(heading) * 0.01)
-    late = 0.15
-    signals = (
-        Signal(t - late, steer * np.arctan(0.33 * turn / SPEED)),
-        Signal(t, wheel * np.full_like(t, SPEED)),
-        Signal(t, gyro * turn),
-    )
-    return find_implausible(make_track(t, pose * x, pose * y, yaw * heading + front), *signals)
-
-
-def test_an_honest_drive_raises_no_doubt():
-    assert doubts() == []
-    assert doubts(wheel=1.15, gyro=0.95, steer=0.7) == []
-    assert all("backwards" not in doubt for doubt in doubts(front=np.pi, wheel=-1.0))
-
-
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({"pose": 1000.0, "wheel": 1000.0}, "millimetres"),
-        ({"yaw": 57.3}, "is it in degrees"),
-        ({"yaw": -1.0}, "clockwise"),
-        ({"front": np.pi}, "backwards throughout"),
-        ({"steer": -1.0}, "left positive"),
-        ({"steer": 57.3}, "is it in degrees"),
-        ({"wheel": 3.6}, "km/h"),
-        ({"wheel": 1000.0}, "millimetres"),
-        ({"wheel": 2.0}, "gear ratio"),
-        ({"gyro": 57.3}, "degrees/s"),
-        ({"gyro": -1.0}, "opposite sign"),
-    ],
-)
-def test_a_wrong_unit_or_sign_is_named(wrong, words):
-    found = doubts(**wrong)
-    assert len(found) == 1
-    assert words in found[0]
-
-
-def test_doubts_without_poses():
-    assert find_implausible(None, None, None, None) == []
-    steer = Signal(np.arange(3.0), np.array([0.0, 20.0, -20.0]))
-    assert len(find_implausible(None, steer, None, None)) == 1

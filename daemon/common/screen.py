@@ -1,0 +1,52 @@
+"""Lines for a terminal: broken between words, never inside one, and free of control characters."""
+
+import shutil
+import textwrap
+from typing import TextIO
+
+WIDTH = 80
+"""Columns of the narrowest terminal that reports are made for."""
+NBSP = "\u00a0"
+"""Joins what must stand on one line, a figure and its unit for instance; shown as a space."""
+TEXT_MAX = 200
+"""Text from a file is cut after so many characters."""
+
+
+def clean(text: str, length: int = TEXT_MAX) -> str:
+    """Text from a file, safe for a terminal: no control characters, not too long."""
+    shown = "".join(c if c.isprintable() else "?" for c in text[:length])
+    return shown + ("…" if len(text) > length else "")
+
+
+def wrap(text: str, first: str = "", rest: str = "", width: int = WIDTH) -> list[str]:
+    """Lines of at most `width` columns; a longer word has a line of its own.
+
+    Args:
+        text: one paragraph; `NBSP` is a space at which no line breaks.
+        first: the head of the first line.
+        rest: the indent of the others.
+        width: columns.
+    """
+    lines = textwrap.wrap(
+        text,
+        width,
+        initial_indent=first,
+        subsequent_indent=rest,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return [line.replace(NBSP, " ") for line in lines]
+
+
+def join_words(text: str) -> str:
+    """The text with spaces at which no line breaks."""
+    return text.replace(" ", NBSP)
+
+
+def print_labelled(label: str, text: str, file: TextIO) -> None:
+    """Print `label` and a text; a terminal gets whole words per line, a file or pipe one line."""
+    if not file.isatty():
+        print(label + text, file=file)
+        return
+    width = shutil.get_terminal_size((WIDTH, 24)).columns
+    print("\n".join(wrap(text, label, " " * len(label), width)) or label, file=file)

@@ -1,0 +1,51 @@
+"""Lines for a terminal: whole words, no control characters."""
+
+import io
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steerd.daemon.common.screen import clean, join_words, print_labelled, wrap
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.lists(st.text("abc-/.", min_size=1, max_size=30), min_size=1), st.integers(20, 90))
+def test_lines_fit_and_words_stay_whole(words, width):
+    lines = wrap(" ".join(words), "  head  ", "    ", width)
+    assert " ".join(lines).split() == ["head", *words]
+    for line in lines:
+        assert len(line) <= width or len(line.split()) <= 2
+
+
+def test_joined_words_stay_on_one_line():
+    assert wrap(f"at most {join_words('12.0 m/s')}", width=14) == ["at most", "12.0 m/s"]
+    assert wrap("") == []
+
+
+def test_control_characters_are_replaced_and_long_texts_cut():
+    assert clean("a\nb\x07\x1b[2J") == "a?b??[2J"
+    assert clean("x" * 300) == "x" * 200 + "…"
+    assert clean("café °", 4) == "café…"
+
+
+@pytest.mark.parametrize("columns", [80, 40])
+def test_a_terminal_gets_lines_of_its_width(monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    terminal = Terminal()
+    print_labelled("warning: ", "poses are late " * 10, terminal)
+    lines = terminal.getvalue().splitlines()
+    assert lines[0].startswith("warning: poses")
+    assert all(line.startswith(" " * 9 + "p") or line.startswith(" " * 9) for line in lines[1:])
+    assert columns - 8 < max(map(len, lines)) <= columns
+
+
+def test_a_pipe_gets_one_line():
+    pipe = io.StringIO()
+    print_labelled("warning: ", "poses are late " * 10, pipe)
+    assert pipe.getvalue() == "warning: " + "poses are late " * 10 + "\n"

@@ -1,0 +1,97 @@
+"""The motion of known drives, and the checks of units, signs and axes."""
+
+import numpy as np
+import pytest
+
+from steerd.daemon.sessions.motion import Signal, find_implausible, make_range, make_track
+
+RADIUS, SPEED = 2.0, 1.5
+
+
+def circle(count=1000, dt=0.01, *, noise=0.0, seed=1):
+    t = np.arange(count) * dt
+    yaw = SPEED / RADIUS * t
+    x, y = RADIUS * np.sin(yaw), RADIUS * (1 - np.cos(yaw))
+    rng = np.random.default_rng(seed)
+    return t, x + noise * rng.normal(size=count), y + noise * rng.normal(size=count), yaw
+
+
+def test_noise_widens_the_window_and_the_length_stays():
+    for noise in (0.0, 3e-4, 0.02, 0.05):
+        track = make_track(*circle(2000, noise=noise))
+        assert track is not None
+        assert track.length == pytest.approx(SPEED * 19.99, rel=0.03)
+        assert track.coarse == (noise > 0.01)
+
+
+def test_reversing_has_a_sign():
+    t, x, y, yaw = circle()
+    track = make_track(t, x[::-1], y[::-1], yaw[::-1])
+    assert track is not None
+    assert np.nanmedian(track.speed) == pytest.approx(-SPEED, rel=1e-2)
+
+
+def test_tracks_of_bad_poses():
+    nan = np.full(5, np.nan)
+    five = np.arange(5.0)
+    assert make_track(five, nan, five, five) is None
+    assert make_track(np.zeros(5), five, five, five) is None
+    assert make_track(five[:2], five[:2], five[:2], five[:2]) is None
+    assert make_track(five, five * 1e300, five, five) is None
+    shuffled = make_track(np.array([2.0, 0.0, 1.0, 1.0, 3.0]), five, five, five)
+    assert shuffled is not None
+    assert shuffled.t.tolist() == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_a_range_of_nothing():
+    assert make_range(np.array([np.nan])) is None
+    assert make_range(np.empty(0)) is None
+
+
+def warnings_for(*, pose=1.0, yaw=1.0, front=0.0, steer=1.0, wheel=1.0, gyro=1.0):
+    t = np.arange(3000) * 0.01
+    turn = 0.8 * np.sin(0.7 * t)
+    heading = np.concatenate(([0.0], np.cumsum(turn[:-1] * 0.01)))
+    x = np.cumsum(SPEED * np.cos(heading) * 0.01)
+    y = np.cumsum(SPEED * np.sin(heading) * 0.01)
+    late = 0.15
+    signals = (
+        Signal(t - late, steer * np.arctan(0.33 * turn / SPEED)),
+        Signal(t, wheel * np.full_like(t, SPEED)),
+        Signal(t, gyro * turn),
+    )
+    return find_implausible(make_track(t, pose * x, pose * y, yaw * heading + front), *signals)
+
+
+def test_a_plausible_drive_raises_no_warning():
+    assert warnings_for() == []
+    assert warnings_for(wheel=1.15, gyro=0.95, steer=0.7) == []
+    assert all("backwards" not in text for text in warnings_for(front=np.pi, wheel=-1.0))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "part"),
+    [
+        ({"pose": 1000.0, "wheel": 1000.0}, "millimetres"),
+        ({"yaw": 57.3}, "is it in degrees"),
+        ({"yaw": -1.0}, "clockwise"),
+        ({"front": np.pi}, "backwards throughout"),
+        ({"steer": -1.0}, "left positive"),
+        ({"steer": 57.3}, "is it in degrees"),
+        ({"wheel": 3.6}, "km/h"),
+        ({"wheel": 1000.0}, "millimetres"),
+        ({"wheel": 2.0}, "gear ratio"),
+        ({"gyro": 57.3}, "degrees/s"),
+        ({"gyro": -1.0}, "opposite sign"),
+    ],
+)
+def test_a_wrong_unit_or_sign_is_named(wrong, part):
+    found = warnings_for(**wrong)
+    assert len(found) == 1
+    assert part in found[0]
+
+
+def test_checks_without_poses():
+    assert find_implausible(None, None, None, None) == []
+    steer = Signal(np.arange(3.0), np.array([0.0, 20.0, -20.0]))
+    assert len(find_implausible(None, steer, None, None)) == 1
