@@ -1,7 +1,7 @@
 """What really happened on the wire and on the floor: judges of a drive that trust no daemon.
 
 They read the bytes that reached the VESC and the car's true motion. A *drive* frame makes the motor
-push, a *brake* frame slows it whichever way it turns, a *release* lets it coast. All pure.
+push, a *brake* frame slows it in whichever direction it turns, a *release* lets it coast. All pure.
 """
 
 from collections.abc import Iterable, Sequence
@@ -95,17 +95,17 @@ def find_stop(frames: Sequence[MotorFrame], t_ns: int) -> MotorFrame | None:
     return first
 
 
-def driven_after(frames: Iterable[MotorFrame], t_ns: int) -> int:
+def count_drive_frames(frames: Iterable[MotorFrame], t_ns: int) -> int:
     """How many drive frames reached the VESC after ``t_ns``."""
     return sum(frame.effort is Effort.DRIVE and frame.t_ns > t_ns for frame in frames)
 
 
-def way(track: Sequence[Motion], t_ns: int) -> float:
+def distance_driven(track: Sequence[Motion], t_ns: int) -> float:
     """Distance driven since ``t_ns`` [m]."""
     moved = [motion for motion in track if motion.t_ns >= t_ns]
     return sum(hypot(b.x - a.x, b.y - a.y) for a, b in pairwise(moved))
 
 
-def stopping_way(speed: float, blind_s: float, decel: float) -> float:
+def stopping_distance(speed: float, blind_s: float, decel: float) -> float:
     """Distance that a car needs which drives on for ``blind_s`` and then slows down [m]."""
     return speed * blind_s + speed * speed / (2.0 * decel)

@@ -25,7 +25,7 @@ from steerd.sim_hw.mocap.vrpn_device import VrpnDevice
 from steerd.sim_hw.plant.car import CarSetup, SimCar
 from steerd.sim_hw.plant.device import ByteLog
 from steerd.sim_hw.plant.faults import Fault, in_world_time, make_condition
-from steerd.sim_hw.plant.noise import make_noise
+from steerd.sim_hw.plant.noise import make_noise_source
 from steerd.sim_hw.vesc.vesc_config import VescConfig
 from steerd.sim_hw.vesc.vesc_device import SimVesc
 from steerd.vesc_link.scaling import F1TENTH, Scaling
@@ -68,7 +68,7 @@ class WorldConfig:
 
 
 class Truth(NamedTuple):
-    """What no instrument tells."""
+    """The true state, which no instrument measures."""
 
     t_ns: int
     state: State[float]
@@ -104,40 +104,40 @@ class World:
             config.start,
         )
         model = Model(config.car, config.effects, config.effect_values, config.chassis)
-        self.car = SimCar(model, setup, make_noise(config.seed, "car"), t_start_ns)
+        self.car = SimCar(model, setup, make_noise_source(config.seed, "car"), t_start_ns)
         self.log = ByteLog(config.keep_bytes)
         self.vesc = SimVesc(
-            config.vesc, config.scaling, self.car, make_noise(config.seed, "vesc"), self.log
+            config.vesc, config.scaling, self.car, make_noise_source(config.seed, "vesc"), self.log
         )
-        self.network = Network(make_noise(config.seed, "network"))
-        noise = make_noise(config.seed, "server")
+        self.network = Network(make_noise_source(config.seed, "network"))
+        noise = make_noise_source(config.seed, "server")
         kind = VrpnDevice if config.mocap.kind == "vrpn" else NatNetServer
         self.mocap: VrpnDevice | NatNetServer = kind(config.mocap, self.network, noise, t_start_ns)
-        self._cameras = Cameras(config.mocap, make_noise(config.seed, "cameras"), t_start_ns)
+        self._cameras = Cameras(config.mocap, make_noise_source(config.seed, "cameras"), t_start_ns)
         self._h = config.step_ns / 1e9
         self._faults = tuple(in_world_time(fault, t_start_ns) for fault in faults)
         self._rx = bytearray()
         self._stuck = 0
         self._port_suffix = ""
-        self._turn_knobs(t_start_ns)
+        self._apply_faults(t_start_ns)
 
     def add_fault(self, fault: Fault) -> None:
         """Plan another fault (its window counts from the world's start)."""
         self._faults = (*self._faults, in_world_time(fault, self._t_start_ns))
-        self._turn_knobs(self.car.t_ns)
+        self._apply_faults(self.car.t_ns)
 
-    def _turn_knobs(self, t_ns: int) -> None:
+    def _apply_faults(self, t_ns: int) -> None:
         condition = make_condition(self._faults, t_ns)
         self._edge_ns = condition.until_ns
         if not condition.vesc.stalled:
             self._stuck = 0
         if not condition.vesc.plugged:
             self._rx.clear()
-        self.vesc.set_knobs(t_ns, condition.vesc)
-        if condition.mocap.restart and not self._cameras.knobs.restart:
+        self.vesc.set_fault_state(t_ns, condition.vesc)
+        if condition.mocap.restart and not self._cameras.fault_state.restart:
             self._cameras.restart()
-        self._cameras.knobs = self.network.knobs = condition.mocap
-        self.mocap.set_knobs(t_ns, condition.mocap)
+        self._cameras.fault_state = self.network.fault_state = condition.mocap
+        self.mocap.set_fault_state(t_ns, condition.mocap)
 
     # --- time
 
@@ -148,12 +148,12 @@ class World:
             steer, demand = vesc.step(car.t_ns, h)
             car.step(steer, demand)
             if car.t_ns >= self._edge_ns:
-                self._turn_knobs(car.t_ns)
+                self._apply_faults(car.t_ns)
             if self._cameras.next_ns <= car.t_ns:
                 for capture in self._cameras.captures(car):
                     self.mocap.publish(capture)
         if t_ns >= self._edge_ns:
-            self._turn_knobs(t_ns)
+            self._apply_faults(t_ns)
         self.t_ns = max(self.t_ns, t_ns)
 
     @property
@@ -178,7 +178,7 @@ class World:
     @property
     def serial_name(self) -> str | None:
         """The serial port's name as the host sees it; None while there is no device."""
-        return f"vesc{self.vesc.knobs.port_suffix}" if self.vesc.connected else None
+        return f"vesc{self.vesc.fault_state.port_suffix}" if self.vesc.connected else None
 
     def serial_write(self, t_ns: int, data: bytes) -> int:
         """Write to the VESC at ``t_ns``, as ``os.write`` on a non-blocking descriptor.
@@ -193,7 +193,7 @@ class World:
         self.advance(t_ns)
         if not self.vesc.connected:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
-        if not self.vesc.knobs.stalled:
+        if not self.vesc.fault_state.stalled:
             self.vesc.on_bytes(t_ns, data)
             return len(data)
         taken = min(len(data), TX_BUFFER - self._stuck)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 from steerd.mocap_link.frame import Quat, Vec3, make_body_pose
 from steerd.sim_hw.mocap.mocap_config import MocapConfig
 from steerd.sim_hw.plant.car import SimCar
-from steerd.sim_hw.plant.fault_state import SOUND_MOCAP, MocapKnobs
-from steerd.sim_hw.plant.noise import Noise
+from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, MocapFaultState
+from steerd.sim_hw.plant.noise import NoiseSource
 
 _NS = 1_000_000_000
 _IMPOSTOR = (1.5, -1.0, 0.3)
@@ -47,11 +47,11 @@ class Cameras:
 
     Attributes:
         next_ns: the next exposure.
-        knobs: what is wrong with the tracking.
+        fault_state: what is wrong with the tracking.
     """
 
-    def __init__(self, config: MocapConfig, noise: Noise, t_start_ns: int) -> None:
-        self.knobs: MocapKnobs = SOUND_MOCAP
+    def __init__(self, config: MocapConfig, noise: NoiseSource, t_start_ns: int) -> None:
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP
         self.next_ns = t_start_ns
         self._config = config
         self._noise = noise
@@ -70,47 +70,47 @@ class Cameras:
             t_ns = self.next_ns
             self._exposures += 1
             self.next_ns = self._t_start_ns + self._exposures * _NS // self._config.rate_hz
-            if self._exposures % self.knobs.every == 0:
+            if self._exposures % self.fault_state.every == 0:
                 self._number += 1
                 yield Capture(self._number, t_ns, self._bodies(car, t_ns))
 
     def _bodies(self, car: SimCar, t_ns: int) -> tuple[BodyPose, ...]:
-        config, knobs = self._config, self.knobs
-        seen = car.pose_seen(t_ns)
+        config, faults = self._config, self.fault_state
+        seen = car.observe_pose(t_ns)
         true = Planar(seen.x, seen.y, seen.yaw)
         others = [(b.name, b.id, Planar(b.x, b.y, b.yaw)) for b in config.bystanders]
-        own = self._misplaced(true, t_ns)
-        if knobs.swap or knobs.impostor:
+        own = self._displace(true, t_ns)
+        if faults.swap or faults.impostor:
             own = others[0][2] if others else Planar(*_IMPOSTOR)
-        if knobs.swap and others:
+        if faults.swap and others:
             others[0] = (*others[0][:2], true)
-        bodies = [] if knobs.absent else [self._own(own)]
+        bodies = [] if faults.absent else [self._own(own)]
         return (*bodies, *(self._body(*other) for other in others))
 
-    def _misplaced(self, pose: Planar, t_ns: int) -> Planar:
+    def _displace(self, pose: Planar, t_ns: int) -> Planar:
         """Faults of the tracked place and heading."""
-        knobs = self.knobs
-        if not (knobs.jump or knobs.drift or knobs.flip):
+        faults = self.fault_state
+        if not (faults.jump or faults.drift or faults.flip):
             return pose
-        shift = knobs.jump + knobs.drift * (t_ns - knobs.since_ns) / _NS
-        flipped = knobs.flip == "always" or (knobs.flip == "alternate" and self._number % 2)
+        shift = faults.jump + faults.drift * (t_ns - faults.since_ns) / _NS
+        flipped = faults.flip == "always" or (faults.flip == "alternate" and self._number % 2)
         return Planar(pose.x + shift, pose.y, pose.yaw + (math.pi if flipped else 0.0))
 
     def _own(self, pose: Planar) -> BodyPose:
         """The car's body, with faults of the pose itself."""
-        knobs, last = self.knobs, self._last
-        if last is not None and (knobs.frozen or knobs.invalid):
-            return last._replace(valid=not knobs.invalid)
+        faults, last = self.fault_state, self._last
+        if last is not None and (faults.frozen or faults.invalid):
+            return last._replace(valid=not faults.invalid)
         body = self._body(self._config.body, self._config.body_id, pose)
         self._last = body
-        if knobs.invalid:
+        if faults.invalid:
             body = body._replace(valid=False)
-        if knobs.mean_error:
-            body = body._replace(mean_error=body.mean_error + knobs.mean_error)
-        if knobs.negative and self._number % 2:
+        if faults.mean_error:
+            body = body._replace(mean_error=body.mean_error + faults.mean_error)
+        if faults.negative and self._number % 2:
             w, x, y, z = body.quaternion
             body = body._replace(quaternion=(-w, -x, -y, -z))
-        return _garbled(body, knobs.garble) if knobs.garble else body
+        return _garble(body, faults.garble) if faults.garble else body
 
     def _body(self, name: str, body_id: int, pose: Planar) -> BodyPose:
         config, normal = self._config, self._noise.normal
@@ -124,14 +124,14 @@ class Cameras:
         )
         if config.tilt_noise:
             tilt = 0.5 * config.tilt_noise
-            quaternion = _tilted(quaternion, tilt * normal(), tilt * normal(), config.frame.up)
-        scale = self.knobs.scale
+            quaternion = _tilt(quaternion, tilt * normal(), tilt * normal(), config.frame.up)
+        scale = self.fault_state.scale
         if scale != 1.0:
             position = (scale * position[0], scale * position[1], scale * position[2])
         return BodyPose(name, body_id, position, quaternion, config.mean_error, True)
 
 
-def _tilted(q: Quat, a: float, b: float, up: str) -> Quat:
+def _tilt(q: Quat, a: float, b: float, up: str) -> Quat:
     """Turn a body by the small half-angles ``a``, ``b`` about its own two level axes."""
     w, x, y, z = q
     if up == "z":  # q * (1, a, b, 0) to second order
@@ -151,7 +151,7 @@ def _tilted(q: Quat, a: float, b: float, up: str) -> Quat:
     )
 
 
-def _garbled(body: BodyPose, how: str) -> BodyPose:
+def _garble(body: BodyPose, how: str) -> BodyPose:
     """A pose that is none."""
     if how == "nan":
         nan = math.nan

@@ -13,8 +13,8 @@ from steerd.mocap_link.natnet_wire import F32, NatNetError
 from steerd.sim_hw.mocap.cameras import BodyPose, Capture
 from steerd.sim_hw.mocap.mocap_config import MULTICAST, TO_DATA, MocapConfig
 from steerd.sim_hw.mocap.network import COMMAND, DATA, FOREIGN, Datagram, Network, Peer
-from steerd.sim_hw.plant.fault_state import SOUND_MOCAP, MocapKnobs
-from steerd.sim_hw.plant.noise import Noise
+from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, MocapFaultState
+from steerd.sim_hw.plant.noise import NoiseSource
 
 _NS = 1_000_000_000
 _APP_VERSION = (3, 1, 0, 0)
@@ -27,13 +27,15 @@ class NatNetServer:
     """One server. `on_message` takes datagrams of the command socket, `publish` sends frames.
 
     Attributes:
-        knobs: what is wrong with it.
-        data_port: told to clients in SERVERINFO; `links` sets the one it really uses.
+        fault_state: what is wrong with it.
+        data_port: sent to clients in SERVERINFO; `links` sets the one it really uses.
     """
 
-    def __init__(self, config: MocapConfig, network: Network, noise: Noise, t_ns: int) -> None:
+    def __init__(
+        self, config: MocapConfig, network: Network, noise: NoiseSource, t_ns: int
+    ) -> None:
         self.config = config
-        self.knobs: MocapKnobs = SOUND_MOCAP
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP
         self.data_port = natnet.DATA_PORT
         self._network = network
         self._noise = noise
@@ -43,18 +45,18 @@ class NatNetServer:
         self._model_flag = False
         self._grown = False
 
-    def set_knobs(self, t_ns: int, knobs: MocapKnobs) -> None:
+    def set_fault_state(self, t_ns: int, faults: MocapFaultState) -> None:
         """From ``t_ns`` on, be in this condition."""
-        before, self.knobs = self.knobs, knobs
-        if knobs.restart and not before.restart:
+        before, self.fault_state = self.fault_state, faults
+        if faults.restart and not before.restart:
             self._epoch_ns, self._epoch_ticks = t_ns, self.config.clock_hz  # up for one second
             self._clients.clear()
-        if knobs.model_changed and not before.model_changed:
+        if faults.model_changed and not before.model_changed:
             self._model_flag = self._grown = True
 
     def ticks(self, t_ns: int) -> int:
         """The server's clock."""
-        elapsed = t_ns - self._epoch_ns + self.knobs.clock_step_ns
+        elapsed = t_ns - self._epoch_ns + self.fault_state.clock_step_ns
         hz = self.config.clock_hz
         skew = int(elapsed * self.config.skew_ppm * 1e-6 * hz / _NS)
         return self._epoch_ticks + elapsed * hz // _NS + skew
@@ -72,7 +74,7 @@ class NatNetServer:
             return
         self._clients[peer] = t_ns
         answer = self._answer(t_ns, message)
-        if answer is not None and not self.knobs.silent:
+        if answer is not None and not self.fault_state.silent:
             data = natnet.encode(answer, self.config.version)
             self._network.send(Datagram(t_ns + _ANSWER_NS, COMMAND, data, peer))
 
@@ -126,8 +128,8 @@ class NatNetServer:
         arrival = sent + config.network_ns
         for channel, peer in destinations:
             self._network.send_frame(Datagram(arrival, channel, data, peer))
-            if self.knobs.foreign:
-                data = natnet.encode(self._frame(self._forged(capture), received, sent))
+            if self.fault_state.foreign:
+                data = natnet.encode(self._frame(self._forge(capture), received, sent))
                 self._network.send(Datagram(arrival, FOREIGN, data, peer))
 
     def _destinations(self, t_ns: int) -> list[tuple[str, Peer | None]]:
@@ -140,8 +142,8 @@ class NatNetServer:
         return [(channel, peer) for peer in self._clients]
 
     def _frame(self, capture: Capture, received_ns: int, sent_ns: int) -> Frame:
-        knobs = self.knobs
-        params = (MODEL_CHANGED if self._model_flag else 0) | (EDIT_MODE if knobs.edit_mode else 0)
+        faults = self.fault_state
+        params = (MODEL_CHANGED if self._model_flag else 0) | (EDIT_MODE if faults.edit_mode else 0)
         return Frame(
             capture.number,
             tuple(map(_rigid_body, capture.bodies)),
@@ -152,9 +154,9 @@ class NatNetServer:
             params=params,
         )
 
-    def _forged(self, capture: Capture) -> Capture:
+    def _forge(self, capture: Capture) -> Capture:
         """The same frame with everything somewhere else."""
-        far = self.knobs.foreign
+        far = self.fault_state.foreign
         bodies = tuple(
             body._replace(position=(body.position[0] + far, *body.position[1:]))
             for body in capture.bodies

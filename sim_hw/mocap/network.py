@@ -1,10 +1,10 @@
-"""The way from mocap server to host: latency, loss, order, and strangers, as the knobs say."""
+"""The network from mocap server to host: latency, loss, order and foreign senders."""
 
 import heapq
 from typing import NamedTuple
 
-from steerd.sim_hw.plant.fault_state import SOUND_MOCAP, MocapKnobs
-from steerd.sim_hw.plant.noise import Noise
+from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, MocapFaultState
+from steerd.sim_hw.plant.noise import NoiseSource
 
 Peer = int | tuple[str, int]
 """Who a message goes to or comes from: a number in virtual time, an address on sockets."""
@@ -25,14 +25,14 @@ class Datagram(NamedTuple):
 
 
 class Network:
-    """Messages on their way, by time of arrival.
+    """Messages in flight, by time of arrival.
 
     Attributes:
-        knobs: what is wrong with it.
+        fault_state: what is wrong with it.
     """
 
-    def __init__(self, noise: Noise) -> None:
-        self.knobs: MocapKnobs = SOUND_MOCAP
+    def __init__(self, noise: NoiseSource) -> None:
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP
         self._noise = noise
         self._heap: list[tuple[int, int, Datagram]] = []
         self._count = 0
@@ -51,34 +51,34 @@ class Network:
 
     def send_frame(self, frame: Datagram) -> None:
         """Send a frame through whatever is wrong."""
-        knobs = self.knobs
-        if knobs is SOUND_MOCAP:
+        faults = self.fault_state
+        if faults is HEALTHY_MOCAP:
             self.send(frame)
             self._last = frame
             return
         if self._is_lost(frame.t_ns):
             return
-        late = knobs.latency_ns
-        if knobs.jitter_ns:
-            late += int(knobs.jitter_ns * self._noise.uniform())
-        if knobs.resend and self._last is not None:
+        late = faults.latency_ns
+        if faults.jitter_ns:
+            late += int(faults.jitter_ns * self._noise.uniform())
+        if faults.resend and self._last is not None:
             frame = frame._replace(data=self._last.data)
         self._last = frame
         frame = frame._replace(t_ns=frame.t_ns + late)
-        if knobs.reorder:
+        if faults.reorder:
             self._send_swapped(frame)
         else:
             self.send(frame)
-        if knobs.duplicate:
+        if faults.duplicate:
             self.send(frame)
-        if knobs.noise:
+        if faults.noise:
             self.send(frame._replace(data=self._nonsense(frame.data)))
 
     def _is_lost(self, t_ns: int) -> bool:
-        knobs = self.knobs
-        if knobs.gap_ns and (t_ns - knobs.since_ns) % knobs.gap_every_ns < knobs.gap_ns:
+        faults = self.fault_state
+        if faults.gap_ns and (t_ns - faults.since_ns) % faults.gap_every_ns < faults.gap_ns:
             return True
-        return knobs.silent or self._noise.chance(knobs.loss)
+        return faults.silent or self._noise.chance(faults.loss)
 
     def _send_swapped(self, frame: Datagram) -> None:
         if self._waiting is None:
@@ -89,7 +89,7 @@ class Network:
         self._waiting = None
 
     def _nonsense(self, data: bytes) -> bytes:
-        match self.knobs.noise:
+        match self.fault_state.noise:
             case "truncated":
                 return data[: 1 + int(self._noise.uniform() * (len(data) - 1))]
             case "oversized":
@@ -104,6 +104,6 @@ class Network:
         return out
 
     def forget(self, peer: Peer) -> None:
-        """Lose what is on its way to one peer."""
+        """Lose what is in flight to one peer."""
         self._heap = [entry for entry in self._heap if entry[2].peer != peer]
         heapq.heapify(self._heap)

@@ -5,8 +5,8 @@ from steerd.mocap_link.vrpn_server import VrpnServer
 from steerd.sim_hw.mocap.cameras import Capture
 from steerd.sim_hw.mocap.mocap_config import MocapConfig
 from steerd.sim_hw.mocap.network import CLOSE, STREAM, Datagram, Network, Peer
-from steerd.sim_hw.plant.fault_state import SOUND_MOCAP, MocapKnobs
-from steerd.sim_hw.plant.noise import Noise
+from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, MocapFaultState
+from steerd.sim_hw.plant.noise import NoiseSource
 
 _ANSWER_NS = 100_000
 
@@ -17,12 +17,14 @@ class VrpnDevice:
     VRPN has no tracking-valid flag: a body that is not tracked is not sent.
 
     Attributes:
-        knobs: what is wrong with it.
+        fault_state: what is wrong with it.
     """
 
-    def __init__(self, config: MocapConfig, network: Network, noise: Noise, t_ns: int) -> None:
+    def __init__(
+        self, config: MocapConfig, network: Network, noise: NoiseSource, t_ns: int
+    ) -> None:
         self.config = config
-        self.knobs: MocapKnobs = SOUND_MOCAP
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP
         self._network = network
         self._noise = noise
         self._epoch_ns = t_ns
@@ -31,20 +33,20 @@ class VrpnDevice:
         self._sessions: dict[Peer, VrpnServer] = {}
         self._deserted: set[Peer] = set()
 
-    def set_knobs(self, t_ns: int, knobs: MocapKnobs) -> None:
+    def set_fault_state(self, t_ns: int, faults: MocapFaultState) -> None:
         """From ``t_ns`` on, be in this condition."""
-        before, self.knobs = self.knobs, knobs
-        if knobs.restart and not before.restart:
+        before, self.fault_state = self.fault_state, faults
+        if faults.restart and not before.restart:
             self._epoch_ns, self._epoch_us = t_ns, 1_000_000
             for peer in tuple(self._sessions):
                 self.on_disconnect(peer)
                 self._network.send(Datagram(t_ns, CLOSE, b"", peer))
-        if knobs.half_open and not before.half_open:
+        if faults.half_open and not before.half_open:
             self._deserted.update(self._sessions)
 
     def stamp_us(self, t_ns: int) -> int:
         """The server's clock [us]."""
-        elapsed = t_ns - self._epoch_ns + self.knobs.clock_step_ns
+        elapsed = t_ns - self._epoch_ns + self.fault_state.clock_step_ns
         return self._epoch_us + int(elapsed * (1.0 + self.config.skew_ppm * 1e-6)) // 1000
 
     def on_connect(self, t_ns: int, peer: Peer) -> None:
@@ -69,7 +71,7 @@ class VrpnDevice:
             self.on_disconnect(peer)
             self._network.send(Datagram(t_ns, CLOSE, b"", peer))
             return
-        if answer and not self.knobs.silent:
+        if answer and not self.fault_state.silent:
             self._network.send(Datagram(t_ns + _ANSWER_NS, STREAM, answer, peer))
 
     def publish(self, capture: Capture) -> None:

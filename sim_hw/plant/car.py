@@ -17,7 +17,7 @@ from steerd.car_model.params import GRAVITY
 from steerd.car_model.rollout import stiffness_rate
 from steerd.car_model.state import ORIGIN, Observation, State
 from steerd.sim_hw.plant.delay import DelayLine
-from steerd.sim_hw.plant.noise import Noise
+from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.plant.unrolled import make_steps
 
 NS = 1_000_000_000
@@ -78,7 +78,7 @@ class SimCar:
     """
 
     def __init__(
-        self, model: Model[float], setup: CarSetup, noise: Noise, t_start_ns: int = 0
+        self, model: Model[float], setup: CarSetup, noise: NoiseSource, t_start_ns: int = 0
     ) -> None:
         self.model = model
         self.setup = setup
@@ -115,7 +115,7 @@ class SimCar:
             self._steer.push(t0, steer)
             steer = self._steer.mean(t0, t1)
         if self._drive_delay_ns:
-            demand = self._late(demand, t0, t1)
+            demand = self._delay_demand(demand, t0, t1)
         drive, value = demand
         if drive is Drive.SPEED and abs(before.speed) >= self._substeps:
             numbers = self._steps.follow(*before, *self._memory, steer, value, t, h)
@@ -123,17 +123,17 @@ class SimCar:
             wanted = value if drive is Drive.SPEED else before.speed
             end, accel = self._steps.actuate(*before, *self._memory, steer, wanted, t, h)
             if drive is not Drive.SPEED:
-                accel = self._driven(demand)
+                accel = self._free_acceleration(demand)
             numbers = self._glide(before, end, accel, t)
         self._memory = numbers[7:]
         after: State[float] = State._make(numbers[:7])
         if drive is not Drive.SPEED:
-            after = self._held_back(before, after, demand)
+            after = self._keep_rest(before, after, demand)
         if self._noisy and after.speed:
-            after = self._shaken(after)
+            after = self._add_process_noise(after)
         self._finish(before, after, t1)
 
-    def _late(self, demand: Demand, t0: int, t1: int) -> Demand:
+    def _delay_demand(self, demand: Demand, t0: int, t1: int) -> Demand:
         self._mode.push(t0, float(demand.drive))
         self._value.push(t0, demand.value)
         return Demand(Drive(int(self._mode.mean(t0, t0 + 1))), self._value.mean(t0, t1))
@@ -153,7 +153,7 @@ class SimCar:
     def _grip(self) -> float:
         return self.model.car.mu * GRAVITY
 
-    def _driven(self, demand: Demand) -> float:
+    def _free_acceleration(self, demand: Demand) -> float:
         """Acceleration by motor and drag at the present speed, within the tyres' grip."""
         speed, value = self.state.speed, demand.value
         drag = self.setup.coast_decel
@@ -165,8 +165,8 @@ class SimCar:
             return max(-self._grip(), min(self._grip(), value))
         return -math.copysign(min(value + drag, self._grip()), speed) if speed else 0.0
 
-    def _held_back(self, before: State[float], after: State[float], demand: Demand) -> State[float]:
-        """Friction ends at standstill and holds the car there against what is weaker."""
+    def _keep_rest(self, before: State[float], after: State[float], demand: Demand) -> State[float]:
+        """The state after friction, which ends at standstill and holds the car there."""
         drag = self.setup.coast_decel + (demand.value if demand.drive is Drive.BRAKE else 0.0)
         stopped = before.speed * after.speed < 0.0
         held = before.speed == 0.0 and abs(after.speed) <= min(drag, self._grip()) * self._h
@@ -176,7 +176,7 @@ class SimCar:
             return after._replace(speed=0.0)
         return after
 
-    def _shaken(self, state: State[float]) -> State[float]:
+    def _add_process_noise(self, state: State[float]) -> State[float]:
         noise, scale = self._noise, math.sqrt(self._h)
         speed, yaw, slip = (sd * scale * noise.normal() for sd in self.setup.noise)
         return state._replace(
@@ -208,16 +208,16 @@ class SimCar:
         second = self._history[(low + 1) % len(self._history)]
         return State(*(a + part * (b - a) for a, b in zip(first, second, strict=True)))
 
-    def pose_seen(self, t_ns: int) -> Observation[float]:
+    def observe_pose(self, t_ns: int) -> Observation[float]:
         """What cameras exposed at ``t_ns`` see: the pose, its channel's dead time ago."""
         return observe(FLOAT, self.model, self.state_at(t_ns - self._pose_delay_ns))
 
-    def motor_seen(self) -> Observation[float]:
+    def observe_motor(self) -> Observation[float]:
         """What motor controller and gyro measure now."""
         return observe(FLOAT, self.model, self.state)
 
     def wheel_speed(self) -> float:
         """The speed that the motor controller measures now, without the rest [m/s]."""
         if self._watched:
-            return self.motor_seen().wheel_speed
+            return self.observe_motor().wheel_speed
         return self.state.speed / self.model.car.speed_gain

@@ -31,8 +31,8 @@ class Device(Protocol):
         """Live until ``t_ns`` and give the bytes that are due by then, in order."""
 
 
-class Outbox:
-    """Bytes on their way, in order: none overtakes another."""
+class ByteQueue:
+    """Bytes in flight, in order: none overtakes another."""
 
     def __init__(self) -> None:
         self._chunks: deque[Chunk] = deque()
@@ -59,7 +59,7 @@ class Outbox:
             yield chunks.popleft()
 
     def clear(self) -> None:
-        """Lose everything that is still on its way."""
+        """Lose everything that is still in flight."""
         self._chunks.clear()
 
 

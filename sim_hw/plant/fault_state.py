@@ -1,14 +1,14 @@
 """What can be wrong with the simulated hardware at one moment: plain values that devices look at.
 
-`faults` turns them; at their defaults the hardware is sound.
+`faults` sets them; at their defaults the hardware is healthy.
 """
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class VescKnobs:
-    """Condition of the VESC and its link.
+class VescFaultState:
+    """Fault state of the VESC and its link.
 
     Attributes:
         plugged: whether the cable is in.
@@ -74,8 +74,8 @@ class VescKnobs:
 
 
 @dataclass(frozen=True, slots=True)
-class MocapKnobs:
-    """Condition of the mocap system and its network.
+class MocapFaultState:
+    """Fault state of the mocap system and its network.
 
     Attributes:
         since_ns: when the present condition began.
@@ -140,5 +140,5 @@ class MocapKnobs:
     half_open: bool = False
 
 
-SOUND_VESC = VescKnobs()
-SOUND_MOCAP = MocapKnobs()
+HEALTHY_VESC = VescFaultState()
+HEALTHY_MOCAP = MocapFaultState()

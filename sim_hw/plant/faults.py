@@ -1,16 +1,22 @@
 """The fault catalogue: what can happen to the simulated hardware, by name, within a time window.
 
-Names M1-M22 and V1-V24 are those of `docs/reference/safety-requirements.md#s6`; the words beside
-them work as well. Faults without a number come from `docs/reference/mocap-protocols.md#m6.1` and
-`docs/reference/vesc-serial.md#v8`. A fault is a change of knobs (`knobs`), so faults at the same
-time simply add up; where two turn the same knob, the later in the list wins.
+Names M1-M22 and V1-V24 are those of `docs/reference/safety-requirements.md#s6`; the names
+beside them work as well. Faults without a number come from
+`docs/reference/mocap-protocols.md#m6.1` and
+`docs/reference/vesc-serial.md#v8`. A fault is a set of changes to the fault state (`fault_state`),
+so faults at the same time add up; where two change the same field, the later in the list wins.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from steerd.sim_hw.plant.fault_state import SOUND_MOCAP, SOUND_VESC, MocapKnobs, VescKnobs
+from steerd.sim_hw.plant.fault_state import (
+    HEALTHY_MOCAP,
+    HEALTHY_VESC,
+    MocapFaultState,
+    VescFaultState,
+)
 
 FOREVER = 1 << 62
 _MS = 1_000_000
@@ -23,20 +29,24 @@ class FaultKind(NamedTuple):
     code: str
     name: str
     target: str
-    """``mocap`` or ``vesc``: whose knobs it turns."""
+    """``mocap`` or ``vesc``: whose fault state it changes."""
     summary: str
-    knobs: Mapping[str, Param]
-    """Knobs and where they are turned to by default; all of them can be given as parameters."""
+    settings: Mapping[str, Param]
+    """Fields of the fault state and their values by default; each can be given as a parameter."""
     must_trip: bool = True
-    """False for what a supervisor has to live with."""
+    """False for what a supervisor must tolerate."""
 
 
-def _mocap(code: str, name: str, summary: str, must_trip: bool = True, **knobs: Param) -> FaultKind:
-    return FaultKind(code, name, "mocap", summary, knobs, must_trip)
+def _mocap(
+    code: str, name: str, summary: str, must_trip: bool = True, **settings: Param
+) -> FaultKind:
+    return FaultKind(code, name, "mocap", summary, settings, must_trip)
 
 
-def _vesc(code: str, name: str, summary: str, must_trip: bool = True, **knobs: Param) -> FaultKind:
-    return FaultKind(code, name, "vesc", summary, knobs, must_trip)
+def _vesc(
+    code: str, name: str, summary: str, must_trip: bool = True, **settings: Param
+) -> FaultKind:
+    return FaultKind(code, name, "vesc", summary, settings, must_trip)
 
 
 _OTHER_UUID = bytes.fromhex("0badc0de0badc0de0badc0de")
@@ -145,10 +155,10 @@ class Fault:
         name: code or name.
         t_from_ns: when it begins.
         t_to_ns: when it ends.
-        params: knobs that differ from the catalogue's (``Fault("M4", 0, jump=1.0)``).
+        params: settings that differ from the catalogue's (``Fault("M4", 0, jump=1.0)``).
 
     Raises:
-        ValueError: no such fault or knob, or an empty window.
+        ValueError: no such fault or setting, or an empty window.
     """
 
     name: str
@@ -160,10 +170,10 @@ class Fault:
         self, name: str, t_from_ns: int = 0, t_to_ns: int = FOREVER, **params: Param
     ) -> None:
         kind = find_fault(name)
-        target = SOUND_MOCAP if kind.target == "mocap" else SOUND_VESC
-        for knob in params:
-            if not hasattr(target, knob):
-                raise ValueError(f"fault {name}: no knob {knob!r}")
+        target = HEALTHY_MOCAP if kind.target == "mocap" else HEALTHY_VESC
+        for setting in params:
+            if not hasattr(target, setting):
+                raise ValueError(f"fault {name}: no setting {setting!r}")
         if t_from_ns >= t_to_ns:
             raise ValueError(f"fault {name}: it ends before it begins")
         for key, value in (
@@ -185,33 +195,33 @@ class Fault:
 
 
 class Condition(NamedTuple):
-    """The knobs at one moment and when they next change."""
+    """The fault state at one moment and when they next change."""
 
-    vesc: VescKnobs
-    mocap: MocapKnobs
+    vesc: VescFaultState
+    mocap: MocapFaultState
     until_ns: int
 
 
 def make_condition(faults: Sequence[Fault], t_ns: int) -> Condition:
-    """The knobs at ``t_ns`` with these faults."""
-    vesc, mocap = SOUND_VESC, SOUND_MOCAP
+    """The fault state at ``t_ns`` with these faults."""
+    vesc, mocap = HEALTHY_VESC, HEALTHY_MOCAP
     for fault in faults:
         if not fault.active(t_ns):
             continue
-        turned = {**fault.kind.knobs, **fault.params}
+        changed = {**fault.kind.settings, **fault.params}
         if fault.kind.target == "vesc":
-            vesc = replace(vesc, **turned)  # type: ignore[arg-type]
+            vesc = replace(vesc, **changed)  # type: ignore[arg-type]
             if t_ns < fault.t_from_ns + vesc.outage_ns:
                 vesc = replace(vesc, plugged=False)
         else:
             since = min(fault.t_from_ns, mocap.since_ns or fault.t_from_ns)
-            mocap = replace(mocap, since_ns=since, **turned)  # type: ignore[arg-type]
+            mocap = replace(mocap, since_ns=since, **changed)  # type: ignore[arg-type]
     edges = [edge for fault in faults for edge in _edges(fault) if edge > t_ns]
     return Condition(vesc, mocap, min(edges, default=FOREVER))
 
 
 def _edges(fault: Fault) -> tuple[int, ...]:
-    outage = fault.params.get("outage_ns", fault.kind.knobs.get("outage_ns")) or 0
+    outage = fault.params.get("outage_ns", fault.kind.settings.get("outage_ns")) or 0
     return fault.t_from_ns, fault.t_from_ns + int(outage), fault.t_to_ns
 
 

@@ -12,7 +12,7 @@ _BLOCK = 512
 """Numbers drawn at once: a scalar draw from NumPy costs 20 times as much."""
 
 
-class Noise:
+class NoiseSource:
     """Scalar numbers from one generator."""
 
     def __init__(self, generator: np.random.Generator) -> None:
@@ -43,7 +43,7 @@ class Noise:
         return self._generator.bytes(count)
 
 
-def make_noise(seed: int, branch: str) -> Noise:
+def make_noise_source(seed: int, branch: str) -> NoiseSource:
     """The branch of the seed's tree with this name."""
     sequence = np.random.SeedSequence(seed, spawn_key=(crc32(branch.encode()),))
-    return Noise(np.random.Generator(np.random.PCG64(sequence)))
+    return NoiseSource(np.random.Generator(np.random.PCG64(sequence)))

@@ -45,7 +45,7 @@ def make_steps(model: Model[float]) -> Steps:
     """
     try:
         return Steps(
-            _unrolled(model, _actuate), _unrolled(model, _glide), _unrolled(model, _follow), True
+            _unroll(model, _actuate), _unroll(model, _glide), _unroll(model, _follow), True
         )
     except TypeError:
         return Steps(_plain(model, _actuate), _plain(model, _glide), _plain(model, _follow), False)
@@ -80,7 +80,7 @@ def _plain(model: Model[float], half: _Half) -> Callable[..., Numbers]:
     return lambda *numbers: tuple(half(FLOAT, model, numbers))
 
 
-def _unrolled(model: Model[float], half: _Half) -> Callable[..., Numbers]:
+def _unroll(model: Model[float], half: _Half) -> Callable[..., Numbers]:
     """Run a half once over recorded numbers and compile the record.
 
     Raises:

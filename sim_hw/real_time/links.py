@@ -135,7 +135,7 @@ def stop_on_signals() -> Iterator[int]:
         os.close(write_fd)
 
 
-def go_first() -> None:
+def raise_priority() -> None:
     """Ask for a fixed priority, below a control core's: a real VESC minds no busy machine either.
 
     For processes that do nothing else. Where it is not allowed, other programs may delay the
@@ -182,7 +182,7 @@ def spawn_sim(config: WorldConfig, options: SimOptions | None = None) -> Spawned
     Effects in ``config`` must be importable (hooks defined at module level).
 
     Raises:
-        RuntimeError: it did not come up; its own words are on standard error.
+        RuntimeError: it did not come up; its own message is on standard error.
     """
     context = mp.get_context("spawn")
     ours, theirs = context.Pipe()
@@ -205,8 +205,8 @@ def spawn_sim(config: WorldConfig, options: SimOptions | None = None) -> Spawned
 
 def _child(config: WorldConfig, options: SimOptions | None, pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for our parent, who then closes us
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # by way of SimHardware.close
-    go_first()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # through SimHardware.close
+    raise_priority()
     with SimHardware(config, options) as hardware:
         pipe.send((hardware.port, hardware.mocap_url))
         hardware.run(pipe.fileno())

@@ -65,7 +65,7 @@ class PtyPort:
         """Move bytes both ways."""
         if self._near < 0:
             return
-        if not world.vesc.knobs.stalled:
+        if not world.vesc.fault_state.stalled:
             data = self._read()
             if data:
                 world.serial_write(t_ns, data)

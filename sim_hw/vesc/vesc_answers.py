@@ -87,4 +87,4 @@ ANSWERS: dict[type[c.Command], Answer] = {
     c.GetBatteryCut: _battery_cut,
     c.GetDecodedPpm: lambda vesc, t_ns, _: DecodedPpm(0.0, 0.0),
 }
-"""Commands with a reply at once; None where none is asked for."""
+"""Commands with a reply at once; None where none is requested."""

@@ -1,4 +1,4 @@
-"""How the simulated VESC is built and set: firmware, drive train, battery, app settings, manners.
+"""How the simulated VESC is built and set: firmware, drive train, battery, app settings, timing.
 
 Numbers without another source are engineering estimates of an F1TENTH car (3500 KV motor, 3S pack).
 """

@@ -10,8 +10,8 @@ from functools import lru_cache
 
 from steerd.sim_hw.plant.car import COAST, Demand, Drive, SimCar
 from steerd.sim_hw.plant.device import ByteLog, Chunk
-from steerd.sim_hw.plant.fault_state import SOUND_VESC, VescKnobs
-from steerd.sim_hw.plant.noise import Noise
+from steerd.sim_hw.plant.fault_state import HEALTHY_VESC, VescFaultState
+from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_answers import ANSWERS
 from steerd.sim_hw.vesc.vesc_config import MS, VescConfig
 from steerd.sim_hw.vesc.vesc_motor import TICK_NS, Act, Mode, Motor, duty_current
@@ -67,13 +67,13 @@ class SimVesc:
         config: VescConfig,
         scaling: Scaling,
         car: SimCar,
-        noise: Noise,
+        noise: NoiseSource,
         log: ByteLog | None = None,
     ) -> None:
         self.config = config
         self.car = car
         self.log = ByteLog() if log is None else log
-        self.knobs: VescKnobs = SOUND_VESC
+        self.fault_state: VescFaultState = HEALTHY_VESC
         self.counts: Counter[str] = Counter()
         self._scaling = scaling
         self._sign = -1 if config.invert else 1
@@ -87,15 +87,15 @@ class SimVesc:
     def _boot(self, t_ns: int, uptime_ns: int = 0) -> None:
         config = self.config
         self.motor = Motor(config, t_ns - uptime_ns)
-        self.motor.knobs = self.knobs
+        self.motor.fault_state = self.fault_state
         self.power = Power(config)
-        self.power.heat_c = self.knobs.heat_c
+        self.power.heat_c = self.fault_state.heat_c
         self.stats = Statistics()
         self.stats.reset(t_ns)
         self.imu = ImuChip(config, self.car, self._noise)
         self._parser = make_parser(config.firmware)
         self.boot_ns = t_ns - uptime_ns
-        self._servo_asked = self._servo_out = 0.5
+        self._servo_target = self._servo_out = 0.5
         self._servo_next_ns = t_ns + config.servo_phase_ns
         self._busy_until_ns = self._alive_next_ns = self._stats_next_ns = t_ns
         self._later: deque[tuple[int, Reply]] = deque()
@@ -105,26 +105,26 @@ class SimVesc:
 
     # --- faults
 
-    def set_knobs(self, t_ns: int, knobs: VescKnobs) -> None:
+    def set_fault_state(self, t_ns: int, faults: VescFaultState) -> None:
         """From ``t_ns`` on, be in this condition."""
-        before, self.knobs = self.knobs, knobs
-        self.motor.knobs = self._wire.knobs = knobs
-        self.power.heat_c = knobs.heat_c
-        if knobs.plugged != before.plugged:
-            self._wire.mend()
+        before, self.fault_state = self.fault_state, faults
+        self.motor.fault_state = self._wire.fault_state = faults
+        self.power.heat_c = faults.heat_c
+        if faults.plugged != before.plugged:
+            self._wire.reset()
             self._held.clear()
-        if knobs.reboot and not before.reboot:
+        if faults.reboot and not before.reboot:
             self.reboot(t_ns)
-        if knobs.fault_once and not before.fault_once:
-            self.motor.hold_fault(t_ns, knobs.fault_once)
-        if knobs.false_header and not before.false_header:
+        if faults.fault_once and not before.fault_once:
+            self.motor.hold_fault(t_ns, faults.fault_once)
+        if faults.false_header and not before.false_header:
             self._wire.send_false_header(t_ns)
-        if not knobs.erpm_stuck:
+        if not faults.erpm_stuck:
             self._stuck_erpm = None
 
     def reboot(self, t_ns: int) -> None:
         """Lose power and come back: USB is gone for a while, everything in RAM is forgotten."""
-        self._wire.mend()
+        self._wire.reset()
         self._held.clear()
         self._off_until_ns = t_ns + self.config.reboot_ns
         self.motor.estop(t_ns, 0)
@@ -134,12 +134,12 @@ class SimVesc:
     @property
     def connected(self) -> bool:
         """Whether the host sees the USB device."""
-        return self.knobs.plugged and self._off_until_ns < 0
+        return self.fault_state.plugged and self._off_until_ns < 0
 
     @property
     def uuid(self) -> bytes:
         """Its identity."""
-        return self.config.uuid if self.knobs.uuid is None else self.knobs.uuid
+        return self.config.uuid if self.fault_state.uuid is None else self.fault_state.uuid
 
     # --- the wheels
 
@@ -154,13 +154,13 @@ class SimVesc:
                 return servo_pos_to_steer(self._scaling, self._servo_out), COAST
             self._off_until_ns = -1
             self._boot(t_ns)
-        if self._held or self.knobs.alive_ns:
+        if self._held or self.fault_state.alive_ns:
             self._catch_up(t_ns)
         self._watch(t_ns)
         erpm = self._true_erpm()
         act = self.motor.step(t_ns, h)
         demand, current = self._act(act, erpm)
-        self.power.step(current, erpm, h, self.knobs.sag)
+        self.power.step(current, erpm, h, self.fault_state.sag)
         if t_ns >= self._stats_next_ns:
             self._stats_next_ns = t_ns + TICK_NS
             self.stats.sample(self.car.state.speed, self.power)
@@ -168,9 +168,9 @@ class SimVesc:
 
     def _watch(self, t_ns: int) -> None:
         """Conditions that are faults."""
-        knobs = self.knobs
-        if knobs.fault_code:
-            self.motor.hold_fault(t_ns, knobs.fault_code)
+        faults = self.fault_state
+        if faults.fault_code:
+            self.motor.hold_fault(t_ns, faults.fault_code)
         if self.power.voltage < self.config.voltage_min:
             self.motor.hold_fault(t_ns, _UNDER_VOLTAGE)
         if self.power.temp_c > self.config.temp_limit_c:
@@ -201,8 +201,8 @@ class SimVesc:
     def _servo(self, t_ns: int) -> float:
         """A new angle takes effect with the next pulse; without output it never does."""
         config = self.config
-        if config.servo_out and not self.knobs.servo_dead and t_ns >= self._servo_next_ns:
-            self._servo_out = self._servo_asked
+        if config.servo_out and not self.fault_state.servo_dead and t_ns >= self._servo_next_ns:
+            self._servo_out = self._servo_target
             if config.servo_frame_ns:
                 behind = (t_ns - self._servo_next_ns) // config.servo_frame_ns
                 self._servo_next_ns += config.servo_frame_ns * (behind + 1)
@@ -240,7 +240,7 @@ class SimVesc:
     def _catch_up(self, t_ns: int) -> None:
         while self._held and t_ns >= self._wire.blocked_until_ns:
             self._receive(t_ns, self._held.popleft().data)
-        period = self.knobs.alive_ns
+        period = self.fault_state.alive_ns
         if period and t_ns >= self._alive_next_ns:
             self._alive_next_ns = t_ns + period
             self.motor.feed(t_ns)
@@ -289,7 +289,7 @@ class SimVesc:
         """Commands that do something and answer later or never."""
         match command:
             case c.SetServoPos():
-                self._servo_asked = min(max(command.servo_pos, 0.0), 1.0)
+                self._servo_target = min(max(command.servo_pos, 0.0), 1.0)
             case c.SetDetect():
                 self._rotor_next_ns = t_ns + _ROTOR_NS if command.mode else None
             case c.TerminalCommand():
@@ -303,15 +303,15 @@ class SimVesc:
 
     def _reply(self, t_ns: int, reply: Reply) -> None:
         payload = encode_reply(reply, self.config.firmware)
-        self._wire.send(t_ns, _WRONG[self.knobs.wrong](payload, reply, self.config.firmware))
+        self._wire.send(t_ns, _WRONG[self.fault_state.wrong](payload, reply, self.config.firmware))
 
     def reported_erpm(self) -> int:
         """ERPM as reported."""
-        knobs = self.knobs
-        erpm = knobs.erpm_sign * self._true_erpm()
+        faults = self.fault_state
+        erpm = faults.erpm_sign * self._true_erpm()
         if self.car.state.speed:
             erpm += self.config.erpm_noise * self._noise.normal()
-        if knobs.erpm_stuck:
+        if faults.erpm_stuck:
             self._stuck_erpm = int(erpm) if self._stuck_erpm is None else self._stuck_erpm
             return self._stuck_erpm
         return int(device_number("i", 1.0, erpm))

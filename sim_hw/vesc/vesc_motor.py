@@ -8,7 +8,7 @@ import math
 from enum import Enum, auto
 from typing import NamedTuple
 
-from steerd.sim_hw.plant.fault_state import SOUND_VESC, VescKnobs
+from steerd.sim_hw.plant.fault_state import HEALTHY_VESC, VescFaultState
 from steerd.sim_hw.vesc.vesc_config import MS, STATUS_KILL, STATUS_TIMEOUT, VescConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.ids import Firmware
@@ -48,17 +48,17 @@ class Motor:
     """The motor side of the firmware.
 
     Attributes:
-        mode, value: command in force, as asked.
+        mode, value: command in force, as requested.
         ramped: the speed controller's present setpoint [ERPM].
         timed_out: the timeout has struck and no command has come since.
         fault: fault code, 0 for none.
         limits: session limits in RAM (SET_MCCONF_TEMP), with those configured as their start.
-        knobs: what is wrong with it.
+        fault_state: what is wrong with it.
     """
 
     def __init__(self, config: VescConfig, t_ns: int) -> None:
         self.config = config
-        self.knobs: VescKnobs = SOUND_VESC
+        self.fault_state: VescFaultState = HEALTHY_VESC
         self.mode = Mode.RELEASED
         self.value = self.ramped = 0.0
         self.timed_out = False
@@ -71,20 +71,20 @@ class Motor:
     @property
     def timeout_ms(self) -> int:
         """The timeout in force; 0 for none."""
-        given = self.knobs.timeout_ms
+        given = self.fault_state.timeout_ms
         return self.config.timeout_ms if given is None else given
 
     @property
     def timeout_brake_current(self) -> float:
         """What the timeout applies [A]."""
-        given = self.knobs.timeout_brake_current
+        given = self.fault_state.timeout_brake_current
         return self.config.timeout_brake_current if given is None else given
 
     @property
     def status(self) -> int:
         """The status byte of firmware 5.03 and later."""
-        struck = STATUS_TIMEOUT if self.timed_out or self.knobs.timeout_bit else 0
-        return struck | (STATUS_KILL if self.knobs.kill else 0)
+        struck = STATUS_TIMEOUT if self.timed_out or self.fault_state.timeout_bit else 0
+        return struck | (STATUS_KILL if self.fault_state.kill else 0)
 
     def feed(self, t_ns: int) -> None:
         """Restart the timeout: any motor command does, even one that is then ignored."""
@@ -104,7 +104,7 @@ class Motor:
     def command(self, t_ns: int, command: c.Command, erpm: float) -> None:
         """Obey a motor command at the present ``erpm``, unless something forbids it."""
         self.feed(t_ns)
-        if self.knobs.deaf or self.fault or t_ns < self._ignore_until_ns:
+        if self.fault_state.deaf or self.fault or t_ns < self._ignore_until_ns:
             return
         limit = self.config.current_limit
         match command:
@@ -152,14 +152,14 @@ class Motor:
         timeout_ns = self.timeout_ms * MS
         if not timeout_ns or t_ns - self._fed_ns <= timeout_ns:
             self.timed_out = False
-        elif not self.knobs.deaf:
+        elif not self.fault_state.deaf:
             if not self.timed_out:
                 self.timed_out = True
                 self._set(Mode.RELEASED, 0.0)
             if not self.fault:
                 current = self.timeout_brake_current
                 self._set(Mode.BRAKE if current > 0.0 else Mode.RELEASED, current)
-        if self.knobs.kill:
+        if self.fault_state.kill:
             self._set(Mode.RELEASED, 0.0)
             self._ignore_until_ns = max(self._ignore_until_ns, t_ns + _KILL_NS)
 

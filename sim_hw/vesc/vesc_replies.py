@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from steerd.sim_hw.plant.car import SimCar
-from steerd.sim_hw.plant.noise import Noise
+from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_config import MS, VescConfig
 from steerd.sim_hw.vesc.vesc_motor import Motor
 from steerd.sim_hw.vesc.vesc_power import MEANS, Power
@@ -56,7 +56,7 @@ class Statistics:
 def make_values(
     config: VescConfig, motor: Motor, power: Power, erpm: int, mask: int | None
 ) -> telemetry.Values:
-    """GET_VALUES reply; reads, and thereby restarts, the means that are asked for."""
+    """GET_VALUES reply; reads, and thereby restarts, the requested means."""
     temp = power.temp_c
     means: dict[str, Any] = {
         name: power.read_mean(name)
@@ -165,7 +165,7 @@ def make_terminal_answer(motor: Motor, text: str) -> identity.Print:
 class ImuChip:
     """The board's IMU: gyro and accelerometer of the car with noise, attitude from its yaw."""
 
-    def __init__(self, config: VescConfig, car: SimCar, noise: Noise) -> None:
+    def __init__(self, config: VescConfig, car: SimCar, noise: NoiseSource) -> None:
         self._config = config
         self._car = car
         self._noise = noise
@@ -194,7 +194,7 @@ class ImuChip:
             "accel_z": telemetry.STANDARD_GRAVITY + accel * normal(),
             "gyro_x": gyro * normal(),
             "gyro_y": gyro * normal(),
-            "gyro_z": car.motor_seen().yaw_rate + gyro * normal(),
+            "gyro_z": car.observe_motor().yaw_rate + gyro * normal(),
             "q_w": math.cos(yaw / 2.0),
             "q_z": math.sin(yaw / 2.0),
         }

@@ -1,8 +1,8 @@
-"""The VESC's sending side: frames cut as USB cuts them, late, or damaged as the knobs say."""
+"""The VESC's sending side: frames cut as USB cuts them, late, or damaged by the fault state."""
 
-from steerd.sim_hw.plant.device import Outbox
-from steerd.sim_hw.plant.fault_state import SOUND_VESC, VescKnobs
-from steerd.sim_hw.plant.noise import Noise
+from steerd.sim_hw.plant.device import ByteQueue
+from steerd.sim_hw.plant.fault_state import HEALTHY_VESC, VescFaultState
+from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_config import MS, VescConfig
 from steerd.vesc_link.frames import encode_frame
 
@@ -13,18 +13,18 @@ _USB_WAIT_NS = 100 * MS
 
 
 class ReplyWire:
-    """Replies on their way to the host.
+    """Replies in flight to the host.
 
     Attributes:
-        knobs: what is wrong with the link.
+        fault_state: what is wrong with the link.
         outbox: bytes and their times.
         blocked_until_ns: the command thread waits for the host to read.
         cut: replies that were cut because the host did not read.
     """
 
-    def __init__(self, config: VescConfig, noise: Noise) -> None:
-        self.knobs: VescKnobs = SOUND_VESC
-        self.outbox = Outbox()
+    def __init__(self, config: VescConfig, noise: NoiseSource) -> None:
+        self.fault_state: VescFaultState = HEALTHY_VESC
+        self.outbox = ByteQueue()
         self.blocked_until_ns = 0
         self.cut = 0
         self._config = config
@@ -32,8 +32,8 @@ class ReplyWire:
         self._unread = 0
         self._broken = False
 
-    def mend(self) -> None:
-        """Forget a broken-off frame and everything on its way (new cable, reboot)."""
+    def reset(self) -> None:
+        """Forget a broken-off frame and everything in flight (new cable, reboot)."""
         self.outbox.clear()
         self._unread = 0
         self._broken = False
@@ -44,23 +44,23 @@ class ReplyWire:
 
     def send(self, t_ns: int, payload: bytes) -> None:
         """Send a reply as a frame."""
-        knobs, noise = self.knobs, self._noise
-        if knobs.mute or not knobs.truncate:
+        faults, noise = self.fault_state, self._noise
+        if faults.mute or not faults.truncate:
             self._broken = False
-        if knobs.mute or self._broken or noise.chance(knobs.drop):
+        if faults.mute or self._broken or noise.chance(faults.drop):
             return
         frame = encode_frame(payload)
-        if noise.chance(knobs.corrupt):
+        if noise.chance(faults.corrupt):
             frame = flip_bit(frame, noise)
-        if knobs.truncate:
+        if faults.truncate:
             frame, self._broken = frame[: len(frame) // 2], True
-        due = t_ns + self._config.reply_delay_ns + knobs.delay_ns
-        if knobs.jitter_ns:
-            due += int(knobs.jitter_ns * noise.uniform())
-        if knobs.unsolicited:
+        due = t_ns + self._config.reply_delay_ns + faults.delay_ns
+        if faults.jitter_ns:
+            due += int(faults.jitter_ns * noise.uniform())
+        if faults.unsolicited:
             self._put(t_ns, due, _UNKNOWN_FRAME)
-        if knobs.garbage:
-            self._put(t_ns, due, noise.random_bytes(knobs.garbage))
+        if faults.garbage:
+            self._put(t_ns, due, noise.random_bytes(faults.garbage))
         self._put(t_ns, due, frame)
 
     def send_raw(self, t_ns: int, data: bytes) -> None:
@@ -80,7 +80,7 @@ class ReplyWire:
         if not data:
             return
         self._unread += len(data)
-        trickle = self.knobs.trickle_ns
+        trickle = self.fault_state.trickle_ns
         if trickle:
             due = max(due, self.outbox.last_ns)
             for i in range(len(data)):
@@ -91,7 +91,7 @@ class ReplyWire:
             self.outbox.put(first + self._config.fragment_gap_ns, data[1:])
 
 
-def flip_bit(data: bytes, noise: Noise) -> bytes:
+def flip_bit(data: bytes, noise: NoiseSource) -> bytes:
     """The data with one random bit wrong."""
     bit = int(noise.uniform() * 8 * len(data))
     damaged = bytearray(data)

@@ -35,7 +35,7 @@ class Must(Enum):
     ESTOP = "ESTOP"
     LIVE_ON = "no stop"
     STAY_SAFE = "stop, or stay in the lane"
-    """It cannot be told from sound hardware at once, or ever: stay in the lane, stop when asked."""
+    """Not distinguishable from healthy hardware at once, or ever: stay in the lane, stop on request."""
 
 
 Act = Callable[[Rig], None]
@@ -46,7 +46,7 @@ def nothing(_rig: Rig) -> None:
 
 
 @dataclass(frozen=True)
-class Ailment:
+class FaultCase:
     """One fault.
 
     Attributes:
@@ -59,7 +59,7 @@ class Ailment:
         each: brings it about again before every tick.
         asks_stop: the operator asks for a stop 0.5 s later, since nothing else may.
         wire: whether bytes still reach the VESC; if not, its own timeout stops the car.
-        obeys: whether the VESC still does what it is told.
+        obeys: whether the VESC still does what it is commanded.
         blind_s: how long nothing slows the car, beyond the bound.
         decel: how hard the car can slow down at all [m/s^2].
         cold: what happens to an operator who arms and drives with this fault there from the start:
@@ -106,11 +106,11 @@ def raise_flag(flag: Flag) -> Act:
 HARD, SOFT, LIVE, SAFE = Must.STOP_HARD, Must.STOP_SOFT, Must.LIVE_ON, Must.STAY_SAFE
 
 
-def _mocap() -> tuple[Ailment, ...]:
-    def row(code: str, name: str, must: Must, frames: float = 0.0, **more: Any) -> Ailment:
+def _mocap() -> tuple[FaultCase, ...]:
+    def row(code: str, name: str, must: Must, frames: float = 0.0, **more: Any) -> FaultCase:
         act = hardware(more.pop("fault", code), **more.pop("params", {}))
         bound = more.pop("bound_s", (frames + 1) * FRAME + TRANSIT if frames else 0.0)
-        return Ailment(code, name, act, must, bound, **more)
+        return FaultCase(code, name, act, must, bound, **more)
 
     stale = {"bound_s": STALE}
     return (
@@ -157,10 +157,10 @@ def _mocap() -> tuple[Ailment, ...]:
     )
 
 
-def _vesc() -> tuple[Ailment, ...]:
-    def row(code: str, name: str, must: Must, bound_s: float = 0.0, **more: Any) -> Ailment:
+def _vesc() -> tuple[FaultCase, ...]:
+    def row(code: str, name: str, must: Must, bound_s: float = 0.0, **more: Any) -> FaultCase:
         act = hardware(more.pop("fault", code), **more.pop("params", {}))
-        return Ailment(code, name, act, must, bound_s, **more)
+        return FaultCase(code, name, act, must, bound_s, **more)
 
     poll = 0.030
     gone = {"wire": False, "blind_s": 0.160}
@@ -274,31 +274,35 @@ def _late(ms: float) -> Act:
     return act
 
 
-def _host() -> tuple[Ailment, ...]:
+def _host() -> tuple[FaultCase, ...]:
     return (
-        Ailment(
+        FaultCase(
             "H1", "SIGINT, SIGTERM or SIGHUP", raise_flag(Flag.QUIT), SOFT, cold="red", unseen="P1"
         ),
-        Ailment(
+        FaultCase(
             "H2", "second signal", raise_flag(Flag.QUIT | Flag.ABORT), HARD, cold="red", unseen="P1"
         ),
-        Ailment("H6", "guardian killed", raise_flag(Flag.GUARDIAN_LOST), SOFT, cold="red"),
-        Ailment("H6b", "guardian has tripped", raise_flag(Flag.GUARDIAN_TRIPPED), HARD, cold="red"),
-        Ailment(
+        FaultCase("H6", "guardian killed", raise_flag(Flag.GUARDIAN_LOST), SOFT, cold="red"),
+        FaultCase(
+            "H6b", "guardian has tripped", raise_flag(Flag.GUARDIAN_TRIPPED), HARD, cold="red"
+        ),
+        FaultCase(
             "H7", "recorder killed or disk full", raise_flag(Flag.RECORDER_LOST), SOFT, cold="red"
         ),
-        Ailment("H8", "gateway killed", raise_flag(Flag.GATEWAY_LOST), SOFT, cold="red"),
-        Ailment("H11", "every tick 12 ms late", nothing, HARD, 0.060, each=_late(12.0), cold="red"),
-        Ailment("H12", "200 ms asleep", _late(200.0), HARD, 0.200),
-        Ailment("H12b", "30 ms asleep", _late(30.0), HARD, 0.030),
-        Ailment("H12c", "one tick 20 ms late", _late(20.0), LIVE),
-        Ailment("H13", "exception in the controller", _break_controller, HARD, cold="red"),
-        Ailment("H13b", "exception in the filter", _break_estimator, HARD, cold="red"),
-        Ailment("H13c", "exception in a thread", _strand, HARD, cold="red"),
-        Ailment("H13d", "exception at a reply", _break_parser, HARD, FRAME, cold="red"),
-        Ailment("H13e", "exception at a pose", _break_watch, HARD, 2 * FRAME, cold="red"),
-        Ailment("H14", "NaN from the controller", _give_nan, HARD, cold="launch"),
-        Ailment("H17", "suspended", raise_flag(Flag.SUSPENDED), HARD),
+        FaultCase("H8", "gateway killed", raise_flag(Flag.GATEWAY_LOST), SOFT, cold="red"),
+        FaultCase(
+            "H11", "every tick 12 ms late", nothing, HARD, 0.060, each=_late(12.0), cold="red"
+        ),
+        FaultCase("H12", "200 ms asleep", _late(200.0), HARD, 0.200),
+        FaultCase("H12b", "30 ms asleep", _late(30.0), HARD, 0.030),
+        FaultCase("H12c", "one tick 20 ms late", _late(20.0), LIVE),
+        FaultCase("H13", "exception in the controller", _break_controller, HARD, cold="red"),
+        FaultCase("H13b", "exception in the filter", _break_estimator, HARD, cold="red"),
+        FaultCase("H13c", "exception in a thread", _strand, HARD, cold="red"),
+        FaultCase("H13d", "exception at a reply", _break_parser, HARD, FRAME, cold="red"),
+        FaultCase("H13e", "exception at a pose", _break_watch, HARD, 2 * FRAME, cold="red"),
+        FaultCase("H14", "NaN from the controller", _give_nan, HARD, cold="launch"),
+        FaultCase("H17", "suspended", raise_flag(Flag.SUSPENDED), HARD),
     )
 
 
@@ -355,38 +359,40 @@ def _unknown(rig: Rig) -> None:
     rig.ask(200)  # type: ignore[arg-type]
 
 
-def _network() -> tuple[Ailment, ...]:
+def _network() -> tuple[FaultCase, ...]:
     return (
-        Ailment("Z1", "stranger's drive commands", nothing, LIVE, each=_foreign_drive),
-        Ailment("Z2", "malformed requests", nothing, LIVE, each=_malformed),
-        Ailment("Z3", "64 MiB payload", _huge, LIVE),
-        Ailment("Z4", "flood of 10k requests/s", nothing, LIVE, each=_flood),
-        Ailment("Z5", "old requests replayed", nothing, LIVE, each=_replay),
-        Ailment("Z6", "second operator", nothing, LIVE, each=_second_operator),
-        Ailment("Z6b", "second operator's stop", _ask(RequestKind.STOP, 99), SOFT, rearms=True),
-        Ailment("Z6c", "second operator's e-stop", _ask(RequestKind.ESTOP, 99), Must.ESTOP),
-        Ailment("Z7", "unknown request", _unknown, SOFT),
-        Ailment("Z8", "operator gone", _gone, SOFT, 0.3),
+        FaultCase("Z1", "stranger's drive commands", nothing, LIVE, each=_foreign_drive),
+        FaultCase("Z2", "malformed requests", nothing, LIVE, each=_malformed),
+        FaultCase("Z3", "64 MiB payload", _huge, LIVE),
+        FaultCase("Z4", "flood of 10k requests/s", nothing, LIVE, each=_flood),
+        FaultCase("Z5", "old requests replayed", nothing, LIVE, each=_replay),
+        FaultCase("Z6", "second operator", nothing, LIVE, each=_second_operator),
+        FaultCase("Z6b", "second operator's stop", _ask(RequestKind.STOP, 99), SOFT, rearms=True),
+        FaultCase("Z6c", "second operator's e-stop", _ask(RequestKind.ESTOP, 99), Must.ESTOP),
+        FaultCase("Z7", "unknown request", _unknown, SOFT),
+        FaultCase("Z8", "operator gone", _gone, SOFT, 0.3),
     )
 
 
-def _car() -> tuple[Ailment, ...]:
+def _car() -> tuple[FaultCase, ...]:
     """Car, lane and filter. What cannot be seen at rest begins to matter when the car moves."""
     lost = {"P4": SAFE, "P7": SAFE}
     return (
-        Ailment("C1", "steering jams at full lock", car.jam(-0.31), HARD, 0.2, lane_m=0.6),
-        Ailment("C2", "steering jams, a little off", car.jam(0.06), HARD, 1.0, at={"P4": SAFE}),
-        Ailment("C3", "motor runs at twice the order", car.surge, HARD, 0.7, lane_m=1.2),
-        Ailment("C4", "wheels blocked", car.hit_a_wall, HARD, 0.12),
-        Ailment("C5", "fence ahead", car.fence_off, HARD, 1.5, within_m=car.FENCE_M),
-        Ailment("C6", "filter diverges", car.diverge, HARD, cold="red"),
-        Ailment("C7", "VESC restarts behind its port", car.restart_quietly, HARD, 1.0 + 0.02),
-        Ailment("C8", "controller at full lock", car.stuck(-0.31), HARD, 0.7, at=lost, lane_m=1.2),
-        Ailment(
+        FaultCase("C1", "steering jams at full lock", car.jam(-0.31), HARD, 0.2, lane_m=0.6),
+        FaultCase("C2", "steering jams, a little off", car.jam(0.06), HARD, 1.0, at={"P4": SAFE}),
+        FaultCase("C3", "motor runs at twice the order", car.surge, HARD, 0.7, lane_m=1.2),
+        FaultCase("C4", "wheels blocked", car.hit_a_wall, HARD, 0.12),
+        FaultCase("C5", "fence ahead", car.fence_off, HARD, 1.5, within_m=car.FENCE_M),
+        FaultCase("C6", "filter diverges", car.diverge, HARD, cold="red"),
+        FaultCase("C7", "VESC restarts behind its port", car.restart_quietly, HARD, 1.0 + 0.02),
+        FaultCase(
+            "C8", "controller at full lock", car.stuck(-0.31), HARD, 0.7, at=lost, lane_m=1.2
+        ),
+        FaultCase(
             "C9", "controller steers a little", car.stuck(0.06), HARD, 1.3, at=lost, lane_m=0.8
         ),
     )
 
 
-AILMENTS = (*_mocap(), *_vesc(), *_host(), *_network(), *_car())
-BY_CODE = {ailment.code: ailment for ailment in AILMENTS}
+FAULT_CASES = (*_mocap(), *_vesc(), *_host(), *_network(), *_car())
+BY_CODE = {fault_case.code: fault_case for fault_case in FAULT_CASES}

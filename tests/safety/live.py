@@ -25,7 +25,7 @@ from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.judge import MotorFrame, read_motor_frames
 from steerd.sim_hw.plant.device import Logged
 from steerd.sim_hw.plant.faults import Fault
-from steerd.sim_hw.real_time.links import SimHardware, go_first
+from steerd.sim_hw.real_time.links import SimHardware, raise_priority
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode
@@ -40,7 +40,7 @@ CLOCK = MonotonicClock()
 def serve_hardware(config: Any, pipe: Connection) -> None:
     """Simulated hardware in its own process, with faults and its byte log on request."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    go_first()
+    raise_priority()
     with SimHardware(config) as hardware:
         start_ns = hardware.world.t_ns
         pipe.send((hardware.port, hardware.mocap_url))

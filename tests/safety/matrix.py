@@ -9,14 +9,14 @@ from steerd.daemon.loop.transitions import SupervisorState, is_engaged
 from steerd.sim_hw.judge import (
     Effort,
     MotorFrame,
-    driven_after,
+    count_drive_frames,
+    distance_driven,
     find_stop,
     read_motor_frames,
-    stopping_way,
-    way,
+    stopping_distance,
 )
 from steerd.steer_bus.messages import RequestKind
-from tests.safety.catalogue import AILMENTS, Ailment, Must
+from tests.safety.catalogue import FAULT_CASES, FaultCase, Must
 from tests.safety.rig import MS, PHASES, Rig, at_phase, twin
 
 TICK = 0.011
@@ -36,10 +36,10 @@ MOVING = ("P4", "P5", "P6", "P7", "P8")
 def list_cells() -> list[tuple[str, str]]:
     """Every cell as (fault, phase); a fault from the start (P0) where it must change something."""
     return [
-        (ailment.code, phase)
-        for ailment in AILMENTS
+        (fault_case.code, phase)
+        for fault_case in FAULT_CASES
         for phase in PHASES
-        if phase != "P0" or ailment.cold or ailment.must is Must.LIVE_ON
+        if phase != "P0" or fault_case.cold or fault_case.must is Must.LIVE_ON
     ]
 
 
@@ -49,7 +49,7 @@ class Outcome:
 
     Attributes:
         stop_s: from the fault to the first stop byte; inf if none came.
-        way_m: driven from the fault to rest, and `allowed_m` of it.
+        distance_m: driven from the fault to rest, and `allowed_m` of it.
         off_m: largest true distance from the path.
         states: states that followed, in order.
         reason: why the first of them; `reasons` of all.
@@ -59,7 +59,7 @@ class Outcome:
     code: str
     phase: str
     stop_s: float
-    way_m: float
+    distance_m: float
     allowed_m: float
     off_m: float
     states: tuple[str, ...]
@@ -73,7 +73,7 @@ class Facts:
     """All that the judges of a cell look at; see `Outcome`."""
 
     rig: Rig
-    ailment: Ailment
+    fault_case: FaultCase
     must: Must
     frames: Sequence[MotorFrame]
     states: tuple[SupervisorState, ...]
@@ -81,40 +81,40 @@ class Facts:
     told_s: float
     stop_s: float
     bound_s: float
-    way_m: float
+    distance_m: float
     allowed_m: float
     off_m: float
 
     def rearmed(self, phase: str) -> bool:
         """Whether the only step up is the end of a stop that the operator asked for."""
-        wanted = self.ailment.asks_stop or self.ailment.rearms
+        wanted = self.fault_case.asks_stop or self.fault_case.rearms
         asked = phase == "P7" or wanted or self.must is Must.LIVE_ON
         return asked and set(self.states) & UPWARD == {SupervisorState.ARMED}
 
 
-def run_cell(ailment: Ailment, phase: str) -> Outcome:
+def run_cell(fault_case: FaultCase, phase: str) -> Outcome:
     """Bring a fault about in a phase and judge what follows."""
     rig = twin(at_phase(phase))
     seen = len(rig.notes.transitions)
     rig.track.clear()
     t_fault = rig.t_ns
-    ailment.begin(rig)
+    fault_case.begin(rig)
     if phase == "P0":
-        drive_cold(rig, ailment)
+        drive_cold(rig, fault_case)
     else:
-        drive_on(rig, ailment, phase, t_fault)
-    return judge(rig, ailment, phase, t_fault, seen)
+        drive_on(rig, fault_case, phase, t_fault)
+    return judge(rig, fault_case, phase, t_fault, seen)
 
 
-def drive_on(rig: Rig, ailment: Ailment, phase: str, t_fault: int) -> None:
+def drive_on(rig: Rig, fault_case: FaultCase, phase: str, t_fault: int) -> None:
     """Live with the fault until the car rests, or long enough to see that it need not."""
     asked = False
     end = t_fault + round((LONGEST_S if phase in MOVING else STANDING_S) * NS)
     while rig.t_ns < end:
-        ailment.each(rig)
+        fault_case.each(rig)
         age = rig.t_ns - t_fault
-        wants = ailment.asks_stop or (
-            must_now(ailment, phase) is Must.LIVE_ON and age >= WATCH_S * NS
+        wants = fault_case.asks_stop or (
+            must_now(fault_case, phase) is Must.LIVE_ON and age >= WATCH_S * NS
         )
         if phase in ("P4", "P5", "P6") and wants and not asked and age >= STOP_ASKED_NS:
             asked = True
@@ -131,11 +131,11 @@ def settled(rig: Rig) -> bool:
     return quiet and rig.t_ns - since_ns > 500 * MS
 
 
-def drive_cold(rig: Rig, ailment: Ailment) -> None:
+def drive_cold(rig: Rig, fault_case: FaultCase) -> None:
     """An eager operator arms and starts whatever lets itself be armed and started."""
     end = rig.t_ns + round(COLD_S * NS)
     while rig.t_ns < end:
-        ailment.each(rig)
+        fault_case.each(rig)
         if rig.state is SupervisorState.READY:
             rig.ask(RequestKind.ARM)
         elif rig.state is SupervisorState.ARMED:
@@ -145,9 +145,9 @@ def drive_cold(rig: Rig, ailment: Ailment) -> None:
             return
 
 
-def must_now(ailment: Ailment, phase: str) -> Must:
+def must_now(fault_case: FaultCase, phase: str) -> Must:
     """What this fault asks for in this phase."""
-    return ailment.at.get(phase, ailment.must)
+    return fault_case.at.get(phase, fault_case.must)
 
 
 def off_path(rig: Rig) -> float:
@@ -168,25 +168,25 @@ def find_brake(frames: Sequence[MotorFrame], t_ns: int) -> MotorFrame | None:
     return first
 
 
-def judge(rig: Rig, ailment: Ailment, phase: str, t_fault: int, seen: int) -> Outcome:
+def judge(rig: Rig, fault_case: FaultCase, phase: str, t_fault: int, seen: int) -> Outcome:
     """Verdicts (a) to (h) of `docs/reference/safety-requirements.md#s6.1`."""
     frames = read_motor_frames(rig.run.world.log.entries)
     followed = rig.notes.transitions[seen:]
-    must = must_now(ailment, phase)
+    must = must_now(fault_case, phase)
     find = find_stop if must in (Must.STOP_SOFT, Must.LIVE_ON, Must.STAY_SAFE) else find_brake
     stop = find(frames, t_fault)
-    bound = ailment.bound_s + TICK
+    bound = fault_case.bound_s + TICK
     fastest = max((abs(motion.speed) for motion in rig.track), default=0.0)
     decel = SOFT_DECEL if find is find_stop else HARD_DECEL
-    pause = (STOP_ASKED_NS / NS if ailment.asks_stop else 0.0) + (
+    pause = (STOP_ASKED_NS / NS if fault_case.asks_stop else 0.0) + (
         SPEED_LAG_S if find is find_stop else 0.0
     )
-    allowed = SLACK_M + stopping_way(
-        fastest, bound + ailment.blind_s + pause, min(decel, ailment.decel)
+    allowed = SLACK_M + stopping_distance(
+        fastest, bound + fault_case.blind_s + pause, min(decel, fault_case.decel)
     )
     facts = Facts(
         rig=rig,
-        ailment=ailment,
+        fault_case=fault_case,
         must=must,
         frames=[frame for frame in frames if frame.t_ns >= t_fault],
         states=tuple(SupervisorState(message.to_state) for _, message in followed),
@@ -194,17 +194,17 @@ def judge(rig: Rig, ailment: Ailment, phase: str, t_fault: int, seen: int) -> Ou
         told_s=(followed[0][0] - t_fault) / NS if followed else inf,
         stop_s=(stop.t_ns - t_fault) / NS if stop else inf,
         bound_s=bound,
-        way_m=way(rig.track, t_fault),
+        distance_m=distance_driven(rig.track, t_fault),
         allowed_m=allowed,
         off_m=off_path(rig),
     )
     judges = {"P0": judge_cold, "P1": judge_standing, "P2": judge_standing, "P3": judge_standing}
     wrong = tuple(judges.get(phase, judge_moving)(facts, phase))
     return Outcome(
-        ailment.code,
+        fault_case.code,
         phase,
         facts.stop_s,
-        facts.way_m,
+        facts.distance_m,
         allowed,
         facts.off_m,
         tuple(state.name for state in facts.states),
@@ -220,42 +220,42 @@ def judge_moving(f: Facts, phase: str) -> Iterator[str]:
         yield f"(c) went up by itself: {f.states}"
     if not all(f.reasons):
         yield "(e) a transition without a reason"
-    if not f.ailment.obeys and phase != "P8":
+    if not f.fault_case.obeys and phase != "P8":
         yield from judge_deaf(f)
         return
     if not f.rig.resting:
         yield f"(d) never came to rest: {f.rig.track[-1].speed:.2f} m/s"
-    if f.off_m > f.ailment.lane_m:
+    if f.off_m > f.fault_case.lane_m:
         yield f"(g) left the lane by {f.off_m:.2f} m"
     far = max(hypot(m.x - f.rig.track[0].x, m.y - f.rig.track[0].y) for m in f.rig.track)
-    if far > f.ailment.within_m:
+    if far > f.fault_case.within_m:
         yield f"(h) got {far:.2f} m away"
     if phase == "P8":
         if any(frame.effort is Effort.DRIVE for frame in f.frames):
             yield "(b) a drive frame in FAULT_STOP"
-        if f.way_m > f.allowed_m:
-            yield f"(d) {f.way_m:.2f} m to rest, allowed {f.allowed_m:.2f} m"
+        if f.distance_m > f.allowed_m:
+            yield f"(d) {f.distance_m:.2f} m to rest, allowed {f.allowed_m:.2f} m"
         return
     if f.must is Must.LIVE_ON:
         yield from judge_undisturbed(f, phase)
         return
-    if f.way_m > f.allowed_m:
-        yield f"(d) {f.way_m:.2f} m to rest, allowed {f.allowed_m:.2f} m"
+    if f.distance_m > f.allowed_m:
+        yield f"(d) {f.distance_m:.2f} m to rest, allowed {f.allowed_m:.2f} m"
     if f.must is not Must.STAY_SAFE:
         yield from judge_stop(f, phase)
 
 
 def judge_stop(f: Facts, phase: str) -> Iterator[str]:
     """A fault that must stop the car."""
-    if f.ailment.wire:
+    if f.fault_case.wire:
         ramps_already = phase == "P7" and f.must is Must.STOP_SOFT
         if not ramps_already and f.stop_s > f.bound_s:
             yield f"(a) first stop byte after {f.stop_s:.3f} s, bound {f.bound_s:.3f}"
-    elif driven_after(f.frames, f.rig.track[0].t_ns + 200 * MS):
+    elif count_drive_frames(f.frames, f.rig.track[0].t_ns + 200 * MS):
         yield "(b) a drive frame after the link came back"
     wanted = SupervisorState[f.must.value]
     if phase == "P7" and f.must is Must.STOP_SOFT:
-        if SupervisorState.ARMED in f.states and not f.ailment.rearms:
+        if SupervisorState.ARMED in f.states and not f.fault_case.rearms:
             yield "(c) armed again although something is wrong"
     elif wanted not in f.states:
         yield f"(a) {wanted.name} was never entered: {f.states}"
@@ -288,12 +288,12 @@ def judge_standing(f: Facts, phase: str) -> Iterator[str]:
     """A car that stands and must not begin to move."""
     if any(frame.effort is Effort.DRIVE for frame in f.frames):
         yield "(b) a drive frame while not running"
-    if f.way_m > 0.02:
-        yield f"(d) moved {f.way_m:.2f} m"
+    if f.distance_m > 0.02:
+        yield f"(d) moved {f.distance_m:.2f} m"
     now = f.rig.state
     if SupervisorState.RUNNING in f.states or (phase != "P2" and set(f.states) & UPWARD):
         yield f"(c) went up by itself: {f.states}"
-    if f.ailment.cold == "red" and phase not in f.ailment.unseen:
+    if f.fault_case.cold == "red" and phase not in f.fault_case.unseen:
         wrong = {
             "P1": (SupervisorState.READY,),
             "P2": (SupervisorState.ARMED,),
@@ -314,17 +314,17 @@ def judge_standing(f: Facts, phase: str) -> Iterator[str]:
 def judge_cold(f: Facts, _phase: str) -> Iterator[str]:
     """An operator who arms and starts with the fault there from the beginning."""
     driven = SupervisorState.RUNNING in f.states
-    match f.ailment.cold:
+    match f.fault_case.cold:
         case "red":
             if SupervisorState.ARMED in f.states:
                 yield f"(a) armed in spite of it: {f.states}"
         case "launch":
-            if f.way_m > LAUNCH_M:
-                yield f"(d) {f.way_m:.2f} m before the launch checks stopped it"
+            if f.distance_m > LAUNCH_M:
+                yield f"(d) {f.distance_m:.2f} m before the launch checks stopped it"
             if driven and SupervisorState.FAULT_STOP not in f.states:
                 yield f"(a) the launch checks let it pass: {f.states}"
         case _ if f.must is Must.LIVE_ON:
             if not driven or SupervisorState.FAULT_STOP in f.states:
                 yield f"(f) cannot drive: {f.states} {f.reasons[-1:]}"
-    if f.ailment.obeys and f.off_m > f.ailment.lane_m:
+    if f.fault_case.obeys and f.off_m > f.fault_case.lane_m:
         yield f"(g) left the lane by {f.off_m:.2f} m"

@@ -16,7 +16,7 @@ from joblib import Parallel, delayed
 
 from steerd.daemon.loop.findings import WATCHDOGS
 from steerd.daemon.settings.thresholds import BOUNDS, Thresholds
-from tests.safety.catalogue import AILMENTS, BY_CODE, Must
+from tests.safety.catalogue import BY_CODE, FAULT_CASES, Must
 from tests.safety.matrix import MOVING, Outcome, list_cells, run_cell
 from tests.safety.rig import PHASES
 from tests.safety.trace import write_trace
@@ -39,8 +39,8 @@ def show(outcome: Outcome | None) -> str:
         return "ok"
     must = BY_CODE[outcome.code].must
     if must is Must.LIVE_ON or outcome.phase == "P8" or not isfinite(outcome.stop_s):
-        return f"ok, {outcome.way_m:.2f} m"
-    return f"{outcome.stop_s * 1e3:.0f} ms, {outcome.way_m:.2f} m"
+        return f"ok, {outcome.distance_m:.2f} m"
+    return f"{outcome.stop_s * 1e3:.0f} ms, {outcome.distance_m:.2f} m"
 
 
 def write_matrix(outcomes: Sequence[Outcome]) -> list[str]:
@@ -48,12 +48,12 @@ def write_matrix(outcomes: Sequence[Outcome]) -> list[str]:
     found = {(outcome.code, outcome.phase): outcome for outcome in outcomes}
     good = sum(not outcome.wrong for outcome in outcomes)
     lines = [
-        f"{len(AILMENTS)} faults, {len(outcomes)} cells, {good} good.",
+        f"{len(FAULT_CASES)} faults, {len(outcomes)} cells, {good} good.",
         "",
         "| fault | must | bound | " + " | ".join(PHASES) + " |",
         "|---|---|---|" + "---|" * len(PHASES),
     ]
-    for a in AILMENTS:
+    for a in FAULT_CASES:
         cells = [show(found.get((a.code, phase))) for phase in PHASES]
         stops = a.must in (Must.STOP_HARD, Must.STOP_SOFT, Must.ESTOP)
         bound = f"{a.bound_s * 1e3:.0f} ms" if stops else ""
@@ -113,7 +113,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true", help="write nothing")
     parser.add_argument("--jobs", type=int, default=-1)
     args = parser.parse_args(argv)
-    parts = Parallel(n_jobs=args.jobs)(delayed(run_fault)(ailment.code) for ailment in AILMENTS)
+    parts = Parallel(n_jobs=args.jobs)(
+        delayed(run_fault)(fault_case.code) for fault_case in FAULT_CASES
+    )
     outcomes = [outcome for part in parts for outcome in part]
     bad = [outcome for outcome in outcomes if outcome.wrong]
     for outcome in bad:

@@ -9,7 +9,7 @@ import os
 import numpy as np
 import pytest
 
-from tests.safety.catalogue import AILMENTS, BY_CODE
+from tests.safety.catalogue import BY_CODE, FAULT_CASES
 from tests.safety.matrix import list_cells, run_cell
 from tests.safety.rig import PHASES, at_phase, twin
 
@@ -22,7 +22,9 @@ def chosen() -> list[tuple[str, str]]:
     if ASKED == "all":
         return CELLS
     rng = np.random.default_rng(int(ASKED))
-    by_fault = [[cell for cell in CELLS if cell[0] == ailment.code] for ailment in AILMENTS]
+    by_fault = [
+        [cell for cell in CELLS if cell[0] == fault_case.code] for fault_case in FAULT_CASES
+    ]
     return [
         cells[k]
         for cells in by_fault
@@ -31,9 +33,9 @@ def chosen() -> list[tuple[str, str]]:
 
 
 def test_the_matrix_is_as_large_as_it_says() -> None:
-    assert len(AILMENTS) >= 72
-    assert len({ailment.code for ailment in AILMENTS}) == len(AILMENTS)
-    assert len(CELLS) >= 8 * len(AILMENTS)
+    assert len(FAULT_CASES) >= 72
+    assert len({fault_case.code for fault_case in FAULT_CASES}) == len(FAULT_CASES)
+    assert len(CELLS) >= 8 * len(FAULT_CASES)
     assert {phase for _, phase in chosen()} == set(PHASES)
     assert {code for code, _ in chosen()} == set(BY_CODE)
 

@@ -9,11 +9,11 @@ from steerd.sim_hw.judge import (
     Effort,
     Motion,
     MotorFrame,
-    driven_after,
+    count_drive_frames,
+    distance_driven,
     find_stop,
     read_motor_frames,
-    stopping_way,
-    way,
+    stopping_distance,
 )
 from steerd.sim_hw.plant.device import Logged
 from steerd.vesc_link import commands as c
@@ -64,14 +64,14 @@ def test_a_stop_that_is_taken_back_is_none() -> None:
 
 
 def test_drive_frames_after_a_moment_are_counted() -> None:
-    assert driven_after([drive(1), brake(2), drive(3), drive(4)], 2) == 2
-    assert driven_after([drive(2), brake(3)], 2) == 0
+    assert count_drive_frames([drive(1), brake(2), drive(3), drive(4)], 2) == 2
+    assert count_drive_frames([drive(2), brake(3)], 2) == 0
 
 
 def test_the_way_is_measured_and_computed() -> None:
     track = [Motion(k, 0.3 * k, 0.4 * k, 1.0) for k in range(5)]
-    assert way(track, 1) == pytest.approx(1.5)
-    assert stopping_way(2.0, 0.1, 4.0) == pytest.approx(0.7)
+    assert distance_driven(track, 1) == pytest.approx(1.5)
+    assert stopping_distance(2.0, 0.1, 4.0) == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize(

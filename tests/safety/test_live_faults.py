@@ -15,7 +15,7 @@ import pytest
 
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.sim_hw.judge import Effort, driven_after, find_stop
+from steerd.sim_hw.judge import Effort, count_drive_frames, find_stop
 from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.session_read import open_session
 from tests.safety.live import BOOT_ID, CLOCK, Live, start_live
@@ -138,9 +138,9 @@ def test_live_cell(name, phase, tmp_path) -> None:
         assert stop is not None, after[-5:]
         assert stop.t_ns - fault_ns <= fault.bound_s * 1e9
         brake_ns = next(f.t_ns for f in after if f.effort is not Effort.DRIVE)
-        assert not driven_after(after, brake_ns)
+        assert not count_drive_frames(after, brake_ns)
     else:
-        assert not driven_after(after, fault_ns + round(fault.bound_s * 1e9))
+        assert not count_drive_frames(after, fault_ns + round(fault.bound_s * 1e9))
     assert SupervisorState.RUNNING not in [to for _, to, _ in followed]
     if fault.told and phase in ("P3", "P5"):
         assert followed

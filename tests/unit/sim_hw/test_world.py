@@ -228,7 +228,7 @@ def test_effects_change_the_car_and_pose_latency_is_not_stamped() -> None:
         for t in range(0, 1000 * MS, TICK):
             world.serial_write(t, encode_frame(encode_command(c.SetErpm(2 * 4614))))
         world.advance(1000 * MS)
-        return world.truth().state, world.car.pose_seen(1000 * MS)
+        return world.truth().state, world.car.observe_pose(1000 * MS)
 
     plain, latency = end(None), end("mocap_latency=0.05")
     assert plain[0] == latency[0]

@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         SimHardware,
         SimOptions,
         fault_windows,
-        go_first,
+        raise_priority,
         stop_on_signals,
     )
 
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
         faults = fault_windows(args.fault)
     except ValueError as error:
         raise SteerdError(f"--fault: {error}", "", ExitCode.USAGE) from None
-    go_first()
+    raise_priority()
     with stop_on_signals() as stop, SimHardware(world, SimOptions(faults, args.link_dir)) as sim:
         print(f"VESC:  {sim.port}")
         print(f"mocap: {sim.mocap_url}")

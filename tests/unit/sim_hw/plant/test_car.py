@@ -14,13 +14,13 @@ from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import ORIGIN, Command
 from steerd.sim_hw.plant.car import COAST, CarSetup, Demand, Drive, SimCar
 from steerd.sim_hw.plant.delay import DelayLine
-from steerd.sim_hw.plant.noise import make_noise
+from steerd.sim_hw.plant.noise import make_noise_source
 
 H = 0.002
 
 
 def make_car(model: Model[float] | None = None, **setup: object) -> SimCar:
-    return SimCar(model or Model(DEFAULT_CAR), CarSetup(**setup), make_noise(0, "car"))  # type: ignore[arg-type]
+    return SimCar(model or Model(DEFAULT_CAR), CarSetup(**setup), make_noise_source(0, "car"))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0103, 0.02])
@@ -108,14 +108,14 @@ def test_history_interpolates_and_pose_delay_looks_back() -> None:
         car.step(0.0, Demand(Drive.SPEED, 1.0))
     between = car.state_at(car.t_ns - 3_000_000)
     assert between.x == pytest.approx(car.state.x - 0.003, abs=1e-9)
-    assert car.pose_seen(car.t_ns).x == pytest.approx(car.state.x - 0.1, abs=1e-9)
+    assert car.observe_pose(car.t_ns).x == pytest.approx(car.state.x - 0.1, abs=1e-9)
     assert car.state_at(-1) == car._history[0] or car.state_at(-1).x <= car.state.x
 
 
 def test_process_noise_is_seeded_and_leaves_a_resting_car_alone() -> None:
     def end(seed: int, speed: float) -> object:
         setup = CarSetup(noise=(0.1, 0.5, 0.1), start=ORIGIN._replace(speed=speed))
-        car = SimCar(Model(DEFAULT_CAR), setup, make_noise(seed, "car"))
+        car = SimCar(Model(DEFAULT_CAR), setup, make_noise_source(seed, "car"))
         for _ in range(100):
             car.step(0.0, COAST if not speed else Demand(Drive.SPEED, speed))
         return car.state

@@ -14,7 +14,7 @@ from steerd.mocap_link.natnet_frame import EDIT_MODE, MODEL_CHANGED, Frame
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.sim_hw.mocap.mocap_config import Bystander, MocapConfig
 from steerd.sim_hw.mocap.network import CLOSE, FOREIGN, Datagram
-from steerd.sim_hw.plant.fault_state import SOUND_MOCAP, SOUND_VESC
+from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, HEALTHY_VESC
 from steerd.sim_hw.plant.faults import FAULTS, Fault, find_fault, make_condition
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
@@ -38,9 +38,9 @@ def test_catalogue_is_complete_and_each_entry_turns_a_knob() -> None:
     assert codes == [f"M{n}" for n in range(1, 23)] + [f"V{n}" for n in range(1, 25)]
     for kind in FAULTS:
         condition = make_condition([Fault(kind.name)], 1 << 40)
-        changed = (condition.vesc, condition.mocap) != (SOUND_VESC, SOUND_MOCAP)
+        changed = (condition.vesc, condition.mocap) != (HEALTHY_VESC, HEALTHY_MOCAP)
         assert changed, kind.name
-        assert (condition.vesc == SOUND_VESC) == (kind.target == "mocap")
+        assert (condition.vesc == HEALTHY_VESC) == (kind.target == "mocap")
 
 
 def test_windows_edges_and_mistakes() -> None:
@@ -53,7 +53,7 @@ def test_windows_edges_and_mistakes() -> None:
     for bad in (("M99", 0), ("M4", 5, 5)):
         with pytest.raises(ValueError, match="fault"):
             Fault(*bad)
-    with pytest.raises(ValueError, match="no knob 'kump'"):
+    with pytest.raises(ValueError, match="no setting 'kump'"):
         Fault("M4", 0, kump=1.0)
 
 

@@ -373,7 +373,7 @@ def test_board_without_imu_answers_zeros_and_identity(make_host: MakeHost) -> No
 
 def test_kill_switch_shows_in_the_status_and_releases_the_motor(make_host: MakeHost) -> None:
     host = make_host(config=ROLLING)
-    host.world.vesc.set_knobs(0, replace(host.world.vesc.knobs, kill=True))
+    host.world.vesc.set_fault_state(0, replace(host.world.vesc.fault_state, kill=True))
     host.hold(500, c.SetErpm(3 * ERPM_1))
     assert host.values().kill_switch
     assert host.speed < 1.8
