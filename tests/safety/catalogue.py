@@ -35,7 +35,7 @@ class Must(Enum):
     ESTOP = "ESTOP"
     LIVE_ON = "no stop"
     STAY_SAFE = "stop, or stay in the lane"
-    """Not distinguishable from healthy hardware at once, or ever: stay in the lane, stop on request."""
+    """Not distinguishable from healthy hardware: stay in the lane, stop on request."""
 
 
 Act = Callable[[Rig], None]
