@@ -1,4 +1,4 @@
-"""What calibration needs of a session: raw body poses, wheel speed, orders, the car file."""
+"""Input of a calibration from a session: body poses, wheel speed, commands and car file."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +12,7 @@ from steerd.daemon.sessions.info import find_table, load_session, read_tables
 from steerd.daemon.sessions.motion import Array, Track, make_track
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
 from steerd.daemon.settings.run_options import decode_options
-from steerd.daemon.setup.calibration import Drive
+from steerd.daemon.setup.mount_calibration import Drive
 from steerd.mocap_link.frame import FrameConfig, make_planar_pose
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.steer_bus import topics
@@ -21,17 +21,18 @@ from steerd.steer_bus.session_read import Session, SessionError
 from steerd.steer_bus.topic_columns import Columns
 
 NS = 1e-9
+"""One nanosecond [s]."""
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """A session's part in a calibration.
+    """A session as input of a calibration.
 
     Attributes:
-        settings: of the car file that was driven with.
+        settings: of the car file that the drive used.
         text: of that file.
         frame: room and body, without any offset of the body on the car.
-        poses: columns of the poses that the gates let pass.
+        poses: columns of the accepted poses, times increasing.
         tables: every topic's columns.
     """
 
@@ -68,7 +69,7 @@ def load_recorded(path: Path) -> Recorded:
     order = np.argsort(kept["t_valid_ns"], kind="stable")
     order = order[np.diff(kept["t_valid_ns"][order], prepend=0) > 0]
     kept = {name: column[order] for name, column in kept.items()}
-    return Recorded(settings, text, _bare(settings, session), kept, tables)
+    return Recorded(settings, text, _frame_without_mount(settings, session), kept, tables)
 
 
 def _car_text(session: Session) -> str:
@@ -78,8 +79,8 @@ def _car_text(session: Session) -> str:
         return load_settings(default_car_path()).file.text
 
 
-def _bare(settings: Settings, session: Session) -> FrameConfig:
-    """Room and axes as the drive had them, the body's place on the car at zero."""
+def _frame_without_mount(settings: Settings, session: Session) -> FrameConfig:
+    """Room and axes of the drive, without any offset of the body on the car."""
     frame = settings.ingest.frame
     about = session.info().metadata.get("steerd.session", {})
     try:
@@ -92,14 +93,14 @@ def _bare(settings: Settings, session: Session) -> FrameConfig:
 
 
 def body_track(r: Recorded) -> tuple[Array, Array, Array, Array]:
-    """The body itself: times from the first pose [s], x, y [m], yaw [rad].
+    """Poses of the body's own origin: times from the first pose [s], x, y [m], yaw [rad].
 
     Raises:
-        SteerdError: an imported log, whose poses are the car's already.
+        SteerdError: an imported log, whose poses are already those of the car.
     """
     p = r.poses
     if not np.isfinite(p["z_raw"]).all():
-        hint = "an imported log's body is placed by its map's [frame]"
+        hint = "for an imported log, set the offsets in its map's [frame]"
         raise SteerdError("the session holds the car's poses only, not its body's", hint)
     raw = zip(*(p[name].tolist() for name in ("x_raw", "y_raw", "z_raw")), strict=True)
     turns = zip(*(p[name].tolist() for name in ("qw", "qx", "qy", "qz")), strict=True)
@@ -148,8 +149,8 @@ def make_motion(r: Recorded) -> Track:
     return track
 
 
-def orders(r: Recorded) -> tuple[Array, Array]:
-    """Steering ordered while the car was driven: times [s] and angles [rad].
+def steering_commands(r: Recorded) -> tuple[Array, Array]:
+    """SteeringCalibration ordered while the car was driven: times [s] and angles [rad].
 
     Raises:
         SteerdError: the session holds none.
@@ -159,7 +160,7 @@ def orders(r: Recorded) -> tuple[Array, Array]:
     driven = None if table is None else table["mode"] == ActuationMode.SPEED
     if table is None or driven is None or not driven.any():
         raise SteerdError("the session holds no steering commands")
-    # The order's stamp is UNIX time; ticks and poses give its place on the monotonic clock.
+    # A command's stamp is UNIX time; ticks or poses relate it to the monotonic clock.
     epoch = _epoch(r, tick)
     t = (table["stamp_ns"].astype(np.int64) - epoch - r.start_ns) * NS
     return t[driven], table["steer"][driven].astype(float)

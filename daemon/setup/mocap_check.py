@@ -1,6 +1,6 @@
-"""Is the room set up right? What a car that is pushed or driven a metre tells about axes and units.
+"""Checks of mocap units, axes and heading from a car that is pushed or driven for a metre.
 
-Pure. The gates look at single poses; these checks look at a movement.
+Pure. Ingest checks single poses; these checks look at a movement.
 """
 
 from dataclasses import dataclass
@@ -11,12 +11,23 @@ import numpy as np
 from steerd.daemon.sessions.motion import GAP_MAX, Array
 
 STEP = 0.05
-"""Directions are taken over so much way [m]."""
-WAY_MIN, WAY_MAX = 0.5, 2000.0
+"""Directions are taken over this distance [m]."""
+EXTENT_MIN, EXTENT_MAX = 0.5, 2000.0
+"""A smaller movement decides nothing; a larger one is in millimetres [m]."""
+LAPS_MAX = 50.0
+"""Distance per extent plus one metre; noise of poses in millimetres gives more [-]."""
+REJECTED_MAX = 0.02
+"""Share of rejected poses that is still good [-]."""
 HEIGHT_MAX = 0.01
+"""The height may vary by this, and by 1 % of the extent [m]."""
 TILT_MAX = 0.08
+"""Largest tilt of the body on a level floor [rad]: 5 degrees."""
 TRAVEL_MAX = 0.09
 """Between travel and heading on a straight [rad]: 5 degrees."""
+MOUNT_MAX = 0.5
+"""A smaller angle is calibrated, a larger one is another axis [rad]."""
+TURNED_MIN = 0.5
+"""A smaller change of heading says nothing about its sign [rad]."""
 STRAIGHT = 0.05
 """A step is straight if it turns by less [rad]."""
 
@@ -35,7 +46,7 @@ class Movement:
 
 @dataclass(frozen=True)
 class Check:
-    """One question and its answer; `fix` is empty where all is well."""
+    """One check and its result; `fix` is empty where it passes."""
 
     name: str
     ok: bool
@@ -44,62 +55,62 @@ class Check:
 
 
 def check_movement(m: Movement, refused: int) -> list[Check]:
-    """All checks, in the order in which they should be put right.
+    """All checks, in the order in which failures should be fixed.
 
     Args:
         m: accepted poses.
-        refused: how many poses the gates refused.
+        refused: number of rejected poses.
     """
-    way = np.hypot(np.diff(m.x), np.diff(m.y))
-    length = float(np.sum(way)) if len(way) else 0.0
-    checks = [_stream(m, refused), _way(m, length)]
+    steps = np.hypot(np.diff(m.x), np.diff(m.y))
+    length = float(np.sum(steps)) if len(steps) else 0.0
+    checks = [_check_stream(m, refused), _check_distance(m, length)]
     if not checks[-1].ok:
         return checks
-    checks += [_height(m), _tilt(m)]
-    at = np.concatenate(([0.0], np.cumsum(np.maximum(way, 1e-9))))
-    steps = np.arange(0.0, at[-1], STEP)
-    x, y, yaw = (np.interp(steps, at, column) for column in (m.x, m.y, np.unwrap(m.yaw)))
+    checks += [_check_height(m), _check_tilt(m)]
+    at = np.concatenate(([0.0], np.cumsum(np.maximum(steps, 1e-9))))
+    even = np.arange(0.0, at[-1], STEP)
+    x, y, yaw = (np.interp(even, at, column) for column in (m.x, m.y, np.unwrap(m.yaw)))
     travel, turn = np.arctan2(np.diff(y), np.diff(x)), np.diff(yaw)
-    return [*checks, *_heading(travel, yaw[:-1] + turn / 2, turn)]
+    return [*checks, *_check_heading(travel, yaw[:-1] + turn / 2, turn)]
 
 
-def _stream(m: Movement, refused: int) -> Check:
+def _check_stream(m: Movement, refused: int) -> Check:
     total = len(m.t) + refused
     gap = float(np.max(np.diff(m.t))) if len(m.t) > 1 else np.inf
     rate = 1.0 / float(np.median(np.diff(m.t))) if len(m.t) > 1 else 0.0
-    ok = refused <= 0.02 * total and gap < GAP_MAX
-    figure = f"{rate:.0f} Hz, {refused} of {total} refused, longest gap {1e3 * gap:.0f} ms"
-    fix = "`steerd probe --mocap URL` says which check refuses them and what to do"
+    ok = refused <= REJECTED_MAX * total and gap < GAP_MAX
+    figure = f"{rate:.0f} Hz, {refused} of {total} rejected, longest gap {1e3 * gap:.0f} ms"
+    fix = "`steerd probe --mocap URL` shows which check rejects them and what to do"
     return Check("stream", ok, figure, "" if ok else fix)
 
 
-def _way(m: Movement, length: float) -> Check:
+def _check_distance(m: Movement, length: float) -> Check:
     extent = float(max(np.ptp(m.x), np.ptp(m.y))) if len(m.x) else 0.0
-    figure = f"{length:.2f} m of way, {extent:.2f} m across"
-    if extent < WAY_MIN:
-        return Check("way", False, figure, "push the car straight forward by about 1 m")
-    if extent > WAY_MAX or length > 50.0 * extent + 50.0:
-        return Check("way", False, figure, "millimetres taken for metres? set [mocap] units")
-    return Check("way", True, figure)
+    figure = f"distance {length:.2f} m, extent {extent:.2f} m"
+    if extent < EXTENT_MIN:
+        return Check("distance", False, figure, "push the car straight forward by about 1 m")
+    if extent > EXTENT_MAX or length > LAPS_MAX * (extent + 1.0):
+        return Check("distance", False, figure, "millimetres taken for metres? set [mocap] units")
+    return Check("distance", True, figure)
 
 
-def _height(m: Movement) -> Check:
+def _check_height(m: Movement) -> Check:
     span = float(np.quantile(m.height, 0.98) - np.quantile(m.height, 0.02))
     extent = float(max(np.ptp(m.x), np.ptp(m.y)))
-    # A floor 1 % off level is common; a wrong up axis moves the height as far as the car.
+    # A floor that is 1 % off level is common; a wrong up axis moves the height as far as the car.
     ok = span < HEIGHT_MAX + 0.01 * extent
     fix = "set [mocap] up (y or z) to the server's up axis; set the ground plane if it leans"
     return Check("height", ok, f"varies by {1e3 * span:.0f} mm", "" if ok else fix)
 
 
-def _tilt(m: Movement) -> Check:
+def _check_tilt(m: Movement) -> Check:
     tilt = float(np.median(m.tilt))
     fix = "reset the body's orientation in the mocap software with the car on the floor"
     return Check("level", tilt < TILT_MAX, f"leans {degrees(tilt):.1f}°",
                  "" if tilt < TILT_MAX else fix)  # fmt: skip
 
 
-def _heading(travel: Array, yaw: Array, turn: Array) -> list[Check]:
+def _check_heading(travel: Array, yaw: Array, turn: Array) -> list[Check]:
     straight = np.abs(turn) < STRAIGHT
     if straight.sum() < 5:
         return [Check("heading", False, "no straight stretch", "push the car straight forward")]
@@ -108,7 +119,7 @@ def _heading(travel: Array, yaw: Array, turn: Array) -> list[Check]:
     checks = [Check("heading", abs(off) < TRAVEL_MAX, figure, _fix_heading(off))]
     bend = np.angle(np.exp(1j * np.diff(travel)))
     turned = float(np.sum(np.abs(turn)))
-    if turned > 0.5:
+    if turned > TURNED_MIN:
         slope = float(np.sum(bend * turn[1:]) / np.sum(turn[1:] ** 2))
         fix = "the world is mirrored: is [mocap] up right, are the axes right-handed?"
         ok = slope > 0.3
@@ -120,7 +131,7 @@ def _heading(travel: Array, yaw: Array, turn: Array) -> list[Check]:
 def _fix_heading(off: float) -> str:
     if abs(off) < TRAVEL_MAX:
         return ""
-    if abs(off) < 0.5:
+    if abs(off) < MOUNT_MAX:
         return "`steerd mocap calibrate` finds [mocap] mount_yaw_deg"
     quarter = round(off / (pi / 2)) * 90
     return (

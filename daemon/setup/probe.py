@@ -1,4 +1,4 @@
-"""What `steerd probe` found, what is wrong with it and what to do. Pure."""
+"""The findings of `steerd probe`: what is there, what is wrong, what to do. Pure."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,10 +16,21 @@ UDEV_RULE = (
 VESC_USB = "0483:5740"
 TOOL_SERVO = "VESC Tool: App Settings > General > Enable Servo Output"
 SERVO_SINCE = (5, 3)
+"""First firmware whose ordinary build has a servo output."""
 LOW_CELL = 3.3
 """Below this a lithium cell sags under load [V]."""
 JITTER_MAX_MS = 5.0
+"""Largest variation of the age of poses [ms]."""
 ROUND_TRIP_MAX_MS = 10.0
+"""Largest time from request to answer of a VESC: one tick of the loop [ms]."""
+ANSWERED_MIN = 0.95
+"""Smallest share of requests that a VESC answers [-]."""
+REJECTED_MAX = 0.02
+"""Share of rejected poses that is still good [-]."""
+RATE_MIN = 0.8
+"""Smallest share of a server's frames that arrive [-]."""
+TILT_MAX = 0.1
+"""Largest tilt of the body of a standing car [rad]."""
 PORTS = {
     ("tcp", 7447): "zenoh: a running steerd, or a zenoh router",
     ("udp", 1510): "NatNet commands: Motive or another server on this machine",
@@ -30,7 +41,7 @@ PORTS = {
 
 @dataclass(frozen=True)
 class Advice:
-    """One finding: what is so, and what to do about it; `fix` is empty where nothing is to do."""
+    """One finding: what was found and what to do; `fix` is empty where nothing is to do."""
 
     what: str
     fix: str = ""
@@ -44,13 +55,13 @@ class VescFound:
         firmware: (major, minor).
         hardware: its name for its board.
         uuid: 24 hex digits.
-        timeout_ms: None where it did not tell; 0 is never.
-        timeout_brake_a: what it brakes with then [A].
+        timeout_ms: of its own watchdog; None where unknown, 0 for never.
+        timeout_brake_a: brake current after the timeout [A].
         voltage: of the battery [V].
         fault: name of its fault; empty for none.
         temp_fet_c: of its power stage [°C].
-        round_trip_ms: median time from question to answer.
-        answered: share of questions that were answered.
+        round_trip_ms: median time from request to answer.
+        answered: share of requests that were answered.
         imu: whether it has an IMU that answers.
     """
 
@@ -85,19 +96,19 @@ class MocapSeen:
         address: as `--mocap` takes it.
         server: its name and version; empty when it did not answer.
         bodies: that it offers.
-        detail: the source's own last word.
+        detail: the source's latest status.
         seconds: how long it was listened to.
-        samples: poses of the body asked for, and accepted ones.
-        accepted: of these, how many passed the gates.
+        samples: number of poses of the named body.
+        accepted: number of these that passed the pose checks.
         rate_hz: of frames.
-        expected_rate_hz: the server's own figure; None if it did not tell.
+        expected_rate_hz: the server's own figure; None where unknown.
         clock: how poses are timed; empty before the first.
-        clock_sigma_ms: how well the server's clock is known.
+        clock_sigma_ms: standard deviation of the server's clock offset.
         latency_ms: median age of a pose when it arrives.
         jitter_ms: 95th minus 5th percentile of that age.
         height: median [m].
         tilt: median [rad].
-        refused: gates and how often each refused.
+        refused: pose checks that failed, and how often.
     """
 
     address: str
@@ -120,7 +131,7 @@ class MocapSeen:
 
 @dataclass(frozen=True)
 class SocketFound:
-    """A port in use on this machine that steerd cares about."""
+    """A port in use on this machine that zenoh, NatNet or VRPN use."""
 
     kind: str
     address: str
@@ -129,9 +140,9 @@ class SocketFound:
 
 
 def judge_vesc(vesc: VescFound, brakes: BrakeSettings) -> Iterator[Advice]:
-    """What keeps a VESC from being driven well."""
-    told = VescInfo(True, vesc.uuid, vesc.firmware, vesc.timeout_ms, vesc.timeout_brake_a)
-    for text in check_vesc(told, brakes):
+    """Findings about a VESC."""
+    info = VescInfo(True, vesc.uuid, vesc.firmware, vesc.timeout_ms, vesc.timeout_brake_a)
+    for text in check_vesc(info, brakes):
         what, _, fix = text.partition(": ")
         yield Advice(what, fix)
     if vesc.firmware < SERVO_SINCE:
@@ -142,31 +153,32 @@ def judge_vesc(vesc: VescFound, brakes: BrakeSettings) -> Iterator[Advice]:
         )
     else:
         yield Advice(
-            "no answer tells whether the servo output is on: commands to it are always accepted",
+            "the VESC does not report whether its servo output is on: it accepts servo commands "
+            "either way",
             f"if the wheels do not move in `steerd calibrate servo`, set {TOOL_SERVO}, with an app "
             "that does not use the PPM pin",
         )
     if vesc.fault:
-        yield Advice(f"the VESC reports {vesc.fault}", "VESC Tool: Terminal > `faults` tells more")
+        yield Advice(f"the VESC reports {vesc.fault}", "VESC Tool: Terminal > `faults` shows more")
     if vesc.voltage is not None and vesc.voltage < LOW_CELL * brakes.cells:
         yield Advice(
             f"the battery is at {vesc.voltage:.1f} V, {brakes.cells} cells",
             "charge it (or set [vesc] cells in the car file)",
         )
     slow = vesc.round_trip_ms is not None and vesc.round_trip_ms > ROUND_TRIP_MAX_MS
-    if slow or vesc.answered < 0.95:
+    if slow or vesc.answered < ANSWERED_MIN:
         yield Advice(
-            f"answers take {vesc.round_trip_ms or inf:.1f} ms and {vesc.answered:.0%} come",
+            f"answers take {vesc.round_trip_ms or inf:.1f} ms, {vesc.answered:.0%} of them arrive",
             "use a USB port of the computer itself, and a shorter cable",
         )
 
 
-def judge_mocap(seen: MocapSeen, asked: bool) -> Iterator[Advice]:
-    """What keeps a mocap source from being driven by.
+def judge_mocap(seen: MocapSeen, named: bool) -> Iterator[Advice]:
+    """Findings about a mocap source.
 
     Args:
         seen: what came.
-        asked: whether a body was asked for, or only a server.
+        named: whether a body was named, or only a server was found.
     """
     if not seen.server:
         yield Advice(
@@ -175,7 +187,7 @@ def judge_mocap(seen: MocapSeen, asked: bool) -> Iterator[Advice]:
             "'local interface', and does the firewall let UDP 1510 and 1511 (VRPN: TCP 3883) pass?",
         )
         return
-    if not asked:
+    if not named:
         return
     if not seen.samples:
         yield Advice(
@@ -183,10 +195,10 @@ def judge_mocap(seen: MocapSeen, asked: bool) -> Iterator[Advice]:
         )
         return
     yield from _judge_poses(seen)
-    if seen.expected_rate_hz and seen.rate_hz < 0.8 * seen.expected_rate_hz:
+    if seen.expected_rate_hz and seen.rate_hz < RATE_MIN * seen.expected_rate_hz:
         yield Advice(
             f"{seen.rate_hz:.0f} of {seen.expected_rate_hz:.0f} frames per second arrive",
-            "use a cable instead of Wi-Fi, or ask the server for less (fewer bodies, no markers)",
+            "use a cable instead of Wi-Fi, or stream less (fewer bodies, no markers)",
         )
     if seen.jitter_ms is not None and seen.jitter_ms > JITTER_MAX_MS:
         yield Advice(
@@ -204,7 +216,7 @@ def _why_no_pose(bodies: Sequence[str]) -> str:
     )
 
 
-_GATES = {
+_FIXES = {
     "units": "set [mocap] units = \"mm\" in the car file",
     "tilt": "set [mocap] up to the server's up axis, or reset the body's orientation there",
     "height": "does another body have its markers? make the marker patterns differ",
@@ -215,11 +227,15 @@ _GATES = {
 
 
 def _judge_poses(seen: MocapSeen) -> Iterator[Advice]:
-    for gate, count in seen.refused:
-        if count > 0.02 * seen.samples:
-            fix = _GATES.get(gate, REASONS.get(gate, ""))
-            yield Advice(f"{count} of {seen.samples} poses are refused: {gate}", fix)
-    if seen.tilt is not None and seen.tilt > 0.1 and not any(g == "tilt" for g, _ in seen.refused):
+    for check, count in seen.refused:
+        if count > REJECTED_MAX * seen.samples:
+            fix = _FIXES.get(check, REASONS.get(check, ""))
+            yield Advice(f"{count} of {seen.samples} poses are rejected: {check}", fix)
+    if (
+        seen.tilt is not None
+        and seen.tilt > TILT_MAX
+        and all(check != "tilt" for check, _ in seen.refused)
+    ):
         yield Advice(
             f"the body leans by {degrees(seen.tilt):.0f}° while the car stands",
             "reset the body's orientation in the mocap software with the car on the floor",
@@ -227,7 +243,7 @@ def _judge_poses(seen: MocapSeen) -> Iterator[Advice]:
 
 
 def read_sockets(text: str, kind: str) -> Iterator[SocketFound]:
-    """The ports in use that steerd cares about, from `/proc/net/tcp` or `udp`.
+    """Sockets in use on ports that zenoh, NatNet or VRPN use, from `/proc/net/tcp` or `udp`.
 
     Args:
         text: the file's content.

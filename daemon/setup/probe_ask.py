@@ -1,4 +1,4 @@
-"""Asking: serial ports whether they are VESCs, the network for mocap servers. Nothing moves."""
+"""Queries: which serial ports are VESCs, which mocap servers are on the network. Nothing moves."""
 
 import contextlib
 import os
@@ -35,8 +35,13 @@ from steerd.vesc_link.transport import Port, PortError, open_port
 from steerd.vesc_link.vesc import VescLink
 
 CONNECT_NS = 1_500_000_000
+"""A VESC that has not identified itself after this is none [ns]."""
 POLLS = 50
+"""Requests for telemetry whose answers are counted."""
 POLL_NS = 10_000_000
+"""Time between two of them [ns]."""
+DISCOVERY_NS = 1_000_000_000
+"""NatNet servers answer a discovery within this time [ns]."""
 BROADCAST = ("255.255.255.255", "127.0.0.1")
 
 
@@ -58,7 +63,7 @@ def _usb_id(entry: Path) -> str:
 
 
 def ask_port(url: str, usb: str, clock: Clock, brakes: BrakeSettings) -> SerialFound:
-    """Ask a port who it is. Sends questions only: nothing that moves or keeps moving."""
+    """Identify the device on a port. Only requests are sent, nothing that moves the car."""
     try:
         port = open_port(url)
     except PortError as error:
@@ -76,13 +81,13 @@ def ask_port(url: str, usb: str, clock: Clock, brakes: BrakeSettings) -> SerialF
 
 
 def skip_port(url: str, usb: str) -> SerialFound:
-    """A port that is not asked: its USB id is another device's, a lidar's for instance."""
-    what = f"not asked: USB id {usb or 'unknown'}, a VESC has {VESC_USB}"
-    return SerialFound(url, usb, None, (Advice(what, f"steerd probe --port {url} asks it"),))
+    """A port that is left alone: its USB id is another device's, a lidar's for instance."""
+    what = f"left alone: USB id {usb or 'unknown'}, a VESC has {VESC_USB}"
+    return SerialFound(url, usb, None, (Advice(what, f"steerd probe --port {url}"),))
 
 
 def _exchange(port: Port, link: VescLink, clock: Clock, wire: bytes, ns: int) -> list[Event]:
-    """Write, and take what comes for so long."""
+    """Write, and collect events for `ns`."""
     if wire:
         port.write(wire)
     end, events = clock.now_ns() + ns, []
@@ -134,9 +139,9 @@ def discover(
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         sock.setblocking(False)
         for address in addresses:
-            with contextlib.suppress(OSError):  # no network is an answer, too
+            with contextlib.suppress(OSError):  # no network: no server
                 sock.sendto(natnet.encode(natnet.Discovery()), (address, port))
-        end = clock.now_ns() + 1_000_000_000
+        end = clock.now_ns() + DISCOVERY_NS
         while (left := end - clock.now_ns()) > 0:
             if not select.select([sock], [], [], left * 1e-9)[0]:
                 break
@@ -178,7 +183,7 @@ def _seen(
     receiver: MocapReceiver, address: str, samples: Sequence[PoseSample], seconds: float
 ) -> MocapSeen:
     status = receiver.status()
-    # The clock's first second is guesswork.
+    # The clock offset is not known well in the first second.
     age = np.array([(s.t_arrival_ns - s.t_valid_ns) * 1e-6 for s in samples[len(samples) // 3 :]])
     good = [s for s in samples if s.rejected is None]
     refused = {s.rejected for s in samples if s.rejected}
@@ -209,7 +214,7 @@ def _seen(
 
 
 def find_sockets(proc: Path = Path("/proc/net")) -> tuple[SocketFound, ...]:
-    """Ports in use that steerd cares about."""
+    """Sockets in use on ports that zenoh, NatNet or VRPN use."""
     found: list[SocketFound] = []
     for name in ("tcp", "udp", "tcp6", "udp6"):
         with contextlib.suppress(OSError):

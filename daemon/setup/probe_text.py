@@ -1,14 +1,11 @@
-"""The findings of `steerd probe` for people."""
+"""The findings of `steerd probe` as text of at most 80 columns."""
 
-import textwrap
 from collections.abc import Iterator, Sequence
 from math import degrees
-from typing import Any
 
-from steerd.daemon.common.screen import WIDTH, clean
+from steerd.daemon.common.screen import clean, join_words, wrap
 from steerd.daemon.setup.probe import (
     UDEV_NAME,
-    UDEV_RULE,
     VESC_USB,
     Advice,
     MocapSeen,
@@ -17,9 +14,14 @@ from steerd.daemon.setup.probe import (
     VescFound,
 )
 
+NAME_MAX = 40
+"""Characters of a body's name that are shown."""
+ADVICE_MAX = 500
+"""Characters of a finding that are shown."""
+
 
 def format_serial(found: Sequence[SerialFound], may_open: bool) -> Iterator[str]:
-    """Serial ports, and the udev rule where a VESC is or could be."""
+    """Serial ports, and how to get the udev rule where a VESC is or could be."""
     yield "serial ports"
     if not found:
         yield "  none: is the VESC powered, and its USB cable one that carries data?"
@@ -32,20 +34,20 @@ def format_serial(found: Sequence[SerialFound], may_open: bool) -> Iterator[str]
         yield "  ! you are not in the group dialout"
         yield "    try: sudo usermod -aG dialout $USER, then log out and in again"
     if any(port.vesc or port.usb == VESC_USB for port in found):
-        yield f"  for /dev/vesc, and to keep ModemManager off it, put into {UDEV_NAME}:"
-        yield f"    {UDEV_RULE}"
+        yield "  for the name /dev/vesc, and to keep ModemManager away from it:"
+        yield f"    steerd service udev | sudo tee {UDEV_NAME}"
 
 
 def _vesc(v: VescFound) -> Iterator[str]:
     yield f"    VESC {clean(v.hardware, 30)}, firmware {v.firmware[0]}.{v.firmware[1]:02d}"
-    yield f"    UUID      {v.uuid or 'not told'}   (car file: [vesc] uuid)"
+    yield f"    UUID      {v.uuid or 'unknown'}   (car file: [vesc] uuid)"
     never = "never" if v.timeout_ms == 0 else f"{v.timeout_ms} ms"
     if v.timeout_ms is not None:
         yield f"    timeout   {never}, then {v.timeout_brake_a:g} A brake current"
     electrics = [f"{v.voltage:.1f} V"] if v.voltage is not None else []
     electrics += [f"{v.temp_fet_c:.0f} °C"] if v.temp_fet_c is not None else []
     electrics += ["IMU answers" if v.imu else "no IMU"]
-    yield f"    state     {', '.join(electrics)}, fault: {v.fault or 'none'}"
+    yield from _item("state", f"{', '.join(electrics)}, fault: {v.fault or 'none'}")
     if v.round_trip_ms is not None:
         yield f"    answers   {v.answered:.0%}, after {v.round_trip_ms:.1f} ms"
 
@@ -59,9 +61,10 @@ def format_mocap(found: Sequence[tuple[MocapSeen, tuple[Advice, ...]]]) -> Itera
     for seen, advice in found:
         yield f"  {clean(seen.address)}"
         if seen.server:
-            yield f"    server    {clean(seen.server)}"
+            yield from _item("server", clean(seen.server))
         if seen.bodies:
-            yield f"    bodies    {', '.join(clean(body, 40) for body in seen.bodies)}"
+            names = (join_words(clean(body, NAME_MAX)) for body in seen.bodies)
+            yield from _item("bodies", ", ".join(names))
         yield from _poses(seen)
         yield from _advice(advice)
 
@@ -74,12 +77,14 @@ def _poses(seen: MocapSeen) -> Iterator[str]:
         )
     if seen.latency_ms is not None:
         sigma = "" if seen.clock_sigma_ms is None else f" ± {seen.clock_sigma_ms:.2f} ms"
-        yield (
-            f"    time      by {seen.clock}{sigma}; {seen.latency_ms:.1f} ms old on arrival, "
-            f"varying by {seen.jitter_ms:.1f} ms"
+        figures = (
+            f"clock: {seen.clock}{sigma}",
+            f"age on arrival: {seen.latency_ms:.1f} ms",
+            f"jitter: {seen.jitter_ms:.1f} ms",
         )
+        yield from _item("time", ", ".join(map(join_words, figures)))
     if seen.height is not None and seen.tilt is not None:
-        yield f"    body      {seen.height:.3f} m high, leaning {degrees(seen.tilt):.1f}°"
+        yield f"    body      {seen.height:.3f} m high, tilted by {degrees(seen.tilt):.1f}°"
 
 
 def format_sockets(found: Sequence[SocketFound]) -> Iterator[str]:
@@ -91,19 +96,14 @@ def format_sockets(found: Sequence[SocketFound]) -> Iterator[str]:
         yield f"  {item.kind} {item.address}:{item.port}  {item.meaning}"
 
 
+def _item(label: str, text: str) -> list[str]:
+    return wrap(text, f"    {label:<10}", " " * 14)
+
+
 def _advice(advice: Sequence[Advice]) -> Iterator[str]:
     for item in advice:
-        yield from textwrap.wrap(clean(item.what, 500), WIDTH, **_indent("    ! ", "      "))
+        yield from wrap(clean(item.what, ADVICE_MAX), "    ! ", "      ")
         for i, line in enumerate(item.fix.splitlines()):
             head = "      try: " if i == 0 else "        "
             # A rule to paste must stay one line.
-            pasted = "ATTRS{" in line
-            yield from (
-                [head + line]
-                if pasted
-                else textwrap.wrap(line, WIDTH, **_indent(head, "           "))
-            )
-
-
-def _indent(first: str, rest: str) -> dict[str, Any]:
-    return {"initial_indent": first, "subsequent_indent": rest, "break_long_words": False}
+            yield from [head + line] if "ATTRS{" in line else wrap(line, head, "           ")

@@ -35,7 +35,7 @@ def test_sound_hardware_is_described(capsys):
     assert vesc["imu"]
     assert vesc["answered"] > 0.8
     assert [a["what"].split(":")[0] for a in port["advice"]][:1] == [
-        "no answer tells whether the servo output is on"
+        "the VESC does not report whether its servo output is on"
     ]
     assert source["bodies"] == ["car"]
     assert source["samples"] > 200

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
-    from steerd.daemon.setup.calibration import Steering
+    from steerd.daemon.setup.steering_calibration import SteeringCalibration
     from steerd.vesc_link.scaling import Scaling
 
 
@@ -47,23 +47,23 @@ def run(args: argparse.Namespace) -> int:
 
 def _from_session(args: argparse.Namespace) -> int:
     from steerd.daemon.settings.car_edit import load_text
-    from steerd.daemon.setup.calibration import calibrate_steering
-    from steerd.daemon.setup.calibration_data import load_recorded, make_motion, orders
+    from steerd.daemon.setup.calibration_data import load_recorded, make_motion, steering_commands
+    from steerd.daemon.setup.steering_calibration import calibrate_steering
 
     r = load_recorded(args.session)
     track = make_motion(r)
     found = calibrate_steering(
-        track.t, track.speed, track.yaw_rate, *orders(r), r.settings.file.car
+        track.t, track.speed, track.yaw_rate, *steering_commands(r), r.settings.file.car
     )
     scaling = servo_scaling(found, r.settings.scaling)
     print("\n".join(_describe(found, scaling)))
-    for doubt in found.doubts:
+    for doubt in found.warnings:
         print(f"warning: {doubt}", file=sys.stderr)
     text = load_text(args.car) if args.car else r.text
     return _finish(args, text, servo_values(scaling))
 
 
-def servo_scaling(found: "Steering", old: "Scaling") -> "Scaling":
+def servo_scaling(found: "SteeringCalibration", old: "Scaling") -> "Scaling":
     """Servo gain, centre and limits with which a commanded angle is the wheels' angle.
 
     A limit moves inwards only, to where the wheels stopped following.
@@ -89,7 +89,7 @@ def servo_values(scaling: "Scaling") -> dict[tuple[str, str], float]:
     return {**values, ("car", "steer_gain"): 1.0, ("car", "steer_bias"): 0.0}
 
 
-def _describe(found: "Steering", scaling: "Scaling") -> list[str]:
+def _describe(found: "SteeringCalibration", scaling: "Scaling") -> list[str]:
     stops = {True: "a stop", False: "no stop met"}
     return [
         f"wheels = {found.gain:.3f} ± {found.sd_gain:.3f} × command "

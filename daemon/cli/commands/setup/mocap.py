@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
-    from steerd.daemon.setup.calibration import Calibration
     from steerd.daemon.setup.calibration_data import Recorded
     from steerd.daemon.setup.mocap_check import Check
+    from steerd.daemon.setup.mount_calibration import MountCalibration
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -115,15 +115,15 @@ def _calibrate(args: argparse.Namespace) -> int:
     from steerd.daemon.common.atomic_file import write_whole
     from steerd.daemon.common.outputs import check_outputs
     from steerd.daemon.settings.car_edit import edit_text, load_text
-    from steerd.daemon.setup.calibration import calibrate_mount
     from steerd.daemon.setup.calibration_data import load_recorded, make_drive
+    from steerd.daemon.setup.mount_calibration import calibrate_mount
 
     check_outputs({"-o": args.output})
     r = load_recorded(args.session)
     found = calibrate_mount(make_drive(r), r.settings.file.car)
     values = new_values(found, r)
     print("\n".join(_describe(found, r)))
-    for doubt in found.doubts:
+    for doubt in found.warnings:
         print(f"warning: {doubt}", file=sys.stderr)
     base = load_text(args.car) if args.car else r.text
     text = edit_text(base, values)
@@ -135,7 +135,7 @@ def _calibrate(args: argparse.Namespace) -> int:
     return ExitCode.OK
 
 
-def new_values(found: "Calibration", r: "Recorded") -> dict[tuple[str, str], float]:
+def new_values(found: "MountCalibration", r: "Recorded") -> dict[tuple[str, str], float]:
     """What goes into the car file. A delay within its error of zero is none."""
     m, sd = found.mount, found.sd
     delay = m.delay if m.delay > 2.0 * sd.delay else 0.0
@@ -149,7 +149,7 @@ def new_values(found: "Calibration", r: "Recorded") -> dict[tuple[str, str], flo
     }
 
 
-def _describe(found: "Calibration", r: "Recorded") -> list[str]:
+def _describe(found: "MountCalibration", r: "Recorded") -> list[str]:
     m, sd, frame = found.mount, found.sd, r.settings.ingest.frame
     gain = r.settings.scaling.erpm_gain
     moved = hypot(m.rear_x - frame.marker_rear_x, m.rear_y - frame.marker_rear_y)

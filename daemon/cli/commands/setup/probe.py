@@ -1,6 +1,6 @@
-"""What hardware is there, what is wrong with it, and what to do: VESCs, mocap servers, sockets.
+"""Find VESCs, mocap servers and sockets; say what is wrong and what to do.
 
-Asks questions only: nothing moves. A running `steerd run` holds its port, so stop it first.
+Nothing moves. A running `steerd run` holds its port: stop it first.
 
 steerd probe
 steerd probe --port /dev/ttyACM0 --mocap natnet://192.168.1.10/car
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Where to look."""
-    parser.add_argument("--port", metavar="DEV", help="ask this port only, whatever its USB id")
+    parser.add_argument("--port", metavar="DEV", help="query this port only, whatever its USB id")
     parser.add_argument("--mocap", metavar="URL", help="listen to this source, as `steerd run`")
     parser.add_argument("--car", metavar="FILE.toml", help="car file: units, axes, cells, timeout")
     parser.add_argument(
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look, and say what was found; code 3 if what was named cannot be used.
+    """Print the findings; exit code 3 if what was named cannot be used.
 
     Raises:
         SteerdError: the mocap address or the car file makes no sense.
@@ -96,4 +96,4 @@ def _mocap(
             raise SteerdError(f"--mocap {address}: {error}", "", ExitCode.USAGE) from None
         except OSError as error:
             seen = MocapSeen(address, detail=str(error))
-        yield seen, tuple(judge_mocap(seen, asked=text is not None))
+        yield seen, tuple(judge_mocap(seen, named=text is not None))

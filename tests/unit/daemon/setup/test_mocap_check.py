@@ -64,10 +64,10 @@ def test_a_mirrored_world():
 
 def test_a_car_that_stands_leans_or_is_not_seen():
     m = movement(FrameConfig(up="y", body_forward="+z"), length=0.1)
-    assert "push the car" in failed(m)["way"]
+    assert "push the car" in failed(m)["distance"]
     m = movement(FrameConfig(up="y", body_forward="+z"))
     assert "orientation" in failed(Movement(
         m.t, m.x, m.y, m.yaw, m.height, m.tilt + 0.2))["level"]  # fmt: skip
     assert "probe" in failed(m, refused=100)["stream"]
     far = Movement(m.t, 1e4 * m.x, 1e4 * m.y, m.yaw, m.height, m.tilt)
-    assert "millimetres" in failed(far)["way"]
+    assert "millimetres" in failed(far)["distance"]

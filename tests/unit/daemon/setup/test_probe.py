@@ -14,7 +14,8 @@ from steerd.daemon.setup.probe import (
     read_sockets,
 )
 from steerd.daemon.setup.probe_ask import find_ports, find_sockets
-from steerd.daemon.setup.probe_text import WIDTH, format_mocap, format_serial, format_sockets
+from steerd.daemon.setup.probe_text import format_mocap, format_serial, format_sockets
+from steerd.mocap_link.gates import REASONS
 
 GOOD = VescFound((6, 5), "60_MK6", "ab" * 12, 150, 20.0, 11.8, "", 25.0, 1.5, 1.0, True)
 SEEN = MocapSeen(
@@ -27,9 +28,9 @@ def fixes(advice):
     return " | ".join(f"{a.what} -> {a.fix}" for a in advice)
 
 
-def test_a_sound_vesc_leaves_only_what_nobody_can_ask():
+def test_a_sound_vesc_leaves_only_what_no_vesc_reports():
     assert [a.what.split(":")[0] for a in judge_vesc(GOOD, BrakeSettings())] == [
-        "no answer tells whether the servo output is on"
+        "the VESC does not report whether its servo output is on"
     ]
 
 
@@ -44,7 +45,7 @@ def test_a_sound_vesc_leaves_only_what_nobody_can_ask():
         ({"fault": "UNDER_VOLTAGE"}, "UNDER_VOLTAGE -> VESC Tool"),
         ({"voltage": 9.5}, "the battery is at 9.5 V, 3 cells -> charge it"),
         ({"round_trip_ms": 40.0}, "answers take 40.0 ms"),
-        ({"answered": 0.5}, "50% come"),
+        ({"answered": 0.5}, "50% of them arrive"),
     ],
 )
 def test_what_is_wrong_with_a_vesc(change, said):
@@ -60,19 +61,19 @@ def test_what_is_wrong_with_a_vesc(change, said):
         ({"rate_hz": 60.0}, "60 of 100 frames per second arrive -> use a cable"),
         ({"jitter_ms": 30.0}, "varies by 30 ms"),
         ({"refused": (("units", 300),)}, 'units -> set [mocap] units = "mm"'),
-        ({"refused": (("strange", 300),)}, "docs/reference/mocap.md"),
+        ({"refused": (("jump", 300),)}, f"jump -> {REASONS['jump']}"),
         ({"tilt": 0.5}, "leans by 29°"),
     ],
 )
 def test_what_is_wrong_with_a_source(change, said):
-    assert said in fixes(judge_mocap(replace(SEEN, **change), asked=True))
+    assert said in fixes(judge_mocap(replace(SEEN, **change), named=True))
 
 
-def test_a_sound_source_and_a_server_without_a_body_asked_for():
-    assert list(judge_mocap(SEEN, asked=True)) == []
-    assert list(judge_mocap(replace(SEEN, samples=0), asked=False)) == []
+def test_a_sound_source_and_a_server_without_a_named_body():
+    assert list(judge_mocap(SEEN, named=True)) == []
+    assert list(judge_mocap(replace(SEEN, samples=0), named=False)) == []
     rare = replace(SEEN, refused=(("jump", 2),))
-    assert list(judge_mocap(rare, asked=True)) == []
+    assert list(judge_mocap(rare, named=True)) == []
 
 
 TCP = """  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid
@@ -114,18 +115,15 @@ def test_ports_by_their_usb_ids(tmp_path):
     }
 
 
-def test_the_text_names_the_rule_and_fits_the_screen():
+def test_the_text_names_the_udev_file_and_fits_80_columns():
     bad = replace(GOOD, timeout_ms=0, fault="ABS_OVER_CURRENT", voltage=9.0)
     advice = tuple(judge_vesc(bad, BrakeSettings()))
     lines = list(format_serial([SerialFound("/dev/ttyACM0", "0483:5740", bad, advice)], False))
     text = "\n".join(lines)
     assert "timeout   never, then 20 A" in text
     assert "sudo usermod -aG dialout" in text
-    assert all(len(line) <= WIDTH for line in lines if "ATTRS{" not in line)
-    rules = [line for line in lines if "ATTRS{" in line]
-    assert len(rules) == 1
-    assert 'ATTRS{idProduct}=="5740"' in rules[0]
-    assert "ID_MM_DEVICE_IGNORE" in rules[0]
-    shown = "\n".join(format_mocap([(SEEN, tuple(judge_mocap(SEEN, asked=True)))]))
+    assert max(map(len, lines)) <= 80
+    assert "    steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules" in lines
+    shown = "\n".join(format_mocap([(SEEN, tuple(judge_mocap(SEEN, named=True)))]))
     assert "100 of 100 Hz, 300 of 300 accepted" in shown
     assert "!" not in shown

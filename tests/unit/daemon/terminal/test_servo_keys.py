@@ -3,7 +3,7 @@
 import pytest
 
 from steerd.daemon.cli.commands.setup.calibrate import servo_scaling, servo_values
-from steerd.daemon.setup.calibration import Steering
+from steerd.daemon.setup.steering_calibration import SteeringCalibration
 from steerd.daemon.terminal.servo_keys import Servo, press
 from steerd.vesc_link.scaling import F1TENTH, Scaling, steer_to_servo_pos
 
@@ -42,9 +42,9 @@ def steering(**change):
     values = {
         "gain": 0.9, "bias": 0.02, "delay": 0.05, "left": 0.25, "right": -0.2,
         "clipped_left": False, "clipped_right": False, "residual": 0.001, "sd_gain": 0.0,
-        "sd_bias": 0.0, "doubts": (),
+        "sd_bias": 0.0, "warnings": (),
     }  # fmt: skip
-    return Steering(**{**values, **change})
+    return SteeringCalibration(**{**values, **change})
 
 
 @pytest.mark.parametrize("angle", [-0.2, 0.0, 0.17])

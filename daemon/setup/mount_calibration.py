@@ -1,0 +1,230 @@
+"""Where the mocap body sits on the car, the gain of the wheels and the delay of the poses.
+
+Estimated from one slow drive. The centre of the rear axle has no lateral velocity but the tyres'
+small slip. With the body's velocity (u_x, u_y) and yaw rate w in the car's axes (origin at the rear
+axle, a left turn positive):
+
+    u_y = r_x w - slip u_x^2 w         u_x = gain v_wheel - r_y w
+
+so two least squares give the body's place (r_x, r_y), its heading error and the wheels' gain; the
+delay is the one at which poses and wheels agree best while the speed changes. Pure.
+"""
+
+from dataclasses import dataclass, fields
+from math import atan2, cos, sin
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from steerd.car_model.params import GRAVITY, Car
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.sessions.motion import Array
+from steerd.daemon.setup.least_squares import (
+    MOVING,
+    Mask,
+    find_delay,
+    find_slip_warnings,
+    jackknife_sd,
+    make_jackknife_masks,
+    solve_least_squares,
+)
+
+RATE = 100.0
+"""Sampling rate of the velocities [Hz]."""
+WINDOW = 0.25
+"""Window of the Savitzky-Golay filter that differentiates [s]."""
+ORDER = 3
+"""Its polynomial order."""
+GAP = 0.1
+"""No velocity is taken across a longer gap between poses [s]."""
+SLIP_PRIOR_SHARE = 0.5
+"""Standard deviation of the prior of the slip, as a share of the car file's value [-]."""
+LATERAL_NOISE = 0.03
+"""Noise of a lateral velocity, for the weight of that prior [m/s]: 6 mm/s, correlated over the 25
+samples of `WINDOW`."""
+SECONDS_MIN, TURN_MIN, SPEED_SPREAD_MIN = 5.0, 0.15, 0.1
+"""Least motion [s], turning [rad/s, rms] and change of speed [m/s, rms] of a drive."""
+GAIN_MIN, GAIN_MAX = 0.2, 5.0
+"""Gains of the wheels beyond these are a wrong unit or another car [-]."""
+ITERATIONS = 4
+"""Iterations of the heading, whose equation is linearised [-]."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Body poses in the room (no offsets applied) and wheel speed; times in seconds.
+
+    Attributes:
+        t, x, y, yaw: of the body's origin and forward axis [s, m, m, rad].
+        t_wheel, wheel: reported speed [s, m/s].
+    """
+
+    t: Array
+    x: Array
+    y: Array
+    yaw: Array
+    t_wheel: Array
+    wheel: Array
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Place of the mocap body on the car, gain of the wheels and delay of the poses.
+
+    Attributes:
+        yaw: heading of the body's forward axis in the car [rad].
+        rear_x, rear_y: the body's origin ahead of the rear axle and to the left [m].
+        speed_gain: true speed per reported one.
+        delay: of the poses beyond their time stamps [s].
+    """
+
+    yaw: float
+    rear_x: float
+    rear_y: float
+    speed_gain: float
+    delay: float
+
+
+@dataclass(frozen=True)
+class MountCalibration:
+    """A mount with standard errors and warnings about the drive.
+
+    Attributes:
+        mount: the values.
+        sd: their standard errors.
+        seconds: duration of the motion that was used.
+        warnings: what the drive identifies badly, one sentence each.
+        residual: of the lateral velocity [m/s, rms].
+    """
+
+    mount: Mount
+    sd: Mount
+    seconds: float
+    warnings: tuple[str, ...]
+    residual: float
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Body velocities on a uniform grid, in the room."""
+
+    t: Array
+    vx: Array
+    vy: Array
+    yaw: Array
+    yaw_rate: Array
+    good: Mask
+
+
+def slip_per_accel(car: Car[float]) -> float:
+    """Slip angle of the rear axle per lateral acceleration [rad s^2/m]: 1 / (mu g C_Sr)."""
+    return 1.0 / (car.mu * GRAVITY * car.c_sr)
+
+
+def calibrate_mount(drive: Drive, car: Car[float]) -> MountCalibration:
+    """Estimate the mount from a drive.
+
+    Raises:
+        SteerdError: the car barely moves, never turns, or poses and wheels do not belong
+            together.
+    """
+    motion = _differentiate(drive)
+    _expect_motion(motion)
+    slip = slip_per_accel(car)
+    mount, residual = _solve(motion, drive, slip, motion.good)
+    if not GAIN_MIN < mount.speed_gain < GAIN_MAX:
+        what = f"the poses move {mount.speed_gain:.3g} times as far as the wheels say"
+        hint = "check [mocap] units, [vesc] erpm_gain, and that this body is on this car"
+        raise SteerdError(what, hint)
+    parts = [_solve(motion, drive, slip, keep)[0] for keep in make_jackknife_masks(motion.good)]
+    names = [f.name for f in fields(Mount)]
+    rows = [np.array([getattr(part, name) for name in names]) for part in parts]
+    sd = dict(zip(names, jackknife_sd(rows), strict=True))
+    # The uncertainty of the slip is common to all parts, so the jackknife does not show it.
+    sd["rear_x"] = float(np.hypot(sd["rear_x"], _slip_sd(motion, slip)))
+    seconds = float(motion.good.sum()) / RATE
+    warnings = tuple(_find_warnings(motion, drive))
+    return MountCalibration(mount, Mount(**sd), seconds, warnings, residual)
+
+
+def _differentiate(drive: Drive) -> _Motion:
+    t = np.arange(drive.t[0], drive.t[-1], 1.0 / RATE)
+    length = int(WINDOW * RATE) | 1
+    if len(t) < 4 * length:
+        raise SteerdError(f"the drive is {drive.t[-1] - drive.t[0]:.1f} s long: too short")
+    smooth = {}
+    for name, column in (("x", drive.x), ("y", drive.y), ("yaw", np.unwrap(drive.yaw))):
+        even = np.interp(t, drive.t, column)
+        smooth[name] = savgol_filter(even, length, ORDER)
+        smooth[f"{name}'"] = savgol_filter(even, length, ORDER, deriv=1, delta=1.0 / RATE)
+    after = np.clip(np.searchsorted(drive.t, t), 1, len(drive.t) - 1)
+    whole = (drive.t[after] - drive.t[after - 1] < GAP).astype(float)
+    whole = np.convolve(whole, np.ones(length), "same") > length - 0.5
+    fast = np.hypot(smooth["x'"], smooth["y'"]) > MOVING
+    return _Motion(t, smooth["x'"], smooth["y'"], smooth["yaw"], smooth["yaw'"], whole & fast)
+
+
+def _expect_motion(motion: _Motion) -> None:
+    seconds = motion.good.sum() / RATE
+    hint = "drive a minute below 1.5 m/s: straight on, and circles to both sides, at two speeds"
+    if seconds < SECONDS_MIN:
+        raise SteerdError(f"the car moves for {seconds:.1f} s: too little", hint)
+    turning = float(np.sqrt(np.mean(motion.yaw_rate[motion.good] ** 2)))
+    if turning < TURN_MIN:
+        raise SteerdError(f"the car turns with {turning:.2f} rad/s (rms): too little", hint)
+
+
+def _solve(m: _Motion, drive: Drive, slip: float, good: Mask) -> tuple[Mount, float]:
+    """The mount from some of the samples, and the residual of the lateral velocity."""
+    w = m.yaw_rate[good]
+    c, s = np.cos(m.yaw[good]), np.sin(m.yaw[good])
+    bx = m.vx[good] * c + m.vy[good] * s
+    by = m.vy[good] * c - m.vx[good] * s
+    wheel = np.interp(m.t[good], drive.t_wheel, drive.wheel)
+    ahead = np.sign(wheel) * (np.abs(wheel) > MOVING / 2)
+    yaw = -atan2(float(np.sum(ahead * by)), float(np.sum(ahead * bx)))
+    rear_x, residual = 0.0, 0.0
+    for _ in range(ITERATIONS):
+        ux, uy = cos(yaw) * bx - sin(yaw) * by, sin(yaw) * bx + cos(yaw) * by
+        turn, rear_x, residual = _lateral(ux, uy, w, slip)
+        yaw += turn
+    ux = cos(yaw) * bx - sin(yaw) * by
+
+    def forward(delay: float) -> tuple[Array, Array]:
+        reported = np.interp(m.t[good] - delay, drive.t_wheel, drive.wheel)
+        return solve_least_squares(np.column_stack([reported, -w]), ux)
+
+    delay = find_delay(lambda tau: float(np.sum(forward(tau)[1] ** 2)))
+    gain, rear_y = forward(delay)[0]
+    return Mount(yaw, rear_x, float(rear_y), float(gain), delay), residual
+
+
+def _lateral(ux: Array, uy: Array, w: Array, slip: float) -> tuple[float, float, float]:
+    """Remaining heading error [rad], r_x [m], residual [m/s, rms].
+
+    The prior of the slip is one more row, weighted by its standard deviation.
+    """
+    rows = np.column_stack([w, -ux, -(ux**2) * w])
+    weight = LATERAL_NOISE / (SLIP_PRIOR_SHARE * slip)
+    rows = np.vstack([rows, [0.0, 0.0, weight]])
+    (rear_x, turn, _), left = solve_least_squares(rows, np.append(uy, weight * slip))
+    return float(turn), float(rear_x), float(np.sqrt(np.mean(left[:-1] ** 2)))
+
+
+def _slip_sd(m: _Motion, slip: float) -> float:
+    """Standard error of r_x from the uncertainty of the slip [m]."""
+    speed, w = np.hypot(m.vx, m.vy)[m.good], m.yaw_rate[m.good]
+    rows = np.column_stack([w, -speed, -(speed**2) * w])
+    rows = np.vstack([rows, [0.0, 0.0, LATERAL_NOISE / (SLIP_PRIOR_SHARE * slip)]])
+    return LATERAL_NOISE * float(np.sqrt(np.linalg.inv(rows.T @ rows)[0, 0]))
+
+
+def _find_warnings(m: _Motion, drive: Drive) -> list[str]:
+    warnings = []
+    w = m.yaw_rate[m.good]
+    if not (w.max() > TURN_MIN and w.min() < -TURN_MIN):
+        warnings.append("it turns to one side only: drive circles to both sides")
+    wheel = np.interp(m.t[m.good], drive.t_wheel, drive.wheel)
+    if float(np.std(wheel)) < SPEED_SPREAD_MIN:
+        warnings.append("its speed is almost constant, so the delay is uncertain: vary the speed")
+    return [*warnings, *find_slip_warnings((m.yaw_rate * np.hypot(m.vx, m.vy))[m.good])]

@@ -1,0 +1,158 @@
+"""Gain, centre, delay and limits of the steering, from its commands and the turning. Pure."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from steerd.car_model.params import GRAVITY, Car
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.sessions.motion import Array
+from steerd.daemon.setup.least_squares import (
+    MOVING,
+    Mask,
+    find_delay,
+    find_slip_warnings,
+    jackknife_sd,
+    make_jackknife_masks,
+    solve_least_squares,
+)
+
+STEADY_BEFORE, STEADY_AFTER, STEADY_STEP = 0.25, 0.15, 0.02
+"""Stretch about a sample over which its command must be steady [s]: the servo's lag before it, half
+the window of the differentiation after it; and the spacing of the instants looked at [s]."""
+STEADY = 0.02
+"""Largest distance of a steady command from a straight line over that stretch [rad]: then one delay
+describes the wheels, also on a ramp."""
+SAMPLES_MIN = 200
+"""Fewer samples, two seconds of them, identify nothing."""
+STEER_SD_MIN = 0.02
+"""Commands that vary less do not excite the steering [rad]."""
+GAIN_MIN = 0.1
+"""A smaller gain is a wrong sign or a servo that does not follow [-]."""
+SD_GAIN_MAX = 0.05
+"""Largest standard error of a gain that may be driven with [-]."""
+CLIP = 0.035
+"""Wheels that stay this far behind the largest commands have reached a stop [rad]."""
+_EIGHT = "drive a figure of eight"
+
+
+@dataclass(frozen=True)
+class SteeringCalibration:
+    """How the wheels follow the commands of a drive.
+
+    Attributes:
+        gain: wheel angle per commanded angle.
+        bias: wheel angle at command zero [rad].
+        delay: from command to wheel, lag included [s].
+        left, right: largest angles that the wheels reached [rad]; right is negative.
+        clipped_left, clipped_right: whether commands beyond them had no effect.
+        residual: [rad, rms].
+        sd_gain, sd_bias: standard errors.
+        warnings: what the drive identifies badly, one sentence each.
+    """
+
+    gain: float
+    bias: float
+    delay: float
+    left: float
+    right: float
+    clipped_left: bool
+    clipped_right: bool
+    residual: float
+    sd_gain: float
+    sd_bias: float
+    warnings: tuple[str, ...]
+
+
+def calibrate_steering(
+    t: Array, speed: Array, yaw_rate: Array, t_command: Array, command: Array, car: Car[float]
+) -> SteeringCalibration:
+    """Estimate gain and centre of the steering from commands and the turning that followed.
+
+    The wheel angle that a steady turn needs is atan(L curvature) plus the difference of the axles'
+    slip, curvature v^2 (alpha_f - alpha_r per acceleration), after the car file's tyres.
+
+    Args:
+        t: times of the motion [s].
+        speed: of the car [m/s].
+        yaw_rate: of the car [rad/s].
+        t_command: times of the commands [s].
+        command: steering angles commanded [rad].
+        car: geometry and tyres.
+
+    Raises:
+        SteerdError: the car barely moves, or its steering is barely used.
+    """
+    good = np.isfinite(speed) & np.isfinite(yaw_rate) & (speed > MOVING)
+    if good.sum() < SAMPLES_MIN:
+        raise SteerdError("the car barely moves forward: its steering is not identifiable")
+    t, v, w = t[good], speed[good], yaw_rate[good]
+    length = car.lf + car.lr
+    slip = (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
+    angle = np.arctan(length * w / v) + slip * v * w
+    now = np.interp(t, t_command, command)
+    low, high = now.min(), now.max()
+    steady = _find_steady(t, t_command, command)
+    _check_steering(now, steady)
+
+    def fit(delay: float, keep: Mask = steady) -> tuple[Array, Array, Array]:
+        commanded = np.interp(t - delay, t_command, command)
+        # The outer quarters may lie beyond a stop, unless nothing else was driven.
+        inner = keep & (np.abs(commanded - (low + high) / 2) <= (high - low) / 4)
+        used = inner if np.std(commanded[inner]) > 0.1 * (high - low) else keep
+        rows = np.column_stack([commanded[used], np.ones(used.sum())])
+        return (*solve_least_squares(rows, angle[used]), commanded)
+
+    delay = find_delay(lambda tau: float(np.mean(fit(tau)[1] ** 2)))
+    (gain, bias), left, commanded = fit(delay)
+    sd_gain, sd_bias = jackknife_sd([fit(delay, part)[0] for part in make_jackknife_masks(steady)])
+    _check_gain(float(gain), sd_gain)
+    ends = [_find_end(angle, gain * commanded + bias, side) for side in (1.0, -1.0)]
+    return SteeringCalibration(
+        gain=float(gain),
+        bias=float(bias),
+        delay=delay,
+        left=ends[0][0],
+        right=-ends[1][0],
+        clipped_left=ends[0][1],
+        clipped_right=ends[1][1],
+        residual=float(np.sqrt(np.mean(left**2))),
+        sd_gain=sd_gain,
+        sd_bias=sd_bias,
+        warnings=tuple(find_slip_warnings(v * w)),
+    )
+
+
+def _check_steering(commanded: Array, steady: Mask) -> None:
+    if np.std(commanded) < STEER_SD_MIN:
+        raise SteerdError("the steering is barely used in this drive", _EIGHT)
+    if steady.sum() < SAMPLES_MIN:
+        raise SteerdError("the steering swings too fast for the car to follow", _EIGHT)
+
+
+def _check_gain(gain: float, sd: float) -> None:
+    if gain < GAIN_MIN:
+        what = f"the car turns {gain:+.2f} times as much as commanded"
+        hint = "if negative, change the sign of [vesc] servo_gain, else see `steerd probe`"
+        raise SteerdError(what, hint, ExitCode.INVALID)
+    if sd > SD_GAIN_MAX:
+        what = f"the steering gain is identified to ±{sd:.2f} only"
+        raise SteerdError(what, f"{_EIGHT}, slowly", ExitCode.STOPPED)
+
+
+def _find_steady(t: Array, t_command: Array, command: Array) -> Mask:
+    """Where the command is steady enough for the wheels to have followed it."""
+    offsets = np.arange(-STEADY_BEFORE, STEADY_AFTER, STEADY_STEP)
+    around = np.stack([np.interp(t + dt, t_command, command) for dt in offsets])
+    share = ((offsets - offsets[0]) / np.ptp(offsets))[:, None]
+    line = (1.0 - share) * around[0] + share * around[-1]
+    return np.asarray(np.abs(around - line).max(axis=0) < STEADY, dtype=np.bool_)
+
+
+def _find_end(angle: Array, predicted: Array, side: float) -> tuple[float, bool]:
+    """The largest angle on one side, and whether the wheels stayed behind the commands there."""
+    reached, aim = side * angle, side * predicted
+    outer = aim >= np.quantile(aim, 0.95)
+    behind = float(np.median(aim[outer] - reached[outer]))
+    top = float(np.median(reached[outer])) if behind > CLIP else float(np.quantile(reached, 0.99))
+    return top, behind > CLIP
