@@ -1,1 +1,1 @@
-"""Other people's logs as sessions: csv files and ROS bags, through a map."""
+"""Imports: csv files and ROS bags of other systems become sessions, through a map."""

@@ -1,4 +1,4 @@
-"""A ROS 1 or ROS 2 bag as a session, through rosbags (optional extra `bag`, known only here).
+"""A ROS 1 or ROS 2 bag as a session, read by rosbags (optional, imported only here).
 
 A bag's own message definitions are used; bags that carry none (rosbag2's older SQLite files) are
 read with ROS's standard ones and those of `ackermann_msgs`, `vesc_msgs` and `phasespace_msgs`.
@@ -60,12 +60,16 @@ _TYPES: Mapping[str, tuple[str, ...]] = {
 }
 _OUT: Mapping[str, Topic] = {"pose": MOCAP, "command": ACTUATION, "vesc": VESC, "wheel": WHEEL}
 _OTHER_CLOCK_NS = 10_000_000_000
+"""Header stamps this far from the bag's time are of another clock [ns]."""
 _ADVANCE_MESSAGES = 1000
+"""Messages between two reports of progress."""
+_SHOWN = 8
+"""Topics that an error lists."""
 
 
 @dataclass(frozen=True)
 class BagChoice:
-    """What the command line says beyond the map.
+    """Choices of the command line, which override the map.
 
     Attributes:
         topics: `TOPIC`, or `ROLE=TOPIC` with a role of `ROLES`.
@@ -85,8 +89,8 @@ def import_bag(
         source: a ROS 1 `.bag`, a ROS 2 bag folder, or one `.mcap` or `.db3` file of one.
         map_path: a map with `[topics]`, `[frame]` or `[session]`; may be left out.
         out: the session to write; nothing is left of it after an error.
-        choice: topics and body, over the map's.
-        advance: told the share of the bag's time read so far, 0 to 1.
+        choice: topics and body; they override the map's.
+        advance: called with the share of the bag's time read so far, 0 to 1.
 
     Raises:
         SteerdError: rosbags is missing, or something is wrong with bag, map or output.
@@ -96,13 +100,13 @@ def import_bag(
     notes = ImportNotes()
     if not source.exists():
         raise SteerdError(f"{source} does not exist", "", ExitCode.UNREADABLE)
-    with closing(_guarded(source, lambda: _open(source))) as reader:
+    with closing(_call_rosbags(source, lambda: _open(source))) as reader:
         the_map = replace(
             the_map,
             epoch_ns=max(reader.start_time, 0) if reader.message_count else 0,
             rigid=the_map.rigid if choice.rigid is None else choice.rigid,
         )
-        roles = _choose(source, reader, the_map.topics, choice.topics)
+        roles = _choose_topics(source, reader, the_map.topics, choice.topics)
         maker = MessageMaker(the_map.epoch_ns, the_map.frame)
         bag = _Bag(source, reader, roles, the_map, notes, maker)
         topics = [_OUT[role] for role in roles]
@@ -127,8 +131,8 @@ def _open(source: Path) -> "AnyReader":
     return reader
 
 
-def _guarded(source: Path, read: Callable[[], T]) -> T:
-    """Call into rosbags, whose readers raise whatever a damaged file makes them raise."""
+def _call_rosbags(source: Path, read: Callable[[], T]) -> T:
+    """Call rosbags, whose readers raise errors of any type on a damaged file."""
     try:
         return read()
     except SteerdError:
@@ -140,18 +144,18 @@ def _guarded(source: Path, read: Callable[[], T]) -> T:
         raise SteerdError(what, hint, ExitCode.UNREADABLE) from error
 
 
-# -- which topic is what -------------------------------------------------------------------------
+# -- roles of topics -----------------------------------------------------------------------------
 
 
-def _choose(
-    source: Path, reader: "AnyReader", mapped: Mapping[str, str], asked: Iterable[str]
+def _choose_topics(
+    source: Path, reader: "AnyReader", mapped: Mapping[str, str], named: Iterable[str]
 ) -> dict[str, str]:
-    """Role to topic: as asked, else as mapped, else the only topic of a fitting type."""
+    """Role to topic: as named, else as mapped, else the only topic of a fitting type."""
     types = {c.topic: c.msgtype for c in reader.connections if c.msgcount}
     chosen = dict(mapped)
-    for text in asked:
+    for text in named:
         role, equals, topic = text.rpartition("=")
-        chosen[role if equals else _role_of(source, types, topic)] = topic
+        chosen[role if equals else _find_role(source, types, topic)] = topic
     for role, topic in chosen.items():
         _check_role(source, types, role, topic)
     several = []
@@ -161,17 +165,19 @@ def _choose(
             continue
         chosen[role] = found[0]
         if len(found) > 1:
-            listed = ", ".join(f"{t} ({types[t].rpartition('/')[2]})" for t in found[:8])
+            listed = ", ".join(f"{t} ({types[t].rpartition('/')[2]})" for t in found[:_SHOWN])
             several.append(f"{role}: {listed}")
     if several:
         what = f"{source.name} has several topics for {'; '.join(several)}"
         raise SteerdError(what, "choose each with --topic TOPIC", ExitCode.USAGE)
     if not chosen:
-        raise SteerdError(f"{source.name} has no topic that steerd knows", _has(types))
+        raise SteerdError(
+            f"{source.name} has no topic of a type that steerd reads", _list_topics(types)
+        )
     return chosen
 
 
-def _role_of(source: Path, types: Mapping[str, str], topic: str) -> str:
+def _find_role(source: Path, types: Mapping[str, str], topic: str) -> str:
     for role in ROLES:
         if types.get(topic) in _TYPES[role]:
             return role
@@ -189,11 +195,13 @@ def _check_role(source: Path, types: Mapping[str, str], role: str, topic: str) -
 def _refuse(source: Path, types: Mapping[str, str], topic: str) -> str:
     if topic in types:
         raise SteerdError(f"{source.name}: {topic} is a {types[topic]}, which steerd cannot use")
-    raise SteerdError(f"{source.name} has no messages on {topic}", _has(types))
+    raise SteerdError(f"{source.name} has no messages on {topic}", _list_topics(types))
 
 
-def _has(types: Mapping[str, str]) -> str:
-    return "it has " + (", ".join(f"{t} ({k})" for t, k in sorted(types.items())[:8]) or "nothing")
+def _list_topics(types: Mapping[str, str]) -> str:
+    return "it has " + (
+        ", ".join(f"{t} ({k})" for t, k in sorted(types.items())[:_SHOWN]) or "nothing"
+    )
 
 
 # -- messages ------------------------------------------------------------------------------------
@@ -201,7 +209,7 @@ def _has(types: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True)
 class _Bag:
-    """An open bag and what is wanted of it."""
+    """An open bag, the roles of its topics and where notes go."""
 
     source: Path
     reader: "AnyReader"
@@ -228,7 +236,7 @@ def _samples(bag: _Bag, advance: Advance) -> Iterator[Sample]:
         log_ns = bag_ns - start_ns
         t_ns = log_ns if other_clock[topic] else stamp_ns - start_ns
         for role in (role for role, wanted in bag.roles.items() if wanted == topic):
-            made = _make(bag, role, message, t_ns, log_ns)
+            made = _make_message(bag, role, message, t_ns, log_ns)
             if made is not None:
                 yield Sample(_OUT[role], t_ns, log_ns, made)
 
@@ -236,15 +244,15 @@ def _samples(bag: _Bag, advance: Advance) -> Iterator[Sample]:
 def _records(bag: _Bag) -> Iterator[tuple["Connection", int, bytes]]:
     wanted = [c for c in bag.reader.connections if c.topic in bag.roles.values()]
     records = bag.reader.messages(wanted)
-    while (record := _guarded(bag.source, lambda: next(records, None))) is not None:
+    while (record := _call_rosbags(bag.source, lambda: next(records, None))) is not None:
         yield record
 
 
 def _decode(bag: _Bag, connection: "Connection", data: bytes) -> Any:
-    return _guarded(bag.source, lambda: bag.reader.deserialize(data, connection.msgtype))
+    return _call_rosbags(bag.source, lambda: bag.reader.deserialize(data, connection.msgtype))
 
 
-def _make(bag: _Bag, role: str, message: Any, t_ns: int, log_ns: int) -> Any:
+def _make_message(bag: _Bag, role: str, message: Any, t_ns: int, log_ns: int) -> Any:
     try:
         if role == "command":
             drive = message.drive
@@ -273,7 +281,7 @@ def _rigid_pose(rigids: Any, rigid: int | None, notes: ImportNotes) -> Any:
     ids = sorted({int(body.id) for body in rigids})
     if rigid is None and len(ids) > 1:
         what = f"the PhaseSpace messages hold rigid bodies {', '.join(map(str, ids))}"
-        raise SteerdError(what, f"say which is the car with --rigid {ids[0]}", ExitCode.USAGE)
+        raise SteerdError(what, f"name the car with --rigid, e.g. --rigid {ids[0]}", ExitCode.USAGE)
     for body in rigids:
         if rigid not in (None, int(body.id)):
             continue

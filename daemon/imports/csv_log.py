@@ -1,4 +1,4 @@
-"""A lab's csv file as a session: which cells make which message, and when.
+"""A csv file as a session: which cells make which message, and at which time.
 
 Streams of different rates share a file: a row gives a sample of each stream that has a value in it.
 """
@@ -35,16 +35,17 @@ _TOPICS: dict[str, Topic] = {
 }
 _POSE = ("x", "y", "yaw")
 _INT32_MAX = (1 << 31) - 1
+"""Largest UNIX time [s] and largest ERPM of a message."""
 
 
 def import_csv(source: Path, map_path: Path, out: Path, advance: Advance) -> ImportReport:
     """Turn a csv file into a session.
 
     Args:
-        source: the csv file; its delimiter is found by itself.
+        source: the csv file; its delimiter is detected.
         map_path: the map, with `[columns]`.
         out: the session to write; nothing is left of it after an error.
-        advance: told the bytes read so far.
+        advance: called with the bytes read so far.
 
     Raises:
         SteerdError: something is wrong with the map, the file or the output; the message says
@@ -59,13 +60,13 @@ def import_csv(source: Path, map_path: Path, out: Path, advance: Advance) -> Imp
     topics = list(dict.fromkeys(_TOPICS[q] for q in the_map.columns if q in _TOPICS))
     with open_table(source) as file:
         rows = read_table(source.name, file, the_map.columns, advance)
-        the_map, timed = _placed(the_map, _timed(source.name, rows, the_map, notes))
+        the_map, timed = _raise_epoch(the_map, _add_times(source.name, rows, the_map, notes))
         samples = _samples(source.name, timed, the_map, notes)
         counts = write_import(out, source, the_map, topics, samples)
     return ImportReport(out, counts, notes.lines())
 
 
-def _timed(
+def _add_times(
     name: str, rows: Iterator[Row], the_map: ImportMap, notes: ImportNotes
 ) -> Iterator[tuple[int, Row]]:
     """Rows with their times [ns], which never go back."""
@@ -89,11 +90,11 @@ def _timed(
 
 
 def _nanoseconds(t: float) -> int:
-    whole = math.floor(t)  # apart, so that UNIX seconds keep all the digits a float has
+    whole = math.floor(t)  # separately, so that UNIX seconds lose no digit
     return whole * NS + round((t - whole) * NS)
 
 
-def _placed(
+def _raise_epoch(
     the_map: ImportMap, timed: Iterator[tuple[int, Row]]
 ) -> tuple[ImportMap, Iterator[tuple[int, Row]]]:
     """Raise the epoch if the log begins before 1970: a session's stamps are not negative."""

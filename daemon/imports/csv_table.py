@@ -1,4 +1,4 @@
-"""Numbers out of a csv file, row by row: delimiter found, cells checked, memory bounded.
+"""Numbers from a csv file, row by row: delimiter detected, cells checked, memory bounded.
 
 Rows are numbered as an editor numbers lines. An empty cell, or NaN in any spelling, is no value.
 """
@@ -19,6 +19,9 @@ LINE_MAX = 1 << 20
 _DELIMITERS = ",;\t| "
 _NO_VALUE = frozenset(("", "nan", "+nan", "-nan", "na", "n/a", "null", "none"))
 _ADVANCE_ROWS = 1000
+"""Rows between two reports of progress."""
+_SHOWN = 12
+"""Column names that an error lists."""
 
 
 class Row(NamedTuple):
@@ -29,7 +32,7 @@ class Row(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """Where a quantity stands in a row."""
+    """Column index of a quantity, its scaling, and the column index of its gate."""
 
     quantity: str
     column: int
@@ -64,7 +67,7 @@ def read_table(
         name: the file's name, for messages.
         file: the file, at its start.
         columns: quantity to column.
-        advance: told the bytes read so far.
+        advance: called with the bytes read so far.
 
     Yields:
         Rows that hold any value; scaled.
@@ -106,7 +109,7 @@ def _fail(name: str, row: int, what: str, hint: str = "") -> NoReturn:
 
 
 def _lines(name: str, file: TextIO) -> Iterator[str]:
-    """Lines of bounded length, without reading in a whole file that has no line ends."""
+    """Lines of bounded length, also of a file without line ends."""
     number = 0
     try:
         while line := file.readline(LINE_MAX):
@@ -158,7 +161,7 @@ def _index(name: str, header: list[str], quantity: str, column: str) -> int:
         what = f"{name} has {len(found)} columns named {column!r}"
         raise SteerdError(what, "give each column its own name")
     near = difflib.get_close_matches(column.lower(), [h.lower() for h in header], 3, 0.4)
-    names = [h for h in header if h.lower() in near] or header[:12]
+    names = [h for h in header if h.lower() in near] or header[:_SHOWN]
     what = f"{name} has no column {column[:80]!r}, which the map names for {quantity}"
     raise SteerdError(what, f"in the map, {' or '.join(repr(n[:40]) for n in names)}")
 

@@ -1,4 +1,4 @@
-"""The map of an import: which column or topic of a lab's log is which quantity.
+"""The map of an import: which column or topic of a log is which quantity.
 
 One TOML page: `[columns]` for csv files, `[topics]` for ROS bags, `[frame]` where the recorded body
 is not the car's centre of gravity, `[session]` for what the log does not say.
@@ -43,7 +43,7 @@ class ColumnSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FrameSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Room, body and offsets, by the names of a car file's `[mocap]` section."""
+    """Room, body and offsets, named as in a car file's `[mocap]` section."""
 
     units: str = "m"
     up: str = "z"
@@ -57,7 +57,7 @@ class FrameSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SessionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the log does not say: whose it is, when its time was zero, a remark."""
+    """What the log does not hold: the car's name, the UNIX time of its time zero, a remark."""
 
     car: str = "car"
     epoch: float | datetime.datetime = 0.0
@@ -74,7 +74,7 @@ class _Tables(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class ImportMap:
-    """A map that was read and found right.
+    """A map that was read and checked.
 
     Attributes:
         columns: quantity to column, `t` included; empty in a map for bags.
@@ -157,7 +157,7 @@ def make_frame(spec: FrameSpec) -> FrameConfig:
 
 
 def _readable(text: str) -> str:
-    """A msgspec message in the words of a TOML file: `$.columns.t` is `[columns] t`."""
+    """A msgspec message in TOML notation: `$.columns.t` becomes `[columns] t`."""
     text = re.sub(r" - at `key in \$(\.?)[^`]*`", "", text)
     text = re.sub(r" - at `\$\.(\w+)\.?([^`]*)`", r" in [\1] \2", text).replace("[...]", "a value")
     return text.replace("Object contains", "it has an").replace("`", "'").strip()

@@ -1,6 +1,6 @@
 """The session that an import writes: samples become steerd's own messages.
 
-Times are the log's own [ns]; `epoch_ns` places them in UNIX time. What a log does not tell is NaN,
+Times are the log's own [ns]; `epoch_ns` places them in UNIX time. What a log does not hold is NaN,
 or -1 for a whole number, as in :mod:`steerd.steer_bus.messages`.
 """
 
@@ -42,12 +42,12 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True)
 class ImportReport:
-    """What an import made.
+    """Result of an import.
 
     Attributes:
         path: the session.
         counts: messages by topic name.
-        notes: what a person should know about the log, one line each.
+        notes: oddities of the log, one line each.
     """
 
     path: Path
@@ -71,7 +71,7 @@ class ImportNotes:
 
 
 def check_output(out: Path) -> None:
-    """Refuse an output name before any work is done.
+    """Check the output name before the work.
 
     Raises:
         SteerdError: it exists, or does not end in `.mcap`.
@@ -101,7 +101,7 @@ def hash_file(path: Path) -> str:
 def write_import(
     out: Path, source: Path, the_map: ImportMap, topics: Iterable[Topic], samples: Iterable[Sample]
 ) -> dict[str, int]:
-    """Write the session whole, or leave nothing behind.
+    """Write the whole session, or leave nothing behind.
 
     Returns:
         Messages by topic name.

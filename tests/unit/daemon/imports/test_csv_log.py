@@ -167,7 +167,7 @@ def test_equal_times_are_kept_and_counted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "words", "code"),
+    ("text", "part", "code"),
     [
         ("", "is empty", ExitCode.UNREADABLE),
         ("\n \n", "blank", ExitCode.UNREADABLE),
@@ -188,9 +188,9 @@ def test_equal_times_are_kept_and_counted(tmp_path):
         ('t,v\n0,"1' + "1" * 140_000 + '"\n', "row 2: field larger", ExitCode.INVALID),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said_where_it_is(tmp_path, text, words, code):
+def test_what_is_wrong_is_said_where_it_is(tmp_path, text, part, code):
     error = refuse(tmp_path, text, WHEEL)
-    assert words in error.what
+    assert part in error.what
     assert error.code == code
 
 
@@ -243,15 +243,15 @@ def test_a_missing_folder_for_the_output(tmp_path):
         import_csv(tmp_path / "a.csv", tmp_path / "map.toml", out, lambda done: None)
 
 
-def test_progress_is_told_in_bytes(tmp_path):
+def test_progress_is_reported_in_bytes(tmp_path):
     text = "t,v\n" + "".join(f"{i},1\n" for i in range(5000))
     (tmp_path / "a.csv").write_text(text)
     (tmp_path / "map.toml").write_text(WHEEL)
-    told = []
-    import_csv(tmp_path / "a.csv", tmp_path / "map.toml", tmp_path / "o.mcap", told.append)
-    assert len(told) == 5
-    assert told == sorted(told)
-    assert 0 < told[-1] <= len(text)
+    reported = []
+    import_csv(tmp_path / "a.csv", tmp_path / "map.toml", tmp_path / "o.mcap", reported.append)
+    assert len(reported) == 5
+    assert reported == sorted(reported)
+    assert 0 < reported[-1] <= len(text)
 
 
 cells = st.one_of(

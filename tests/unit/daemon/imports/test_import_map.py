@@ -35,7 +35,7 @@ def test_an_epoch_without_zone_is_utc_and_may_be_seconds():
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "part"),
     [
         ("[columns", "Expected"),
         ('[columns]\nx = "x"\ny = "y"\nyaw = "yaw"', "lacks 't'"),
@@ -56,12 +56,12 @@ def test_an_epoch_without_zone_is_utc_and_may_be_seconds():
         ("a = " + "[" * 5000 + "]" * 5000, ""),
     ],
 )
-def test_what_a_map_cannot_say(tmp_path, text, words):
+def test_what_a_map_cannot_say(tmp_path, text, part):
     path = tmp_path / "map.toml"
     path.write_text(text)
     with pytest.raises(SteerdError) as caught:
         load_map(path)
-    assert words in caught.value.what
+    assert part in caught.value.what
     assert "\n" not in str(caught.value)
     assert "$" not in caught.value.what
     assert caught.value.code == ExitCode.INVALID

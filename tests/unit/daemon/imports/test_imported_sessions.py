@@ -13,8 +13,8 @@ def imported(tmp_path, capsys):
     (tmp_path / "log.csv").write_text("t,x,y,yaw,steer\n" + "\n".join(rows) + "\n")
     (tmp_path / "map.toml").write_text(MAP)
     out = tmp_path / "log.mcap"
-    words = [str(tmp_path / "log.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(out)]
-    assert run_cli(["import", "csv", *words]) == 0
+    arguments = [str(tmp_path / "log.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(out)]
+    assert run_cli(["import", "csv", *arguments]) == 0
     capsys.readouterr()
     return out
 
@@ -38,6 +38,6 @@ def test_a_session_that_breaks_off_is_warned_of(argv, imported, tmp_path, capsys
 
 
 @pytest.mark.parametrize("argv", [("replay",), ("identify",), ("diagnose",)], ids=" ".join)
-def test_a_folder_is_told_once(argv, tmp_path, capsys):
+def test_a_folder_is_reported_once(argv, tmp_path, capsys):
     assert run_cli([*argv, str(tmp_path)]) == 3
     assert capsys.readouterr().err.count("name a session .mcap file") == 1
