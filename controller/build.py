@@ -29,7 +29,7 @@ from steerd.controller.speed import SpeedProfile, make_speed_profile
 RATES_TRIED = (2.0, 4.0)
 """Multiples of the rate that a refusal tries before it advises."""
 RADIUS_PLAIN = 1.005
-"""Spectral radius that two decimals still tell from 1."""
+"""Spectral radius that two decimals distinguish from 1."""
 SPEED_TRIED = 0.9
 """Share of the lowest faulty speed that a refusal tries as top speed."""
 
@@ -60,14 +60,14 @@ def make_controller(
         raise ValueError(f"rate {rate_hz} Hz, delay {delay} s: use 0 < rate and 0 <= delay <= 1")
     timing = Timing(rate_hz, delay, car.steer_lag)
     profile = make_speed_profile(car, path, config)
-    table, stabilities = _designed(car, config, timing, profile.fastest)
+    table, stabilities = _design_checked(car, config, timing, profile.fastest)
     _require_turnable(car, path, profile, table)
     report = DesignReport(config.design, timing, stabilities, delay_margin(car, table, timing))
     keeper = LaneKeeper(path, delay + car.steer_lag, car.steer_min, car.steer_max)
     return LaneController(car, config, table, keeper, profile, report)
 
 
-def _designed(
+def _design_checked(
     car: Car[float], config: ControllerConfig, timing: Timing, speed_max: float
 ) -> tuple[GainTable, tuple[Stability, ...]]:
     """Gains that passed the check."""
@@ -76,11 +76,11 @@ def _designed(
     faults = find_faults(stabilities, config.damping_min)
     if faults:
         advice = "; ".join(_advice(car, config, timing, speed_max, faults))
-        raise DesignRefused(f"{_complaint(config, timing, gravest(faults))}. Try {advice}")
+        raise DesignRefused(f"{_describe_refusal(config, timing, gravest(faults))}. Try {advice}")
     return table, stabilities
 
 
-def _complaint(config: ControllerConfig, timing: Timing, fault: Stability) -> str:
+def _describe_refusal(config: ControllerConfig, timing: Timing, fault: Stability) -> str:
     radius = f"{fault.radius:.2f}" if fault.radius > RADIUS_PLAIN else f"{fault.radius:.4f}"
     why = "is unstable" if fault.radius >= 1.0 else f"has damping {fault.damping:.2f}"
     return (

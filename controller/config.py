@@ -52,8 +52,7 @@ class ControllerConfig:
     grid_speed_min: float = 0.1
     """Lowest design speed [m/s]; its gains hold below. `pole_placement` starts no lower than where
     the tyre equations hold alone (`steerd.car_model.chassis.SPEED_DYNAMIC`): a car that rolls
-    without
-    slip has one fast mode that no steering moves."""
+    without slip has one fast mode that no steering moves."""
     grid_spacing: float = 0.25
     """Largest distance between design speeds [m/s]."""
     speed: float = 1.0
@@ -69,7 +68,7 @@ class ControllerConfig:
     start_ramp: float = 1.5
     """Growth of the speed reference in time [m/s^2]."""
     stop_ramp: float = 1.5
-    """Fall of the speed reference when told to stop [m/s^2]."""
+    """Fall of the speed reference on a stop request [m/s^2]."""
 
     def __post_init__(self) -> None:
         problems = [*_number_problems(self), *_pole_problems(self.poles)]
@@ -135,9 +134,9 @@ def load_controller_config(mapping: Mapping[str, object]) -> ControllerConfig:
         elif name == "weights":
             values[name] = _weights(value)
         elif name in ("design", "file_speeds"):
-            wanted = str if name == "design" else bool
-            if not isinstance(value, wanted):
-                raise ValueError(f"controller.{name} = {value!r}: must be a {wanted.__name__}")
+            expected = str if name == "design" else bool
+            if not isinstance(value, expected):
+                raise ValueError(f"controller.{name} = {value!r}: must be a {expected.__name__}")
             values[name] = value
         else:
             values[name] = _number(value, f"controller.{name}")

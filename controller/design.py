@@ -19,7 +19,7 @@ SPEEDS_BELOW = (0.2, 0.5, 0.8)
 MARGIN_STEP_S = 0.005
 """Resolution of the delay margin [s]."""
 MARGIN_MAX_S = 0.2
-"""Delay margins beyond this are not told apart [s]."""
+"""Delay margins beyond this are not resolved [s]."""
 TINY = 1e-300
 """Keeps an eigenvalue of exactly one from dividing by zero."""
 LASTING_S, LASTING_SHARE = 0.1, 0.1
@@ -29,7 +29,7 @@ radius eps^(1/n)), are gone before they show."""
 
 
 class DesignRefused(ValueError):  # noqa: N818
-    """No controller that may drive: says at which speed, rate and delay, and what to try."""
+    """No controller that may drive: names speed, rate and delay, and what to try."""
 
 
 class Stability(NamedTuple):
@@ -63,7 +63,7 @@ class DesignReport(NamedTuple):
         return (
             f"{self.design}, {describe_timing(self.timing)}, {low:.2f} to {high:.2f} m/s: spectral "
             f"radius up to {max(at.radius for at in self.stabilities):.4f}, damping at least "
-            f"{self.worst.damping:.2f}, bears {1e3 * self.delay_margin_s:.0f} ms more delay"
+            f"{self.worst.damping:.2f}, tolerates {1e3 * self.delay_margin_s:.0f} ms more delay"
         )
 
 
@@ -141,10 +141,10 @@ def delay_margin(car: Car[float], table: GainTable, timing: Timing) -> float:
 
 
 def find_faults(stabilities: Sequence[Stability], damping_min: float) -> tuple[Stability, ...]:
-    """Speeds, from below, at which the loop is unstable or less damped than asked."""
+    """Speeds, from below, at which the loop is unstable or less damped than required."""
     return tuple(at for at in stabilities if at.radius >= 1.0 or at.damping < damping_min)
 
 
 def gravest(faults: Sequence[Stability]) -> Stability:
-    """The fault to speak of: the most unstable, or the least damped where all are stable."""
+    """The fault to report: the most unstable, or the least damped where all are stable."""
     return max(faults, key=lambda at: (max(at.radius, 1.0), -at.damping))

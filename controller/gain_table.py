@@ -26,7 +26,7 @@ class GainTable(NamedTuple):
     """Rows of numbers at equally spaced speeds; between them linear, outside held.
 
     A row is `(e1, e1_rate, e2, e2_rate, steer, past..., *Turning)`: gains [rad/m, rad s/m, 1, s,
-    1, 1...], then the turn. `past` holds a gain for each reference still under way through the
+    1, 1...], then the turn. `past` holds a gain for each reference still within the
     dead time, newest first.
     """
 

@@ -2,8 +2,8 @@
 
 `pole_placement` is the paper's: continuous state feedback on Rajamani's error dynamics, blind to
 the servo, the dead time and the loop's rate. `lqr` (default) minimises a quadratic cost of the
-sampled loop with the servo's lag and every reference still under way among its states, so it knows
-what is already on its way to the wheel.
+sampled loop whose states hold the servo's lag and every reference that the wheel has not followed
+yet.
 """
 
 import math
@@ -38,7 +38,7 @@ def pole_placement_gains(car: Car[float], speed: float, poles: tuple[complex, ..
 
 
 def lqr_gains(car: Car[float], speed: float, timing: Timing, weights: LqrWeights) -> Matrix:
-    """Gains (1, 5 + n) of the sampled chain with n references under way (4 + n without a lag).
+    """Gains (1, 5 + n), n references within the dead time (4 + n without a lag).
 
     Raises:
         DesignRefused: the Riccati equation has no solution.

@@ -10,7 +10,7 @@ from steerd.controller import lane_keeper
 from steerd.controller.config import ControllerConfig
 from steerd.controller.design import DesignReport
 from steerd.controller.gain_table import GainTable, look_up
-from steerd.controller.lane_keeper import LaneKeeper, Steering, lane_errors
+from steerd.controller.lane_keeper import LaneKeeper, SteeringReference, lane_errors
 from steerd.controller.speed import SpeedProfile, profile_speed, step_speed
 
 STEP_MAX_S = 0.1
@@ -35,7 +35,7 @@ class ControllerState(NamedTuple):
     hint: int
     """Path sample next to the car."""
     past: tuple[float, ...]
-    """References under way less their feed-forward [rad], newest first."""
+    """References within the dead time less their feed-forward [rad], newest first."""
     feedforward: float
     """Of the last tick [rad]."""
     speed: float
@@ -62,13 +62,13 @@ class ControlReport(NamedTuple):
     distance: float
     """To the path [m]; exceeds `|e1|` beyond an open path's ends."""
     wheel: float
-    """Road-wheel angle asked for [rad]."""
+    """Reference of the road-wheel angle [rad]."""
     feedforward: float
     """Its part from the path's curvature [rad]."""
     speed: float
     """Speed reference [m/s]."""
     speed_target: float
-    """What the profile asks here [m/s]."""
+    """The profile's speed here [m/s]."""
 
 
 def start_controller(
@@ -99,8 +99,8 @@ def control(
         state: from `start_controller` or the last tick.
         estimate: the car at `t_ns`.
         t_ns: now, CLOCK_MONOTONIC [ns].
-        issued: what the last tick's command had become when it left, after the gate; without it
-            the design believes that the command left unchanged.
+        issued: the last tick's command after the output limiter; without it the design assumes
+            that the command left unchanged.
         stop: ramps the speed reference down to rest, lane keeping on.
 
     Raises:
@@ -108,7 +108,7 @@ def control(
     """
     if not math.isfinite(sum(estimate)):
         raise ValueError(f"the estimate is not finite: {estimate}")
-    past = state.past if issued is None else _corrected(controller.car, state, issued)
+    past = state.past if issued is None else _correct_newest(controller.car, state, issued)
     at = project(controller.keeper.path, estimate.x, estimate.y, state.hint)
     errors = lane_errors(estimate, at)
     row = look_up(controller.table, estimate.speed)
@@ -129,10 +129,10 @@ def to_command(car: Car[float], wheel: float, speed: float) -> Command[float]:
     return Command((wheel - car.steer_bias) / car.steer_gain, speed / car.speed_gain)
 
 
-def _corrected(
+def _correct_newest(
     car: Car[float], state: ControllerState, issued: Command[float]
 ) -> tuple[float, ...]:
-    """The references under way with the newest as it really left."""
+    """The references within the dead time with the newest as it really left."""
     if not state.past:
         return state.past
     wheel = car.steer_gain * issued.steer + car.steer_bias
@@ -141,7 +141,7 @@ def _corrected(
 
 
 def _next(
-    at: Projection, past: tuple[float, ...], steering: Steering, speed: float, t_ns: int
+    at: Projection, past: tuple[float, ...], steering: SteeringReference, speed: float, t_ns: int
 ) -> ControllerState:
     newest = steering.wheel - steering.feedforward
     shifted = (newest, *past[:-1]) if past else past
@@ -151,7 +151,7 @@ def _next(
 def _report(
     errors: lane_keeper.LaneErrors,
     at: Projection,
-    steering: Steering,
+    steering: SteeringReference,
     speed: float,
     target: float,
 ) -> ControlReport:

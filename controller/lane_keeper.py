@@ -1,7 +1,7 @@
 """Steering: lane errors from an estimate and its projection, and the feedback law upon them.
 
 The law is `wheel_ref = turn(s ahead) - K (errors - errors of the turn)`. The turn is the car's own
-(`Turning`), so an understeering car is asked for more, the heading error that every turn's slip
+(`Turning`), so an understeering car gets more steering, the heading error that every turn's slip
 brings is not fought, and a changing curvature is followed without offset. `s ahead` is where the
 car will be when the reference has reached the wheel. See `docs/explanation/controller.md`.
 """
@@ -17,7 +17,7 @@ from steerd.controller.gain_table import N_LANE, N_TURNING
 SQUEEZE_MIN = 0.1
 """Least 1 - curvature e1: the errors' rates mean nothing at the turn's centre."""
 
-REACH_MIN = 0.05
+SLOPE_SPAN_MIN = 0.05
 """Shortest distance over which the change of curvature is taken [m]."""
 
 
@@ -34,11 +34,11 @@ class LaneErrors(NamedTuple):
     """[rad/s]."""
 
 
-class Steering(NamedTuple):
-    """What a tick asks of the wheel."""
+class SteeringReference(NamedTuple):
+    """A tick's reference for the wheel."""
 
     wheel: float
-    """Road-wheel angle asked for [rad], within the car's end stops."""
+    """Reference of the road-wheel angle [rad], within the car's end stops."""
     feedforward: float
     """Its part from the path's curvature [rad]."""
 
@@ -79,7 +79,7 @@ def step(
     at: Projection,
     estimate: State[float],
     past: Sequence[float],
-) -> Steering:
+) -> SteeringReference:
     """One tick of the steering law.
 
     Args:
@@ -88,13 +88,13 @@ def step(
         errors: where the car is.
         at: its projection.
         estimate: its state; speed and wheel angle are used.
-        past: references under way less their feed-forward [rad], newest first.
+        past: references within the dead time less their feed-forward [rad], newest first.
     """
     wheel, wheel_change, heading, heading_change = row[-N_TURNING:]
     speed = max(estimate.speed, 0.0)
     preview = speed * keeper.preview_s
-    reach = max(preview, REACH_MIN)
-    slope = (interpolate(keeper.path, keeper.path.curvature, at.s + reach) - at.curvature) / reach
+    span = max(preview, SLOPE_SPAN_MIN)
+    slope = (interpolate(keeper.path, keeper.path.curvature, at.s + span) - at.curvature) / span
     change = speed * slope
     turn_wheel = wheel * at.curvature + wheel_change * change
     feedforward = turn_wheel + wheel * slope * preview
@@ -107,5 +107,5 @@ def step(
     )
     for gain, deviation in zip(row[N_LANE:-N_TURNING], past, strict=True):
         feedback += gain * deviation
-    asked = max(keeper.wheel_min, min(keeper.wheel_max, feedforward - feedback))
-    return Steering(asked, feedforward)
+    reference = max(keeper.wheel_min, min(keeper.wheel_max, feedforward - feedback))
+    return SteeringReference(reference, feedforward)

@@ -1,10 +1,10 @@
-"""The last gate before the wire: no order leaves the car's limits, whoever wrote it.
+"""The output limiter, the last stage before the wire: every order stays within the car's limits.
 
 A pure function over a small frozen state, in this order: finite? -> absolute -> lateral
 acceleration -> rate, first for the steering, then for the speed. The rate comes last because it
 must hold for every sequence of orders: where the tyre's limit falls faster than the servo may turn,
 the order moves towards it at full rate and the speed is taken back instead. A number that is not
-finite is never clipped, it is a verdict: the caller brakes.
+finite is never clipped, it is a verdict and the caller brakes.
 
 Source: `docs/reference/safety-requirements.md#s4.1`; lateral acceleration as ISO 11270, rates as
 F1TENTH's throttle interpolator.
@@ -91,15 +91,15 @@ class Limits:
             raise LimitError("\n".join(problems))
 
 
-class GateState(NamedTuple):
-    """The last order that left the gate, and when [ns]."""
+class LimiterState(NamedTuple):
+    """The last order that left the limiter, and when [ns]."""
 
     order: Command[float]
     t_ns: int
 
 
 class Verdict(IntEnum):
-    """What the gate thinks of an order; ``NOT_FINITE`` is a hard fault."""
+    """The limiter's verdict on an order; ``NOT_FINITE`` is a hard fault."""
 
     PASSED = 0
     CLIPPED = 1
@@ -107,7 +107,7 @@ class Verdict(IntEnum):
 
 
 class Clip(IntFlag):
-    """Which limits held an order back (``Gated.clips``)."""
+    """Which limits clipped an order (``LimitedOrder.clips``)."""
 
     STEER = 1
     STEER_LATERAL = 2
@@ -121,25 +121,25 @@ class Clip(IntFlag):
 _STEER, _STEER_LATERAL, _STEER_RATE, _SPEED, _SPEED_LATERAL, _SPEED_RATE = (int(c) for c in Clip)
 
 
-class Gated(NamedTuple):
-    """Result of the gate; ``order`` is finite and within the limits whatever the verdict."""
+class LimitedOrder(NamedTuple):
+    """Result of the limiter; ``order`` is finite and within the limits whatever the verdict."""
 
-    state: GateState
+    state: LimiterState
     order: Command[float]
     verdict: Verdict
     clips: int
 
 
-def make_gate_state(limits: Limits, order: Command[float], t_ns: int) -> GateState:
+def make_limiter_state(limits: Limits, order: Command[float], t_ns: int) -> LimiterState:
     """Return the state from which rates are counted, such as centred wheels and the measured speed.
 
     Raises:
         ValueError: ``order`` is not finite.
     """
     if not (isfinite(order.steer) and isfinite(order.speed)):
-        raise ValueError(f"the gate cannot start from {order}")
+        raise ValueError(f"the limiter cannot start from {order}")
     steer = min(max(order.steer, -limits.steer_right_max), limits.steer_left_max)
-    return GateState(Command(steer, min(max(order.speed, 0.0), limits.speed_max)), t_ns)
+    return LimiterState(Command(steer, min(max(order.speed, 0.0), limits.speed_max)), t_ns)
 
 
 def steer_bound(limits: Limits, speed: float) -> float:
@@ -157,10 +157,10 @@ def speed_bound(limits: Limits, steer: float) -> float:
     return sqrt(grip / slope) if slope * square > grip else limits.speed_max
 
 
-def _gate_steer(
-    limits: Limits, wish: float, last: float, speed: float, dt: float
+def _limit_steer(
+    limits: Limits, request: float, last: float, speed: float, dt: float
 ) -> tuple[float, int]:
-    out, clips = wish, 0
+    out, clips = request, 0
     if not -limits.steer_right_max <= out <= limits.steer_left_max:
         out, clips = (limits.steer_left_max if out > 0.0 else -limits.steer_right_max), _STEER
     bound = steer_bound(limits, speed)
@@ -172,10 +172,10 @@ def _gate_steer(
     return out, clips
 
 
-def _gate_speed(
-    limits: Limits, wish: float, last: float, cap: float, bound: float, dt: float
+def _limit_speed(
+    limits: Limits, request: float, last: float, cap: float, bound: float, dt: float
 ) -> tuple[float, int]:
-    out, clips = wish, 0
+    out, clips = request, 0
     high = min(cap, limits.speed_max)
     if not 0.0 <= out <= high:
         out, clips = (high if out > high else 0.0), _SPEED
@@ -187,17 +187,22 @@ def _gate_speed(
     return out, clips
 
 
-def gate(
-    limits: Limits, state: GateState, wish: Command[float], speed: float, cap: float, t_ns: int
-) -> Gated:
+def limit_order(
+    limits: Limits,
+    state: LimiterState,
+    request: Command[float],
+    speed: float,
+    cap: float,
+    t_ns: int,
+) -> LimitedOrder:
     """Return the order that may go on the wire.
 
     Applied twice at one instant it changes nothing more; its rates hold for any sequence.
 
     Args:
         limits: of this car.
-        state: what left the gate last.
-        wish: what the controller wants.
+        state: what left the limiter last.
+        request: the controller's order.
         speed: measured speed of the car [m/s]; grip is judged at the real speed.
         cap: speed that the supervisor allows now [m/s], ``inf`` where it has no opinion; NaN and
             negative values get the verdict ``NOT_FINITE``.
@@ -207,14 +212,17 @@ def gate(
         The order with its verdict. ``NOT_FINITE`` repeats the last order; the caller must brake.
     """
     last = state.order
-    if not (isfinite(wish.steer) and isfinite(wish.speed) and isfinite(speed)) or not cap >= 0.0:
-        return Gated(state, last, Verdict.NOT_FINITE, 0)
+    if (
+        not (isfinite(request.steer) and isfinite(request.speed) and isfinite(speed))
+        or not cap >= 0.0
+    ):
+        return LimitedOrder(state, last, Verdict.NOT_FINITE, 0)
     dt = min(max((t_ns - state.t_ns) * 1e-9, 0.0), limits.step_max)
-    steer, steer_clips = _gate_steer(limits, wish.steer, last.steer, speed, dt)
-    out, speed_clips = _gate_speed(
-        limits, wish.speed, last.speed, cap, speed_bound(limits, steer), dt
+    steer, steer_clips = _limit_steer(limits, request.steer, last.steer, speed, dt)
+    out, speed_clips = _limit_speed(
+        limits, request.speed, last.speed, cap, speed_bound(limits, steer), dt
     )
     clips = steer_clips | speed_clips
     order = Command(steer, out)
     verdict = Verdict.CLIPPED if clips else Verdict.PASSED
-    return Gated(GateState(order, max(t_ns, state.t_ns)), order, verdict, clips)
+    return LimitedOrder(LimiterState(order, max(t_ns, state.t_ns)), order, verdict, clips)

@@ -23,7 +23,7 @@ class Timing(NamedTuple):
     rate_hz: float
     """Ticks per second."""
     delay_s: float
-    """Dead time from the estimate's moment to the wheel beginning to follow [s], all told."""
+    """Dead time from the estimate's moment to the wheel beginning to follow [s], in total."""
     lag_s: float
     """First-order lag of the servo [s]."""
 
@@ -53,7 +53,7 @@ def steering_chain(car: Car[float], speed: float, timing: Timing) -> tuple[Matri
 
 
 def sampled_loop(car: Car[float], speed: float, timing: Timing) -> tuple[Matrix, Matrix]:
-    """Discrete `(A, B)` of the chain and the references under way, newest first."""
+    """Discrete `(A, B)` of the chain and the references within the dead time, newest first."""
     a, b = steering_chain(car, speed, timing)
     return augmented(sample(a, b, timing.period_s, timing.delay_s))
 

@@ -1,6 +1,6 @@
 """How fast to drive where: a profile along the path, and a reference that ramps towards it.
 
-The profile is the usual one: at each place the least of the wanted speed, the file's speed and the
+The profile is the usual one: at each place the least of configured speed, file speed and
 lateral-acceleration limit, then a backward pass that brakes in time and a forward pass that does
 not accelerate harder than allowed. An open path ends standing.
 """
@@ -42,12 +42,12 @@ def make_speed_profile(car: Car[float], path: Path, config: ControllerConfig) ->
             caps[i] = min(caps[i], max(file_speeds[i], 0.0))
     if not path.closed:
         caps[-1] = 0.0
-    backwards = _passed(caps[::-1], config.decel_max, path.step, path.closed)
-    speeds = _passed(backwards[::-1], config.accel_max, path.step, path.closed)
+    backwards = _limit_growth(caps[::-1], config.decel_max, path.step, path.closed)
+    speeds = _limit_growth(backwards[::-1], config.accel_max, path.step, path.closed)
     return SpeedProfile(path, tuple(speeds), car.drive_delay + car.speed_lag)
 
 
-def _passed(caps: list[float], accel: float, step: float, closed: bool) -> list[float]:
+def _limit_growth(caps: list[float], accel: float, step: float, closed: bool) -> list[float]:
     """Speeds that grow by at most `accel` along the samples: v^2 by 2 a ds a step."""
     speeds = list(caps)
     order: Iterable[int] = range(1, len(caps))
@@ -59,7 +59,7 @@ def _passed(caps: list[float], accel: float, step: float, closed: bool) -> list[
 
 
 def profile_speed(profile: SpeedProfile, s: float, speed: float) -> float:
-    """What the profile asks of a car at `s` [m] that drives `speed` [m/s]."""
+    """The profile's speed for a car at `s` [m] that drives `speed` [m/s]."""
     ahead = s + max(speed, 0.0) * profile.preview_s
     return interpolate(profile.path, profile.speed, ahead)
 
@@ -70,7 +70,7 @@ def step_speed(
     """The speed reference after `dt` seconds [m/s].
 
     It climbs to the target at the start ramp, follows it down at once (the profile already brakes
-    in time), and told to stop comes down at the stop ramp.
+    in time), and on `stop` comes down at the stop ramp.
     """
     if stop:
         return max(0.0, min(reference, reference - config.stop_ramp * dt))

@@ -33,7 +33,7 @@ class History(NamedTuple):
 NO_HISTORY = History()
 
 
-class Driven(NamedTuple):
+class ActuatorMotion(NamedTuple):
     """What steering and drive did over an interval, and how that depends on where they began."""
 
     steer: float
@@ -49,7 +49,7 @@ class Driven(NamedTuple):
     """False while nothing drives the servo, which then holds where it is."""
 
 
-def remembered(history: History, t_ns: int, command: Command[float] | None) -> History:
+def add_command(history: History, t_ns: int, command: Command[float] | None) -> History:
     """The history with one more command, in its place; a second one of the same time wins.
 
     Raises:
@@ -64,7 +64,7 @@ def remembered(history: History, t_ns: int, command: Command[float] | None) -> H
     )
 
 
-def forgotten(history: History, t_ns: int) -> History:
+def drop_older(history: History, t_ns: int) -> History:
     """The history without what was over by `t_ns`; the command that holds then stays."""
     first = max(bisect_right(history.times, t_ns) - 1, 0)
     return History(history.times[first:], history.commands[first:]) if first else history
@@ -76,7 +76,7 @@ def dead_times(car: Car[float]) -> tuple[int, int]:
     return round(car.steer_delay * NS), round(car.drive_delay * NS)
 
 
-def held(history: History, t_ns: int) -> Command[float] | None:
+def command_at(history: History, t_ns: int) -> Command[float] | None:
     """The command sent last at or before `t_ns`."""
     index = bisect_right(history.times, t_ns) - 1
     return history.commands[index] if index >= 0 else None
@@ -84,7 +84,7 @@ def held(history: History, t_ns: int) -> Command[float] | None:
 
 def drive(
     car: Car[float], history: History, steer: float, speed: float, start_ns: int, end_ns: int
-) -> Driven:
+) -> ActuatorMotion:
     """Steering and drive from `start_ns` to `end_ns`, from angle `steer` and `speed`."""
     piece, times, known = _piece(car), history.times, len(history.times)
     steer_late, drive_late = dead_times(car)
@@ -119,7 +119,7 @@ def drive(
         steered = steering is not None
         turn, push, begin = turn + (next_turn == end), push + (next_push == end), end
     span = (end_ns - start_ns) * SECONDS
-    return Driven(
+    return ActuatorMotion(
         steer=now,
         wheel=turned / span,
         accel=gained / span,
@@ -134,15 +134,15 @@ def drive(
 def _piece(car: Car[float]) -> Callable[..., tuple[float, ...]]:
     """`actuate` of this car and its derivatives, recorded and compiled.
 
-    (steer and speed asked for, steer, speed, h) -> steer after, acceleration, their derivatives by
+    (commanded steer and speed, steer, speed, h) -> steer after, acceleration, their derivatives by
     the steer and the speed before.
     """
     tape = Tape()
-    inputs = [tape.symbol(name) for name in ("steer_ask", "speed_ask", "steer", "speed", "h")]
-    steer_ask, speed_ask, steer, speed, h = inputs
+    inputs = [tape.symbol(name) for name in ("steer_cmd", "speed_cmd", "steer", "speed", "h")]
+    steer_cmd, speed_cmd, steer, speed, h = inputs
     own: Car[Any] = Car(*map(tape.constant, car))
     now: State[Any] = State(*map(tape.constant, [0.0] * 7))._replace(speed=speed, steer=steer)
-    asked: Command[Any] = Command(steer_ask, speed_ask)
-    out = actuate(TAPE, own, now, references(TAPE, own, asked), cast("float", h))
+    command: Command[Any] = Command(steer_cmd, speed_cmd)
+    out = actuate(TAPE, own, now, references(TAPE, own, command), cast("float", h))
     slopes = (*gradient([(out.steer, 1.0)], [steer]), *gradient([(out.accel, 1.0)], [speed]))
     return compiled(inputs, [*out, *slopes])

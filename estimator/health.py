@@ -1,4 +1,4 @@
-"""How well the filter is: what watchdogs W5 (innovations) and W6 (covariance) need to know.
+"""Health of the filter: what watchdogs W5 (innovations) and W6 (covariance) need to know.
 
 Every fused measurement carries running totals up to itself. The statistics of a window are the
 difference of two totals, so they cost the same however many measurements the window holds, and
@@ -74,7 +74,7 @@ class FilterHealth:
     """Measurements that came too late to be fused, or from the future."""
 
 
-def counted(tally: Tally, kind: Kind, t_ns: int, nis: float, believed: bool) -> Tally:
+def count_measurement(tally: Tally, kind: Kind, t_ns: int, nis: float, believed: bool) -> Tally:
     """The totals after one more measurement."""
     old = tally[kind]
     new = Count(
@@ -110,7 +110,7 @@ def make_health(
 def is_sound(belief: Belief) -> bool:
     """Whether the belief is finite and its covariance positive definite (Cholesky's test).
 
-    LAPACK itself is asked: it stops at the first pivot that is not positive, NaN included, and a
+    LAPACK is called directly: it stops at the first pivot that is not positive, NaN included, and a
     positive definite matrix with a finite diagonal is finite.
     """
     _, failed = dpotrf(belief.covariance)

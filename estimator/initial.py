@@ -2,7 +2,7 @@
 
 One pose says nothing about speed, and an extended Kalman filter started with a wrong speed
 linearises in the wrong place. A line through some ten poses gives velocity and yaw rate with their
-uncertainty, and its residuals tell whether those poses agree with each other at all.
+uncertainty, and its residuals show whether those poses agree at all.
 """
 
 import math

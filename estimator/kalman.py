@@ -47,7 +47,7 @@ class _Box(ExtendedKalmanFilter):  # type: ignore[misc]
 
     Motion is computed elsewhere: `u` is the predicted mean itself. The update is the library's,
     operation for operation (a test holds the two together), but for SciPy's guarded inverse,
-    for which LAPACK is asked itself, the copies of results and the deep copy of the measurement.
+    for which LAPACK is called directly, the copies of results and the deep copy of the measurement.
     """
 
     x: Array

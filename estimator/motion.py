@@ -1,4 +1,4 @@
-"""How a belief moves: the single-track equations and their exact Jacobian, one implicit step.
+"""Propagation of a belief: single-track equations, exact Jacobian, one implicit step.
 
 The linearly implicit midpoint rule (Rosenbrock's, one stage) with `A` the Jacobian of the rates:
 
@@ -22,7 +22,7 @@ from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import State
 from steerd.car_model.straight_line import compiled
 from steerd.car_model.tape import TAPE, Tape, jacobian
-from steerd.estimator.actuation import SECONDS, Driven, History, drive
+from steerd.estimator.actuation import SECONDS, ActuatorMotion, History, drive
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.kalman import Array, Belief, Kalman
 
@@ -37,7 +37,7 @@ Rows = Sequence[Sequence[Any]]
 """A matrix of numbers of any kind that has arithmetic: floats, or numbers being recorded."""
 
 
-class Moved(NamedTuple):
+class Propagation(NamedTuple):
     """A step's outcome."""
 
     mean: Array
@@ -45,7 +45,7 @@ class Moved(NamedTuple):
     transition: Array
     """(7, 7): its Jacobian by the mean before, `F`."""
     noise: Array
-    """(7, 7): covariance that entered on the way, `Q`."""
+    """(7, 7): covariance that entered during it, `Q`."""
 
 
 def noise_density(config: FilterConfig, speed: float, *, steered: bool = True) -> list[float]:
@@ -124,7 +124,7 @@ def implicit_step(
     return [*after, driven.steer], [*transition, steering]
 
 
-def entered_noise(transition: Rows, density: Sequence[Any], h: Any) -> Rows:
+def process_noise(transition: Rows, density: Sequence[Any], h: Any) -> Rows:
     """Covariance from noise of density `D` that enters all along a step, `F` growing linearly.
 
     `Q = integral of (I + s (F - I)) D (I + s (F - I))' h ds = h/3 (F D F' + D) + h/6 (F D + D F')`.
@@ -143,31 +143,31 @@ def entered_noise(transition: Rows, density: Sequence[Any], h: Any) -> Rows:
 def _program(car: Car[float]) -> Callable[..., tuple[float, ...]]:
     """(state, driven, density, h) -> mean, transition and noise in rows, for this car."""
     tape = Tape()
-    sides = [f"driven_{name}" for name in Driven._fields[:-1]]
+    sides = [f"driven_{name}" for name in ActuatorMotion._fields[:-1]]
     names = (*State._fields, *sides, *(f"density_{i}" for i in range(SIZE)), "h")
     inputs = [tape.symbol(name) for name in names]
     state: State[Any] = State(*inputs[:SIZE])
-    driven: Any = Driven._make([*inputs[SIZE : -SIZE - 1], None])
+    driven: Any = ActuatorMotion._make([*inputs[SIZE : -SIZE - 1], None])
     density, h = inputs[-SIZE - 1 : -1], inputs[-1]
     fixed: Car[Any] = Car(*map(tape.constant, car))
     along = (*state[:-1], driven.wheel, driven.accel)
     rates = derivative(SINGLE_TRACK, TAPE, fixed, state, *along[-2:])
     mean, transition = implicit_step(rates, jacobian(rates, along), state, driven, h)
-    noise = entered_noise(transition, density, h)
+    noise = process_noise(transition, density, h)
     rows = (number for matrix in (transition, noise) for row in matrix for number in row)
     return compiled(inputs, [tape.node(number) for number in (*mean, *rows)])
 
 
-def moved(
-    car: Car[float], state: State[float], driven: Driven, density: Sequence[float], h: float
-) -> Moved:
+def propagate(
+    car: Car[float], state: State[float], driven: ActuatorMotion, density: Sequence[float], h: float
+) -> Propagation:
     """One step of `h` seconds from a mean, under what the actuators do and noise of `density`."""
     numbers = np.array(_program(car)(*state, *driven[:-1], *density, h))
     matrices = numbers[SIZE:].reshape(2, SIZE, SIZE)
-    return Moved(numbers[:SIZE], matrices[0], matrices[1])
+    return Propagation(numbers[:SIZE], matrices[0], matrices[1])
 
 
-def predicted(
+def predict_belief(
     kalman: Kalman,
     car: Car[float],
     config: FilterConfig,
@@ -205,4 +205,4 @@ def _step(
     state: State[float] = State(*belief.mean.tolist())
     driven = drive(car, history, state.steer, state.speed, begin, end)
     density = noise_density(config, state.speed, steered=driven.steered)
-    return kalman.predict(belief, *moved(car, state, driven, density, h))
+    return kalman.predict(belief, *propagate(car, state, driven, density, h))

@@ -1,4 +1,4 @@
-"""The instruments: what each reads of the state, how noisily, and where its gate stands."""
+"""The instruments: what each reads of the state, how noisily, and its innovation gate."""
 
 import math
 from enum import IntEnum

@@ -22,16 +22,16 @@ from steerd.estimator.actuation import (
     NO_HISTORY,
     NS,
     History,
+    add_command,
+    command_at,
     dead_times,
-    forgotten,
-    held,
-    remembered,
+    drop_older,
 )
 from steerd.estimator.config import HEALTH_WINDOW_S, FilterConfig
-from steerd.estimator.health import Count, FilterHealth, Tally, counted, make_health
+from steerd.estimator.health import Count, FilterHealth, Tally, count_measurement, make_health
 from steerd.estimator.initial import LONGEST_S, initial_belief
 from steerd.estimator.kalman import Array, Belief, Kalman
-from steerd.estimator.motion import SIZE, predicted
+from steerd.estimator.motion import SIZE, predict_belief
 from steerd.estimator.sensors import Kind, Measurement, Sensor, make_sensors, residual
 
 FUTURE_NS = 2_000_000
@@ -75,7 +75,7 @@ class StateFilter:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class StateEstimate:
     """The car at one instant."""
 
     t_ns: int
@@ -117,30 +117,30 @@ def step(
     history = state.history
     redo_ns = now_ns + FUTURE_NS
     for sent_ns, command in commands:
-        history = remembered(history, sent_ns, command)
+        history = add_command(history, sent_ns, command)
         redo_ns = min(redo_ns, sent_ns + min(dead_times(flt.car)))
     oldest_ns = now_ns - round(flt.config.history_s * NS)
-    reach_ns = max(dead_times(flt.car))
+    dead_time_ns = max(dead_times(flt.car))
     timely = sorted(
         m
-        for m in (_shifted(flt.car, m) for m in measurements)
+        for m in (_correct_latency(flt.car, m) for m in measurements)
         if oldest_ns <= m.t_ns <= now_ns + FUTURE_NS
     )
     if not state.nodes:
         lost = len(measurements) - len(timely)
-        recent = forgotten(history, oldest_ns - reach_ns)
-        return _started(
+        recent = drop_older(history, oldest_ns - dead_time_ns)
+        return _start_filter(
             flt, FilterState((), recent, state.first_poses, state.untimely + lost), timely
         )
     known = [m for m in timely if m.t_ns >= _time(state.nodes[0])]
     untimely = state.untimely + len(measurements) - len(known)
-    nodes = _fused(flt, history, state.nodes, known, redo_ns)
+    nodes = _fuse(flt, history, state.nodes, known, redo_ns)
     first = max(bisect_right(nodes, oldest_ns, key=_time) - 1, 0)
-    recent = forgotten(history, _time(nodes[first]) - reach_ns)
+    recent = drop_older(history, _time(nodes[first]) - dead_time_ns)
     return FilterState(nodes[first:], recent, (), untimely)
 
 
-def restarted(state: FilterState) -> FilterState:
+def restart_filter(state: FilterState) -> FilterState:
     """Forget where the car is and begin again from the next poses.
 
     For the caller to allow, with the car at rest: a swapped body looks exactly like a filter that
@@ -149,7 +149,7 @@ def restarted(state: FilterState) -> FilterState:
     return FilterState(history=state.history, untimely=state.untimely)
 
 
-def predict_to(flt: StateFilter, state: FilterState, t_ns: int) -> Estimate | None:
+def predict_to(flt: StateFilter, state: FilterState, t_ns: int) -> StateEstimate | None:
     """The estimate at `t_ns` from the measurements valid until then; None before the first belief.
 
     Nothing is kept: a look ahead is not a measurement.
@@ -159,28 +159,28 @@ def predict_to(flt: StateFilter, state: FilterState, t_ns: int) -> Estimate | No
     if last < 0:
         return None
     node = nodes[last]
-    belief = _moved(flt, state.history, node.belief, _time(node), t_ns)
+    belief = _predict(flt, state.history, node.belief, _time(node), t_ns)
     begin = max(bisect_right(nodes, t_ns - round(HEALTH_WINDOW_S * NS), key=_time) - 1, 0)
     health = make_health(belief, t_ns, nodes[begin].tally, node.tally, state.untimely)
     variance = np.diagonal(belief.covariance)
     sds = [math.sqrt(v) if v >= 0.0 else math.nan for v in variance.tolist()]
-    return Estimate(t_ns, State(*belief.mean.tolist()), State(*sds), belief.covariance, health)
+    return StateEstimate(t_ns, State(*belief.mean.tolist()), State(*sds), belief.covariance, health)
 
 
-def _shifted(car: Car[float], measurement: Measurement) -> Measurement:
+def _correct_latency(car: Car[float], measurement: Measurement) -> Measurement:
     """A pose moved back by the latency that its stamp does not hold."""
     if measurement.kind is not Kind.POSE or not car.pose_delay:
         return measurement
     return measurement._replace(t_ns=measurement.t_ns - round(car.pose_delay * NS))
 
 
-def _moved(
+def _predict(
     flt: StateFilter, history: History, belief: Belief, start_ns: int, end_ns: int
 ) -> Belief:
-    return predicted(flt.kalman, flt.car, flt.config, history, belief, start_ns, end_ns)
+    return predict_belief(flt.kalman, flt.car, flt.config, history, belief, start_ns, end_ns)
 
 
-def _fused(
+def _fuse(
     flt: StateFilter,
     history: History,
     nodes: tuple[Node, ...],
@@ -205,7 +205,7 @@ def _fused(
 def _next(flt: StateFilter, history: History, node: Node, measurement: Measurement) -> Node:
     """The node after `node`: predict to the measurement, look at its innovation, fuse or refuse."""
     sensor = flt.sensors[measurement.kind]
-    prior = _moved(flt, history, node.belief, _time(node), measurement.t_ns)
+    prior = _predict(flt, history, node.belief, _time(node), measurement.t_ns)
     measured = np.array(measurement.values)
     if _plausible(measurement):
         fused = flt.kalman.update(
@@ -215,7 +215,7 @@ def _next(flt: StateFilter, history: History, node: Node, measurement: Measureme
     else:
         belief, innovation, nis = prior, measured, math.inf
     believed = nis <= sensor.gate
-    tally = counted(node.tally, measurement.kind, measurement.t_ns, nis, believed)
+    tally = count_measurement(node.tally, measurement.kind, measurement.t_ns, nis, believed)
     return Node(measurement, belief if believed else prior, innovation, nis, believed, tally)
 
 
@@ -224,7 +224,7 @@ def _plausible(measurement: Measurement) -> bool:
     return all(abs(value) < ABSURD for value in measurement.values)
 
 
-def _started(flt: StateFilter, state: FilterState, fresh: list[Measurement]) -> FilterState:
+def _start_filter(flt: StateFilter, state: FilterState, fresh: list[Measurement]) -> FilterState:
     """Gather poses until they give a first belief; what is later than it is fused at once."""
     poses = [m for m in fresh if m.kind is Kind.POSE and _plausible(m)]
     gathered = sorted([*state.first_poses, *poses])
@@ -232,19 +232,19 @@ def _started(flt: StateFilter, state: FilterState, fresh: list[Measurement]) -> 
     for stop in range(count, len(gathered) + 1):
         some = gathered[stop - count : stop]
         t_ns = some[-1].t_ns
-        belief = initial_belief(flt.config, some, _asked_steer(flt.car, state.history, t_ns))
+        belief = initial_belief(flt.config, some, _commanded_steer(flt.car, state.history, t_ns))
         if belief is not None:
             tally = Tally(pose=Count(seen=count, believed_ns=t_ns))
             root = Node(some[-1], belief, np.empty(0), math.nan, True, tally)
             later = [m for m in fresh if m > some[-1]]
-            nodes = _fused(flt, state.history, (root,), later, t_ns)
+            nodes = _fuse(flt, state.history, (root,), later, t_ns)
             return FilterState(nodes, state.history, (), state.untimely)
     since = gathered[-1].t_ns - round(LONGEST_S * NS) if gathered else 0
     recent = tuple(m for m in gathered[1 - count :] if m.t_ns >= since)
     return replace(state, first_poses=recent)
 
 
-def _asked_steer(car: Car[float], history: History, t_ns: int) -> float | None:
+def _commanded_steer(car: Car[float], history: History, t_ns: int) -> float | None:
     """Where the steering was last sent [rad]."""
-    command = held(history, t_ns - dead_times(car)[0])
+    command = command_at(history, t_ns - dead_times(car)[0])
     return references(FLOAT, car, command).steer if command else None

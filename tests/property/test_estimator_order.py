@@ -8,7 +8,13 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.state import Command
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
-from steerd.estimator.state_filter import Estimate, FilterState, make_state_filter, predict_to, step
+from steerd.estimator.state_filter import (
+    FilterState,
+    StateEstimate,
+    make_state_filter,
+    predict_to,
+    step,
+)
 
 MS = 1_000_000
 T0 = 10**12
@@ -48,7 +54,7 @@ def readings(draw: st.DrawFn) -> list[Measurement]:
     return out
 
 
-def fed(batches: list[list[Measurement]]) -> Estimate:
+def fed(batches: list[list[Measurement]]) -> StateEstimate:
     state = BEGUN
     for batch in batches:
         state = step(FILTER, state, NOW, batch)
@@ -57,7 +63,7 @@ def fed(batches: list[list[Measurement]]) -> Estimate:
     return estimate
 
 
-def same(one: Estimate, other: Estimate) -> None:
+def same(one: StateEstimate, other: StateEstimate) -> None:
     np.testing.assert_allclose(one.state, other.state, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9, atol=1e-12)
     assert one.health == other.health or str(one.health) == str(other.health)

@@ -1,4 +1,4 @@
-"""What the gate promises for any sequence of orders."""
+"""What the output limiter promises for any sequence of orders."""
 
 from math import inf, isfinite, tan
 
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerd.car_model.state import Command
-from steerd.controller.limits import Limits, Verdict, gate, make_gate_state
+from steerd.controller.limits import Limits, Verdict, limit_order, make_limiter_state
 
 FAST = settings(derandomize=True, deadline=None, max_examples=300)
 limits_ = st.builds(
@@ -33,11 +33,11 @@ orders = st.tuples(
 @FAST
 @given(limits_, st.lists(orders, max_size=30))
 def test_every_output_of_any_sequence_is_finite_within_limits_and_rates(limits, sequence):
-    state, t_ns = make_gate_state(limits, Command(0.0, 0.0), 0), 0
+    state, t_ns = make_limiter_state(limits, Command(0.0, 0.0), 0), 0
     for steer, speed, measured, cap, step_ns in sequence:
         t_ns += step_ns
         dt = min(max((t_ns - state.t_ns) * 1e-9, 0.0), limits.step_max)
-        out = gate(limits, state, Command(steer, speed), measured, cap, t_ns)
+        out = limit_order(limits, state, Command(steer, speed), measured, cap, t_ns)
         finite = isfinite(steer) and isfinite(speed) and isfinite(measured)
         assert (out.verdict == Verdict.NOT_FINITE) == (not finite)
         assert -limits.steer_right_max <= out.order.steer <= limits.steer_left_max
@@ -52,21 +52,25 @@ def test_every_output_of_any_sequence_is_finite_within_limits_and_rates(limits, 
 @given(limits_, st.floats(-0.6, 0.6), st.floats(0, 6), orders)
 def test_twice_is_once(limits, last_steer, last_speed, wish):
     steer, speed, measured, cap, step_ns = wish
-    state = make_gate_state(limits, Command(last_steer, last_speed), 0)
-    once = gate(limits, state, Command(steer, speed), measured, cap, step_ns)
-    again = gate(limits, state, once.order, measured if isfinite(measured) else 0.0, cap, step_ns)
+    state = make_limiter_state(limits, Command(last_steer, last_speed), 0)
+    once = limit_order(limits, state, Command(steer, speed), measured, cap, step_ns)
+    again = limit_order(
+        limits, state, once.order, measured if isfinite(measured) else 0.0, cap, step_ns
+    )
     if once.verdict != Verdict.NOT_FINITE:
         assert again.order == once.order
-        later = gate(limits, once.state, once.order, measured, cap, once.state.t_ns)
+        later = limit_order(limits, once.state, once.order, measured, cap, once.state.t_ns)
         assert later.order == once.order
 
 
 @FAST
 @given(limits_, st.floats(-1, 1), st.floats(0, 8))
 def test_steady_wishes_settle_within_the_lateral_limit(limits, steer, speed):
-    state = make_gate_state(limits, Command(0.0, 0.0), 0)
+    state = make_limiter_state(limits, Command(0.0, 0.0), 0)
     for k in range(1, 4000):
-        out = gate(limits, state, Command(steer, speed), state.order.speed, inf, k * 10**7 * 2)
+        out = limit_order(
+            limits, state, Command(steer, speed), state.order.speed, inf, k * 10**7 * 2
+        )
         lateral = out.order.speed**2 * tan(abs(out.order.steer)) / limits.wheelbase
         assert lateral <= limits.lateral_accel_max * (1 + 1e-9)
         if out.order == state.order:

@@ -1,4 +1,4 @@
-"""Settings: defaults, forms of poles, and what a wrong one is told."""
+"""Settings: defaults, forms of poles, and what a wrong one reports."""
 
 import pytest
 

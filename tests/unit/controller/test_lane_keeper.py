@@ -59,29 +59,31 @@ def test_at_the_centre_of_the_turn_the_rates_stay_finite() -> None:
     assert errors.e2_rate == pytest.approx(-0.5 / 0.1)
 
 
-def asked(gains: tuple[float, ...], errors: LaneErrors, past: tuple[float, ...] = ()) -> float:
+def wheel_reference(
+    gains: tuple[float, ...], errors: LaneErrors, past: tuple[float, ...] = ()
+) -> float:
     at = Projection(1.0, 50, errors.e1, 0.0, 0.0, abs(errors.e1))
     return step(KEEPER, gains, errors, at, ORIGIN._replace(speed=1.0, steer=0.1), past).wheel
 
 
 def test_each_gain_steers_against_its_error() -> None:
     errors = LaneErrors(0.1, 0.2, 0.03, 0.4)
-    assert asked(row(e1=2.0), errors) == pytest.approx(-0.2)
-    assert asked(row(e1_rate=0.5), errors) == pytest.approx(-0.1)
-    assert asked(row(e2=2.0), errors) == pytest.approx(-0.06)
-    assert asked(row(e2_rate=0.5), errors) == pytest.approx(-0.2)
-    assert asked(row(steer=0.5), errors) == pytest.approx(-0.05)
-    assert asked(row(past=(0.5, 0.25)), errors, (0.1, -0.4)) == pytest.approx(0.05)
+    assert wheel_reference(row(e1=2.0), errors) == pytest.approx(-0.2)
+    assert wheel_reference(row(e1_rate=0.5), errors) == pytest.approx(-0.1)
+    assert wheel_reference(row(e2=2.0), errors) == pytest.approx(-0.06)
+    assert wheel_reference(row(e2_rate=0.5), errors) == pytest.approx(-0.2)
+    assert wheel_reference(row(steer=0.5), errors) == pytest.approx(-0.05)
+    assert wheel_reference(row(past=(0.5, 0.25)), errors, (0.1, -0.4)) == pytest.approx(0.05)
 
 
 def test_the_order_stays_within_the_end_stops() -> None:
-    assert asked(row(e1=100.0), LaneErrors(1.0, 0.0, 0.0, 0.0)) == KEEPER.wheel_min
-    assert asked(row(e1=100.0), LaneErrors(-1.0, 0.0, 0.0, 0.0)) == KEEPER.wheel_max
+    assert wheel_reference(row(e1=100.0), LaneErrors(1.0, 0.0, 0.0, 0.0)) == KEEPER.wheel_min
+    assert wheel_reference(row(e1=100.0), LaneErrors(-1.0, 0.0, 0.0, 0.0)) == KEEPER.wheel_max
 
 
 def test_a_past_that_does_not_fit_the_table_is_an_error() -> None:
     with pytest.raises(ValueError, match="zip"):
-        asked(row(past=(0.5,)), LaneErrors(0.0, 0.0, 0.0, 0.0), (0.1, 0.2))
+        wheel_reference(row(past=(0.5,)), LaneErrors(0.0, 0.0, 0.0, 0.0), (0.1, 0.2))
 
 
 def test_the_curvature_is_read_where_the_order_will_act() -> None:

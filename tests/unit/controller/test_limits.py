@@ -1,4 +1,4 @@
-"""The gate at its bounds: dense around each limit, NaN never clipped, ceilings not to be lifted."""
+"""The output limiter at its bounds: dense around each limit, NaN never clipped, fixed ceilings."""
 
 from dataclasses import asdict
 from math import atan, inf, isfinite, nan, nextafter, tan
@@ -12,8 +12,8 @@ from steerd.controller.limits import (
     LimitError,
     Limits,
     Verdict,
-    gate,
-    make_gate_state,
+    limit_order,
+    make_limiter_state,
     speed_bound,
     steer_bound,
 )
@@ -40,8 +40,8 @@ def near(bound):
 
 
 def pass_gate(steer, speed, last=(0.0, 0.0), v=0.0, cap=inf, dt_ns=STEP_NS, limits=LIMITS):
-    state = make_gate_state(limits, Command(*last), 0)
-    return gate(limits, state, Command(steer, speed), v, cap, dt_ns)
+    state = make_limiter_state(limits, Command(*last), 0)
+    return limit_order(limits, state, Command(steer, speed), v, cap, dt_ns)
 
 
 @pytest.mark.parametrize("wish", near(0.375))
@@ -165,8 +165,8 @@ def test_a_pause_does_not_allow_a_jump():
 
 
 def test_time_running_backwards_allows_nothing():
-    state = make_gate_state(LIMITS, Command(0.0, 1.0), 10**9)
-    out = gate(LIMITS, state, Command(0.25, 3.0), 0.0, inf, 0)
+    state = make_limiter_state(LIMITS, Command(0.0, 1.0), 10**9)
+    out = limit_order(LIMITS, state, Command(0.25, 3.0), 0.0, inf, 0)
     assert out.order == Command(0.0, 1.0)
     assert out.state.t_ns == 10**9
 
@@ -183,15 +183,15 @@ def test_speed_bound_is_the_speed_limit_when_straight():
 
 
 def test_start_state_is_brought_inside_the_limits():
-    assert make_gate_state(LIMITS, Command(9.0, 9.0), 7).order == Command(0.375, 3.0)
-    assert make_gate_state(LIMITS, Command(-9.0, -9.0), 7).order == Command(-0.25, 0.0)
-    assert make_gate_state(LIMITS, Command(0.1, 0.2), 7).t_ns == 7
+    assert make_limiter_state(LIMITS, Command(9.0, 9.0), 7).order == Command(0.375, 3.0)
+    assert make_limiter_state(LIMITS, Command(-9.0, -9.0), 7).order == Command(-0.25, 0.0)
+    assert make_limiter_state(LIMITS, Command(0.1, 0.2), 7).t_ns == 7
 
 
 @pytest.mark.parametrize("order", [Command(nan, 0.0), Command(0.0, inf)])
 def test_start_state_must_be_finite(order):
     with pytest.raises(ValueError, match="cannot start"):
-        make_gate_state(LIMITS, order, 0)
+        make_limiter_state(LIMITS, order, 0)
 
 
 @pytest.mark.parametrize("name", CEILINGS)

@@ -9,7 +9,14 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.rollout import simulate as simulate_car
 from steerd.car_model.rollout import start
 from steerd.car_model.state import ORIGIN, Command
-from steerd.estimator.actuation import NO_HISTORY, History, drive, forgotten, held, remembered
+from steerd.estimator.actuation import (
+    NO_HISTORY,
+    History,
+    add_command,
+    command_at,
+    drive,
+    drop_older,
+)
 
 MS = 1_000_000
 CAR = DEFAULT_CAR._replace(steer_delay=0.012, drive_delay=0.004)
@@ -62,7 +69,7 @@ def test_derivatives_are_exact(seed: int, span_ms: int) -> None:
 def test_without_a_command_steering_holds_and_the_car_rolls() -> None:
     out = drive(CAR, NO_HISTORY, 0.2, 1.0, 0, 10 * MS)
     assert (out.steer, out.wheel, out.accel) == (0.2, 0.2, 0.0)
-    released = remembered(remembered(NO_HISTORY, 0, Command(0.3, 3.0)), 5 * MS, None)
+    released = add_command(add_command(NO_HISTORY, 0, Command(0.3, 3.0)), 5 * MS, None)
     out = drive(CAR, released, 0.2, 1.0, 30 * MS, 40 * MS)
     assert (out.steer, out.accel, out.steered) == (0.2, 0.0, False)
 
@@ -70,16 +77,16 @@ def test_without_a_command_steering_holds_and_the_car_rolls() -> None:
 def test_history_keeps_order_and_the_command_in_force() -> None:
     history = NO_HISTORY
     for t in (20, 0, 10):
-        history = remembered(history, t, Command(float(t), 0.0))
+        history = add_command(history, t, Command(float(t), 0.0))
     assert history.times == (0, 10, 20)
-    assert held(history, -1) is None
-    assert held(history, 15) == Command(10.0, 0.0)
-    assert remembered(history, 10, None).commands[1] is None
-    assert forgotten(history, 15).times == (10, 20)
-    assert forgotten(history, -5).times == history.times
+    assert command_at(history, -1) is None
+    assert command_at(history, 15) == Command(10.0, 0.0)
+    assert add_command(history, 10, None).commands[1] is None
+    assert drop_older(history, 15).times == (10, 20)
+    assert drop_older(history, -5).times == history.times
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_command_that_is_not_finite_is_an_error(bad: float) -> None:
     with pytest.raises(ValueError, match="not finite"):
-        remembered(NO_HISTORY, 0, Command(0.0, bad))
+        add_command(NO_HISTORY, 0, Command(0.0, bad))

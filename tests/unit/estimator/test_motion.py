@@ -8,10 +8,10 @@ from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
 from steerd.car_model.rollout import simulate as simulate_car
 from steerd.car_model.rollout import start
 from steerd.car_model.state import Command, State
-from steerd.estimator.actuation import NO_HISTORY, Driven, drive, remembered
+from steerd.estimator.actuation import NO_HISTORY, ActuatorMotion, add_command, drive
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.kalman import Belief, Kalman
-from steerd.estimator.motion import implicit_solver, moved, noise_density, predicted
+from steerd.estimator.motion import implicit_solver, noise_density, predict_belief, propagate
 
 CAR = DEFAULT_CAR
 QUIET = [0.0] * 7
@@ -40,7 +40,7 @@ def test_sparse_solution_equals_the_dense_one(car, state) -> None:
 
 @pytest.mark.parametrize("state", STATES)
 def test_step_is_the_implicit_midpoint_of_the_whole_jacobian(state) -> None:
-    driven = Driven(0.13, 0.11, 0.7, 0.9, 0.95, -8.0)
+    driven = ActuatorMotion(0.13, 0.11, 0.7, 0.9, 0.95, -8.0)
     h = 0.008
     rates, rows = rates_and_jacobian(CAR, state, driven.wheel, driven.accel)
     J = np.array(rows)
@@ -50,7 +50,7 @@ def test_step_is_the_implicit_midpoint_of_the_whole_jacobian(state) -> None:
     F[:6, 3] += h * W @ J[:, 7] * driven.accel_by_speed
     F[:6, 6] = h * W @ J[:, 6] * driven.wheel_by_steer
     F[6, 6] = driven.steer_by_steer
-    mean, transition, _ = moved(CAR, state, driven, QUIET, h)
+    mean, transition, _ = propagate(CAR, state, driven, QUIET, h)
     np.testing.assert_allclose(transition, F, rtol=1e-11, atol=1e-13)
     np.testing.assert_allclose(mean[:6], np.array(state[:6]) + h * W @ np.array(rates), rtol=1e-12)
     assert mean[6] == driven.steer
@@ -69,14 +69,14 @@ def plant(state: State[float], command: Command[float], seconds: float) -> np.nd
 def test_error_falls_with_the_square_of_the_step(state) -> None:
     command = Command(state.steer + 0.1, state.speed + 0.2)  # within the slew limits
     car = CAR._replace(steer_delay=0.0)
-    history = remembered(NO_HISTORY, 0, command)
+    history = add_command(NO_HISTORY, 0, command)
     exact = plant(state, command, 0.04)
 
     def error(count: int) -> float:
         now, h_ns = state, 40_000_000 // count
         for i in range(count):
             driven = drive(car, history, now.steer, now.speed, i * h_ns, (i + 1) * h_ns)
-            now = State(*moved(car, now, driven, QUIET, h_ns * 1e-9).mean.tolist())
+            now = State(*propagate(car, now, driven, QUIET, h_ns * 1e-9).mean.tolist())
         return float(np.abs(np.array(now) - exact)[:6].max())
 
     coarse, middle, fine = error(4), error(8), error(16)
@@ -88,9 +88,9 @@ def test_error_falls_with_the_square_of_the_step(state) -> None:
 def test_transition_is_the_derivative_of_the_motion(state) -> None:
     command, h = Command(state.steer + 0.1, state.speed + 0.2), 0.0002
     car = CAR._replace(steer_delay=0.0)
-    history = remembered(NO_HISTORY, 0, command)
+    history = add_command(NO_HISTORY, 0, command)
     driven = drive(car, history, state.steer, state.speed, 0, round(h * 1e9))
-    transition = moved(car, state, driven, QUIET, h).transition
+    transition = propagate(car, state, driven, QUIET, h).transition
     eps = 1e-5
     for i, name in enumerate(State._fields):
         up = state._replace(**{name: state[i] + eps})
@@ -103,8 +103,10 @@ def test_transition_is_the_derivative_of_the_motion(state) -> None:
 def test_long_steps_at_low_speed_stay_bounded(speed: float) -> None:
     """A gap of seconds takes steps far beyond the stability limit of an explicit method."""
     belief = Belief(np.array([0, 0, 0, speed, 2.0, 0.3, 0.1]), np.eye(7) * 1e-2)
-    history = remembered(NO_HISTORY, 0, Command(0.1, speed))
-    moved = predicted(Kalman(7), CAR, FilterConfig(), history, belief, 20_000_000, 2_520_000_000)
+    history = add_command(NO_HISTORY, 0, Command(0.1, speed))
+    moved = predict_belief(
+        Kalman(7), CAR, FilterConfig(), history, belief, 20_000_000, 2_520_000_000
+    )
     assert np.isfinite(moved.covariance).all()
     assert np.linalg.eigvalsh(moved.covariance).min() > 0.0
     assert abs(moved.mean[4]) < 0.5
@@ -113,7 +115,7 @@ def test_long_steps_at_low_speed_stay_bounded(speed: float) -> None:
 
 def test_no_time_no_motion() -> None:
     belief = Belief(np.arange(7.0), np.eye(7))
-    assert predicted(Kalman(7), CAR, FilterConfig(), NO_HISTORY, belief, 5, 5) is belief
+    assert predict_belief(Kalman(7), CAR, FilterConfig(), NO_HISTORY, belief, 5, 5) is belief
 
 
 def test_noise_is_that_of_accelerations() -> None:
@@ -131,7 +133,7 @@ def test_noise_enters_evenly_along_the_step(state) -> None:
     """`Q` is the integral of noise carried on by an `F` that grows linearly, summed in pieces."""
     density = noise_density(FilterConfig(), state.speed)
     h, pieces = 0.008, 2000
-    _, F, Q = moved(CAR, state, Driven(0.13, 0.11, 0.7, 0.9, 0.95, -8.0), density, h)
+    _, F, Q = propagate(CAR, state, ActuatorMotion(0.13, 0.11, 0.7, 0.9, 0.95, -8.0), density, h)
     total = np.zeros((7, 7))
     for s in (np.arange(pieces) + 0.5) / pieces:
         carried = np.eye(7) + s * (F - np.eye(7))

@@ -15,7 +15,7 @@ from steerd.estimator.state_filter import (
     StateFilter,
     make_state_filter,
     predict_to,
-    restarted,
+    restart_filter,
     step,
 )
 
@@ -135,7 +135,7 @@ def test_a_body_swap_raises_streak_and_share_and_never_moves_the_estimate() -> N
     assert after.health.pose.nis > 1e3
     assert after.health.pose.age_s == pytest.approx((now - t + 16 * MS) * 1e-9)
     assert abs(after.state.x - before.state.x) < 0.001
-    again = restarted(state)
+    again = restart_filter(state)
     assert predict_to(FILTER, again, now) is None
     for k in range(20, 30):
         now = t + k * 10 * MS
