@@ -1,4 +1,4 @@
-"""Pre-arm checks: what still keeps the car from being armed, each in words that say what to do."""
+"""Pre-arm checks: each yields one line per failure, which says what to do."""
 
 from collections.abc import Iterable, Iterator
 from math import degrees
@@ -10,18 +10,19 @@ from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.settings.thresholds import Thresholds
 
 STANDING_SPEED = 0.05
+"""A slower car stands [m/s]."""
 _TOOL = "in VESC Tool: App Settings > General"
 
 
 class VescInfo(NamedTuple):
-    """What the VESC told about itself; None where it did not.
+    """What the VESC reported about itself; None where it did not.
 
     Attributes:
         expected: its UUID is the car file's, or the file names none and it is the run's first.
         uuid: hex.
         firmware: (major, minor).
-        timeout_ms: after which it stops the motor by itself; 0 never.
-        timeout_brake_current: what it brakes with then [A].
+        timeout_ms: time without commands after which it stops the motor [ms]; 0 for never.
+        timeout_brake_current: brake current that it then applies [A].
     """
 
     expected: bool
@@ -32,7 +33,7 @@ class VescInfo(NamedTuple):
 
 
 class LaneStatus(NamedTuple):
-    """Where the car stands against its path [m, rad], or that it is told from elsewhere."""
+    """Lane errors of the standing car [m, rad]; or whether an external controller is alive."""
 
     e1: float
     e2: float
@@ -41,7 +42,7 @@ class LaneStatus(NamedTuple):
 
 
 def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:
-    """What is wrong with the VESC: which it is, its own timeout."""
+    """Failures of the VESC: its identity and its timeout."""
     if vesc is None:
         return
     if not vesc.expected and brakes.uuid:
@@ -49,7 +50,7 @@ def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:
     elif not vesc.expected:
         yield f"VESC {vesc.uuid} is not the one this run began with: plug that in, or start anew"
     if vesc.timeout_ms is None or vesc.timeout_brake_current is None:
-        yield "the VESC did not tell its timeout (firmware before 3.55?): update its firmware"
+        yield "the VESC did not report its timeout (firmware before 3.55?): update its firmware"
         return
     if vesc.timeout_ms == 0:
         yield f"the VESC never times out: set Timeout to 100-200 ms {_TOOL}"
@@ -63,13 +64,13 @@ def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:
 
 
 def check_flags(flags: int) -> Iterator[str]:
-    """What the core found out about the VESC since it is linked."""
+    """Failures that the core's flags report."""
     if flags & Flag.UNBOUNDED:
         yield "the VESC does not take this session's speed limit: power it off and on"
 
 
 def check_lane(lane: LaneStatus, thresholds: Thresholds) -> Iterator[str]:
-    """What is wrong with where the car stands."""
+    """Failures of the car's place in its lane, or of the external controller."""
     if lane.remote:
         if not lane.remote_alive:
             yield "no commands from a controller: start `steerd control`"
@@ -82,11 +83,11 @@ def check_lane(lane: LaneStatus, thresholds: Thresholds) -> Iterator[str]:
 
 
 def check_findings(findings: Iterable[Finding]) -> Iterator[str]:
-    """Watchdogs that would trip."""
+    """Watchdogs that would trip an armed car."""
     return (finding.text for finding in findings if finding.severity > Severity.WARN)
 
 
 def check_motion(speed: float) -> Iterator[str]:
-    """A car that moves is not armed."""
+    """Failure of a car that moves."""
     if not abs(speed) < STANDING_SPEED:
         yield f"the car moves at {speed:.2f} m/s: let it stand"

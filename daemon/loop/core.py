@@ -1,7 +1,7 @@
 """The control core without I/O: serial bytes and samples in, serial bytes and messages out.
 
-Joins the VESC's protocol, the loop and the way out for messages. The real-time runner and virtual
-time drive the same object.
+Joins the VESC's protocol, the loop and the outbox. The real-time runner and virtual time drive the
+same object.
 """
 
 from steerd.daemon.ipc.outbox import Outbox
@@ -35,9 +35,13 @@ from steerd.vesc_link.session_limits import limits_hold, make_restored_limits, m
 from steerd.vesc_link.vesc import VescLink
 
 DIAGNOSTICS_PERIOD_NS = 500_000_000
-BOUND_TRIES = 3
-"""A frame may be lost; a VESC that will not take the session's limits is told so to people."""
-_INFO, _WARN, _ERROR = 20, 30, 40
+"""Longest time between two diagnostics messages."""
+LIMITS_TRIES = 3
+"""How often the session's limits are sent: a frame may be lost. Then a pre-arm check fails."""
+ERPM_MARGIN = 1.2
+"""The VESC's own speed limit over the car file's: it must not cut in before the watchdogs."""
+_INFO, _ERROR = 20, 40
+"""Levels of `rcl_interfaces/Log`."""
 _ALARM = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
 
 
@@ -47,11 +51,11 @@ class Core:
     Attributes:
         loop: decides.
         link: the VESC's protocol.
-        outbox: messages on their way out.
-        flags: what the runner reports; stays until it is taken back.
+        outbox: outgoing messages.
+        flags: bits of `Flag` from the runner; they stay until the runner clears them.
         last: the latest tick's result, or None.
-        source: the mocap source's state as last told, for people.
-        error: the first exception that nothing expected, or None.
+        source: the latest status of the mocap source, for people.
+        error: the first unexpected exception, or None.
     """
 
     def __init__(self, loop: Loop, link: VescLink, outbox: Outbox) -> None:
@@ -64,13 +68,13 @@ class Core:
         self.error: BaseException | None = None
         self._uptime_ms = -1
         self._seq = 0
-        self._ticked: m.Tick | None = None
-        self._told_ns = -DIAGNOSTICS_PERIOD_NS
+        self._tick: m.Tick | None = None
+        self._diagnostics_ns = -DIAGNOSTICS_PERIOD_NS
         self._limits_before: McConfTemp | None = None
-        self._bound_tries = 0
+        self._limits_tries = 0
         self._uuid: bytes | None = None
         self._expected = True
-        self._mourned = False
+        self._error_logged = False
 
     # --- events
 
@@ -96,26 +100,26 @@ class Core:
                     self._uptime_ms = event.uptime_ms
                 case e.Rebooted():
                     self.flags |= Flag.REBOOTED
-                    self._bound_tries = 0
+                    self._limits_tries = 0
                 case e.Identity():
-                    self._know(event)
-                    self._tell_identity(t_ns)
+                    self._check_identity(event)
+                    self._post_identity(t_ns)
                 case e.AppConfRead():
-                    self._tell_identity(t_ns)
+                    self._post_identity(t_ns)
                 case e.LimitsRead():
-                    self._bound_session(event.limits)
+                    self._apply_session_limits(event.limits)
                 case _:
                     pass
 
-    def _know(self, event: e.Identity) -> None:
-        """One run drives one VESC: the first that is the car file's, if that names one."""
+    def _check_identity(self, event: e.Identity) -> None:
+        """Accept one VESC per run: the first that matches the car file, if that names one."""
         uuid = event.version.uuid
         if event.expected and self._uuid is None:
             self._uuid = uuid
         self._expected = event.expected and uuid == self._uuid
-        self._bound_tries = 0
+        self._limits_tries = 0
 
-    def _tell_identity(self, t_ns: int) -> None:
+    def _post_identity(self, t_ns: int) -> None:
         version, appconf = self.link.version, self.link.appconf
         if version is None:
             return
@@ -130,38 +134,38 @@ class Core:
         message = make_identity(vesc, t_ns, self.outbox.epoch_ns)
         self.outbox.post(topics.IDENTITY, message, t_ns)
 
-    def _bound_session(self, limits: McConfTemp) -> None:
-        """Give the VESC this session's limits, in RAM only: it holds them whatever happens here.
+    def _apply_session_limits(self, limits: McConfTemp) -> None:
+        """Give the VESC this session's limits, in RAM only: it keeps them if this process dies.
 
-        It loses them when it starts anew, so that whatever is read is compared with them.
+        It loses them when it restarts, so that the limits that it reports are compared each time.
         """
         if not self._expected:
             return
         self._limits_before = self._limits_before or limits
         scaling = self.loop.setup.settings.scaling
-        erpm_max = abs(scaling.erpm_gain) * self.loop.setup.settings.limits.speed_max * 1.2
+        erpm_max = abs(scaling.erpm_gain) * self.loop.setup.settings.limits.speed_max * ERPM_MARGIN
         bounds = make_session_limits(limits, min(erpm_max, scaling.erpm_max))
         if limits_hold(bounds, limits):
             self.flags &= ~Flag.UNBOUNDED
-        elif self._bound_tries < BOUND_TRIES:
-            self._bound_tries += 1
+        elif self._limits_tries < LIMITS_TRIES:
+            self._limits_tries += 1
             self.link.request(bounds)
             self.link.request(GetMcConfTemp())
         else:
             self.flags |= Flag.UNBOUNDED
 
     def brake_frame(self) -> bytes:
-        """The frame with which a guardian stops the car."""
+        """The frame that the guardian writes to stop the car."""
         current = self.loop.setup.settings.brakes.brake_current_a
         return encode_frame(encode_command(SetCurrentBrake(current)))
 
     def latch_exception(self, error: BaseException) -> None:
-        """An exception that nothing expects, wherever it was raised: stop for good (W29)."""
+        """An unexpected exception, wherever it was raised: stop and latch (W29)."""
         self.flags |= Flag.EXCEPTION
         self.error = self.error or error
 
     def make_shutdown_frames(self) -> bytes:
-        """Frames for a car at rest: let the motor go, give the VESC its own limits back."""
+        """Frames for a car at rest: release the motor, restore the VESC's own limits."""
         frames = encode_frame(encode_command(SetCurrent(0.0)))
         if self._limits_before is not None and self._expected:
             frames += encode_frame(encode_command(make_restored_limits(self._limits_before)))
@@ -181,9 +185,9 @@ class Core:
         """A message for the car from outside; False if it is not one."""
         try:
             if name == topics.OPERATOR.name:
-                asked = decode(m.OperatorRequest, data)
-                self.loop.on_operator(asked, t_ns)
-                self.outbox.post(topics.OPERATOR, asked, t_ns)
+                request = decode(m.OperatorRequest, data)
+                self.loop.on_operator(request, t_ns)
+                self.outbox.post(topics.OPERATOR, request, t_ns)
                 return True
             if name == topics.DRIVE.name:
                 command = decode(m.DriveCommand, data)
@@ -197,34 +201,34 @@ class Core:
     # --- the tick
 
     def tick(self, due_ns: int, now_ns: int, work_ns: int = 0) -> bytes:
-        """Decide, and give the bytes of this tick's one write; then `tell` what was written."""
+        """Decide; return the bytes of this tick's write. `post_tick` must follow it."""
         flags = int(self.flags)
         self.flags &= ~(Flag.REBOOTED | Flag.SUSPENDED)
         self.on_serial(now_ns, b"")
         self._seq += 1
         self.last = self._decide(due_ns, now_ns, flags)
-        wire = self._wire(self.last.order.drive, now_ns)
+        wire = self._make_wire(self.last.order.drive, now_ns)
         header = m.make_header(now_ns + self.outbox.epoch_ns, m.BODY)
-        self._ticked = m.Tick(header, due_ns, now_ns, work_ns, self._seq & 0xFFFFFFFF, flags)
+        self._tick = m.Tick(header, due_ns, now_ns, work_ns, self._seq & 0xFFFFFFFF, flags)
         return wire
 
     def post_tick(self, written: bytes) -> None:
-        """Tell of the tick, when its bytes are on their way: a car cannot wait, messages can.
+        """Post the tick's messages, after its bytes were written: messages can wait, a car cannot.
 
-        Never raises: what cannot be told stops the car.
+        Never raises; a message that cannot be encoded stops the car (W29).
         """
         try:
-            if self.last is not None and self._ticked is not None:
-                self._tell_tick(self.last, self._ticked, written)
+            if self.last is not None and self._tick is not None:
+                self._post_tick(self.last, self._tick, written)
         except Exception as error:
             self.latch_exception(error)
 
-    def _tell_tick(self, result: TickResult, tick: m.Tick, written: bytes) -> None:
+    def _post_tick(self, result: TickResult, tick: m.Tick, written: bytes) -> None:
         now_ns, epoch = tick.woke_ns, self.outbox.epoch_ns
         self.outbox.post(topics.TICK, tick, now_ns)
         drive = result.order.drive
-        told = make_actuation(drive, written, self._seq, now_ns + epoch)
-        self.outbox.post(topics.ACTUATION, told, now_ns)
+        actuation = make_actuation(drive, written, self._seq, now_ns + epoch)
+        self.outbox.post(topics.ACTUATION, actuation, now_ns)
         state = make_state(
             result.estimate,
             result.report,
@@ -236,19 +240,19 @@ class Core:
             epoch,
         )
         self.outbox.post(topics.STATE, state, now_ns)
-        self._tell(result, now_ns)
+        self._post_changes(result, now_ns)
         self.outbox.flush(now_ns)
 
     def _decide(self, due_ns: int, now_ns: int, flags: int) -> TickResult:
-        """What the loop decides; if it raises, the car brakes in this very tick and for good."""
+        """The loop's decision; if it raises, the car brakes in this very tick and latches."""
         try:
             return self.loop.tick(due_ns, now_ns, flags)
         except Exception as error:
             self.latch_exception(error)
             return make_failed_tick(self.loop, error, now_ns, bool(flags & Flag.LINKED))
 
-    def _wire(self, drive: e.Drive, now_ns: int) -> bytes:
-        """This tick's bytes: drive order and polls, and connecting where that is not done."""
+    def _make_wire(self, drive: e.Drive, now_ns: int) -> bytes:
+        """This tick's bytes: drive order and polls, and the handshake until it is done."""
         if not self.flags & Flag.LINKED:
             return b""
         try:
@@ -260,10 +264,10 @@ class Core:
             wire += self.link.make_connect(now_ns)
         return wire
 
-    def _tell(self, result: TickResult, now_ns: int) -> None:
+    def _post_changes(self, result: TickResult, now_ns: int) -> None:
         stamp_ns = now_ns + self.outbox.epoch_ns
-        if self.error is not None and not self._mourned:
-            self._mourned = True
+        if self.error is not None and not self._error_logged:
+            self._error_logged = True
             self._log(_ERROR, f"W29 {describe_error(self.error)}", now_ns)
         changed = result.supervisor.state is not result.old
         if changed:
@@ -272,14 +276,14 @@ class Core:
             level = _ERROR if result.supervisor.state in _ALARM else _INFO
             text = f"{result.supervisor.state.name}: {result.supervisor.reason}"
             self._log(level, text, now_ns)
-        if changed or now_ns - self._told_ns >= DIAGNOSTICS_PERIOD_NS:
-            self._told_ns = now_ns
+        if changed or now_ns - self._diagnostics_ns >= DIAGNOSTICS_PERIOD_NS:
+            self._diagnostics_ns = now_ns
             diagnostics = make_diagnostics(
                 result.supervisor,
                 result.action,
-                self._waiting(result.action, result.waiting),
+                self._describe_waiting(result.action, result.waiting),
                 result.findings,
-                self._extra(),
+                self._make_extra_values(),
                 stamp_ns,
             )
             self.outbox.post(topics.DIAGNOSTICS, diagnostics, now_ns)
@@ -288,8 +292,8 @@ class Core:
         log = Log(make_time(now_ns + self.outbox.epoch_ns), level, "steerd", text, "", "", 0)
         self.outbox.post(topics.LOG, log, now_ns)
 
-    def _waiting(self, action: Action, waiting: str) -> str:
-        """What the loop waits for, made concrete where only the links know."""
+    def _describe_waiting(self, action: Action, waiting: str) -> str:
+        """What the loop waits for, in more detail where only the links know it."""
         if action.waiting != waiting or self.loop.supervisor.state is not SupervisorState.INIT:
             return waiting
         if not self.flags & Flag.LINKED:
@@ -303,23 +307,23 @@ class Core:
             return f"a first pose of the car from mocap{detail}"
         return waiting
 
-    def _extra(self) -> dict[str, str]:
+    def _make_extra_values(self) -> dict[str, str]:
         vesc, source = self.loop.vesc, self.source
-        telling = {"boot_id": str(self.loop.setup.boot_id), "holder": str(self.loop.lease.holder)}
-        telling["controller"] = "remote" if self.loop.setup.remote else "lane"
+        values = {"boot_id": str(self.loop.setup.boot_id), "holder": str(self.loop.lease.holder)}
+        values["controller"] = "remote" if self.loop.setup.remote else "lane"
         if vesc is not None:
-            telling["uuid"] = vesc.uuid
-            telling["firmware"] = f"{vesc.firmware[0]}.{vesc.firmware[1]:02d}"
-            telling["vesc_timeout_ms"] = str(vesc.timeout_ms)
+            values["uuid"] = vesc.uuid
+            values["firmware"] = f"{vesc.firmware[0]}.{vesc.firmware[1]:02d}"
+            values["vesc_timeout_ms"] = str(vesc.timeout_ms)
         if source is not None:
-            telling["mocap"] = source.state
-            telling["mocap_rate_hz"] = f"{source.rate_hz:.0f}"
-            telling["mocap_detail"] = source.detail
-        return telling
+            values["mocap"] = source.state
+            values["mocap_rate_hz"] = f"{source.rate_hz:.0f}"
+            values["mocap_detail"] = source.detail
+        return values
 
 
 def make_identity(vesc: VescInfo, t_ns: int, epoch_ns: int) -> m.VescIdentity:
-    """What the VESC told about itself, as a message."""
+    """The VESC's identity and timeout as a message."""
     brake = vesc.timeout_brake_current
     return m.VescIdentity(
         m.make_header(t_ns + epoch_ns, m.BODY),

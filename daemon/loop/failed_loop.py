@@ -1,7 +1,7 @@
-"""What is left when the loop itself has failed (W29): the supervisor, the brake, nothing clever.
+"""A tick of a loop that has raised (W29): supervisor and brake only.
 
-Neither filter nor controller nor watchdogs are asked, because one of them has just raised. The
-servo gets no new angle, so it holds the last one.
+Filter, controller and watchdogs do not run, because one of them has just raised. The servo gets no
+new angle, so it holds the last one.
 """
 
 import traceback
@@ -9,10 +9,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from steerd.car_model.state import Command
-from steerd.controller.limits import make_gate_state
+from steerd.controller.limits import make_limiter_state
 from steerd.daemon.loop.findings import make_finding, summarise
 from steerd.daemon.loop.orders import make_order
-from steerd.daemon.loop.supervisor import Conditions, step
+from steerd.daemon.loop.supervisor import Conditions, step_supervisor
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.vesc_link.events import Drive, DriveBrake, DriveSpeed
@@ -24,14 +24,14 @@ _DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
 
 
 def describe_error(error: BaseException) -> str:
-    """Where it was raised and what it says, on one line."""
+    """Type, place and text of an exception on one line."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f" at {frames[-1].name}:{frames[-1].lineno}" if frames else ""
     return f"{type(error).__name__}{place}: {error}"
 
 
 def make_failed_tick(loop: "Loop", error: BaseException, now_ns: int, linked: bool) -> "TickResult":
-    """Decide this tick's bytes without the part that failed: an armed car brakes and latches."""
+    """Decide a tick without the part that failed: an armed car brakes and latches."""
     from steerd.daemon.loop.loop import TickResult
 
     finding = make_finding("W29", describe_error(error))
@@ -40,15 +40,15 @@ def make_failed_tick(loop: "Loop", error: BaseException, now_ns: int, linked: bo
     settings, speed = loop.setup.settings, loop.perception.recent_wheel_speed(now_ns)
     old = loop.supervisor.state
     conditions = Conditions(int(facts), speed, 0, text)
-    loop.supervisor, action = step(loop.supervisor, conditions, 0, now_ns)
+    loop.supervisor, action = step_supervisor(loop.supervisor, conditions, 0, now_ns)
     loop.faulted = loop.faulted or loop.supervisor.state is SupervisorState.FAULT_STOP
     loop.ran = loop.ran or (old in _DRIVING and loop.supervisor.state not in _DRIVING)
-    gate = make_gate_state(settings.limits, Command(0.0, 0.0), now_ns)
+    gate = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
     order = make_order(
         settings.limits, settings.brakes, settings.scaling, gate, action, None, speed, now_ns
     )
     return TickResult(
-        replace(order, drive=_unsteered(order.drive, settings.brakes)),
+        replace(order, drive=_remove_steering(order.drive, settings.brakes)),
         action,
         old,
         loop.supervisor,
@@ -60,7 +60,7 @@ def make_failed_tick(loop: "Loop", error: BaseException, now_ns: int, linked: bo
     )
 
 
-def _unsteered(drive: Drive, brakes: BrakeSettings) -> Drive:
+def _remove_steering(drive: Drive, brakes: BrakeSettings) -> Drive:
     if isinstance(drive, DriveSpeed):
         return DriveBrake(None, brakes.brake_current_a)
     return replace(drive, steer=None)

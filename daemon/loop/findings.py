@@ -1,4 +1,4 @@
-"""What a watchdog says: which one, how bad, the measured number, and what to try."""
+"""Findings of the watchdogs: which one, its severity, the measured number, and advice."""
 
 from collections.abc import Iterable
 from enum import IntEnum
@@ -8,7 +8,7 @@ from steerd.daemon.loop.transitions import Fact
 
 
 class Severity(IntEnum):
-    """What a finding asks the supervisor for."""
+    """The stop that a finding requires."""
 
     WARN = 0
     SOFT = 1  # STOPPING
@@ -17,7 +17,7 @@ class Severity(IntEnum):
 
 
 class Finding(NamedTuple):
-    """One watchdog's word in one tick."""
+    """The report of one watchdog in one tick."""
 
     id: str
     severity: Severity
@@ -25,7 +25,7 @@ class Finding(NamedTuple):
 
 
 class Watchdog(NamedTuple):
-    """A row of ``WATCHDOGS``: its name, what its trip asks for, and advice for people."""
+    """A row of ``WATCHDOGS``: name, severity of its trip, advice for people."""
 
     name: str
     severity: Severity
@@ -75,7 +75,7 @@ WATCHDOGS = {
 
 
 def make_finding(id: str, measured: str, severity: Severity | None = None) -> Finding:
-    """Return a finding in the watchdog's own severity, or milder or harder where told.
+    """Return a finding with the watchdog's own severity, or with the given one.
 
     Raises:
         KeyError: there is no such watchdog.
@@ -89,7 +89,7 @@ _FACT = (0, int(Fact.SOFT), int(Fact.HARD), int(Fact.KILLED))
 
 
 def summarise(findings: Iterable[Finding]) -> tuple[int, str]:
-    """Return the supervisor's fact bits and the words of the worst trip, the first if equal."""
+    """Return the supervisor's fact bits and the text of the worst trip, the first if equal."""
     bits, worst, text = 0, 0, ""
     for finding in findings:
         bits |= _FACT[finding.severity]

@@ -1,6 +1,6 @@
-"""What the runner sees by itself; travels in `Tick.flags`, so that a replay sees it too.
+"""What the runner observes; recorded in `Tick.flags`, so that a replay has it too.
 
-Plain integers: an IntFlag "or" costs a microsecond, and these are asked thirty times a tick.
+Plain integers: an IntFlag "or" takes a microsecond, and these are tested thirty times a tick.
 """
 
 from collections.abc import Iterator
@@ -11,19 +11,19 @@ from steerd.daemon.loop.findings import Finding, make_finding
 class Flag:
     """Bits of `Tick.flags`."""
 
-    LINKED = 1
-    SERIAL_FAULT = 2
-    GUARDIAN_LOST = 4
-    RECORDER_LOST = 8
-    GATEWAY_LOST = 16
-    EXCEPTION = 32
-    SUSPENDED = 64
-    REBOOTED = 128
-    MOCAP_REFUSED = 256
-    QUIT = 512
-    ABORT = 1024
-    GUARDIAN_TRIPPED = 2048
-    UNBOUNDED = 4096
+    LINKED = 1  # serial port open
+    SERIAL_FAULT = 2  # W8
+    GUARDIAN_LOST = 4  # W16
+    RECORDER_LOST = 8  # W26
+    GATEWAY_LOST = 16  # W27
+    EXCEPTION = 32  # W29
+    SUSPENDED = 64  # W28; for one tick
+    REBOOTED = 128  # W12; for one tick
+    MOCAP_REFUSED = 256  # the mocap source is not the configured one
+    QUIT = 512  # a first stop signal
+    ABORT = 1024  # a second stop signal
+    GUARDIAN_TRIPPED = 2048  # W15
+    UNBOUNDED = 4096  # the VESC did not take the session's limits
 
 
 _REPORTS = (
@@ -39,8 +39,8 @@ _REPORTS = (
 
 
 def make_reported_findings(flags: int) -> Iterator[Finding]:
-    """The watchdogs that the runner watches itself."""
+    """Findings of the watchdogs that the runner implements."""
     if flags != Flag.LINKED:
-        for flag, name, words in _REPORTS:
+        for flag, name, text in _REPORTS:
             if flags & flag:
-                yield make_finding(name, words)
+                yield make_finding(name, text)

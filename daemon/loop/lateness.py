@@ -1,4 +1,4 @@
-"""Whether the loop keeps its time (W15): a pure count over due and wake times."""
+"""Lateness of the loop (W15): a pure count over due and wake times."""
 
 from typing import NamedTuple
 
@@ -6,15 +6,16 @@ from steerd.daemon.loop.findings import Finding, Severity, make_finding
 from steerd.daemon.settings.thresholds import Thresholds
 
 WINDOW_NS = 1_000_000_000
+"""Time over which missed ticks are counted."""
 
 
 class LatenessRules(NamedTuple):
-    """What stops the car.
+    """Limits beyond which the car is stopped.
 
     Attributes:
-        late_ns: one tick later than this.
-        run: so many missed ticks in a row.
-        share: more than this share of a second's ticks missed.
+        late_ns: lateness of one tick.
+        run: number of missed ticks in a row.
+        share: share of missed ticks in a second.
     """
 
     late_ns: int
@@ -23,18 +24,18 @@ class LatenessRules(NamedTuple):
 
 
 def make_lateness_rules(thresholds: Thresholds) -> LatenessRules:
-    """What a car file allows on hardware."""
+    """The limits of a car file, for hardware."""
     late_ns = round(thresholds.late * 1e9)
     return LatenessRules(late_ns, thresholds.late_run, thresholds.late_share)
 
 
 ON_HARDWARE = make_lateness_rules(Thresholds())
 IN_SIMULATION = LatenessRules(250_000_000, 25, 0.5)
-"""Nobody stands in a simulated lane, and a laptop hiccups: late ticks are counted and told."""
+"""A simulated car endangers nobody: a laptop's stalls are counted and reported as warnings."""
 
 
 class Lateness(NamedTuple):
-    """Ticks that were later than one period: in a row, and over the current second."""
+    """Missed ticks (later than one period): in a row, in the current second, in total."""
 
     run: int = 0
     missed: int = 0
@@ -45,7 +46,7 @@ class Lateness(NamedTuple):
 def step_lateness(
     state: Lateness, due_ns: int, woke_ns: int, period_ns: int, rules: LatenessRules = ON_HARDWARE
 ) -> tuple[Lateness, Finding | None]:
-    """Count one tick; the finding says which of the three rules it broke."""
+    """Count one tick; the finding says which of the three limits it exceeds."""
     late = woke_ns - due_ns
     missed = late > period_ns
     if due_ns - state.window_ns > WINDOW_NS:

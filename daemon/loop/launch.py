@@ -27,7 +27,7 @@ class LaunchInput(NamedTuple):
 
 
 class LaunchState(NamedTuple):
-    """What the launch has shown so far; distances [m], angles [rad]."""
+    """Sums over the launch so far; distances [m], angles [rad]."""
 
     last: LaunchInput
     x0: float
@@ -41,26 +41,26 @@ class LaunchState(NamedTuple):
 
 
 def make_launch_state(start: LaunchInput) -> LaunchState:
-    """Return the state at a start: nothing shown yet."""
+    """Return the state at a start: all sums zero."""
     return LaunchState(start, start.x, start.y)
 
 
 def _advance(s: LaunchState, i: LaunchInput, wheelbase: float) -> LaunchState:
-    way = i.wheel_speed * max(0, i.t_ns - s.last.t_ns) / 1e9
+    distance = i.wheel_speed * max(0, i.t_ns - s.last.t_ns) / 1e9
     dx, dy = i.x - s.last.x, i.y - s.last.y
     c, n = cos(s.last.yaw), sin(s.last.yaw)
     return s._replace(
         last=i,
-        travelled=s.travelled + way,
-        expected_turn=s.expected_turn + way * tan(i.steer) / wheelbase,
+        travelled=s.travelled + distance,
+        expected_turn=s.expected_turn + distance * tan(i.steer) / wheelbase,
         turned=s.turned + remainder(i.yaw - s.last.yaw, tau),
         forward=s.forward + dx * c + dy * n,
         sideways=s.sideways + dy * c - dx * n,
     )
 
 
-def _judge(s: LaunchState) -> str:
-    """Return what is wrong, in words, or nothing."""
+def _find_fault(s: LaunchState) -> str:
+    """Return what is wrong, or an empty text."""
     by_wheels, by_mocap = abs(s.travelled), hypot(s.last.x - s.x0, s.last.y - s.y0)
     if not max(by_wheels, by_mocap) >= JUDGE_DISTANCE:
         return ""
@@ -79,16 +79,16 @@ def step_launch(s: LaunchState, i: LaunchInput, wheelbase: float) -> tuple[Launc
     """One tick of the launch window.
 
     Args:
-        s: what has been shown.
+        s: sums so far.
         i: this tick.
         wheelbase: [m].
 
     Returns:
-        The new state (``done`` sets ``Is.LAUNCHED``), and what is wrong in words or "", to be
+        The new state (``done`` sets ``Is.LAUNCHED``), and what is wrong or "", to be
         reported as the finding ``launch``.
     """
     if s.done:
         return s, ""
     s = _advance(s, i, wheelbase)
-    wrong = _judge(s)
+    wrong = _find_fault(s)
     return s._replace(done=not wrong and abs(s.travelled) >= LAUNCH_DISTANCE), wrong

@@ -1,4 +1,4 @@
-"""Who may command: one operator at a time, in order, and only while alive. Pure."""
+"""Leases: one operator and one external controller at a time, only while alive. Pure."""
 
 from dataclasses import dataclass, replace
 from math import inf
@@ -7,16 +7,16 @@ from steerd.daemon.loop.transitions import Request
 from steerd.steer_bus.messages import DriveCommand, OperatorRequest, RequestKind
 
 VALID_MAX_MS = 300
-"""No external command is good for longer."""
+"""Longest validity of an external command [ms]."""
 
 HANDOVER_S = 1.0
-"""Another controller may take over after this silence; the car has stopped long before."""
+"""Silence after which another controller may take over [s]; the car has stopped before."""
 
 FORMER_MAX = 256
-"""Whoever held the lease so many holders ago is forgotten."""
+"""Number of former holders whose last numbers are remembered."""
 
 Numbers = tuple[tuple[int, int], ...]
-"""Lease ids and the last number taken from each, the latest holder last."""
+"""Pairs of lease id and last accepted sequence number, the latest holder last."""
 
 _REQUESTS = {
     RequestKind.ARM: Request.ARM,
@@ -27,7 +27,7 @@ _REQUESTS = {
     RequestKind.ESTOP: Request.ESTOP,
     RequestKind.KEEPALIVE: Request.KEEPALIVE,
 }
-_FOR_ANYBODY = (RequestKind.STOP, RequestKind.ESTOP)
+_FROM_ANYBODY = (RequestKind.STOP, RequestKind.ESTOP)
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class Lease:
     """The operator who may arm and start.
 
     Attributes:
-        boot_id: of this run; requests that name another are old or meant for somebody else.
+        boot_id: of this run; requests with another are old or meant for another run.
         holder: lease id of the operator, 0 for nobody.
         seq: of the last accepted request.
-        renewed_ns: when the holder was last heard.
-        refused: requests turned away so far.
-        former: the last numbers of former holders: no request is taken twice.
+        renewed_ns: time of the holder's last request.
+        refused: number of refused requests.
+        former: last sequence numbers of former holders: no request is accepted twice.
     """
 
     boot_id: int
@@ -57,7 +57,7 @@ def _is_new(former: Numbers, who: int, seq: int) -> bool:
 
 
 def _remember(former: Numbers, who: int, seq: int) -> Numbers:
-    """Add the holder who loses the lease; nobody (0) needs no remembering."""
+    """Add the holder who loses the lease; 0 stands for nobody."""
     rest = tuple(pair for pair in former if pair[0] != who)
     return (*rest, (who, seq))[-FORMER_MAX:] if who else former
 
@@ -65,11 +65,11 @@ def _remember(former: Numbers, who: int, seq: int) -> Numbers:
 def accept_request(
     lease: Lease, asked: OperatorRequest, t_ns: int, idle: bool
 ) -> tuple[Lease, Request]:
-    """Take a request or refuse it.
+    """Accept a request or refuse it.
 
-    A stop is taken from anybody. All else needs this run's boot id, the lease (free for others
-    while it is `idle`: its holder has fallen silent) and a rising sequence number, also from a
-    holder who comes back.
+    A stop is accepted from anybody. All else needs this run's boot id, the lease (free for others
+    while it is `idle`: its holder is silent) and a rising sequence number, also from a former
+    holder.
     """
     try:
         kind = RequestKind(asked.kind)
@@ -86,24 +86,24 @@ def accept_request(
         taken = Lease(lease.boot_id, asked.lease_id, asked.seq, t_ns, lease.refused, former)
         return taken, _REQUESTS[kind]
     refused = replace(lease, refused=lease.refused + 1)
-    return refused, _REQUESTS[kind] if kind in _FOR_ANYBODY else Request.NONE
+    return refused, _REQUESTS[kind] if kind in _FROM_ANYBODY else Request.NONE
 
 
 def lease_age(lease: Lease, t_ns: int) -> float:
-    """Seconds since the holder was heard; infinite without one."""
+    """Seconds since the holder's last request; infinite without a holder."""
     return (t_ns - lease.renewed_ns) * 1e-9 if lease.holder else inf
 
 
 @dataclass(frozen=True)
 class Remote:
-    """An external controller's commands.
+    """The external controller.
 
     Attributes:
-        holder: lease id that the first good command brought; others are refused.
+        holder: lease id of the first valid command; others are refused.
         command: the newest, or None.
-        arrived_ns: when.
-        refused: commands turned away so far.
-        former: the last numbers of former controllers: no command is taken twice.
+        arrived_ns: time of its arrival.
+        refused: number of refused commands.
+        former: last sequence numbers of former controllers: no command is accepted twice.
     """
 
     holder: int = 0
@@ -114,7 +114,7 @@ class Remote:
 
 
 def take_command(remote: Remote, boot_id: int, command: DriveCommand, t_ns: int) -> Remote:
-    """Take a command of this run's controller if it is newer than the last that it sent."""
+    """Accept a command of this run's controller if it is newer than its last one."""
     last, former = remote.command, remote.former
     same = command.lease_id == remote.holder
     if last is not None and not same:

@@ -1,8 +1,8 @@
-"""The loop: events in; orders and messages out. No clock, no I/O, no randomness.
+"""The loop: events in, orders out. No clock, no I/O, no randomness.
 
-Fed alike by the real-time runner, by virtual time and by replay: the same events in the same order
-give the same orders. Everything that decides is in the pure functions that it calls; the loop only
-carries their states from tick to tick.
+The real-time runner, virtual time and replay drive the same loop: the same events in the same order
+give the same orders. Decisions are made by the pure functions that it calls; the loop keeps their
+states from tick to tick.
 """
 
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ from steerd.controller.lane_controller import (
     control,
     start_controller,
 )
-from steerd.controller.limits import Verdict, make_gate_state
+from steerd.controller.limits import Verdict, make_limiter_state
 from steerd.daemon.loop.checks import (
     STANDING_SPEED,
     LaneStatus,
@@ -53,12 +53,12 @@ from steerd.daemon.loop.supervisor import (
     Conditions,
     SupervisorMemory,
     make_supervisor_memory,
+    step_supervisor,
 )
-from steerd.daemon.loop.supervisor import step as step_supervisor
 from steerd.daemon.loop.transitions import Fact, Request, SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, is_slowing, step_watchdogs
 from steerd.daemon.settings.config import Settings
-from steerd.estimator.state_filter import Estimate
+from steerd.estimator.state_filter import StateEstimate
 from steerd.mocap_link.source import PoseSample
 from steerd.steer_bus.messages import DriveCommand, OperatorRequest
 from steerd.vesc_link.events import ImuSample, Telemetry
@@ -71,8 +71,9 @@ _PARKED = (
     SupervisorState.FAULT_LATCHED,
 )
 _RELOCATE_TICKS = 25
+"""A parked car may be carried: its place on the path is searched anew every so many ticks."""
 _LEASE_KEPT_S = 1.0
-"""How long a silent operator's lease is kept while the car is not parked."""
+"""Time for which a silent operator keeps the lease while the car is not parked [s]."""
 _FACTS = tuple(
     int(fact)
     for fact in (
@@ -88,15 +89,15 @@ class LoopSetup:
 
     Attributes:
         settings: of the car file.
-        controller: the lane keeper, which also tells the lane errors.
-        period_ns: of the loop.
-        boot_id: names this run to operators.
+        controller: the lane keeper, which also gives the lane errors.
+        period_ns: period of the loop.
+        boot_id: random number of this run, which operators must name.
         remote: commands come from an external controller.
         auto_arm: arm and start once without an operator.
         leased: an operator's lease and deadman are needed.
-        duration_ns: how long to drive, None without end.
-        simulated: the hardware is simulated, so a late tick endangers nobody.
-        drill: excitation plan that drives in the lane keeper's place or on top of it.
+        duration_ns: length of the drive, None without end.
+        simulated: the hardware is simulated: limits of lateness are loose.
+        drill: excitation plan, in place of the lane keeper or added to it.
     """
 
     settings: Settings
@@ -112,18 +113,30 @@ class LoopSetup:
 
     @property
     def ignores_lane(self) -> bool:
-        """Whether the lane is nobody's business: something else than the lane keeper drives."""
+        """Whether lane errors do not count: something else than the lane keeper drives."""
         return self.remote or (self.drill is not None and not self.drill.closed)
 
 
 class TickResult(NamedTuple):
-    """What one tick decided, and what it is based on."""
+    """Decision of one tick and its inputs.
+
+    Attributes:
+        order: for the wire.
+        action: of the supervisor.
+        old: the supervisor's state before the tick.
+        supervisor: the supervisor after it.
+        estimate: of the car's state, None before the first.
+        report: of the lane keeper, None without an estimate.
+        findings: of the watchdogs.
+        waiting: what the supervisor waits for, for people.
+        facts: bits of `Fact`.
+    """
 
     order: Order
     action: Action
     old: SupervisorState
     supervisor: SupervisorMemory
-    estimate: Estimate | None
+    estimate: StateEstimate | None
     report: ControlReport | None
     findings: tuple[Finding, ...]
     waiting: str
@@ -135,12 +148,12 @@ class Loop:
 
     Attributes:
         setup: what does not change.
-        perception: what was measured.
-        supervisor: who may move the car.
-        lease, remote: who may command.
-        vesc: what the VESC told about itself, or None.
-        faulted: a fault or an emergency stop has happened in this run.
-        ran: the car has been driving, and is not any more.
+        perception: measurements and the state estimate.
+        supervisor: memory of the state machine.
+        lease, remote: the operator and the external controller.
+        vesc: what the VESC reported about itself, or None.
+        faulted: a fault stop or an emergency stop has happened in this run.
+        ran: a drive has ended in this run.
     """
 
     def __init__(self, setup: LoopSetup) -> None:
@@ -154,14 +167,14 @@ class Loop:
         self.vesc: VescInfo | None = None
         self.faulted = False
         self.ran = False
-        self._gate = make_gate_state(s.limits, Command(0.0, 0.0), 0)
+        self._gate = make_limiter_state(s.limits, Command(0.0, 0.0), 0)
         self._issued: Command[float] | None = None
         self._control: ControllerState | None = None
         self._launch: LaunchState | None = None
         self._watchdogs = WatchdogState()
         self._lateness = Lateness()
         self._late_rules = IN_SIMULATION if setup.simulated else make_lateness_rules(s.thresholds)
-        self._asked = Request.NONE
+        self._requests_pending = Request.NONE
         self._not_finite = False
         self._started_ns = 0
         self._ticks = 0
@@ -181,16 +194,16 @@ class Loop:
         self.perception.on_imu(sample)
 
     def on_vesc(self, vesc: VescInfo | None) -> None:
-        """The VESC told more about itself, or went away."""
+        """The VESC reported about itself, or is gone (None)."""
         self.vesc = vesc
 
-    def on_operator(self, asked: OperatorRequest, t_ns: int) -> None:
-        """An operator asks for something."""
+    def on_operator(self, message: OperatorRequest, t_ns: int) -> None:
+        """An operator's request arrived."""
         parked = self.supervisor.state in _PARKED
-        patience = self.setup.settings.thresholds.lease if parked else _LEASE_KEPT_S
-        idle = lease_age(self.lease, t_ns) > patience
-        self.lease, request = accept_request(self.lease, asked, t_ns, idle)
-        self._asked |= request
+        patience_s = self.setup.settings.thresholds.lease if parked else _LEASE_KEPT_S
+        idle = lease_age(self.lease, t_ns) > patience_s
+        self.lease, request = accept_request(self.lease, message, t_ns, idle)
+        self._requests_pending |= request
 
     def on_drive(self, command: DriveCommand, t_ns: int) -> None:
         """An external controller's command arrived."""
@@ -202,18 +215,18 @@ class Loop:
         """Decide what goes on the wire now."""
         estimate = self.perception.estimate(now_ns)
         speed = best_speed(estimate, self.perception.recent_wheel_speed(now_ns))
-        wish, report = self._wish(estimate, now_ns)
-        findings = self._watch(estimate, report, speed, due_ns, now_ns, flags)
-        red = self._red(report, findings, speed, now_ns, flags)
+        wish, report = self._make_wish(estimate, now_ns)
+        findings = self._run_watchdogs(estimate, report, speed, due_ns, now_ns, flags)
+        failed = self._find_failed_checks(report, findings, speed, now_ns, flags)
         bits, text = summarise(findings)
-        facts = bits | self._facts(estimate, red, now_ns, flags)
+        facts = bits | self._make_facts(estimate, failed, now_ns, flags)
         conditions = Conditions(facts, speed, self._timeout_ns(), text)
         old = self.supervisor.state
         self.supervisor, action = step_supervisor(
-            self.supervisor, conditions, self._requests(flags), now_ns
+            self.supervisor, conditions, self._merge_requests(flags), now_ns
         )
-        self._asked = Request.NONE
-        self._enter(old, estimate, now_ns)
+        self._requests_pending = Request.NONE
+        self._apply_transition(old, estimate, now_ns)
         order = make_order(
             self.setup.settings.limits,
             self.setup.settings.brakes,
@@ -224,18 +237,20 @@ class Loop:
             speed,
             now_ns,
         )
-        self._leave(order, now_ns)
+        self._remember_order(order, now_ns)
         waiting = (
-            red[0] if red and self.supervisor.state is SupervisorState.DISARMED else action.waiting
+            failed[0]
+            if failed and self.supervisor.state is SupervisorState.DISARMED
+            else action.waiting
         )
         return TickResult(
             order, action, old, self.supervisor, estimate, report, findings, waiting, facts
         )
 
-    def _wish(
-        self, estimate: Estimate | None, now_ns: int
+    def _make_wish(
+        self, estimate: StateEstimate | None, now_ns: int
     ) -> tuple[Command[float] | None, ControlReport | None]:
-        """What the controller wants, and how the car lies in its lane."""
+        """The controller's command and its report on the lane errors."""
         if estimate is None or not estimate.health.sound:
             self._control = None
             return None, None
@@ -253,18 +268,18 @@ class Loop:
             stop=stop,
         )
         if self.setup.remote:
-            return self._remote_wish(now_ns), report
+            return self._make_remote_wish(now_ns), report
         if self.setup.drill is not None:
-            return self._drilled(self.setup.drill, wish, now_ns), report
+            return self._apply_drill(self.setup.drill, wish, now_ns), report
         return wish, report
 
-    def _drilled(self, drill: Drill, lane: Command[float], now_ns: int) -> Command[float]:
-        """The excitation plan's wish; outside the drive the wheels stay where they are."""
+    def _apply_drill(self, drill: Drill, lane: Command[float], now_ns: int) -> Command[float]:
+        """The excitation plan's command; outside the drive the steering angle stays."""
         if self.supervisor.state is SupervisorState.RUNNING:
             return drill.wish((now_ns - self._started_ns) * 1e-9, lane)
         return lane if drill.closed else Command(self._gate.order.steer, lane.speed)
 
-    def _remote_wish(self, now_ns: int) -> Command[float] | None:
+    def _make_remote_wish(self, now_ns: int) -> Command[float] | None:
         command = valid_command(self.remote, now_ns)
         if command is not None:
             return Command(command.steer, command.speed)
@@ -272,9 +287,9 @@ class Loop:
         held = self._gate.order
         return held if self.supervisor.state in _DRIVING else None
 
-    def _watch(
+    def _run_watchdogs(
         self,
-        estimate: Estimate | None,
+        estimate: StateEstimate | None,
         report: ControlReport | None,
         speed: float,
         due_ns: int,
@@ -286,15 +301,15 @@ class Loop:
             self._lateness, due_ns, now_ns, self.setup.period_ns, self._late_rules
         )
         reported += [late] if late else []
-        reported += self._judge_launch(estimate, now_ns)
-        reported += self._judge_commands(now_ns)
-        inputs = self._watchdog_input(estimate, report, speed, now_ns, tuple(reported))
+        reported += self._check_launch(estimate, now_ns)
+        reported += self._check_commands(now_ns)
+        inputs = self._make_watchdog_input(estimate, report, speed, now_ns, tuple(reported))
         self._watchdogs, findings = step_watchdogs(
             self.setup.settings.thresholds, self._watchdogs, inputs
         )
         return findings
 
-    def _judge_launch(self, estimate: Estimate | None, now_ns: int) -> Iterator[Finding]:
+    def _check_launch(self, estimate: StateEstimate | None, now_ns: int) -> Iterator[Finding]:
         if self.supervisor.state is not SupervisorState.RUNNING or estimate is None:
             return
         s = estimate.state
@@ -307,7 +322,7 @@ class Loop:
         if wrong:
             yield make_finding("launch", wrong)
 
-    def _judge_commands(self, now_ns: int) -> Iterator[Finding]:
+    def _check_commands(self, now_ns: int) -> Iterator[Finding]:
         if self._not_finite:
             yield make_finding("gate", "the controller gave a number that is not finite")
         driving = self.supervisor.state is SupervisorState.RUNNING and self.setup.remote
@@ -315,9 +330,9 @@ class Loop:
             age = command_age(self.remote, now_ns)
             yield make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")
 
-    def _watchdog_input(
+    def _make_watchdog_input(
         self,
-        estimate: Estimate | None,
+        estimate: StateEstimate | None,
         report: ControlReport | None,
         speed: float,
         now_ns: int,
@@ -357,15 +372,16 @@ class Loop:
             tachometer=values.tachometer_abs
             if values and values.tachometer_abs is not None
             else -1,
-            cell_voltage=_known(values.input_voltage if values else None) / settings.brakes.cells,
-            fet_temperature=_known(values.temp_fet_c if values else None),
-            motor_temperature=_known(values.temp_motor_c if values else None),
-            current_share=abs(_known(values.motor_current if values else None))
+            cell_voltage=_nan_if_none(values.input_voltage if values else None)
+            / settings.brakes.cells,
+            fet_temperature=_nan_if_none(values.temp_fet_c if values else None),
+            motor_temperature=_nan_if_none(values.temp_motor_c if values else None),
+            current_share=abs(_nan_if_none(values.motor_current if values else None))
             / settings.brakes.current_max_a,
             reported=reported,
         )
 
-    def _red(
+    def _find_failed_checks(
         self,
         report: ControlReport | None,
         findings: tuple[Finding, ...],
@@ -373,21 +389,23 @@ class Loop:
         now_ns: int,
         flags: int,
     ) -> list[str]:
-        """Pre-arm checks that fail, the most telling first."""
+        """Pre-arm checks that fail, the cause before its consequences."""
         settings = self.setup.settings
         alive = valid_command(self.remote, now_ns) is not None
-        red = [*check_vesc(self.vesc, settings.brakes), *check_flags(flags)]
+        failed = [*check_vesc(self.vesc, settings.brakes), *check_flags(flags)]
         if report is None:
-            red.append("no estimate yet: mocap must see the car for a moment, standing")
-        red += check_findings(findings)
+            failed.append("no estimate yet: mocap must see the car for a moment, standing")
+        failed += check_findings(findings)
         if report is not None and (self.setup.remote or not self.setup.ignores_lane):
             lane = LaneStatus(report.e1, report.e2, self.setup.remote, alive)
-            red += check_lane(lane, settings.thresholds)
+            failed += check_lane(lane, settings.thresholds)
         if self.supervisor.state is not SupervisorState.RUNNING:
-            red += check_motion(speed)
-        return red
+            failed += check_motion(speed)
+        return failed
 
-    def _facts(self, estimate: Estimate | None, red: list[str], now_ns: int, flags: int) -> int:
+    def _make_facts(
+        self, estimate: StateEstimate | None, failed: list[str], now_ns: int, flags: int
+    ) -> int:
         seen, setup = self.perception, self.setup
         th = setup.settings.thresholds
         known = self.vesc is not None and self.vesc.expected and self.vesc.timeout_ms is not None
@@ -399,7 +417,7 @@ class Loop:
         holds = (
             bool(flags & Flag.LINKED),
             known and seen.accepted_ns is not None and not refused,
-            not red,
+            not failed,
             fresh and values is not None and bool(values.timeout_active),
             not setup.leased or lease_age(self.lease, now_ns) <= th.lease,
             running and over,
@@ -413,20 +431,22 @@ class Loop:
         known = self.vesc.timeout_ms if self.vesc is not None else None
         return (known or 0) * 1_000_000
 
-    def _requests(self, flags: int) -> int:
-        asked = self._asked
+    def _merge_requests(self, flags: int) -> int:
+        requests = self._requests_pending
         state = self.supervisor.state
         if flags & Flag.QUIT:
-            asked |= Request.DISARM
+            requests |= Request.DISARM
         if flags & Flag.ABORT:
-            asked |= Request.ABORT
+            requests |= Request.ABORT
         if self.setup.auto_arm and not self.ran and not flags & (Flag.QUIT | Flag.ABORT):
-            asked |= Request.ARM if state is SupervisorState.READY else Request.NONE
-            asked |= Request.START if state is SupervisorState.ARMED else Request.NONE
-        return int(asked)
+            requests |= Request.ARM if state is SupervisorState.READY else Request.NONE
+            requests |= Request.START if state is SupervisorState.ARMED else Request.NONE
+        return int(requests)
 
-    def _enter(self, old: SupervisorState, estimate: Estimate | None, now_ns: int) -> None:
-        """What a change of state begins or ends."""
+    def _apply_transition(
+        self, old: SupervisorState, estimate: StateEstimate | None, now_ns: int
+    ) -> None:
+        """Start or end what a change of state starts or ends."""
         new = self.supervisor.state
         if new is SupervisorState.RUNNING and old is not SupervisorState.RUNNING:
             self._started_ns, self._launch = now_ns, None
@@ -438,8 +458,8 @@ class Loop:
         rolling = abs(self.perception.wheel_speed) > STANDING_SPEED
         self.perception.may_rebase = new in _PARKED and not rolling
 
-    def _leave(self, order: Order, now_ns: int) -> None:
-        """Remember what left, for gate, filter and controller."""
+    def _remember_order(self, order: Order, now_ns: int) -> None:
+        """Remember the order, for gate, filter and controller."""
         self._gate = order.gate
         self._not_finite = order.verdict is Verdict.NOT_FINITE
         if order.command != self._issued:
@@ -448,7 +468,7 @@ class Loop:
 
     @property
     def parked(self) -> bool:
-        """Whether the car needs nobody: silent and disarmed, or latched."""
+        """Whether no motor command is sent: disarmed, or latched."""
         return self.supervisor.state in _PARKED
 
     @property
@@ -460,5 +480,5 @@ class Loop:
         return self.parked or stopped
 
 
-def _known(value: float | None) -> float:
+def _nan_if_none(value: float | None) -> float:
     return nan if value is None else value

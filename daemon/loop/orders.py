@@ -4,7 +4,14 @@ from dataclasses import dataclass
 from math import isfinite
 
 from steerd.car_model.state import Command
-from steerd.controller.limits import Gated, GateState, Limits, Verdict, gate, make_gate_state
+from steerd.controller.limits import (
+    LimitedOrder,
+    LimiterState,
+    Limits,
+    Verdict,
+    limit_order,
+    make_limiter_state,
+)
 from steerd.daemon.loop.supervisor import Action
 from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput
 from steerd.daemon.settings.config import BrakeSettings
@@ -28,13 +35,13 @@ class Order:
     Attributes:
         drive: for the wire.
         gate: the gate's state after it.
-        command: what the car was told to aim at, for filter and controller; None when the motor
-            does not follow a speed.
+        command: the command as sent, for filter and controller; None when the motor does not
+            follow a speed.
         verdict: the gate's; NOT_FINITE means that this order brakes instead.
     """
 
     drive: Drive
-    gate: GateState
+    gate: LimiterState
     command: Command[float] | None
     verdict: Verdict
 
@@ -43,18 +50,18 @@ def make_order(
     limits: Limits,
     brakes: BrakeSettings,
     scaling: Scaling,
-    state: GateState,
+    state: LimiterState,
     action: Action,
     wish: Command[float] | None,
     speed: float,
     t_ns: int,
 ) -> Order:
-    """Carry out an action; a wish that is missing or not finite brakes.
+    """Make the order for an action; a wish that is missing or not finite brakes.
 
     Args:
         limits: of the gate.
         brakes: currents.
-        scaling: of the VESC: an order is what it can be told.
+        scaling: of the VESC: orders are rounded to what it can express.
         state: of the gate.
         action: the supervisor's.
         wish: the controller's, None if it has none.
@@ -63,7 +70,9 @@ def make_order(
     """
     measured = speed if isfinite(speed) else limits.speed_max
     driven = action.motor in _DRIVEN
-    gated = gate(limits, state, _aim(action, state, wish, measured), measured, action.cap, t_ns)
+    gated = limit_order(
+        limits, state, _make_target(action, state, wish, measured), measured, action.cap, t_ns
+    )
     if driven and (wish is None or gated.verdict is Verdict.NOT_FINITE):
         drive: Drive = DriveBrake(None, brakes.brake_current_a)
         return Order(drive, state, None, Verdict.NOT_FINITE if wish else Verdict.PASSED)
@@ -71,12 +80,12 @@ def make_order(
         sent = Command(*as_sent(scaling, gated.order.steer, gated.order.speed))
         return Order(DriveSpeed(*sent), gated.state, sent, gated.verdict)
     steer = None if action.steering is SteeringOutput.NONE else gated.order.steer
-    rolling = _rolling(limits, gated, measured, t_ns)
-    return Order(_undriven(action.motor, brakes, steer), rolling, None, gated.verdict)
+    rolling = _track_speed(limits, gated, measured, t_ns)
+    return Order(_make_brake_drive(action.motor, brakes, steer), rolling, None, gated.verdict)
 
 
-def _aim(
-    action: Action, state: GateState, wish: Command[float] | None, speed: float
+def _make_target(
+    action: Action, state: LimiterState, wish: Command[float] | None, speed: float
 ) -> Command[float]:
     steer = state.order.steer
     if action.steering is SteeringOutput.CENTRE:
@@ -86,13 +95,13 @@ def _aim(
     return Command(steer, wish.speed if wish is not None and action.motor in _DRIVEN else speed)
 
 
-def _rolling(limits: Limits, gated: Gated, speed: float, t_ns: int) -> GateState:
-    """The gate's state while nothing follows a speed: the next order starts from the real one."""
+def _track_speed(limits: Limits, gated: LimitedOrder, speed: float, t_ns: int) -> LimiterState:
+    """The gate's state while no speed is commanded: the next order starts from the measured one."""
     order = Command(gated.order.steer, max(speed, 0.0))
-    return make_gate_state(limits, order, t_ns)
+    return make_limiter_state(limits, order, t_ns)
 
 
-def _undriven(motor: MotorOutput, brakes: BrakeSettings, steer: float | None) -> Drive:
+def _make_brake_drive(motor: MotorOutput, brakes: BrakeSettings, steer: float | None) -> Drive:
     match motor:
         case MotorOutput.SOFT_BRAKE:
             return DriveBrake(steer, brakes.soft_brake_current_a)

@@ -1,4 +1,4 @@
-"""What the loop tells: its own quantities as messages. Pure; `epoch_ns` maps to UNIX time."""
+"""Outgoing messages of the loop. Pure; `epoch_ns` maps monotonic to UNIX time."""
 
 from collections.abc import Iterable
 from math import nan
@@ -7,7 +7,7 @@ from steerd.controller.lane_controller import ControlReport
 from steerd.daemon.loop.findings import Finding
 from steerd.daemon.loop.supervisor import Action, SupervisorMemory
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.estimator.state_filter import Estimate
+from steerd.estimator.state_filter import StateEstimate
 from steerd.mocap_link.source import ClockKind, PoseSample
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -101,7 +101,7 @@ def make_imu(event: ImuSample, epoch_ns: int) -> m.VescImu:
 
 
 def make_actuation(drive: Drive, wire: bytes, seq: int, stamp_ns: int) -> m.Actuation:
-    """What went to the wire in a tick."""
+    """The bytes that were written in a tick, and their meaning."""
     mode, speed, current = m.ActuationMode.SILENT, nan, nan
     match drive:
         case DriveSpeed():
@@ -122,7 +122,7 @@ def read_actuation(actuation: m.Actuation) -> tuple[int, float, float, float]:
 
 
 def make_state(
-    estimate: Estimate | None,
+    estimate: StateEstimate | None,
     report: ControlReport | None,
     drive: Drive,
     mode: SupervisorState,
@@ -131,7 +131,7 @@ def make_state(
     t_ns: int,
     epoch_ns: int,
 ) -> m.State:
-    """The tick's aggregate; NaN where nothing is known yet."""
+    """The state message of a tick; NaN where nothing is known yet."""
     r = report or _NO_REPORT
     state = estimate.state if estimate else (nan,) * 7
     sd = estimate.sd if estimate else (nan,) * 7
@@ -154,7 +154,7 @@ def make_state(
 
 
 def make_transition(old: SupervisorState, new: SupervisorMemory, stamp_ns: int) -> m.Transition:
-    """A change of the supervisor's state and why."""
+    """A change of the supervisor's state, with its reason."""
     code = f"{old.name.lower()}_{new.state.name.lower()}"
     return m.Transition(m.make_header(stamp_ns, m.BODY), old, new.state, code, new.reason)
 

@@ -1,4 +1,4 @@
-"""What the core knows of car and world: frames judged, telemetry kept, state estimated."""
+"""Perception: checks mocap frames, keeps telemetry, estimates the car's state."""
 
 from collections import deque
 from math import hypot, inf, nan
@@ -16,11 +16,11 @@ from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
 from steerd.estimator.state_filter import (
-    Estimate,
     FilterState,
+    StateEstimate,
     make_state_filter,
     predict_to,
-    restarted,
+    restart_filter,
     step,
 )
 from steerd.mocap_link.source import PoseSample
@@ -28,17 +28,17 @@ from steerd.vesc_link.events import ImuSample, Telemetry
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed
 
 _SPEED_SPAN_NS = 100_000_000
-"""Mocap speed is measured over this long: single steps at 100 Hz are noise."""
+"""Time over which mocap speed is taken: single steps at 100 Hz are mostly noise."""
 BLIND_S = 0.5
-"""A speed that nothing measured for this long is not known."""
+"""Age after which a measured speed counts as unknown [s]."""
 _SEEN = (PoseVerdict.ACCEPTED, PoseVerdict.REBASED)
 
 
 class Perception:
-    """Everything that was measured, and what follows from it.
+    """Measurements and the state estimate that follows from them.
 
     Attributes:
-        watch: the frame watchdogs.
+        watch: memory of the frame watchdogs.
         telemetry: the last reply, or None.
         accepted_ns: arrival of the last good frame, or None.
         may_rebase: set by the loop: the car is disarmed and stands.
@@ -65,7 +65,7 @@ class Perception:
     # --- what arrives
 
     def on_pose(self, sample: PoseSample) -> None:
-        """Judge a mocap sample; a good one is fused at its time of validity."""
+        """Check a mocap sample; an accepted one is fused at its time of validity."""
         raw = sample.raw
         frame = PoseFrame(
             sample.t_arrival_ns,
@@ -79,7 +79,7 @@ class Perception:
             self._thresholds, self.watch, frame, self.wheel_speed, self.may_rebase
         )
         if verdict is PoseVerdict.REBASED:
-            self._state = restarted(self._state)
+            self._state = restart_filter(self._state)
             self._track.clear()
         if verdict in _SEEN and sample.rejected is None:
             self.accepted_ns = sample.t_arrival_ns
@@ -104,13 +104,13 @@ class Perception:
             self._measurements.append(make_gyro(sample.when.stamp_ns, yaw_rate))
 
     def on_command(self, t_ns: int, command: Command[float] | None) -> None:
-        """Remember what was sent to the car; None when nothing drives it."""
+        """Remember the command sent to the car; None when no speed is commanded."""
         self._commands.append((t_ns, command))
 
     # --- what follows
 
-    def estimate(self, now_ns: int) -> Estimate | None:
-        """Fuse all that arrived and predict to now; None before the first belief."""
+    def estimate(self, now_ns: int) -> StateEstimate | None:
+        """Fuse what arrived and predict to now; None before the first estimate."""
         self._fuse(now_ns)
         estimate = predict_to(self._filter, self._state, now_ns)
         if estimate is not None:
@@ -120,13 +120,13 @@ class Perception:
         return estimate
 
     def _fuse(self, now_ns: int) -> None:
-        """Give the filter what came since the last time; how often does not change the belief."""
+        """Give the filter what came since the last call; the calls' number changes no estimate."""
         if self._measurements or self._commands:
             new, sent = self._measurements, self._commands
             self._state = step(self._filter, self._state, now_ns, new, sent)
             self._measurements, self._commands = [], []
 
-    def _note_innovations(self, estimate: Estimate) -> None:
+    def _note_innovations(self, estimate: StateEstimate) -> None:
         pose = estimate.health.pose
         if pose.seen < self._seen or pose.refused < self._refused:
             self._seen = self._refused = 0
@@ -143,7 +143,7 @@ class Perception:
         return erpm_to_speed(self._scaling, self.telemetry.values.erpm)
 
     def recent_wheel_speed(self, now_ns: int) -> float:
-        """The same; NaN once no reply has told it for `BLIND_S`."""
+        """The same; NaN if the last reply is older than `BLIND_S`."""
         return self.wheel_speed if self.telemetry_age(now_ns) <= BLIND_S else nan
 
     @property
@@ -165,11 +165,11 @@ class Perception:
         return (now_ns - self.telemetry.when.t_received_ns) * 1e-9
 
 
-def best_speed(estimate: Estimate | None, wheel_speed: float) -> float:
-    """The speed that the supervisor trusts [m/s]: the filter's while it is sound and fed.
+def best_speed(estimate: StateEstimate | None, wheel_speed: float) -> float:
+    """The speed for the supervisor [m/s]: the filter's while it is sound and has measurements.
 
-    NaN once neither poses nor wheels have told anything for `BLIND_S`: a filter that only coasts
-    would call the car moving for ever.
+    NaN if the last pose and the last wheel speed are older than `BLIND_S`: a filter that only
+    predicts would report a moving car for ever.
     """
     if estimate is None or not estimate.health.sound:
         return wheel_speed  # which must be a recent one
@@ -178,6 +178,6 @@ def best_speed(estimate: Estimate | None, wheel_speed: float) -> float:
     return estimate.state.speed if fed else nan
 
 
-def estimated_state(estimate: Estimate | None) -> State[float]:
+def estimated_state(estimate: StateEstimate | None) -> State[float]:
     """The estimated state, or NaNs."""
     return estimate.state if estimate is not None else State(*(nan,) * 7)

@@ -1,8 +1,8 @@
-"""Excitation plans: what to drive so that a session tells the car's parameters.
+"""Excitation plans: drives from whose sessions the car's parameters are identifiable.
 
-A plan is a list of segments; each asks for a speed and a steering angle as functions of time alone.
-Open loop it drives the car by itself, in orbits that fit the box; closed loop it is a probe on top
-of the lane keeper. Pure: nothing here knows a clock.
+A plan is a list of segments; each gives a speed and a steering angle as functions of time alone.
+Open loop it drives the car by itself, in orbits that fit the box; closed loop it is a probing
+signal added to the lane keeper's command. Pure.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -20,34 +20,45 @@ from steerd.daemon.loop.supervisor import LAUNCH_SPEED
 PAPER_SECONDS = 8.0
 PAPER_SPEED = 1.0
 PAPER_RUNS = 8
-"""The paper's circles: 8 to each side, 8 s each, 1 m/s, steering at its limit."""
+"""The paper's circles: 8 to each side, 8 s each, 1 m/s, steering at its limit [s, m/s, -]."""
 PAUSE = 1.5
 """Standstill between the paper's runs [s]."""
 SWING, SWING_LEAST = 0.7, 0.3
-"""Steering swings by this share of the orbit's mean angle; less on the tightest orbits."""
+"""Amplitude of the steering as a share of the orbit's mean angle; the least on tight orbits."""
 SPEED_LOW = 1.0
-"""Below this, tyres tell little; plans begin here [m/s]."""
+"""Lowest speed of a plan [m/s]: below it, tyre parameters are not excited."""
 PROBE = 0.05
-"""Closed loop: the probe's amplitude [rad]."""
+"""Amplitude of the probing signal in closed loop [rad]."""
 PROBE_RADIUS, CIRCLE_RADIUS = 1.8, 1.5
-"""Sharpest paths that leave room for the probe [m]."""
+"""Smallest radii of figure eight and circle that leave room for the probing signal [m]."""
 _STEP = 0.02
-_DOUBT = 0.03
+"""Time step of the forecast [s]."""
+_STEER_GAIN_SPREAD = 0.03
+"""Uncertainty of the steering gain in the forecast."""
+_ACCEL_SHARE = 0.5
+"""Share of the largest acceleration with which the forecast's car gains speed."""
 _MARGIN, _DELAY, _BRAKE = 0.6, 0.1, 3.5
-"""Kept from the box in the forecast: [m], [s] and [m/s^2], as the fence's watchdog warns."""
+"""Stopping distance in the forecast: [m], [s] and [m/s^2], as the fence's watchdog warns."""
 _SHRINK = 0.92
+"""Factor between the radii that are tried."""
+_GRIP_SHARE = 0.95
+"""Share of the largest lateral acceleration that an orbit uses."""
+_RADIUS_MARGIN = 1.05
+"""Factor on the first radius that is tried."""
+_CHIRP_LOW_HZ = 0.3
+"""First frequency of a chirp [Hz]; patterns up to 1 Hz keep one frequency."""
 
 
 class PlanError(ValueError):
-    """A plan that cannot be driven: unknown, or too large for its box."""
+    """An unknown plan, or one that does not fit its box."""
 
 
 class Segment(NamedTuple):
     """One stretch of a plan.
 
     Attributes:
-        seconds: how long.
-        speed: asked for [m/s].
+        seconds: duration [s].
+        speed: target speed [m/s].
         steer: mean angle [rad].
         swing: amplitude about it [rad].
         f0: frequency at the beginning [Hz].
@@ -74,7 +85,7 @@ class Segment(NamedTuple):
 
 @dataclass(frozen=True)
 class Box:
-    """Where the car must stay [m], world frame."""
+    """Rectangle that the car must not leave [m], world frame."""
 
     x_min: float
     y_min: float
@@ -99,7 +110,7 @@ class Drill:
     Attributes:
         name: of the plan.
         segments: in order.
-        closed: on top of the lane keeper, instead of in its place.
+        closed: added to the lane keeper's command, instead of replacing it.
         box: None without one.
     """
 
@@ -114,7 +125,7 @@ class Drill:
         return sum(s.seconds for s in self.segments)
 
     def command_at(self, t: float) -> Command[float]:
-        """The plan's own command `t` seconds into it; afterwards it stands."""
+        """The plan's own command `t` seconds into it; a zero command after its end."""
         for segment in self.segments:
             if t < segment.seconds:
                 return segment.command(t)
@@ -122,7 +133,7 @@ class Drill:
         return Command(0.0, 0.0)
 
     def wish(self, t: float, lane: Command[float]) -> Command[float]:
-        """What to ask for, given what the lane keeper would ask for."""
+        """The command at time `t`, given the lane keeper's command."""
         own = self.command_at(t)
         if not self.closed:
             return own
@@ -147,8 +158,8 @@ def parse_box(text: str) -> Box:
     raise PlanError(f"box {text!r}: give its side, or x_min,y_min,x_max,y_max in metres")
 
 
-def _circles(car: Car[float], limits: Limits, scale: float, speed: float) -> Iterator[Segment]:
-    """The paper's sixteen."""
+def _make_circles(car: Car[float], limits: Limits, scale: float, speed: float) -> Iterator[Segment]:
+    """The paper's sixteen circles."""
     left = min(limits.steer_left_max, car.steer_max)
     right = min(limits.steer_right_max, -car.steer_min)
     for steer in (left, -right):
@@ -169,21 +180,21 @@ class _Orbit(NamedTuple):
     speed: float
 
 
-def _orbit(car: Car[float], limits: Limits, radius: float, speed: float) -> _Orbit:
+def _make_orbit(car: Car[float], limits: Limits, radius: float, speed: float) -> _Orbit:
     length = wheelbase(car)
     bound = min(limits.steer_left_max, limits.steer_right_max, car.steer_max, -car.steer_min)
     steer = min(atan(length / radius), bound / (1.0 + SWING_LEAST))
     swing = min(SWING * steer, bound - steer)
     sharpest = tan(steer + swing) / length
-    fastest = sqrt(0.95 * limits.lateral_accel_max / sharpest)
+    fastest = sqrt(_GRIP_SHARE * limits.lateral_accel_max / sharpest)
     return _Orbit(steer, swing, min(speed, limits.speed_max, fastest))
 
 
-def _waves(orbit: _Orbit, side: float, pattern: _Pattern) -> Iterator[Segment]:
+def _make_waves(orbit: _Orbit, side: float, pattern: _Pattern) -> Iterator[Segment]:
     """A pattern on one side's orbit."""
     for seconds, share, top, square in pattern:
         speed = max(share * orbit.speed, min(SPEED_LOW, orbit.speed))
-        low = 0.3 if top > 1.0 else top
+        low = _CHIRP_LOW_HZ if top > 1.0 else top
         steer, swing = side * orbit.steer, orbit.swing if top else 0.0
         yield Segment(seconds, speed, steer, swing, low, top, square)
 
@@ -201,55 +212,63 @@ _PATTERNS: Mapping[str, _Pattern] = {
 NAMES: tuple[str, ...] = ("circles", *_PATTERNS)
 
 
-def _segments(
+def _make_segments(
     name: str, car: Car[float], limits: Limits, radius: float, speed: float
 ) -> tuple[Segment, ...]:
     if name == "circles":
-        return tuple(_circles(car, limits, radius, speed))
-    orbit = _orbit(car, limits, radius, speed)
-    sides = (tuple(_waves(orbit, side, _PATTERNS[name])) for side in (1.0, -1.0))
-    return tuple(segment for side in sides for segment in _whole_turns(car, side))
+        return tuple(_make_circles(car, limits, radius, speed))
+    orbit = _make_orbit(car, limits, radius, speed)
+    sides = (tuple(_make_waves(orbit, side, _PATTERNS[name])) for side in (1.0, -1.0))
+    return tuple(segment for side in sides for segment in _scale_to_whole_turns(car, side))
 
 
-class _Going(NamedTuple):
-    """Where a forecast has got to."""
+class _ForecastState(NamedTuple):
+    """Pose [m, rad], speed [m/s] and distance [m] of the forecast's car."""
 
     x: float = 0.0
     y: float = 0.0
     yaw: float = 0.0
     speed: float = 0.0
-    way: float = 0.0
+    distance: float = 0.0
 
 
-def _follow(car: Car[float], segments: Iterable[Segment], gain: float = 1.0) -> Iterator[_Going]:
-    """The car's way by steady turning, understeer, launch and the speed's ramp included."""
-    g = _Going()
+def _simulate(
+    car: Car[float], segments: Iterable[Segment], gain: float = 1.0
+) -> Iterator[_ForecastState]:
+    """States of the car by steady turning, with understeer, launch and the speed's ramp."""
+    g = _ForecastState()
     bend = (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
     for segment in segments:
         for k in range(round(segment.seconds / _STEP)):
             wish = segment.command(k * _STEP)
             aim = (
                 car.speed_gain * wish.speed
-                if g.way > LAUNCH_DISTANCE
+                if g.distance > LAUNCH_DISTANCE
                 else min(wish.speed, LAUNCH_SPEED)
             )
-            change = max(-car.decel_max, min((aim - g.speed) / _STEP, 0.5 * car.accel_max))
+            change = max(-car.decel_max, min((aim - g.speed) / _STEP, _ACCEL_SHARE * car.accel_max))
             speed = g.speed + change * _STEP
             wheel = car.steer_gain * wish.steer + car.steer_bias
             turn = gain * speed * tan(wheel) / (wheelbase(car) + bend * speed * speed)
-            yaw, way = g.yaw + turn * _STEP, speed * _STEP
-            g = _Going(g.x + way * cos(yaw), g.y + way * sin(yaw), yaw, speed, g.way + way)
+            yaw, distance = g.yaw + turn * _STEP, speed * _STEP
+            g = _ForecastState(
+                g.x + distance * cos(yaw),
+                g.y + distance * sin(yaw),
+                yaw,
+                speed,
+                g.distance + distance,
+            )
             yield g
 
 
 def forecast_extent(car: Car[float], segments: Sequence[Segment]) -> Box:
-    """What a plan needs from its start at the origin, for a car that may steer 3 % otherwise.
+    """Extent of a plan that starts at the origin, for a steering gain that may differ by 3 %.
 
-    The way that a stop would take is included.
+    Includes the stopping distance.
     """
     low, high = [0.0, 0.0], [0.0, 0.0]
-    for gain in (1.0 - _DOUBT, 1.0, 1.0 + _DOUBT):
-        for g in _follow(car, segments, gain):
+    for gain in (1.0 - _STEER_GAIN_SPREAD, 1.0, 1.0 + _STEER_GAIN_SPREAD):
+        for g in _simulate(car, segments, gain):
             ahead = _MARGIN + g.speed * (_DELAY + g.speed / (2.0 * _BRAKE))
             for x, y in ((g.x, g.y), (g.x + ahead * cos(g.yaw), g.y + ahead * sin(g.yaw))):
                 low = [min(low[0], x), min(low[1], y)]
@@ -257,20 +276,20 @@ def forecast_extent(car: Car[float], segments: Sequence[Segment]) -> Box:
     return Box(low[0], low[1], high[0], high[1])
 
 
-def _whole_turns(car: Car[float], segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
-    """The segments, a little longer or shorter, so that they end where they began."""
+def _scale_to_whole_turns(car: Car[float], segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
+    """The segments, scaled in time so that they end after whole turns."""
     yaw = 0.0
-    for g in _follow(car, segments):
+    for g in _simulate(car, segments):
         yaw = g.yaw
     turns = max(1.0, round(abs(yaw) / (2.0 * pi)))
     factor = 2.0 * pi * turns / max(abs(yaw), 1e-6)
     return tuple(s._replace(seconds=s.seconds * factor) for s in segments)
 
 
-def _fits(box: Box, reach: Box) -> bool:
+def _is_inside(box: Box, extent: Box) -> bool:
     """Whether a car that starts in the middle of the box, along x, stays inside."""
     half_x, half_y = 0.5 * (box.x_max - box.x_min), 0.5 * (box.y_max - box.y_min)
-    far_x, far_y = max(-reach.x_min, reach.x_max), max(-reach.y_min, reach.y_max)
+    far_x, far_y = max(-extent.x_min, extent.x_max), max(-extent.y_min, extent.y_max)
     return far_x <= half_x and far_y <= half_y
 
 
@@ -290,20 +309,20 @@ def make_open_drill(
         PlanError: unknown name, or no orbit fits.
     """
     _check_name(name)
-    radius = 1.05 * speed**2 * (1.0 + SWING) / limits.lateral_accel_max
+    radius = _RADIUS_MARGIN * speed**2 * (1.0 + SWING) / limits.lateral_accel_max
     smallest = wheelbase(car) / tan(min(limits.steer_left_max, limits.steer_right_max))
-    reach = Box(0.0, 0.0, 0.0, 0.0)
+    extent = Box(0.0, 0.0, 0.0, 0.0)
     while True:
-        segments = _segments(name, car, limits, max(radius, smallest), speed)
+        segments = _make_segments(name, car, limits, max(radius, smallest), speed)
         if box is None:
             return Drill(name, segments, False, None)
-        reach = forecast_extent(car, segments)
-        if _fits(box, reach):
+        extent = forecast_extent(car, segments)
+        if _is_inside(box, extent):
             return Drill(name, segments, False, box)
         if radius < smallest or name == "circles":
             break
         radius *= _SHRINK
-    side = 2.0 * (max(-reach.x_min, reach.x_max, -reach.y_min, reach.y_max))
+    side = 2.0 * (max(-extent.x_min, extent.x_max, -extent.y_min, extent.y_max))
     text = f"plan {name} needs a box of {side:.1f} m, the car starting in its middle"
     raise PlanError(text if name == "circles" else f"{text}; or drive it with --closed")
 
@@ -318,7 +337,15 @@ def make_closed_drill(name: str, box: Box | None) -> Drill:
     if name == "circles":
         raise PlanError("circles are driven open loop: steering at its limit leaves no room")
     segments = tuple(
-        Segment(seconds, share, 0.0, PROBE if top else 0.0, 0.3 if top > 1.0 else top, top, square)
+        Segment(
+            seconds,
+            share,
+            0.0,
+            PROBE if top else 0.0,
+            _CHIRP_LOW_HZ if top > 1.0 else top,
+            top,
+            square,
+        )
         for seconds, share, top, square in _PATTERNS[name] * 2
     )
     return Drill(name, segments, True, box)

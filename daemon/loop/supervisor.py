@@ -1,7 +1,8 @@
-"""Who may move the car, and how it stops: one pure function over the table in ``transitions``.
+"""The supervisor: who may move the car, and how it stops; one pure function over a table.
 
-``step`` turns what is true now (``Conditions``) and what was asked for (``Request``) into guard
-bits, takes the first row that matches, and says what the motor bytes and the steering must be. The
+``step_supervisor`` turns measured conditions (``Conditions``) and requests (``Request``) into guard
+bits, takes the first row of ``transitions.TABLE`` that matches, and gives the kinds of motor and
+servo bytes. The
 invariants I1-I8 of `docs/reference/safety-requirements.md#invariants` are enumerated over it in the
 tests. No clock, no I/O, no randomness.
 """
@@ -21,17 +22,18 @@ from steerd.daemon.loop.transitions import (
 
 STILL_SPEED = 0.05  # [m/s] slower than this is standing
 SOFT_DECEL = 1.5  # [m/s2] slope of the speed cap while stopping
-SOFT_BRAKE_SPEED = 0.3  # [m/s] below it a VESC's speed loop lets go, so brake current takes over
+SOFT_BRAKE_SPEED = 0.3  # [m/s] below it a VESC's speed loop releases: brake current takes over
 LAUNCH_SPEED = 0.5  # [m/s] until the launch checks have passed
 OPEN_FRAMES = 3  # brake frames after the port was (re)opened
-STILL_NS = 300_000_000
-CHECKS_HOLD_NS = 1_000_000_000
+STILL_NS = 300_000_000  # a car that is slow for so long stands
+CHECKS_HOLD_NS = 1_000_000_000  # the pre-arm checks must pass for so long
 PROOF_NS = 210_000_000  # longer than the 200 ms between the ALIVEs of a forgotten VESC Tool
 PROOF_SLACK_NS = 50_000_000
 CENTRE_NS = 500_000_000  # full lock to centre takes 0.1 s; the rest is for lost frames
-GAP_NS = 100_000_000  # nobody looked for so long: what held before proves nothing
+GAP_NS = 100_000_000  # after a longer gap between two ticks all timers start again
 NEVER = -1
-DURATIONS = {
+"""Value of a timer whose condition does not hold."""
+DURATIONS_NS = {
     SupervisorState.ARMED: 30 * 10**9,
     SupervisorState.STOPPING: 4 * 10**9,
     SupervisorState.FAULT_STOP: 2 * 10**9,
@@ -40,13 +42,13 @@ DURATIONS = {
 
 
 class Conditions(NamedTuple):
-    """What is true in this tick.
+    """Measured conditions of one tick.
 
     Attributes:
         facts: the first twelve bits of ``Is``.
-        speed: best known speed [m/s]; NaN when no source tells it.
+        speed: best known speed [m/s]; NaN when no source gives it.
         timeout_ns: the VESC's own timeout as read from its appconf.
-        text: the worst watchdog trip in words, for the log and for people.
+        text: text of the worst watchdog trip, for the log and for people.
     """
 
     facts: int
@@ -56,14 +58,27 @@ class Conditions(NamedTuple):
 
 
 class SupervisorMemory(NamedTuple):
-    """All that the supervisor remembers; times are [ns], monotonic."""
+    """The supervisor's memory between ticks; times are [ns], monotonic.
+
+    Attributes:
+        state: of the state machine.
+        t_ns: time of the last tick.
+        since_ns: time at which the state was entered.
+        reason: why.
+        still_ns: since when the car stands, or ``NEVER``.
+        checks_ns: since when the pre-arm checks pass, or ``NEVER``.
+        proof_ns: since when the VESC shows its timeout, or ``NEVER``.
+        cap: highest speed that may be ordered [m/s].
+        rearm: whether the car goes back to ARMED after this stop.
+        braking: whether brake current has taken over from the speed ramp.
+        frames: brake frames still to be sent to a port that was just opened.
+    """
 
     state: SupervisorState
     t_ns: int
     since_ns: int
     reason: str
     still_ns: int
-    """Seen standing since, or ``NEVER``; likewise ``checks_ns`` and ``proof_ns``."""
     checks_ns: int
     proof_ns: int
     cap: float
@@ -73,7 +88,7 @@ class SupervisorMemory(NamedTuple):
 
 
 class Action(NamedTuple):
-    """What this tick must put on the wire, and why, in words.
+    """What this tick must put on the wire, and why.
 
     Attributes:
         motor: kind of motor bytes.
@@ -127,7 +142,7 @@ def _since(holds: object, began: int, t_ns: int) -> int:
 
 
 def _renew_timers(s: SupervisorMemory, c: Conditions, t_ns: int) -> tuple[int, int, int]:
-    """Return since when the car stands, the checks pass, the timeout shows."""
+    """Return since when the car stands, the checks pass, the timeout is shown."""
     if not 0 <= t_ns - s.t_ns <= GAP_NS:
         return NEVER, NEVER, NEVER
     still = -STILL_SPEED < c.speed < STILL_SPEED
@@ -145,9 +160,9 @@ def _held(began: int, t_ns: int, duration_ns: int) -> bool:
 
 def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -> int:
     """Return all guard bits (``Is``); the timers in ``s`` must be those of this tick."""
-    asked = int(requests)
-    bits = (int(c.facts) & _GIVEN) | (asked & _REQUESTS) << _SHIFT
-    if asked & ~_KNOWN:
+    requests = int(requests)
+    bits = (int(c.facts) & _GIVEN) | (requests & _REQUESTS) << _SHIFT
+    if requests & ~_KNOWN:
         bits |= _UNKNOWN
     if _held(s.checks_ns, t_ns, CHECKS_HOLD_NS):
         bits |= _CHECKS_HELD
@@ -160,7 +175,7 @@ def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -
     allowed = (
         c.timeout_ns + PROOF_SLACK_NS
         if s.state == SupervisorState.SELF_TEST
-        else DURATIONS.get(s.state)
+        else DURATIONS_NS.get(s.state)
     )
     if allowed is not None and t_ns - s.since_ns >= allowed:
         bits |= _ELAPSED
@@ -172,8 +187,8 @@ def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -
 
 
 def _enter(s: SupervisorMemory, row: TransitionRow, c: Conditions, t_ns: int) -> SupervisorMemory:
-    own_words = s.reason if row.to == SupervisorState.FAULT_LATCHED else c.text
-    reason = row.reason or own_words or "a watchdog tripped"
+    text = s.reason if row.to == SupervisorState.FAULT_LATCHED else c.text
+    reason = row.reason or text or "a watchdog tripped"
     frames = OPEN_FRAMES if row.to == SupervisorState.INIT else s.frames
     rearm = row.reason == STOP_REASON
     return SupervisorMemory(
@@ -182,9 +197,9 @@ def _enter(s: SupervisorMemory, row: TransitionRow, c: Conditions, t_ns: int) ->
 
 
 def _next_cap(s: SupervisorMemory, old: SupervisorMemory, bits: int, speed: float) -> float:
-    """Speed cap [m/s]: it only ever falls while stopping, starting at what the car really does."""
+    """Speed cap [m/s]; while stopping it only falls, from the measured speed."""
     if s.state == SupervisorState.RUNNING:
-        # What shows as launched when a drive begins is the drive before.
+        # At the start of a drive LAUNCHED is still that of the drive before.
         launched = old.state == SupervisorState.RUNNING and bits & _LAUNCHED
         return inf if launched else LAUNCH_SPEED
     if s.state != SupervisorState.STOPPING:
@@ -237,7 +252,7 @@ def _choose_steering(s: SupervisorMemory, bits: int, motor: MotorOutput) -> Stee
 
 
 def _count_frames(s: SupervisorMemory, bits: int) -> int:
-    """Brake frames still owed to a port that was just opened."""
+    """Brake frames still to be sent to a port that was just opened."""
     return max(0, s.frames - 1) if bits & _LINKED else OPEN_FRAMES
 
 
@@ -255,19 +270,19 @@ _WAITING = {
 }
 
 
-def step(
+def step_supervisor(
     old: SupervisorMemory, conditions: Conditions, requests: int, t_ns: int
 ) -> tuple[SupervisorMemory, Action]:
     """One tick of the supervisor.
 
     Args:
-        old: what it remembers.
-        conditions: what is true now; must be given at least every 100 ms, or timers start again.
+        old: memory of the last tick.
+        conditions: of this tick; after a gap of more than 100 ms timers start again.
         requests: bits of ``Request``, several at once allowed; the stopping one wins.
         t_ns: now, monotonic.
 
     Returns:
-        The new state, and what this very tick must put on the wire.
+        The new memory, and what this tick must put on the wire.
     """
     still, checks, proof = _renew_timers(old, conditions, t_ns)
     s = old._replace(t_ns=t_ns, still_ns=still, checks_ns=checks, proof_ns=proof)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class SupervisorState(IntEnum):
-    """Where the car is between switched on and driving; the order carries no meaning."""
+    """State of the supervisor's state machine; the order carries no meaning."""
 
     INIT = 0
     DISARMED = 1
@@ -24,7 +24,7 @@ class SupervisorState(IntEnum):
 
 
 class Request(IntFlag):
-    """What operators and signals ask for in one tick; bits that nobody knows count as UNKNOWN."""
+    """Requests of operators and signals in one tick; any other bit counts as UNKNOWN."""
 
     NONE = 0
     ARM = 1
@@ -36,11 +36,11 @@ class Request(IntFlag):
     RESET = 64  # leaves ESTOP
     ABORT = 128  # a second signal: stop hard
     UNKNOWN = 256
-    KEEPALIVE = 512  # feeds the deadman (W25), moves nothing here
+    KEEPALIVE = 512  # renews the lease (W25), changes no state
 
 
 class MotorOutput(IntEnum):
-    """What the motor bytes of this tick must be."""
+    """Kind of motor bytes of a tick."""
 
     SILENT = 0  # telemetry polls only
     SOFT_BRAKE = 1  # SET_CURRENT_BRAKE(I_soft)
@@ -54,7 +54,7 @@ class MotorOutput(IntEnum):
 
 
 class SteeringOutput(IntEnum):
-    """What the servo bytes of this tick must be; every angle goes through the gate."""
+    """Kind of servo bytes of a tick; every angle goes through the gate."""
 
     NONE = 0
     CENTRE = 1
@@ -103,14 +103,14 @@ class TransitionRow(NamedTuple):
     unless: int
     to: SupervisorState
     reason: str
-    """Empty: the watchdog's own words."""
+    """Empty: the watchdog's text."""
 
 
 _ANY = tuple(SupervisorState)
 INIT, DISARMED, READY, SELF_TEST, ARMED, RUNNING, STOPPING, FAULT_STOP, FAULT_LATCHED, ESTOP = _ANY
-_QUIET = (DISARMED, READY, SELF_TEST)
+_SILENT = (DISARMED, READY, SELF_TEST)
 _DRIVEN = (ARMED, RUNNING, STOPPING)
-_RED = Fact.SOFT | Fact.HARD
+_TRIPPED = Fact.SOFT | Fact.HARD
 _LEAVE = Fact.DISARM | Fact.UNKNOWN
 _HALT = Fact.STOP | Fact.DISARM | Fact.ABORT | Fact.UNKNOWN
 STOP_REASON = "stop asked for"
@@ -120,8 +120,8 @@ UNPROVEN = (
 )
 _0 = Fact(0)
 
-# The first row that matches wins. A fault of a car that is not armed is a red check: it keeps it
-# silent and disarmed. Faults of an armed car latch.
+# The first row that matches wins. A fault of a car that is not armed is a failed check: the car
+# stays silent and disarmed. Faults of an armed car latch.
 TABLE: tuple[TransitionRow, ...] = tuple(
     TransitionRow(sources, int(needs), int(one_of), int(unless), to, reason)
     for sources, needs, one_of, unless, to, reason in (
@@ -130,11 +130,11 @@ TABLE: tuple[TransitionRow, ...] = tuple(
         (_DRIVEN, Fact.HARD, _0, _0, FAULT_STOP, ""),
         (_DRIVEN, _0, _0, Fact.LINKED, FAULT_STOP, "serial link lost"),
         (_DRIVEN, Fact.ABORT, _0, _0, FAULT_STOP, "second signal: stopping hard"),
-        (_QUIET, _0, _0, Fact.LINKED, INIT, "serial link lost"),
-        (_QUIET, _0, _0, Fact.IDENTIFIED, INIT, "VESC or mocap is not what the car file names"),
+        (_SILENT, _0, _0, Fact.LINKED, INIT, "serial link lost"),
+        (_SILENT, _0, _0, Fact.IDENTIFIED, INIT, "VESC or mocap is not what the car file names"),
         ((INIT,), Fact.LINKED | Fact.IDENTIFIED, _0, _0, DISARMED, "VESC identified, mocap seen"),
-        ((DISARMED,), Fact.CHECKS_HELD, _0, _RED, READY, "all checks pass"),
-        ((READY, SELF_TEST), _0, _RED, _0, DISARMED, ""),
+        ((DISARMED,), Fact.CHECKS_HELD, _0, _TRIPPED, READY, "all checks pass"),
+        ((READY, SELF_TEST), _0, _TRIPPED, _0, DISARMED, ""),
         ((READY, SELF_TEST), _0, _0, Fact.CHECKS_PASS, DISARMED, "a pre-arm check failed"),
         ((READY,), Fact.ARM | Fact.LEASED, _0, _HALT, SELF_TEST, "proving the VESC's timeout"),
         ((SELF_TEST,), _0, _0, Fact.LEASED, DISARMED, "lease or deadman lost"),
@@ -156,12 +156,12 @@ TABLE: tuple[TransitionRow, ...] = tuple(
         ((STOPPING,), Fact.ELAPSED, _0, _0, FAULT_STOP, "not stopped after 4 s: braking hard"),
         ((FAULT_STOP,), Fact.STILL, _0, _0, FAULT_LATCHED, ""),
         ((FAULT_STOP,), Fact.ELAPSED, _0, Fact.MEASURED, FAULT_LATCHED, ""),
-        ((FAULT_LATCHED,), Fact.CLEAR | Fact.STILL, _0, _RED, DISARMED, "fault cleared"),
+        ((FAULT_LATCHED,), Fact.CLEAR | Fact.STILL, _0, _TRIPPED, DISARMED, "fault cleared"),
         (
             (ESTOP,),
             Fact.RESET | Fact.STILL | Fact.ELAPSED,
             _0,
-            _RED,
+            _TRIPPED,
             DISARMED,
             "emergency stop reset",
         ),

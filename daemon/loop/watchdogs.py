@@ -1,9 +1,9 @@
 """Watchdogs over one tick: pure functions in two tables, numbers in, findings out.
 
-``INSTANT`` holds what trips at once, ``TIMED`` what must hold for a while; three more remember a
-little. "Older than" is strict, "for so long" includes the instant. Comparisons are written so that
-NaN trips. Frame-wise watchdogs live in ``watchdogs_pose``; the runner reports W8, W15, W16, W26 to
-W29 itself (``WatchdogInput.reported``), under thresholds of the same table.
+``INSTANT`` holds those that trip at once, ``TIMED`` those whose condition must hold for a while;
+three more have a memory of their own. "Older than" is strict, "for so long" includes the instant.
+Comparisons are written so that NaN trips. Watchdogs over single frames are in ``watchdogs_pose``;
+the runner implements W8, W15, W16 and W26 to W29 (``WatchdogInput.reported``).
 """
 
 from collections.abc import Callable
@@ -19,16 +19,16 @@ from steerd.daemon.settings.thresholds import Thresholds
 _WARN = Severity.WARN
 _BOOTED = 10  # VESC fault code: booting from a watchdog reset
 SATURATED_GROWTH = 0.02  # [m] less is the noise of a car that holds its path at full lock
-FED_S = 0.2  # after this long in ARMED or RUNNING telemetry must show that the commands arrive
+COMMANDED_S = 0.2  # after so long in ARMED or RUNNING telemetry must show that commands arrive
 
 
 class WatchdogInput(NamedTuple):
-    """What one tick measures; ages in seconds, NaN where unknown.
+    """Measurements of one tick; ages in seconds, NaN where unknown.
 
     Attributes:
         t_ns: now, monotonic.
         state: the supervisor's, of the last tick.
-        pose: frame watchdogs.
+        pose: memory of the frame watchdogs.
         mocap_age: since the last ACCEPTED frame arrived [s].
         telemetry_age: since the last good GET_VALUES [s].
         lease_age: since lease and deadman were last renewed, the older one [s].
@@ -52,7 +52,7 @@ class WatchdogInput(NamedTuple):
         fet_temperature: [C].
         motor_temperature: [C]; NaN without a sensor, which is allowed.
         current_share: |motor current| over its limit.
-        reported: what the runner found itself.
+        reported: findings of the runner, the launch check and the command check.
     """
 
     t_ns: int
@@ -84,16 +84,17 @@ class WatchdogInput(NamedTuple):
     reported: tuple[Finding, ...] = ()
 
 
-Say = Callable[[Finding], None]
-Check = Callable[[Thresholds, WatchdogInput, Say], None]
+Report = Callable[[Finding], None]
+"""Takes a finding of this tick."""
+Check = Callable[[Thresholds, WatchdogInput, Report], None]
 _DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
-_FED = (SupervisorState.ARMED, SupervisorState.RUNNING)
+_COMMANDED = (SupervisorState.ARMED, SupervisorState.RUNNING)
 _LEASED = (SupervisorState.ARMED, SupervisorState.RUNNING, SupervisorState.STOPPING)
 _STOPS = (SupervisorState.STOPPING, SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
 
 
 def mocap_timeout(th: Thresholds, speed: float) -> float:
-    """Age [s] at which mocap is stale: at most ``mocap_blind`` metres blind (W1)."""
+    """Age [s] at which mocap is stale: at most ``mocap_blind`` metres without a pose (W1)."""
     if abs(speed) * th.mocap_longest <= th.mocap_blind:
         return th.mocap_longest
     return max(th.mocap_shortest, th.mocap_blind / abs(speed))
@@ -110,103 +111,105 @@ def is_inside(fence: tuple[tuple[float, float], ...], x: float, y: float) -> boo
     return inside
 
 
-def _check_mocap_age(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+def _check_mocap_age(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.mocap_age <= th.mocap_warn:
         return
     speed = i.speed if abs(i.speed) > abs(i.speed_erpm) else i.speed_erpm
     allowed = mocap_timeout(th, speed)
-    words = f"no good frame for {i.mocap_age * 1e3:.0f} ms (limit {allowed * 1e3:.0f} ms)"
-    say(make_finding("W1", words, None if not i.mocap_age <= allowed else _WARN))
+    text = f"no good frame for {i.mocap_age * 1e3:.0f} ms (limit {allowed * 1e3:.0f} ms)"
+    report(make_finding("W1", text, None if not i.mocap_age <= allowed else _WARN))
 
 
-def _check_pose(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+def _check_pose(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     w = i.pose
     if w.frozen >= th.freeze_warn:
-        words = f"{w.frozen} identical frames at {i.speed_erpm:.2f} m/s"
-        say(make_finding("W2", words, None if w.frozen >= th.freeze_frames else _WARN))
+        text = f"{w.frozen} identical frames at {i.speed_erpm:.2f} m/s"
+        report(make_finding("W2", text, None if w.frozen >= th.freeze_frames else _WARN))
     if w.invalid:
-        words = f"{w.invalid} bad frames in a row"
-        say(make_finding("W3", words, None if w.invalid >= th.invalid_frames else _WARN))
+        text = f"{w.invalid} bad frames in a row"
+        report(make_finding("W3", text, None if w.invalid >= th.invalid_frames else _WARN))
     flapping = is_flapping(th, w, i.t_ns)
     if w.jumps or flapping:
-        words = f"{w.jumps} jumps in a row, {len(w.jump_times)} lately"
-        say(make_finding("W4", words, None if flapping or w.jumps >= th.jump_frames else _WARN))
+        text = f"{w.jumps} jumps in a row, {len(w.jump_times)} lately"
+        report(make_finding("W4", text, None if flapping or w.jumps >= th.jump_frames else _WARN))
 
 
-def _check_innovation(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+def _check_innovation(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     w = i.pose
     if w.rejections:
         share = rejected_share(th, w)
         trips = w.rejected >= th.nis_frames or share > th.nis_share
-        words = f"{w.rejected} frames in a row rejected, {share:.0%} lately"
-        say(make_finding("W5", words, None if trips else _WARN))
+        text = f"{w.rejected} frames in a row rejected, {share:.0%} lately"
+        report(make_finding("W5", text, None if trips else _WARN))
 
 
-def _check_estimate(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+def _check_estimate(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     good = i.sigma_position <= th.sigma_position and i.sigma_yaw <= th.sigma_yaw
     if not (good and i.covariance_ok):
-        words = f"sigma {i.sigma_position:.3f} m, {degrees(i.sigma_yaw):.1f} deg"
-        say(make_finding("W6", words if i.covariance_ok else "covariance not positive definite"))
+        text = f"sigma {i.sigma_position:.3f} m, {degrees(i.sigma_yaw):.1f} deg"
+        report(make_finding("W6", text if i.covariance_ok else "covariance not positive definite"))
 
 
-def _check_telemetry(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+def _check_telemetry(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if not i.telemetry_age <= th.telemetry_warn:
-        words = f"no reply for {i.telemetry_age * 1e3:.0f} ms"
-        say(make_finding("W7", words, _WARN if i.telemetry_age <= th.telemetry else None))
+        text = f"no reply for {i.telemetry_age * 1e3:.0f} ms"
+        report(make_finding("W7", text, _WARN if i.telemetry_age <= th.telemetry else None))
 
 
-def _check_vesc(_th: Thresholds, i: WatchdogInput, say: Say) -> None:
+def _check_vesc(_th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.status & 2:
-        say(make_finding("W10", "status bit 1 is set"))
+        report(make_finding("W10", "status bit 1 is set"))
     if i.fault_code:
-        words = f"fault code {i.fault_code}"
-        say(make_finding("W12" if i.fault_code == _BOOTED else "W11", words))
+        text = f"fault code {i.fault_code}"
+        report(make_finding("W12" if i.fault_code == _BOOTED else "W11", text))
 
 
-def _check_battery(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+def _check_battery(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.cell_voltage < th.cell_warn:
-        say(make_finding("W13", f"{i.cell_voltage:.2f} V per cell", _WARN))
+        report(make_finding("W13", f"{i.cell_voltage:.2f} V per cell", _WARN))
 
 
-def _check_temperature(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+def _check_temperature(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     fet_trips, motor_trips = not i.fet_temperature <= th.fet, i.motor_temperature > th.motor
     if fet_trips or i.fet_temperature > th.fet_warn:
-        words = f"transistors at {i.fet_temperature:.0f} C"
-        say(make_finding("W14", words, None if fet_trips else _WARN))
+        text = f"transistors at {i.fet_temperature:.0f} C"
+        report(make_finding("W14", text, None if fet_trips else _WARN))
     if motor_trips or i.motor_temperature > th.motor_warn:
-        words = f"motor at {i.motor_temperature:.0f} C"
-        say(make_finding("W14", words, None if motor_trips else _WARN))
+        text = f"motor at {i.motor_temperature:.0f} C"
+        report(make_finding("W14", text, None if motor_trips else _WARN))
 
 
-def _check_path(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+def _check_path(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.state not in _DRIVING:
         return
     lateral, heading = abs(i.lateral_error), abs(i.heading_error)
     if not lateral <= th.lateral_warn:
-        words = f"{lateral:.2f} m"
-        say(make_finding("W17", words, _WARN if lateral <= th.lateral_max else None))
+        text = f"{lateral:.2f} m"
+        report(make_finding("W17", text, _WARN if lateral <= th.lateral_max else None))
     if not heading <= th.heading_warn:
-        words = f"{degrees(heading):.0f} deg"
-        say(make_finding("W18", words, _WARN if heading <= th.heading else None))
+        text = f"{degrees(heading):.0f} deg"
+        report(make_finding("W18", text, _WARN if heading <= th.heading else None))
 
 
-def _check_fence(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+def _check_fence(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if not th.fence:
         return
     v = abs(i.speed)
-    reach = v * th.fence_delay + v * v / (2.0 * th.brake_decel) + th.fence_margin
+    stopping_distance = v * th.fence_delay + v * v / (2.0 * th.brake_decel) + th.fence_margin
     c, s = cos(i.course), sin(i.course)
-    inside = is_inside(th.fence, i.x + reach * c, i.y + reach * s)
-    warned = reach + th.fence_warn
-    if not inside or not is_inside(th.fence, i.x + warned * c, i.y + warned * s):
-        words = f"the car at ({i.x:.2f}, {i.y:.2f}) m needs {reach:.2f} m to stop"
-        say(make_finding("W19", words, _WARN if inside else None))
+    inside = is_inside(th.fence, i.x + stopping_distance * c, i.y + stopping_distance * s)
+    warning_distance = stopping_distance + th.fence_warn
+    if not inside or not is_inside(
+        th.fence, i.x + warning_distance * c, i.y + warning_distance * s
+    ):
+        text = f"the car at ({i.x:.2f}, {i.y:.2f}) m needs {stopping_distance:.2f} m to stop"
+        report(make_finding("W19", text, _WARN if inside else None))
 
 
-def _check_lease(th: Thresholds, i: WatchdogInput, say: Say) -> None:
+def _check_lease(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.state in _LEASED and not i.lease_age <= th.lease_warn:
-        words = f"not renewed for {i.lease_age * 1e3:.0f} ms"
-        say(make_finding("W25", words, _WARN if i.lease_age <= th.lease else None))
+        text = f"not renewed for {i.lease_age * 1e3:.0f} ms"
+        report(make_finding("W25", text, _WARN if i.lease_age <= th.lease else None))
 
 
 INSTANT: tuple[Check, ...] = (
@@ -221,11 +224,11 @@ class Timed(NamedTuple):
     id: str
     holds: Callable[[Thresholds, WatchdogInput], bool]
     seconds: Callable[[Thresholds], float]
-    words: Callable[[WatchdogInput], str]
+    text: Callable[[WatchdogInput], str]
 
 
 def _is_starved(_th: Thresholds, i: WatchdogInput) -> bool:
-    return bool(i.status & 1) and i.state in _FED
+    return bool(i.status & 1) and i.state in _COMMANDED
 
 
 def _is_fast(th: Thresholds, i: WatchdogInput) -> bool:
@@ -241,13 +244,13 @@ def _is_mismatched(th: Thresholds, i: WatchdogInput) -> bool:
 
 
 def _is_blocked(th: Thresholds, i: WatchdogInput) -> bool:
-    # The wheels' own speed: a filter that disbelieves its sensors would go on "driving".
+    # The wheels' own speed: a filter that rejects its measurements would still report motion.
     stands = not abs(i.speed_erpm) >= th.blocked_speed
     return stands and i.current_share > th.blocked_current and i.state == SupervisorState.RUNNING
 
 
 TIMED: tuple[Timed, ...] = (
-    Timed("W9", _is_starved, lambda _: FED_S, lambda _: "status bit 0 stays set"),
+    Timed("W9", _is_starved, lambda _: COMMANDED_S, lambda _: "status bit 0 stays set"),
     Timed(
         "W13",
         lambda th, i: not i.cell_voltage >= th.cell,
@@ -283,11 +286,11 @@ NEVER = -1
 
 
 class WatchdogState(NamedTuple):
-    """What the watchdogs remember between ticks; times [ns] or ``NEVER``.
+    """Memory of the watchdogs between ticks; times [ns] or ``NEVER``.
 
     Attributes:
         since: when the condition of each row of ``TIMED`` began to hold.
-        fed: telemetry has shown that motor commands arrive, since the car was armed.
+        commanded: telemetry has shown, since the car was armed, that motor commands arrive.
         tachometer: the largest seen, -1 for none.
         saturated_ns: when the steering reached its limit.
         saturated_error: |e1| then [m].
@@ -298,7 +301,7 @@ class WatchdogState(NamedTuple):
     """
 
     since: tuple[int, ...] = (NEVER,) * len(TIMED)
-    fed: bool = False
+    commanded: bool = False
     tachometer: int = -1
     saturated_ns: int = NEVER
     saturated_error: float = 0.0
@@ -313,7 +316,9 @@ def is_slowing(w: WatchdogState) -> bool:
     return w.weak == 0
 
 
-def _step_timed(th: Thresholds, w: WatchdogState, i: WatchdogInput, say: Say) -> tuple[int, ...]:
+def _step_timed(
+    th: Thresholds, w: WatchdogState, i: WatchdogInput, report: Report
+) -> tuple[int, ...]:
     since = []
     for row, began in zip(TIMED, w.since, strict=True):
         if not row.holds(th, i):
@@ -322,25 +327,25 @@ def _step_timed(th: Thresholds, w: WatchdogState, i: WatchdogInput, say: Say) ->
         start = i.t_ns if began == NEVER else began
         since.append(start)
         if (i.t_ns - start) / 1e9 >= row.seconds(th):
-            say(make_finding(row.id, row.words(i)))
+            report(make_finding(row.id, row.text(i)))
     return tuple(since)
 
 
-def _step_vesc(w: WatchdogState, i: WatchdogInput, say: Say) -> tuple[bool, int]:
-    """W9 once the VESC has been seen to listen, and W12 by its tachometer."""
+def _step_vesc(w: WatchdogState, i: WatchdogInput, report: Report) -> tuple[bool, int]:
+    """W9 once telemetry has shown that commands arrive, and W12 by the tachometer."""
     timeout = bool(i.status & 1)
-    if w.fed and timeout and i.state == SupervisorState.RUNNING:
-        say(make_finding("W9", "status bit 0 is set while driving"))
+    if w.commanded and timeout and i.state == SupervisorState.RUNNING:
+        report(make_finding("W9", "status bit 0 is set while driving"))
     if 0 <= i.tachometer < w.tachometer:
-        say(make_finding("W12", f"tachometer fell from {w.tachometer} to {i.tachometer}"))
-    fed = i.state in _FED and (w.fed or not timeout)
-    return fed, i.tachometer if i.tachometer >= 0 else w.tachometer
+        report(make_finding("W12", f"tachometer fell from {w.tachometer} to {i.tachometer}"))
+    commanded = i.state in _COMMANDED and (w.commanded or not timeout)
+    return commanded, i.tachometer if i.tachometer >= 0 else w.tachometer
 
 
 def _step_saturation(
-    th: Thresholds, w: WatchdogState, i: WatchdogInput, say: Say
+    th: Thresholds, w: WatchdogState, i: WatchdogInput, report: Report
 ) -> tuple[int, float]:
-    """W23: full lock for long, and still the car drifts away from its path."""
+    """W23: full lock for long while the lateral error grows."""
     error = abs(i.lateral_error)
     if i.state not in _DRIVING or i.steer_share <= th.saturated:
         return NEVER, 0.0
@@ -348,13 +353,13 @@ def _step_saturation(
         return i.t_ns, error
     held = (i.t_ns - w.saturated_ns) / 1e9
     if held >= th.saturated_warn and not error <= w.saturated_error + SATURATED_GROWTH:
-        words = f"at the limit for {held:.1f} s, {error:.2f} m off and growing"
-        say(make_finding("W23", words, None if held >= th.saturated_hold else _WARN))
+        text = f"at the limit for {held:.1f} s, {error:.2f} m off and growing"
+        report(make_finding("W23", text, None if held >= th.saturated_hold else _WARN))
     return w.saturated_ns, w.saturated_error
 
 
-def _step_stop(th: Thresholds, w: WatchdogState, i: WatchdogInput, say: Say) -> WatchdogState:
-    """W24: a stop command is no stop; watch the speed fall, window by window."""
+def _step_stop(th: Thresholds, w: WatchdogState, i: WatchdogInput, report: Report) -> WatchdogState:
+    """W24: during a stop the speed must fall in each window."""
     if i.state not in _STOPS:
         return w._replace(stop=None, weak=0)
     if w.stop != i.state:
@@ -369,8 +374,8 @@ def _step_stop(th: Thresholds, w: WatchdogState, i: WatchdogInput, say: Say) -> 
         weak = abs(i.speed) > th.stop_speed and not drop >= th.stop_share * plan * seconds
         w = w._replace(stop_ns=i.t_ns, stop_speed=i.speed, weak=w.weak + weak)
     if w.weak:
-        words = f"still {abs(i.speed):.2f} m/s, too little slower after {th.stop_window:.1f} s"
-        say(make_finding("W24", words if w.weak == 1 else f"CUT POWER: {words}"))
+        text = f"still {abs(i.speed):.2f} m/s, too little slower after {th.stop_window:.1f} s"
+        report(make_finding("W24", text if w.weak == 1 else f"CUT POWER: {text}"))
     return w
 
 
@@ -383,15 +388,15 @@ def step_watchdogs(
         The new memory, and the findings: the runner's first, then in the order of the tables.
     """
     found = list(i.reported)
-    say = found.append
+    report = found.append
     for check in INSTANT:
-        check(th, i, say)
-    since = _step_timed(th, w, i, say)
-    fed, tachometer = _step_vesc(w, i, say)
-    saturated_ns, saturated_error = _step_saturation(th, w, i, say)
-    w = _step_stop(th, w, i, say)
+        check(th, i, report)
+    since = _step_timed(th, w, i, report)
+    commanded, tachometer = _step_vesc(w, i, report)
+    saturated_ns, saturated_error = _step_saturation(th, w, i, report)
+    w = _step_stop(th, w, i, report)
     w = WatchdogState(
-        since, fed, tachometer, saturated_ns, saturated_error,
+        since, commanded, tachometer, saturated_ns, saturated_error,
         w.stop, w.stop_ns, w.stop_speed, w.weak,
     )  # fmt: skip
     return w, tuple(found)

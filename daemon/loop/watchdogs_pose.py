@@ -1,7 +1,7 @@
 """Watchdogs over single mocap frames and innovations (W2-W5), stepped once per frame.
 
-They judge the pose after unit and axis mapping, before the filter sees it, and are the safety
-side's own eyes: ``mocap_link`` gates for good estimates, this finds when mocap cannot be trusted.
+They check the pose after unit and axis mapping, before the filter. ``mocap_link`` rejects outliers
+for a good estimate; these watchdogs independently detect that mocap cannot be trusted.
 """
 
 from enum import IntEnum
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from steerd.daemon.settings.thresholds import Thresholds
 
-JUMP_TIMES = 5  # so many jumps within ``jump_window`` trip, in a row or not
+JUMP_TIMES = 5  # number of jumps within ``jump_window`` that trip, in a row or not
 
 
 class PoseFrame(NamedTuple):
@@ -34,7 +34,7 @@ class PoseFrame(NamedTuple):
 
 
 class PoseVerdict(IntEnum):
-    """What to do with a frame: only ACCEPTED and REBASED may reach the filter."""
+    """What to do with a frame: only ACCEPTED and REBASED may bound the filter."""
 
     ACCEPTED = 0
     INVALID = 1
@@ -45,7 +45,7 @@ class PoseVerdict(IntEnum):
 
 
 class PoseWatch(NamedTuple):
-    """What the frame watchdogs remember; the counts are of frames in a row.
+    """Memory of the frame watchdogs; the counts are of frames in a row.
 
     Attributes:
         base: the last good frame.
@@ -89,11 +89,11 @@ def _is_jump(th: Thresholds, base: PoseFrame, before: PoseFrame | None, frame: P
         frame.position[0] - start.position[0],
         frame.position[1] - start.position[1],
     )
-    reach = th.jump_speed * ((frame.t_ns - start.t_ns) / 1e9) + th.jump_margin
-    return step > reach or abs(remainder(frame.yaw - base.yaw, tau)) > th.yaw_step
+    bound = th.jump_speed * ((frame.t_ns - start.t_ns) / 1e9) + th.jump_margin
+    return step > bound or abs(remainder(frame.yaw - base.yaw, tau)) > th.yaw_step
 
 
-def _judge(th: Thresholds, w: PoseWatch, frame: PoseFrame, wheel_speed: float) -> PoseVerdict:
+def _check_frame(th: Thresholds, w: PoseWatch, frame: PoseFrame, wheel_speed: float) -> PoseVerdict:
     if not is_sane(th, frame):
         return PoseVerdict.INVALID
     base = w.base
@@ -110,11 +110,11 @@ def _judge(th: Thresholds, w: PoseWatch, frame: PoseFrame, wheel_speed: float) -
 def step_pose(
     th: Thresholds, w: PoseWatch, frame: PoseFrame, wheel_speed: float, may_rebase: bool
 ) -> tuple[PoseWatch, PoseVerdict]:
-    """Judge one frame.
+    """Check one frame.
 
     Args:
         th: thresholds.
-        w: what is remembered.
+        w: memory.
         frame: the frame.
         wheel_speed: speed by the VESC [m/s]; a standing car may well repeat its pose bit by bit.
         may_rebase: the car is disarmed or latched, and stands: frames that are sane but contradict
@@ -124,7 +124,7 @@ def step_pose(
     Returns:
         The new memory and the verdict.
     """
-    verdict = _judge(th, w, frame, wheel_speed)
+    verdict = _check_frame(th, w, frame, wheel_speed)
     if verdict == PoseVerdict.ACCEPTED:
         before = w.base if w.base is not None and frame.t_ns > w.base.t_ns else w.before
         return w._replace(base=frame, before=before, frozen=0, invalid=0, jumps=0), verdict
@@ -145,7 +145,7 @@ def step_pose(
 
 
 def step_innovation(th: Thresholds, w: PoseWatch, rejected: bool) -> PoseWatch:
-    """Note whether the filter's gates rejected an accepted frame (W5)."""
+    """Count whether the filter's innovation gate rejected an accepted frame (W5)."""
     frames = round(th.nis_window * th.mocap_rate)
     register = (w.rejections << 1 | rejected) & ((1 << frames) - 1)
     return w._replace(rejected=w.rejected + 1 if rejected else 0, rejections=register)

@@ -6,7 +6,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from steerd.daemon.loop.supervisor import Conditions, make_supervisor_memory, step
+from steerd.daemon.loop.supervisor import Conditions, make_supervisor_memory, step_supervisor
 from steerd.daemon.loop.transitions import Fact, MotorOutput, Request, SupervisorState
 
 GOOD = int(
@@ -29,7 +29,7 @@ class CarLife(RuleBasedStateMachine):
         self.t_ns += dt_ns
         before = self.memory
         conditions = Conditions(self.facts, self.speed, 150_000_000, "words")
-        self.memory, self.action = step(before, conditions, requests, self.t_ns)
+        self.memory, self.action = step_supervisor(before, conditions, requests, self.t_ns)
         self.check(before, requests)
 
     def check(self, before, requests):

@@ -249,7 +249,7 @@ def _break_watch(rig: Rig) -> None:
 
 
 def _break_controller(rig: Rig) -> None:
-    rig.run.core.loop._wish = _raise  # type: ignore[method-assign]
+    rig.run.core.loop._make_wish = _raise  # type: ignore[method-assign]
 
 
 def _break_estimator(rig: Rig) -> None:
@@ -258,13 +258,13 @@ def _break_estimator(rig: Rig) -> None:
 
 def _give_nan(rig: Rig) -> None:
     loop = rig.run.core.loop
-    honest = loop._wish
+    plain_command = loop._make_wish
 
     def wish(*args: Any) -> Any:
-        _, report = honest(*args)
+        _, report = plain_command(*args)
         return Command(nan, nan), report
 
-    loop._wish = wish  # type: ignore[method-assign]
+    loop._make_wish = wish  # type: ignore[method-assign]
 
 
 def _late(ms: float) -> Act:

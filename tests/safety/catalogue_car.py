@@ -27,10 +27,10 @@ def jam(angle: float) -> Any:
 def surge(rig: Rig) -> None:
     """The motor turns twice as fast as it is told; its brake still works."""
     motor = rig.run.world.vesc.motor
-    honest = motor.step
+    plain_command = motor.step
 
     def step(t_ns: int, h: float) -> Act:
-        mode, value = honest(t_ns, h)
+        mode, value = plain_command(t_ns, h)
         return Act(mode, value * SURGE if mode is Mode.SPEED else value)
 
     motor.step = step  # type: ignore[method-assign]
@@ -39,10 +39,10 @@ def surge(rig: Rig) -> None:
 def hit_a_wall(rig: Rig) -> None:
     """The wheels stand still against something while the motor pushes."""
     vesc = rig.run.world.vesc
-    honest = vesc._act
+    plain_command = vesc._act
 
     def act(demand: Act, erpm: float) -> tuple[Demand, float]:
-        _, current = honest(demand, erpm)
+        _, current = plain_command(demand, erpm)
         return WALL, WALL_CURRENT_A if demand[0] is Mode.SPEED else current
 
     vesc._act = act  # type: ignore[method-assign]
@@ -62,10 +62,10 @@ def fence_off(rig: Rig) -> None:
 def diverge(rig: Rig) -> None:
     """The filter's uncertainty is beyond its bound."""
     perception = rig.run.core.loop.perception
-    honest = perception.estimate
+    plain_command = perception.estimate
 
     def estimate(now_ns: int) -> Any:
-        found = honest(now_ns)
+        found = plain_command(now_ns)
         return found and replace(found, health=replace(found.health, position_sd=0.2))
 
     perception.estimate = estimate  # type: ignore[method-assign]
@@ -76,13 +76,13 @@ def stuck(steer: float) -> Any:
 
     def act(rig: Rig) -> None:
         loop = rig.run.core.loop
-        honest = loop._wish
+        plain_command = loop._make_wish
 
         def wish(*args: Any) -> Any:
-            wanted, report = honest(*args)
+            wanted, report = plain_command(*args)
             return wanted and Command(steer, wanted.speed), report
 
-        loop._wish = wish  # type: ignore[method-assign]
+        loop._make_wish = wish  # type: ignore[method-assign]
 
     return act
 

@@ -6,7 +6,7 @@ import pytest
 
 from steerd.daemon.assembly.build import make_core, make_plan
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.loop.core import BOUND_TRIES, Core
+from steerd.daemon.loop.core import LIMITS_TRIES, Core
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.transitions import Request, SupervisorState
 from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
@@ -40,9 +40,9 @@ def driving(plan) -> VirtualRun:
     """A run whose car moves."""
     run = make_virtual_run(plan)
     until(run, lambda: state_of(run) is SupervisorState.READY, 20.0)
-    run.core.loop._asked |= Request.ARM
+    run.core.loop._requests_pending |= Request.ARM
     until(run, lambda: state_of(run) is SupervisorState.ARMED, 5.0)
-    run.core.loop._asked |= Request.START
+    run.core.loop._requests_pending |= Request.START
     until(run, lambda: run.core.loop.perception.wheel_speed > 0.4, 5.0)
     assert state_of(run) is SupervisorState.RUNNING
     return run
@@ -78,15 +78,18 @@ def fresh_core(plan) -> tuple[Core, list]:
 
 def test_a_vesc_that_refuses_the_session_limits_is_asked_thrice_then_told(plan):
     core, asked = fresh_core(plan)
-    for k in range(BOUND_TRIES + 1):
+    for k in range(LIMITS_TRIES + 1):
         assert not core.flags & Flag.UNBOUNDED, k
-        core._bound_session(limits(1e9))
-    assert [type(a) for a in asked] == [SetMcConfTemp, GetMcConfTemp] * BOUND_TRIES
+        core._apply_session_limits(limits(1e9))
+    assert [type(a) for a in asked] == [SetMcConfTemp, GetMcConfTemp] * LIMITS_TRIES
     assert core.flags & Flag.UNBOUNDED
     core.flags |= Flag.LINKED
     core.tick(0, 0)
-    assert any("speed limit" in text for text in core.loop._red(None, (), 0.0, 0, core.flags))
-    core._bound_session(asked[0])
+    assert any(
+        "speed limit" in text
+        for text in core.loop._find_failed_checks(None, (), 0.0, 0, core.flags)
+    )
+    core._apply_session_limits(asked[0])
     assert not core.flags & Flag.UNBOUNDED
 
 
@@ -96,15 +99,15 @@ def identity(uuid: bytes, expected: bool = True) -> e.Identity:
 
 def test_one_run_drives_one_vesc(plan):
     core, asked = fresh_core(plan)
-    core._know(identity(b"first"))
-    core._bound_session(limits(1e9))
+    core._check_identity(identity(b"first"))
+    core._apply_session_limits(limits(1e9))
     own = core.make_shutdown_frames()
-    core._know(identity(b"other"))
-    core._bound_session(limits(1e9))
+    core._check_identity(identity(b"other"))
+    core._apply_session_limits(limits(1e9))
     assert not core._expected
     assert len(asked) == 2, "the other one is not given our limits"
     assert len(core.make_shutdown_frames()) < len(own), "nor the first one's at the end"
-    core._know(identity(b"first"))
+    core._check_identity(identity(b"first"))
     assert core._expected
 
 
@@ -115,7 +118,9 @@ def test_another_vesc_at_the_same_plug_is_not_armed(plan):
     until(run, lambda: False, 8.0)
     assert state_of(run) in (SupervisorState.INIT, SupervisorState.DISARMED)
     last = run.core.last
-    assert "not the one this run began with" in run.core._waiting(last.action, last.waiting)
+    assert "not the one this run began with" in run.core._describe_waiting(
+        last.action, last.waiting
+    )
 
 
 @pytest.mark.parametrize("fault", ["V1", "V4"])
@@ -126,7 +131,7 @@ def test_a_blind_stop_ends_though_the_wheels_were_last_seen_turning(plan, fault)
     def fail(*_):
         raise RuntimeError("controller")
 
-    run.core.loop._wish = fail
+    run.core.loop._make_wish = fail
     until(run, lambda: state_of(run) is SupervisorState.FAULT_LATCHED, 6.0)
     assert state_of(run) is SupervisorState.FAULT_LATCHED
     assert run.core.loop.at_rest
@@ -134,13 +139,13 @@ def test_a_blind_stop_ends_though_the_wheels_were_last_seen_turning(plan, fault)
 
 def test_an_emergency_stop_is_left_by_reset_after_the_plug_was_out(plan):
     run = driving(plan)
-    run.core.loop._asked |= Request.ESTOP
+    run.core.loop._requests_pending |= Request.ESTOP
     until(run, lambda: False, 0.3)
     run.world.add_fault(Fault("V1", run.t_ns, run.t_ns + 2 * NS))
     until(run, lambda: False, 5.0)
     assert state_of(run) is SupervisorState.ESTOP
     for _ in range(4):
-        run.core.loop._asked |= Request.RESET
+        run.core.loop._requests_pending |= Request.RESET
         until(run, lambda: False, 0.5)
     assert state_of(run) in (SupervisorState.DISARMED, SupervisorState.READY)
 

@@ -18,7 +18,7 @@ def broken(*_):
     raise BrokenError("no such gain")
 
 
-@pytest.mark.parametrize("part", ["_wish", "_watch", "_facts"])
+@pytest.mark.parametrize("part", ["_make_wish", "_run_watchdogs", "_make_facts"])
 def test_whatever_raises_the_same_tick_brakes(part):
     rig = twin(at_phase("P4"))
     broken_ns = rig.t_ns
@@ -34,9 +34,9 @@ def test_whatever_raises_the_same_tick_brakes(part):
 def test_one_exception_keeps_the_car_latched_for_good():
     rig = twin(at_phase("P4"))
     loop = rig.run.core.loop
-    loop._wish = broken
+    loop._make_wish = broken
     rig.step()
-    del loop._wish
+    del loop._make_wish
     rig.reach(SupervisorState.FAULT_LATCHED, 1.0)
     rig.ask(RequestKind.CLEAR)
     for _ in range(50):

@@ -4,7 +4,7 @@ from math import inf, nan
 
 import pytest
 
-from steerd.daemon.loop.supervisor import Conditions, make_supervisor_memory, step
+from steerd.daemon.loop.supervisor import Conditions, make_supervisor_memory, step_supervisor
 from steerd.daemon.loop.transitions import (
     Fact,
     MotorOutput,
@@ -31,7 +31,7 @@ class Car:
     def tick(self, requests=0, dt=10 * MS):
         self.t_ns += dt
         conditions = Conditions(int(self.facts), self.speed, TIMEOUT_NS, self.text)
-        self.memory, self.action = step(self.memory, conditions, requests, self.t_ns)
+        self.memory, self.action = step_supervisor(self.memory, conditions, requests, self.t_ns)
         return self.memory.state
 
     def ticks(self, count, dt=10 * MS):

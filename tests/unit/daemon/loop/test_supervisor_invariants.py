@@ -5,7 +5,13 @@ from math import inf, isfinite, nan
 
 import pytest
 
-from steerd.daemon.loop.supervisor import NEVER, Conditions, SupervisorMemory, derive_facts, step
+from steerd.daemon.loop.supervisor import (
+    NEVER,
+    Conditions,
+    SupervisorMemory,
+    derive_facts,
+    step_supervisor,
+)
 from steerd.daemon.loop.transitions import (
     ROWS,
     TABLE,
@@ -68,7 +74,7 @@ def cases(state):
         made = realise(state, bits)
         if made is not None:
             old, conditions, requests = made
-            yield bits, old, conditions, requests, *step(old, conditions, requests, T_NS)
+            yield bits, old, conditions, requests, *step_supervisor(old, conditions, requests, T_NS)
 
 
 @pytest.fixture(scope="module", params=SupervisorState, ids=lambda s: s.name)
@@ -190,7 +196,7 @@ def test_i8_an_unknown_event_is_a_stop(outcomes):
             )
             assert action.motor != MotorOutput.DRIVE
             alien = (requests & ~int(Request.UNKNOWN)) | 1 << 40
-            assert step(old, conditions, alien, T_NS) == (new, action)
+            assert step_supervisor(old, conditions, alien, T_NS) == (new, action)
 
 
 def test_every_row_of_the_table_can_fire():

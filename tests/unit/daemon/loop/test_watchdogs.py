@@ -8,7 +8,7 @@ import pytest
 from steerd.daemon.loop.findings import WATCHDOGS, Severity, make_finding, summarise
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.loop.watchdogs import (
-    FED_S,
+    COMMANDED_S,
     WatchdogInput,
     WatchdogState,
     is_inside,
@@ -206,7 +206,7 @@ def test_vesc_says_so(status, fault, expected):
 STUCK = {"current_share": up(0.5), "speed_erpm": 0.0, "speed_mocap": 0.0, "speed": 2.0}
 """The wheels stand and the motor pushes, whatever the filter believes."""
 HELD = [
-    ("W9", FED_S, {"status": 1}, HARD, []),
+    ("W9", COMMANDED_S, {"status": 1}, HARD, []),
     ("W13", 0.5, {"cell_voltage": down(3.25)}, SOFT, [("W13", WARN)]),
     ("W13", 0.5, {"cell_voltage": nan}, SOFT, []),
     ("W17", 0.125, {"lateral_error": up(0.3125)}, HARD, [("W17", WARN)]),
@@ -288,9 +288,9 @@ def test_lease_matters_while_armed_or_driving(state):
 
 def test_starved_at_once_after_the_vesc_was_seen_to_listen():
     state, _ = step_watchdogs(TH, WatchdogState(), CALM._replace(state=SupervisorState.ARMED))
-    assert state.fed
+    assert state.commanded
     still, found = step_watchdogs(TH, state, CALM._replace(state=SupervisorState.ARMED, status=1))
-    assert (still.fed, found) == (True, ())
+    assert (still.commanded, found) == (True, ())
     assert brief(look(memory=still, status=1)) == [("W9", HARD)]
     assert "while driving" in look(memory=still, status=1)[0].text
 
@@ -298,13 +298,15 @@ def test_starved_at_once_after_the_vesc_was_seen_to_listen():
 def test_timeout_bit_left_from_the_self_test_is_no_starvation():
     assert look(status=1) == ()
     quiet, _ = step_watchdogs(
-        TH, WatchdogState(fed=True), CALM._replace(state=SupervisorState.READY)
+        TH, WatchdogState(commanded=True), CALM._replace(state=SupervisorState.READY)
     )
-    assert not quiet.fed
+    assert not quiet.commanded
     state, found = step_watchdogs(TH, quiet, CALM._replace(state=SupervisorState.ARMED, status=1))
-    assert (state.fed, found) == (False, ())
+    assert (state.commanded, found) == (False, ())
     assert (
-        step_watchdogs(TH, WatchdogState(), CALM._replace(state=SupervisorState.STOPPING))[0].fed
+        step_watchdogs(TH, WatchdogState(), CALM._replace(state=SupervisorState.STOPPING))[
+            0
+        ].commanded
         is False
     )
 
@@ -500,7 +502,7 @@ def test_only_their_own_status_bits_count():
     armed, _ = step_watchdogs(TH, WatchdogState(), CALM)
     assert brief(look(memory=armed, status=2)) == [("W10", KILL)]
     assert hold(1.0, status=2) == ([("W10", KILL)], [("W10", KILL)])
-    assert FED_S == 0.2
+    assert COMMANDED_S == 0.2
 
 
 def test_words_carry_the_measured_number():

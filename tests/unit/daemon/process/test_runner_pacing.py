@@ -135,7 +135,7 @@ def runner_with(monkeypatch, world: World, told: list[str]) -> Runner:
     core = SimpleNamespace(
         loop=SimpleNamespace(setup=SimpleNamespace(period_ns=10 * MS)),
         tick=lambda *_: told.append("decided") or b"order",
-        tell=lambda written: told.append(f"told of {written.decode()}"),
+        post_tick=lambda written: told.append(f"told of {written.decode()}"),
         on_poses=lambda _samples: None,
     )
     monkeypatch.setattr(runner_module.select, "select", world.select)
