@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # The tests start Python hundreds of times: let it keep what it compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install demo test lint types layers unit all-tests safety bench clean
+.PHONY: help install demo test lint types layers docs unit all-tests safety bench clean
 help:            ## this list
 	@grep -hE '^[a-z]+: .*##|^[a-z]+:  +##' Makefile | sed 's/:.*##/\t/'
 
@@ -21,13 +21,13 @@ $(STAMP): pyproject.toml constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || \
 	  { rm -rf $(VENV); echo "could not make a virtual environment; on Debian/Ubuntu: sudo apt install python3-venv"; exit 3; }
 	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --progress-bar off -c constraints.txt -e '.[bag,baselines]' --group dev
+	$(BIN)/python -m pip install --quiet --progress-bar off -c constraints.txt -e '.[bag,baselines]' --group dev --group docs
 	@touch $(STAMP)
 
 demo: install     ## drive 20 s of simulated figure-eight with a live status, record it
 	$(BIN)/steerd run --sim --auto-arm --path figure8 --speed 1.5 --duration 20
 
-test: install lint types layers all-tests ## everything that CI checks
+test: install lint types layers docs all-tests ## everything that CI checks
 
 lint: install     ## formatting and style
 	$(BIN)/ruff format --check .
@@ -38,6 +38,9 @@ types: install    ## mypy --strict
 
 layers: install   ## which room may import which
 	$(BIN)/lint-imports --no-cache
+
+docs: install     ## the site, into site/; a broken link or anchor is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 unit: install     ## the quick tests, half a minute: no processes, no statistics, no whole commands
 	$(PYTEST) -n 2 -m "not realtime and not slow" tests/unit
@@ -51,9 +54,9 @@ bench: install     ## measure everything; writes docs/results/performance.md (10
 	$(BIN)/python -m pip install --quiet --progress-bar off -c constraints.txt --group bench
 	$(BIN)/python benchmarks/run.py
 
-safety: install   ## all of the fault matrix and its real-time cells; writes the table in docs/reference/safety.md
+safety: install   ## all of the fault matrix and its real-time cells; writes the tables of the safety pages
 	$(BIN)/python -m tests.safety.report
 	STEERD_LIVE=all $(PYTEST) -m realtime --reruns 2 tests/safety
 
 clean:            ## remove what was made here
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) site .mypy_cache .ruff_cache .pytest_cache .hypothesis

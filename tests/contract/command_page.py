@@ -1,0 +1,69 @@
+"""docs/reference/commands.md from the parsers themselves: `python -m tests.contract.command_page`."""
+
+import argparse
+import importlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from steerd.daemon.cli.main import COMMANDS
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "commands.md"
+_HEAD = """# Commands
+
+Every command with its arguments and options, from the parsers themselves: `python -m tests.contract.command_page` writes this page and
+a test compares it. `steerd COMMAND --help` prints the same. Exit codes are in
+[troubleshooting](../how-to/troubleshooting.md#exit-codes).
+"""
+
+
+def make_parser(name: str) -> argparse.ArgumentParser:
+    """The parser of one command."""
+    module = importlib.import_module(f"steerd.daemon.cli.commands.{COMMANDS[name][0]}")
+    parser = argparse.ArgumentParser(prog=f"steerd {name}", add_help=False)
+    module.add_arguments(parser)
+    return parser
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|").replace("%%", "%")
+
+
+def _name(action: argparse.Action) -> str:
+    """An argument as it is typed, with the name of its value."""
+    value = action.metavar or action.dest.upper()
+    if action.choices is not None and action.metavar is None:
+        value = "|".join(str(choice) for choice in action.choices)
+    if isinstance(value, tuple):
+        value = " ".join(value)
+    if not action.option_strings:
+        return str(value)
+    names = ", ".join(action.option_strings)
+    return names if action.nargs == 0 else f"{names} {value}"
+
+
+def _rows(prog: str, parser: argparse.ArgumentParser) -> Iterator[str]:
+    """A table for a parser, then one for each of its subcommands."""
+    shown = [a for a in parser._actions if a.help != argparse.SUPPRESS]
+    groups = [a for a in shown if isinstance(a, argparse._SubParsersAction)]
+    plain = [a for a in shown if a not in groups and "--help" not in a.option_strings]
+    if plain:
+        yield from ("", "| argument | meaning |", "|---|---|")
+    for action in plain:
+        yield f"| `{_cell(_name(action))}` | {_cell(action.help or '')} |"
+    for group in groups:
+        for name, sub in group.choices.items():
+            yield from ("", f"### steerd {prog} {name}")
+            yield from _rows(f"{prog} {name}", sub)
+
+
+def make_page() -> str:
+    """The whole page."""
+    lines = [_HEAD]
+    for name, (_, summary) in COMMANDS.items():
+        lines += [f"## steerd {name}", "", f"{summary[0].upper()}{summary[1:]}."]
+        lines += [*_rows(name, make_parser(name)), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+if __name__ == "__main__":
+    print(f"{PAGE.write_text(make_page(), encoding='utf-8')} characters: {PAGE}")
