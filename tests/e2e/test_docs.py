@@ -25,8 +25,8 @@ from tests.e2e.conftest import Launcher, free_port
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-ROOMS = "daemon|tests|sim_hw|car_model|vesc_link|mocap_link|estimator|controller|steer_bus"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+ROOMS = "daemon|tests|sysid|sim_gap|sim_hw|car_model|vesc_link|mocap_link|estimator|controller|steer_bus"
 HARDWARE = re.compile(r"/dev/tty|/dev/vesc|natnet://|vrpn://|zenoh:")
 OPERATOR = ("arm", "start", "stop", "disarm", "clear", "estop", "status", "control", "watch")
 LONG = ("identify", "diagnose", "collect")
@@ -235,8 +235,8 @@ def test_every_option_of_the_pages_is_driven_somewhere():
 
 def test_every_exit_code_is_explained():
     text = (ROOT / "docs" / "how-to" / "troubleshooting.md").read_text()
-    told = {int(code) for code in re.findall(r"^\| (\d+) \|", text, re.MULTILINE)}
-    assert told == {int(code) for code in ExitCode}
+    explained = {int(code) for code in re.findall(r"^\| (\d+) \|", text, re.MULTILINE)}
+    assert explained == {int(code) for code in ExitCode}
 
 
 def test_pages_link_to_pages_and_files_that_exist():
