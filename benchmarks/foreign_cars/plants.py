@@ -1,0 +1,94 @@
+"""The plants, behind one interface: `drive(plant, commands, seed) -> Log`."""
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Protocol
+
+import numpy as np
+
+from benchmarks.blind_gap.effects import Place, Values
+from benchmarks.foreign_cars.drives import Commands
+from benchmarks.foreign_cars.log import Log
+from benchmarks.foreign_cars.own import make_own
+
+Random = np.random.Generator
+
+
+class Plant(Protocol):
+    """A car with whatever is wrong with it."""
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """Effects of the contract that it can have."""
+
+    @property
+    def outside(self) -> frozenset[str]:
+        """Defects outside the contract that it can have."""
+
+    @property
+    def truth(self) -> Values:
+        """Lengths, inertia and cornering force per load, as far as they mean something."""
+
+    def with_effect(self, name: str, values: Values) -> "Plant":
+        """The car with an effect."""
+
+    def with_outside(self, name: str, strength: float, place: Place) -> "Plant":
+        """The car with a defect."""
+
+    def drive(self, commands: Commands, rng: Random) -> Log:
+        """Drive it and record."""
+
+
+class MissingPlantError(RuntimeError):
+    """The plant's package is not installed."""
+
+
+def _mujoco(contact: bool) -> Callable[[Random], Plant]:
+    def make(rng: Random) -> Plant:
+        from benchmarks.foreign_cars.mujoco_car import make_mujoco
+
+        return make_mujoco(contact, rng)
+
+    return make
+
+
+def _commonroad(rng: Random) -> Plant:
+    from benchmarks.foreign_cars.commonroad_car import make_commonroad
+
+    return make_commonroad(rng)
+
+
+_MAKERS: dict[str, tuple[str, Callable[[Random], Plant]]] = {
+    "own": ("numba", make_own),
+    "mujoco": ("mujoco", _mujoco(False)),
+    "mujoco-contact": ("mujoco", _mujoco(True)),
+    "commonroad": ("vehiclemodels", _commonroad),
+}
+PLANTS = tuple(_MAKERS)
+
+
+def make_plant(name: str, seed: int) -> Plant:
+    """A healthy car of a plant; the seed is the car.
+
+    Args:
+        name: one of `PLANTS`.
+        seed: which car.
+
+    Raises:
+        MissingPlantError: its package is not installed.
+    """
+    package, make = _MAKERS[name]
+    if find_spec(package) is None:
+        raise MissingPlantError(f"plant {name} needs {package}: pip install --group foreign")
+    return make(np.random.default_rng([PLANTS.index(name), seed]))
+
+
+def drive(plant: Plant, commands: Commands, seed: int) -> Log:
+    """Drive a car and record; the seed is all that is random in it.
+
+    Args:
+        plant: the car.
+        commands: wheel angle and speed at 100 Hz.
+        seed: of disturbances, noise and failures.
+    """
+    return plant.drive(commands, np.random.default_rng(seed))
