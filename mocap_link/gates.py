@@ -1,4 +1,4 @@
-"""Reject garbage before the filter sees it: a planar car makes that cheap.
+"""Outlier tests before the filter: a planar car makes them cheap.
 
 `step_gates` is pure: a state and an observation in, a state and a verdict out. Gates run in the
 order of their cost to a wrong pose; the innovation gate is the estimator's. Thresholds follow

@@ -1,4 +1,4 @@
-"""From raw poses to samples: time them, place them, gate them, and watch the source."""
+"""From raw poses to samples: timing, frame, outlier tests, and state of the source."""
 
 from __future__ import annotations
 

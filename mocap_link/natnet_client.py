@@ -108,7 +108,7 @@ class NatNetClient:
 
     @property
     def detail(self) -> str:
-        """The latest thing worth telling a person."""
+        """The latest event to report."""
         return self.refused or self._silence or self._note
 
     @property

@@ -290,7 +290,7 @@ def read_frame(data: bytes, at: int, version: Version, *, detail: bool = True) -
 
 
 def _read_suffix(data: bytes, at: int) -> tuple[int, int, int]:
-    # The rest's length, not the version, tells whether the PTP stamp is there: decoders that
+    # The rest's length, not the version, shows whether the PTP stamp is there: decoders that
     # trust the version read the "models changed" bit from the stamp.
     left = len(data) - at
     if left == _SUFFIX_PTP.size:

@@ -188,16 +188,16 @@ class SourceStatus:
     Attributes:
         state: the state machine's state.
         connected: whether the session with the server stands.
-        detail: the latest thing worth telling a person.
+        detail: the latest event to report.
         server: the server's name and version, as far as known.
         bodies: names of the bodies that the server offers, as far as known.
         clock: how the last sample was timed; None before the first.
         clock_sigma_ns: one-sigma bound of the clock map, None where there is none.
         rate_hz: measured frame rate over the last second.
-        expected_rate_hz: the server's own figure, None if it has not told.
+        expected_rate_hz: the server's own figure, None if not received.
         last_good_ns: arrival of the last accepted pose.
         refused: the source cannot be used as configured (`detail` says why).
-        relocated: the body is somewhere else for good; needs a stopped car to be taken in.
+        relocated: the body is permanently somewhere else; needs a stopped car to be taken in.
         counts: events by name: accepted, each rejection reason, malformed, foreign, ...
     """
 

@@ -119,7 +119,7 @@ class SourceTiming:
                 suspects = 0
                 clock.reset()
             self._suspects[clock] = suspects
-        # Poses that were held back come all at once, and only their stamps tell them apart: at the
+        # Delayed poses come all at once, and only their stamps distinguish them: at the
         # time of arrival each would be a jump from the one before.
-        held_back = clock is self.hull and age_ns < self.lost_ns
-        return None if early or (late and not held_back) else t_ns
+        delayed = clock is self.hull and age_ns < self.lost_ns
+        return None if early or (late and not delayed) else t_ns

@@ -27,7 +27,7 @@ class VrpnClient:
     Attributes:
         greeted: the server's cookie came and is good.
         dead: why the connection must be closed, or None.
-        detail: the latest thing worth telling a person.
+        detail: the latest event to report.
         counts: messages by fate.
     """
 

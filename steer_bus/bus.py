@@ -96,7 +96,7 @@ def check_size(data: bytes) -> bytes:
     """Give a message back if the bus carries it.
 
     Raises:
-        BusError: above ``MAX_BYTES``, which a receiver would drop without a word.
+        BusError: above ``MAX_BYTES``, which a receiver would drop silently.
     """
     if len(data) > MAX_BYTES:
         raise BusError(f"a message of {len(data)} bytes exceeds {MAX_BYTES}")

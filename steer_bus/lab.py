@@ -82,25 +82,30 @@ def make_tls_settings(lab: Lab, *, hub: bool) -> dict[str, Any]:
 def make_access_settings(lab: Lab, pose_key: str | None = None) -> dict[str, Any]:
     """Make the hub's access control: all is denied but what is listed here.
 
-    A rule must include the whole key expression that is asked for: a subscriber on ``**`` gets
+    A rule must include the whole key expression that is requested: a subscriber on ``**`` gets
     nothing, one on ``steerd/<car>/**`` gets what the car publishes, and no commands.
 
     Args:
         lab: who may do what.
         pose_key: a key beside the car's own under which operators may publish poses.
     """
-    wanted = [make_key(lab.car, t) for t in TOPICS if t.direction is Direction.IN and t.on_bus]
-    wanted += [pose_key] if pose_key else []
-    asked = [f"{ROOT}/*/alive", alive_key(lab.car), make_key(lab.car, "schema/**")]
-    told = [make_key(lab.car, "*"), make_key(lab.car, "schema/**")]
+    inputs = [make_key(lab.car, t) for t in TOPICS if t.direction is Direction.IN and t.on_bus]
+    inputs += [pose_key] if pose_key else []
+    queried = [f"{ROOT}/*/alive", alive_key(lab.car), make_key(lab.car, "schema/**")]
+    published = [make_key(lab.car, "*"), make_key(lab.car, "schema/**")]
     rules = [
         _rule("listen", "ingress", ["declare_subscriber"], [f"{ROOT}/{lab.car}/**"]),
-        _rule("ask", "ingress", _ASKING, asked),
-        _rule("tell", "egress", ["put", "reply", "liveliness_token", "declare_queryable"], told),
-        _rule("command", "ingress", ["put"], wanted),
-        _rule("expect", "egress", ["declare_subscriber"], wanted),
+        _rule("query", "ingress", _QUERYING, queried),
+        _rule(
+            "publish",
+            "egress",
+            ["put", "reply", "liveliness_token", "declare_queryable"],
+            published,
+        ),
+        _rule("command", "ingress", ["put"], inputs),
+        _rule("expect", "egress", ["declare_subscriber"], inputs),
     ]
-    reading = ["listen", "ask", "tell"]
+    reading = ["listen", "query", "publish"]
     named = (
         ("operators", lab.operators, [*reading, "command", "expect"]),
         ("viewers", lab.viewers, reading),
@@ -120,7 +125,7 @@ def make_access_settings(lab: Lab, pose_key: str | None = None) -> dict[str, Any
     }
 
 
-_ASKING = ["query", "liveliness_query", "declare_liveliness_subscriber"]
+_QUERYING = ["query", "liveliness_query", "declare_liveliness_subscriber"]
 
 
 def _rule(name: str, flow: str, messages: list[str], keys: Iterable[str]) -> dict[str, Any]:

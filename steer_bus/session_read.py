@@ -100,7 +100,7 @@ class SessionInfo:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One recorded message; decoding waits until it is asked for."""
+    """One recorded message; decoded on request."""
 
     topic: str
     type_name: str

@@ -2,7 +2,7 @@
 
 Nothing is found by scouting: the hub listens on one named endpoint, a spoke dials it. The hub is a
 zenoh router so that spokes see each other. Settings come from measurements with zenoh 1.10: DROP
-and a queue of 16 lose nothing at 3000 messages/s (the default queue of 2 does, without a word),
+and a queue of 16 lose nothing at 3000 messages/s (the default queue of 2 does, silently),
 BLOCK can hold ``put`` for 5 s, an undrained FIFO stalls the sender, and a session left open keeps
 the process from exiting (`docs/reference/sessions-and-bus.md#b2`).
 """
@@ -177,10 +177,10 @@ class ZenohBus:
 
         def reply(query: zenoh.Query) -> None:
             with query:
-                asked = str(query.key_expr)
-                value = answer(asked)
+                key = str(query.key_expr)
+                value = answer(key)
                 if value is not None:
-                    query.reply(asked, value)
+                    query.reply(key, value)
 
         handle = self._ask(lambda: self._session.declare_queryable(key, reply))
         return _Declared(handle, self._held)

@@ -55,20 +55,20 @@ Drive = DriveSpeed | DriveBrake | DriveShort | DriveRelease | DriveSilent
 
 @dataclass(frozen=True, slots=True)
 class Stamped:
-    """When a reply was asked for and when it began to arrive [ns, monotonic]."""
+    """When a reply was requested and when it began to arrive [ns, monotonic]."""
 
     t_sent_ns: int
     t_received_ns: int
 
     @property
     def stamp_ns(self) -> int:
-        """Best guess of the time of measurement: the middle."""
+        """Estimate of the time of measurement: the middle."""
         return (self.t_sent_ns + self.t_received_ns) // 2
 
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
-    """Motor telemetry, asked for once per tick."""
+    """Motor telemetry, requested once per tick."""
 
     values: Values
     when: Stamped
@@ -84,7 +84,7 @@ class ImuSample:
 
 @dataclass(frozen=True, slots=True)
 class Uptime:
-    """The VESC's own clock [ms since boot], asked for once per second."""
+    """The VESC's own clock [ms since boot], requested once per second."""
 
     uptime_ms: int
     when: Stamped
@@ -109,7 +109,7 @@ class AppConfRead:
 
 @dataclass(frozen=True, slots=True)
 class LimitsRead:
-    """The limits in force in the VESC and its idea of the drive train."""
+    """The limits in force in the VESC and its drive-train settings."""
 
     limits: McConfTemp
     when: Stamped
@@ -125,7 +125,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Expired:
-    """A request that nobody answered in time."""
+    """A request without an answer in time."""
 
     command: Command
     t_sent_ns: int

@@ -47,11 +47,11 @@ def make_restored_limits(before: McConfTemp) -> SetMcConfTemp:
     return SetMcConfTemp(**{field.name: getattr(before, field.name) for field in LIMIT_FIELDS})
 
 
-def limits_hold(wanted: SetMcConfTemp, read_back: McConfTemp) -> bool:
+def limits_hold(requested: SetMcConfTemp, read_back: McConfTemp) -> bool:
     """Whether the limits read back are the ones set, within single precision."""
     return all(
         math.isclose(
-            getattr(wanted, field.name), getattr(read_back, field.name), rel_tol=_F32_EPSILON
+            getattr(requested, field.name), getattr(read_back, field.name), rel_tol=_F32_EPSILON
         )
         for field in LIMIT_FIELDS
     )

@@ -120,7 +120,7 @@ _OLD_VALUES: tuple[Field, ...] = (
     Field("fault", "B"),
 )
 _OLD_VALUES_SIZE = 56
-"""Reply length that tells the table of firmware 3.00 and older from all later ones."""
+"""Reply length that distinguishes the table of firmware 3.00 and older from all later ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,7 +280,7 @@ def _selected(
 
 
 def decode_values(payload: bytes) -> Values:
-    """Decode a full telemetry reply; its length tells the firmware's table."""
+    """Decode a full telemetry reply; its length identifies the firmware's table."""
     old = len(payload) == _OLD_VALUES_SIZE
     fields = _OLD_VALUES if old else _selected(_VALUES_BITS, None, None)
     values, extra = unpack_fields(fields, payload, 1)

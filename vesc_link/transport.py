@@ -30,7 +30,7 @@ _UDEV_HINT = f"put this line in /etc/udev/rules.d/99-vesc.rules and replug:\n  {
 
 
 class PortError(OSError):
-    """A serial port that cannot be used; ``hint`` tells a person what to try next."""
+    """A serial port that cannot be used; ``hint`` says what to try next."""
 
     def __init__(self, url: str, what: str, hint: str) -> None:
         super().__init__(f"{url}: {what}")
@@ -260,7 +260,7 @@ def _cause(error: serial.SerialException) -> int:
 
 
 def _configure(port: Port) -> None:
-    """Non-blocking, exclusive, and reads that tell an empty port from a closed one."""
+    """Non-blocking, exclusive, and reads that distinguish an empty port from a closed one."""
     os.set_blocking(port.fd, False)
     _try_ioctl(port.fd, termios.TIOCEXCL)
     try:

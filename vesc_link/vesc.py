@@ -51,7 +51,7 @@ POLL_EXPIRY_NS = 15_000_000
 """A poll is repeated soon: five tries fit into the 100 ms of silence that stop a car."""
 UPTIME_PERIOD_NS = 1_000_000_000
 CONNECT_TRIES = 5
-"""How often a configuration is asked for before the link goes on without it."""
+"""How often a configuration is requested before the link goes on without it."""
 
 FIRST_KNOWN_APPCONF = Firmware(3, 55)
 """Older app configurations may begin with other fields (`docs/reference/vesc-serial.md#v2.6`)."""
@@ -60,7 +60,7 @@ _NOT_BY_REQUEST = (
     *FEEDS_TIMEOUT, c.SetServoPos, c.SetDetect, c.ForwardCan, c.Reboot, c.GetMcConf,
     c.GetMcConfDefault, c.GetAppConfDefault,
 )  # fmt: skip
-_UNASKED = frozenset((CommandId.PRINT, CommandId.ROTOR_POSITION, CommandId.CUSTOM_APP_DATA))
+_UNSOLICITED = frozenset((CommandId.PRINT, CommandId.ROTOR_POSITION, CommandId.CUSTOM_APP_DATA))
 
 
 @dataclass(slots=True)
@@ -69,7 +69,7 @@ class Counters:
 
     expired: int = 0
     unknown_ids: int = 0
-    unasked: int = 0
+    unsolicited: int = 0
     odd_lengths: int = 0
 
 
@@ -286,7 +286,7 @@ class VescLink:
         reply = decode_reply(frame.payload, firmware)
         if isinstance(reply, Print):
             return [e.Printed(reply.text, frame.t_first_ns)]
-        if number is None or number in _UNASKED:
+        if number is None or number in _UNSOLICITED:
             self.counters.unknown_ids += number is None
             return [self._unknown(frame, number, "unknown id" if number is None else "unsolicited")]
         if reply is None or self._is_odd(reply, len(frame.payload)):
@@ -294,8 +294,8 @@ class VescLink:
             return [self._unknown(frame, number, "wrong length for this firmware")]
         request = self._open.get(number)
         if request is None or not _answers(reply, request.command):
-            self.counters.unasked += 1
-            return [self._unknown(frame, number, "nobody asked")]
+            self.counters.unsolicited += 1
+            return [self._unknown(frame, number, "not requested")]
         del self._open[number]
         return self._on_reply(reply, e.Stamped(request.t_earliest_ns, frame.t_first_ns))
 
@@ -333,7 +333,7 @@ class VescLink:
                 return [e.Answer(reply, when)]
 
     def _watch(self, values: Values, t_ns: int) -> list[e.Event]:
-        """Faults and restarts that telemetry gives away."""
+        """Faults and restarts that telemetry shows."""
         events: list[e.Event] = []
         fault = values.fault or 0
         if fault and fault != self._fault:
@@ -365,9 +365,9 @@ def _frame_of(command: Command, firmware: Firmware) -> bytes:
 
 
 def _answers(reply: Reply, command: Command) -> bool:
-    """Whether the echoed mask is the one asked for; an id alone answers commands without one."""
+    """Whether the echoed mask is the requested one; an id alone answers commands without one."""
     if isinstance(reply, Ack):
         return True
-    asked = getattr(command, "mask", None)
+    requested = getattr(command, "mask", None)
     echoed = reply.mask if isinstance(reply, Values | ValuesSetup | Imu | Stats) else None
-    return bool(asked == echoed)
+    return bool(requested == echoed)

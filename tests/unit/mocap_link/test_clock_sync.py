@@ -211,7 +211,7 @@ def test_no_sample_is_valid_after_it_arrived() -> None:
 
 
 def test_real_capture_is_about_six_milliseconds_old_on_arrival(capture: list[Any]) -> None:
-    """Mid-exposure to arrival: 6.24 ms median on that wired system (5.9 with our RTT/2 doubt)."""
+    """Mid-exposure to arrival: 6.24 ms median on that wired system (5.9 with our RTT/2 bound)."""
     timing = SourceTiming(3_312_787, two_way=True)
     sent: dict[int, int] = {}
     ages, raws = [], []

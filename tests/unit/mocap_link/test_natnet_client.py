@@ -80,7 +80,7 @@ def test_frames_of_another_version_ask_who_is_there(make_server: Any) -> None:
     assert client.counts["malformed"] == 10
 
 
-def test_an_echo_counts_once_and_only_if_asked(make_server: Any) -> None:
+def test_an_echo_counts_once_and_only_if_requested(make_server: Any) -> None:
     client, _ = make_connected(make_server)
     sent = [natnet.decode(d, (4, 1)) for d in client.on_timer(50 * MS)]
     (echo,) = [m for m in sent if isinstance(m, natnet.EchoRequest)]
@@ -97,7 +97,7 @@ def test_only_frames_count_on_the_data_socket(make_server: Any) -> None:
     assert client.detail == "following 'car' (id 1)"
 
 
-def test_frame_rate_is_asked_for_until_it_is_told(make_server: Any) -> None:
+def test_frame_rate_is_asked_for_until_it_is_answered(make_server: Any) -> None:
     client = NatNetClient("car")
     server = make_server()
     client.on_datagram(natnet.encode(server.info()), 0)

@@ -37,9 +37,9 @@ def test_speed_round_trip_with_offset(speed: float) -> None:
     assert erpm_to_speed(scaling, speed_to_erpm(scaling, speed)) == pytest.approx(speed)
 
 
-@pytest.mark.parametrize(("asked", "sent"), [(99.0, 0.15), (-99.0, 0.85)])
-def test_steer_is_clamped(asked: float, sent: float) -> None:
-    assert steer_to_servo_pos(F1TENTH, asked) == sent
+@pytest.mark.parametrize(("requested", "sent"), [(99.0, 0.15), (-99.0, 0.85)])
+def test_steer_is_clamped(requested: float, sent: float) -> None:
+    assert steer_to_servo_pos(F1TENTH, requested) == sent
 
 
 def test_speed_is_clamped_both_ways() -> None:

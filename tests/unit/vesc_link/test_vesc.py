@@ -109,7 +109,7 @@ def test_connect_reads_who_it_is_and_how_it_is_set(vesc: Vesc) -> None:
     assert link.make_connect(10**9) == b""
 
 
-def test_wrong_uuid_is_told(vesc: Vesc) -> None:
+def test_wrong_uuid_is_reported(vesc: Vesc) -> None:
     link = VescLink(F1TENTH, expected_uuid=bytes(12))
     identity = connect(link, vesc)[0]
     assert isinstance(identity, e.Identity)
@@ -140,12 +140,12 @@ def test_connect_asks_again_after_silence_and_goes_on_without_configuration(vesc
     assert link.make_connect(EXPIRY_NS) == b""
     assert link.make_connect(EXPIRY_NS + 1) == encode_frame(b"\0")
     link.on_bytes(EXPIRY_NS + 2, vesc.answer(encode_frame(b"\0")))
-    asked = []
+    requested = []
     for n in range(2, 40):
-        asked.append(link.make_connect(n * 100 * MS))
+        requested.append(link.make_connect(n * 100 * MS))
         link.on_bytes(n * 100 * MS, b"")
-    assert asked.count(encode_frame(b"\x11")) == CONNECT_TRIES
-    assert asked.count(encode_frame(b"\x5b")) == CONNECT_TRIES
+    assert requested.count(encode_frame(b"\x11")) == CONNECT_TRIES
+    assert requested.count(encode_frame(b"\x5b")) == CONNECT_TRIES
     assert link.ready
     assert link.appconf is None
 
@@ -262,7 +262,7 @@ def test_late_reply_keeps_an_honest_interval(link: VescLink, vesc: Vesc) -> None
     assert telemetry.when == e.Stamped(0, 83 * MS)
     strays = link.on_bytes(84 * MS, second)
     assert kinds(strays) == [e.Unknown] * 2
-    assert link.counters.unasked == 2 + 1  # the late uptime reply as well
+    assert link.counters.unsolicited == 2 + 1  # the late uptime reply as well
     third = vesc.answer(link.make_tick(e.DriveSilent(), 90 * MS))
     telemetry = next(ev for ev in link.on_bytes(91 * MS, third) if isinstance(ev, e.Telemetry))
     assert telemetry.when == e.Stamped(90 * MS, 91 * MS)
@@ -282,8 +282,8 @@ def test_reply_with_another_mask_is_not_ours(link: VescLink) -> None:
     other = encode_frame(encode_reply(dataclasses.replace(VALUES, mask=0x180)))
     events = link.on_bytes(MS, other)
     assert isinstance(events[0], e.Unknown)
-    assert (events[0].reason, events[0].command) == ("nobody asked", 50)
-    assert link.counters.unasked == 1
+    assert (events[0].reason, events[0].command) == ("not requested", 50)
+    assert link.counters.unsolicited == 1
 
 
 @pytest.mark.parametrize("size", [42, 50, 56])
