@@ -4,7 +4,6 @@ Runners and transports are given a :class:`Clock`; everything below them is give
 """
 
 import time
-from dataclasses import dataclass
 from typing import Protocol
 
 
@@ -36,28 +35,3 @@ class MonotonicClock:
         """Sleep to an absolute deadline, so that a late tick never delays the next."""
         while (left_ns := deadline_ns - time.monotonic_ns()) > 0:
             time.sleep(left_ns * 1e-9)  # noqa: TID251
-
-
-@dataclass(slots=True)
-class VirtualClock:
-    """A clock that jumps: sleeping to a deadline makes it that time.
-
-    Attributes:
-        t_ns: the monotonic time now [ns].
-        epoch_ns: UNIX time at ``t_ns`` = 0 [ns].
-    """
-
-    t_ns: int = 0
-    epoch_ns: int = 1_700_000_000_000_000_000
-
-    def now_ns(self) -> int:
-        """Give the virtual monotonic time [ns]."""
-        return self.t_ns
-
-    def realtime_ns(self) -> int:
-        """Give the virtual UNIX time [ns]."""
-        return self.epoch_ns + self.t_ns
-
-    def sleep_until_ns(self, deadline_ns: int) -> None:
-        """Jump to ``deadline_ns``; time never goes back."""
-        self.t_ns = max(self.t_ns, deadline_ns)

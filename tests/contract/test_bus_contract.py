@@ -1,4 +1,4 @@
-"""One suite for every bus: two participants that must not be able to tell which one it is."""
+"""One suite for every bus: two participants that cannot distinguish one from the other."""
 
 import contextlib
 import select
@@ -9,9 +9,10 @@ import time
 
 import pytest
 
-from steerd.steer_bus.bus import BusError, LocalBus, LocalHub, key_matches
+from steerd.steer_bus.bus import BusError, key_matches
 from steerd.steer_bus.codec import MAX_BYTES
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_settings
+from tests.local_bus import LocalBus, LocalHub
 
 STATE = "steerd/car1/state"
 DEADLINE_S = 5.0

@@ -1,4 +1,4 @@
-"""The simulated hardware in its own process, met by other programs through the real wires."""
+"""The simulated hardware in its own process, reached by other programs through real sockets."""
 
 import os
 import select
@@ -27,7 +27,7 @@ from steerd.sim_hw.real_time.links import (
 )
 from steerd.sim_hw.vesc.vesc_config import VescConfig
 from steerd.sim_hw.world import WorldConfig
-from steerd.steer_bus.clock import VirtualClock
+from steerd.steer_bus.clock import MonotonicClock
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.frames import FrameParser, encode_frame
 from steerd.vesc_link.identity import FwVersion
@@ -221,16 +221,22 @@ def test_simulated_hardware_alone_leaves_in_order_at_sigterm(tmp_path: Path, idl
     with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as child:
         until(lambda: (tmp_path / "vesc").exists(), idle, 20.0)
         child.terminate()
-        told, _ = child.communicate(timeout=DEADLINE)
+        printed, _ = child.communicate(timeout=DEADLINE)
     assert child.returncode == 0
-    assert f"--port {tmp_path / 'vesc'} --mocap" in told
+    assert f"--port {tmp_path / 'vesc'} --mocap" in printed
     assert list(tmp_path.iterdir()) == []
 
 
+class StoppedClock(MonotonicClock):
+    """A clock that stands at 5 ns."""
+
+    def now_ns(self) -> int:
+        return 5
+
+
 def test_pumping_needs_no_real_clock(tmp_path: Path) -> None:
-    """A virtual clock drives the sockets too: what is due is there at once."""
-    clock = VirtualClock(t_ns=5)
-    with SimHardware(WorldConfig(), SimOptions(link_dir=tmp_path), clock) as hardware:
+    """The caller's time drives the sockets: what is due is there at once."""
+    with SimHardware(WorldConfig(), SimOptions(link_dir=tmp_path), StoppedClock()) as hardware:
         fd = os.open(hardware.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         os.write(fd, VERSION_REQUEST)
         hardware.pump(5)

@@ -1,21 +1,8 @@
-"""Clocks: absolute deadlines, and virtual time that never goes back."""
+"""The clock: absolute deadlines and UNIX time."""
 
 import pytest
 
-from steerd.steer_bus.clock import MonotonicClock, VirtualClock
-
-
-def test_virtual_clock_jumps_to_the_deadline():
-    clock = VirtualClock(epoch_ns=1000)
-    clock.sleep_until_ns(5_000_000)
-    assert clock.now_ns() == 5_000_000
-    assert clock.realtime_ns() == 5_001_000
-
-
-def test_virtual_clock_never_goes_back():
-    clock = VirtualClock(t_ns=10)
-    clock.sleep_until_ns(3)
-    assert clock.now_ns() == 10
+from steerd.steer_bus.clock import MonotonicClock
 
 
 @pytest.mark.parametrize("ahead_ns", [-1_000_000, 0, 2_000_000])

@@ -1,4 +1,4 @@
-"""The bridge into ROS's graph, on a bus that writes down what it is told."""
+"""The bridge into ROS's graph, on a bus that records what is published."""
 
 import struct
 
@@ -8,10 +8,11 @@ from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.process.ros_bridge import RosBridge
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import BusError, LocalBus, LocalHub
+from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.ros_keys import make_gid, make_ros_key
 from steerd.steer_bus.standard import AckermannDriveStamped
+from tests.local_bus import LocalBus, LocalHub
 
 
 class NamedBus(LocalBus):

@@ -8,8 +8,9 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.watch import SECOND, Watch, find_car
 from steerd.steer_bus import messages as m
-from steerd.steer_bus.bus import LocalBus, LocalHub, Sample
+from steerd.steer_bus.bus import Sample
 from steerd.steer_bus.codec import encode
+from tests.local_bus import LocalBus, LocalHub
 
 HEADER = m.make_header(SECOND, m.WORLD)
 
