@@ -37,7 +37,7 @@ class Turn(NamedTuple):
         return self.state.yaw_rate / self.state.speed
 
 
-class LaneErrors(NamedTuple):
+class LaneErrorModel(NamedTuple):
     """`d/dt (e1, e1', e2, e2') = a e + b_steer wheel + b_curvature curvature`."""
 
     a: Matrix
@@ -114,8 +114,8 @@ def linearise(
     Args:
         car: The car's parameters.
         at: The operating point.
-        states: Names out of `NAMES[:6]`, in the order wanted.
-        inputs: Names out of `NAMES`, in the order wanted.
+        states: Names out of `NAMES[:6]`, in the requested order.
+        inputs: Names out of `NAMES`, in the requested order.
     """
     jacobian = rates_and_jacobian(car, at.state, at.wheel, 0.0)[1]
     return _part(jacobian, states, states), _part(jacobian, states, inputs)
@@ -126,7 +126,7 @@ def _part(jacobian: Jacobian, rows: tuple[str, ...], columns: tuple[str, ...]) -
     return np.array([[jacobian[NAMES.index(r)][NAMES.index(c)] for c in columns] for r in rows])
 
 
-def lane_errors(car: Car[float], speed: float, curvature: float = 0.0) -> LaneErrors:
+def lane_error_model(car: Car[float], speed: float, curvature: float = 0.0) -> LaneErrorModel:
     """Rajamani's error dynamics of the CoG against a path, at constant speed.
 
     With `e1' = v (slip + e2)` and `e2' = yaw_rate - v curvature`, the lateral Jacobian gives
@@ -139,7 +139,7 @@ def lane_errors(car: Car[float], speed: float, curvature: float = 0.0) -> LaneEr
     (slip_slip, slip_yaw), (yaw_slip, yaw_yaw) = lateral.tolist()
     slip_steer, yaw_steer = steer[:, 0].tolist()
     v = speed
-    return LaneErrors(
+    return LaneErrorModel(
         a=np.array(
             [
                 [0.0, 1.0, 0.0, 0.0],

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from steerd.car_model.linear import lane_errors as lane_error_dynamics
+from steerd.car_model.linear import lane_error_model
 from steerd.car_model.params import Car
 from steerd.car_model.path.path import Path
 from steerd.controller.config import ControllerConfig
@@ -125,7 +125,7 @@ def _with_own_fast_poles(
     Gains that move the fast yaw and slip modes are large, and a servo's lag turns them around.
     """
     slow = sorted(config.poles, key=lambda pole: (abs(pole), pole.imag))[:2]
-    own = np.linalg.eigvals(lane_error_dynamics(car, speed).a)
+    own = np.linalg.eigvals(lane_error_model(car, speed).a)
     fast = sorted((complex(pole) for pole in own), key=abs)[2:]
     try:
         return replace(config, poles=(*slow, *fast), grid_speed_min=speed)

@@ -12,7 +12,7 @@ import control  # noqa: TID251
 import numpy as np
 
 from steerd.car_model.chassis import SPEED_DYNAMIC
-from steerd.car_model.linear import lane_errors
+from steerd.car_model.linear import lane_error_model
 from steerd.car_model.params import Car
 from steerd.controller.config import ControllerConfig, LqrWeights
 from steerd.controller.design import DesignRefused
@@ -26,9 +26,9 @@ def pole_placement_gains(car: Car[float], speed: float, poles: tuple[complex, ..
     Raises:
         DesignRefused: the poles cannot be placed.
     """
-    errors = lane_errors(car, speed)
+    model = lane_error_model(car, speed)
     try:
-        gains: Matrix = np.asarray(control.place(errors.a, errors.b_steer[:, None], poles))
+        gains: Matrix = np.asarray(control.place(model.a, model.b_steer[:, None], poles))
     except ValueError as error:
         raise DesignRefused(
             f"pole_placement at {speed:.2f} m/s: {error}; try other poles, a higher grid_speed_min "

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from steerd.car_model.actuators import LAG_FLOOR
-from steerd.car_model.linear import augmented, lane_errors, sample
+from steerd.car_model.linear import augmented, lane_error_model, sample
 from steerd.car_model.params import Car
 from steerd.controller.gain_table import N_LANE, Turning
 
@@ -43,11 +43,11 @@ def steering_chain(car: Car[float], speed: float, timing: Timing) -> tuple[Matri
 
     Without a lag worth the name the wheel is the input itself and there are four states.
     """
-    errors = lane_errors(car, speed)
+    model = lane_error_model(car, speed)
     if not timing.lagging:
-        return errors.a, errors.b_steer[:, None]
+        return model.a, model.b_steer[:, None]
     a, b = np.zeros((N_LANE, N_LANE)), np.zeros((N_LANE, 1))
-    a[:4, :4], a[:4, 4] = errors.a, errors.b_steer
+    a[:4, :4], a[:4, 4] = model.a, model.b_steer
     a[4, 4], b[4, 0] = -1.0 / timing.lag_s, 1.0 / timing.lag_s
     return a, b
 
@@ -73,10 +73,10 @@ def turn_response(car: Car[float], speed: float) -> Turning:
     With errors `x = x0 k + x1 k'` and the wheel likewise, `x' = a x + b wheel + c k` gives
     `a x0 + b w0 = -c` and `a x1 + b w1 = x0`; e1 and e1' are zero, e2' is the change of e2.
     """
-    errors = lane_errors(car, speed)
+    model = lane_error_model(car, speed)
     rows = [1, 3]
-    known = np.column_stack([errors.a[rows, 2], errors.b_steer[rows]])
-    heading, wheel = np.linalg.solve(known, -errors.b_curvature[rows])
-    pull = -errors.a[rows, 3] * heading
+    known = np.column_stack([model.a[rows, 2], model.b_steer[rows]])
+    heading, wheel = np.linalg.solve(known, -model.b_curvature[rows])
+    pull = -model.a[rows, 3] * heading
     heading_change, wheel_change = np.linalg.solve(known, pull)
     return Turning(float(wheel), float(wheel_change), float(heading), float(heading_change))

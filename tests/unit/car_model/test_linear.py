@@ -9,7 +9,7 @@ from steerd.car_model.chassis import derivative
 from steerd.car_model.linear import (
     augmented,
     feedforward_steer,
-    lane_errors,
+    lane_error_model,
     linearise,
     sample,
     steady_slip,
@@ -93,20 +93,20 @@ def test_lane_errors_are_rajamanis_equation_2_45(car: Car[float], speed: float) 
         0,
         -(cf * lf**2 + cr * lr**2) / (inertia * v),
     ]
-    found = lane_errors(car, speed)
+    found = lane_error_model(car, speed)
     np.testing.assert_allclose(found.a, a, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(found.b_steer, b1, rtol=1e-10)
     np.testing.assert_allclose(found.b_curvature, np.multiply(b2, v), rtol=1e-10, atol=1e-10)
 
 
 def test_linear_tyres_give_the_same_errors_in_a_bend() -> None:
-    straight, bend = lane_errors(CAR, 2.0), lane_errors(CAR, 2.0, 0.6)
+    straight, bend = lane_error_model(CAR, 2.0), lane_error_model(CAR, 2.0, 0.6)
     np.testing.assert_allclose(bend.a, straight.a, rtol=1e-9, atol=1e-9)
 
 
 def test_a_path_is_held_by_feed_forward_and_the_heading_error_it_leaves() -> None:
     speed, curvature = 2.0, 0.5
-    errors = lane_errors(CAR, speed)
+    errors = lane_error_model(CAR, speed)
     rest = np.array([0.0, 0.0, -steady_slip(CAR, speed, curvature), 0.0])
     rate = (
         errors.a @ rest
@@ -141,7 +141,7 @@ def test_sampling_a_double_integrator_is_exact() -> None:
 @pytest.mark.parametrize("delay", [0.0, 0.004, 0.01, 0.013, 0.025, 0.03])
 def test_the_augmented_system_is_the_delayed_car(delay: float) -> None:
     period, fine = 0.01, 1000
-    errors = lane_errors(CAR, 1.5)
+    errors = lane_error_model(CAR, 1.5)
     a, b = errors.a, errors.b_steer[:, None]
     big_a, big_b = augmented(sample(a, b, period, delay))
     rng = np.random.default_rng(3)

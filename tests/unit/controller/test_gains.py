@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from steerd.car_model.linear import feedforward_steer, lane_errors, steady_slip
+from steerd.car_model.linear import feedforward_steer, lane_error_model, steady_slip
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
 from steerd.controller.config import PAPER_POLES, ControllerConfig, LqrWeights
 from steerd.controller.design import DesignRefused
@@ -16,7 +16,7 @@ TIMING = Timing(rate_hz=100.0, delay_s=0.025, lag_s=0.05)
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
 def test_pole_placement_puts_the_continuous_poles(speed: float) -> None:
-    errors = lane_errors(PAPER_CAR, speed)
+    errors = lane_error_model(PAPER_CAR, speed)
     gains = pole_placement_gains(PAPER_CAR, speed, PAPER_POLES)
     poles = np.linalg.eigvals(errors.a - errors.b_steer[:, None] @ gains)
     np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(PAPER_POLES), rtol=1e-6)
@@ -88,7 +88,7 @@ def test_the_turn_is_the_cars_steady_one(speed: float) -> None:
 
 def test_a_steadily_tightening_turn_leaves_no_offset() -> None:
     speed, rate = 1.5, 0.4
-    errors, turning = lane_errors(DEFAULT_CAR, speed), turn_response(DEFAULT_CAR, speed)
+    errors, turning = lane_error_model(DEFAULT_CAR, speed), turn_response(DEFAULT_CAR, speed)
     curvature, h = 0.0, 1e-4
     x = np.array([0.0, 0.0, turning.heading_change * rate, turning.heading * rate])
     for _ in range(20000):
