@@ -1,1 +1,1 @@
-"""What ,  and  ask and put on screen."""
+"""Identification, diagnosis and simulation for notebooks (`import steerd`) and the command line."""

@@ -3,10 +3,8 @@
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from steerd.daemon.analysis.diagnose_case import Case
-from steerd.sim_gap.diagnosis import Diagnosis
-from steerd.sim_gap.lane_comparison import LaneComparison
 from steerd.sim_gap.report.summary_text import (
     ambiguity,
     cause_words,
@@ -18,28 +16,30 @@ from steerd.sim_gap.report.summary_text import (
     shrink_words,
 )
 
+if TYPE_CHECKING:
+    from steerd.daemon.analysis.diagnosis import Diagnosis
+
 COLUMNS, LINES = 100, 24
 _MARGIN = 12
 
 
 def describe(
-    case: Case,
-    told: Diagnosis,
-    lane: LaneComparison | None,
-    why: str,
-    written: Path | None,
-    report: Path | None = None,
+    diagnosis: "Diagnosis", written: Path | None = None, report: Path | None = None
 ) -> str:
-    """The screen; what matters least is left out where it would not fit."""
-    must = [line for label, text in _rows(case, told, lane, why) for line in _wrap(label, text)]
-    last = [
-        f"{'next':<{_MARGIN}}{_next(told, lane, written, report)}"
-    ]  # to be copied: never broken
-    notes = [
-        line for note in (*case.notes, *told.notes) for line in _wrap("note", _shortened(note))
-    ]
+    """The screen; what matters least is left out where it would not fit.
+
+    Args:
+        diagnosis: what was found.
+        written: the car file that was written.
+        report: the report that was written.
+    """
+    must = [line for label, text in _rows(diagnosis) for line in _wrap(label, text)]
+    # The last line is a command to copy: never broken.
+    last = [f"{'next':<{_MARGIN}}{_next(diagnosis, written, report)}"]
+    notes = (*diagnosis.case.notes, *diagnosis.findings.notes)
+    lines = [line for note in notes for line in _wrap("note", _shortened(note))]
     room = LINES - len(must) - len(last)
-    return "\n".join([*must[: LINES - len(last)], *notes[: max(room, 0)], *last])
+    return "\n".join([*must[: LINES - len(last)], *lines[: max(room, 0)], *last])
 
 
 def _shortened(note: str) -> str:
@@ -54,42 +54,40 @@ def _wrap(label: str, text: str) -> list[str]:
     )  # fmt: skip
 
 
-def _rows(
-    case: Case, told: Diagnosis, lane: LaneComparison | None, why: str
-) -> Iterator[tuple[str, str]]:
+def _rows(diagnosis: "Diagnosis") -> Iterator[tuple[str, str]]:
+    case, found, lane = diagnosis.case, diagnosis.findings, diagnosis.lane
     names = ", ".join(path.name for path in case.sessions)
-    yield "drives", f"{case.seconds:.0f} s to explain, of {names}; base: {case.base_words}"
-    yield "verdict", f"{told.verdict.upper()}. {headline(told)}"
-    if told.verdict != "none":
-        yield "where", told.where.sentence
-    for cause in told.causes[:2]:
+    yield "drives", f"{case.seconds:.0f} s to explain, of {names}; base: {case.base_source}"
+    yield "verdict", f"{found.verdict.upper()}. {headline(found)}"
+    if found.verdict != "none":
+        yield "where", found.where.sentence
+    for cause in found.causes[:2]:
         yield "cause", f"{cause.effect}: {cause_words(cause)}, confidence {cause.confidence:.0%}"
         if ambiguity(cause):
-            yield "  not told", ambiguity(cause)
-    if told.verdict in ("unexplained", "partial"):
-        yield "left over", residual_words(told)
-    yield "gap after", "; ".join(gap_words(told))
-    if told.causes:
-        yield "shrinks by", shrink_words(told, case.held_out_of)
-        yield "", f"sha256 of the prediction: {told.shrinkage.digest}"
+            yield "confounded", ambiguity(cause)
+    if found.verdict in ("unexplained", "partial"):
+        yield "left over", residual_words(found)
+    yield "gap after", "; ".join(gap_words(found))
+    if found.causes:
+        yield "shrinks by", shrink_words(found, case.held_out_of)
+        yield "", f"sha256 of the prediction: {found.shrinkage.digest}"
     if lane is not None:
         yield "closed loop", lane_words(lane)
-    elif why and told.causes:
-        yield "closed loop", why.removeprefix("closed loop ")
-    yield "drive next", manoeuvre_words(told)
+    elif diagnosis.lane_note and found.causes:
+        yield "closed loop", diagnosis.lane_note.removeprefix("closed loop ")
+    yield "drive next", manoeuvre_words(found)
 
 
-def _next(
-    told: Diagnosis, lane: LaneComparison | None, written: Path | None, report: Path | None
-) -> str:
+def _next(diagnosis: "Diagnosis", written: Path | None, report: Path | None) -> str:
     """The command to type next."""
-    if not told.causes and report is not None:
+    causes, lane = diagnosis.findings.causes, diagnosis.lane
+    if not causes and report is not None:
         return f"open {report} in a browser: it shows where the error lies"
-    if not told.causes and written is not None:
+    if not causes and written is not None:
         return f"--report gap.html shows where the error lies; {written} is the base as it was"
-    if not told.causes:
+    if not causes:
         return "repeat with --report gap.html to see where the error lies"
     if written is None:
-        return "repeat with -o car.toml, then steerd run --sim --car car.toml shows the car's ways"
+        return "repeat with -o car.toml; steerd run --sim --car car.toml then drives like the car"
     again = f" {lane.again}" if lane is not None else ""
     return f"steerd run --sim --fast --duration 20 --car {written}{again}"

@@ -1,11 +1,11 @@
 """Sessions as drives for the offline tools; what cannot be used is one clear line."""
 
 import filecmp
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 from math import pi
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.translate import make_car_file_error, make_session_error
@@ -14,19 +14,28 @@ if TYPE_CHECKING:
     from steerd.car_model.car_file import CarFile
     from steerd.sysid.data.dataset import Run
 
+Speed = Literal["command", "wheel"]
+"""What drives the simulated car: the speed command, or the measured wheel speed."""
+Warn = Callable[[Sequence[str]], None]
+"""Is handed what is wrong or doubtful in a session, as sentences; the work goes on."""
 
-def load_drive(path: Path, speed: str = "command") -> "Run":
+
+def _ignore(texts: Sequence[str]) -> None:
+    """Nobody reads the warnings."""
+
+
+def load_drive(path: Path, speed: Speed = "command", warn: Warn = _ignore) -> "Run":
     """A session as a drive.
 
     Args:
         path: the session.
         speed: `wheel` takes the measured speed in place of the command.
+        warn: is handed what is wrong with the file or implausible in its numbers.
 
     Raises:
         SteerdError: it cannot be read, or is not fit for a fit.
     """
     from steerd.daemon.sessions.info import load_session, make_session_report
-    from steerd.daemon.sessions.text import print_warnings
     from steerd.steer_bus.session_read import SessionError
     from steerd.sysid.data.data_checks import DataError
     from steerd.sysid.data.dataset import load_run
@@ -35,12 +44,12 @@ def load_drive(path: Path, speed: str = "command") -> "Run":
 
     session = load_session(path)
     damage = [warning.message for warning in session.warnings]
-    print_warnings([f"{path.name}: {each}" for each in damage])
+    warn([f"{path.name}: {each}" for each in damage])
     try:
         run = correct_log_jitter(load_run(path))
         _check_angles(run)
-        doubts = [each for each in make_session_report(session).warnings if each not in damage]
-        print_warnings([f"{path.name}: {each}" for each in doubts])
+        doubtful = [each for each in make_session_report(session).warnings if each not in damage]
+        warn([f"{path.name}: {each}" for each in doubtful])
         return with_wheel_speed(run) if speed == "wheel" else run
     except SessionError as error:
         raise make_session_error(error) from None
@@ -51,7 +60,7 @@ def load_drive(path: Path, speed: str = "command") -> "Run":
 
 
 def _check_angles(run: "Run") -> None:
-    """No wheel turns across the car: such a log is in degrees, and a fit would make up for it."""
+    """No wheel turns across the car: such a log is in degrees, and a fit would absorb that."""
     from steerd.daemon.sessions.motion import make_range
 
     found = make_range(run.commands[:, 0])
@@ -61,8 +70,8 @@ def _check_angles(run: "Run") -> None:
         raise SteerdError(what, "import it with scale = 0.0174532925 in the map")
 
 
-def load_base(path: Path) -> "CarFile":
-    """A car file that was named on the command line.
+def load_base(path: Path | str) -> "CarFile":
+    """A car file that somebody named.
 
     Raises:
         SteerdError: it cannot be read, or says something impossible.
@@ -102,11 +111,11 @@ def refuse_copies(paths: Sequence[Path]) -> None:
 def without_reserved(
     given: Sequence[Path], reserved: Sequence[Path], purpose: str
 ) -> tuple[Path, ...]:
-    """The sessions that are not kept back: of `*.mcap` those that no other option names.
+    """The sessions that are not held out: of `*.mcap` those that no other option names.
 
     Args:
-        given: the sessions of the command line.
-        reserved: those to keep back.
+        given: all sessions.
+        reserved: those to hold out.
         purpose: what would be done with the others.
 
     Raises:
@@ -115,6 +124,6 @@ def without_reserved(
     refuse_copies(given)
     kept = tuple(path for path in given if not any(is_same(path, each) for each in reserved))
     if not kept:
-        what = f"every session is kept back: nothing is left to {purpose}"
+        what = f"every session is held out: nothing is left to {purpose}"
         raise SteerdError(what, "name another session", ExitCode.USAGE)
     return kept

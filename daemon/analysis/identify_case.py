@@ -1,14 +1,23 @@
-"""What `steerd identify` is asked, checked: drives, what is kept back, what is free and fixed."""
+"""What is to be identified, checked: drives, what is held out, what is free and what is fixed."""
 
-import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
 
 from steerd.car_model.car_file import CarFile, CarFileError, Learned, parse_car, updated_text
 from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
-from steerd.daemon.analysis.drives import load_drive, refuse_copies, without_reserved
+from steerd.daemon.analysis.drives import (
+    Speed,
+    Warn,
+    load_drive,
+    refuse_copies,
+    without_reserved,
+)
+from steerd.daemon.analysis.held_out import EVERY, HeldOut
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import open_session
 from steerd.sysid.estimation.effect_selection import CANDIDATES
@@ -16,86 +25,107 @@ from steerd.sysid.estimation.fit import Options, default_free
 from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names
 from steerd.sysid.estimation.prediction_horizon import level_loads, scale_inertia
 
-EVERY = 4
-"""Unless said otherwise every 4th block is kept back."""
 _USAGE = ExitCode.USAGE
 _STARTS = {"ours": 1, "paper": 5, "cma-es": 5}
 _LEAST = {"starts": 1, "iterations": 1, "jobs": 1, "seed": 0}
+_WHEELBASE = 0.05, 2.0
+"""Between a toy's and a passenger car's smallest wheelbase [m]; millimetres lie above."""
+
+Method = Literal["ours", "paper", "cma-es"]
 
 
-def parse_held_out(given: Sequence[str]) -> tuple[list[Path], int]:
-    """Files, or the k of every k-th block.
+@dataclass(frozen=True, kw_only=True)
+class IdentifyRequest:
+    """What to identify, from which drives; see `identify` for what each means.
 
-    Raises:
-        SteerdError: k makes no sense, or stands beside files.
+    Attributes:
+        sessions: files of the drives.
+        car: start values.
+        held_out: what validates the result.
+        free: parameters to fit; empty for all that the method fits.
+        fix: parameters that keep the car's value (None) or take this one.
+        wheelbase: measured distance of the axles [m].
+        speed: `wheel` takes the measured speed in place of the command.
+        effects: candidates, or `auto`.
+        method, starts, iterations, seed: how to search.
+        jobs, dask: where to work.
     """
-    numbers = [text for text in given if text.lstrip("-").isdigit()]
-    if not numbers:
-        return [Path(each) for each in given], EVERY
-    if len(given) > 1:
-        what = f"--held-out {numbers[0]}: every K-th block, or files, not both"
-        raise SteerdError(what, "", _USAGE)
-    if int(numbers[0]) < 2:
-        raise SteerdError(f"--held-out {numbers[0]}: every K-th block, 2 or more", "", _USAGE)
-    return [], int(numbers[0])
+
+    sessions: tuple[Path, ...]
+    car: CarFile
+    held_out: HeldOut = field(default_factory=HeldOut)
+    free: tuple[str, ...] = ()
+    fix: Mapping[str, float | None] = field(default_factory=lambda: MappingProxyType({}))
+    wheelbase: float | None = None
+    speed: Speed = "command"
+    effects: tuple[str, ...] | Literal["auto"] = ()
+    method: Method = "ours"
+    starts: int | None = None
+    iterations: int | None = None
+    seed: int = 0
+    jobs: int = 1
+    dask: str | None = None
 
 
-def make_task(args: argparse.Namespace, base: CarFile) -> Task:
-    """Everything that is to be done, checked.
+def make_task(request: IdentifyRequest, warn: Warn) -> Task:
+    """Read the drives and settle what is free; everything that can be refused is refused here.
+
+    Args:
+        request: what to identify.
+        warn: is handed what is doubtful in the sessions.
 
     Raises:
         SteerdError: a session or an option cannot be used.
     """
-    _check_counts(args)
-    fixed = parse_fix(args.fix)[0]
-    free = [part for part in (args.free or "").split(",") if part]
+    base, fixed, free, length = request.car, [*request.fix], [*request.free], request.wheelbase
+    _check_counts(request)
     _check_names((*free, *fixed), base.model)
-    model = _with_fixed(base, args.fix).model
-    if args.wheelbase is not None and not 0.05 <= args.wheelbase <= 2.0:
-        raise SteerdError(f"--wheelbase {args.wheelbase:g}: in metres", "", _USAGE)
-    candidates = _candidates(args.effects)
+    model = _with_fixed(base, request.fix).model
+    if length is not None and not _WHEELBASE[0] <= length <= _WHEELBASE[1]:
+        raise SteerdError(f"wheelbase {length:g}: in metres", "", _USAGE)
+    candidates = _candidates(request.effects)
     try:
-        model = fit_wheelbase(model, args.wheelbase, fixed)
+        model = fit_wheelbase(model, length, fixed)
     except ValueError as error:
         raise SteerdError(str(error), "fix one of lf and lr, or neither", _USAGE) from None
     stated = {*free, *fixed}
     if "inertia_z" not in stated:
         model = scale_inertia(model, base.model)
-    files, every = parse_held_out(args.held_out)
+    files = request.held_out.files
     refuse_copies(files)
-    sessions = without_reserved(args.sessions, files, "fit")
-    runs = tuple(load_drive(path, args.speed) for path in sessions)
+    sessions = without_reserved(request.sessions, files, "fit")
+    runs = tuple(load_drive(path, request.speed, warn) for path in sessions)
     if "cog_height" not in stated:
         model = level_loads(model, runs)
     return Task(
         runs=runs,
-        held_out=tuple(load_drive(path, args.speed) for path in files),
-        every=every,
+        held_out=tuple(load_drive(path, request.speed, warn) for path in files),
+        every=EVERY if request.held_out.every is None else request.held_out.every,
         model=model,
         options=Options(
             free=free_names(
-                free, fixed, default_free(model.chassis), axles_known=args.wheelbase is not None
+                free, fixed, default_free(model.chassis), axles_known=length is not None
             ),
-            wheelbase=args.wheelbase,
+            wheelbase=length,
         ),
-        method=args.method,
-        starts=args.starts or _STARTS[args.method],
-        iterations=args.iterations,
-        seed=args.seed,
-        jobs=args.jobs,
-        dask=args.dask,
+        method=request.method,
+        starts=request.starts or _STARTS[request.method],
+        iterations=request.iterations,
+        seed=request.seed,
+        jobs=request.jobs,
+        dask=request.dask,
         truth=_truth(sessions[0]),
         effects=candidates,
         stated=tuple(fixed),
     )
 
 
-def _candidates(given: str | None) -> tuple[str, ...]:
+def _candidates(given: tuple[str, ...] | Literal["auto"]) -> tuple[str, ...]:
     """Effects to look for."""
-    if given in (None, "", "auto"):
-        return CANDIDATES if given == "auto" else ()
+    if given == "auto":
+        return CANDIDATES
     try:
-        return tuple(find_effect(name).name for name in str(given).split(",") if name)
+        return tuple(find_effect(name).name for name in given)
     except ValueError as error:
         what, _, hint = str(error).partition("; ")
         raise SteerdError(what, hint or "`steerd effects` lists them", _USAGE) from None
@@ -113,36 +143,22 @@ def _truth(path: Path) -> Car[float] | None:
         return None
 
 
-def parse_fix(text: str) -> tuple[list[str], dict[str, float]]:
-    """Names to keep, and the values given for some of them."""
-    names, values = [], {}
-    for part in (p for p in text.split(",") if p):
-        name, equals, number = part.partition("=")
-        names.append(name)
-        if equals:
-            try:
-                values[name] = float(number)
-            except ValueError:
-                raise SteerdError(f"--fix {part}: not a number", "", _USAGE) from None
-    return names, values
+def given_values(fix: Mapping[str, float | None]) -> dict[str, Learned]:
+    """What the user stated: the file that comes out is of that car."""
+    return {
+        name: Learned(value, None, "given with --fix")
+        for name, value in fix.items()
+        if value is not None
+    }
 
 
-def given_values(text: str) -> dict[str, Learned]:
-    """What the user stated with --fix: the file that comes out is of that car.
-
-    Raises:
-        SteerdError: a value is no number.
-    """
-    return {name: Learned(v, None, "given with --fix") for name, v in parse_fix(text)[1].items()}
-
-
-def _with_fixed(base: CarFile, text: str) -> CarFile:
-    """The car file with the values of --fix, each within what a car file may say."""
-    for name, learned in given_values(text).items():
+def _with_fixed(base: CarFile, fix: Mapping[str, float | None]) -> CarFile:
+    """The car file with the stated values, each within what a car file may say."""
+    for name, learned in given_values(fix).items():
         try:
             base = parse_car(updated_text(base, {name: learned}), base.path)
         except CarFileError as error:
-            what = f"--fix {name}={learned.value:g}: {error.what}"
+            what = f"fix {name}={learned.value:g}: {error.what}"
             raise SteerdError(what, error.hint, _USAGE) from None
     return base
 
@@ -155,8 +171,10 @@ def _check_names(names: Iterable[str], model: Model[float]) -> None:
             raise SteerdError(f"{name} is no parameter of the car", f"one of {known}", _USAGE)
 
 
-def _check_counts(args: argparse.Namespace) -> None:
+def _check_counts(request: IdentifyRequest) -> None:
     for name, least in _LEAST.items():
-        value = getattr(args, name)
+        value = getattr(request, name)
         if value is not None and value < least:
-            raise SteerdError(f"--{name} {value}: {least} or more", "", _USAGE)
+            raise SteerdError(f"{name} {value}: {least} or more", "", _USAGE)
+    if request.held_out.every == 0:
+        raise SteerdError("held out 0: something must validate the fit", "2 or more", _USAGE)

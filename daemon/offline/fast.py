@@ -51,6 +51,41 @@ def make_recording(plan: RunPlan, path: Path) -> Recording:
         raise make_session_error(error, "choose another file with --record") from None
 
 
+def record_virtual(
+    plan: RunPlan,
+    path: Path,
+    go: Callable[[VirtualRun], None],
+    see: Callable[[list[PipeRecord], int], None] = lambda records, t_ns: None,
+) -> VirtualRun:
+    """Drive in virtual time into a session file; an interrupted drive is kept as far as it came.
+
+    Args:
+        plan: what to drive.
+        path: the session file.
+        go: drives the run to its end.
+        see: is handed what was recorded, and when [ns].
+
+    Raises:
+        SteerdError: the file cannot be created.
+    """
+    world = World(make_world_config(plan))
+    recording = make_recording(plan, path)
+
+    def sink(records: list[PipeRecord], t_ns: int) -> None:
+        for each in records:
+            recording.add(each)
+        see(records, t_ns)
+
+    run = make_virtual_run(plan, (sink,), world)
+    reason = "interrupted"
+    try:
+        go(run)
+        reason = "end of the run"
+    finally:
+        recording.writer.finish({"reason": reason, "written": str(recording.written)})
+    return run
+
+
 def run_fast(plan: RunPlan) -> int:
     """Drive in virtual time and print what came of it."""
     if plan.options.duration_s is None:
@@ -64,40 +99,44 @@ def run_fast(plan: RunPlan) -> int:
         if record
         else default_session_path(plan.options.car, clock.realtime_ns(), began)
     )
-    world = World(make_world_config(plan))
-    recording = make_recording(plan, path)
-    board = Dashboard("")
+    board, duration = Dashboard(""), plan.options.duration_s
 
-    def sink(records: list[PipeRecord], t_ns: int) -> None:
+    def see(records: list[PipeRecord], t_ns: int) -> None:
         for each in records:
-            recording.add(each)
             line = board.take(each)
             if line is not None:
                 print(f"{t_ns * 1e-9:8.2f} s  {line}")
 
-    run = make_virtual_run(plan, (sink,), world)
-    reason = "interrupted"
+    def go(run: VirtualRun) -> None:
+        with_progress(run, duration, lambda tick: drive(run, tick))
+
     try:
-        with_progress(run, plan.options.duration_s, lambda tick: drive(run, tick))
-        reason = "end of the run"
+        run = record_virtual(plan, path, go, see)
     except KeyboardInterrupt:
         print(f"interrupted; what was driven so far: {path}", file=sys.stderr)
         raise
-    finally:
-        recording.writer.finish({"reason": reason, "written": str(recording.written)})
     factor = run.t_ns / max(clock.now_ns() - began, 1)
-    told, *where_to = closing_lines(plan, board.tally, path)
-    print(told)
+    summary, *where_to = closing_lines(plan, board.tally, path)
+    print(summary)
     print(f"bytes on the wire: sha256 {run.wire.hexdigest()[:16]}; {factor:.0f} x real time")
     print("\n".join(where_to))
     loop = run.core.loop
     if loop.faulted:
         print(f"stopped: {loop.supervisor.reason}")
         return ExitCode.STOPPED
-    if not loop.ran:
+    check_driven(run)
+    return ExitCode.OK
+
+
+def check_driven(run: VirtualRun) -> None:
+    """Refuse a run in which the car was never driven.
+
+    Raises:
+        SteerdError: what it was waiting for.
+    """
+    if not run.core.loop.ran:
         waiting = run.core.last.waiting if run.core.last else ""
         raise SteerdError(f"the car was never driven: waiting for {waiting}", "", ExitCode.STOPPED)
-    return ExitCode.OK
 
 
 def with_progress(

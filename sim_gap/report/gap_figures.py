@@ -1,4 +1,4 @@
-"""The gap report's figures as inline SVG, in the manner of the identification's."""
+"""The gap report's figures as inline SVG, styled as those of the identification."""
 
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -20,7 +20,7 @@ from steerd.sim_gap.lane_comparison import (
     profile,
     steering_spectrum,
 )
-from steerd.sim_gap.report.summary_text import EQUATIONS, SCALES, told_leads
+from steerd.sim_gap.report.summary_text import EQUATIONS, SCALES, known_leads
 from steerd.sim_gap.verdict.shrinkage import Shrinkage
 from steerd.sim_gap.verdict.timeline import Timeline
 from steerd.sim_gap.verdict.where import Regime, Share, range_words
@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 
 SHOWN_MOST = 12
 """Candidates that are drawn; the rest is in the JSON."""
+CONFOUNDED = "#f0a77f"
 Corner = Literal["upper left", "lower right"]
 _STYLE: dict[Any, Any] = {**STYLE, "axes.axisbelow": True}
 
@@ -57,39 +58,57 @@ def _name(axes: Axes, colours: dict[str, str], where: Corner) -> None:
 
 def draw_gap(before: Gap, after: Gap, explained: bool) -> str:
     """Error after each lead, before and after the effect, with 90 % intervals."""
-    names = {"base car": BEFORE}
-    if explained:
-        names["with the effect"] = AFTER
     with rc_context(_STYLE):
-        gaps = (before, after) if explained else (before,)
-        units = ("position [mm]", "heading [mrad]", "wheel speed [mm/s]")
-        there = [i for i in range(3) if any(row[1 + i] > 0.0 for row in before.errors)] or [0]
-        figure, axes = make_figure(1, len(there), 2.5)
-        for axis, i in zip(axes[0], there, strict=True):
-            label, scale = units[i], 1e3
-            _bars(axis, before, i, scale, -0.2 if explained else 0.0, BEFORE)
-            if explained:
-                _bars(axis, after, i, scale, 0.2, AFTER)
-            leads = [before.errors[j][0] for j in told_leads(before)]
-            axis.set_xticks(range(len(leads)), [f"{lead:g} s" for lead in leads])
-            axis.set(title=label, yscale="log", ylim=_limits(gaps, i, scale))
-            _plain_log(axis.yaxis)
-            axis.grid(visible=False, axis="x")
-        axes[0, 0].set_ylabel("root mean square")
-        _name(axes[0, 0], names, "upper left")
+        present = find_measured(before)
+        figure, axes = make_figure(1, len(present), 2.5)
+        plot_gap(list(axes[0]), present, before, after, explained)
         return to_svg(figure, "Prediction error by horizon, before and after")
+
+
+def find_measured(gap: Gap) -> list[int]:
+    """Which of position, heading and wheel speed have errors, as 0 to 2; position at least."""
+    return [i for i in range(3) if any(row[1 + i] > 0.0 for row in gap.errors)] or [0]
+
+
+def plot_gap(
+    axes: Sequence[Axes], present: Sequence[int], before: Gap, after: Gap, explained: bool
+) -> None:
+    """Error after each lead with 90 % intervals.
+
+    Args:
+        axes: one for each of `present`, see `find_measured`.
+        present: which errors.
+        before: of the base.
+        after: with the effect.
+        explained: whether there is an effect.
+    """
+    names = {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
+    gaps = (before, after) if explained else (before,)
+    units = ("position [mm]", "heading [mrad]", "wheel speed [mm/s]")
+    for axis, i in zip(axes, present, strict=True):
+        label, scale = units[i], 1e3
+        _bars(axis, before, i, scale, -0.2 if explained else 0.0, BEFORE)
+        if explained:
+            _bars(axis, after, i, scale, 0.2, AFTER)
+        leads = [before.errors[j][0] for j in known_leads(before)]
+        axis.set_xticks(range(len(leads)), [f"{lead:g} s" for lead in leads])
+        axis.set(title=label, yscale="log", ylim=_limits(gaps, i, scale))
+        _plain_log(axis.yaxis)
+        axis.grid(visible=False, axis="x")
+    axes[0].set_ylabel("root mean square")
+    _name(axes[0], names, "upper left")
 
 
 def _limits(gaps: Sequence[Gap], i: int, scale: float) -> tuple[float, float]:
     """Of a logarithmic axis that holds all bars and their intervals."""
-    values = [gap.errors[j][1 + i] for gap in gaps for j in told_leads(gap)]
-    highs = [gap.intervals[j][i][1] for gap in gaps for j in told_leads(gap)]
+    values = [gap.errors[j][1 + i] for gap in gaps for j in known_leads(gap)]
+    highs = [gap.intervals[j][i][1] for gap in gaps for j in known_leads(gap)]
     low = max(min((v for v in values if v > 0.0), default=1e-4), 1e-7)
     return 0.4 * scale * low, 2.0 * scale * max([low, *values, *highs])
 
 
 def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str) -> None:
-    kept = told_leads(gap)
+    kept = known_leads(gap)
     values = scale * np.array([gap.errors[j][1 + i] for j in kept])
     bounds = scale * np.array([gap.intervals[j][i] for j in kept]).reshape(-1, 2)
     off = np.clip(np.column_stack([values - bounds[:, 0], bounds[:, 1] - values]).T, 0.0, None)
@@ -101,29 +120,34 @@ def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str)
 
 def draw_candidates(told: Diagnosis) -> str:
     """Held-out gain of each refitted hypothesis, with its standard error."""
+    with rc_context(_STYLE):
+        rows = min(len(told.candidates), SHOWN_MOST)
+        figure, axes = make_figure(1, 1, 0.7 + 0.24 * max(rows, 2))
+        plot_candidates(axes[0, 0], told)
+        return to_svg(figure, "Candidates and their gains")
+
+
+def plot_candidates(axis: Axes, told: Diagnosis) -> None:
+    """Held-out gain of each refitted hypothesis, with its standard error."""
     rows = sorted(told.candidates, key=lambda row: -row[1])[:SHOWN_MOST]
     names = {cause.effect for cause in told.causes}
-    rivals = {rival for cause in told.causes for rival in cause.ambiguous_with}
-    with rc_context(_STYLE):
-        figure, axes = make_figure(1, 1, 0.7 + 0.24 * max(len(rows), 2))
-        axis = axes[0, 0]
-        for place, (effect, gain, se) in enumerate(rows):
-            parts = set(effect.split("+"))
-            chosen = bool(names) and (parts == names if len(names) > 1 else parts <= names)
-            colour = AFTER if chosen else "#f0a77f" if parts & rivals else FAINT
-            error = se if np.isfinite(se) else 0.0
-            axis.barh(place, gain, 0.66, color=colour, xerr=error,
-                      error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.0})  # fmt: skip
-        axis.set_yticks(range(len(rows)), [row[0].replace("+", " + ") for row in rows])
-        axis.invert_yaxis()
-        axis.grid(visible=False, axis="y")
-        axis.set_xlabel("gain over the base on windows left out of the fit [nats], ± 1 SE")
-        colours = {"named": AFTER, "cannot be told from it": "#f0a77f", "others": FAINT}
-        if not rivals:
-            del colours["cannot be told from it"]
-        if names:
-            _name(axis, colours, "lower right")
-        return to_svg(figure, "Candidates and their gains")
+    confounded = {other for cause in told.causes for other in cause.ambiguous_with}
+    for place, (effect, gain, se) in enumerate(rows):
+        parts = set(effect.split("+"))
+        chosen = bool(names) and (parts == names if len(names) > 1 else parts <= names)
+        colour = AFTER if chosen else CONFOUNDED if parts & confounded else FAINT
+        error = se if np.isfinite(se) else 0.0
+        axis.barh(place, gain, 0.66, color=colour, xerr=error,
+                  error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.0})  # fmt: skip
+    axis.set_yticks(range(len(rows)), [row[0].replace("+", " + ") for row in rows])
+    axis.invert_yaxis()
+    axis.grid(visible=False, axis="y")
+    axis.set_xlabel("gain over the base on windows left out of the fit [nats], ± 1 SE")
+    colours = {"named": AFTER, "not distinguishable from it": CONFOUNDED, "others": FAINT}
+    if not confounded:
+        del colours["not distinguishable from it"]
+    if names:
+        _name(axis, colours, "lower right")
 
 
 def draw_where(equation: Sequence[Share], channels: Sequence[Share]) -> str:
@@ -157,21 +181,28 @@ def draw_timeline(line: Timeline, stretches: Sequence[Any], explained: bool) -> 
     with rc_context(_STYLE):
         figure, axes = make_figure(len(runs), 1, 0.6 + 1.5 * len(runs))
         for axis, name in zip(axes[:, 0], runs, strict=True):
-            mine = np.array([run == name for run in line.run])
-            for stretch in stretches:
-                if stretch.run == name:
-                    axis.axvspan(stretch.t0, stretch.t1, color="#fff0e6", lw=0)
-            _steps(axis, line, mine, line.before, BEFORE)
-            if explained:
-                _steps(axis, line, mine, line.after, AFTER)
-            axis.axhline(1.0, color=INK, lw=0.8, ls=":")
-            axis.set(yscale="log", ylabel="error / noise", title=name)
-            _plain_log(axis.yaxis)
+            plot_timeline(axis, line, name, stretches, explained)
         axes[-1, 0].set_xlabel("time into the drive [s]")
         colours = {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
         handles = [Line2D([], [], color=c, lw=3.0, label=name) for name, c in colours.items()]
         figure.legend(handles=handles, loc="outside lower left", ncols=2, fontsize=8)
         return to_svg(figure, "The gap over time")
+
+
+def plot_timeline(
+    axis: Axes, line: Timeline, run: str, stretches: Sequence[Any], explained: bool
+) -> None:
+    """Whitened error of one drive's windows over its time, before and after."""
+    mine = np.array([name == run for name in line.run])
+    for stretch in stretches:
+        if stretch.run == run:
+            axis.axvspan(stretch.t0, stretch.t1, color="#fff0e6", lw=0)
+    _steps(axis, line, mine, line.before, BEFORE)
+    if explained:
+        _steps(axis, line, mine, line.after, AFTER)
+    axis.axhline(1.0, color=INK, lw=0.8, ls=":")
+    axis.set(yscale="log", ylabel="error / noise", title=run)
+    _plain_log(axis.yaxis)
 
 
 def _steps(axis: Axes, line: Timeline, mine: Array, values: Array, colour: str) -> None:

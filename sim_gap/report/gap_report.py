@@ -15,6 +15,7 @@ from steerd.sim_gap.report.summary_text import (
     ambiguity,
     cause_words,
     headline,
+    known_leads,
     lane_rows,
     lane_words,
     manoeuvre_words,
@@ -23,7 +24,6 @@ from steerd.sim_gap.report.summary_text import (
     short,
     shrink_words,
     summary_of,
-    told_leads,
     value_words,
 )
 from steerd.sysid.report.page import render_page
@@ -84,7 +84,7 @@ def render_report(subject: Subject, told: Diagnosis, lane: LaneComparison | None
 
 
 def _cards(subject: Subject, told: Diagnosis) -> Iterator[Card]:
-    leads = told_leads(told.before) or [0]
+    leads = known_leads(told.before) or [0]
     last = min(leads, key=lambda i: abs(told.before.errors[i][0] - 1.0))
     before, after = told.before.errors[last], told.after.errors[last]
     lead = f"position error after {before[0]:g} s"

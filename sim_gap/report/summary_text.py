@@ -87,14 +87,14 @@ def short(value: float) -> str:
     return f"{value:.2g}" if abs(value) < 99.5 else f"{value:.0f}"
 
 
-def told_leads(gap: Gap) -> list[int]:
+def known_leads(gap: Gap) -> list[int]:
     """Which leads have errors: windows may end just before the last."""
     return [i for i, row in enumerate(gap.errors) if row[1] > 0.0]
 
 
 def gap_words(told: Diagnosis) -> Iterator[str]:
     """Position and heading error before and after by lead."""
-    for i in told_leads(told.before):
+    for i in known_leads(told.before):
         before, after = told.before.errors[i], told.after.errors[i]
         if not told.causes:
             yield f"{before[0]:g} s: {short(1e3 * before[1])} mm, {short(1e3 * before[2])} mrad"

@@ -40,22 +40,32 @@ def draw_traces(traces: tuple[list[Trace], list[Trace]]) -> str:
     """Held-out windows in the plane, and the heading error as predictions age."""
     with rc_context(STYLE):
         figure, axes = make_figure(1, 2, 4.0)
-        plane, late = axes[0]
-        for after, before in zip(*traces, strict=True):
-            ahead = after.ahead >= 0.0
-            plane.plot(*after.measured[:, :2].T, color=MEASURED, lw=2.2, alpha=0.35)
-            plane.plot(*before.predicted[ahead, :2].T, color=BEFORE, lw=1.0)
-            plane.plot(*after.predicted[ahead, :2].T, color=AFTER, lw=1.0)
-            for trace, colour in ((before, BEFORE), (after, AFTER)):
-                off = np.linalg.norm(trace.measured[:, :2] - trace.predicted[:, :2], axis=1)
-                late.plot(trace.ahead, 1e3 * off, color=colour, lw=0.8, alpha=0.7)
-        plane.set(xlabel="x [m]", ylabel="y [m]", title="held-out drives and their predictions")
-        plane.set_aspect("equal", adjustable="datalim")
-        _name(plane, {"measured": MEASURED, "start values": BEFORE, "identified": AFTER})
-        late.axvline(0.0, color=FAINT, lw=0.8)
-        late.set(xlabel="time since the prediction began [s]", ylabel="distance [mm]",
-                 title="prediction error of each window", ylim=(0.0, None))  # fmt: skip
+        plot_traces(axes[0, 0], axes[0, 1], traces)
         return to_svg(figure)
+
+
+def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]) -> None:
+    """Held-out windows in the plane, and the position error as predictions age.
+
+    Args:
+        plane: axes for the positions.
+        late: axes for the errors.
+        traces: predictions after and before.
+    """
+    for after, before in zip(*traces, strict=True):
+        ahead = after.ahead >= 0.0
+        plane.plot(*after.measured[:, :2].T, color=MEASURED, lw=2.2, alpha=0.35)
+        plane.plot(*before.predicted[ahead, :2].T, color=BEFORE, lw=1.0)
+        plane.plot(*after.predicted[ahead, :2].T, color=AFTER, lw=1.0)
+        for trace, colour in ((before, BEFORE), (after, AFTER)):
+            off = np.linalg.norm(trace.measured[:, :2] - trace.predicted[:, :2], axis=1)
+            late.plot(trace.ahead, 1e3 * off, color=colour, lw=0.8, alpha=0.7)
+    plane.set(xlabel="x [m]", ylabel="y [m]", title="held-out drives and their predictions")
+    plane.set_aspect("equal", adjustable="datalim")
+    _name(plane, {"measured": MEASURED, "start values": BEFORE, "identified": AFTER})
+    late.axvline(0.0, color=FAINT, lw=0.8)
+    late.set(xlabel="time since the prediction began [s]", ylabel="distance [mm]",
+             title="prediction error of each window", ylim=(0.0, None))  # fmt: skip
 
 
 def _name(axes: Axes, colours: dict[str, str]) -> None:
@@ -68,19 +78,24 @@ def draw_held_out(held_out: Sequence[HeldOut]) -> str:
     """Errors at the horizons, before and after, on a logarithmic axis."""
     with rc_context(STYLE):
         figure, axes = make_figure(1, 2, 2.6)
-        places = np.arange(len(held_out))
-        for axis, field, scale, unit in (
-            (axes[0, 0], "position", 1e3, "mm"),
-            (axes[0, 1], "heading", 180.0 / np.pi, "deg"),
-        ):
-            for shift, name, colour in ((-0.2, "before", BEFORE), (0.2, "after", AFTER)):
-                values = [scale * getattr(getattr(h, name), field) for h in held_out]
-                axis.bar(places + shift, values, 0.36, color=colour)
-            axis.set(xticks=places, yscale="log", ylabel=f"{field} [{unit}]")
-            axis.set_xticklabels([f"{h.after.horizon:g} s" for h in held_out])
-        axes[0, 0].set_title("RMS prediction error on held-out drives")
-        _name(axes[0, 1], {"start values": BEFORE, "identified": AFTER})
+        plot_held_out(axes[0, 0], axes[0, 1], held_out)
         return to_svg(figure)
+
+
+def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
+    """RMS position (left) and heading (right) errors at the horizons, before and after."""
+    places = np.arange(len(held_out))
+    for axis, field, scale, unit in (
+        (left, "position", 1e3, "mm"),
+        (right, "heading", 180.0 / np.pi, "deg"),
+    ):
+        for shift, name, colour in ((-0.2, "before", BEFORE), (0.2, "after", AFTER)):
+            values = [scale * getattr(getattr(h, name), field) for h in held_out]
+            axis.bar(places + shift, values, 0.36, color=colour)
+        axis.set(xticks=places, yscale="log", ylabel=f"{field} [{unit}]")
+        axis.set_xticklabels([f"{h.after.horizon:g} s" for h in held_out])
+    left.set_title("RMS prediction error on held-out drives")
+    _name(right, {"start values": BEFORE, "identified": AFTER})
 
 
 def draw_residuals(found: Fit) -> str:

@@ -1,4 +1,4 @@
-"""One drive under two names: told by its content, for a copy is no second drive."""
+"""One drive under two names: recognised by its content, for a copy is no second drive."""
 
 import pytest
 
@@ -40,7 +40,7 @@ def test_a_drive_counts_once(drives):
         refuse_copies([drives["a"], drives["b"], drives["copy"]])
 
 
-def test_what_is_kept_back_is_not_among_the_others(drives):
+def test_what_is_held_out_is_not_among_the_others(drives):
     given = [drives["a"], drives["b"]]
     assert without_reserved(given, [drives["copy"]], "fit") == (drives["b"],)
     with pytest.raises(SteerdError, match="nothing is left to fit"):

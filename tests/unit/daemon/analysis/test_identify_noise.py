@@ -4,7 +4,7 @@ import numpy as np
 import tomlkit
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.daemon.cli.commands.analysis.identify import with_noise
+from steerd.daemon.analysis.car_output import with_noise
 from steerd.sim_gap.engine.noise import Noise, noise_section
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import SPEED_MIN, moving_segments

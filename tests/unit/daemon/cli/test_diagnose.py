@@ -8,14 +8,17 @@ import itertools
 import json
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from steerd.car_model.car_file import load_car
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.analysis.diagnose_case import make_case, parse_held_out
+from steerd.daemon.analysis.car_output import diagnosed_values
+from steerd.daemon.analysis.diagnose_case import make_case
 from steerd.daemon.analysis.diagnose_text import COLUMNS, LINES
+from steerd.daemon.analysis.held_out import HeldOut, parse_held_out
 from steerd.daemon.cli.commands.analysis import diagnose as command
 from steerd.daemon.cli.main import run_cli as main
 from steerd.daemon.common.errors import SteerdError
@@ -38,16 +41,22 @@ STEP = 0.01
 
 def _drive(seconds):
     """Rows t, x, y, yaw, steer, speed of a drive of the true car with mocap noise."""
-    from steerd.sysid.compiler.kernels import Held, lane_view, make_kernels, make_lanes, march
+    from steerd.sysid.compiler.kernels import (
+        HeldCommands,
+        make_kernels,
+        make_window_blocks,
+        march,
+        view_by_window,
+    )
 
     t = np.arange(round(seconds / STEP)) * STEP
     steer = 0.12 * np.sign(np.sin(2.1 * t)) + 0.08 * np.sin(2 * np.pi * (0.4 + 0.05 * t) * t)
     speed = 1.2 + 0.6 * np.sign(np.sin(0.37 * t))
     commands, count = np.column_stack([steer, speed]), len(t)
-    lanes = make_lanes(np.array([[0, count, 0]]), np.zeros(1))
+    blocks = make_window_blocks(np.array([[0, count, 0]]), np.zeros(1))
     first = np.array([[0.0, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0]])
-    path = march(make_kernels(), np.array(TRUE), first, Held(commands, STEP), lanes, count)
-    pose = lane_view(path, 1)[0, :-1, :3]
+    path = march(make_kernels(), np.array(TRUE), first, HeldCommands(commands, STEP), blocks, count)
+    pose = view_by_window(path, 1)[0, :-1, :3]
     noise = np.random.default_rng(4).normal(size=pose.shape) * [1e-3, 1e-3, 2e-3]
     return np.column_stack([t, pose + noise, commands])
 
@@ -69,12 +78,13 @@ def rows():
 
 
 @pytest.fixture(scope="module")
-def told(rows, tmp_path_factory):
+def diagnosed(rows, tmp_path_factory):
     """One diagnosis with every output, shared by the tests."""
     folder = tmp_path_factory.mktemp("diagnose")
     session = _import(folder, rows, "run")
     names = {
-        "--json": "gap.json", "--report": "gap.html", "-o": "car.toml", "--prediction": "told.json"
+        "--json": "gap.json", "--report": "gap.html", "-o": "car.toml",
+        "--prediction": "prediction.json",
     }  # fmt: skip
     outputs = [arg for flag, name in names.items() for arg in (flag, str(folder / name))]
     screen, error = io.StringIO(), io.StringIO()
@@ -84,8 +94,8 @@ def told(rows, tmp_path_factory):
     return folder, screen.getvalue(), error.getvalue()
 
 
-def test_the_screen_names_the_cause_on_one_screen(told):
-    _, screen, _ = told
+def test_the_screen_names_the_cause_on_one_screen(diagnosed):
+    _, screen, _ = diagnosed
     lines = screen.splitlines()
     assert len(lines) <= LINES
     assert max(map(len, lines[:-1])) <= COLUMNS
@@ -96,8 +106,8 @@ def test_the_screen_names_the_cause_on_one_screen(told):
     assert "steerd run --sim --fast --duration 20 --car" in lines[-1]
 
 
-def test_json_has_exactly_the_shape_of_the_schema(told):
-    data = json.loads((told[0] / "gap.json").read_text())
+def test_json_has_exactly_the_shape_of_the_schema(diagnosed):
+    data = json.loads((diagnosed[0] / "gap.json").read_text())
     assert list(data) == [
         "schema", "verdict", "gap", "where", "causes", "candidates", "next_manoeuvre", "residual"
     ]  # fmt: skip
@@ -124,9 +134,9 @@ def test_json_has_exactly_the_shape_of_the_schema(told):
     assert any("closed loop not compared" in note for note in data["residual"]["notes"])
 
 
-def test_the_prediction_is_written_and_hashed_before_it_is_measured(told):
-    folder, screen, error = told
-    prediction = (folder / "told.json").read_bytes()
+def test_the_prediction_is_written_and_hashed_before_it_is_measured(diagnosed):
+    folder, screen, error = diagnosed
+    prediction = (folder / "prediction.json").read_bytes()
     digest = hashlib.sha256(prediction).hexdigest()
     assert f"predicted before measuring: sha256 {digest}" in error
     assert digest in screen
@@ -139,8 +149,8 @@ def test_the_prediction_is_written_and_hashed_before_it_is_measured(told):
     assert json.loads(prediction)["predicted"] == shrink["predicted"]
 
 
-def test_the_car_file_gets_the_effect_and_drives(told):
-    car = load_car(told[0] / "car.toml")
+def test_the_car_file_gets_the_effect_and_drives(diagnosed):
+    car = load_car(diagnosed[0] / "car.toml")
     assert [effect.name for effect in car.effects] == ["steer_delay"]
     assert car.values[0][0] == pytest.approx(0.05, abs=0.006)
     assert car.sd["steer_delay.delay"] > 0.0
@@ -148,8 +158,8 @@ def test_the_car_file_gets_the_effect_and_drives(told):
     assert car.car == DEFAULT_CAR
 
 
-def test_the_report_needs_nothing_else(told):
-    page = (told[0] / "gap.html").read_text()
+def test_the_report_needs_nothing_else(diagnosed):
+    page = (diagnosed[0] / "gap.html").read_text()
     assert len(page) < 2_000_000
     assert page.count("<svg") >= 6
     assert not re.search(r"https?://(?!www\.w3\.org)", page)
@@ -165,8 +175,9 @@ def test_help_says_what_it_does(capsys):
         main(["diagnose", "--help"])
     assert stopped.value.code == 0
     text = capsys.readouterr().out
-    for option in ("--runs-held-out", "--base", "--only", "--without", "--report", "--dask"):
+    for option in ("--held-out", "--base", "--only", "--without", "--report", "--dask"):
         assert option in text
+    assert "--runs-held-out" not in text
 
 
 # --- what is refused
@@ -230,9 +241,9 @@ def test_files_that_are_no_sessions(content, codes, tmp_path, capsys):
     assert capsys.readouterr().err.startswith("steerd: ")
 
 
-def test_a_truncated_session_is_refused_in_a_line(told, tmp_path, capsys):
+def test_a_truncated_session_is_refused_in_a_line(diagnosed, tmp_path, capsys):
     path = tmp_path / "cut.mcap"
-    path.write_bytes((told[0] / "run.mcap").read_bytes()[:400])
+    path.write_bytes((diagnosed[0] / "run.mcap").read_bytes()[:400])
     assert main(["diagnose", str(path)]) in (3, 4)
     assert "Traceback" not in capsys.readouterr().err
 
@@ -251,14 +262,15 @@ OPTIONS = [
     (["--only", "wings"], 2, "wings"),
     (["--without", "steer_dely"], 2, "steer_dely"),
     (["--only", "steer_lag", "--without", "servo_lag"], 2, "leave no effect"),
-    (["--runs-held-out", "1"], 2, "--runs-held-out 1"),
-    (["--runs-held-out", "none.mcap"], 3, "none.mcap does not exist"),
+    (["--held-out", "1"], 2, "held out 1"),
+    (["--held-out", "4,last.mcap"], 2, "not both"),
+    (["--held-out", "none.mcap"], 3, "none.mcap does not exist"),
     (["--base", "none.toml"], 3, "none.toml"),
     (["--healthy", "none.mcap"], 3, "none.mcap"),
-    (["--jobs", "0"], 2, "--jobs 0"),
+    (["--jobs", "0"], 2, "jobs 0"),
     (["--report", "nowhere/gap.html"], 3, "nowhere"),
     (["--json", "drive.mcap"], 2, "that is a session"),
-    (["--runs-held-out", "{run}"], 2, "every session is kept back"),
+    (["--runs-held-out", "{run}"], 2, "every session is held out"),
     (["--healthy", "{run}"], 2, "its gap would pass for noise"),
     (["{run}"], 2, "named twice"),
     (["--report", "."], 3, "that is a folder"),
@@ -266,9 +278,9 @@ OPTIONS = [
 
 
 @pytest.mark.parametrize(("options", "code", "words"), OPTIONS, ids=lambda v: str(v)[:40])
-def test_options_that_make_no_sense(options, code, words, told, tmp_path, monkeypatch, capsys):
+def test_options_that_make_no_sense(options, code, words, diagnosed, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    session = str(told[0] / "run.mcap")
+    session = str(diagnosed[0] / "run.mcap")
     given = [option.format(run=session) for option in options]
     assert main(["diagnose", session, *given]) == code
     error = capsys.readouterr().err
@@ -278,21 +290,26 @@ def test_options_that_make_no_sense(options, code, words, told, tmp_path, monkey
 
 
 @pytest.mark.parametrize(
-    ("given", "every", "files"),
-    [([], None, 0), (["3"], 3, 0), (["0"], 0, 0), (["a.mcap,b.mcap", "c.mcap"], None, 3)],
+    ("given", "held_out"),
+    [
+        ([], HeldOut()),
+        (["3"], HeldOut(every=3)),
+        (["0"], HeldOut(every=0)),
+        (["a,b", "c"], HeldOut(files=(Path("a"), Path("b"), Path("c")))),
+    ],
 )
-def test_what_is_kept_back(given, every, files):
-    found, paths = parse_held_out(given)
-    assert (found, len(paths)) == (every, files)
+def test_what_is_held_out(given, held_out):
+    assert parse_held_out(given) == held_out
 
 
-# --- what is looked at and what is kept back
+# --- what is looked at and what is held out
 
 
 def case_of(*words):
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
-    return make_case(parser.parse_args([str(word) for word in words]), lambda share: None)
+    request = command.make_request(parser.parse_args([str(word) for word in words]))
+    return make_case(request, lambda texts: None, lambda share: None)
 
 
 @pytest.fixture(scope="module")
@@ -301,7 +318,7 @@ def four(rows, tmp_path_factory):
     return [_import(folder, rows[i * 650 : (i + 1) * 650], f"run{i}") for i in range(4)]
 
 
-def test_of_many_sessions_every_fourth_is_kept_back_whole(four):
+def test_of_many_sessions_every_fourth_is_held_out_whole(four):
     case = case_of(*four)
     assert {run.name for run in case.runs} == {"run0.mcap", "run1.mcap", "run2.mcap"}
     assert {run.name for run in case.held_out()} == {"run3.mcap"}
@@ -309,8 +326,8 @@ def test_of_many_sessions_every_fourth_is_kept_back_whole(four):
     assert not any("blocks" in note for note in case.notes)
 
 
-def test_named_files_are_kept_back_even_if_they_are_given_twice(four):
-    case = case_of(*four, "--runs-held-out", f"{four[1]},{four[2]}")
+def test_named_files_are_held_out_even_if_they_are_given_twice(four):
+    case = case_of(*four, "--held-out", f"{four[1]},{four[2]}")
     assert {path.name for path in case.sessions} == {"run0.mcap", "run3.mcap"}
     assert {run.name for run in case.runs} == {"run0.mcap", "run3.mcap"}
     assert {run.name for run in case.held_out()} == {"run1.mcap", "run2.mcap"}
@@ -320,13 +337,13 @@ def test_named_files_are_kept_back_even_if_they_are_given_twice(four):
 def test_reserved_sessions_are_not_opened_before_they_are_asked_for(four, tmp_path):
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(b"nothing")
-    case = case_of(*four, "--runs-held-out", broken)
+    case = case_of(*four, "--held-out", broken)
     with pytest.raises(SteerdError, match=r"broken\.mcap"):
         case.held_out()
 
 
-def test_blocks_of_one_session_share_no_measurement(told):
-    case = case_of(told[0] / "run.mcap")
+def test_blocks_of_one_session_share_no_measurement(diagnosed):
+    case = case_of(diagnosed[0] / "run.mcap")
     spans = sorted(
         (run.start + run.pose.t[0], run.start + run.pose.t[-1])
         for run in (*case.runs, *case.held_out())
@@ -335,26 +352,28 @@ def test_blocks_of_one_session_share_no_measurement(told):
     assert all(a[1] < b[0] for a, b in itertools.pairwise(spans))
 
 
-def test_windows_of_blocks_reach_a_second_ahead(told):
+def test_windows_of_blocks_reach_a_second_ahead(diagnosed):
     from steerd.sysid.data.windows import make_layout
 
-    layout = make_layout(case_of(told[0] / "run.mcap").runs, 1.0)
+    layout = make_layout(case_of(diagnosed[0] / "run.mcap").runs, 1.0)
     assert (layout.spans[:, 3] * layout.h).min() >= 0.99
 
 
-def test_too_few_blocks_for_what_is_asked_are_refused(told):
-    with pytest.raises(SteerdError, match="to keep every 4th back"):
-        case_of(told[0] / "run.mcap", "--runs-held-out", "4")
+def test_too_few_blocks_for_what_is_asked_are_refused(diagnosed):
+    with pytest.raises(SteerdError, match="to hold every 4th out"):
+        case_of(diagnosed[0] / "run.mcap", "--held-out", "4")
 
 
-def test_nothing_is_kept_back_if_told_so(told):
-    case = case_of(told[0] / "run.mcap", "--runs-held-out", "0")
+def test_nothing_is_held_out_on_demand(diagnosed):
+    case = case_of(diagnosed[0] / "run.mcap", "--held-out", "0")
     assert case.held_out is None
     assert any("predicted, not measured" in note for note in case.notes)
 
 
-def test_healthy_drives_and_the_named_base_are_taken(four, told):
-    case = case_of(four[0], "--healthy", f"{four[1]},{four[2]}", "--base", told[0] / "car.toml")
+def test_healthy_drives_and_the_named_base_are_taken(four, diagnosed):
+    case = case_of(
+        four[0], "--healthy", f"{four[1]},{four[2]}", "--base", diagnosed[0] / "car.toml"
+    )
     assert {run.name for run in case.healthy} == {"run1.mcap", "run2.mcap"}
     assert [effect.name for effect in case.base.effects] == ["steer_delay"]
     assert not any("default car" in note for note in case.notes)
@@ -366,8 +385,13 @@ def test_effects_go_by_their_aliases_too(four):
     assert case.without == ("mass",)
 
 
-def test_a_cause_without_a_name_writes_no_effect(told):
-    from types import SimpleNamespace
+def test_old_spellings_mean_the_same(four, diagnosed):
+    car = diagnosed[0] / "car.toml"
+    old = case_of(four[0], four[1], "--runs-held-out", four[1], "--car", car)
+    new = case_of(four[0], four[1], "--held-out", four[1], "--base", car)
+    assert old.held_out_of == new.held_out_of == "run1.mcap"
+    assert old.base_source == new.base_source == str(car)
 
-    case = SimpleNamespace(sessions=(told[0] / "run.mcap",))
-    assert command.learned(case, SimpleNamespace(causes=())) == {}
+
+def test_a_cause_without_a_name_writes_no_effect(diagnosed):
+    assert diagnosed_values((), (diagnosed[0] / "run.mcap",)) == {}

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from steerd.car_model.car_file import load_car
+from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.cli.main import run_cli as main
 
@@ -29,16 +29,22 @@ STEP = 0.01
 
 def _drive(seconds=26.0):
     """Rows t, x, y, yaw, steer, speed of a drive of the true car with mocap noise."""
-    from steerd.sysid.compiler.kernels import Held, lane_view, make_kernels, make_lanes, march
+    from steerd.sysid.compiler.kernels import (
+        HeldCommands,
+        make_kernels,
+        make_window_blocks,
+        march,
+        view_by_window,
+    )
 
     t = np.arange(round(seconds / STEP)) * STEP
     steer = 0.12 * np.sign(np.sin(0.9 * t)) + 0.08 * np.sin(2 * np.pi * (0.4 + 0.05 * t) * t)
     speed = 1.2 + 0.6 * np.sign(np.sin(0.37 * t))
     commands, count = np.column_stack([steer, speed]), len(t)
-    lanes = make_lanes(np.array([[0, count, 0]]), np.zeros(1))
+    blocks = make_window_blocks(np.array([[0, count, 0]]), np.zeros(1))
     first = np.array([[0.0, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0]])
-    path = march(make_kernels(), np.array(TRUE), first, Held(commands, STEP), lanes, count)
-    pose = lane_view(path, 1)[0, :-1, :3]
+    path = march(make_kernels(), np.array(TRUE), first, HeldCommands(commands, STEP), blocks, count)
+    pose = view_by_window(path, 1)[0, :-1, :3]
     noise = np.random.default_rng(4).normal(size=pose.shape) * [1e-3, 1e-3, 2e-3]
     return np.column_stack([t, pose + noise, commands])
 
@@ -105,18 +111,19 @@ def test_the_car_that_is_written_has_the_axles_that_were_fitted(
     assert car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z * (0.33 / 0.3302) ** 2)
 
 
-def test_steering_of_the_wrong_sign_is_doubted_before_the_fit(rows, importer, capsys):
+def test_steering_of_the_wrong_sign_is_a_warning_before_the_fit(rows, importer, capsys):
     session = importer(rows * [1.0, 1.0, 1.0, 1.0, -1.0, 1.0])
     capsys.readouterr()
     main(["identify", str(session), "--free", "steer_lag"])
-    told = capsys.readouterr().err
-    assert "warning: run.mcap:" in told
-    assert "left positive" in told
+    error = capsys.readouterr().err
+    assert "warning: run.mcap:" in error
+    assert "left positive" in error
 
 
 def test_another_drive_validates(rows, importer, tmp_path, capsys):
     one, two = importer(rows[:1500], "one"), importer(rows[1500:], "two")
-    assert main(["identify", str(one), "--held-out", str(two), *FREE]) == 0
+    base = ["--base", str(default_car_path())]  # another spelling of --car
+    assert main(["identify", str(one), "--held-out", str(two), *FREE, *base]) == 0
     assert "prediction of two.mcap" in capsys.readouterr().out
 
 
@@ -204,6 +211,7 @@ def test_a_truncated_session_is_used_or_refused_but_never_crashes(rows, importer
         ["--fix", "lf=0.1,lr=0.15", "--wheelbase", "0.33"],
         ["--fix", "lf=0.4", "--wheelbase", "0.33"],
         ["--wheelbase", "324"],
+        ["--held-out", "0"],
         ["--held-out", "1"],
         ["--held-out", "-3"],
         ["--held-out", "4", "--held-out", "last.mcap"],
@@ -233,7 +241,7 @@ def test_a_drive_does_not_judge_its_own_fit(rows, importer, tmp_path, capsys):
     copy.write_bytes(session.read_bytes())
     for other in (session, copy):
         assert main(["identify", str(session), "--held-out", str(other), *FREE]) == 2
-        assert "every session is kept back" in capsys.readouterr().err
+        assert "every session is held out" in capsys.readouterr().err
         assert main(["identify", str(session), str(other), *FREE]) == 2
         assert "name each drive once" in capsys.readouterr().err
 
@@ -247,7 +255,7 @@ def test_of_a_folder_the_held_out_session_is_not_fitted(rows, importer, capsys):
     assert "two.mcap" not in screen.partition("prediction of")[0]
 
 
-def test_a_car_file_that_is_missing_is_told_once(tmp_path, capsys):
+def test_a_car_file_that_is_missing_is_reported_once(tmp_path, capsys):
     argv = ["identify", str(tmp_path / "a.mcap"), "--car", str(tmp_path / "none.toml")]
     assert main(argv) == 3
     error = capsys.readouterr().err
@@ -278,7 +286,7 @@ def test_the_noise_is_a_step_with_a_name_and_comes_before_any_file(
 
     session = importer(rows)
     monkeypatch.setattr("steerd.daemon.common.progress.show_progress", shown)
-    monkeypatch.setattr("steerd.daemon.cli.commands.analysis.identify.with_noise", interrupted)
+    monkeypatch.setattr("steerd.daemon.analysis.identification.with_noise", interrupted)
     assert main(["identify", str(session), *FREE, *_outputs(out)]) == 130
     assert list(out.iterdir()) == []
     assert [step for _, step in steps] == [

@@ -1,0 +1,112 @@
+"""Car files that come out of an identification or a diagnosis."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tomlkit
+
+from steerd.car_model.car_file import CarFile, CarFileError, Learned, update_car
+from steerd.daemon.common.translate import make_car_file_error
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from steerd.sim_gap.diagnosis import Cause
+    from steerd.sysid.data.dataset import Run
+    from steerd.sysid.estimation.outcome import Outcome
+
+
+def make_car(base: CarFile, updates: "Mapping[str, Learned]", path: Path) -> CarFile:
+    """The base with new values.
+
+    Args:
+        base: as it was.
+        updates: new values by `parameter` or `effect.parameter`.
+        path: what messages call the new file.
+
+    Raises:
+        SteerdError: a value is none that a car file may hold.
+    """
+    try:
+        return update_car(path, base, updates)
+    except CarFileError as error:
+        raise make_car_file_error(error) from None
+
+
+def identified_values(
+    outcome: "Outcome", base: CarFile, given: "Mapping[str, Learned]"
+) -> dict[str, Learned]:
+    """Updates for the car file: fitted parameters with error and provenance, and what was stated.
+
+    Args:
+        outcome: of the identification.
+        base: the car before it.
+        given: values that the user stated.
+    """
+    return {**_carried_values(base, outcome), **given, **_fitted_values(outcome)}
+
+
+def _carried_values(base: CarFile, outcome: "Outcome") -> dict[str, Learned]:
+    """What a stated wheelbase or mass moved, and nothing fitted: as it was while fitting."""
+    return {
+        name: Learned(getattr(outcome.after, name), None, "follows from what was stated")
+        for name in ("lf", "lr", "inertia_z")
+        if getattr(outcome.after, name) != getattr(base.model.car, name)
+    }
+
+
+def _fitted_values(outcome: "Outcome") -> dict[str, Learned]:
+    names = ", ".join(outcome.sessions)
+    updates = {}
+    for name, row in outcome.rows.items():
+        if row.free:
+            source = f"steerd identify ({outcome.method}): {names}"
+            source += "" if row.identifiable else "; not identifiable from these data"
+            source += _servo_wait(outcome) if name == "steer_delay" else ""
+            updates[name] = Learned(row.value, row.sd, source)
+        elif row.value != row.before:
+            updates[name] = Learned(row.value, None, f"steerd identify: {names}")
+    estimates = outcome.fit.estimates if outcome.fit else {}
+    effects = {
+        name: Learned(e.value, e.sd, f"steerd identify: {names}")
+        for name, e in estimates.items()
+        if "." in name
+    }
+    return updates | effects
+
+
+def _servo_wait(outcome: "Outcome") -> str:
+    """What a fitted dead time of the steering contains."""
+    if outcome.pulses:
+        return "; half a frame (10 ms) is the mean wait for a pulse of the 50 Hz servo signal"
+    return "; it contains the wait for the servo's next pulse"
+
+
+def with_noise(car: CarFile, runs: "tuple[Run, ...]") -> str:
+    """The car file's text with `[noise]`: how large what no car explains was in these drives.
+
+    `steerd diagnose` judges other drives of the car by it, cut like these to where the car moves: a
+    standing car is quieter. The file stays without where the drives do not identify it.
+    """
+    from steerd.sim_gap.engine.noise import noise_section
+    from steerd.sim_gap.healthy_drives import learn_healthy
+    from steerd.sysid.data.segments import moving_segments
+    from steerd.sysid.estimation.prediction_horizon import remembering
+
+    document = tomlkit.parse(car.text)
+    try:
+        drives = moving_segments(remembering(runs, car.model, ()))
+        document["noise"] = noise_section(learn_healthy(car, drives))
+    except (ValueError, FloatingPointError):
+        return car.text
+    return tomlkit.dumps(document)
+
+
+def diagnosed_values(causes: "Sequence[Cause]", sessions: "Sequence[Path]") -> dict[str, Learned]:
+    """Updates for the car file: every parameter of the found effects."""
+    source = f"steerd diagnose: {', '.join(path.name for path in sessions)}"
+    return {
+        f"{cause.effect}.{name}": Learned(value, sd, source)
+        for cause in causes
+        for name, (value, sd, _) in cause.parameters.items()
+    }

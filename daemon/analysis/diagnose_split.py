@@ -1,0 +1,137 @@
+"""Drives of a diagnosis divided: what is explained, and what is held out to measure it on."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from math import floor
+
+import numpy as np
+
+from steerd.daemon.analysis.drives import Speed, Warn, load_drive
+from steerd.daemon.analysis.held_out import EVERY, HeldOut
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.sysid.data.data_checks import DataError
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.segments import make_segment, moving_segments
+
+BLOCK = 6.5
+"""Least length of a block: it holds two separate predictions 3 s ahead [s]."""
+_OVER = 0.45
+"""A block may be so much longer than whole seconds; more would make one window more of it [s]."""
+FEWEST = 3
+"""Of fewer blocks none is held out unless it is asked for."""
+LEAST = 5.0
+"""A gap is not identifiable from less driving than this [s]."""
+
+Later = Callable[[], Sequence[Run]] | None
+"""Opens the held-out drives; None if there are none."""
+
+
+def find_moving(drives: Sequence[Run]) -> tuple[Run, ...]:
+    """The parts of drives in which the car moves.
+
+    Raises:
+        SteerdError: there are none.
+    """
+    try:
+        return moving_segments(drives)
+    except DataError as error:
+        raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
+
+
+Split = tuple[tuple[Run, ...], Later, str, list[str]]
+"""Drives to look at, how to open the others, what those are, notes."""
+
+
+def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: Warn) -> Split:
+    """Divide drives into those that are explained and those that measure the shrinkage.
+
+    Args:
+        drives: as loaded.
+        held_out: what is held out.
+        speed: of sessions that are opened later.
+        warn: is handed what is doubtful in those.
+
+    Raises:
+        SteerdError: there is too little driving for that.
+    """
+    parts, every, reserved = find_moving(drives), held_out.every, held_out.files
+    seconds = sum(run.duration for run in parts)
+    if seconds < LEAST:
+        what = f"only {seconds:.1f} s of driving at more than walking pace"
+        raise SteerdError(what, "drive `steerd collect --plan mixed`", ExitCode.INVALID)
+    if reserved:
+        names = ", ".join(path.name for path in reserved)
+        past = drives[0].history
+
+        def later() -> Sequence[Run]:
+            opened = [load_drive(path, speed, warn) for path in reserved]
+            return find_moving([replace(drive, history=past) for drive in opened])
+
+        return _in_blocks(drives, parts), later, names, _block_notes(drives)
+    whole = _whole_sessions(drives, parts, every or EVERY) if every != 0 else None
+    if whole is not None:
+        return whole
+    return _some_blocks(drives, parts, every)
+
+
+def _whole_sessions(drives: Sequence[Run], parts: tuple[Run, ...], every: int) -> Split | None:
+    """Every so many sessions held out whole; None if there are too few of them."""
+    names = {run.name for run in drives[every - 1 :: every]}
+    kept = tuple(run for run in parts if run.name in names)
+    fitted = tuple(run for run in parts if run.name not in names)
+    if len(drives) < every or not kept or not fitted:
+        return None
+    named = f"every {_ordinal(every)} session: {', '.join(sorted(names))}"
+    return _in_blocks(drives, fitted), lambda: kept, named, _block_notes(drives)
+
+
+def _some_blocks(drives: Sequence[Run], parts: tuple[Run, ...], every: int | None) -> Split:
+    """Every so many blocks held out, if that is asked for or there are enough of them."""
+    blocks, notes = make_blocks(parts), _block_notes(drives)
+    if every is None:
+        every = min(EVERY, len(blocks)) if len(blocks) >= FEWEST else 0
+    if every == 0:
+        note = "nothing is held out: the shrinkage is predicted, not measured"
+        return _in_blocks(drives, parts), None, "", [*notes, note]
+    if len(blocks) < every:
+        what = f"only {len(blocks)} blocks: too few to hold every {_ordinal(every)} out"
+        raise SteerdError(what, "--held-out 0, or name a session", ExitCode.INVALID)
+    kept = blocks[every - 1 :: every]
+    fitted = tuple(b for i, b in enumerate(blocks) if i % every != every - 1)
+    return fitted, lambda: kept, f"every {_ordinal(every)} block of the drive", notes
+
+
+def _ordinal(number: int) -> str:
+    ends = {1: "st", 2: "nd", 3: "rd"}
+    return f"{number}{'th' if number % 100 in (11, 12, 13) else ends.get(number % 10, 'th')}"
+
+
+def make_blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
+    """Parts cut into blocks of `BLOCK` seconds or more; no measurement is in two of them."""
+    found: list[Run] = []
+    for part in parts:
+        start, end = float(part.pose.t[0]), min(float(part.pose.t[-1]), part.duration)
+        edges = np.linspace(start, end, max(1, int((end - start) / BLOCK)) + 1)
+        found += [
+            make_segment(part, low, _whole_windows(low, high)) for low, high in pairwise(edges)
+        ]
+    return tuple(found)
+
+
+def _whole_windows(low: float, high: float) -> float:
+    """Where a block ends: its windows of about a second must not be shorter than that."""
+    whole = floor(high - low)
+    return min(high - 1e-6, low + whole + _OVER) if whole else high
+
+
+def _in_blocks(drives: Sequence[Run], parts: tuple[Run, ...]) -> tuple[Run, ...]:
+    """Few drives are cut, so that parts of them can be left out of fits."""
+    return make_blocks(parts) if len(drives) < EVERY else parts
+
+
+def _block_notes(drives: Sequence[Run]) -> list[str]:
+    if len(drives) >= EVERY:
+        return []
+    what = "one session" if len(drives) == 1 else f"{len(drives)} sessions"
+    return [f"{what}, cut into blocks of {BLOCK:g} s or more: they stand in for further drives"]

@@ -1,0 +1,208 @@
+"""`steerd.load`: a recorded drive as tables and a figure."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.translate import make_session_error
+from steerd.daemon.sessions.info import SessionReport, Times, load_session, make_session_report
+from steerd.steer_bus import session_read
+from steerd.steer_bus.fields import flat_leaves
+from steerd.steer_bus.session_read import MESSAGE_TYPES, SessionError
+from steerd.steer_bus.topic_columns import Columns
+from steerd.steer_bus.topics import split_key
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+    from matplotlib.figure import Figure
+
+Table = NDArray[np.void]
+"""A topic as a structured array (n,): `t` [s] since the session's start, then every field."""
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A recorded drive.
+
+    `print(session)` is the screen of `steerd info`. Topics go by their short names (`state`,
+    `mocap`), or by their whole ones where a session holds two cars.
+
+    Attributes:
+        path: the session file.
+    """
+
+    path: Path
+    _recording: session_read.Session = field(repr=False)
+    # Of a simulation that was not recorded under a name: the file lives as long as this value.
+    _folder: TemporaryDirectory[str] | None = field(default=None, repr=False)
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics that `table` gives, in alphabetical order."""
+        return tuple(sorted(self._names))
+
+    @property
+    def duration(self) -> float:
+        """First to last message [s]."""
+        return self._recording.info().duration_s
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the file or implausible in its numbers."""
+        return self.report.warnings
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """What the recorder says of the drive: options, car, scaling, how it ended."""
+        return {name: dict(values) for name, values in self._recording.info().metadata.items()}
+
+    @cached_property
+    def report(self) -> SessionReport:
+        """The numbers of `steerd info`."""
+        return make_session_report(self._recording)
+
+    @cached_property
+    def _names(self) -> dict[str, tuple[str, type[Any]]]:
+        """Topic and message class by the name that a user writes."""
+        known = {
+            topic.name: MESSAGE_TYPES[topic.type_name]
+            for topic in self._recording.info().topics
+            if topic.count
+            and topic.type_name in MESSAGE_TYPES
+            and flat_leaves(MESSAGE_TYPES[topic.type_name]) is not None
+        }
+        short = [(split_key(name) or ("", name))[1] for name in known]
+        return {
+            (brief if short.count(brief) == 1 else name): (name, cls)
+            for brief, (name, cls) in zip(short, known.items(), strict=True)
+        }
+
+    def table(self, topic: str) -> Table:
+        """A topic as a structured array.
+
+        Args:
+            topic: a short name of `topics`, or the whole one.
+
+        Returns:
+            (n,) with the fields `t` [s] since the session's start, `log_ns` and `publish_ns`
+            (UNIX), `sequence`, and the message's own, nested ones with dots; units as in
+            docs/reference/sessions.md. Arrays of a message are (n, k); texts are objects.
+
+        Raises:
+            SteerdError: the session has no such topic, or has changed on disk.
+        """
+        return _make_table(self._columns(topic))
+
+    def tables(self) -> dict[str, Table]:
+        """All topics as structured arrays, in one pass over the file; raises as `table`."""
+        wanted = dict(self._names.values())
+        try:
+            found = self._recording.tables(wanted)
+        except SessionError as error:
+            raise make_session_error(error) from None
+        return {
+            name: _make_table(self._with_time(found[topic]))
+            for name, (topic, _) in sorted(self._names.items())
+        }
+
+    def to_pandas(self, topic: str) -> "pandas.DataFrame":
+        """A topic as a data frame; arrays of a message become columns `name.0`, `name.1`, ….
+
+        Raises:
+            SteerdError: pandas is not installed, or as `table`.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise _make_missing_error("pandas") from None
+        return pandas.DataFrame(_flatten(self._columns(topic)))
+
+    def to_polars(self, topic: str) -> "polars.DataFrame":
+        """A topic as a data frame; arrays of a message become columns `name.0`, `name.1`, ….
+
+        Raises:
+            SteerdError: polars is not installed, or as `table`.
+        """
+        try:
+            import polars
+        except ImportError:
+            raise _make_missing_error("polars") from None
+        columns = _flatten(self._columns(topic))
+        return polars.DataFrame(
+            {n: c.tolist() if c.dtype == object else c for n, c in columns.items()}
+        )
+
+    def plot(self) -> "Figure":
+        """Track over lane, errors, commands against measurements, over time.
+
+        Raises:
+            SteerdError: the session has changed on disk.
+        """
+        from steerd.daemon.analysis.figures import plot_session
+        from steerd.daemon.sessions.plot_data import make_drawing
+
+        return plot_session(make_drawing(self._recording), self.path.name)
+
+    def __str__(self) -> str:
+        from steerd.daemon.sessions.text import format_report
+
+        return format_report(self.report)
+
+    def _columns(self, topic: str) -> Columns:
+        by_topic = {whole: (whole, cls) for whole, cls in self._names.values()}
+        found = self._names.get(topic) or by_topic.get(topic)
+        if found is None:
+            what = f"{self.path.name} has no table {topic!r}"
+            hint = f"it has {', '.join(self.topics) or 'none'}"
+            raise SteerdError(what, hint, ExitCode.INVALID)
+        try:
+            return self._with_time(self._recording.columns(found[1], found[0]))
+        except SessionError as error:
+            raise make_session_error(error) from None
+
+    def _with_time(self, columns: Columns) -> Columns:
+        times = Times(self._recording.info().start_ns)
+        stamps = columns["stamp_ns"] if "stamp_ns" in columns else columns["log_ns"]
+        return {"t": times.of(stamps), **columns}
+
+
+def load(path: Path | str) -> Session:
+    """Open a session file; unfinished and damaged ones open too, with `warnings`.
+
+    Args:
+        path: an MCAP session of steerd.
+
+    Raises:
+        SteerdError: it cannot be read, or is no session.
+    """
+    return Session(Path(path), load_session(Path(path)))
+
+
+def _make_missing_error(package: str) -> SteerdError:
+    return SteerdError(f"{package} is not installed", f"pip install {package}", ExitCode.USAGE)
+
+
+def _make_table(columns: Columns) -> Table:
+    dtype = [(name, column.dtype, column.shape[1:]) for name, column in columns.items()]
+    table = np.empty(len(columns["t"]), dtype)
+    for name, column in columns.items():
+        table[name] = column
+    return table
+
+
+def _flatten(columns: Columns) -> Columns:
+    """Columns of one dimension each."""
+    flat: Columns = {}
+    for name, column in columns.items():
+        if column.ndim == 1:
+            flat[name] = column
+        else:
+            flat |= {f"{name}.{i}": column[:, i] for i in range(column.shape[1])}
+    return flat

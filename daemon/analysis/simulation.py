@@ -1,0 +1,87 @@
+"""`steerd.simulate`: a drive of the control loop on a simulated car, in virtual time."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from steerd.daemon.analysis.recorded import Session
+from steerd.daemon.analysis.sources import CarSource, read_car
+from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.offline.fast import check_driven, record_virtual
+from steerd.daemon.offline.virtual import VirtualRun, drive
+from steerd.daemon.sessions.info import load_session
+from steerd.daemon.settings.config import make_settings
+from steerd.daemon.settings.run_options import RunOptions
+
+DURATION_MAX = 86_400.0
+"""A day [s]."""
+EffectValues = Mapping[str, float | Sequence[float] | Mapping[str, float]]
+"""Parameters by effect: one value, all in order, or some by their names; see `steerd effects`."""
+
+
+def simulate(
+    car: CarSource = None,
+    path: str = "figure8",
+    *,
+    speed: float = 1.0,
+    duration: float = 20.0,
+    seed: int = 0,
+    effects: EffectValues | None = None,
+    record: Path | str | None = None,
+) -> Session:
+    """Drive a simulated car around a path in virtual time; the same arguments give the same drive.
+
+    Args:
+        car: a car file, an `Identification`, a `Diagnosis`; None for the F1TENTH car.
+        path: `line`, `circle:radius=2`, `figure8`, `csv:FILE` (TUM or F1TENTH centreline).
+        speed: on straights [m/s].
+        duration: of the drive [s].
+        seed: of the simulated hardware's noise.
+        effects: unmodelled effects of the simulated car, as in `{"steer_delay": 0.05}`; the
+            controller knows nothing of them.
+        record: where the session file lies; None for a temporary file that goes with the value.
+
+    Returns:
+        The recorded drive. A `UserWarning` says so where a watchdog stopped it early.
+
+    Raises:
+        SteerdError: an argument cannot be used, or the car was never driven.
+    """
+    if not 0.0 < duration <= DURATION_MAX:
+        what = f"duration {duration:g}: more than 0 s, {DURATION_MAX:g} s at most"
+        raise SteerdError(what, "", ExitCode.USAGE)
+    if not 0.0 < speed < float("inf"):
+        raise SteerdError(f"speed {speed:g}: more than 0 m/s", "", ExitCode.USAGE)
+    if seed < 0:
+        raise SteerdError(f"seed {seed}: 0 or more", "", ExitCode.USAGE)
+    options = RunOptions(
+        car_file="", path=path, speed=speed, duration_s=duration, seed=seed, simulated=True,
+        auto_arm=True, effects=_format_effects(effects or {}),
+    )  # fmt: skip
+    plan = make_plan(options, make_settings(read_car(car), speed))
+    folder = TemporaryDirectory(prefix="steerd-") if record is None else None
+    file = Path(folder.name) / "simulated.mcap" if folder else Path(record or "")
+    run = record_virtual(plan, file, drive)
+    check_driven(run)
+    _warn_stopped(run)
+    return Session(file, load_session(file), folder)
+
+
+def _warn_stopped(run: VirtualRun) -> None:
+    loop = run.core.loop
+    if loop.faulted:
+        warnings.warn(f"the drive was stopped: {loop.supervisor.reason}", stacklevel=3)
+
+
+def _format_effects(effects: EffectValues) -> tuple[str, ...]:
+    """Effects as `--effect` takes them."""
+    return tuple(_format_effect(name, values) for name, values in effects.items())
+
+
+def _format_effect(name: str, values: float | Sequence[float] | Mapping[str, float]) -> str:
+    if isinstance(values, Mapping):
+        return f"{name}:{','.join(f'{key}={float(value)!r}' for key, value in values.items())}"
+    numbers = (values,) if isinstance(values, int | float) else tuple(values)
+    return f"{name}={','.join(repr(float(value)) for value in numbers)}"
