@@ -1,1 +1,1 @@
-"""The command line: one module per command, and what only commands need."""
+"""The command line: one module per command, and modules that only commands use."""

@@ -1,7 +1,7 @@
-"""A lab's own certificate authority and the certificates it gives to a car and to people.
+"""A lab's own certificate authority, and certificates for a car and for people.
 
 X.509 with P-256 keys. A folder for each participant holds all that its machine needs; the
-authority's private key stays in `authority/`, to be kept where no car or operator works.
+authority's private key stays in `authority/`, on a machine that neither car nor operators use.
 """
 
 import ipaddress
@@ -17,10 +17,14 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.steer_bus.atomic_file import write_atomically
 
 AUTHORITY = "authority"
+_PRIVATE = 0o600
+"""Only the owner reads and writes."""
 _NAME = re.compile(r"[a-zA-Z0-9_.-]{1,60}")
-_SKEW = timedelta(days=1)  # a clock that is a little behind
+_SKEW = timedelta(days=1)
+"""Certificates are valid from this long ago, for machines whose clock is behind."""
 
 
 @dataclass(frozen=True)
@@ -32,14 +36,14 @@ class Issuer:
 
 
 def check_name(name: str) -> str:
-    """Give a common name back if it can also be a folder's name.
+    """Return a common name that is also valid as a folder's name.
 
     Raises:
-        SteerdError: it cannot, or would hide the authority.
+        SteerdError: it is not valid, or is the authority's.
     """
     if not _NAME.fullmatch(name) or name.startswith(".") or name == AUTHORITY:
         hint = f"1 to 60 of letters, digits and _ . -, not starting with a dot, not {AUTHORITY}"
-        raise SteerdError(f"{name!r} is no name for a certificate", hint, ExitCode.USAGE)
+        raise SteerdError(f"{name!r} is not a valid name for a certificate", hint, ExitCode.USAGE)
     return name
 
 
@@ -47,7 +51,7 @@ def make_authority(folder: Path, car: str, now: datetime, years: float) -> Issue
     """Make the lab's authority in `folder/authority`.
 
     Raises:
-        SteerdError: there is one already.
+        SteerdError: there is already one.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     name = _common_name(f"steerd lab of {car}")
@@ -79,7 +83,7 @@ def load_authority(folder: Path) -> Issuer:
         hint = "name the folder in which steerd keys made the lab"
         raise SteerdError(f"{place}: {error}", hint, ExitCode.UNREADABLE) from None
     if not isinstance(key, ec.EllipticCurvePrivateKey):
-        raise SteerdError(f"{place / 'ca.key'} is not of steerd keys", "", ExitCode.INVALID)
+        raise SteerdError(f"{place / 'ca.key'} was not made by steerd keys", "", ExitCode.INVALID)
     return Issuer(certificate, key)
 
 
@@ -90,14 +94,14 @@ def issue(
 
     Args:
         folder: the lab's folder.
-        issuer: who signs.
+        issuer: the authority.
         name: the common name.
-        host: the address under which others dial it, or None if nobody does.
+        host: the address at which others connect, or None for a client.
         now: the time of day.
-        years: how long the certificate holds, at most as long as the authority's.
+        years: validity, at most the authority's.
 
     Raises:
-        SteerdError: it is there already.
+        SteerdError: its folder exists already.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     sign = x509.KeyUsage(True, False, False, False, False, False, False, False, False)
@@ -121,17 +125,20 @@ def issue(
 
 
 def write_private(path: Path, data: bytes, *, new: bool = True) -> None:
-    """Write a file that its owner alone may read; if `new`, it must not be there.
+    """Write a file that only its owner may read; if `new`, it must not exist.
 
     Raises:
-        SteerdError: it is there, or cannot be written.
+        SteerdError: it exists, or cannot be written.
     """
-    flags = os.O_WRONLY | os.O_CREAT | (os.O_EXCL if new else os.O_TRUNC)
     try:
-        with os.fdopen(os.open(path, flags, 0o600), "wb") as file:
+        if not new:
+            write_atomically(path, data, _PRIVATE)
+            return
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
+        with os.fdopen(os.open(path, flags, _PRIVATE), "wb") as file:
             file.write(data)
     except FileExistsError:
-        raise _taken(path) from None
+        raise _make_exists_error(path) from None
     except OSError as error:
         raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
 
@@ -140,15 +147,15 @@ def _new_folder(path: Path) -> Path:
     try:
         path.mkdir(mode=0o700, parents=True)
     except FileExistsError:
-        raise _taken(path) from None
+        raise _make_exists_error(path) from None
     except OSError as error:
         raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
     return path
 
 
-def _taken(path: Path) -> SteerdError:
-    hint = "choose another folder or name, or delete what nobody uses any more"
-    return SteerdError(f"{path} is there already and stays as it is", hint, ExitCode.UNREADABLE)
+def _make_exists_error(path: Path) -> SteerdError:
+    hint = "choose another folder or name, or delete it if nobody uses it any more"
+    return SteerdError(f"{path} already exists and is not changed", hint, ExitCode.UNREADABLE)
 
 
 def _builder(

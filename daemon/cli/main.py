@@ -1,6 +1,6 @@
 """The `steerd` command: finds the subcommand and loads only that one.
 
-Nothing here imports numpy, let alone torch: `steerd --help` answers at once.
+Nothing here imports NumPy or torch, so `steerd --help` takes 30 ms.
 """
 
 import argparse
@@ -12,34 +12,37 @@ from collections.abc import Sequence
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
-# Small matrices: OpenBLAS's threads only get in each other's way (a design took 3 s, not 0.05 s).
+# OpenBLAS's threads slow small matrices down: a controller design took 3 s instead of 0.05 s.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "probe": ("setup.probe", "find VESCs and mocap servers, and what is wrong with them"),
-    "config": ("setup.config", "print a commented car file, check one, exchange F1TENTH's gains"),
-    "mocap": ("setup.mocap", "check the mocap room; calibrate its body on the car from one drive"),
+    "config": ("setup.config", "print a commented car file, check one, convert F1TENTH's gains"),
+    "mocap": (
+        "setup.mocap",
+        "check mocap; calibrate the place of its body on the car",
+    ),
     "calibrate": ("setup.calibrate", "centre, gain and limits of the steering"),
     "run": ("driving.run", "drive: the control loop on a car or on simulated hardware"),
     "sim": ("driving.sim", "simulated hardware alone: a VESC on a pty, a mocap server"),
     "control": ("driving.control", "the lane keeper as a process of its own, over zenoh"),
-    "arm": ("driving.operate", "ask a running daemon to arm"),
+    "arm": ("driving.operate", "arm a running daemon"),
     "start": (
         "driving.operate",
-        "ask an armed daemon to drive; holding the terminal keeps it driving",
+        "drive an armed car; it stops when this terminal is closed",
     ),
-    "stop": ("driving.operate", "ask a driving daemon to stop"),
-    "disarm": ("driving.operate", "ask a daemon to disarm"),
+    "stop": ("driving.operate", "stop a driving car"),
+    "disarm": ("driving.operate", "disarm a running daemon"),
     "clear": ("driving.operate", "acknowledge a latched fault"),
     "estop": ("driving.operate", "emergency stop"),
-    "status": ("driving.status", "what a running daemon does and what it waits for"),
+    "status": ("driving.status", "state of a running daemon and what it is waiting for"),
     "watch": ("driving.watch", "a running car in the terminal: state, errors, rates, faults"),
     "replay": (
         "sessions.replay",
         "feed a recorded session through the loop and compare its commands",
     ),
-    "info": ("sessions.info", "what is in a session"),
-    "plot": ("sessions.plot", "a drive as one page to look at: track, errors, commands, timing"),
+    "info": ("sessions.info", "contents of a session"),
+    "plot": ("sessions.plot", "a drive as one HTML page: track, errors, commands, timing"),
     "recover": ("sessions.recover", "rebuild the session of a recorder that was killed"),
     "import": ("sessions.import_", "turn a lab's own log (csv, ROS bag) into a session"),
     "collect": ("driving.collect", "drive an excitation plan and record it"),
@@ -48,10 +51,13 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "analysis.diagnose",
         "where simulation and car differ, why, and how far adding it helps",
     ),
-    "rtcheck": ("setup.rtcheck", "measure whether this machine keeps a control loop's time"),
+    "rtcheck": ("setup.rtcheck", "measure whether this machine can run a control loop on time"),
     "keys": ("setup.keys", "certificates of a lab: for the car, its operators, its viewers"),
-    "service": ("setup.service", "a systemd unit that comes up disarmed, and the udev file"),
-    "completion": ("setup.completion", "completion of commands and options for bash and zsh"),
+    "service": ("setup.service", "a systemd unit that starts disarmed, and the udev file"),
+    "completion": (
+        "setup.completion",
+        "completion scripts for bash, zsh, tcsh and fish",
+    ),
     "effects": ("analysis.effects", "the unmodelled effects that can be simulated and diagnosed"),
 }
 
@@ -104,7 +110,7 @@ def main() -> int:
     """Entry point of the console script."""
     code = run_cli(sys.argv[1:])
     if "zenoh" in sys.modules:
-        # zenoh's own threads may be inside Python while the interpreter shuts down, which aborts.
+        # zenoh's threads may call into Python while the interpreter shuts down, which aborts.
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
@@ -112,13 +118,11 @@ def main() -> int:
 
 
 def run_cli(argv: Sequence[str]) -> int:
-    """Run one command line; every failure is a line or two on standard error and a code."""
+    """Run one command line; a failure is a line or two on standard error and an exit code."""
     try:
         return dispatch(argv)
     except SteerdError as error:
-        print(f"steerd: {error.what}", file=sys.stderr)
-        if error.hint:
-            print(f"   try: {error.hint}", file=sys.stderr)
+        _print_error(error)
         return error.code
     except KeyboardInterrupt:
         return ExitCode.INTERRUPTED
@@ -129,6 +133,14 @@ def run_cli(argv: Sequence[str]) -> int:
         traceback.print_exc()
         print("steerd: this is a bug in steerd; please report the lines above", file=sys.stderr)
         return ExitCode.INTERNAL
+
+
+def _print_error(error: SteerdError) -> None:
+    from steerd.daemon.common.screen import print_labelled
+
+    print_labelled("steerd: ", error.what, sys.stderr)
+    if error.hint:
+        print_labelled("   try: ", error.hint, sys.stderr)
 
 
 if __name__ == "__main__":

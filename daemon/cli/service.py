@@ -1,4 +1,4 @@
-"""A run as a systemd service: the unit's text and where it lies. Pure but for `user_unit_path`."""
+"""A run as a systemd service: the unit's text and its path. Pure."""
 
 import os
 import shlex
@@ -9,13 +9,13 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.setup.probe import UDEV_NAME, UDEV_RULE
 
 WATCHDOG_S = 5
-"""The loop tells that it is alive once a second; a loop that is frozen so long is restarted. The
-car has been braked by the guardian long before."""
+"""The loop reports once a second; systemd restarts one that is silent for this long [s]. The
+guardian has braked the car long before."""
 STOP_S = 20
-"""For a stop in good order: the car comes to rest first."""
+"""Time for an orderly stop, in which the car comes to rest first [s]."""
 
 _UNIT = """\
-# Made by `steerd service install`. It comes up disarmed, after each restart too: arm it with
+# Made by `steerd service install`. It starts disarmed, after each restart too: arm it with
 # `steerd arm`, start it with `steerd start`, see it with `steerd watch`.
 [Unit]
 Description=steerd, control loop of {car}
@@ -32,7 +32,7 @@ WatchdogSec={watchdog}
 Restart=on-failure
 RestartSec=3
 RestartPreventExitStatus=2 4
-# Only the parent is told to stop; it brings the car to rest and then ends the other processes.
+# Only the parent gets the signal; it brings the car to rest and then ends the other processes.
 KillMode=mixed
 KillSignal=SIGTERM
 TimeoutStopSec={stop}
@@ -52,14 +52,14 @@ def make_unit(command: Sequence[str], car: str, *, user: bool) -> str:
     Args:
         command: what is run, program first.
         car: its name, for the description.
-        user: for the user's own service manager, or for the system's.
+        user: whether it is for the user's own service manager or the system's.
 
     Raises:
-        SteerdError: an argument cannot stand in a unit file.
+        SteerdError: an argument cannot be written in a unit file.
     """
     for text in (*command, car):
         if any(c in text for c in "\n\r\0"):
-            raise SteerdError(f"{text!r} cannot stand in a unit file", "", ExitCode.USAGE)
+            raise SteerdError(f"{text!r} cannot be written in a unit file", "", ExitCode.USAGE)
     return _UNIT.format(
         car=car,
         command=" ".join(_quote(part) for part in command),
@@ -70,12 +70,12 @@ def make_unit(command: Sequence[str], car: str, *, user: bool) -> str:
 
 
 def _quote(part: str) -> str:
-    """An argument as systemd reads it: `%` and `$` have meanings of their own there."""
+    """An argument in systemd's syntax, which gives `%` and `$` special meanings."""
     return shlex.quote(part.replace("%", "%%").replace("$", "$$"))
 
 
 def unit_path(user: bool, environment: Mapping[str, str] = os.environ) -> Path:
-    """Where the unit file belongs."""
+    """The path of the unit file."""
     if not user:
         return Path("/etc/systemd/system/steerd.service")
     base = environment.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")

@@ -44,9 +44,20 @@ def join_words(text: str) -> str:
 
 
 def print_labelled(label: str, text: str, file: TextIO) -> None:
-    """Print `label` and a text; a terminal gets whole words per line, a file or pipe one line."""
+    """Print a label and a text; only a terminal gets broken lines, a file or pipe does not.
+
+    Args:
+        label: the head of the first line, also the width by which later lines are indented.
+        text: paragraphs, one per line; an indented one is to be copied and stays as it is.
+        file: where to.
+    """
     if not file.isatty():
         print(label + text, file=file)
         return
     width = shutil.get_terminal_size((WIDTH, 24)).columns
-    print("\n".join(wrap(text, label, " " * len(label), width)) or label, file=file)
+    indent = " " * len(label)
+    for i, paragraph in enumerate(text.splitlines() or [""]):
+        if paragraph.startswith(" "):
+            print(paragraph, file=file)
+        else:
+            print("\n".join(wrap(paragraph, indent if i else label, indent, width)), file=file)

@@ -1,4 +1,4 @@
-"""The dashboard of a run in the terminal: state, what it waits for, errors, timing."""
+"""The dashboard of a run in the terminal: state, errors, timing, warnings."""
 
 from collections import deque
 from dataclasses import dataclass, field

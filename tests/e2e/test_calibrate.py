@@ -48,7 +48,7 @@ def test_servo(drive_fast, tmp_path, capsys):
     session = drive_fast(f"--path figure8 --speed 1 --duration 25 {effects}").session
     out = tmp_path / "car.toml"
     assert run_cli(["calibrate", "servo", str(session), "-o", str(out)]) == 0
-    found = re.search(r"wheels = ([\d.]+) .* command ([+-][\d.]+)°", capsys.readouterr().out)
+    found = re.search(r"wheel angle = ([\d.]+) .* command ([+-][\d.]+)°", capsys.readouterr().out)
     assert float(found[1]) == pytest.approx(0.9, rel=0.02)
     assert float(found[2]) == pytest.approx(1.146, abs=0.1)
     vesc = tomllib.loads(out.read_text())["vesc"]

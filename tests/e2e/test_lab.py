@@ -17,7 +17,7 @@ def free_port() -> str:
         return str(probe.getsockname()[1])
 
 
-def ask(steerd, *argv):
+def run_command(steerd, *argv):
     program = steerd(*argv)
     return program.wait(), program.text
 
@@ -33,16 +33,16 @@ def test_operators_command_and_viewers_watch(undisturbed) -> None:
         argv = ("--port", port, "--mocap", url, "--record", record, "--path", "circle:radius=2")
         run = steerd("run", "--lab", lab / "car1", *argv)
         run.expect("READY")
-        code, said = ask(steerd, "status", "--lab", lab / "screen")
+        code, said = run_command(steerd, "status", "--lab", lab / "screen")
         assert (code, said.startswith("car1: ")) == (0, True), said
-        code, said = ask(steerd, "estop", "--lab", lab / "screen")
+        code, said = run_command(steerd, "estop", "--lab", lab / "screen")
         assert (code, "the car stays" in said) == (5, True), said
-        code, said = ask(steerd, "watch", "--lab", lab / "screen", "--seconds", "1.5")
+        code, said = run_command(steerd, "watch", "--lab", lab / "screen", "--seconds", "1.5")
         assert (code, "state " in said) == (0, True), said
-        code, said = ask(steerd, "status", "--connect", "tls/127.0.0.1:" + where[3])
+        code, said = run_command(steerd, "status", "--connect", "tls/127.0.0.1:" + where[3])
         assert (code, "no steerd answers" in said) == (6, True), said
         assert "ESTOP" not in run.text, run.text
-        assert ask(steerd, "estop", "--lab", lab / "desk")[0] == 0
+        assert run_command(steerd, "estop", "--lab", lab / "desk")[0] == 0
         run.send(signal.SIGINT)
         run.wait()
         assert "ESTOP" in run.text, run.text

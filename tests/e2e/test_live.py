@@ -77,8 +77,8 @@ def lane_errors(session):
     return table["e1"][running][t - t[0] > 1e9]
 
 
-def ask(steerd, *argv):
-    """One command from another terminal: its exit code and words."""
+def run_command(steerd, *argv):
+    """One command from another terminal: its exit code and text."""
     program = steerd(*argv, "--connect", steerd.endpoint)
     return program.wait(), program.text
 
@@ -88,7 +88,7 @@ def test_arm_start_stop_from_other_terminals_over_natnet(undisturbed, capsys) ->
         port, url = steerd.sim(folder)
         run, record = start_run(steerd, folder, "--port", port, "--mocap", url)
         run.expect("READY")
-        code, said = ask(steerd, "start")
+        code, said = run_command(steerd, "start")
         assert (code, "not ARMED" in said, "Traceback" in said) == (5, True, False), said
         arm = steerd("arm", "--connect", steerd.endpoint)
         arm.expect("armed: `steerd start` from another terminal")
@@ -96,10 +96,10 @@ def test_arm_start_stop_from_other_terminals_over_natnet(undisturbed, capsys) ->
             go = steerd("start", "--connect", steerd.endpoint)
             go.expect("driving")
             watcher.driving(run, 1.0)
-            code, said = ask(steerd, "status")
+            code, said = run_command(steerd, "status")
             assert (code, said.startswith("car1: RUNNING")) == (0, True), said
             watcher.driving(run, 1.5)
-            assert ask(steerd, "stop")[0] == 0
+            assert run_command(steerd, "stop")[0] == 0
             assert watcher.stopped(run) is SupervisorState.STOPPING
         assert go.wait() == 0, go.text
         run.send(signal.SIGINT)
@@ -206,7 +206,7 @@ def test_poses_from_the_bus(undisturbed, capsys) -> None:
     undisturbed(scenario)
 
 
-# --- simulated hardware of its own: a stalled machine is told, it stops nobody
+# --- simulated hardware of its own: a stalled machine is reported and stops no car
 
 
 def start_sim_run(steerd, folder, *more):

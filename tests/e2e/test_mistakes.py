@@ -20,15 +20,15 @@ TABLE = [
     ((*SIM, "--path", "triangle"), 2, ["no path called 'triangle'", "circle"]),
     ((*SIM, "--path", "circle:size=2"), 2, ["circle has no option size"]),
     ((*SIM, "--path", "csv:{tmp}/none.csv"), 2, ["none.csv", "No such file"]),
-    ((*SIM, "--path", "csv:{tmp}/words.csv"), 2, ["words.csv"]),
+    ((*SIM, "--path", "csv:{tmp}/notes.csv"), 2, ["notes.csv"]),
     ((*SIM, "--path", "circle:radius=0.3"), 4, ["0.3"]),
     ((*SIM, "--car", "{tmp}/none.toml"), 3, ["none.toml"]),
     ((*SIM, "--car", "{tmp}/broken.toml"), 4, ["broken.toml"]),
     ((*SIM, "--car", "{tmp}/odd.toml"), 4, ["odd.toml", "mass"]),
     ((*SIM, "--effect", "gravity=3"), 2, ["gravity", "steerd effects"]),
     ((*SIM, "--effect", "steer_lag=much"), 2, ["steer_lag", "much"]),
-    ((*SIM, "--record", "{tmp}/words.csv"), 3, ["words.csv"]),
-    ((*SIM, "--record", "{tmp}/words.csv/drive.mcap"), 3, ["words.csv", "--record"]),
+    ((*SIM, "--record", "{tmp}/notes.csv"), 3, ["notes.csv"]),
+    ((*SIM, "--record", "{tmp}/notes.csv/drive.mcap"), 3, ["notes.csv", "--record"]),
     ((*SIM, "--seed", "-1"), 2, ["--seed -1: 0 or more"]),
     ((*SIM, "--speed", "-1"), 2, ["--speed -1: more than 0 m/s"]),
     ((*SIM, "--speed", "nan"), 2, ["--speed nan: more than 0 m/s"]),
@@ -40,7 +40,7 @@ TABLE = [
     (("run", "--sim", "--port", "/dev/ttyACM0"), 2, ["--sim brings its own"]),
     ((*LIVE, "--port", "/dev/ttyACM0", "--auto-arm"), 2, ["--sim only"]),
     (("replay", "{tmp}/none.mcap"), 3, ["none.mcap does not exist"]),
-    (("replay", "{tmp}/words.csv"), 3, ["words.csv is not an MCAP file"]),
+    (("replay", "{tmp}/notes.csv"), 3, ["notes.csv is not an MCAP file"]),
     (("info", "{tmp}"), 3, ["is a directory"]),
     (("recover", "{tmp}/none.mcap.partial"), 3, ["does not exist"]),
     (("sim", "--fault", "volcano"), 2, ["volcano"]),
@@ -50,31 +50,31 @@ TABLE = [
 
 @pytest.fixture
 def place(tmp_path: Path) -> Path:
-    (tmp_path / "words.csv").write_text("neither a path nor a session\n")
+    (tmp_path / "notes.csv").write_text("neither a path nor a session\n")
     (tmp_path / "broken.toml").write_text("[car\nmass = 3\n")
     (tmp_path / "odd.toml").write_text("[car]\nmass = 'heavy'\n")
     return tmp_path
 
 
-def is_clear(said: str, words: list[str]) -> None:
+def is_clear(said: str, parts: list[str]) -> None:
     lines = said.strip().splitlines()
     assert "Traceback" not in said
     assert lines[0].startswith("steerd: "), said
     assert len(lines) <= 3, said
-    for word in words:
+    for word in parts:
         assert word in said
 
 
 @pytest.mark.parametrize(
-    ("argv", "code", "words"),
+    ("argv", "code", "parts"),
     TABLE,
     ids=lambda v: " ".join(map(str, v))[:60] if isinstance(v, tuple) else "",
 )
-def test_a_mistake_is_told_in_a_line(argv, code, words, place, capsys, monkeypatch) -> None:
+def test_a_mistake_is_reported_in_a_line(argv, code, parts, place, capsys, monkeypatch) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", str(place))
     before = sorted(place.rglob("*"))
     assert run_cli([text.format(tmp=place) for text in argv]) == code
-    is_clear(capsys.readouterr().err, words)
+    is_clear(capsys.readouterr().err, parts)
     assert sorted(place.rglob("*")) == before
 
 
@@ -82,7 +82,7 @@ def test_a_mistake_is_told_in_a_line(argv, code, words, place, capsys, monkeypat
 
 
 def run_live(place, *argv, **options):
-    """`steerd run` at hardware that is not there: its code and words."""
+    """`steerd run` at hardware that is not there: its exit code and text."""
     full = [
         sys.executable,
         "-m",
@@ -104,16 +104,16 @@ def free_endpoint() -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("port", "mocap", "code", "words"),
+    ("port", "mocap", "code", "parts"),
     [
         ("{tmp}/ttyACM9", "natnet://127.0.0.1/car", 3, ["ttyACM9"]),
-        ("{tmp}/words.csv", "natnet://127.0.0.1/car", 3, ["words.csv"]),
+        ("{tmp}/notes.csv", "natnet://127.0.0.1/car", 3, ["notes.csv"]),
         ("{tty}", "motive://127.0.0.1/car", 2, ["motive://", "natnet://HOST"]),
         ("{tty}", "natnet://127.0.0.1", 2, ["natnet://127.0.0.1"]),
         ("{tty}", "vrpn://no.such.host.invalid/car", 3, ["no.such.host.invalid"]),
     ],
 )
-def test_wrong_hardware_is_told_in_a_line(port, mocap, code, words, place) -> None:
+def test_wrong_hardware_is_reported_in_a_line(port, mocap, code, parts, place) -> None:
     ours, theirs = os.openpty()
     before = sorted(place.iterdir())
     argv = ("--port", port.format(tmp=place, tty=os.ttyname(theirs)), "--mocap", mocap)
@@ -121,7 +121,7 @@ def test_wrong_hardware_is_told_in_a_line(port, mocap, code, words, place) -> No
     os.close(ours)
     os.close(theirs)
     assert got == code, said
-    is_clear(said, words)
+    is_clear(said, parts)
     assert sorted(place.iterdir()) == before
 
 

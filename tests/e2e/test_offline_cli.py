@@ -77,7 +77,7 @@ def test_a_dart_drive(tmp_path, capsys):
 @pytest.mark.parametrize(
     "path", sorted(DATA.glob("dart/*.csv")) or ["absent"], ids=lambda p: Path(p).stem[-20:]
 )
-def test_every_dart_drive_raises_no_doubt(tmp_path, capsys, path):
+def test_every_dart_drive_raises_no_warning(tmp_path, capsys, path):
     out = tmp_path / "dart.mcap"
     assert import_csv(data_file("dart", Path(path).name), "import-dart.toml", out) == 0
     assert capsys.readouterr().err == ""

@@ -1,4 +1,4 @@
-"""What the recorded drives show whoever looks: clocks that drift apart, speeds that poses tell."""
+"""What the recorded drives show whoever looks: clocks that drift apart, speeds that poses give."""
 
 from pathlib import Path
 

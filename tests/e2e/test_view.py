@@ -24,29 +24,29 @@ LATE_MODES = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, Supervi
 async def look(port, seconds):
     """What a client sees: server info, channels, messages by topic, parameters."""
     url = f"ws://127.0.0.1:{port}"
-    told, heard = {}, {topic: [] for topic in WANTED}
+    received, heard = {}, {topic: [] for topic in WANTED}
     protocol = [websockets.Subprotocol("foxglove.sdk.v1")]
     async with websockets.connect(url, subprotocols=protocol, max_size=None) as client:
         async with asyncio.timeout(seconds):
-            while not all(heard.values()) or "parameterValues" not in told:
+            while not all(heard.values()) or "parameterValues" not in received:
                 frame = await client.recv()
                 if isinstance(frame, bytes):
                     number, at_ns = struct.unpack_from("<IQ", frame, 1)
                     heard[WANTED[number]].append((at_ns, frame[13:]))
                     continue
                 said = json.loads(frame)
-                told[said["op"]] = said
+                received[said["op"]] = said
                 if said["op"] == "advertise":
                     await subscribe(client, said["channels"])
-    return told, heard
+    return received, heard
 
 
 async def subscribe(client, channels):
     ids = {c["topic"]: c["id"] for c in channels}
     wanted = [{"id": n, "channelId": ids[topic]} for n, topic in enumerate(WANTED)]
     await client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
-    asked = {"op": "getParameters", "parameterNames": ["car.lf", "run.path"], "id": "1"}
-    await client.send(json.dumps(asked))
+    request = {"op": "getParameters", "parameterNames": ["car.lf", "run.path"], "id": "1"}
+    await client.send(json.dumps(request))
 
 
 def decode_ros(channel, payload):
@@ -71,17 +71,17 @@ def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, t
     )  # fmt: skip
     run.expect(f"view: ws://127.0.0.1:{port}")
     run.expect("RUNNING")
-    told, heard = asyncio.run(look(port, 20.0))
-    channels = {c["topic"]: c for c in told["advertise"]["channels"]}
+    received, heard = asyncio.run(look(port, 20.0))
+    channels = {c["topic"]: c for c in received["advertise"]["channels"]}
     state = decode_ros(channels[WANTED[0]], heard[WANTED[0]][-1][1])
     assert state.mode == SupervisorState.RUNNING
     odom = decode_ros(channels[WANTED[1]], heard[WANTED[1]][-1][1])
     assert odom.child_frame_id == m.BODY
     assert odom.pose.pose.position.x == pytest.approx(state.x, abs=0.2)
     assert base64.b64decode(channels["/scene"]["schema"])
-    values = {p["name"]: p["value"] for p in told["parameterValues"]["parameters"]}
+    values = {p["name"]: p["value"] for p in received["parameterValues"]["parameters"]}
     assert values == {"car.lf": 0.15875, "run.path": "circle:radius=2"}
-    assert told["serverInfo"]["capabilities"] == ["parameters", "parametersSubscribe"]
+    assert received["serverInfo"]["capabilities"] == ["parameters", "parametersSubscribe"]
 
     os.kill(run.child("steerd.daemon.process.view\0"), signal.SIGKILL)
     assert run.wait() == 0, run.text

@@ -27,7 +27,7 @@ def replays(session, capsys):
     capsys.readouterr()
     code = run_cli(["replay", str(session)])
     said = capsys.readouterr().out
-    assert re.fullmatch(r"\d{3,} orders replayed: every one is the recorded one\n", said), said
+    assert re.fullmatch(r"\d{3,} commands replayed: all equal the recorded ones\n", said), said
     return code == 0
 
 
@@ -59,7 +59,7 @@ def test_a_circle_runs_counter_clockwise_about_its_centre(drive_fast):
 
 @pytest.mark.parametrize("path", ["circle:radius=2 --speed 1", "figure8 --speed 1.5"])
 def test_delay_and_slow_servo_leave_the_loop_stable(drive_fast, capsys, path):
-    """A loop at its edge oscillates: its errors would grow, or the gate would saturate."""
+    """A loop at its edge oscillates: its errors would grow, or the limiter would saturate."""
     driven = drive_fast(f"--path {path} --duration 10 {SLOW_STEERING}")
     assert not driven.faulted, driven.reason
     offsets = driven.offsets()
@@ -123,7 +123,7 @@ def test_a_pose_that_was_moved_in_the_recording_is_found(drive_fast, tamper_pose
     said = capsys.readouterr().out
     first, last = said.splitlines()[0], said.splitlines()[-1]
     assert re.match(r"tick \d+ .*: recorded SPEED steer .*; replayed SPEED steer ", first)
-    assert re.fullmatch(r"\d+ orders replayed: \d+ of them differ", last)
+    assert re.fullmatch(r"\d+ commands replayed: \d+ of them differ", last)
 
 
 # --- paths from files

@@ -7,7 +7,7 @@ import pytest
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 
 
-def test_a_running_car_is_watched_and_a_wrong_name_is_told(steerd, tmp_path):
+def test_a_running_car_is_watched_and_a_wrong_name_is_reported(steerd, tmp_path):
     run = steerd(
         "run", "--sim", "--auto-arm", "--path", "circle:radius=2",
         "--listen", steerd.endpoint, "--record", tmp_path / "drive.mcap",

@@ -1,11 +1,11 @@
-"""Drive an excitation plan and record it: a session that tells the car's parameters.
+"""Drive an excitation plan and record it: a session that identifies the car.
 
 steerd collect --sim --fast --plan mixed --record mixed.mcap
-steerd collect --plan circles --box 6 --port /dev/ttyACM0 --mocap natnet://192.168.1.2/car
+steerd collect --plan circles --box 6 --port /dev/vesc --mocap natnet://HOST/car
 
-Plans: circles (the paper's: 8 left, 8 right, steering at its limit, 1 m/s), slalom, chirp, steps,
-mixed (all of them at several speeds: the one to start with). The same supervisor, watchdogs and
-limits as in `steerd run` stand above the plan; a box is their fence.
+Plans: circles (the paper's: 8 left, 8 right, steering at its limit, 1 m/s),
+slalom, chirp, steps, mixed (all of them at several speeds: start with it).
+Supervisor, watchdogs and limits are those of `steerd run`; a box is a fence.
 """
 
 import argparse
@@ -28,12 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--closed",
         action="store_true",
-        help="as a probe on top of the lane keeper, along --path (default: open loop, in orbits)",
+        help="add the plan to the lane keeper's commands, along --path (default: open loop)",
     )
     what.add_argument(
         "--box",
         metavar="SIDE|X0,Y0,X1,Y1",
-        help="where the car must stay [m]; put it in the middle, pointing along x",
+        help="where the car must stay [m]; start in the middle, heading along x",
     )
     driving.add_arguments(parser)
     parser.set_defaults(speed=SPEED, path=None)

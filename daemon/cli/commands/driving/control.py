@@ -1,7 +1,7 @@
-"""The lane keeper as a process of its own: reads the estimate from the bus, publishes commands.
+"""The lane keeper as a process of its own: estimates in, commands out, over zenoh.
 
-For `steerd run --controller zenoh`, which applies them through the same limits and stops the car
-when they grow old.
+For `steerd run --controller zenoh`, which applies the commands through the same
+limits and stops the car when they are too old.
 """
 
 import argparse
@@ -32,7 +32,9 @@ from steerd.steer_bus.messages import State as StateMessage
 from steerd.steer_bus.topics import make_key
 
 VALID_MS = 100
+"""How long a command may be applied [ms]."""
 _POLL_NS = 1_000_000
+"""Time between two looks at the bus [ns]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 class RemoteKeeper:
-    """The controller between two topics."""
+    """The controller, fed with estimates of one topic, making commands for another."""
 
     def __init__(self, controller: LaneController, boot_id: int, lease_id: int) -> None:
         self._controller = controller
@@ -52,8 +54,8 @@ class RemoteKeeper:
         self._driving = False
         self._seq = 0
 
-    def answer(self, message: StateMessage, realtime_ns: int) -> DriveCommand | None:
-        """The command for one estimate; None while there is no estimate."""
+    def compute_command(self, message: StateMessage, realtime_ns: int) -> DriveCommand | None:
+        """The command for one estimate; None while the estimate is not finite."""
         state = State(
             message.x,
             message.y,
@@ -87,12 +89,12 @@ class RemoteKeeper:
 
 
 def serve(bus: Bus, car: str, keeper: RemoteKeeper, clock: Clock, end_ns: int | None) -> None:
-    """Answer every estimate until the time is over or a signal comes."""
+    """Publish a command for every estimate until the time is over or a signal comes."""
     estimates = bus.subscribe(make_key(car, topics.STATE))
     key = make_key(car, topics.DRIVE)
     while end_ns is None or clock.now_ns() < end_ns:
         for sample in estimates.poll():
-            command = keeper.answer(decode(StateMessage, sample.data), clock.realtime_ns())
+            command = keeper.compute_command(decode(StateMessage, sample.data), clock.realtime_ns())
             if command is not None:
                 bus.publish(key, encode(command))
         clock.sleep_until_ns(clock.now_ns() + _POLL_NS)

@@ -1,8 +1,8 @@
-"""Ask a running daemon for something: arm, start, stop, disarm, clear, estop.
+"""Operate a running daemon: arm, start, stop, disarm, clear, estop.
 
-`steerd start` stays and keeps the deadman fed until the drive is over: Ctrl-C, closing the
-terminal or losing the connection stops the car. `steerd arm` waits until the car is armed, and
-holds it so until Ctrl-C or until somebody starts it.
+`steerd start` keeps the car driving as its deadman: Ctrl-C, closing the
+terminal or losing the connection stops the car. `steerd arm` waits until the
+car is armed and holds it armed until Ctrl-C or until somebody starts it.
 """
 
 import argparse
@@ -31,6 +31,9 @@ from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import make_key
 
 ANSWER_NS = 1_500_000_000
+"""A request that has no effect after this was refused [ns]."""
+REST_NS = 5_000_000_000
+"""A car comes to rest within this [ns]."""
 _KINDS = {
     "arm": RequestKind.ARM,
     "start": RequestKind.START,
@@ -77,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 class _Link:
-    """One operator on the bus: asks, hears, keeps alive."""
+    """One operator on the bus: sends requests, receives states, keeps the lease alive."""
 
     def __init__(self, bus: Bus, car: str, operator: Operator, clock: Clock) -> None:
         self._bus = bus
@@ -90,10 +93,10 @@ class _Link:
         self.values: dict[str, str] = {}
         self._show: Callable[[str], None] = lambda line: print(line, file=sys.stderr)
 
-    def ask(self, kind: RequestKind) -> None:
+    def send(self, kind: RequestKind) -> None:
         self._bus.publish(self._key, self._operator.make_request(kind, self._clock.realtime_ns()))
 
-    def hear(self) -> None:
+    def receive(self) -> None:
         for sample in self._changes.poll():
             change = decode(Transition, sample.data)
             self.state = SupervisorState(change.to_state)
@@ -103,21 +106,21 @@ class _Link:
             self.state = SupervisorState[self.values["state"]]
 
     def wait(self, done: Callable[[], bool], limit_ns: int | None) -> bool:
-        """Keep alive and listen until it is done or the time is over."""
+        """Keep the lease alive and receive until `done` or the time is over."""
         end = None if limit_ns is None else self._clock.now_ns() + limit_ns
         while not done():
             now = self._clock.now_ns()
             if end is not None and now > end:
                 return False
-            self.ask(RequestKind.KEEPALIVE)
+            self.send(RequestKind.KEEPALIVE)
             self._clock.sleep_until_ns(now + KEEPALIVE_NS)
-            self.hear()
+            self.receive()
         return True
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
-    # A closed terminal is an operator who has gone: leave at once, the deadman does the rest.
+    # A closed terminal means that the operator has left: end at once, the deadman stops the car.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     clock, name = MonotonicClock(), str(args.command)
     with connect(args) as bus:
@@ -130,25 +133,25 @@ def run(args: argparse.Namespace) -> int:
         link = _Link(bus, args.name, operator, clock)
         link.state, link.values = SupervisorState[status["state"]], status
         if name == "start" and link.state is not SupervisorState.ARMED:
-            _arm_first(link)
-        return _ask(link, name, hold=not args.no_hold)
+            _refuse_unarmed(link)
+        return _request(link, name, hold=not args.no_hold)
 
 
-def _arm_first(link: _Link) -> None:
+def _refuse_unarmed(link: _Link) -> None:
     raise SteerdError(
-        f"the car is {link.state.name}, not ARMED; it waits for {link.values.get('waiting')}",
+        f"the car is {link.state.name}, not ARMED; it is waiting for {link.values.get('waiting')}",
         "steerd arm",
         ExitCode.STOPPED,
     )
 
 
-def _ask(link: _Link, name: str, *, hold: bool) -> int:
+def _request(link: _Link, name: str, *, hold: bool) -> int:
     kind, wanted = _KINDS[name], _WANTED[name]
-    link.ask(kind)
+    link.send(kind)
     if not link.wait(lambda: link.state in wanted, ANSWER_NS):
         raise SteerdError(
             f"{name}: the car stays {link.state.name}: {link.values.get('reason', '')}; "
-            f"it waits for {link.values.get('waiting', '')}",
+            f"it is waiting for {link.values.get('waiting', '')}",
             "steerd status",
             ExitCode.STOPPED,
         )
@@ -159,16 +162,16 @@ def _ask(link: _Link, name: str, *, hold: bool) -> int:
 
 
 def _hold(link: _Link, name: str) -> int:
-    """Stay as the deadman until the state that was asked for is left."""
+    """Stay as the deadman until the requested state is left."""
     stay = SupervisorState.ARMED if name == "arm" else SupervisorState.RUNNING
     doing = "armed: `steerd start` from another terminal" if name == "arm" else "driving"
     print(f"{doing}; Ctrl-C {'disarms' if name == 'arm' else 'stops'}", file=sys.stderr)
     try:
-        link.wait(lambda: link.state in _OVER or _left(link, stay), None)
+        link.wait(lambda: link.state in _OVER or _has_left(link, stay), None)
     except KeyboardInterrupt:
-        link.ask(RequestKind.DISARM if name == "arm" else RequestKind.STOP)
+        link.send(RequestKind.DISARM if name == "arm" else RequestKind.STOP)
         link.wait(lambda: link.state is not stay, ANSWER_NS)
-        link.wait(lambda: link.state is not SupervisorState.STOPPING, 5_000_000_000)
+        link.wait(lambda: link.state is not SupervisorState.STOPPING, REST_NS)
     print(link.state.name)
     return (
         ExitCode.STOPPED
@@ -177,8 +180,8 @@ def _hold(link: _Link, name: str) -> int:
     )
 
 
-def _left(link: _Link, stay: SupervisorState) -> bool:
-    """Whether there is nothing to hold any more."""
+def _has_left(link: _Link, stay: SupervisorState) -> bool:
+    """Whether the state to hold has been left."""
     if stay is SupervisorState.ARMED:
         return link.state not in (
             SupervisorState.ARMED,

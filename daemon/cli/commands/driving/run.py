@@ -1,7 +1,7 @@
-"""Drive: the control loop on a car (--port, --mocap) or on simulated hardware (--sim).
+"""Drive a car (--port, --mocap) or simulated hardware (--sim).
 
-On a car it comes up disarmed. Arm and start it with the keys shown, or from another terminal with
-`steerd arm` and `steerd start`.
+On a car it starts disarmed. Arm and start it with the keys shown, or from
+another terminal with `steerd arm` and `steerd start`.
 """
 
 import argparse
@@ -82,7 +82,7 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
         help="line, circle:radius=2, figure8[:radius=…], csv:FILE (TUM or F1TENTH centreline)",
     )
     drive.add_argument("--speed", type=float, default=1.0, metavar="M/S", help="on straights")
-    drive.add_argument("--duration", type=float, metavar="S", help="end after so long a drive")
+    drive.add_argument("--duration", type=float, metavar="S", help="end after this drive time")
     drive.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of the loop")
 
 
@@ -93,9 +93,13 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         SteerdError: a combination makes no sense.
     """
     if args.fast and not args.sim:
-        raise SteerdError("--fast is virtual time", "add --sim", ExitCode.USAGE)
+        raise SteerdError(
+            "--fast drives in virtual time, on simulated hardware", "add --sim", ExitCode.USAGE
+        )
     if args.sim and (args.port or args.mocap):
-        raise SteerdError("--sim brings its own port and mocap", "drop one side", ExitCode.USAGE)
+        raise SteerdError(
+            "--sim has its own port and mocap", "drop --sim, or --port and --mocap", ExitCode.USAGE
+        )
     if not args.sim and not (args.port and args.mocap):
         hint = "steerd run --port /dev/ttyACM0 --mocap natnet://HOST/BODY, or steerd run --sim"
         raise SteerdError("a car needs --port and --mocap", hint, ExitCode.USAGE)
@@ -146,7 +150,7 @@ def _choose_endpoint(args: argparse.Namespace) -> str:
         raise SteerdError(what, f"--name {lab.car}", ExitCode.USAGE)
     endpoint = str(args.listen or lab.endpoint)
     if not endpoint.startswith("tls/"):
-        raise SteerdError(f"--lab speaks TLS, not {endpoint}", "drop --listen", ExitCode.USAGE)
+        raise SteerdError(f"--lab uses TLS, not {endpoint}", "drop --listen", ExitCode.USAGE)
     return endpoint
 
 
@@ -155,13 +159,13 @@ def _check_domain(args: argparse.Namespace) -> None:
         what = f"--ros-domain {args.ros_domain}: 0 to {DOMAIN_MAX}"
         raise SteerdError(what, "", ExitCode.USAGE)
     if args.lab is not None:
-        what = "a lab's hub lets steerd's own keys through, and none of ROS's"
+        what = "the hub of a lab passes steerd's own topics only, not those of ROS"
         raise SteerdError(what, "drop --lab or --ros-domain", ExitCode.USAGE)
 
 
 def _check_view(args: argparse.Namespace) -> None:
     if args.fast:
-        hint = "drop --fast; a session opens in Foxglove, or with `steerd plot`"
+        hint = "drop --fast; open the session in Foxglove, or with `steerd plot`"
         raise SteerdError("--view shows a drive as it happens", hint, ExitCode.USAGE)
     check_view(args.view, args.insecure_lan)
 
@@ -223,8 +227,8 @@ def _run_live(plan: RunPlan) -> int:
     operator = Operator(boot_id, secrets.randbits(62) + 1, "terminal")
     Terminal(processes, board, operator, clock).run()
     code = processes.end()
-    told, *where_to = closing_lines(plan, board.tally, session)
-    print(told)
+    summary, *where_to = closing_lines(plan, board.tally, session)
+    print(summary)
     if board.status.get("state") in ("FAULT_LATCHED", "FAULT_STOP", "ESTOP"):
         print(f"stopped: {board.status.get('reason', '')}")
     print("\n".join(where_to))

@@ -1,6 +1,7 @@
-"""Simulated hardware alone: a VESC on a pseudo-terminal, a mocap server on a socket.
+"""Simulated hardware alone: a VESC on a pseudo-terminal and a mocap server.
 
-Any VESC program, or `steerd run --port … --mocap …`, can use what it prints. Ctrl-C ends it.
+Any VESC program, or `steerd run --port … --mocap …`, can use what it prints.
+Ctrl-C ends it.
 """
 
 import argparse
@@ -21,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[@FROM[-TO]]",
-        help="something that goes wrong, from and to in seconds after the start",
+        help="a fault, from and to in seconds after the start",
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--link-dir", type=Path, help="where the serial port's name is made")

@@ -1,12 +1,17 @@
-"""What a running daemon does, and what it waits for."""
+"""State of a running daemon, and what it is waiting for."""
 
 import argparse
 import json
+from collections.abc import Mapping
 
 from steerd.daemon.cli.commands.driving.operate import add_car_arguments
 from steerd.daemon.common.errors import ExitCode
+from steerd.daemon.common.screen import wrap
 from steerd.daemon.ipc.operator import connect, read_status
 from steerd.steer_bus.clock import MonotonicClock
+
+LABEL = 13
+"""Columns of the labels."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,12 +27,27 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(status, indent=2))
         return ExitCode.OK
-    print(f"{args.name}: {status['state']} — {status['reason']}")
-    print(f"waits for: {status['waiting']}")
-    for warning in filter(None, status.get("warnings", "").splitlines()):
-        print(f"warning:   {warning}")
-    vesc = f"firmware {status.get('firmware', '?')}, UUID {status.get('uuid', '?')}"
-    print(f"VESC:      {vesc}, own timeout {status.get('vesc_timeout_ms', '?')} ms")
-    print(f"mocap:     {status.get('mocap', '?')}, {status.get('mocap_rate_hz', '?')} Hz")
-    print(f"steered by {status.get('controller', '?')} controller")
+    print("\n".join(format_status(args.name, status)))
     return ExitCode.OK
+
+
+def format_status(name: str, status: Mapping[str, str]) -> list[str]:
+    """The status as lines of at most 80 columns.
+
+    Args:
+        name: of the car.
+        status: diagnostics by name, as the daemon publishes them.
+    """
+    firmware, uuid = status.get("firmware", "?"), status.get("uuid", "?")
+    items = [
+        ("waiting for", status["waiting"]),
+        *(("warning", text) for text in status.get("warnings", "").splitlines() if text),
+        ("VESC", f"firmware {firmware}, timeout {status.get('vesc_timeout_ms', '?')} ms"),
+        ("UUID", uuid),
+        ("mocap", f"{status.get('mocap', '?')}, {status.get('mocap_rate_hz', '?')} Hz"),
+        ("controller", status.get("controller", "?")),
+    ]
+    lines = wrap(status["reason"], f"{name}: {status['state']} — ", " " * LABEL)
+    for label, text in items:
+        lines += wrap(text, f"{label + ':':<{LABEL}}", " " * LABEL)
+    return lines

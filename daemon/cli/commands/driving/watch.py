@@ -1,4 +1,4 @@
-"""A running car in a terminal: state, errors, rates and faults. Watches only; Ctrl-C leaves.
+"""A running car in a terminal: state, errors, rates and faults. Ctrl-C leaves.
 
 steerd watch
 steerd watch --lab screen
@@ -14,13 +14,14 @@ from steerd.steer_bus.clock import Clock, MonotonicClock
 from steerd.steer_bus.topics import make_key
 
 REFRESH_NS = 100_000_000
+"""Time between two refreshes [ns]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which car, and how long."""
     add_bus_arguments(parser)
     parser.add_argument("--name", help="the car's name (default: the only one on the bus)")
-    parser.add_argument("--seconds", type=float, metavar="S", help="leave after so long")
+    parser.add_argument("--seconds", type=float, metavar="S", help="leave after this time")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -38,16 +39,16 @@ def run(args: argparse.Namespace) -> int:
     with connect(args) as bus:
         car = find_car(bus, args.name)
         watch = Watch(Dashboard(f"steerd watch · {car}"))
-        heard = bus.subscribe(make_key(car, "*"), DEPTH)
+        received = bus.subscribe(make_key(car, "*"), DEPTH)
         end = None if args.seconds is None else clock.now_ns() + round(args.seconds * SECOND)
         console = Console()
         try:
             if not console.is_terminal:
-                _lines(watch, heard, clock, end)
+                _print_lines(watch, received, clock, end)
                 return ExitCode.OK
             with Live(console=console, auto_refresh=False, screen=False) as live:
                 while end is None or clock.now_ns() < end:
-                    for sample in heard.poll():
+                    for sample in received.poll():
                         watch.take(sample, clock.now_ns())
                     live.update(watch.render(clock.now_ns()), refresh=True)
                     clock.sleep_until_ns(clock.now_ns() + REFRESH_NS)
@@ -56,14 +57,14 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.OK
 
 
-def _lines(watch: Watch, heard: Subscription, clock: Clock, end: int | None) -> None:
-    """For pipes: changes at once, a line each second."""
+def _print_lines(watch: Watch, received: Subscription, clock: Clock, end: int | None) -> None:
+    """For pipes: transitions at once, one line per second."""
     due = clock.now_ns() + SECOND
     while end is None or clock.now_ns() < end:
-        for sample in heard.poll():
-            said = watch.take(sample, clock.now_ns())
-            if said is not None:
-                print(said, flush=True)
+        for sample in received.poll():
+            line = watch.take(sample, clock.now_ns())
+            if line is not None:
+                print(line, flush=True)
         if clock.now_ns() >= due:
             due += SECOND
             print(watch.line(clock.now_ns()), flush=True)

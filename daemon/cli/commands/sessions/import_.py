@@ -1,4 +1,4 @@
-"""Turn a lab's own log into a session: a csv file through a map, or a ROS 1 or ROS 2 bag.
+"""Turn another system's log into a session: a csv file or a ROS 1 or ROS 2 bag.
 
 steerd import csv RUN.csv --map MAP.toml -o RUN.mcap
 steerd import bag RUN.bag --topic /vrpn/car/pose -o RUN.mcap
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import, then say what came out of it.
+    """Import, then print what the session holds.
 
     Raises:
         SteerdError: the log, its map or the output cannot be used.
@@ -54,16 +54,17 @@ def run(args: argparse.Namespace) -> int:
         choice = BagChoice(tuple(args.topic), args.rigid)
         with show_progress(f"reading {args.source.name}", 1.0) as advance:
             report = import_bag(args.source, args.map, args.output, choice, advance)
-    _tell(report.path, report.notes)
+    _print_result(report.path, report.notes)
     return ExitCode.OK
 
 
-def _tell(path: Path, notes: tuple[str, ...]) -> None:
+def _print_result(path: Path, notes: tuple[str, ...]) -> None:
+    from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.sessions.info import load_session, make_session_report
     from steerd.daemon.sessions.text import format_report
 
     report = make_session_report(load_session(path))
     print(format_report(report))
     for note in (*notes, *report.warnings):
-        print(f"warning: {note}", file=sys.stderr)
+        print_labelled("warning: ", note, sys.stderr)
     print(f"\nwritten: {path}\n   next: steerd identify {path}")

@@ -1,4 +1,4 @@
-"""What is in a session, on one screen: car, time, topics, states, how the car moved, how it ended.
+"""Contents of a session: car, time, states, motion, topics, and how it ended.
 
 steerd info SESSION.mcap
 steerd info SESSION.mcap --json
@@ -11,7 +11,7 @@ from steerd.daemon.common.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The session and the form of the answer."""
+    """The session and the form of the output."""
     parser.add_argument("session", type=Path, metavar="SESSION", help="a session file (.mcap)")
     parser.add_argument("--json", action="store_true", help="the same for programs")
 

@@ -1,6 +1,6 @@
-"""A drive as one page: track over lane, errors, commands against measurements, timing.
+"""A drive as one HTML page: track, errors, commands and measurements, timing.
 
-The page needs no network: mail it, or keep it beside the session.
+The page needs no network: send it by mail, or keep it beside the session.
 
 steerd plot SESSION.mcap -o DRIVE.html
 """

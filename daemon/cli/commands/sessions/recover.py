@@ -1,4 +1,4 @@
-"""Rebuild the session of a recorder that was killed: all that can be read, in a whole new file.
+"""Rebuild the session of a killed recorder: all that can be read, in a new file.
 
 steerd recover SESSION.mcap.partial
 """
@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Copy what can be read and say what was saved and what was lost.
+    """Copy what can be read and print what was saved and what was lost.
 
     Raises:
         SteerdError: the file cannot be read, holds nothing, or the new one cannot be written.
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     out: Path = args.output or default_output(source)
     session = load_session(source)
     if session.info().finished and not session.warnings:
-        print(f"{source} is whole: nothing to recover")
+        print(f"{source} is complete: nothing to recover")
         return ExitCode.OK
     if not session.info().count:
         raise SteerdError(f"{source} holds no message that can be read", "", ExitCode.INVALID)
@@ -44,9 +44,7 @@ def run(args: argparse.Namespace) -> int:
         raise make_session_error(error) from error
     print_warnings([warning.message for warning in report.warnings])
     print(f"saved    {report.messages} messages, {session.info().duration_s:.1f} s")
-    print(
-        f"lost     {report.lost_bytes} bytes that make no sense, and what was not yet on the disk"
-    )
+    print(f"lost     {report.lost_bytes} unreadable bytes, and data not yet on the disk")
     print(f"longest  {report.longest_gap_s:.3g} s without any message")
     print(f"\nwritten: {report.path}\n   next: steerd info {report.path}")
     return ExitCode.OK

@@ -1,4 +1,4 @@
-"""Feed a recorded session through the loop again and report every command that differs."""
+"""Feed a recorded session through the loop and report commands that differ."""
 
 import argparse
 from pathlib import Path
@@ -26,6 +26,6 @@ def run(args: argparse.Namespace) -> int:
         if count <= args.show:
             print(describe_difference(difference, first_ns))
     code = check_same(count, going.ticks)
-    verdict = f"{count} of them differ" if count else "every one is the recorded one"
-    print(f"{going.ticks} orders replayed: {verdict}")
+    verdict = f"{count} of them differ" if count else "all equal the recorded ones"
+    print(f"{going.ticks} commands replayed: {verdict}")
     return code

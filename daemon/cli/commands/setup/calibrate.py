@@ -1,10 +1,10 @@
-"""Find the steering's centre, gain and limits: from a session, or at the car with the keys.
+"""Calibrate the steering's centre, gain and limits, from a session or by keys.
 
 steerd calibrate servo DRIVE.mcap -o car.toml
 steerd calibrate servo --port /dev/ttyACM0 --car car.toml -o car.toml
 
-With --port only the servo moves, never the motor; lift the front wheels. Arrow keys steer; note the
-centre, the left and the right stop.
+With --port only the servo moves, never the motor; lift the front wheels. Arrow
+keys steer; set the centre, the left and the right stop where the servo is.
 """
 
 import argparse
@@ -46,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _from_session(args: argparse.Namespace) -> int:
+    from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.settings.car_edit import load_text
     from steerd.daemon.setup.calibration_data import load_recorded, make_motion, steering_commands
     from steerd.daemon.setup.steering_calibration import calibrate_steering
@@ -57,8 +58,8 @@ def _from_session(args: argparse.Namespace) -> int:
     )
     scaling = servo_scaling(found, r.settings.scaling)
     print("\n".join(_describe(found, scaling)))
-    for doubt in found.warnings:
-        print(f"warning: {doubt}", file=sys.stderr)
+    for warning in found.warnings:
+        print_labelled("warning: ", warning, sys.stderr)
     text = load_text(args.car) if args.car else r.text
     return _finish(args, text, servo_values(scaling))
 
@@ -90,11 +91,11 @@ def servo_values(scaling: "Scaling") -> dict[tuple[str, str], float]:
 
 
 def _describe(found: "SteeringCalibration", scaling: "Scaling") -> list[str]:
-    stops = {True: "a stop", False: "no stop met"}
+    stops = {True: "a stop", False: "no stop reached"}
     return [
-        f"wheels = {found.gain:.3f} ± {found.sd_gain:.3f} × command "
-        f"{degrees(found.bias):+.2f}° ± {degrees(found.sd_bias):.2f}°, "
-        f"{1e3 * found.delay:.0f} ms after it (lag included)",
+        f"wheel angle = {found.gain:.3f} ± {found.sd_gain:.3f} × command "
+        f"{degrees(found.bias):+.2f}° ± {degrees(found.sd_bias):.2f}°",
+        f"delay {1e3 * found.delay:.0f} ms, lag included",
         f"reached {degrees(found.left):.1f}° left ({stops[found.clipped_left]}), "
         f"{degrees(-found.right):.1f}° right ({stops[found.clipped_right]})",
         f"servo: gain {scaling.servo_gain:.4f} per rad, centre {scaling.servo_offset:.4f}, "
@@ -127,6 +128,6 @@ def _from_keys(args: argparse.Namespace) -> int:
     print("only the servo moves; lift the front wheels", file=sys.stderr)
     scaling = steer_by_keys(args.port, settings.scaling, MonotonicClock())
     if scaling is None:
-        print("left without a change")
+        print("nothing was changed")
         return ExitCode.INTERRUPTED
     return _finish(args, load_text(path), servo_values(scaling))

@@ -1,4 +1,4 @@
-"""The car file: print a commented default, check one, exchange gains with F1TENTH's vesc.yaml.
+"""The car file: print a default, check one, convert gains of F1TENTH's vesc.yaml.
 
 steerd config > car.toml
 steerd config --check car.toml
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to do with the car file."""
-    parser.add_argument("--check", type=Path, metavar="FILE.toml", help="say whether it is right")
+    parser.add_argument("--check", type=Path, metavar="FILE.toml", help="check this car file")
     parser.add_argument(
         "--from-vesc-yaml", type=Path, metavar="FILE", help="print a car file with its gains"
     )
@@ -60,7 +60,7 @@ def _check(path: Path) -> int:
     from steerd.daemon.settings.run_options import RunOptions
 
     settings = load_settings(path)
-    # The design is part of the check: a car that no controller can be made for is not right.
+    # The design is part of the check: a car file without a stable controller is refused.
     plan = make_plan(
         RunOptions(str(path), path="circle:radius=3", speed=settings.controller.speed), settings
     )
@@ -70,7 +70,7 @@ def _check(path: Path) -> int:
 
 
 def describe(settings: "Settings") -> list[str]:
-    """What a car file amounts to, to be compared with the car on the table."""
+    """Summary of a car file, to compare with the car."""
     from steerd.vesc_link.scaling import steer_limits
 
     car, scaling, limits = settings.file.car, settings.scaling, settings.limits
@@ -102,7 +102,7 @@ def _read(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or "this is no text"
+        why = getattr(error, "strerror", None) or "not a text file"
         raise SteerdError(
             f"{path}: {why}", "name F1TENTH's vesc.yaml", ExitCode.UNREADABLE
         ) from None

@@ -1,10 +1,10 @@
-"""Certificates of a lab: for the car, for who may drive it, for who may watch it.
+"""Certificates of a lab: for the car, its operators and its viewers.
 
-steerd keys lab --host 192.168.1.20 --operator desk --operator laptop --viewer screen
+steerd keys lab --host 192.168.1.20 --operator desk --viewer screen
 
-makes a folder for each of them under ./lab. Copy a folder to its machine and name it there:
-`steerd run --lab lab/car1 …` on the car, `steerd start --lab desk` on the desk. Later,
-`steerd keys lab --operator new` adds somebody.
+makes a folder for each of them under ./lab. Copy a folder to its machine and
+name it there: `steerd run --lab lab/car1 …` on the car, `steerd start --lab
+desk` on the desk. Later, `steerd keys lab --operator new` adds somebody.
 """
 
 import argparse
@@ -23,7 +23,7 @@ ROSTER = "lab.toml"
 
 
 class Roster(NamedTuple):
-    """Who belongs to a lab; written into each folder as `lab.toml`."""
+    """Members of a lab; written into each folder as `lab.toml`."""
 
     car: str
     endpoint: str
@@ -50,12 +50,12 @@ def run(args: argparse.Namespace) -> int:
     """Run the command.
 
     Raises:
-        SteerdError: something is there already, or a name makes no sense.
+        SteerdError: a file exists already, or a name is not valid.
     """
     if not 0.0 < args.years <= 50.0 or not 0 < args.port < 65536:
         raise SteerdError("--years: up to 50; --port: 1 to 65535", "", ExitCode.USAGE)
     if args.host is not None and not args.host.strip():
-        raise SteerdError("--host: no address", "--host 192.168.1.20", ExitCode.USAGE)
+        raise SteerdError("--host is empty", "--host 192.168.1.20", ExitCode.USAGE)
     try:
         import steerd.daemon.cli.certificates  # noqa: F401
     except ImportError:
@@ -106,14 +106,14 @@ def _add(args: argparse.Namespace, now: datetime) -> Roster:
 
 
 def _enrol(args: argparse.Namespace, roster: Roster) -> Roster:
-    """The roster with the new names in it; nothing is written while a name makes no sense."""
+    """The roster with the new names; nothing is written before all of them are checked."""
     from steerd.daemon.cli.certificates import check_name
 
     known = {roster.car, *roster.operators, *roster.viewers}
     for name in map(check_name, _names(args)):
         if name in known:
-            hint = "one name for one certificate; it stays as it is"
-            raise SteerdError(f"{name!r} is there already", hint, ExitCode.USAGE)
+            hint = "choose another name; a certificate is never replaced"
+            raise SteerdError(f"{name!r} exists already", hint, ExitCode.USAGE)
         known.add(name)
     return roster._replace(
         operators=(*roster.operators, *args.operator), viewers=(*roster.viewers, *args.viewer)
@@ -145,7 +145,7 @@ def _read_roster(folder: Path) -> Roster:
 def _write_roster(folder: Path, roster: Roster, added: tuple[str, ...], *, car_new: bool) -> None:
     from steerd.daemon.cli.certificates import AUTHORITY, write_private
 
-    text = "# Made by steerd keys. On the car this list decides: who is not in it gets nothing.\n"
+    text = "# Made by steerd keys. The car admits only the names in its copy of this list.\n"
     for key, value in roster._asdict().items():
         text += f"{key} = {json.dumps(value)}\n"
     data = text.encode()
@@ -157,7 +157,7 @@ def _write_roster(folder: Path, roster: Roster, added: tuple[str, ...], *, car_n
 
 
 def explain(folder: Path, roster: Roster, *, began: bool, added: tuple[str, ...]) -> str:
-    """What to copy where, in a screenful."""
+    """Which folder to copy to which machine."""
     car = folder / roster.car
     width = max(len(str(folder / name)) for name in (roster.car, "authority", *added))
     what = f"to the car: steerd run --lab {roster.car} …"
@@ -170,10 +170,11 @@ def explain(folder: Path, roster: Roster, *, began: bool, added: tuple[str, ...]
         else:
             what = f"to who may watch: steerd watch --lab {name}"
         lines.append(f"{folder / name!s:<{width}}  {what}")
-    lines.append(f"{folder / 'authority'!s:<{width}}  nowhere: who has it can make operators")
+    lines.append(f"{folder / 'authority'!s:<{width}}  keep it safe: its owner can make operators")
     lines += [
         "",
-        f"The car listens on {roster.endpoint}. Copy with `scp -rp`, so that keys stay private.",
-        f"To shut somebody out, take the name out of {ROSTER} on the car, and start steerd again.",
+        f"The car listens on {roster.endpoint}.",
+        "Copy with `scp -rp`, which keeps the keys private.",
+        f"To remove somebody, delete the name from {ROSTER} on the car and restart steerd.",
     ]
     return "\n".join(lines)

@@ -1,10 +1,10 @@
-"""Is motion capture set up right, and where does its body sit on the car?
+"""Check motion capture; calibrate the place of its body on the car.
 
-steerd mocap check --mocap natnet://192.168.1.10/car     push the car 1 m forward by hand
+steerd mocap check --mocap natnet://HOST/car     push the car 1 m forward
 steerd mocap check DRIVE.mcap
-steerd mocap calibrate DRIVE.mcap -o car.toml            from one slow drive, both sides
+steerd mocap calibrate DRIVE.mcap -o car.toml    from one slow drive
 
-A drive for calibration: a minute below 1.5 m/s, a figure of eight, at more than one speed.
+For calibration, drive figures of eight for a minute at two speeds < 1.5 m/s.
 """
 
 import argparse
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The two questions."""
+    """Check or calibrate."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="check|calibrate")
     check = kinds.add_parser("check", help="units, axes and heading, from a short push or a drive")
     check.add_argument("session", nargs="?", type=Path, metavar="SESSION")
@@ -114,6 +114,7 @@ def _check_live(args: argparse.Namespace) -> "list[Check]":
 def _calibrate(args: argparse.Namespace) -> int:
     from steerd.daemon.common.atomic_file import write_whole
     from steerd.daemon.common.outputs import check_outputs
+    from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.settings.car_edit import edit_text, load_text
     from steerd.daemon.setup.calibration_data import load_recorded, make_drive
     from steerd.daemon.setup.mount_calibration import calibrate_mount
@@ -123,8 +124,8 @@ def _calibrate(args: argparse.Namespace) -> int:
     found = calibrate_mount(make_drive(r), r.settings.file.car)
     values = new_values(found, r)
     print("\n".join(_describe(found, r)))
-    for doubt in found.warnings:
-        print(f"warning: {doubt}", file=sys.stderr)
+    for warning in found.warnings:
+        print_labelled("warning: ", warning, sys.stderr)
     base = load_text(args.car) if args.car else r.text
     text = edit_text(base, values)
     if args.output is None:
@@ -136,7 +137,7 @@ def _calibrate(args: argparse.Namespace) -> int:
 
 
 def new_values(found: "MountCalibration", r: "Recorded") -> dict[tuple[str, str], float]:
-    """What goes into the car file. A delay within its error of zero is none."""
+    """New values of the car file; a delay within two standard errors of zero becomes zero."""
     m, sd = found.mount, found.sd
     delay = m.delay if m.delay > 2.0 * sd.delay else 0.0
     return {

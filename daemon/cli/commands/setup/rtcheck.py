@@ -1,7 +1,7 @@
-"""Measure whether this machine keeps a control loop's time, with what the kernel allows.
+"""Measure whether this machine can run a control loop on time.
 
-Run it beside everything that will run during a drive. The exit code is 5 where a car would be
-stopped for late ticks, or nearly so.
+Run it beside everything that will run during a drive. The exit code is 5 where
+late ticks would stop a car, or nearly so.
 """
 
 import argparse
@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
 
     if not (0.1 <= args.seconds <= 3600.0 and 20.0 <= args.rate <= 1000.0):
         hint = "--seconds 0.1 to 3600, --rate 20 to 1000"
-        raise SteerdError("nothing to measure", hint, ExitCode.USAGE)
+        raise SteerdError("--seconds or --rate is out of range", hint, ExitCode.USAGE)
     print(f"measuring for {args.seconds:g} s …", file=sys.stderr, flush=True)
     report = enter_realtime()
     settle_memory()
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     for line in report.refused:
         print(f"note: {line}")
     if wakes.good:
-        print("this machine keeps time")
+        print("this machine is fast enough")
         return ExitCode.OK
-    print("this machine does not keep time: close other programs, allow a fixed priority")
+    print("this machine is too slow: close other programs, allow a fixed priority")
     return ExitCode.STOPPED

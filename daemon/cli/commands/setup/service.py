@@ -1,10 +1,10 @@
-"""Run steerd as a systemd service that comes up disarmed; write or print its unit and udev file.
+"""Run steerd as a systemd service that starts disarmed: its unit and udev file.
 
-steerd service install --user --port /dev/vesc --mocap natnet://192.168.1.10/car --car car.toml
-steerd service print --port /dev/vesc --mocap natnet://192.168.1.10/car
+steerd service install --user --port /dev/vesc --mocap natnet://HOST/car
+steerd service print --port /dev/vesc --mocap natnet://HOST/car
 steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules
 
-All options of `steerd run` are taken, and checked before anything is written.
+All options of `steerd run` are accepted and checked before anything is written.
 """
 
 import argparse
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     """Write, remove or print.
 
     Raises:
-        SteerdError: the options are wrong, a unit is in the way, or a file cannot be written.
+        SteerdError: the options are wrong, a unit exists already, or a file cannot be written.
     """
     from steerd.daemon.cli.service import udev_text, unit_path
 
@@ -52,49 +52,49 @@ def _unit(args: argparse.Namespace, user: bool) -> str:
     from steerd.daemon.cli.service import make_unit
 
     if args.fast or args.auto_arm:
-        what = "a service comes up disarmed and in real time"
+        what = "a service starts disarmed and runs in real time"
         raise SteerdError(what, "leave out --fast and --auto-arm", ExitCode.USAGE)
     make_plan(run_command.make_options(args))
-    command = [sys.executable, "-m", "steerd", "run", *run_words(args)]
+    command = [sys.executable, "-m", "steerd", "run", *make_run_arguments(args)]
     return make_unit(command, args.name, user=user)
 
 
-def run_words(args: argparse.Namespace) -> list[str]:
-    """The options of `steerd run` that differ from their defaults, as words of a command line.
+def make_run_arguments(args: argparse.Namespace) -> list[str]:
+    """The options of `steerd run` that differ from their defaults, as arguments.
 
     A service has another working directory, so files are named in full.
     """
     parser = argparse.ArgumentParser()
     run_command.add_arguments(parser)
-    words: list[str] = []
+    arguments: list[str] = []
     for action in parser._actions:  # noqa: SLF001 (argparse has no public list)
         value = getattr(args, action.dest, action.default)
         if value == action.default or not action.option_strings:
             continue
         name = action.option_strings[0]
         if value is True:
-            words.append(name)
+            arguments.append(name)
         elif isinstance(value, list):
-            words += [word for each in value for word in (name, str(each))]
+            arguments += [part for each in value for part in (name, str(each))]
         else:
-            words += [name, _absolute(str(value), action.dest)]
-    return words
+            arguments += [name, _absolute(str(value), action.dest)]
+    return arguments
 
 
-def _absolute(word: str, dest: str) -> str:
+def _absolute(text: str, dest: str) -> str:
     if dest in ("car", "record"):
-        return str(Path(word).resolve())
-    if dest == "path" and word.startswith("csv:"):
-        file, comma, rest = word.removeprefix("csv:").partition(",")
+        return str(Path(text).resolve())
+    if dest == "path" and text.startswith("csv:"):
+        file, comma, rest = text.removeprefix("csv:").partition(",")
         return f"csv:{Path(file).resolve()}{comma}{rest}"
-    return word
+    return text
 
 
 def _install(path: Path, text: str, user: bool, *, force: bool) -> int:
     from steerd.daemon.common.atomic_file import write_whole
 
     if path.exists() and path.read_text() != text and not force:
-        raise SteerdError(f"{path} is there already", "--force replaces it", ExitCode.USAGE)
+        raise SteerdError(f"{path} exists already", "--force replaces it", ExitCode.USAGE)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

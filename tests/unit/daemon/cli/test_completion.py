@@ -24,10 +24,10 @@ def script(tmp_path_factory):
     return path
 
 
-def complete(script, *words):
-    line = " ".join(f'"{word}"' for word in words)
+def complete(script, *typed):
+    line = " ".join(f'"{word}"' for word in typed)
     call = (
-        f"source {script}; COMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; "
+        f"source {script}; COMP_WORDS=({line}); COMP_CWORD={len(typed) - 1}; "
         '_shtab_steerd steerd "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD-1]}"; '
         'printf "%s\\n" "${COMPREPLY[@]}"'
     )
@@ -60,8 +60,8 @@ def test_values_of_options_and_kinds_of_commands(script):
 def test_files_where_a_file_is_wanted(script, tmp_path):
     (tmp_path / "drive.mcap").touch()
     (tmp_path / "lab").mkdir()
-    for words in (("info",), ("run", "--car"), ("run", "--record"), ("plot", "-o")):
-        assert complete(script, "steerd", *words, f"{tmp_path}/dri") == [f"{tmp_path}/drive.mcap"]
+    for typed in (("info",), ("run", "--car"), ("run", "--record"), ("plot", "-o")):
+        assert complete(script, "steerd", *typed, f"{tmp_path}/dri") == [f"{tmp_path}/drive.mcap"]
     assert complete(script, "steerd", "run", "--lab", f"{tmp_path}/") == [f"{tmp_path}/lab"]
 
 

@@ -17,8 +17,8 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 
-def keys(folder, *words):
-    return run_cli(["keys", str(folder), *words])
+def keys(folder, *arguments):
+    return run_cli(["keys", str(folder), *arguments])
 
 
 @pytest.fixture
@@ -110,10 +110,10 @@ def test_what_to_copy_where_is_a_screenful(lab, capsys):
     said = capsys.readouterr().out.splitlines()
     assert len(said) < 20
     assert any("tv" in line and "steerd watch --lab tv" in line for line in said)
-    assert any("authority" in line and "nowhere" in line for line in said)
+    assert any("authority" in line and "keep it safe" in line for line in said)
 
 
-def test_people_are_added_and_the_car_is_told(lab):
+def test_people_are_added_and_the_car_s_list_is_new(lab):
     before = files(lab)
     assert keys(lab, "--operator", "ann", "--viewer", "tv") == ExitCode.OK
     after = load_lab(lab / "car1")
@@ -135,7 +135,7 @@ def test_people_are_added_when_the_car_s_folder_has_moved_away(lab):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         ("--host", "10.0.0.9"),
         ("--host", "10.0.0.9", "--operator", "new"),
@@ -154,14 +154,14 @@ def test_people_are_added_when_the_car_s_folder_has_moved_away(lab):
         ("--operator", "new", "--port", "70000"),
     ],
 )
-def test_what_is_there_stays_as_it_is(lab, words, capsys):
+def test_what_is_there_stays_as_it_is(lab, arguments, capsys):
     before = files(lab)
-    assert keys(lab, *words) not in (ExitCode.OK, ExitCode.INTERNAL)
+    assert keys(lab, *arguments) not in (ExitCode.OK, ExitCode.INTERNAL)
     assert files(lab) == before
     assert capsys.readouterr().err.startswith("steerd: ")
 
 
-def test_a_folder_in_the_way_is_not_written_over(lab):
+def test_a_folder_with_the_name_is_not_overwritten(lab):
     (lab / "new").mkdir()
     assert keys(lab, "--operator", "new") == ExitCode.UNREADABLE
     assert list((lab / "new").iterdir()) == []
@@ -182,7 +182,7 @@ def test_adding_needs_a_lab(tmp_path, capsys):
 
 def test_a_lab_without_an_address_is_none(tmp_path, capsys):
     assert keys(tmp_path / "lab", "--host", " ") == ExitCode.USAGE
-    assert "--host: no address" in capsys.readouterr().err
+    assert "--host is empty" in capsys.readouterr().err
     assert not (tmp_path / "lab").exists()
 
 
@@ -205,14 +205,14 @@ RUN = ("run", "--sim", "--lab")
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "said"),
     [
         (("--name", "car2"), "are for 'car1', not 'car2'"),
-        (("--listen", "tcp/10.0.0.5:7447"), "--lab speaks TLS"),
+        (("--listen", "tcp/10.0.0.5:7447"), "--lab uses TLS"),
     ],
 )
-def test_run_refuses_what_does_not_fit(lab, words, said, capsys):
-    assert run_cli([*RUN, str(lab / "car1"), *words]) == ExitCode.USAGE
+def test_run_refuses_what_does_not_fit(lab, arguments, said, capsys):
+    assert run_cli([*RUN, str(lab / "car1"), *arguments]) == ExitCode.USAGE
     assert said in capsys.readouterr().err
 
 

@@ -1,12 +1,13 @@
 """The command line's last resorts: a bug, a reader that is gone, a key pressed in the middle."""
 
-import os
+import io
+import subprocess
+import sys
 
 import pytest
 
-from steerd.daemon.cli.main import run_cli
-from steerd.daemon.common.errors import ExitCode
-from steerd.daemon.process.core_process import _tell
+from steerd.daemon.cli.main import COMMANDS, run_cli
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import open_session
 
 
@@ -19,21 +20,6 @@ def test_a_bug_has_its_own_code_and_says_that_it_is_one(monkeypatch, capsys):
     error = capsys.readouterr().err
     assert "ZeroDivisionError: in a command" in error
     assert error.splitlines()[-1].startswith("steerd: this is a bug in steerd")
-
-
-def test_a_core_whose_parent_is_gone_has_nobody_to_tell():
-    reading, writing = os.pipe()
-    os.close(reading)
-    _tell(writing, {"what": "no port"})
-    os.close(writing)
-
-
-def test_a_core_tells_its_parent():
-    reading, writing = os.pipe()
-    _tell(writing, {"what": "no port"})
-    assert os.read(reading, 100) == b'{"what": "no port"}\n'
-    os.close(reading)
-    os.close(writing)
 
 
 @pytest.mark.slow
@@ -56,3 +42,50 @@ def test_a_drive_that_was_interrupted_does_not_say_that_it_ended(tmp_path, monke
     info = open_session(path).info()
     assert info.metadata["steerd.end"]["reason"] == "interrupted"
     assert info.count > 10
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_fits_80_columns(name, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit) as ended:
+        run_cli([name, "--help"])
+    assert ended.value.code == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"usage: steerd {name}")
+    assert [line for line in lines if len(line) > 80] == []
+
+
+def test_the_list_of_commands_fits_80_columns_and_imports_no_numpy():
+    code = (
+        "import sys\n"
+        "from steerd.daemon.cli.main import run_cli\n"
+        "try:\n    run_cli(['--help'])\n"
+        "except SystemExit:\n    pass\n"
+        "heavy = {'numpy', 'torch', 'numba', 'shtab', 'rich', 'jinja2'} & set(sys.modules)\n"
+        "sys.exit(str(heavy) if heavy else 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert set(COMMANDS) <= {line.split()[0] for line in lines if line.startswith("  ")}
+
+
+def test_an_error_is_wrapped_on_a_terminal_and_is_one_line_in_a_pipe(monkeypatch, capsys):
+    what, hint = "the car file says something impossible " * 4, "change it"
+
+    def failing(args):
+        raise SteerdError(what.strip(), hint, ExitCode.INVALID)
+
+    monkeypatch.setattr("steerd.daemon.cli.commands.analysis.effects.run", failing)
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run_cli(["effects"]) == ExitCode.INVALID
+    assert capsys.readouterr().err == f"steerd: {what.strip()}\n   try: change it\n"
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True
+    monkeypatch.setattr(sys, "stderr", terminal)
+    assert run_cli(["effects"]) == ExitCode.INVALID
+    lines = terminal.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert len(lines) == 4
+    assert lines[1].startswith("        ")

@@ -3,7 +3,6 @@
 import configparser
 import shlex
 import shutil
-import socket
 import subprocess
 import sys
 
@@ -12,7 +11,6 @@ import pytest
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.cli.service import make_unit, unit_path
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.ipc.sd_notify import make_notify
 from steerd.daemon.setup.probe import UDEV_RULE
 
 OPTIONS = ["--port", "/dev/vesc", "--mocap", "natnet://10.0.0.2/car?up=y&unicast=1"]
@@ -82,8 +80,8 @@ def test_what_could_not_run_is_not_installed(home, wrong):
 def test_arguments_with_meaning_to_systemd_survive():
     unit = make_unit(["steerd", "a b", "50%", "$HOME"], "car1", user=False)
     line = read(unit)["Service"]["ExecStart"]
-    words = [w.replace("%%", "%").replace("$$", "$") for w in shlex.split(line)]
-    assert words == ["steerd", "a b", "50%", "$HOME"]
+    parts = [w.replace("%%", "%").replace("$$", "$") for w in shlex.split(line)]
+    assert parts == ["steerd", "a b", "50%", "$HOME"]
     assert read(unit)["Install"]["WantedBy"] == "multi-user.target"
     with pytest.raises(SteerdError, match="unit file"):
         make_unit(["steerd", "a\nExecStartPre=x"], "car1", user=True)
@@ -110,22 +108,3 @@ def test_where_units_lie(tmp_path):
 def test_udev(capsys):
     assert run_cli(["service", "udev"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == UDEV_RULE
-
-
-@pytest.mark.parametrize("abstract", [False, True])
-def test_notifications_arrive_and_never_block(tmp_path, abstract):
-    name = f"@steerd-test-{tmp_path.name}" if abstract else str(tmp_path / "notify")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
-        manager.bind("\0" + name[1:] if abstract else name)
-        manager.settimeout(2.0)
-        notify = make_notify({"NOTIFY_SOCKET": name})
-        notify("READY=1")
-        assert manager.recv(64) == b"READY=1"
-        for _ in range(2000):  # more than the queue holds
-            notify("WATCHDOG=1")
-    notify("WATCHDOG=1")  # the manager is gone
-
-
-def test_without_a_manager_nothing_happens():
-    make_notify({})("READY=1")
-    make_notify({"NOTIFY_SOCKET": "elsewhere"})("READY=1")

@@ -1,0 +1,48 @@
+"""`steerd status` on a terminal of 80 columns."""
+
+from steerd.daemon.cli.commands.driving.status import LABEL, format_status
+
+STATUS = {
+    "state": "DISARMED",
+    "reason": "start",
+    "waiting": "an operator: steerd arm",
+    "warnings": "",
+    "firmware": "6.05",
+    "uuid": "ab" * 12,
+    "vesc_timeout_ms": "150",
+    "mocap": "natnet streaming",
+    "mocap_rate_hz": "240",
+    "controller": "lane",
+}
+
+
+def test_one_line_for_each_fact():
+    assert format_status("car1", STATUS) == [
+        "car1: DISARMED — start",
+        "waiting for: an operator: steerd arm",
+        "VESC:        firmware 6.05, timeout 150 ms",
+        "UUID:        abababababababababababab",
+        "mocap:       natnet streaming, 240 Hz",
+        "controller:  lane",
+    ]
+
+
+def test_long_texts_are_wrapped_between_words_and_indented():
+    long = "the mocap poses are older than 30 ms, the VESC answers late and the battery is low " * 2
+    lines = format_status("car1", STATUS | {"reason": long, "waiting": long, "warnings": long})
+    assert max(map(len, lines)) <= 80
+    assert sum(line.startswith("warning:") for line in lines) == 1
+    assert " ".join(" ".join(lines).split()).count(long.strip()) == 3
+    later = [line for line in lines if line.startswith(" ")]
+    assert len(later) >= 6
+    assert all(line[:LABEL].isspace() and not line[LABEL].isspace() for line in later)
+
+
+def test_each_warning_has_a_line_of_its_own():
+    lines = format_status("car1", STATUS | {"warnings": "no fixed priority\n\nlow battery"})
+    assert lines[2:4] == ["warning:     no fixed priority", "warning:     low battery"]
+
+
+def test_a_daemon_without_a_vesc_or_mocap_has_a_status_too():
+    bare = {"state": "INIT", "reason": "start", "waiting": "the serial port"}
+    assert "VESC:        firmware ?, timeout ? ms" in format_status("blue", bare)
