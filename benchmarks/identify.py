@@ -25,7 +25,14 @@ from numpy.typing import NDArray
 
 from steerd.car_model.model import Model
 from steerd.car_model.params import GRAVITY, Car
-from steerd.sysid.compiler.kernels import Held, Kernels, lane_view, make_kernels, make_lanes, march
+from steerd.sysid.compiler.kernels import (
+    HeldCommands,
+    Kernels,
+    make_kernels,
+    make_window_blocks,
+    march,
+    view_by_window,
+)
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.estimation.fit import TYRES, Fit, Options, fit
 from steerd.sysid.estimation.objective import Evaluation, Problem
@@ -57,11 +64,11 @@ INTEGRATOR = "euler"
 
 def drive(kernels: Kernels, car: Car[float], commands: Array, first: Array) -> Array:
     """States (N + 1, 7) every 0.01 s."""
-    held = Held(commands, H, round(H / PAPER_STEP), INTEGRATOR)
-    lanes = make_lanes(np.array([[0, len(commands), 0]]), np.zeros(1))
+    held = HeldCommands(commands, H, round(H / PAPER_STEP), INTEGRATOR)
+    blocks = make_window_blocks(np.array([[0, len(commands), 0]]), np.zeros(1))
     steps = len(commands) * held.substeps
-    path = march(kernels, np.array(car), first[None], held, lanes, steps)
-    return np.ascontiguousarray(lane_view(path, 1)[0, :: held.substeps])
+    path = march(kernels, np.array(car), first[None], held, blocks, steps)
+    return np.ascontiguousarray(view_by_window(path, 1)[0, :: held.substeps])
 
 
 def circles(kernels: Kernels, car: Car[float], rng: np.random.Generator) -> list[Run]:

@@ -25,13 +25,13 @@ from timing import Timed, timed
 
 from steerd.car_model.params import Car
 from steerd.sysid.compiler.kernels import (
-    Held,
+    HeldCommands,
     Kernels,
-    lane_view,
     make_kernels,
-    make_lanes,
+    make_window_blocks,
     march,
     march_back,
+    view_by_window,
 )
 from steerd.sysid.paper.torch_kernel import simulate
 from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, simulate_reference
@@ -81,21 +81,21 @@ def bare(kernels: Kernels, runs: int, steps: int) -> Callable[[], Any]:
     """March and march back without torch; the loss's derivative by the states is given."""
     first, commands = make_task(runs, steps)
     low = np.arange(runs) * steps
-    lanes = make_lanes(np.stack([low, low + steps, low], axis=1), np.zeros(runs))
-    held = Held(commands.reshape(-1, 2), H)
+    blocks = make_window_blocks(np.stack([low, low + steps, low], axis=1), np.zeros(runs))
+    held = HeldCommands(commands.reshape(-1, 2), H)
     parameters = np.array(CAR)
-    bars = np.zeros((steps + 1, 7, lanes.breadth))
+    bars = np.zeros((steps + 1, 7, blocks.slots))
 
     def call() -> Any:
-        path = march(kernels, parameters, first, held, lanes, steps)
+        path = march(kernels, parameters, first, held, blocks, steps)
         np.multiply(path[:, :2], 2.0, out=bars[:, :2])
-        return march_back(kernels, parameters, path, _seen(bars, runs), held, lanes)
+        return march_back(kernels, parameters, path, _seen(bars, runs), held, blocks)
 
     return call
 
 
 def _seen(bars: Array, runs: int) -> Array:
-    view: Array = lane_view(bars, runs)
+    view: Array = view_by_window(bars, runs)
     return view
 
 

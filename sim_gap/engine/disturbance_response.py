@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.sim_gap.engine.engine import Engine
 from steerd.sim_gap.engine.values import first_states, paths, readings_of
-from steerd.sysid.compiler.kernels import Held, delays_of, lane_view, make_lanes, march
+from steerd.sysid.compiler.kernels import (
+    HeldCommands,
+    delays_of,
+    make_window_blocks,
+    march,
+    view_by_window,
+)
 
 Array = NDArray[np.float64]
 
@@ -97,11 +103,11 @@ def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[i
         first[mine, column] += _SIZES[kind] * time * scale
     runs = np.tile(layout.spans[:, :3], (len(kinds), 1))
     runs[:, 2] += middle // engine.substeps
-    lanes = make_lanes(runs, np.tile(layout.t, len(kinds)) + middle * at.fine)
-    held = Held(layout.commands, layout.h, engine.substeps)
+    blocks = make_window_blocks(runs, np.tile(layout.t, len(kinds)) + middle * at.fine)
+    held = HeldCommands(layout.commands, layout.h, engine.substeps)
     steps = at.steps - middle
-    late = march(engine.superset.kernels, at.parameters, first, held, lanes, steps)
-    moved = lane_view(late, len(first))
+    late = march(engine.superset.kernels, at.parameters, first, held, blocks, steps)
+    moved = view_by_window(late, len(first))
     out = {}
     for lane, kind in enumerate(kinds):
         path = at.path.copy()
@@ -125,6 +131,6 @@ def _aimed(at: _Nominal, kind: int, low: int, high: int) -> Array:
     runs = np.column_stack([start, start + width, start + late + 1])
     kernels = engine.superset.kernels
     first = first_states(kernels, engine.readings, at.parameters, at.x, sub)
-    held = Held(commands.reshape(-1, 2), layout.h, sub)
-    path = march(kernels, at.parameters, first, held, make_lanes(runs, layout.t), at.steps)
-    return np.ascontiguousarray(lane_view(path, at.count))
+    held = HeldCommands(commands.reshape(-1, 2), layout.h, sub)
+    path = march(kernels, at.parameters, first, held, make_window_blocks(runs, layout.t), at.steps)
+    return np.ascontiguousarray(view_by_window(path, at.count))

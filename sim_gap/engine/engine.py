@@ -15,7 +15,13 @@ from steerd.sim_gap.engine.readings import Readings
 from steerd.sim_gap.engine.space import Space
 from steerd.sim_gap.engine.superset import Superset
 from steerd.sim_gap.engine.values import predicted
-from steerd.sysid.compiler.kernels import Held, Stations, delays_of, model_of, read
+from steerd.sysid.compiler.kernels import (
+    HeldCommands,
+    Stations,
+    compute_readings,
+    delays_of,
+    model_of,
+)
 from steerd.sysid.estimation.objective import STATE_SPREAD, STATES, STEER_SPREAD_UNKNOWN
 from steerd.sysid.estimation.stability import stable_substeps
 
@@ -143,12 +149,12 @@ class Engine:
         """Errors and derivatives at coordinates `z` and starts `x`."""
         parameters, n = space.chart.parameters(z), len(z)
         kernels, layout = self.superset.kernels, self.readings.layout
-        held = Held(layout.commands, layout.h, self.substeps)
+        held = HeldCommands(layout.commands, layout.h, self.substeps)
         seeds = np.zeros((len(parameters), n + STATES))
         seeds[:, :n] = space.chart.slopes(z)
         dfirst = np.zeros((STATES, n + STATES))
         dfirst[:, n:] = np.eye(STATES)
-        y, jy = read(
+        y, jy = compute_readings(
             kernels, parameters, seeds, x, dfirst, held, layout.kernel_windows(self.substeps),
             self._stations(parameters, held.fine),
         )  # fmt: skip

@@ -15,13 +15,13 @@ from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.state import State
 from steerd.sim_gap.engine.readings import Readings
 from steerd.sysid.compiler.kernels import (
-    Held,
+    HeldCommands,
     Kernels,
     delays_of,
-    lane_view,
-    make_lanes,
+    make_window_blocks,
     march,
     model_of,
+    view_by_window,
 )
 
 Array = NDArray[np.float64]
@@ -80,10 +80,10 @@ def first_states(
         calm[:, 3:6] = 1.0, 0.0, 0.0
         before = layout.spans[:, :3].copy()
         before[:, 2] -= settle
-        lanes = make_lanes(before, layout.t - settle * layout.h)
-        held = Held(layout.commands, layout.h, substeps)
-        path = march(kernels, parameters, calm, held, lanes, settle * substeps)
-        last = lane_view(path[-1:], len(x))[:, 0]
+        blocks = make_window_blocks(before, layout.t - settle * layout.h)
+        held = HeldCommands(layout.commands, layout.h, substeps)
+        path = march(kernels, parameters, calm, held, blocks, settle * substeps)
+        last = view_by_window(path[-1:], len(x))[:, 0]
         kept = [6, *(7 + i for i in _linkage_places(kernels.effects))]
         out[:, kept] = last[:, kept]
     out[:, 6] += x[:, 6]
@@ -96,11 +96,11 @@ def paths(
     """States (W, moments, 7 + memory) of all windows at every integration step."""
     layout = readings.layout
     first = first_states(kernels, readings, parameters, x, substeps)
-    lanes = make_lanes(layout.spans[:, :3], layout.t)
-    held = Held(layout.commands, layout.h, substeps)
+    blocks = make_window_blocks(layout.spans[:, :3], layout.t)
+    held = HeldCommands(layout.commands, layout.h, substeps)
     steps = int(layout.spans[:, 3].max()) * substeps
     return np.ascontiguousarray(
-        lane_view(march(kernels, parameters, first, held, lanes, steps), len(x))
+        view_by_window(march(kernels, parameters, first, held, blocks, steps), len(x))
     )
 
 

@@ -14,7 +14,7 @@ from steerd.sim_gap.engine.space import make_space
 from steerd.sim_gap.verdict.candidates import Score, gain_of, refit, scored
 from steerd.sim_gap.verdict.screen import Promise, extended, screen
 from steerd.sim_gap.verdict.where import conditions, turn_sign
-from steerd.sysid.compiler.codegen import COLUMNS
+from steerd.sysid.compiler.codegen import SENSITIVITIES
 from steerd.sysid.estimation.objective import STATES
 
 Array = NDArray[np.float64]
@@ -237,7 +237,7 @@ def signature_cosines(
 def look_alikes(engine: Engine, fitted: Fitted, nuisance: Sequence[str]) -> dict[str, float]:
     """Cosines with every other effect that has a gradient, as many as a kernel holds."""
     own = set(fitted.space.effects)
-    room, others = COLUMNS - STATES - len(fitted.z), []
+    room, others = SENSITIVITIES - STATES - len(fitted.z), []
     for effect in engine.superset.effects:
         has_gradient = effect.name not in own and not effect.zero_gradient
         if has_gradient and len(effect.parameters) <= room:

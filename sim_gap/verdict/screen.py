@@ -10,7 +10,7 @@ from steerd.car_model.effect import Effect
 from steerd.sim_gap.engine.descent import Fitted, curvature, step_within, total
 from steerd.sim_gap.engine.engine import Engine, Reduced
 from steerd.sim_gap.engine.space import Space, make_space
-from steerd.sysid.compiler.codegen import COLUMNS
+from steerd.sysid.compiler.codegen import SENSITIVITIES
 from steerd.sysid.estimation.objective import STATES
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ def screen(
         e for e in open_effects(engine, fitted.space.effects) if only is None or e.name in only
     ]
     smooth = [e for e in effects if not e.zero_gradient]
-    room = COLUMNS - STATES - len(fitted.z)
+    room = SENSITIVITIES - STATES - len(fitted.z)
     while smooth:
         part: list[Effect] = []
         while smooth and sum(len(e.parameters) for e in (*part, smooth[0])) <= room:

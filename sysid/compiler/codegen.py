@@ -1,8 +1,8 @@
 """From recorded equations to Python source that Numba compiles.
 
-Two forms of each piece are printed. The *point* form works on one state and gives its nonzero
-derivatives; its partner, the *push*, carries sensitivity columns through them. The *lane* form has
-the loop over windows innermost, so that LLVM vectorises the equations themselves; it comes with its
+Each piece is printed in four forms. `*_jac` works on one state and gives its outputs and nonzero
+derivatives; `*_jvp` multiplies rows of sensitivities by these derivatives. `*_rows` has the loop
+over slots innermost, so that LLVM vectorises the equations themselves; `*_vjp` is its
 vector-Jacobian product. What depends on parameters and step alone is computed once per call, in
 `constants`.
 """
@@ -13,22 +13,26 @@ from math import inf
 from typing import NamedTuple
 
 from steerd.car_model.tape import Entry, Node, gradient, needed, source_of
-from steerd.sysid.compiler.simd_rows import LANES
-from steerd.sysid.compiler.specialised import BRISK, Range, specialise
+from steerd.sysid.compiler.layout import row_layout
+from steerd.sysid.compiler.simd_rows import SLOTS
+from steerd.sysid.compiler.specialised import SPECIALISED_SPEED, Range, specialise
 from steerd.sysid.compiler.trace import CHASSIS, Piece, Traced
 
-COLUMNS = 72
-"""Most sensitivity columns; a row is 9 cache lines, so that rows do not share cache sets."""
+SENSITIVITIES = 72
+"""Most sensitivities of a number; a row is 9 cache lines, so that rows do not share cache sets."""
 
 
 class Block(NamedTuple):
-    """A function to print: which inputs it reads from where, and what it writes where."""
+    """A function to print: which inputs it reads from where, and what it writes where.
+
+    `loops`: its body is a loop over the numbers of a row.
+    """
 
     name: str
     arguments: str
     loads: tuple[tuple[Node, str], ...]
     targets: tuple[tuple[str, Node], ...]
-    lanes: bool
+    loops: bool
 
 
 class Slope(NamedTuple):
@@ -49,19 +53,19 @@ class _Constants:
         return self.slots.setdefault(place, len(self.slots))
 
 
-def _row(row: int) -> str:
-    # One workspace with a constant stride: LLVM sees that rows never overlap, and vectorises.
-    return f"w[{row * LANES} + lane]" if row else "w[lane]"
+def _slots(row: int) -> str:
+    # One workspace with a constant stride: LLVM proves that rows never overlap, and vectorises.
+    return f"w[{row * SLOTS} + i]" if row else "w[i]"
 
 
 def _source(entry: Entry, names: Mapping[int, str]) -> str:
-    # Python's own min and max stay as they are for the loops that share the module.
+    # min and max keep Python's meaning for the loops that share the module.
     own = {"min": "least", "max": "greatest"}.get(entry.op, entry.op)
     return source_of(entry._replace(op=own), names)
 
 
-def _column(row: int) -> str:
-    return f"w[{row * COLUMNS} + lane]" if row else "w[lane]"
+def _sensitivities(row: int) -> str:
+    return f"w[{row * SENSITIVITIES} + i]" if row else "w[i]"
 
 
 def slopes_of(piece: Piece, traced: Traced) -> list[Slope]:
@@ -83,22 +87,22 @@ def jacobian_block(name: str, piece: Piece, slopes: Sequence[Slope]) -> Block:
     loads = tuple((s, f"z[{i}]") for i, s in enumerate(piece.inputs))
     targets = [(f"out[{i}]", e) for i, e in enumerate(piece.outputs)]
     targets += [(f"j[{k}]", slope.formula) for k, slope in enumerate(slopes)]
-    return Block(name, "z, p, q, h, out, j", loads, tuple(targets), lanes=False)
+    return Block(name, "z, p, q, h, out, j", loads, tuple(targets), loops=False)
 
 
-def _print_push(name: str, piece: Piece, slopes: Sequence[Slope]) -> list[str]:
-    """Columns through the derivatives; rows: inputs, outputs (set), parameters (seeds)."""
+def _print_jvp(name: str, piece: Piece, slopes: Sequence[Slope]) -> list[str]:
+    """Jacobian-vector products; rows: inputs, outputs (set), parameters (given)."""
     split, outputs = len(piece.inputs), len(piece.outputs)
     head = [f"j{k} = j[{k}]" for k in range(len(slopes))]
     body = []
     for i in range(outputs):
         terms = [
-            f"j{k} * {_column(s.source if s.source < split else s.source + outputs)}"
+            f"j{k} * {_sensitivities(s.source if s.source < split else s.source + outputs)}"
             for k, s in enumerate(slopes)
             if s.output == i
         ]
-        body.append(f"{_column(split + i)} = {' + '.join(terms) or '0.0'}")
-    block = Block(name, "j, w, n", (), (), lanes=True)
+        body.append(f"{_sensitivities(split + i)} = {' + '.join(terms) or '0.0'}")
+    block = Block(name, "j, w, n", (), (), loops=True)
     return _assemble(block, head, body)
 
 
@@ -106,14 +110,14 @@ def _zero(node: Node) -> bool:
     return node.entry.op == "const" and node.entry.value == 0.0
 
 
-def lane_block(name: str, piece: Piece) -> Block:
+def rows_block(name: str, piece: Piece) -> Block:
     """Workspace rows: inputs, then outputs."""
-    loads = tuple((s, _row(i)) for i, s in enumerate(piece.inputs))
-    targets = tuple((_row(len(loads) + i), e) for i, e in enumerate(piece.outputs))
-    return Block(name, "w, n, p, q, h", loads, targets, lanes=True)
+    loads = tuple((s, _slots(i)) for i, s in enumerate(piece.inputs))
+    targets = tuple((_slots(len(loads) + i), e) for i, e in enumerate(piece.outputs))
+    return Block(name, "w, n, p, q, h", loads, targets, loops=True)
 
 
-def lane_vjp_block(name: str, piece: Piece, traced: Traced) -> Block:
+def vjp_block(name: str, piece: Piece, traced: Traced) -> Block:
     """Vector-Jacobian product; rows: inputs, output weights, input slopes (set), parameter slopes.
 
     Parameter slopes are added to; rows of parameters that the piece does not depend on stay.
@@ -121,14 +125,14 @@ def lane_vjp_block(name: str, piece: Piece, traced: Traced) -> Block:
     tape = traced.tape
     bars = [tape.symbol(f"bar_{i}") for i in range(len(piece.outputs))]
     sources = (*piece.inputs, *bars)
-    loads = tuple((s, _row(i)) for i, s in enumerate(sources))
+    loads = tuple((s, _slots(i)) for i, s in enumerate(sources))
     slopes = gradient(zip(piece.outputs, bars, strict=True), (*piece.inputs, *traced.symbols))
     split, first = len(piece.inputs), len(sources)
-    targets = [(_row(first + j), e) for j, e in enumerate(slopes[:split])]
+    targets = [(_slots(first + j), e) for j, e in enumerate(slopes[:split])]
     for k, e in enumerate(slopes[split:]):
         if not _zero(e):
-            targets.append((f"{_row(first + split + k)} +", e))
-    return Block(name, "w, n, p, q, h", loads, tuple(targets), lanes=True)
+            targets.append((f"{_slots(first + split + k)} +", e))
+    return Block(name, "w, n, p, q, h", loads, tuple(targets), loops=True)
 
 
 def _constant_places(traced: Traced, places: Sequence[int]) -> set[int]:
@@ -166,11 +170,11 @@ def _print_block(block: Block, traced: Traced, constants: _Constants) -> list[st
 
 
 def _assemble(block: Block, head: list[str], body: list[str]) -> list[str]:
-    lines = [f"@{'lanes' if block.lanes else 'point'}", f"def {block.name}({block.arguments}):"]
+    lines = ["@inlined", f"def {block.name}({block.arguments}):"]
     lines += [f"    {line}" for line in head]
     indent = "    "
-    if block.lanes:
-        lines.append("    for lane in range(n):")
+    if block.loops:
+        lines.append("    for i in range(n):")
         indent = "        "
     body = body or ["pass"]
     return [*lines, *(indent + line for line in body), "", ""]
@@ -185,21 +189,23 @@ def _print_constants(traced: Traced, constants: _Constants) -> list[str]:
     lines += [f"v{p} = {_source(entries[p], names)}" for p in places if entries[p].args]
     lines += [f"q[{slot}] = v{place}" for place, slot in constants.slots.items()]
     lines = lines or ["pass"]
-    return ["@entry", "def constants(p, h, q):", *(f"    {line}" for line in lines), "", ""]
+    return ["@entry_point", "def constants(p, h, q):", *(f"    {line}" for line in lines), "", ""]
 
 
-def brisk_rates(traced: Traced) -> Piece:
-    """The rates of a car that is on the move: without the equations for walking pace."""
+def specialised_rates(traced: Traced) -> Piece:
+    """The rates above walking pace: without the kinematic equations."""
     rates = traced.rates
     speed = rates.inputs[CHASSIS.index("speed")]
-    return Piece(rates.inputs, specialise(rates.outputs, {speed.place: Range(BRISK, inf)}))
+    return Piece(
+        rates.inputs, specialise(rates.outputs, {speed.place: Range(SPECIALISED_SPEED, inf)})
+    )
 
 
 def _pieces(traced: Traced) -> dict[str, Piece]:
     return {
         "actuators": traced.actuators,
         "rates": traced.rates,
-        "brisk": brisk_rates(traced),
+        "specialised": specialised_rates(traced),
         "remember": traced.remember,
         "observe": traced.observe,
     }
@@ -211,12 +217,12 @@ def _print_pieces(traced: Traced, constants: _Constants) -> list[str]:
         slopes = slopes_of(piece, traced)
         jacobian = jacobian_block(f"{name}_jac", piece, slopes)
         printed += _print_block(jacobian, traced, constants)
-        printed += _print_push(f"{name}_push", piece, slopes)
+        printed += _print_jvp(f"{name}_jvp", piece, slopes)
         printed += [f"{name.upper()}_SLOPES = {len(slopes)}", "", ""]
     for name, piece in _pieces(traced).items():
         for block in (
-            lane_block(f"{name}_lanes", piece),
-            lane_vjp_block(f"{name}_vjp", piece, traced),
+            rows_block(f"{name}_rows", piece),
+            vjp_block(f"{name}_vjp", piece, traced),
         ):
             printed += _print_block(block, traced, constants)
     return printed
@@ -229,18 +235,19 @@ def generate(traced: Traced) -> str:
     header = [
         '"""Printed by steerd.sysid.compiler.codegen from the equations of car_model."""',
         "",
+        "import numpy as np",
+        "",
         "from steerd.sysid.compiler.choice import greatest, least, select",
-        "from steerd.sysid.compiler.compile import entry, lanes, point",
+        "from steerd.sysid.compiler.compile import entry_point, inlined",
         "from steerd.sysid.compiler.simd_math import abs, atan, cos, exp, sin, sqrt, tan, tanh",
         "",
         f"PARAMETERS = {traced.parameters!r}",
-        f"PARAMETER_COUNT = {len(traced.parameters)}",
-        f"MEMORY = {traced.memory}",
         f"REMEMBERS = {traced.remembers}",
         f"CONSTANTS = {len(constants.slots)}",
-        f"LANES = {LANES}",
-        f"COLUMNS = {COLUMNS}",
-        f"BRISK = {BRISK}",
+        f"SLOTS = {SLOTS}",
+        f"SENSITIVITIES = {SENSITIVITIES}",
+        f"SPECIALISED_SPEED = {SPECIALISED_SPEED}",
+        *(f"{name} = np.int64({row})" for name, row in row_layout(traced).items()),
         "",
         "",
     ]

@@ -1,4 +1,4 @@
-"""How generated pieces are compiled, and where the compiled code is kept."""
+"""How the compiled text is compiled, and where the machine code is kept."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numba
 
 FAST = {"contract", "nsz"}
-"""Licences that keep NaN and infinity; reassociation would keep LLVM from vectorising."""
+"""Fast-math flags that keep NaN and infinity; reassociation would keep LLVM from vectorising."""
 
 
 def _njit(**options: Any) -> Any:
@@ -15,34 +15,28 @@ def _njit(**options: Any) -> Any:
 
 
 _INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Wrappers for Python or C would cost as much to compile as the piece itself."""
+"""Wrappers for Python or C would cost as much to compile as the function itself."""
 
 
-def point(function: Callable[..., Any]) -> Any:
-    """Compile a piece that becomes part of the entries that call it.
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile a function that becomes part of the entry points that call it.
 
-    It makes no arrays: without that right, Numba counts no references, whose atomic increments cost
-    more than the equations. And it is written into its callers: a call would pass seven numbers for
-    each array.
+    It makes no arrays, so Numba may leave out reference counts, whose atomic increments cost more
+    than the equations. It is inlined: a call would pass seven numbers for each array.
     """
     return _njit(**_INNER, _nrt=False, forceinline=True)(function)
 
 
-def lanes(function: Callable[..., Any]) -> Any:
-    """Compile a piece whose innermost loop runs over windows, for other pieces to call."""
-    return point(function)
-
-
-def apart(function: Callable[..., Any]) -> Any:
-    """Compile a piece that is called too rarely to be written into its callers."""
+def not_inlined(function: Callable[..., Any]) -> Any:
+    """Compile a function that is called too rarely to be inlined."""
     return _njit(**_INNER, _nrt=False)(function)
 
 
-def maker(function: Callable[..., Any]) -> Any:
-    """Compile a piece that makes arrays, for entries to call once."""
+def allocating(function: Callable[..., Any]) -> Any:
+    """Compile a function that makes arrays, for entry points to call once."""
     return _njit(**_INNER)(function)
 
 
-def entry(function: Callable[..., Any]) -> Any:
-    """Compile what Python calls, without its lock; the machine code is kept on disk."""
+def entry_point(function: Callable[..., Any]) -> Any:
+    """Compile what Python calls, without the interpreter lock; the machine code goes to disk."""
     return _njit(no_cfunc_wrapper=True, cache=True, nogil=True)(function)

@@ -1,6 +1,8 @@
-"""Commands as they arrive: late, and for a block of windows side by side.
+"""Delayed commands for a block of windows, and the adjoint of the delay.
 
-Appended, before `loops`, to the pieces printed for a model.
+Appended, before `loops`, to the pieces printed for a model. A dead time need not be a whole number
+of steps: the mean of a held signal over a step is linear in its delay
+(`car_model.rollout.channel_delayed`).
 """
 
 # ruff: noqa: TC004  (the printed pieces stand above this text in the compiled module)
@@ -8,14 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from steerd.sysid.compiler.compile import apart, entry, maker, point
+from steerd.sysid.compiler.arguments import Block, CommandStream, Integration
+from steerd.sysid.compiler.compile import allocating, entry_point, inlined, not_inlined
 from steerd.sysid.compiler.simd_rows import add_row, gather_row, mix_row
 
 if TYPE_CHECKING:
-    from steerd.sysid.compiler.pieces import DELAYS_SLOPES, LANES, Array, delays_jac
+    from steerd.sysid.compiler.pieces import DELAYS_SLOPES, SLOTS, Array, delays_jac
 
 
-@entry
+@entry_point
 def delays_at(p: "Array", q: "Array", h: float) -> "Array":
     """Dead times of steer, drive and pose [s]."""
     out, j = np.zeros(3), np.zeros(max(DELAYS_SLOPES, 1))
@@ -23,119 +26,98 @@ def delays_at(p: "Array", q: "Array", h: float) -> "Array":
     return out
 
 
-@maker
-def delays_in_steps(p: "Array", q: "Array", h: float) -> "Array":
+@allocating
+def delays_in_steps(m: Integration) -> "Array":
     """Dead times of steer, drive and pose in steps."""
-    late, j = np.zeros(3), np.zeros(max(DELAYS_SLOPES, 1))
-    delays_jac(late, p, q, h, late, j)
+    delays, j = np.zeros(3), np.zeros(max(DELAYS_SLOPES, 1))
+    delays_jac(delays, m.p, m.q, m.h, delays, j)
     for i in range(3):
-        late[i] /= h
-    return late
+        delays[i] /= m.h
+    return delays
 
 
-@point
-def spot(place: int) -> int:
+@inlined
+def unsigned(place: int) -> int:
     """A place in an array, as a number that cannot be negative.
 
-    Numba would test every other one for counting from the end, and LLVM not vectorise.
+    For other numbers Numba tests whether they count from the end, and LLVM does not vectorise.
     """
     return np.uint64(place)  # type: ignore[return-value]
 
 
-@point
-def stream_ahead(late: "Array", substeps: int) -> int:
-    """How many entries of a stream lie before the windows' first step."""
-    oldest: int = int(np.floor(max(late[0], late[1]))) + substeps
-    return -(-oldest // substeps)
+@allocating
+def make_stream(m: Integration, block: Block, steps: int) -> CommandStream:
+    """The commands that take effect in a block's windows.
 
-
-@point
-def stream_length(late: "Array", steps: int, substeps: int) -> int:
-    """How many entries a stream has."""
-    newest = steps - int(np.floor(min(late[0], late[1])))
-    length: int = stream_ahead(late, substeps) + newest // substeps + 1
-    return length
-
-
-@maker
-def make_stream(
-    commands: "Array", runs: "Array", late: "Array", steps: int, substeps: int
-) -> "Array":
-    """Commands of a block as rows of lanes: all of steer, then all of speed.
-
-    The first entry is the oldest command that still arrives late in the windows; before a run's
+    The first entry is the oldest command that still arrives within the windows. Before a run's
     first command the first holds, after the last the last.
     """
-    ahead, length = stream_ahead(late, substeps), stream_length(late, steps, substeps)
-    stream = np.empty(2 * length * LANES)
-    for lane in range(LANES):
-        low, high, start = runs[lane, 0], runs[lane, 1], runs[lane, 2]
+    delay_steps = delays_in_steps(m)
+    oldest = int(np.floor(max(delay_steps[0], delay_steps[1]))) + m.substeps
+    newest = steps - int(np.floor(min(delay_steps[0], delay_steps[1])))
+    ahead = -(-oldest // m.substeps)
+    length = ahead + newest // m.substeps + 1
+    rows = np.empty(2 * length * SLOTS)
+    for slot in range(SLOTS):
+        low, high, start = block.runs[slot, 0], block.runs[slot, 1], block.runs[slot, 2]
         for c in range(length):
-            row, at = spot(min(max(start + c - ahead, low), high - 1)), c * LANES + lane
-            stream[spot(at)] = commands[row, 0]
-            stream[spot(at + length * LANES)] = commands[row, 1]
-    return stream
+            row, at = unsigned(min(max(start + c - ahead, low), high - 1)), c * SLOTS + slot
+            rows[unsigned(at)] = block.commands[row, 0]
+            rows[unsigned(at + length * SLOTS)] = block.commands[row, 1]
+    return CommandStream(rows, ahead, delay_steps, m.substeps)
 
 
-@apart
-def return_stream(bars: "Array", runs: "Array", into: "Array", ahead: int) -> None:
-    """The reverse of `make_stream`."""
-    length = len(bars) // (2 * LANES)
-    for lane in range(LANES):
-        low, high, start = runs[lane, 0], runs[lane, 1], runs[lane, 2]
+@not_inlined
+def add_stream_gradient(bars: "Array", block: Block, into: "Array", ahead: int) -> None:
+    """The adjoint of `make_stream`: from rows of the stream to rows of the commands."""
+    length = len(bars) // (2 * SLOTS)
+    for slot in range(SLOTS):
+        low, high, start = block.runs[slot, 0], block.runs[slot, 1], block.runs[slot, 2]
         for c in range(length):
-            row, at = spot(min(max(start + c - ahead, low), high - 1)), c * LANES + lane
-            into[row, 0] += bars[spot(at)]
-            into[row, 1] += bars[spot(at + length * LANES)]
+            row, at = unsigned(min(max(start + c - ahead, low), high - 1)), c * SLOTS + slot
+            into[row, 0] += bars[unsigned(at)]
+            into[row, 1] += bars[unsigned(at + length * SLOTS)]
 
 
-@point
-def fetch_commands(
-    w: "Array", row: int, stream: "Array", ahead: int, k: int, substeps: int, late: "Array"
-) -> None:
-    """Write both delayed commands of fine step `k` as rows.
-
-    The mean of a held signal over a step is linear in its delay (`rollout.channel_delayed`).
-    """
-    length = len(stream) // (2 * LANES)
+@inlined
+def delay_commands(w: "Array", row: int, stream: CommandStream, k: int) -> None:
+    """Write both delayed commands of integration step `k` as rows."""
+    length = len(stream.rows) // (2 * SLOTS)
     for channel in range(2):
-        whole, first = int(np.floor(late[channel])), channel * length + ahead
-        part = late[channel] - whole
-        newer = (first + (k - whole) // substeps) * LANES
-        older = (first + (k - whole - 1) // substeps) * LANES
-        mix_row(w, (row + channel) * LANES, stream, newer, stream, older, 1.0 - part, part)
+        delay, first = stream.delay_steps[channel], channel * length + stream.ahead
+        whole = int(np.floor(delay))
+        part = delay - whole
+        newer = (first + (k - whole) // stream.substeps) * SLOTS
+        older = (first + (k - whole - 1) // stream.substeps) * SLOTS
+        to = (row + channel) * SLOTS
+        mix_row(w, to, stream.rows, newer, stream.rows, older, 1.0 - part, part)
 
 
-@point
-def gather_lateness(
-    w: "Array",
-    row: int,
-    stream: "Array",
-    ahead: int,
-    k: int,
-    substeps: int,
-    late: "Array",
-    late_bars: "Array",
+@inlined
+def add_delay_gradient(
+    w: "Array", row: int, stream: CommandStream, k: int, delay_bars: "Array"
 ) -> None:
-    """The reverse of `fetch_commands`: derivatives to the delays in steps."""
-    length = len(stream) // (2 * LANES)
+    """The adjoint of `delay_commands` by the delays in steps."""
+    length = len(stream.rows) // (2 * SLOTS)
     for channel in range(2):
-        whole, first = int(np.floor(late[channel])), channel * length + ahead
-        newer = (first + (k - whole) // substeps) * LANES
-        older = (first + (k - whole - 1) // substeps) * LANES
-        at, to = (row + channel) * LANES, channel * LANES
-        gather_row(late_bars, to, w, at, stream, older, 1.0)
-        gather_row(late_bars, to, w, at, stream, newer, -1.0)
+        whole = int(np.floor(stream.delay_steps[channel]))
+        first = channel * length + stream.ahead
+        newer = (first + (k - whole) // stream.substeps) * SLOTS
+        older = (first + (k - whole - 1) // stream.substeps) * SLOTS
+        at, to = (row + channel) * SLOTS, channel * SLOTS
+        gather_row(delay_bars, to, w, at, stream.rows, older, 1.0)
+        gather_row(delay_bars, to, w, at, stream.rows, newer, -1.0)
 
 
-@point
-def return_commands(
-    w: "Array", row: int, bars: "Array", ahead: int, k: int, substeps: int, late: "Array"
+@inlined
+def add_command_gradient(
+    w: "Array", row: int, bars: "Array", stream: CommandStream, k: int
 ) -> None:
-    """The reverse of `fetch_commands`: derivatives to the commands."""
-    length = len(bars) // (2 * LANES)
+    """The adjoint of `delay_commands` by the commands, into rows like the stream's."""
+    length = len(bars) // (2 * SLOTS)
     for channel in range(2):
-        whole, first = int(np.floor(late[channel])), channel * length + ahead
-        part, at = late[channel] - whole, (row + channel) * LANES
-        add_row(bars, (first + (k - whole) // substeps) * LANES, w, at, 1.0 - part)
-        add_row(bars, (first + (k - whole - 1) // substeps) * LANES, w, at, part)
+        delay, first = stream.delay_steps[channel], channel * length + stream.ahead
+        whole = int(np.floor(delay))
+        part, at = delay - whole, (row + channel) * SLOTS
+        add_row(bars, (first + (k - whole) // stream.substeps) * SLOTS, w, at, 1.0 - part)
+        add_row(bars, (first + (k - whole - 1) // stream.substeps) * SLOTS, w, at, part)

@@ -1,8 +1,9 @@
 """The compiled car for NumPy callers: many windows at once, values and derivatives.
 
 `make_kernels(effects)` loads the compiled model; `march` and `march_back` are the simulator and its
-adjoint over windows side by side, `read` gives instrument readings with forward sensitivities.
-Parameters are one vector: the car's fields, then every effect's (see `trace.parameter_names`).
+adjoint over windows side by side, `compute_readings` gives instrument readings with forward
+sensitivities. Parameters are one vector: the car's fields, then every effect's (see
+`trace.parameter_names`).
 """
 
 from collections.abc import Sequence
@@ -11,31 +12,41 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model, memory_size
 from steerd.car_model.params import Car
 from steerd.car_model.single_track import SINGLE_TRACK
-from steerd.sysid.compiler.codegen import COLUMNS
+from steerd.car_model.state import State
+from steerd.sysid.compiler.arguments import (
+    Array,
+    Block,
+    Directions,
+    Gradients,
+    Indices,
+    Integration,
+    Readings,
+    StateGradient,
+    Window,
+)
+from steerd.sysid.compiler.codegen import SENSITIVITIES
 from steerd.sysid.compiler.modules import load_module
-from steerd.sysid.compiler.simd_rows import LANES
+from steerd.sysid.compiler.simd_rows import SLOTS
 from steerd.sysid.compiler.threads import share_out, threads
 from steerd.sysid.compiler.trace import parameter_names
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
-PLACED = 3
-"""Of a window's first state: its place and heading."""
+STATES = len(State._fields)
+"""Numbers of a state before the effects' memory."""
+START_POSE = 3
+"""Derivatives by the pose of a window's start: x, y, yaw."""
 CACHE_LINE = 64
-"""Bytes."""
+"""[byte]."""
 TABLEAUS: dict[str, Array] = {
     "euler": np.array([[0.0], [1.0]]),
     "rk4": np.array([[0.0, 0.5, 0.5, 1.0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]]),
 }
-"""Reach and weight of each stage: a stage starts from the slope of the one before it."""
+"""Node and weight of each stage (Butcher): a stage starts from the slope of the one before it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +56,7 @@ class Kernels:
     Attributes:
         effects: what was compiled in, in the order of the parameters.
         names: of all parameters.
-        memory: numbers that the effects remember; a state has 7 + memory numbers.
+        memory: numbers that the effects remember; a state has STATES + memory numbers.
         module: the compiled functions.
         chassis: whose equations they are.
     """
@@ -61,7 +72,7 @@ class Kernels:
         return make_kernels, (self.effects, self.chassis)
 
 
-class Held(NamedTuple):
+class HeldCommands(NamedTuple):
     """Commands of several runs, one after the other, each held over a step.
 
     Attributes:
@@ -83,7 +94,7 @@ class Held(NamedTuple):
 
 
 def make_kernels(effects: Sequence[Effect] = (), chassis: Chassis = SINGLE_TRACK) -> Kernels:
-    """The compiled car with these effects on this chassis (compiled the first time, then from the cache)."""
+    """The compiled car with these effects; compiled the first time, then from the cache."""
     chosen = tuple(effects)
     module = load_module(chosen, chassis)
     return Kernels(chosen, parameter_names(chosen), memory_size(chosen), module, chassis)
@@ -110,13 +121,18 @@ def constants_of(kernels: Kernels, parameters: Array, h: float) -> Array:
     return q
 
 
-class Lanes(NamedTuple):
-    """Windows arranged side by side: blocks of `LANES`, the last filled up with copies.
+def _integration(kernels: Kernels, parameters: Array, held: HeldCommands) -> Integration:
+    q = constants_of(kernels, parameters, held.fine)
+    return Integration(parameters, q, held.fine, TABLEAUS[held.integrator], held.substeps)
+
+
+class WindowBlocks(NamedTuple):
+    """Windows arranged side by side: blocks of `SLOTS`, the last padded with copies.
 
     Attributes:
-        windows: how many lanes are real ones.
-        runs: (blocks, LANES, 3) rows of the commands: first, after the last, at the first step.
-        t: (blocks, LANES) time into the run [s].
+        windows: how many slots hold a window of their own.
+        runs: (blocks, SLOTS, 3) rows of the commands: first, after the last, at the first step.
+        t: (blocks, SLOTS) time into the run [s].
     """
 
     windows: int
@@ -124,67 +140,73 @@ class Lanes(NamedTuple):
     t: Array
 
     @property
-    def breadth(self) -> int:
-        """How many lanes there are."""
+    def slots(self) -> int:
+        """How many slots there are."""
         return self.t.size
 
 
-def make_lanes(runs: Indices, t: Array) -> Lanes:
+def make_window_blocks(runs: Indices, t: Array) -> WindowBlocks:
     """Arrange windows `(W, 3)`, starting `t` seconds into their runs."""
     count = len(t)
-    pick = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
-    return Lanes(count, runs[pick].reshape(-1, LANES, 3), t[pick].reshape(-1, LANES))
+    pick = np.minimum(np.arange(_whole_rows(count)), count - 1)
+    return WindowBlocks(count, runs[pick].reshape(-1, SLOTS, 3), t[pick].reshape(-1, SLOTS))
 
 
-def lane_view(path: Any, count: int) -> Any:
-    """(moments, states, lanes) seen as (count, moments, states), without a copy."""
+def view_by_window(path: Any, count: int) -> Any:
+    """(moments, states, slots) viewed as (count, moments, states), without a copy."""
     seen = path.transpose(2, 0, 1) if isinstance(path, np.ndarray) else path.permute(2, 0, 1)
     return seen[:count]
 
 
-def empty_path(moments: int, states: int, lanes: int) -> Array:
-    """(moments, states, lanes) unset numbers; a row of lanes begins with a cache line."""
-    size, line = moments * states * lanes, CACHE_LINE // 8
+def empty_path(moments: int, states: int, slots: int) -> Array:
+    """(moments, states, slots) unset numbers; a row of slots begins with a cache line."""
+    size, line = moments * states * slots, CACHE_LINE // 8
     space = np.empty(size + line)
     first = -(space.ctypes.data // 8) % line
-    return space[first : first + size].reshape(moments, states, lanes)
+    return space[first : first + size].reshape(moments, states, slots)
 
 
 def march(
-    kernels: Kernels, parameters: Array, first: Array, held: Held, lanes: Lanes, steps: int
+    kernels: Kernels,
+    parameters: Array,
+    first: Array,
+    held: HeldCommands,
+    blocks: WindowBlocks,
+    steps: int,
 ) -> Array:
     """Simulate windows side by side.
 
     Args:
         kernels: the compiled car.
         parameters: (P,).
-        first: (W, 7 + memory) states at the windows' starts.
+        first: (W, STATES + memory) states at the windows' starts.
         held: the commands.
-        lanes: the windows.
+        blocks: the windows.
         steps: integration steps, the same for all.
 
     Returns:
-        (steps + 1, 7 + memory, lanes); see `lane_view`.
+        (steps + 1, STATES + memory, slots); see `view_by_window`.
     """
-    path = empty_path(steps + 1, first.shape[1], lanes.breadth)
-    path[0] = first[np.minimum(np.arange(lanes.breadth), len(first) - 1)].T
-    q, tableau = constants_of(kernels, parameters, held.fine), TABLEAUS[held.integrator]
+    path = empty_path(steps + 1, first.shape[1], blocks.slots)
+    path[0] = first[np.minimum(np.arange(blocks.slots), len(first) - 1)].T
+    integration, flat = tuple(_integration(kernels, parameters, held)), path.reshape(-1)
 
-    def block(number: int, _worker: int) -> None:
-        kernels.module.simulate_block(
-            parameters, q, held.fine, tableau, path.reshape(-1), lanes.breadth, number * LANES,
-            held.rows, lanes.runs[number], lanes.t[number], held.substeps,
-        )  # fmt: skip
+    def simulate(number: int, _worker: int) -> None:
+        kernels.module.simulate_block(integration, tuple(_block(held, blocks, number)), flat)
 
-    share_out(block, len(lanes.runs), steps)
+    share_out(simulate, len(blocks.runs), steps)
     return path
+
+
+def _block(held: HeldCommands, blocks: WindowBlocks, number: int) -> Block:
+    return Block(held.rows, blocks.runs[number], blocks.t[number], number * SLOTS, blocks.slots)
 
 
 class Slopes(NamedTuple):
     """Derivatives of a loss.
 
-    By parameters (P,), first states (W, 7 + memory) and commands (rows, 2); the last empty unless
-    they were wanted.
+    By parameters (P,), first states (W, STATES + memory) and commands (rows, 2); the last empty
+    unless they were asked for.
     """
 
     parameters: Array
@@ -197,8 +219,8 @@ def march_back(
     parameters: Array,
     path: Array,
     bars: Array,
-    held: Held,
-    lanes: Lanes,
+    held: HeldCommands,
+    blocks: WindowBlocks,
     commands: bool = True,
 ) -> Slopes:
     """The adjoint of `march`.
@@ -209,28 +231,30 @@ def march_back(
         path: what it returned.
         bars: (W, moments, states) the loss's derivatives by the states.
         held: the commands.
-        lanes: the windows.
-        commands: whether derivatives by the commands are wanted.
+        blocks: the windows.
+        commands: whether to compute derivatives by the commands.
     """
-    h, blocks = held.fine, len(lanes.runs)
-    q, tableau = constants_of(kernels, parameters, h), TABLEAUS[held.integrator]
-    workers = min(threads(), blocks)
-    into = np.zeros((workers, *held.rows.shape) if commands else (workers, 0, 2))
-    slopes, first = np.zeros((blocks, len(parameters))), np.empty((blocks, path.shape[1] * LANES))
-    late, (flat, strides) = np.zeros((blocks, 2 * LANES)), _flat(bars)
+    count, states = len(blocks.runs), path.shape[1]
+    integration, flat = tuple(_integration(kernels, parameters, held)), path.reshape(-1)
+    loss = tuple(StateGradient(*_flat(bars), blocks.windows))
+    rows = held.rows.shape if commands else (0, 2)
+    by_commands = np.zeros((min(threads(), count), *rows))
+    by_parameters, by_first = np.zeros((count, len(parameters))), np.empty((count, states * SLOTS))
+    by_delays = np.zeros((count, 2 * SLOTS))
 
-    def block(number: int, worker: int) -> None:
-        kernels.module.adjoint_block(
-            parameters, q, h, tableau, path.reshape(-1), lanes.breadth, number * LANES, flat,
-            strides, lanes.windows, held.rows, into[worker], lanes.runs[number], lanes.t[number],
-            held.substeps, first[number], slopes[number], late[number],
-        )  # fmt: skip
+    def simulate_back(number: int, worker: int) -> None:
+        into = Gradients(
+            by_first[number], by_parameters[number], by_delays[number], by_commands[worker]
+        )
+        block = _block(held, blocks, number)
+        kernels.module.adjoint_block(integration, tuple(block), flat, loss, tuple(into))
 
-    share_out(block, blocks, len(path))
-    lateness = late.reshape(blocks, 2, LANES).sum(axis=(0, 2)) / h
-    total = slopes.sum(axis=0) + delay_slopes(kernels, parameters, np.array([*lateness, 0.0]))
-    by_window = first.reshape(blocks, -1, LANES).transpose(0, 2, 1).reshape(lanes.breadth, -1)
-    return Slopes(total, by_window[: lanes.windows], into.sum(axis=0))
+    share_out(simulate_back, count, len(path))
+    delays = by_delays.reshape(count, 2, SLOTS).sum(axis=(0, 2)) / held.fine
+    through_delays = delay_slopes(kernels, parameters, np.array([*delays, 0.0]))
+    first = by_first.reshape(count, -1, SLOTS).transpose(0, 2, 1).reshape(blocks.slots, -1)
+    total = by_parameters.sum(axis=0) + through_delays
+    return Slopes(total, first[: blocks.windows], by_commands.sum(axis=0))
 
 
 def _flat(bars: Array) -> tuple[Array, Indices]:
@@ -244,15 +268,16 @@ def _flat(bars: Array) -> tuple[Array, Indices]:
 
 def delay_slopes(kernels: Kernels, parameters: Array, bars: Array) -> Array:
     """Derivatives by the parameters, given those by the dead times (steer, drive, pose)."""
-    seeds = np.zeros((len(parameters), COLUMNS))
+    most = SENSITIVITIES
+    seeds = np.zeros((len(parameters), most))
     slopes = np.zeros(len(parameters))
     q = constants_of(kernels, parameters, 1.0)
-    for start in range(0, len(parameters), COLUMNS):
-        part = np.arange(start, min(start + COLUMNS, len(parameters)))
+    for start in range(0, len(parameters), most):
+        part = np.arange(start, min(start + most, len(parameters)))
         seeds[:] = 0.0
         seeds[part, part - start] = 1.0
-        columns = kernels.module.delay_columns(parameters, q, 1.0, seeds, np.zeros(3), COLUMNS)
-        slopes[part] = (bars @ columns[: 3 * COLUMNS].reshape(3, COLUMNS))[: len(part)]
+        by = kernels.module.delay_sensitivities(parameters, q, 1.0, seeds, np.zeros(3), most)
+        slopes[part] = (bars @ by[: 3 * most].reshape(3, most))[: len(part)]
     return slopes
 
 
@@ -294,71 +319,81 @@ class Windows(NamedTuple):
     t: Array
 
 
-def read(
+def compute_readings(
     kernels: Kernels,
     parameters: Array,
     seeds: Array,
     first: Array,
     dfirst: Array,
-    held: Held,
+    held: HeldCommands,
     windows: Windows,
     stations: Stations,
     scale: Array | None = None,
-    placed: bool = False,
+    start_pose: bool = False,
 ) -> tuple[Array, Array]:
-    """Instrument readings and their derivatives.
+    """Instrument readings and their forward sensitivities.
 
     Args:
         kernels: the compiled car.
         parameters: (P,).
-        seeds: (P, columns) derivative of the parameters by the columns.
-        first: (W, 7) first states; the steer is what is added to the settled one.
-        dfirst: (7, columns) derivative of the first state by the columns.
+        seeds: (P, n) derivative of the parameters by each of n directions.
+        first: (W, STATES) first states; the steer is what is added to the settled one.
+        dfirst: (STATES, n) derivative of the first state by the directions.
         held: the commands.
         windows: the windows.
         stations: where to read.
         scale: (rows,) by which each row of derivatives is multiplied.
-        placed: whether the derivatives by place and heading of the windows' starts follow as three
-            more columns; right for a car without effects, which is the same everywhere.
+        start_pose: whether the derivatives by position and heading of the windows' starts follow as
+            three more; right for a car without effects, which is the same everywhere.
 
     Returns:
-        Readings (rows,) and (scaled) derivatives (rows, columns), three more if `placed`.
+        Readings (rows,) and (scaled) derivatives (rows, n), three more if `start_pose`.
 
     Raises:
-        ValueError: more columns than a kernel holds.
+        ValueError: more directions than a kernel holds.
     """
-    columns = seeds.shape[1]
-    if columns > COLUMNS:
-        raise ValueError(f"{columns} columns; a kernel holds {COLUMNS}")
-    padded, more = _whole_rows(columns), PLACED if placed else 0
-    width = max(padded, _whole_rows(columns + more))
-    state = np.zeros((len(first), 7 + kernels.memory))
-    state[:, :7] = first
+    count = seeds.shape[1]
+    if count > SENSITIVITIES:
+        raise ValueError(f"{count} sensitivities; a kernel holds {SENSITIVITIES}")
+    total = count + (START_POSE if start_pose else 0)
+    width = _whole_rows(total)
+    state = np.zeros((len(first), STATES + kernels.memory))
+    state[:, :STATES] = first
     y, jy = np.empty(stations.rows), np.empty((stations.rows, width))
     scale = np.ones(stations.rows) if scale is None else scale
-    q = constants_of(kernels, parameters, held.fine)
-    seeds, dfirst, late = _padded(seeds, padded), _padded(dfirst, padded), np.zeros(3)
-    late_columns = kernels.module.delay_columns(parameters, q, held.fine, seeds, late, padded)
-    tableau, bounds, flat = TABLEAUS[held.integrator], stations.spans, jy.reshape(-1)
+    integration = _integration(kernels, parameters, held)
+    directions = _directions(kernels, integration, seeds, dfirst)
+    shared = tuple(integration), tuple(directions)
+    bounds, flat, pose = stations.spans, jy.reshape(-1), count if start_pose else 0
 
     def window(w: int, _worker: int) -> None:
         a, b = bounds[w], bounds[w + 1]
-        kernels.module.march_window(
-            parameters, q, held.fine, tableau, seeds, late, late_columns, held.rows,
-            windows.spans[w], windows.t[w], held.substeps, state[w], dfirst,
-            stations.places[a:b], stations.shares[a:b], scale, y, flat, width,
-            columns if placed else 0, padded,
-        )  # fmt: skip
+        places, shares = stations.places[a:b], stations.shares[a:b]
+        place = Window(held.rows, windows.spans[w], windows.t[w], state[w])
+        into = Readings(places, shares, scale, y, flat, width, pose)
+        kernels.module.march_window(*shared, tuple(place), tuple(into))
 
     share_out(window, len(first), int(windows.spans[:, 3].mean()))
-    return y, jy[:, : columns + more]
+    return y, jy[:, :total]
 
 
-def _whole_rows(columns: int) -> int:
-    return -(-columns // LANES) * LANES
+def _directions(
+    kernels: Kernels, integration: Integration, seeds: Array, dfirst: Array
+) -> Directions:
+    """The directions in whole rows, with the dead times' derivatives by them."""
+    count, delay_steps = _whole_rows(seeds.shape[1]), np.zeros(3)
+    seeds, dfirst = _padded(seeds, count), _padded(dfirst, count)
+    delays = kernels.module.delay_sensitivities(
+        integration.p, integration.q, integration.h, seeds, delay_steps, count
+    )
+    return Directions(seeds, dfirst, delay_steps, delays, count)
 
 
-def _padded(matrix: Array, columns: int) -> Array:
-    wide = np.zeros((len(matrix), columns))
+def _whole_rows(numbers: int) -> int:
+    return -(-numbers // SLOTS) * SLOTS
+
+
+def _padded(matrix: Array, width: int) -> Array:
+    wide = np.zeros((len(matrix), width))
     wide[:, : matrix.shape[1]] = matrix
     return wide

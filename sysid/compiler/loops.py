@@ -1,23 +1,16 @@
-"""Marching many windows side by side, and back: the loops around the printed pieces.
+"""Simulation of many windows side by side, and its adjoint: the loops around the printed pieces.
 
 This file's text is appended, after `delayed`'s, to the pieces that `codegen` prints for a model
 (`pieces.pyi` declares them), so that Numba compiles and caches both as one module. The order within
 a step is that of `steerd.car_model.rollout`: actuators exact over the step, wheels moving linearly
-within it, memory at its end. Windows are lanes; a state is 7 + MEMORY rows of them. A path has rows
-of all lanes, so that it can be seen as states by window without a copy; the loops work on a block
-of `LANES` at a time.
+within it, memory at its end. Each window has a slot; a state is STATES + MEMORY rows of slots. A
+path has rows of all slots, so that it can be viewed as states by window without a copy; the loops
+work on a block of `SLOTS` at a time. Row numbers have names, see `layout`.
 
-Euler and Runge-Kutta 4 are one loop: stage i starts at `state + h reach[i] slope[i-1]`, with the
-wheels `reach[i]` of the way; the step is the sum of `h weight[i] slope[i]`.
+Euler and Runge-Kutta 4 are one loop: stage i starts at `state + h node[i] slope[i-1]`, with the
+wheels at the share `node[i]` of their motion; the step is the sum of `h weight[i] slope[i]`.
 
-`simulate_block` and `adjoint_block` are what Python calls, once for each block. The adjoint
-takes the arguments of `simulate_block`, which wrote `path`, and:
-    bars: the loss's derivatives by every state, flat, with `strides` by window, moment and state.
-    windows: how many of all lanes are real.
-    into: (rows, 2), to which derivatives by the commands are added; without rows, none are wanted.
-    bar: ((7 + MEMORY) * LANES,) gets the derivatives by the first states.
-    slopes: gets those by the parameters, other than through the delays.
-    late_bars: (2 * LANES,) gets those by the dead times of steer and drive [1/step].
+`simulate_block` and `adjoint_block` are what Python calls, once for each block.
 """
 
 # ruff: noqa: TC004  (the printed pieces stand above this text in the compiled module)
@@ -25,386 +18,398 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from steerd.sysid.compiler.compile import apart, entry, maker, point
-from steerd.sysid.compiler.simd_rows import add_row, copy_row, expect, mix_row, row_above, shift_row
+from steerd.sysid.compiler.arguments import (
+    AdjointWork,
+    Block,
+    Gradients,
+    Integration,
+    StateGradient,
+)
+from steerd.sysid.compiler.compile import allocating, entry_point, inlined, not_inlined
+from steerd.sysid.compiler.simd_rows import (
+    add_row,
+    copy_row,
+    mix_row,
+    prefetch,
+    row_above,
+    shift_row,
+)
 
 if TYPE_CHECKING:
     from steerd.sysid.compiler.delayed import (
-        delays_in_steps,
-        fetch_commands,
-        gather_lateness,
+        add_command_gradient,
+        add_delay_gradient,
+        add_stream_gradient,
+        delay_commands,
         make_stream,
-        return_commands,
-        return_stream,
-        spot,
-        stream_ahead,
+        unsigned,
     )
     from steerd.sysid.compiler.pieces import (
-        BRISK,
-        LANES,
+        ACCEL,
+        ACTUATORS_COMMAND,
+        ACTUATORS_INPUTS,
+        ACTUATORS_OUTPUTS,
+        ACTUATORS_TIME,
+        CHASSIS,
+        FIRST,
         MEMORY,
+        MEMORY_END,
+        ONE,
         PARAMETER_COUNT,
+        RATES_ACCEL,
+        RATES_INPUTS,
+        RATES_TIME,
+        RATES_WHEEL,
+        REMEMBER_AFTER,
+        REMEMBER_INPUTS,
+        REMEMBER_MEMORY,
         REMEMBERS,
+        SLOTS,
+        SPECIALISED_SPEED,
+        SPEED,
+        STATES,
+        STEER,
+        STEER_END,
+        WHEEL_END,
+        WHEEL_START,
         Array,
-        Indices,
-        actuators_lanes,
+        actuators_rows,
         actuators_vjp,
-        brisk_lanes,
-        brisk_vjp,
-        rates_lanes,
+        rates_rows,
         rates_vjp,
-        remember_lanes,
+        remember_rows,
         remember_vjp,
+        specialised_rows,
+        specialised_vjp,
     )
 
 
-AHEAD = 4
-"""Moments that are asked for before they are needed."""
+PREFETCH_AHEAD = 4
+"""Moments that are prefetched before they are needed."""
 
 
-@point
+@inlined
 def copy_rows(to: "Array", first: int, source: "Array", start: int, rows: int) -> None:
-    """Copy whole rows of lanes."""
+    """Copy whole rows of slots."""
     for row in range(rows):
-        copy_row(to, (first + row) * LANES, source, (start + row) * LANES)
+        copy_row(to, (first + row) * SLOTS, source, (start + row) * SLOTS)
 
 
-@point
+@inlined
 def clear(to: "Array") -> None:
     """Set every number to zero."""
     for i in range(len(to)):
         to[i] = 0.0
 
 
-@point
+@inlined
 def add_rows(to: "Array", first: int, source: "Array", start: int, rows: int, scale: float) -> None:
-    """Add `scale` times whole rows of lanes."""
+    """Add `scale` times whole rows of slots."""
     for row in range(rows):
-        add_row(to, (first + row) * LANES, source, (start + row) * LANES, scale)
+        add_row(to, (first + row) * SLOTS, source, (start + row) * SLOTS, scale)
 
 
-@point
-def find_rates(w: "Array", n: int, p: "Array", q: "Array", h: float) -> None:
-    """The rates of all lanes; the short equations where none is near walking pace (`special`)."""
-    if row_above(w, 3 * LANES, BRISK):
-        brisk_lanes(w, n, p, q, h)
+@inlined
+def find_rates(m: Integration, w: "Array") -> None:
+    """The rates in all slots; the specialised equations where every speed allows them."""
+    if row_above(w, SPEED * SLOTS, SPECIALISED_SPEED):
+        specialised_rows(w, SLOTS, m.p, m.q, m.h)
     else:
-        rates_lanes(w, n, p, q, h)
+        rates_rows(w, SLOTS, m.p, m.q, m.h)
 
 
-@point
-def drive_lanes(
-    wa: "Array",
-    wr: "Array",
-    now: float,
-    t: "Array",
-    p: "Array",
-    q: "Array",
-    h: float,
-) -> None:
-    """Run the actuators and hand the rates what they do; state and delayed commands are there."""
-    shift_row(wa, (9 + MEMORY) * LANES, t, 0, now)
-    actuators_lanes(wa, LANES, p, q, h)
-    copy_rows(wr, np.int64(7), wa, 13 + MEMORY, 1 + MEMORY)
-    copy_rows(wr, 8 + MEMORY, wa, 9 + MEMORY, np.int64(1))
+@inlined
+def run_actuators(m: Integration, wa: "Array", wr: "Array", t: "Array", k: int) -> None:
+    """Run the actuators over step `k` and pass their results to the rates.
+
+    State and delayed commands are in place.
+    """
+    shift_row(wa, ACTUATORS_TIME * SLOTS, t, FIRST, k * m.h)
+    actuators_rows(wa, SLOTS, m.p, m.q, m.h)
+    copy_rows(wr, RATES_ACCEL, wa, ACTUATORS_INPUTS + ACCEL, ONE + MEMORY)
+    copy_rows(wr, RATES_TIME, wa, ACTUATORS_TIME, ONE)
 
 
-@point
-def set_stage(wr: "Array", stage: int, wa: "Array", step: float, reach: float) -> None:
-    """Inputs of one stage: state moved along the last slope, wheels on their way."""
-    slope, start, end = (9 + MEMORY) * LANES, (10 + MEMORY) * LANES, (11 + MEMORY) * LANES
+@inlined
+def set_stage(wr: "Array", stage: int, wa: "Array", step: float, node: float) -> None:
+    """Inputs of one stage: state moved along the last slope, wheels part of their motion."""
+    slope = RATES_INPUTS * SLOTS
+    start = (ACTUATORS_INPUTS + WHEEL_START) * SLOTS
+    end = (ACTUATORS_INPUTS + WHEEL_END) * SLOTS
     if stage == 0:
-        copy_rows(wr, np.int64(0), wa, np.int64(0), np.int64(6))
+        copy_rows(wr, FIRST, wa, FIRST, CHASSIS)
     else:
-        for a in range(0, 6 * LANES, LANES):
+        for a in range(0, CHASSIS * SLOTS, SLOTS):
             mix_row(wr, a, wa, a, wr, slope + a, 1.0, step)
-    mix_row(wr, 6 * LANES, wa, start, wa, end, 1.0 - reach, reach)
+    mix_row(wr, RATES_WHEEL * SLOTS, wa, start, wa, end, 1.0 - node, node)
 
 
-@point
-def remember_step(wm: "Array", wa: "Array", after: "Array") -> None:
+@inlined
+def set_remember_inputs(wm: "Array", wa: "Array", after: "Array") -> None:
     """Inputs of the memory after a step: chassis and wheel before and after, memory within."""
-    outputs = 10 + MEMORY
-    copy_rows(wm, np.int64(0), wa, np.int64(0), np.int64(6))
-    copy_rows(wm, np.int64(6), wa, outputs, np.int64(1))
-    copy_rows(wm, np.int64(7), after, np.int64(0), np.int64(6))
-    copy_rows(wm, np.int64(13), wa, outputs + 1, np.int64(1))
-    copy_rows(wm, np.int64(14), wa, outputs + 4, MEMORY)
+    outputs = ACTUATORS_INPUTS
+    copy_rows(wm, FIRST, wa, FIRST, CHASSIS)
+    copy_rows(wm, STEER, wa, outputs + WHEEL_START, ONE)
+    copy_rows(wm, REMEMBER_AFTER, after, FIRST, CHASSIS)
+    copy_rows(wm, REMEMBER_AFTER + STEER, wa, outputs + WHEEL_END, ONE)
+    copy_rows(wm, REMEMBER_MEMORY, wa, outputs + MEMORY_END, MEMORY)
 
 
-@point
-def take_state(to: "Array", path: "Array", breadth: int, lane: int, k: int) -> None:
+@inlined
+def load_state(to: "Array", path: "Array", block: Block, k: int) -> None:
     """The state of moment `k` from a path."""
-    for row in range(7 + MEMORY):
-        copy_row(to, row * LANES, path, ((7 + MEMORY) * k + row) * breadth + lane)
+    for row in range(STATES + MEMORY):
+        place = ((STATES + MEMORY) * k + row) * block.slots + block.slot
+        copy_row(to, row * SLOTS, path, place)
 
 
-@point
-def put_state(path: "Array", breadth: int, lane: int, k: int, state: "Array") -> None:
+@inlined
+def store_state(path: "Array", block: Block, k: int, state: "Array") -> None:
     """The state of moment `k` into a path."""
-    for row in range(7 + MEMORY):
-        copy_row(path, ((7 + MEMORY) * k + row) * breadth + lane, state, row * LANES)
+    for row in range(STATES + MEMORY):
+        place = ((STATES + MEMORY) * k + row) * block.slots + block.slot
+        copy_row(path, place, state, row * SLOTS)
 
 
-@entry
-def simulate_block(
-    p: "Array",
-    q: "Array",
-    h: float,
-    tableau: "Array",
-    path: "Array",
-    breadth: int,
-    window: int,
-    commands: "Array",
-    runs: "Array",
-    t: "Array",
-    substeps: int,
-) -> None:
-    """March a block of windows.
+@inlined
+def steps_of(path: "Array", block: Block) -> int:
+    """How many steps a path has."""
+    return len(path) // ((STATES + MEMORY) * block.slots) - 1
+
+
+@inlined
+def march_stages(m: Integration, wa: "Array", wr: "Array", state: "Array") -> None:
+    """The chassis over one step, added to `state`."""
+    for stage in range(m.tableau.shape[1]):
+        node = m.tableau[0, stage]
+        set_stage(wr, stage, wa, m.h * node, node)
+        find_rates(m, wr)
+        add_rows(state, FIRST, wr, RATES_INPUTS, CHASSIS, m.h * m.tableau[1, stage])
+
+
+@inlined
+def march_remember(m: Integration, wa: "Array", wm: "Array", state: "Array") -> None:
+    """The memory after a step, into `state`."""
+    if REMEMBERS:
+        set_remember_inputs(wm, wa, state)
+        remember_rows(wm, SLOTS, m.p, m.q, m.h)
+        copy_rows(state, STATES, wm, REMEMBER_INPUTS, MEMORY)
+    else:
+        copy_rows(state, STATES, wa, ACTUATORS_INPUTS + MEMORY_END, MEMORY)
+
+
+@entry_point
+def simulate_block(integration: Integration, windows: Block, path: "Array") -> None:
+    """Simulate a block of windows.
 
     Args:
-        p: parameters.
-        q: their constants for step `h`.
-        h: step [s], `substeps` of which share one command.
-        tableau: (2, stages) reach and weight of each stage.
-        path: ((steps + 1) * (7 + MEMORY) * breadth,) states before each step; the first is given.
-        breadth: number of all lanes.
-        window: the block's first lane.
-        commands: (rows, 2) steer [rad] and speed [m/s], all runs one after the other.
-        runs: (LANES, 3) first row, row after the last, and row of the first step, by lane.
-        t: (LANES,) time into the run at the first step [s].
-        substeps: steps to a command.
+        integration: the car, as a plain tuple (see `arguments`).
+        windows: the windows, as a plain tuple.
+        path: ((steps + 1) * (STATES + MEMORY) * slots,) states before each step; the first is
+            given, the others are written.
     """
-    late, steps = delays_in_steps(p, q, h), len(path) // ((7 + MEMORY) * breadth) - 1
-    stream, ahead = make_stream(commands, runs, late, steps, substeps), stream_ahead(late, substeps)
-    wa = np.zeros((14 + 2 * MEMORY) * LANES)
-    wr = np.zeros((15 + MEMORY) * LANES)
-    wm = np.zeros((14 + 2 * MEMORY) * LANES)
-    state = np.zeros((7 + MEMORY) * LANES)
-    take_state(state, path, breadth, window, np.int64(0))
+    m, block = Integration(*integration), Block(*windows)
+    steps = steps_of(path, block)
+    stream, t = make_stream(m, block, steps), block.t
+    wa = np.zeros((ACTUATORS_INPUTS + ACTUATORS_OUTPUTS) * SLOTS)
+    wr = np.zeros((RATES_INPUTS + CHASSIS) * SLOTS)
+    wm = np.zeros((REMEMBER_INPUTS + MEMORY) * SLOTS)
+    state = np.zeros((STATES + MEMORY) * SLOTS)
+    load_state(state, path, block, FIRST)
     for k in range(steps):
-        copy_rows(wa, np.int64(0), state, np.int64(0), 7 + MEMORY)
-        fetch_commands(wa, 7 + MEMORY, stream, ahead, k, substeps, late)
-        drive_lanes(wa, wr, k * h, t, p, q, h)
-        for stage in range(tableau.shape[1]):
-            reach = tableau[0, stage]
-            set_stage(wr, stage, wa, h * reach, reach)
-            find_rates(wr, LANES, p, q, h)
-            add_rows(state, np.int64(0), wr, 9 + MEMORY, np.int64(6), h * tableau[1, stage])
-        copy_rows(state, np.int64(6), wa, 12 + MEMORY, np.int64(1))
-        if REMEMBERS:
-            remember_step(wm, wa, state)
-            remember_lanes(wm, LANES, p, q, h)
-            copy_rows(state, np.int64(7), wm, 14 + MEMORY, MEMORY)
-        else:
-            copy_rows(state, np.int64(7), wa, 14 + MEMORY, MEMORY)
-        put_state(path, breadth, window, k + 1, state)
+        copy_rows(wa, FIRST, state, FIRST, STATES + MEMORY)
+        delay_commands(wa, ACTUATORS_COMMAND, stream, k)
+        run_actuators(m, wa, wr, t, k)
+        march_stages(m, wa, wr, state)
+        copy_rows(state, STEER, wa, ACTUATORS_INPUTS + STEER_END, ONE)
+        march_remember(m, wa, wm, state)
+        store_state(path, block, k + 1, state)
 
 
-@point
-def redo_stages(
-    p: "Array",
-    q: "Array",
-    h: float,
-    tableau: "Array",
-    wa: "Array",
-    wr: "Array",
-    inputs: "Array",
-) -> None:
-    """The stages again; their inputs are kept for their derivatives."""
-    rows, stages = 9 + MEMORY, tableau.shape[1]
+@inlined
+def repeat_stages(m: Integration, wa: "Array", wr: "Array", inputs: "Array") -> None:
+    """The stages again; their inputs are kept for the derivatives."""
+    stages = m.tableau.shape[1]
     for stage in range(stages):
-        reach = tableau[0, stage]
-        set_stage(wr, stage, wa, h * reach, reach)
-        copy_rows(inputs, stage * rows, wr, np.int64(0), rows)
+        node = m.tableau[0, stage]
+        set_stage(wr, stage, wa, m.h * node, node)
+        copy_rows(inputs, stage * RATES_INPUTS, wr, FIRST, RATES_INPUTS)
         if stage < stages - 1:
-            find_rates(wr, LANES, p, q, h)
+            find_rates(m, wr)
 
 
-@point
-def back_remember(
-    wm: "Array", bar: "Array", kept: "Array", link_bars: "Array", p: "Array", q: "Array", h: float
-) -> None:
-    """Through the memory's update; its inputs are in place. `link_bars`: the actuators' outputs."""
-    inputs = 14 + MEMORY
-    slopes = inputs + MEMORY
-    copy_rows(wm, inputs, bar, np.int64(7), MEMORY)
-    remember_vjp(wm, LANES, p, q, h)
-    add_rows(link_bars, np.int64(0), wm, slopes + 6, np.int64(1), 1.0)
-    add_rows(link_bars, np.int64(1), wm, slopes + 13, np.int64(1), 1.0)
-    copy_rows(link_bars, np.int64(4), wm, slopes + 14, MEMORY)
-    add_rows(bar, np.int64(0), wm, slopes + 7, np.int64(6), 1.0)
-    add_rows(kept, np.int64(0), wm, slopes, np.int64(6), 1.0)
+@inlined
+def adjoint_remember(m: Integration, work: AdjointWork, bar: "Array") -> None:
+    """Through the memory's update; its inputs are in place."""
+    if not REMEMBERS:
+        copy_rows(work.actuated, MEMORY_END, bar, STATES, MEMORY)
+        return
+    wm = work.remember
+    set_remember_inputs(wm, work.actuators, work.after)
+    slopes = REMEMBER_INPUTS + MEMORY
+    copy_rows(wm, REMEMBER_INPUTS, bar, STATES, MEMORY)
+    remember_vjp(wm, SLOTS, m.p, m.q, m.h)
+    add_rows(work.actuated, WHEEL_START, wm, slopes + STEER, ONE, 1.0)
+    add_rows(work.actuated, WHEEL_END, wm, slopes + REMEMBER_AFTER + STEER, ONE, 1.0)
+    copy_rows(work.actuated, MEMORY_END, wm, slopes + REMEMBER_MEMORY, MEMORY)
+    add_rows(bar, FIRST, wm, slopes + REMEMBER_AFTER, CHASSIS, 1.0)
+    add_rows(work.start, FIRST, wm, slopes, CHASSIS, 1.0)
 
 
-@point
+@inlined
 def weigh_slopes(w: "Array", bar: "Array", share: float, carried: float) -> None:
     """Weights of a stage's slopes: its share of the step's end, and of the next stage's start."""
-    weights, slopes = (9 + MEMORY) * LANES, (15 + MEMORY) * LANES
-    for a in range(0, 6 * LANES, LANES):
+    weights, slopes = RATES_INPUTS * SLOTS, (RATES_INPUTS + CHASSIS) * SLOTS
+    for a in range(0, CHASSIS * SLOTS, SLOTS):
         mix_row(w, weights + a, bar, a, w, slopes + a, share, carried)
 
 
-@point
-def back_stages(
-    p: "Array",
-    q: "Array",
-    h: float,
-    tableau: "Array",
-    inputs: "Array",
-    w: "Array",
-    bar: "Array",
-    kept: "Array",
-    link_bars: "Array",
-) -> None:
-    """Through the stages in reverse; `kept` gathers the derivative to the state at the start."""
-    rows, stages = 9 + MEMORY, tableau.shape[1]
-    slopes, carried = rows + 6, 0.0
+@inlined
+def adjoint_stages(m: Integration, work: AdjointWork, bar: "Array") -> None:
+    """Through the stages in reverse."""
+    w, stages = work.rates, m.tableau.shape[1]
+    slopes, carried = RATES_INPUTS + CHASSIS, 0.0
     for stage in range(stages - 1, -1, -1):
-        reach = tableau[0, stage]
-        weigh_slopes(w, bar, h * tableau[1, stage], carried)
-        copy_rows(w, np.int64(0), inputs, stage * rows, rows)
-        if row_above(w, 3 * LANES, BRISK):
-            brisk_vjp(w, LANES, p, q, h)
+        node = m.tableau[0, stage]
+        weigh_slopes(w, bar, m.h * m.tableau[1, stage], carried)
+        copy_rows(w, FIRST, work.stages, stage * RATES_INPUTS, RATES_INPUTS)
+        if row_above(w, SPEED * SLOTS, SPECIALISED_SPEED):
+            specialised_vjp(w, SLOTS, m.p, m.q, m.h)
         else:
-            rates_vjp(w, LANES, p, q, h)
-        add_rows(kept, np.int64(0), w, slopes, np.int64(6), 1.0)
-        add_rows(link_bars, np.int64(0), w, slopes + 6, np.int64(1), 1.0 - reach)
-        add_rows(link_bars, np.int64(1), w, slopes + 6, np.int64(1), reach)
-        add_rows(link_bars, np.int64(3), w, slopes + 7, 1 + MEMORY, 1.0)
-        carried = h * reach
+            rates_vjp(w, SLOTS, m.p, m.q, m.h)
+        add_rows(work.start, FIRST, w, slopes, CHASSIS, 1.0)
+        add_rows(work.actuated, WHEEL_START, w, slopes + RATES_WHEEL, ONE, 1.0 - node)
+        add_rows(work.actuated, WHEEL_END, w, slopes + RATES_WHEEL, ONE, node)
+        add_rows(work.actuated, ACCEL, w, slopes + RATES_ACCEL, ONE + MEMORY, 1.0)
+        carried = m.h * node
 
 
-@point
-def set_bars(
-    bar: "Array", bars: "Array", strides: "Indices", window: int, windows: int, k: int
-) -> None:
-    """Derivatives to the states of moment `k` as rows; lanes without a window get none."""
-    if strides[0] == 1 and window + LANES <= windows:
-        for row in range(7 + MEMORY):
-            at, to = window + k * strides[1] + row * strides[2], row * LANES
-            copy_row(bar, to, bars, at)
+@inlined
+def set_bars(bar: "Array", loss: StateGradient, block: Block, k: int) -> None:
+    """Derivatives by the states of moment `k` as rows; slots without a window get none."""
+    strides, slot = loss.strides, block.slot
+    if strides[0] == 1 and slot + SLOTS <= loss.windows:
+        for row in range(STATES + MEMORY):
+            copy_row(bar, row * SLOTS, loss.values, slot + k * strides[1] + row * strides[2])
         return
-    for lane in range(LANES):
-        at = (window + lane) * strides[0] + k * strides[1]
-        for row in range(7 + MEMORY):
-            real = window + lane < windows
-            bar[row * LANES + lane] = bars[spot(at + row * strides[2])] if real else 0.0
+    for i in range(SLOTS):
+        at = (slot + i) * strides[0] + k * strides[1]
+        for row in range(STATES + MEMORY):
+            used = slot + i < loss.windows
+            bar[row * SLOTS + i] = loss.values[unsigned(at + row * strides[2])] if used else 0.0
 
 
-@point
-def expect_moment(
-    path: "Array",
-    breadth: int,
-    bars: "Array",
-    strides: "Indices",
-    window: int,
-    windows: int,
-    k: int,
-) -> None:
-    """Ask for what a moment needs; no machine foresees that memory is read backwards."""
+@inlined
+def prefetch_moment(path: "Array", loss: StateGradient, block: Block, k: int) -> None:
+    """Prefetch what a moment needs; hardware does not foresee reading backwards."""
     if k < 0:
         return
-    for row in range(7 + MEMORY):
-        expect(path, ((7 + MEMORY) * k + row) * breadth + window)
+    strides, slot = loss.strides, block.slot
+    for row in range(STATES + MEMORY):
+        prefetch(path, ((STATES + MEMORY) * k + row) * block.slots + slot)
     if strides[0] == 1:
-        for row in range(7 + MEMORY):
-            expect(bars, window + k * strides[1] + row * strides[2])
+        for row in range(STATES + MEMORY):
+            prefetch(loss.values, slot + k * strides[1] + row * strides[2])
     else:
-        for lane in range(min(windows - window, LANES)):
-            expect(bars, (window + lane) * strides[0] + k * strides[1])
+        for i in range(min(loss.windows - slot, SLOTS)):
+            prefetch(loss.values, (slot + i) * strides[0] + k * strides[1])
 
 
-@apart
+@not_inlined
 def sum_slopes(w: "Array", row: int, slopes: "Array") -> None:
-    """Add a workspace's derivatives to the parameters, over its lanes."""
+    """Add a workspace's derivatives by the parameters, over its slots."""
     for parameter in range(PARAMETER_COUNT):
-        for lane in range(LANES):
-            slopes[parameter] += w[(row + parameter) * LANES + lane]
+        for slot in range(SLOTS):
+            slopes[parameter] += w[(row + parameter) * SLOTS + slot]
 
 
-@apart
-def sum_all_slopes(wva: "Array", wm: "Array", wr: "Array", slopes: "Array") -> None:
+@not_inlined
+def sum_all_slopes(work: AdjointWork, slopes: "Array") -> None:
     """Add those of actuators, memory and rates."""
-    sum_slopes(wva, 2 * (10 + MEMORY) + 4 + MEMORY, slopes)
-    sum_slopes(wm, 2 * (14 + MEMORY) + MEMORY, slopes)
-    sum_slopes(wr, 2 * (9 + MEMORY) + 6, slopes)
+    actuators = 2 * ACTUATORS_INPUTS + ACTUATORS_OUTPUTS
+    sum_slopes(work.actuators_vjp, actuators, slopes)
+    sum_slopes(work.remember, 2 * REMEMBER_INPUTS + MEMORY, slopes)
+    sum_slopes(work.rates, 2 * RATES_INPUTS + CHASSIS, slopes)
 
 
-@maker
-def make_adjoint_work(stages: int) -> "tuple[Array, ...]":
-    """Workspaces of actuators, their derivatives, rates, memory; and what goes between them."""
-    rows_a, rows_r = 10 + MEMORY, 9 + MEMORY
-    return (
-        np.zeros((rows_a + 4 + MEMORY) * LANES),
-        np.zeros((2 * rows_a + 4 + MEMORY + PARAMETER_COUNT) * LANES),
-        np.zeros((2 * rows_r + 6 + PARAMETER_COUNT) * LANES),
-        np.zeros((2 * (14 + MEMORY) + MEMORY + PARAMETER_COUNT) * LANES),
-        np.zeros(stages * rows_r * LANES),
-        np.zeros(6 * LANES),
-        np.zeros(6 * LANES),
-        np.zeros((4 + MEMORY) * LANES),
+@allocating
+def make_adjoint_work(stages: int) -> AdjointWork:
+    """The workspaces of a block's adjoint."""
+    actuators = ACTUATORS_INPUTS + ACTUATORS_OUTPUTS
+    return AdjointWork(
+        np.zeros(actuators * SLOTS),
+        np.zeros((ACTUATORS_INPUTS + actuators + PARAMETER_COUNT) * SLOTS),
+        np.zeros((2 * RATES_INPUTS + CHASSIS + PARAMETER_COUNT) * SLOTS),
+        np.zeros((2 * REMEMBER_INPUTS + MEMORY + PARAMETER_COUNT) * SLOTS),
+        np.zeros(stages * RATES_INPUTS * SLOTS),
+        np.zeros(CHASSIS * SLOTS),
+        np.zeros(CHASSIS * SLOTS),
+        np.zeros(ACTUATORS_OUTPUTS * SLOTS),
     )
 
 
-@entry
+@inlined
+def adjoint_actuators(m: Integration, work: AdjointWork) -> None:
+    """Through the actuators; the derivatives by their outputs are known."""
+    copy_rows(work.actuators_vjp, FIRST, work.actuators, FIRST, ACTUATORS_INPUTS)
+    copy_rows(work.actuators_vjp, ACTUATORS_INPUTS, work.actuated, FIRST, ACTUATORS_OUTPUTS)
+    actuators_vjp(work.actuators_vjp, SLOTS, m.p, m.q, m.h)
+
+
+@inlined
+def start_adjoint_step(work: AdjointWork, bar: "Array") -> None:
+    """Derivatives by the actuators' outputs and the step's start, before they are summed."""
+    clear(work.actuated)
+    copy_rows(work.actuated, STEER_END, bar, STEER, ONE)
+    clear(work.start)
+
+
+@entry_point
 def adjoint_block(
-    p: "Array",
-    q: "Array",
-    h: float,
-    tableau: "Array",
+    integration: Integration,
+    windows: Block,
     path: "Array",
-    breadth: int,
-    window: int,
-    bars: "Array",
-    strides: "Indices",
-    windows: int,
-    commands: "Array",
-    into: "Array",
-    runs: "Array",
-    t: "Array",
-    substeps: int,
-    bar: "Array",
-    slopes: "Array",
-    late_bars: "Array",
+    state_gradient: StateGradient,
+    written: Gradients,
 ) -> None:
-    """Back over a block of windows (see the module)."""
-    rows_a, states = 10 + MEMORY, 7 + MEMORY
-    late, steps = delays_in_steps(p, q, h), len(path) // (states * breadth) - 1
-    stream, ahead = make_stream(commands, runs, late, steps, substeps), stream_ahead(late, substeps)
-    returned = np.zeros(len(stream) if len(into) else 0)
-    wa, wva, wr, wm, inputs, after, kept, link_bars = make_adjoint_work(tableau.shape[1])
-    back = rows_a + 4 + MEMORY
-    set_bars(bar, bars, strides, window, windows, steps)
-    take_state(wa, path, breadth, window, steps)
+    """The adjoint of `simulate_block`.
+
+    Args:
+        integration: the car, as a plain tuple (see `arguments`).
+        windows: the windows, as a plain tuple.
+        path: what `simulate_block` wrote.
+        state_gradient: derivatives of the loss by every state, as a plain tuple.
+        written: where the results go, as a plain tuple.
+    """
+    m, block = Integration(*integration), Block(*windows)
+    loss, gradients = StateGradient(*state_gradient), Gradients(*written)
+    steps, bar, t = steps_of(path, block), gradients.first, block.t
+    stream, into = make_stream(m, block, steps), gradients.commands
+    returned = np.zeros(len(stream.rows) if len(into) else 0)
+    work, delay_bars = make_adjoint_work(m.tableau.shape[1]), gradients.delays
+    wa, wr, wva = work.actuators, work.rates, work.actuators_vjp
+    back = ACTUATORS_INPUTS + ACTUATORS_OUTPUTS
+    set_bars(bar, loss, block, steps)
+    load_state(wa, path, block, steps)
     for k in range(steps - 1, -1, -1):
-        expect_moment(path, breadth, bars, strides, window, windows, k - AHEAD)
+        prefetch_moment(path, loss, block, k - PREFETCH_AHEAD)
         if REMEMBERS:
-            copy_rows(after, np.int64(0), wa, np.int64(0), np.int64(6))
-        take_state(wa, path, breadth, window, k)
-        fetch_commands(wa, 7 + MEMORY, stream, ahead, k, substeps, late)
-        drive_lanes(wa, wr, k * h, t, p, q, h)
-        redo_stages(p, q, h, tableau, wa, wr, inputs)
-        clear(link_bars)
-        copy_rows(link_bars, np.int64(2), bar, np.int64(6), np.int64(1))
-        clear(kept)
-        if REMEMBERS:
-            remember_step(wm, wa, after)
-            back_remember(wm, bar, kept, link_bars, p, q, h)
-        else:
-            copy_rows(link_bars, np.int64(4), bar, np.int64(7), MEMORY)
-        add_rows(kept, np.int64(0), bar, np.int64(0), np.int64(6), 1.0)
-        back_stages(p, q, h, tableau, inputs, wr, bar, kept, link_bars)
-        copy_rows(wva, np.int64(0), wa, np.int64(0), rows_a)
-        copy_rows(wva, rows_a, link_bars, np.int64(0), 4 + MEMORY)
-        actuators_vjp(wva, LANES, p, q, h)
-        set_bars(bar, bars, strides, window, windows, k)
-        add_rows(bar, np.int64(0), kept, np.int64(0), np.int64(6), 1.0)
-        add_rows(bar, np.int64(0), wva, back, states, 1.0)
-        row = back + states
-        gather_lateness(wva, row, stream, ahead, k, substeps, late, late_bars)
+            copy_rows(work.after, FIRST, wa, FIRST, CHASSIS)
+        load_state(wa, path, block, k)
+        delay_commands(wa, ACTUATORS_COMMAND, stream, k)
+        run_actuators(m, wa, wr, t, k)
+        repeat_stages(m, wa, wr, work.stages)
+        start_adjoint_step(work, bar)
+        adjoint_remember(m, work, bar)
+        add_rows(work.start, FIRST, bar, FIRST, CHASSIS, 1.0)
+        adjoint_stages(m, work, bar)
+        adjoint_actuators(m, work)
+        set_bars(bar, loss, block, k)
+        add_rows(bar, FIRST, work.start, FIRST, CHASSIS, 1.0)
+        add_rows(bar, FIRST, wva, back, STATES + MEMORY, 1.0)
+        add_delay_gradient(wva, back + ACTUATORS_COMMAND, stream, k, delay_bars)
         if len(into):
-            return_commands(wva, row, returned, ahead, k, substeps, late)
-    sum_all_slopes(wva, wm, wr, slopes)
+            add_command_gradient(wva, back + ACTUATORS_COMMAND, returned, stream, k)
+    sum_all_slopes(work, gradients.parameters)
     if len(into):
-        return_stream(returned, runs, into, ahead)
+        add_stream_gradient(returned, block, into, stream.ahead)

@@ -1,7 +1,7 @@
-"""Compiled models: printed, kept in the user's cache folder, loaded again in a moment.
+"""Prints compiled models into the user's cache folder and loads them.
 
 The name of a printed module holds a hash of everything that its compiled code depends on, so a
-cache that is older than the equations is never used. Numba keeps machine code beside it.
+cache that is older than the equations is never used. Numba keeps the machine code beside it.
 """
 
 import hashlib
@@ -22,6 +22,7 @@ from steerd.car_model.effect import Effect
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.steer_bus.atomic_file import write_atomically
 from steerd.sysid.compiler import (
+    arguments,
     choice,
     compile,
     delayed,
@@ -56,7 +57,7 @@ def module_source(effects: Sequence[Effect] = (), chassis: Chassis = SINGLE_TRAC
 def _fingerprint(source: str) -> str:
     parts = [
         source,
-        *(_text(m) for m in (simd_math, choice, compile, simd_rows)),
+        *(_text(m) for m in (simd_math, choice, compile, simd_rows, arguments)),
         numba.__version__,
     ]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]

@@ -1,7 +1,7 @@
 """Elementary functions that LLVM can vectorise: no branches, no calls into libm.
 
-Numba's libm calls keep a loop scalar; sine and cosine were the larger half of a whole step. Each
-function here is polynomials and selects, good to a few units in the last place over the ranges that
+Numba's libm calls keep a loop scalar; sine and cosine took more than half of a step. Each
+function here is polynomials and selects, good to a few units in the last place over the range that
 a car's equations use (angles up to 1e5 rad). Coefficients: Cephes library (S. Moshier), the classic
 minimax fits; range reduction after Cody and Waite.
 """
@@ -48,7 +48,7 @@ def _cos_kernel(r: float) -> float:
 
 
 @inline
-def _turned(x: float, quarter: float) -> Any:
+def _sin_shifted(x: float, quarter: float) -> Any:
     # sin(x + quarter * pi/2)
     n = np.floor(x * _TWO_OVER_PI + 0.5)
     r = ((x - n * _HALF_PI_1) - n * _HALF_PI_2) - n * _HALF_PI_3
@@ -62,13 +62,13 @@ def _turned(x: float, quarter: float) -> Any:
 @inline
 def sin(x: float) -> Any:
     """Sine of an angle [rad]."""
-    return _turned(x, 0.0)
+    return _sin_shifted(x, 0.0)
 
 
 @inline
 def cos(x: float) -> Any:
     """Cosine of an angle [rad]."""
-    return _turned(x, 1.0)
+    return _sin_shifted(x, 1.0)
 
 
 @inline
@@ -112,7 +112,7 @@ def sqrt(x: float) -> float:
 
 @inline
 def exp(x: float) -> Any:
-    """Exponential; only effects with memory need it inside a loop, so libm's serves."""
+    """Exponential (libm's: only effects with memory need it inside a loop)."""
     return np.exp(x)
 
 

@@ -1,9 +1,10 @@
-"""Equations for a car that is on the move: what a lower bound of the speed makes superfluous, gone.
+"""Specialises equations to a range of their inputs, such as speeds above walking pace.
 
-Below walking pace the tyre equations fade into kinematic ones, which cost as much again and count
-for nothing above it. What is computed from bounded inputs is bounded too (interval arithmetic);
-a choice that its bounds decide is no choice, and what then is multiplied by zero is dropped. The
-inverse of a product becomes a product of inverses, which are shared: divisions take the longest.
+Below walking pace the tyre equations are blended into kinematic ones, which cost as much again and
+have no weight above it. Interval arithmetic bounds what is computed from bounded inputs. A select,
+min or max that its bounds decide is replaced by the argument it takes, and what is then multiplied
+by zero is dropped. The inverse of a product becomes a product of inverses, which are shared:
+divisions take the longest.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,12 +13,12 @@ from typing import NamedTuple
 
 from steerd.car_model.tape import Node, apply, needed
 
-BRISK = 0.55
-"""Speed from which the short equations hold [m/s]: the tyres' share is whole from 0.5 m/s."""
+SPECIALISED_SPEED = 0.55
+"""Above this speed the kinematic blend has no weight [m/s]; the blend ends at 0.5 m/s."""
 
 
 class Range(NamedTuple):
-    """Between which numbers a value lies."""
+    """Bounds of a value."""
 
     low: float
     high: float
@@ -62,7 +63,7 @@ def _range(op: str, args: Sequence[Range]) -> Range:
 
 
 def _decided(op: str, nodes: Sequence[Node], ranges: Sequence[Range]) -> Node | None:
-    """The argument that a choice always takes, if its bounds say so."""
+    """The argument that a select, min or max always takes within the bounds, if there is one."""
     if op == "select":
         return nodes[1] if ranges[0].low > 0.0 else nodes[2] if ranges[0].high <= 0.0 else None
     if op not in ("min", "max"):
@@ -73,12 +74,12 @@ def _decided(op: str, nodes: Sequence[Node], ranges: Sequence[Range]) -> Node | 
     return nodes[smaller] if op == "min" else nodes[1 - smaller]
 
 
-def _written(op: str, nodes: Sequence[Node]) -> Node:
-    """The operation recorded, the inverse of a product as a product of inverses."""
+def _apply(op: str, nodes: Sequence[Node]) -> Node:
+    """Record the operation, the inverse of a product as a product of inverses."""
     inner = nodes[0].entry
     if op != "inverse" or inner.op != "mul":
         return apply(op, *nodes)
-    one, other = (_written(op, [Node(nodes[0].tape, place)]) for place in inner.args)
+    one, other = (_apply(op, [Node(nodes[0].tape, place)]) for place in inner.args)
     return one * other
 
 
@@ -97,7 +98,7 @@ def specialise(outputs: Sequence[Node], known: Mapping[int, Range]) -> tuple[Nod
         nodes = [made[a] for a in entry.args]
         ranges = [bounds[a] for a in entry.args]
         chosen = _decided(entry.op, nodes, ranges)
-        made[place] = _written(entry.op, nodes) if chosen is None else chosen
+        made[place] = _apply(entry.op, nodes) if chosen is None else chosen
         result = made[place].entry
         fixed = result.op == "const"
         bounds[place] = Range(result.value, result.value) if fixed else _range(entry.op, ranges)

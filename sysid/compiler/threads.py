@@ -1,9 +1,9 @@
 """Independent pieces of compiled work on several threads of this process.
 
-Compiled kernels hold no lock of Python's. How many threads: what Numba would take, all cores unless
+Compiled kernels release Python's lock (GIL). As many threads as Numba would take: all cores unless
 `NUMBA_NUM_THREADS` says otherwise; joblib and Dask set that for their workers, so that workers on
-all cores do not start threads on all cores each. Who is ready takes the next piece, and nobody
-waits by spinning: on a busy machine this costs little more than doing all of it alone.
+all cores do not start threads on all cores each. A thread that is ready takes the next piece, and
+none waits by spinning: on a busy machine this costs little more than one thread.
 """
 
 import os
@@ -15,7 +15,7 @@ from typing import Any
 import numba
 
 WORTHWHILE = 1000
-"""Steps for each thread below which waking it (some 50 us) costs more than it brings."""
+"""Steps for each thread below which waking it (some 50 us) costs more than it saves."""
 
 
 def threads() -> int:
@@ -37,7 +37,7 @@ def share_out(work: Callable[[int, int], None], count: int, steps: int) -> None:
     """Do `work(piece, worker)` for all pieces; no two must write the same, other than by worker.
 
     Args:
-        work: a call of a compiled function that lets go of Python's lock; workers are numbered from
+        work: a call of a compiled function that releases Python's lock; workers are numbered from
             0, fewer than `threads()`.
         count: pieces.
         steps: how long a piece is, in steps of a simulation.

@@ -1,8 +1,7 @@
-"""The equations of a car with effects, recorded: the source of the compiled kernels.
+"""Records the equations of a car with effects: the source of the compiled kernels.
 
 `car_model` is run once over a tape in the order in which a step uses it: actuators, rates,
-memory, observation. Nothing is written twice: what is traced is the code that drives the simulated
-car.
+memory, observation. No equation is written twice: the traced code also moves the simulated car.
 """
 
 from typing import Any, NamedTuple
@@ -27,7 +26,8 @@ from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
 from steerd.car_model.tape import TAPE, Node, Tape
 
-CHASSIS: tuple[str, ...] = ("x", "y", "yaw", "speed", "yaw_rate", "slip_angle")
+CHASSIS: tuple[str, ...] = State._fields[: State._fields.index("steer")]
+"""States that the rates move; the actuators move the steer, which comes after them."""
 
 
 class Piece(NamedTuple):
@@ -49,12 +49,12 @@ class Traced(NamedTuple):
         parameters: names, car fields first, then `effect.parameter`.
         symbols: a symbol for each parameter.
         memory: how many numbers the effects remember.
-        actuators: (7 states, memory, command) -> wheel at start and end, steer at end, accel,
+        actuators: (states, memory, command, time) -> wheel at start and end, steer at end, accel,
             memory.
-        rates: (6 chassis states, wheel, accel, memory) -> their rates.
+        rates: (chassis states, wheel, accel, memory, time) -> rates of the chassis states.
         remember: (chassis before, wheel before, chassis after, wheel after, memory) -> memory.
         remembers: whether `remember` does anything.
-        observe: 7 states -> x, y, yaw, wheel speed, yaw rate.
+        observe: states -> x, y, yaw, wheel speed, yaw rate.
         delays: dead times of steer, drive and pose, in the parameters.
         t: time into the run; h: the step.
     """
@@ -92,7 +92,7 @@ def _inputs(tape: Tape, *names: str) -> tuple[Node, ...]:
     return tuple(tape.symbol(name) for name in names)
 
 
-class _Setting(NamedTuple):
+class _Symbols(NamedTuple):
     tape: Tape
     model: Model[Node]
     state: State[Node]
@@ -101,7 +101,7 @@ class _Setting(NamedTuple):
     h: Any
 
 
-def _trace_actuators(s: _Setting) -> Piece:
+def _trace_actuators(s: _Symbols) -> Piece:
     command = Command(*_inputs(s.tape, "cmd_steer", "cmd_speed"))
     car = car_now(TAPE, s.model, s.state, s.t)
     ref = aim(TAPE, s.model, car, command, s.t)
@@ -114,15 +114,15 @@ def _trace_actuators(s: _Setting) -> Piece:
     )
 
 
-def _trace_rates(s: _Setting) -> Piece:
+def _trace_rates(s: _Symbols) -> Piece:
     wheel, accel = _inputs(s.tape, "wheel", "accel")
     rolling = s.state._replace(steer=wheel)
     car = car_now(TAPE, s.model, rolling, s.t)
     rates = model_rates(TAPE, s.model, car, s.memory, rolling, wheel, accel)
-    return Piece((*s.state[:6], wheel, accel, *s.memory, s.t), tuple(rates))
+    return Piece((*s.state[: len(CHASSIS)], wheel, accel, *s.memory, s.t), tuple(rates))
 
 
-def _trace_remember(s: _Setting) -> Piece:
+def _trace_remember(s: _Symbols) -> Piece:
     rest = s.tape.constant(0.0)
     slip_angles = s.model.chassis.slip_angles
     before: State[Node] = State(*_inputs(s.tape, *(f"{n}_before" for n in State._fields)))
@@ -139,14 +139,14 @@ def trace(effects: tuple[Effect, ...] = (), chassis: Chassis = SINGLE_TRACK) -> 
     state: State[Node] = State(*_inputs(tape, *State._fields))
     memory = _inputs(tape, *(f"memory_{i}" for i in range(memory_size(effects))))
     t, h = _inputs(tape, "t", "h")
-    setting = _Setting(tape, model, state, memory, t, h)
+    symbols = _Symbols(tape, model, state, memory, t, h)
     return Traced(
         parameters=parameter_names(effects),
         symbols=every,
         memory=len(memory),
-        actuators=_trace_actuators(setting),
-        rates=_trace_rates(setting),
-        remember=_trace_remember(setting),
+        actuators=_trace_actuators(symbols),
+        rates=_trace_rates(symbols),
+        remember=_trace_remember(symbols),
         remembers=bool(bound_hooks(effects, "remember")),
         observe=Piece(tuple(state), tuple(observe(TAPE, model, state))),
         delays=tuple(delays(model)),

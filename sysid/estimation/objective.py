@@ -10,7 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sysid.compiler.kernels import PLACED, Held, Kernels, Stations, delays_of, model_of, read
+from steerd.sysid.compiler.kernels import (
+    START_POSE,
+    HeldCommands,
+    Kernels,
+    Stations,
+    compute_readings,
+    delays_of,
+    model_of,
+)
 from steerd.sysid.data.windows import GROUPS, Layout
 from steerd.sysid.estimation.chart import Chart
 from steerd.sysid.estimation.stability import stable_substeps
@@ -105,22 +113,22 @@ class Problem:
         substeps = self.substeps or stable_substeps(
             model_of(self.kernels, parameters).car, *self.speeds, layout.h
         )
-        held = Held(layout.commands, layout.h, substeps, self.integrator)
+        held = HeldCommands(layout.commands, layout.h, substeps, self.integrator)
         late = float(delays_of(self.kernels, parameters)[2])
         key = (late, held.fine)
         if key not in self._stations:
             self._stations = {key: layout.stations(late, held.fine)}
         # Without effects nothing depends on where the car is: moved and turned starts move and turn
         # the poses, and these columns need no simulation.
-        placed = not self.kernels.effects
-        used = n + STATES - (PLACED if placed else 0)
+        start_pose = not self.kernels.effects
+        used = n + STATES - (START_POSE if start_pose else 0)
         seeds = np.zeros((len(parameters), used))
         seeds[:, :n] = self.chart.slopes(z)
         dfirst = np.zeros((STATES, used))
         dfirst[COLUMN_STATES[: used - n], range(n, used)] = 1.0
-        return read(
+        return compute_readings(
             self.kernels, parameters, seeds, x, dfirst, held, layout.kernel_windows(substeps),
-            self._stations[key], scale, placed,
+            self._stations[key], scale, start_pose,
         )  # fmt: skip
 
     def rescaled(self, at: Evaluation, sigma: Array) -> Evaluation:

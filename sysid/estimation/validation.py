@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.model import Model
-from steerd.sysid.compiler.kernels import Held, delays_of, make_kernels, parameter_vector, read
+from steerd.sysid.compiler.kernels import (
+    HeldCommands,
+    compute_readings,
+    delays_of,
+    make_kernels,
+    parameter_vector,
+)
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.windows import Layout, estimate_noise, make_layout, speed_range
 from steerd.sysid.estimation.fit import prescribe_speed
@@ -90,12 +96,12 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
     late = float(delays_of(kernels, parameters)[2])
     layout = make_layout(runs, _ROOM * (PAST + horizon), late)
     substeps = stable_substeps(model.car, *speed_range(runs), layout.h)
-    held = Held(layout.commands, layout.h, substeps)
+    held = HeldCommands(layout.commands, layout.h, substeps)
     stations, windows = layout.stations(late, held.fine), layout.kernel_windows(substeps)
     seeds, dfirst = np.zeros((len(parameters), _STATES)), np.eye(_STATES)
 
     def look(x: Array) -> tuple[Array, Array]:
-        return read(kernels, parameters, seeds, x, dfirst, held, windows, stations)
+        return compute_readings(kernels, parameters, seeds, x, dfirst, held, windows, stations)
 
     sigma = np.maximum(estimate_noise(runs), _FLOORS)
     return _traces(layout, look(_settle(layout, sigma, look))[0])

@@ -6,7 +6,14 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from steerd.sysid.compiler.kernels import Held, Kernels, lane_view, make_lanes, march, march_back
+from steerd.sysid.compiler.kernels import (
+    HeldCommands,
+    Kernels,
+    view_by_window,
+    make_window_blocks,
+    march,
+    march_back,
+)
 from steerd.sysid.paper.torch_ops import Tensor
 
 
@@ -52,32 +59,32 @@ def simulate(
 
 
 class _Simulate(torch.autograd.Function):
-    """March and march back; everything stays in the lanes' layout, so nothing is copied."""
+    """March and march back; everything stays in the blocks' layout, so nothing is copied."""
 
     @staticmethod
     def forward(ctx: Any, parameters: Tensor, first: Tensor, commands: Tensor, setting: Any) -> Any:
         """March."""
         kernels, h, integrator, substeps, history, t = setting
         count, length = commands.shape[:2]
-        held = Held(_array(commands).reshape(-1, 2), h, substeps, integrator)
+        held = HeldCommands(_array(commands).reshape(-1, 2), h, substeps, integrator)
         low = np.arange(count) * length
         runs = np.stack([low, low + length, low + history], axis=1)
-        lanes = make_lanes(runs, np.full(count, t))
+        blocks = make_window_blocks(runs, np.full(count, t))
         steps = (length - history) * substeps
-        path = march(kernels, _array(parameters), _array(first), held, lanes, steps)
-        ctx.state = (kernels, _array(parameters), path, held, lanes)
-        return lane_view(torch.from_numpy(path), count)
+        path = march(kernels, _array(parameters), _array(first), held, blocks, steps)
+        ctx.state = (kernels, _array(parameters), path, held, blocks)
+        return view_by_window(torch.from_numpy(path), count)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, bars: Tensor) -> Any:
         """March back."""
-        kernels, parameters, path, held, lanes = ctx.state
+        kernels, parameters, path, held, blocks = ctx.state
         wanted = ctx.needs_input_grad[2]
-        slopes = march_back(kernels, parameters, path, bars.numpy(), held, lanes, wanted)
+        slopes = march_back(kernels, parameters, path, bars.numpy(), held, blocks, wanted)
         pieces = [slopes.parameters, np.ascontiguousarray(slopes.first)]
         if wanted:
-            pieces.append(slopes.commands.reshape(lanes.windows, -1, 2))
+            pieces.append(slopes.commands.reshape(blocks.windows, -1, 2))
         gradients = [torch.from_numpy(piece) for piece in pieces]
         return (*gradients, *[None] * (4 - len(gradients)))
 

@@ -7,7 +7,13 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.cli.main import run_cli as main
-from steerd.sysid.compiler.kernels import Held, lane_view, make_kernels, make_lanes, march
+from steerd.sysid.compiler.kernels import (
+    HeldCommands,
+    make_kernels,
+    make_window_blocks,
+    march,
+    view_by_window,
+)
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 MAP = """[columns]
@@ -28,10 +34,12 @@ def session(tmp_path):
     """A drive of 20 s as an imported log."""
     t = 0.01 * np.arange(2000)
     commands = np.column_stack([0.2 * np.sin(1.3 * t + 0.1 * t * t), np.ones_like(t)])
-    lanes = make_lanes(np.array([[0, len(t), 0]]), np.zeros(1))
+    blocks = make_window_blocks(np.array([[0, len(t), 0]]), np.zeros(1))
     first = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
-    path = march(make_kernels(), np.array(DEFAULT_CAR), first, Held(commands, 0.01), lanes, len(t))
-    rows = np.column_stack([t, lane_view(path, 1)[0, :-1, :3], commands])
+    path = march(
+        make_kernels(), np.array(DEFAULT_CAR), first, HeldCommands(commands, 0.01), blocks, len(t)
+    )
+    rows = np.column_stack([t, view_by_window(path, 1)[0, :-1, :3], commands])
     np.savetxt(
         tmp_path / "run.csv", rows, delimiter=",", header="t,x,y,yaw,steer,speed", comments=""
     )

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
 from steerd.sysid.compiler.kernels import (
-    Held,
-    lane_view,
+    HeldCommands,
     make_kernels,
-    make_lanes,
+    make_window_blocks,
     march,
     parameter_vector,
+    view_by_window,
 )
 from steerd.sysid.data.dataset import Run, Signal, make_run
 
@@ -66,11 +66,11 @@ def simulate_run(
     """A drive of a known car, poses and wheel speed at 200 Hz."""
     kernels = make_kernels(model.effects)
     count = len(commands)
-    lanes = make_lanes(np.array([[0, count, 0]]), np.zeros(1))
+    blocks = make_window_blocks(np.array([[0, count, 0]]), np.zeros(1))
     state = np.zeros((1, 7 + kernels.memory))
     state[0, :7] = first
-    held = Held(np.ascontiguousarray(commands), STEP)
-    path = lane_view(march(kernels, parameter_vector(model), state, held, lanes, count), 1)[0]
+    held = HeldCommands(np.ascontiguousarray(commands), STEP)
+    path = view_by_window(march(kernels, parameter_vector(model), state, held, blocks, count), 1)[0]
     rng = np.random.default_rng([7, seed])
     t = np.arange(count + 1) * STEP
     pose = path[:, :3] + rng.normal(size=(count + 1, 3)) * [noise.position] * np.array(
@@ -100,9 +100,12 @@ def drive(
 
 
 def _settled(car: Car[float], commands: Array, first: Array) -> Array:
-    held, lanes = Held(commands, STEP), make_lanes(np.array([[0, len(commands), 0]]), np.zeros(1))
-    path = march(make_kernels(), np.array(car), first[None], held, lanes, len(commands))
-    last: Array = lane_view(path, 1)[0, -1].copy()
+    held, blocks = (
+        HeldCommands(commands, STEP),
+        make_window_blocks(np.array([[0, len(commands), 0]]), np.zeros(1)),
+    )
+    path = march(make_kernels(), np.array(car), first[None], held, blocks, len(commands))
+    last: Array = view_by_window(path, 1)[0, -1].copy()
     return last
 
 

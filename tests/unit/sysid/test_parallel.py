@@ -7,7 +7,13 @@ import pytest
 from joblib import Parallel, delayed
 
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.sysid.compiler.kernels import Held, lane_view, make_kernels, make_lanes, march
+from steerd.sysid.compiler.kernels import (
+    HeldCommands,
+    make_kernels,
+    make_window_blocks,
+    march,
+    view_by_window,
+)
 from steerd.sysid.parallel import on_cluster
 
 
@@ -21,12 +27,12 @@ def test_a_compiled_car_travels_without_its_code():
     assert len(data) < 5_000
     again = pickle.loads(data)
     assert again.names == kernels.names
-    held = Held(np.tile([0.1, 1.5], (50, 1)), 0.01)
-    lanes = make_lanes(np.array([[0, 50, 0]]), np.zeros(1))
+    held = HeldCommands(np.tile([0.1, 1.5], (50, 1)), 0.01)
+    blocks = make_window_blocks(np.array([[0, 50, 0]]), np.zeros(1))
     first = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
     parameters = np.array(DEFAULT_CAR)
-    paths = [march(each, parameters, first, held, lanes, 50) for each in (kernels, again)]
-    np.testing.assert_array_equal(lane_view(paths[0], 1), lane_view(paths[1], 1))
+    paths = [march(each, parameters, first, held, blocks, 50) for each in (kernels, again)]
+    np.testing.assert_array_equal(view_by_window(paths[0], 1), view_by_window(paths[1], 1))
 
 
 def test_without_an_address_work_stays_here():

@@ -11,20 +11,20 @@ from steerd.car_model.rollout import euler, start
 from steerd.car_model.rollout import simulate as simulate_floats
 from steerd.car_model.state import Command, State
 from steerd.sysid.compiler.kernels import (
-    Held,
+    HeldCommands,
     Kernels,
     Stations,
     Windows,
+    compute_readings,
     delays_of,
-    lane_view,
     make_kernels,
-    make_lanes,
+    make_window_blocks,
     march,
     march_back,
     parameter_vector,
-    read,
+    view_by_window,
 )
-from steerd.sysid.compiler.specialised import BRISK
+from steerd.sysid.compiler.specialised import SPECIALISED_SPEED
 from steerd.sysid.paper.torch_kernel import simulate
 from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, PAPER_STEP, simulate_reference
 
@@ -74,7 +74,7 @@ def test_on_the_move_and_through_walking_pace(any_model, slowest):
     commands.data[..., 1] = torch.clamp(commands.data[..., 1], min=slowest)
     fast = simulate(make_kernels(any_model.effects), p, first, commands, H, history=4)
     slow = simulate_reference(p, first, commands, H, effects=any_model.effects, history=4)
-    assert bool((slow[..., 3] > BRISK).all()) == (slowest > BRISK)
+    assert bool((slow[..., 3] > SPECIALISED_SPEED).all()) == (slowest > SPECIALISED_SPEED)
     assert torch.max(torch.abs(fast - slow)) < 1e-9
     weight = torch.tensor(np.random.default_rng(1).normal(size=tuple(slow.shape)))
     wanted = torch.autograd.grad((weight * slow).sum(), [p, first, commands])
@@ -137,7 +137,7 @@ def test_single_precision_is_refused():
         simulate(make_kernels(), p.float(), first, commands, H)
 
 
-def _stations(kernels: Kernels, p, held: Held, windows: int) -> Stations:
+def _stations(kernels: Kernels, p, held: HeldCommands, windows: int) -> Stations:
     late = delays_of(kernels, p)[2]
     rows, row = [], 0
     for w in range(windows):
@@ -161,12 +161,12 @@ def test_sensitivities_are_central_differences(any_model):
     ]
     commands = np.stack([rng.uniform(-0.3, 0.3, 120), rng.uniform(0.5, 3.0, 120)], -1)
     windows = Windows(np.array([[0, 120, 15, 40, 10], [0, 120, 70, 40, 10]]), np.array([0.1, 0.4]))
-    held, count = Held(commands, H), len(p)
+    held, count = HeldCommands(commands, H), len(p)
     seeds, dfirst = np.eye(count, count + 7), np.eye(7, count + 7, count)
 
     def readings(p, first):
         stations = _stations(kernels, p, held, 2)
-        return read(kernels, p, seeds, first, dfirst, held, windows, stations)
+        return compute_readings(kernels, p, seeds, first, dfirst, held, windows, stations)
 
     slopes = readings(p, first)[1]
     for column in range(count + 7):
@@ -190,38 +190,38 @@ def test_sensitivities_agree_with_the_adjoint():
     kernels, p = make_kernels(), parameter_vector(model)
     rng = np.random.default_rng(5)
     steps, first = 60, np.array([[0.1, -0.2, 0.4, 1.3, 0.2, 0.02, 0.05]])
-    held = Held(np.stack([rng.uniform(-0.3, 0.3, 70), rng.uniform(1.0, 2.0, 70)], -1), H)
+    held = HeldCommands(np.stack([rng.uniform(-0.3, 0.3, 70), rng.uniform(1.0, 2.0, 70)], -1), H)
     stations = Stations(np.array([[steps - 1, 0, 0, 1]]), np.ones(1), np.array([0, 1]), 3)
     count = len(p)
-    y, slopes = read(
+    y, slopes = compute_readings(
         kernels, p, np.eye(count, count + 7), first, np.eye(7, count + 7, count), held,
         Windows(np.array([[0, 70, 10, steps, 0]]), np.zeros(1)), stations,
     )  # fmt: skip
-    lanes = make_lanes(np.array([[0, 70, 10]]), np.zeros(1))
-    path = march(kernels, p, first, held, lanes, steps)
-    assert np.abs(lane_view(path, 1)[0, -1, :3] - y).max() < 1e-12
+    blocks = make_window_blocks(np.array([[0, 70, 10]]), np.zeros(1))
+    path = march(kernels, p, first, held, blocks, steps)
+    assert np.abs(view_by_window(path, 1)[0, -1, :3] - y).max() < 1e-12
     for row in range(3):
         bars = np.zeros((1, steps + 1, 7))
         bars[0, -1, row] = 1.0
-        back = march_back(kernels, p, path, bars, held, lanes)
+        back = march_back(kernels, p, path, bars, held, blocks)
         both = np.concatenate([back.parameters, back.first[0]])
         seen = slopes[row].copy()
         seen[kernels.names.index("pose_delay")] = 0.0
         assert np.abs(both - seen).max() < 1e-9 * max(1.0, np.abs(both).max())
 
 
-def test_too_many_columns_are_refused():
+def test_too_many_sensitivities_are_refused():
     kernels, p = make_kernels(), parameter_vector(Model(DEFAULT_CAR))
     stations = Stations(np.zeros((0, 4), np.int64), np.zeros(0), np.zeros(2, np.int64), 0)
     windows = Windows(np.array([[0, 1, 0, 1, 0]]), np.zeros(1))
-    with pytest.raises(ValueError, match="73 columns"):
-        read(
+    with pytest.raises(ValueError, match="73 sensitivities"):
+        compute_readings(
             kernels,
             p,
             np.zeros((21, 73)),
             np.zeros((1, 7)),
             np.zeros((7, 73)),
-            Held(np.zeros((1, 2)), H),
+            HeldCommands(np.zeros((1, 2)), H),
             windows,
             stations,
         )

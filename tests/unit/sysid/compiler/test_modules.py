@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from steerd.car_model.effects import find_effect
-from steerd.sysid.compiler import simd_math as lane_math
+from steerd.sysid.compiler import simd_math
 from steerd.sysid.compiler.modules import module_source, write_module
 
 
@@ -20,10 +20,10 @@ def test_one_file_per_model_whoever_writes_it(tmp_path, monkeypatch):
     assert other.read_text(encoding="utf-8") == module_source((find_effect("steer_bias"),))
 
 
-def test_lane_functions_are_good_to_the_last_places():
+def test_simd_functions_are_good_to_the_last_places():
     x = np.linspace(-40.0, 40.0, 4001)
     for name in ("sin", "cos", "tan"):
-        ours = np.array([getattr(lane_math, name)(v) for v in x])
+        ours = np.array([getattr(simd_math, name)(v) for v in x])
         assert np.abs(ours - getattr(np, name)(x)).max() < 4e-16 * (1.0 + np.abs(ours).max() ** 2)
-    ours = np.array([lane_math.atan(v) for v in x])
+    ours = np.array([simd_math.atan(v) for v in x])
     assert np.abs(ours - np.arctan(x)).max() < 4e-16

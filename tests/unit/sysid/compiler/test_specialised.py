@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.straight_line import compiled
 from steerd.car_model.tape import TAPE, Tape, gradient, needed
-from steerd.sysid.compiler.codegen import brisk_rates
-from steerd.sysid.compiler.specialised import BRISK, Range, specialise
+from steerd.sysid.compiler.codegen import specialised_rates
+from steerd.sysid.compiler.specialised import SPECIALISED_SPEED, Range, specialise
 from steerd.sysid.compiler.trace import trace
 
 OPS = ("add", "sub", "mul", "min", "max", "select", "neg")
@@ -18,13 +18,13 @@ OPS = ("add", "sub", "mul", "min", "max", "select", "neg")
 
 def test_above_walking_pace_both_forms_give_the_same_rates():
     traced = trace(())
-    fast = brisk_rates(traced)
+    fast = specialised_rates(traced)
     inputs = [*fast.inputs, *traced.symbols, traced.h]
     one, other = (compiled(inputs, list(p.outputs)) for p in (traced.rates, fast))
     rng = np.random.default_rng(3)
     for _ in range(200):
         x = rng.normal(size=len(fast.inputs)) * 0.2
-        x[3] = rng.uniform(BRISK, 6.0)
+        x[3] = rng.uniform(SPECIALISED_SPEED, 6.0)
         numbers = [*x.tolist(), *DEFAULT_CAR, 0.005]
         np.testing.assert_allclose(other(*numbers), one(*numbers), rtol=1e-13, atol=1e-15)
     assert len(needed(fast.outputs)) < 0.7 * len(needed(traced.rates.outputs))

@@ -6,12 +6,12 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.compiler.kernels import (
-    Held,
-    lane_view,
+    HeldCommands,
     make_kernels,
-    make_lanes,
+    make_window_blocks,
     march,
     march_back,
+    view_by_window,
 )
 from steerd.sysid.compiler.threads import WORTHWHILE, share_out
 
@@ -47,17 +47,17 @@ def test_two_threads_give_the_numbers_of_one(monkeypatch):
     rng = np.random.default_rng(7)
     rows = np.stack([rng.uniform(-0.2, 0.2, count * steps), np.ones(count * steps)], -1)
     low = steps * np.arange(count)
-    lanes = make_lanes(np.stack([low, low + steps, low], axis=1), np.zeros(count))
+    blocks = make_window_blocks(np.stack([low, low + steps, low], axis=1), np.zeros(count))
     first = np.zeros((count, 7))
     first[:, 3] = 1.0
-    held, found = Held(rows, 0.005), []
+    held, found = HeldCommands(rows, 0.005), []
     for threads in (1, 2):
         monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", threads)
-        path = march(kernels, p, first, held, lanes, steps)
-        seen = lane_view(path, count)
+        path = march(kernels, p, first, held, blocks, steps)
+        seen = view_by_window(path, count)
         assert np.shares_memory(seen, path)
-        back = march_back(kernels, p, path, seen, held, lanes)
+        back = march_back(kernels, p, path, seen, held, blocks)
         found.append((seen, back.first, back.commands, back.parameters))
-        assert not len(march_back(kernels, p, path, seen, held, lanes, commands=False).commands)
+        assert not len(march_back(kernels, p, path, seen, held, blocks, commands=False).commands)
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)
