@@ -1,5 +1,7 @@
 """Steering servo and speed loop: gains, end stops, first-order lags with slew limits."""
 
+# Why: docs/decisions/vehicle-model.md#d4
+
 from typing import Generic, NamedTuple
 
 from steerd.car_model.ops import Ops, T

@@ -6,6 +6,8 @@ parameters it must return it unchanged, bit for bit. An effect may keep memory b
 play of a linkage, the build-up of a tyre force).
 """
 
+# Why: docs/decisions/vehicle-model.md#d6
+
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -6,6 +6,8 @@ vertical loads shifted by longitudinal acceleration. Below walking pace the slip
 abruptly.
 """
 
+# Why: docs/decisions/vehicle-model.md#d5
+
 from steerd.car_model.chassis import (
     KINEMATIC_RATE,
     SPEED_KINEMATIC,

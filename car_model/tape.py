@@ -11,6 +11,8 @@ equations cost, and a derivative about three times that.
 Source of the method: Griewank and Walther, Evaluating Derivatives (reverse accumulation).
 """
 
+# Why: docs/decisions/rooms-and-code.md#d3
+
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -10,6 +10,8 @@ Source: `docs/reference/safety-requirements.md#s4.1`; lateral acceleration as IS
 F1TENTH's throttle interpolator.
 """
 
+# Why: docs/decisions/safety.md#d11
+
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import IntEnum, IntFlag

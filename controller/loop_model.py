@@ -4,6 +4,8 @@ The one place that says what the gains of a design multiply; the designs and the
 loop both start here. The vehicle's part comes from `steerd.car_model.linear`.
 """
 
+# Why: docs/decisions/filter-and-controller.md#d10
+
 from typing import NamedTuple
 
 import numpy as np

@@ -5,6 +5,8 @@ belief after it. A new one is put in its place and the later ones are fused agai
 instant therefore depends on which measurements arrived, never on the order in which they did.
 """
 
+# Why: docs/decisions/filter-and-controller.md#d9
+
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence

@@ -5,6 +5,8 @@ order of their cost to a wrong pose; the innovation gate is the estimator's. Thr
 `docs/reference/mocap.md`; each rejection has a reason from `REASONS`, counted by the caller.
 """
 
+# Why: docs/decisions/filter-and-controller.md#d18
+
 from __future__ import annotations
 
 from dataclasses import dataclass, replace

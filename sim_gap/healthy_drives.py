@@ -6,6 +6,9 @@ disturbances both, the same measure by which the diagnosis judges, so that a hea
 to it.
 """
 
+# Why: docs/decisions/diagnosis.md#d50
+# Why: docs/decisions/diagnosis.md#d52
+
 from collections.abc import Sequence
 from dataclasses import replace
 

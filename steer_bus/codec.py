@@ -9,6 +9,8 @@ A flat message (no sequence of messages) is one cached ``struct.Struct`` per set
 so encoding it is one ``pack``.
 """
 
+# Why: docs/decisions/messages-and-sessions.md#d2
+
 import functools
 import operator
 import struct

@@ -5,6 +5,8 @@ ends of a connection show a certificate of the lab's own authority (mutual TLS);
 allows by the certificate's common name: operators command and read, viewers read, others nothing.
 """
 
+# Why: docs/decisions/safety.md#d25
+
 import stat
 import tomllib
 from collections.abc import Iterable

@@ -4,6 +4,8 @@
 files too, with warnings; the :class:`Session` it gives is a value that reads its parts on demand.
 """
 
+# Why: docs/decisions/messages-and-sessions.md#d17
+
 import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """Options of the whole suite."""
 
+# Why: docs/decisions/rooms-and-code.md#d37
+
 from collections import Counter
 from collections.abc import Iterator
 

@@ -4,6 +4,8 @@ Two sets that never meet: the set's name is the first word of every seed, so no 
 of `tuning` can appear in `report`. A set is a pure function of its name and its nonce.
 """
 
+# Why: docs/decisions/diagnosis.md#d54
+
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace

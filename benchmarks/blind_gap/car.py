@@ -5,6 +5,8 @@ The healthy car is built so that a single-track car with linear tyres is *nearly
 controls): tyres that level off, grip that falls with load, power lost to slip in bends.
 """
 
+# Why: docs/decisions/diagnosis.md#d31
+
 from math import sqrt
 from typing import NamedTuple
 

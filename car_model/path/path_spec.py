@@ -1,5 +1,7 @@
 """Paths by name: `line`, `circle:radius=2`, `figure8:size=5`, `csv:FILE,place=as-is`."""
 
+# Why: docs/decisions/vehicle-model.md#d20
+
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath

@@ -3,6 +3,9 @@
 Nothing here imports NumPy or torch, so `steerd --help` takes 30 ms.
 """
 
+# Why: docs/decisions/processes-and-time.md#d21
+# Why: docs/decisions/rooms-and-code.md#d22
+
 import argparse
 import importlib
 import os

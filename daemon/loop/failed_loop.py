@@ -4,6 +4,8 @@ Filter, controller and watchdogs do not run, because one of them has just raised
 new angle, so it holds the last one.
 """
 
+# Why: docs/decisions/safety.md#d42
+
 import traceback
 from dataclasses import replace
 from typing import TYPE_CHECKING

@@ -1,5 +1,8 @@
 """Lateness of the loop (W15): a pure count over due and wake times."""
 
+# Why: docs/decisions/safety.md#d15
+# Why: docs/decisions/safety.md#d35
+
 from typing import NamedTuple
 
 from steerd.daemon.loop.findings import Finding, Severity, make_finding

@@ -1,5 +1,7 @@
 """Leases: one operator and one external controller at a time, only while alive. Pure."""
 
+# Why: docs/decisions/safety.md#d14
+
 from dataclasses import dataclass, replace
 from math import inf
 

@@ -1,5 +1,7 @@
 """Outgoing messages of the loop. Pure; `epoch_ns` maps monotonic to UNIX time."""
 
+# Why: docs/decisions/messages-and-sessions.md#d23
+
 from collections.abc import Iterable
 from math import nan
 

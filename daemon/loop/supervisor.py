@@ -7,6 +7,8 @@ invariants I1-I8 of `docs/reference/safety-requirements.md#invariants` are enume
 tests. No clock, no I/O, no randomness.
 """
 
+# Why: docs/decisions/safety.md#d12
+
 from math import inf, isfinite
 from typing import NamedTuple
 

@@ -4,6 +4,8 @@ This is `docs/reference/safety-requirements.md#s3`. ``choose_row`` is all the lo
 ``supervisor`` derives the facts and says what the wire must carry in each state.
 """
 
+# Why: docs/decisions/safety.md#d13
+
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 

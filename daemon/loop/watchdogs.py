@@ -6,6 +6,8 @@ Comparisons are written so that NaN trips. Watchdogs over single frames are in `
 the runner implements W8, W15, W16 and W26 to W29 (``WatchdogInput.reported``).
 """
 
+# Why: docs/decisions/safety.md#d41
+
 from collections.abc import Callable
 from math import cos, degrees, sin
 from typing import NamedTuple

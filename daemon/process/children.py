@@ -1,5 +1,7 @@
 """The processes of a run: started in order, told over standard input, ended by closing pipes."""
 
+# Why: docs/decisions/safety.md#d16
+
 import json
 import os
 import select

@@ -9,6 +9,9 @@ with poses that keep no time with the ticks (120 Hz against 100 Hz, a jittery ne
 deadlines stay where they are and every tick waits for its own.
 """
 
+# Why: docs/decisions/processes-and-time.md#d43
+# Why: docs/decisions/processes-and-time.md#d61
+
 from typing import NamedTuple
 
 SLEW = 0.01

@@ -4,6 +4,8 @@ Measurements behind each line: `docs/reference/safety-requirements.md#s8`,
 `docs/reference/identification.md#i5`.
 """
 
+# Why: docs/decisions/processes-and-time.md#d36
+
 import ctypes
 import gc
 import os

@@ -4,6 +4,8 @@ A looker-on: it takes records from a pipe that drops, offers nothing with which 
 command the car, and nobody waits for it. Its end is told, and changes nothing else.
 """
 
+# Why: docs/decisions/messages-and-sessions.md#d26
+
 import contextlib
 import json
 import os

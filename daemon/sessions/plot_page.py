@@ -1,5 +1,7 @@
 """The page of `steerd plot`: one file with its data, its script and its style; no network."""
 
+# Why: docs/decisions/rooms-and-code.md#d29
+
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any

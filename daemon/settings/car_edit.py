@@ -1,5 +1,7 @@
 """Set values in a car file; comments, order and everything else stay."""
 
+# Why: docs/decisions/rooms-and-code.md#d28
+
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -5,6 +5,8 @@ is eliminated by variable projection; the whitening holds everything random: the
 and what disturbs the car on its way (`noise`).
 """
 
+# Why: docs/decisions/diagnosis.md#d51
+
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 

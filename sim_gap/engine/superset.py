@@ -4,6 +4,8 @@ At its nulls an effect changes nothing, bit for bit, so every hypothesis is a ch
 parameters of this one car are free: one compilation serves all candidates and all their pairs.
 """
 
+# Why: docs/decisions/diagnosis.md#d30
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,5 +1,7 @@
 """From scores to a verdict: is there a gap, what is its name, what else could it be, how sure."""
 
+# Why: docs/decisions/diagnosis.md#d34
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 

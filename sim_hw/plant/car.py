@@ -5,6 +5,8 @@ motion, or lets go. Torque and brake act through friction that opposes motion an
 it, so a braked car comes to rest and stays there.
 """
 
+# Why: docs/decisions/vehicle-model.md#d19
+
 import math
 from dataclasses import dataclass
 from enum import IntEnum

@@ -1,5 +1,7 @@
 """How the compiled text is compiled, and where the machine code is kept."""
 
+# Why: docs/decisions/kernels.md#d55
+
 from collections.abc import Callable
 from typing import Any
 

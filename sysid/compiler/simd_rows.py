@@ -5,6 +5,8 @@ one by one, and the wide load that follows waits for all of them. That cost more
 Every operation takes pairs of (array, place of the row's first number).
 """
 
+# Why: docs/decisions/kernels.md#d56
+
 from collections.abc import Callable
 from typing import Any
 

@@ -7,6 +7,8 @@ by zero is dropped. The inverse of a product becomes a product of inverses, whic
 divisions take the longest.
 """
 
+# Why: docs/decisions/kernels.md#d40
+
 from collections.abc import Mapping, Sequence
 from math import inf, isfinite
 from typing import NamedTuple

@@ -6,6 +6,8 @@ all cores do not start threads on all cores each. A thread that is ready takes t
 none waits by spinning: on a busy machine this costs little more than one thread.
 """
 
+# Why: docs/decisions/kernels.md#d57
+
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

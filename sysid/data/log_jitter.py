@@ -1,5 +1,7 @@
 """How late a recorder stored the steering commands of a drive."""
 
+# Why: docs/decisions/identification.md#d45
+
 from typing import NamedTuple
 
 import numpy as np

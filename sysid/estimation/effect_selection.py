@@ -7,6 +7,8 @@ is taken if windows all over the drives agree that it helps, and the search ends
 One compiled car holds all candidates: at its null an effect changes nothing.
 """
 
+# Why: docs/decisions/identification.md#d47
+
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

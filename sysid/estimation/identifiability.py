@@ -1,5 +1,7 @@
 """What the data tell, and the manoeuvre that would tell the rest."""
 
+# Why: docs/decisions/identification.md#d58
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

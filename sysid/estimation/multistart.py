@@ -1,5 +1,7 @@
 """Drives at one speed: other starts, and what differs between ends that explain them as well."""
 
+# Why: docs/decisions/identification.md#d59
+
 from collections.abc import Sequence
 from dataclasses import replace
 

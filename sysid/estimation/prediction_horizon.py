@@ -6,6 +6,8 @@ every parameter to pass for what is missing, and long windows have more minima t
 that is off by more than instruments after 2 s is fitted over 2 s at most.
 """
 
+# Why: docs/decisions/identification.md#d46
+
 from collections.abc import Sequence
 from dataclasses import replace
 

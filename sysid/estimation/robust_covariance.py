@@ -8,6 +8,8 @@ noise would give (the heteroskedasticity and autocorrelation consistent estimate
 estimated; their effect on the estimates is linear (the considered parameters of Schmidt, 1966).
 """
 
+# Why: docs/decisions/identification.md#d39
+
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -9,6 +9,8 @@ controllers and filters, which know no frames, take it for: the dead time with t
 pulse (half a frame) included.
 """
 
+# Why: docs/decisions/identification.md#d24
+
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

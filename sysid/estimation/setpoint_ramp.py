@@ -7,6 +7,8 @@ that hang together for half a second. The setting is in no log; whether a drive 
 own is found by likelihood.
 """
 
+# Why: docs/decisions/identification.md#d38
+
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

@@ -4,6 +4,8 @@ The same at all speeds but fading out at standstill; against a speed loop with a
 constant speed error, so at one speed it looks like a speed scale.
 """
 
+# Why: docs/decisions/diagnosis.md#d53
+
 from collections.abc import Sequence
 
 from steerd.car_model.chassis import Axles, Rates

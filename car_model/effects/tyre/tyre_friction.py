@@ -4,6 +4,8 @@ In gentle driving it is a lower cornering stiffness and nothing else; only slip 
 the plateau, `p^2 / sqrt(1 - p^2)` of the base car's `mu Fz` (0.33 at p = 0.53).
 """
 
+# Why: docs/decisions/vehicle-model.md#d7
+
 from collections.abc import Sequence
 
 from steerd.car_model.chassis import Axles

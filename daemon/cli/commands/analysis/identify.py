@@ -8,6 +8,8 @@ are validated on held-out drives (or blocks of 5 s). Exit code 3: a file cannot 
 content is not fit for identification; 5: the result predicts no better than the start values.
 """
 
+# Why: docs/decisions/identification.md#d32
+
 import argparse
 import json
 from pathlib import Path

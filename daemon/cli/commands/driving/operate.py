@@ -5,6 +5,8 @@ terminal or losing the connection stops the car. `steerd arm` waits until the
 car is armed and holds it armed until Ctrl-C or until somebody starts it.
 """
 
+# Why: docs/decisions/safety.md#d27
+
 import argparse
 import getpass
 import secrets
