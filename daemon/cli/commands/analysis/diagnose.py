@@ -1,13 +1,14 @@
-"""Where simulation and car differ, which unmodelled effect causes it, how far adding it helps.
+"""Where simulation and car differ, the effect that causes it, and its benefit.
 
 steerd diagnose drive.mcap --report gap.html
 steerd diagnose *.mcap --base car.toml --held-out last.mcap -o better.toml
-steerd diagnose drive.mcap --healthy before.mcap --without grip_patch --json gap.json
+steerd diagnose drive.mcap --healthy before.mcap --json gap.json
 
-Candidates are compared on one footing, the base's parameters free within their uncertainty, and
-scored on windows that their fits did not see. The predicted shrinkage is written and hashed before
-the held-out drives are opened. Exit code 3: a file cannot be read; 4: a gap is not identifiable
-from its content; 5: the base car's simulation diverges.
+Candidates are compared on one footing, the base's parameters free within their
+uncertainty, and scored on windows that their fits did not see. The predicted
+shrinkage is written and hashed before the held-out drives are opened. Exit code
+3: a file cannot be read; 4: a gap is not identifiable from its content; 5: the
+base car's simulation diverges.
 """
 
 import argparse

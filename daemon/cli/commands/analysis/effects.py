@@ -1,4 +1,4 @@
-"""The unmodelled effects that can be simulated and diagnosed, with their equations.
+"""The effects that can be simulated and diagnosed, with their equations.
 
 steerd effects
 steerd effects steer_backlash

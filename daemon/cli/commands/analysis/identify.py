@@ -1,11 +1,12 @@
-"""Learn the car from recorded sessions: parameters with error bars, and a car file to drive with.
+"""Identify a car from sessions: parameters with error bars, and a car file.
 
 steerd identify drive1.mcap drive2.mcap -o car.toml --report identify.html
 steerd identify *.mcap --wheelbase 0.324 --fix mass=3.2 --held-out last.mcap
 
-What is not identifiable from the data is named, with the manoeuvre that would identify it. Values
-are validated on held-out drives (or blocks of 5 s). Exit code 3: a file cannot be read; 4: its
-content is not fit for identification; 5: the result predicts no better than the start values.
+What is not identifiable from the data is named, with the manoeuvre that would
+identify it. Values are validated on held-out drives (or blocks of 5 s). Exit
+code 3: a file cannot be read; 4: its content is not fit for identification; 5:
+the result predicts no better than the start values.
 """
 
 # Why: docs/decisions/identification.md#d32
