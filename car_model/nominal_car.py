@@ -1,4 +1,4 @@
-"""Base parameters that come nearest to a car with effects: what a controller or filter may know."""
+"""The base parameters closest to a car with effects: what a controller or filter may know."""
 
 from steerd.car_model.model import Model, car_now, delays
 from steerd.car_model.ops import FLOAT
@@ -6,7 +6,7 @@ from steerd.car_model.params import Car
 from steerd.car_model.state import ORIGIN
 
 _FAR = 1e6
-"""A place that no patch of floor reaches [m]."""
+"""A place outside every patch of floor [m]."""
 
 
 def believed_car(model: Model[float]) -> Car[float]:

@@ -1,4 +1,4 @@
-"""`Ops` over NumPy arrays: many cars side by side, one lane each."""
+"""`Ops` over NumPy arrays: many cars side by side, one array element each."""
 
 from typing import Any
 

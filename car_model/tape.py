@@ -24,7 +24,7 @@ from steerd.car_model.ops import FLOAT, Ops
 class Entry(NamedTuple):
     """One operation: its name and the places of its arguments, or a constant's value.
 
-    An input is told by its name; a constant's name is its text, which tells -0.0 from 0.0.
+    An input is identified by its name; a constant's name is its text, so that -0.0 is not 0.0.
     """
 
     op: str

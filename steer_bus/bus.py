@@ -13,7 +13,7 @@ from steerd.steer_bus.codec import MAX_BYTES
 
 
 class BusError(Exception):
-    """The bus cannot do what was asked, in one line that says what to change."""
+    """The bus cannot do what was requested, in one line that says what to change."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ class Path:
     curvature: tuple[float, ...]
     """[1/m], positive in a left turn."""
     speed: tuple[float, ...] | None = None
-    """Speed asked for by the file [m/s]."""
+    """Speed of the file [m/s]."""
     width_left: tuple[float, ...] | None = None
     """Free width to the left [m]."""
     width_right: tuple[float, ...] | None = None

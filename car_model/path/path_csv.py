@@ -161,8 +161,8 @@ def _equal_steps(spline: object, end: float, closed: bool) -> tuple[Array, float
     arc = np.concatenate([[0.0], np.cumsum(0.5 * (pace[1:] + pace[:-1]) * np.diff(fine))])
     intervals = max(8, round(float(arc[-1]) / STEP))
     step = float(arc[-1]) / intervals
-    wanted = step * np.arange(intervals if closed else intervals + 1)
-    return np.interp(wanted, arc, fine), step
+    places = step * np.arange(intervals if closed else intervals + 1)
+    return np.interp(places, arc, fine), step
 
 
 def _check_psi(track: Track, chords: Array, at: Array, yaw: Array) -> None:

@@ -22,7 +22,7 @@ FORMS = (
 )
 _CSV_OPTION = re.compile(r",(place|smooth)=([^,]*)$")
 
-Options = dict[str, str]
+PathOptions = dict[str, str]
 
 
 def parse_path(spec: str) -> Path:
@@ -52,7 +52,7 @@ def _options(spec: str, text: str) -> Iterator[tuple[str, str]]:
         yield key.strip(), value.strip()
 
 
-def _number(options: Options, key: str, default: float) -> float:
+def _number(options: PathOptions, key: str, default: float) -> float:
     """Takes an option that is a number out of `options`."""
     text = options.pop(key, None)
     if text is None:
@@ -63,11 +63,11 @@ def _number(options: Options, key: str, default: float) -> float:
         raise ValueError(f"{key}={text}: give a number, as {key}={default:g}") from None
 
 
-def _line(options: Options) -> Path:
+def _line(options: PathOptions) -> Path:
     return make_line(_number(options, "length", 20.0))
 
 
-def _circle(options: Options) -> Path:
+def _circle(options: PathOptions) -> Path:
     radius = _number(options, "radius", 2.0)
     direction = options.pop("dir", "cw" if radius < 0.0 else "ccw")
     if direction not in ("cw", "ccw"):
@@ -75,7 +75,7 @@ def _circle(options: Options) -> Path:
     return make_circle(-abs(radius) if direction == "cw" else radius)
 
 
-def _figure_eight(options: Options) -> Path:
+def _figure_eight(options: PathOptions) -> Path:
     if "size" in options and "radius" in options:
         raise ValueError("figure8: give its smallest radius or its size, not both")
     if "size" in options:
@@ -84,7 +84,7 @@ def _figure_eight(options: Options) -> Path:
 
 
 def _csv(rest: str) -> Path:
-    options: Options = {}
+    options: PathOptions = {}
     while found := _CSV_OPTION.search(rest):
         options[found[1]] = found[2]
         rest = rest[: found.start()]
@@ -99,7 +99,7 @@ def _csv(rest: str) -> Path:
         raise ValueError(f"path file {rest}: not a text of points, one a line") from None
 
 
-_SHAPES: dict[str, Callable[[Options], Path]] = {
+_SHAPES: dict[str, Callable[[PathOptions], Path]] = {
     "line": _line,
     "circle": _circle,
     "figure8": _figure_eight,

@@ -24,7 +24,7 @@ from steerd.sim_hw.plant.unrolled import make_steps
 
 NS = 1_000_000_000
 _HISTORY = 0.5
-"""How far back poses can be asked for, beyond the pose channel's own dead time [s]."""
+"""How far back poses are kept, beyond the pose channel's own dead time [s]."""
 
 
 class Drive(IntEnum):
@@ -122,8 +122,8 @@ class SimCar:
         if drive is Drive.SPEED and abs(before.speed) >= self._substeps:
             numbers = self._steps.follow(*before, *self._memory, steer, value, t, h)
         else:
-            wanted = value if drive is Drive.SPEED else before.speed
-            end, accel = self._steps.actuate(*before, *self._memory, steer, wanted, t, h)
+            target = value if drive is Drive.SPEED else before.speed
+            end, accel = self._steps.actuate(*before, *self._memory, steer, target, t, h)
             if drive is not Drive.SPEED:
                 accel = self._free_acceleration(demand)
             numbers = self._glide(before, end, accel, t)

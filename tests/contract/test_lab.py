@@ -77,14 +77,14 @@ def reads(hub, reader, key, sent=STATE):
     marker = reader.subscribe("steerd/car1/tick", 64)
     heard, marked = [], []
 
-    def tell():
-        hub.publish(sent, b"told")
+    def publish():
+        hub.publish(sent, b"state")
         hub.publish("steerd/car1/tick", b"mark")
         heard.extend(s.data for s in subscription.poll())
         marked.extend(marker.poll())
         return len(marked) >= 3
 
-    assert until(tell)
+    assert until(publish)
     heard.extend(s.data for s in subscription.poll())
     subscription.close()
     marker.close()

@@ -76,7 +76,7 @@ class UdpServer:
             self.data_port = probe.getsockname()[1]
         self.client: tuple[str, int] | None = None
         self.number = 0
-        self.asked = self.sent = 0
+        self.requests = self.sent = 0
 
     def pump(self) -> None:
         while True:
@@ -84,7 +84,7 @@ class UdpServer:
                 datagram, sender = self.command.recvfrom(65_535)
             except BlockingIOError:
                 break
-            self.asked += 1
+            self.requests += 1
             self.answer(datagram, sender)
         if self.client is not None:
             self.send_frame()

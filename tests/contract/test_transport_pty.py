@@ -201,7 +201,7 @@ def test_second_open_is_refused_and_names_the_holder(
     assert "VESC Tool" in error.value.hint
     other = tmp_path / "other"
     other.mkdir()
-    with pytest.raises(Busy):  # the device's own lock, where no lock file tells
+    with pytest.raises(Busy):  # the device's own lock, where no lock file shows it
         open_port(device.path, lock_dir=other)
 
 

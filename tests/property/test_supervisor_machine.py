@@ -23,7 +23,7 @@ class CarLife(RuleBasedStateMachine):
         self.t_ns, self.facts, self.speed = 0, GOOD, 0.0
         self.memory = make_supervisor_memory(0)
         self.action = None
-        self.proven = self.asked_start = False
+        self.proven = self.requested_start = False
 
     def tick(self, requests, dt_ns=10_000_000):
         self.t_ns += dt_ns
@@ -58,7 +58,7 @@ class CarLife(RuleBasedStateMachine):
             assert now == SupervisorState.ESTOP or requests & Request.CLEAR
 
     @rule(requests=st.integers(0, 1023), dt_ns=st.integers(-(10**9), 10**11))
-    def anything_asked_at_any_time(self, requests, dt_ns):
+    def any_request_at_any_time(self, requests, dt_ns):
         self.tick(requests, dt_ns)
 
     @rule(request=st.sampled_from(list(Request)), count=st.integers(1, 5))

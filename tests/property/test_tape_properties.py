@@ -111,7 +111,7 @@ def test_gradients_are_those_of_central_differences(
         wide, narrow = (difference(formula, point, i, width) for width in (WIDTH, WIDTH / 2.0))
         size = 1.0 + max(abs(v) for v in (*found, wide))
         assume(size < 1e4)
-        # No seam near: there differences and slopes hardly change from place to place.
+        # No seam near: there differences and slopes barely change from place to place.
         assume(abs(wide - narrow) < 1e-3 * size)
         assume(all(abs(slopes(*end)[i] - found[i]) < 1e-3 * size for end in ends))
         assert found[i] == pytest.approx(wide, abs=2e-3 * size)

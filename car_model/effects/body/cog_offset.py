@@ -13,7 +13,7 @@ from steerd.car_model.state import Observation, State
 
 
 def _car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
-    """Nearer to the front axle, further from the rear."""
+    """A shorter distance to the front axle, a longer one to the rear."""
     return car._replace(lf=car.lf - p[0], lr=car.lr + p[0])
 
 

@@ -1,4 +1,4 @@
-"""Steering trim: the wheels do not point straight when told to."""
+"""Steering trim: the wheels do not point straight at command zero."""
 
 from collections.abc import Sequence
 

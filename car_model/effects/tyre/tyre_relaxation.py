@@ -1,4 +1,4 @@
-"""Tyres that must roll a way before their force has built up.
+"""Tyres that must roll a distance before their force has built up.
 
 The memory is the felt slip's deviation `d` from the steady slip, `d' = -(v / length) d - slip'`,
 solved exactly over each step for a steady slip that changes linearly; at length 0 it stays zero.

@@ -1,4 +1,4 @@
-"""Car files: read strictly, told plainly what is wrong, written with care."""
+"""Car files: read strictly, errors in plain words, written with care."""
 
 import re
 import tomllib
@@ -130,7 +130,7 @@ def test_every_parameter_must_be_there_within_bounds(parameter: object) -> None:
         ("\0", "line 1", ""),
     ],
 )
-def test_a_wrong_file_is_told_where_and_what(text: str, where: str, what: str) -> None:
+def test_a_wrong_file_is_refused_with_place_and_reason(text: str, where: str, what: str) -> None:
     found = error(text)
     assert where in found.where
     assert what in found.what

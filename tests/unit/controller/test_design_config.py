@@ -60,6 +60,6 @@ def test_a_whole_table() -> None:
         ({"poles": ["-2+2j", "-2", "-3", "-4"]}, "conjugate pairs"),
     ],
 )
-def test_a_wrong_setting_is_told_what_is_wrong(table: dict[str, object], said: str) -> None:
+def test_a_wrong_setting_is_named_with_its_problem(table: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         load_controller_config(table)

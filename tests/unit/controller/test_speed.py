@@ -46,7 +46,7 @@ def test_an_open_path_ends_standing() -> None:
     )
 
 
-def test_a_files_speeds_cap_it_unless_told_not_to() -> None:
+def test_a_files_speeds_cap_it_unless_configured_not_to() -> None:
     path = parse_path("circle:radius=20")
     slow = replace(path, speed=(0.7,) * len(path.x))
     assert profile_of(slow).fastest == pytest.approx(0.7)

@@ -46,7 +46,7 @@ class Drive:
     """(time of arrival, measurement) in order of arrival."""
 
 
-def disturbed(
+def add_process_noise(
     moment: Moment[float], config: FilterConfig, h: float, noise: np.ndarray
 ) -> Moment[float]:
     """White noise of `h` seconds. Half before and half after each step keeps second order."""
@@ -76,7 +76,7 @@ def simulated_drive(
     first: State[float] | None = None,
     pose_loss: float = 0.05,
     gyro: bool = False,
-    disturb: bool = True,
+    add_noise: bool = True,
 ) -> Drive:
     config = config or FilterConfig()
     rng = np.random.default_rng(seed)
@@ -96,12 +96,12 @@ def simulated_drive(
         steering = _sent(plan, t_ns - late_steer)
         driving = _sent(plan, t_ns - late_drive)
         h = H_NS * 1e-9
-        if disturb:
-            moment = disturbed(moment, config, 0.5 * h, rng.standard_normal(7))
+        if add_noise:
+            moment = add_process_noise(moment, config, 0.5 * h, rng.standard_normal(7))
         command = Command(steering.steer, driving.speed)
         moment = plant_step(FLOAT, model, moment, command, k * h, h)
-        if disturb:
-            moment = disturbed(moment, config, 0.5 * h, rng.standard_normal(7))
+        if add_noise:
+            moment = add_process_noise(moment, config, 0.5 * h, rng.standard_normal(7))
     return Drive(truth, commands, sorted(arrivals, key=lambda pair: pair[0]))
 
 

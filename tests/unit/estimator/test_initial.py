@@ -49,11 +49,11 @@ def test_first_belief_covers_the_truth(
 
 def test_unknown_steering_is_more_uncertain() -> None:
     poses = poses_on_a_curve(0, 1.0, 0.0, 0.0, 0.0)
-    asked, unknown = initial_belief(CONFIG, poses, 0.1), initial_belief(CONFIG, poses, None)
-    assert asked is not None
+    steered, unknown = initial_belief(CONFIG, poses, 0.1), initial_belief(CONFIG, poses, None)
+    assert steered is not None
     assert unknown is not None
-    assert (asked.mean[6], unknown.mean[6]) == (0.1, 0.0)
-    assert unknown.covariance[6, 6] > asked.covariance[6, 6]
+    assert (steered.mean[6], unknown.mean[6]) == (0.1, 0.0)
+    assert unknown.covariance[6, 6] > steered.covariance[6, 6]
 
 
 @pytest.mark.parametrize("index", range(10))

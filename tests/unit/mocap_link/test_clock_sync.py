@@ -178,7 +178,7 @@ def test_one_way_step_drops_the_stamps_then_learns_anew() -> None:
     assert 700 <= changes[2][0] <= 720
 
 
-def test_arrival_subtracts_what_the_server_tells_of_its_pipeline() -> None:
+def test_arrival_subtracts_the_servers_pipeline_delay() -> None:
     timing = SourceTiming(1_000_000_000, extra_latency_ns=3 * MS)
     raw = RawPose("car", 1, 100 * MS, 105 * MS, T0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     assert timing.time_pose(raw) == (T0 - 8 * MS, ClockKind.ARRIVAL)

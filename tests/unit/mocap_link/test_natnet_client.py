@@ -97,7 +97,7 @@ def test_only_frames_count_on_the_data_socket(make_server: Any) -> None:
     assert client.detail == "following 'car' (id 1)"
 
 
-def test_frame_rate_is_asked_for_until_it_is_answered(make_server: Any) -> None:
+def test_frame_rate_is_requested_until_it_is_answered(make_server: Any) -> None:
     client = NatNetClient("car")
     server = make_server()
     client.on_datagram(natnet.encode(server.info()), 0)

@@ -380,8 +380,8 @@ def test_model_change_is_followed(room: Room) -> None:
     room.mutate = lambda i, b: (replace(b[0], id=7), b[1])
     room.source.ingest.stationary = True
     room.run(1.5)
-    asked = [m for m in room.server.received if isinstance(m, natnet.RequestModelDef)]
-    assert 1 <= len(asked) <= 4
+    requested = [m for m in room.server.received if isinstance(m, natnet.RequestModelDef)]
+    assert 1 <= len(requested) <= 4
     assert room.state is SourceState.OK
 
 

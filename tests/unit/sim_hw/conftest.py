@@ -23,7 +23,7 @@ class Host:
         self.firmware = world.config.vesc.firmware
         self.parser = FrameParser()
 
-    def tell(self, *commands: c.Command) -> None:
+    def send(self, *commands: c.Command) -> None:
         data = b"".join(encode_frame(encode_command(k, self.firmware)) for k in commands)
         self.world.serial_write(self.t_ns, data)
 
@@ -36,7 +36,7 @@ class Host:
         return [decode_reply(p, self.firmware) for p in self.parser.feed(data, self.t_ns)]
 
     def ask(self, command: c.Command, ms: float = 1.0) -> Any:
-        self.tell(command)
+        self.send(command)
         self.run(ms)
         replies = self.heard()
         return replies[-1] if replies else None
@@ -49,7 +49,7 @@ class Host:
     def hold(self, ms: float, *commands: c.Command) -> None:
         """Repeat commands every 10 ms, as a control loop does."""
         for _ in range(round(ms / 10)):
-            self.tell(*commands)
+            self.send(*commands)
             self.run(10)
 
     @property

@@ -75,12 +75,12 @@ def test_a_device_that_draws_more_numbers_changes_nothing_for_the_others() -> No
 
 
 @pytest.mark.parametrize("faults", [[], FAULTS, [Fault("V2", 300 * MS, 700 * MS)]])
-def test_a_caller_woken_when_told_reads_everything_the_moment_it_arrives(
+def test_a_caller_woken_on_time_reads_everything_the_moment_it_arrives(
     faults: list[Fault],
 ) -> None:
     world = World(NOISY, faults)
     world.mocap_write(0, natnet.encode(natnet.Connect()))
-    t, wakes, poses, told = 0, 0, 0, 0
+    t, wakes, poses, unplugged = 0, 0, 0, 0
     while t < 1000 * MS:
         if wakes % 5 == 0 and world.serial_name is not None:
             world.serial_write(t, POLL)
@@ -94,10 +94,10 @@ def test_a_caller_woken_when_told_reads_everything_the_moment_it_arrives(
         arrived += [message.t_ns for message in world.mocap_read(t)]
         assert set(arrived) <= {t}
         poses += len(arrived)
-        told += world.serial_name is None
+        unplugged += world.serial_name is None
     assert poses > 100
     assert wakes < 1200
-    assert (told > 0) == any(fault.name == "V2" for fault in faults)
+    assert (unplugged > 0) == any(fault.name == "V2" for fault in faults)
 
 
 def test_start_time_only_shifts_the_clock() -> None:
@@ -121,7 +121,7 @@ def test_a_small_p_controller_holds_speed_and_heading(make_host: Callable[..., A
             for sample in source.on_datagram(m.data, m.t_ns, "10.0.0.1", which):
                 yaw = sample.yaw
         steer = max(-0.3, min(0.3, 0.8 * (0.5 - yaw)))
-        host.tell(c.SetErpm(1.5 * 4614), c.SetServoPos(0.5304 - 1.2135 * steer), c.GetValues())
+        host.send(c.SetErpm(1.5 * 4614), c.SetServoPos(0.5304 - 1.2135 * steer), c.GetValues())
         host.run(10)
         values = next(v for v in host.heard() if v is not None)
         if k > 300:
@@ -170,7 +170,7 @@ def test_natnet_client_gets_true_poses_at_their_true_time(
 
 def test_unicast_client_is_dropped_when_it_falls_silent() -> None:
     world = World(WorldConfig(mocap=MocapConfig(keepalive_ns=500 * MS)))
-    assert world.mocap_read(100 * MS) == []  # nobody has asked yet
+    assert world.mocap_read(100 * MS) == []  # nobody has connected yet
     world.mocap_write(100 * MS, natnet.encode(natnet.Connect()))
     assert len(world.mocap_read(500 * MS)) > 30
     world.mocap_read(700 * MS)

@@ -90,13 +90,13 @@ def test_a_viewer_may_send_nothing_and_an_operator_requests_only():
     }
 
 
-def test_what_is_told_holds_no_requests():
-    told = next(
+def test_what_is_published_holds_no_requests():
+    published = next(
         r["key_exprs"]
         for r in make_access_settings(LAB)["access_control"]["rules"]
         if r["flows"] == ["egress"] and "put" in r["messages"]
     )
-    assert told == ["steerd/car1/*", "steerd/car1/schema/**"]
+    assert published == ["steerd/car1/*", "steerd/car1/schema/**"]
 
 
 def test_a_role_that_nobody_has_is_left_out():

@@ -182,8 +182,8 @@ def test_full_telemetry_of_every_firmware(version: tuple[int, int], size: int) -
     assert len(payload) == size == t.values_size(None, firmware)
     values = decode_reply(payload, firmware)
     assert isinstance(values, t.Values)
-    told = present(values)
-    assert {k: v for k, v in present(ALL_VALUES).items() if k in told} == told
+    known = present(values)
+    assert {k: v for k, v in present(ALL_VALUES).items() if k in known} == known
     assert (values.status is None) == (firmware < (5, 3))
     assert (values.q_current is None) == (firmware <= FW_3_00)
     assert (values.temp_pcb_c is None) == (firmware > FW_3_00)
@@ -202,10 +202,10 @@ def test_selective_telemetry_of_every_profile(mask: int, firmware: Firmware) -> 
     values = decode_reply(payload, firmware)
     assert isinstance(values, t.Values)
     assert values.mask == mask
-    told = present(values)
-    assert {**present(ALL_VALUES), "mask": mask, "extra_bytes": 0}.items() >= told.items()
+    known = present(values)
+    assert {**present(ALL_VALUES), "mask": mask, "extra_bytes": 0}.items() >= known.items()
     if mask == 0x3FFFFF and firmware >= (5, 3):
-        assert len(told) == 24 + 2
+        assert len(known) == 24 + 2
 
 
 def test_fast_reply_fits_one_usb_packet() -> None:
@@ -220,9 +220,9 @@ def test_telemetry_cut_at_any_byte_has_no_invented_field() -> None:
             continue  # that length is the old firmware's table
         values = decode_reply((payload + bytes(20))[:length])
         assert isinstance(values, t.Values)
-        told = present(values)
-        extra = told.pop("extra_bytes")
-        assert {k: v for k, v in present(ALL_VALUES).items() if k in told} == told
+        known = present(values)
+        extra = known.pop("extra_bytes")
+        assert {k: v for k, v in present(ALL_VALUES).items() if k in known} == known
         assert isinstance(extra, int)
         assert 0 <= extra < max(6, length - 73)
 

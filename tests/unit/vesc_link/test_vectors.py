@@ -161,8 +161,8 @@ def short_form(name: str) -> str:
 def test_absent_fields_are_none(name: str) -> None:
     reply = decode_reply(payload_of(name))
     assert isinstance(reply, t.Values | t.ValuesSetup | t.Imu)
-    told = {*expected_fields(VECTORS[name]["decoded"]), "extra_bytes"}
-    rest = {k: v for k, v in dataclasses.asdict(reply).items() if k not in told}
+    known = {*expected_fields(VECTORS[name]["decoded"]), "extra_bytes"}
+    rest = {k: v for k, v in dataclasses.asdict(reply).items() if k not in known}
     assert set(rest.values()) <= {None}
 
 

@@ -254,7 +254,7 @@ def test_a_reply_after_several_repeats_may_answer_the_first_of_them(
     assert telemetry.when == e.Stamped(0, 61 * MS)
 
 
-def test_late_reply_keeps_an_honest_interval(link: VescLink, vesc: Vesc) -> None:
+def test_late_reply_keeps_its_true_interval(link: VescLink, vesc: Vesc) -> None:
     late = vesc.answer(link.make_tick(e.DriveSilent(), 0))
     link.on_bytes(81 * MS, b"")
     second = vesc.answer(link.make_tick(e.DriveSilent(), 82 * MS))
@@ -310,7 +310,7 @@ def test_short_imu_reply_is_refused(link: VescLink) -> None:
     assert kinds(link.on_bytes(MS, encode_frame(payload[:-5]))) == [e.Unknown]
 
 
-def test_frames_nobody_asked_for_are_told_apart(link: VescLink) -> None:
+def test_unsolicited_frames_are_counted_apart(link: VescLink) -> None:
     frames = [b"\x15hello", b"\x16\0\0\0\0", b"\x24abc", b"\xfa\1", b"\x00\x07"]
     events = link.on_bytes(MS, b"".join(map(encode_frame, frames)))
     assert events[0] == e.Printed("hello", MS)
@@ -356,7 +356,7 @@ def test_restart_is_seen_by_uptime_tachometer_and_watchdog_fault(
     assert not link.ready
 
 
-def test_uptime_is_asked_for_once_a_second(link: VescLink, vesc: Vesc) -> None:
+def test_uptime_is_requested_once_a_second(link: VescLink, vesc: Vesc) -> None:
     for n in range(1000):
         t_ns = n * 5 * MS
         vesc.uptime_ms += 5
@@ -411,7 +411,7 @@ def test_session_limits_only_ever_tighten() -> None:
             make_session_limits(LIMITS, erpm_max=wrong)
 
 
-def test_long_configuration_passes_the_running_ceiling_only_when_asked_for(
+def test_long_configuration_passes_the_running_ceiling_only_when_requested(
     link: VescLink, vesc: Vesc
 ) -> None:
     stray = encode_frame(encode_reply(vesc.appconf))

@@ -1,4 +1,4 @@
-"""Effects by name: what a command line may say and what it is told when it is wrong."""
+"""Effects by name: what a command line may say and what a wrong one reports."""
 
 import pytest
 
@@ -64,6 +64,6 @@ def test_every_effect_says_what_it_is(effect: object) -> None:
         ("grip_patch:x=1,2", "NAME=VALUE"),
     ],
 )
-def test_a_wrong_line_is_told_what_is_wrong(text: str, says: str) -> None:
+def test_a_wrong_line_is_named_with_its_problem(text: str, says: str) -> None:
     with pytest.raises(ValueError, match=says.replace("(", r"\(")):
         parse_effect(text)

@@ -293,11 +293,11 @@ def test_a_broken_path_is_refused(changes: dict[str, object], said: str) -> None
         Path(**{**fields, **changes})  # type: ignore[arg-type]
 
 
-def test_a_file_that_is_none_or_no_text_is_told_in_words(tmp_path):
+def test_a_file_that_is_none_or_no_text_is_refused_in_plain_words(tmp_path):
     binary = tmp_path / "points.csv"
     binary.write_bytes(bytes(range(128, 256)))
     for place, words in ((tmp_path, "Is a directory"), (binary, "not a text of points")):
-        with pytest.raises(ValueError, match=words) as told:
+        with pytest.raises(ValueError, match=words) as caught:
             parse_path(f"csv:{place}")
-        assert "Errno" not in str(told.value)
-        assert "codec" not in str(told.value)
+        assert "Errno" not in str(caught.value)
+        assert "codec" not in str(caught.value)

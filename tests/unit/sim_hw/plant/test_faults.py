@@ -33,7 +33,7 @@ DRIVING = WorldConfig(
 # --- the catalogue
 
 
-def test_catalogue_is_complete_and_each_entry_turns_a_knob() -> None:
+def test_catalogue_is_complete_and_each_entry_changes_the_fault_state() -> None:
     codes = [kind.code for kind in FAULTS if kind.code]
     assert codes == [f"M{n}" for n in range(1, 23)] + [f"V{n}" for n in range(1, 25)]
     for kind in FAULTS:
@@ -284,7 +284,7 @@ def faulty(make_host: MakeHost) -> Callable[..., Any]:
 
 def test_v1_unplug_is_eio_and_the_firmware_timeout_stops_the_car(faulty: MakeHost) -> None:
     host = faulty("V1")
-    for use in (lambda: host.tell(c.GetValues()), lambda: host.world.serial_read(host.t_ns)):
+    for use in (lambda: host.send(c.GetValues()), lambda: host.world.serial_read(host.t_ns)):
         with pytest.raises(OSError, match="Input/output"):
             use()
     host.run(900)
@@ -308,13 +308,13 @@ def test_v2_other_name_and_v3_other_uuid_after_an_outage(faulty: MakeHost) -> No
 
 def test_v4_mute_obeys_but_says_nothing(faulty: MakeHost) -> None:
     host = faulty("V4")
-    host.tell(c.GetValues())
+    host.send(c.GetValues())
     host.hold(300, c.SetErpm(2 * 4614))
     assert host.heard() == []
     assert host.speed > 1.5
 
 
-def test_v5_deaf_answers_and_drives_on_whatever_it_is_told(faulty: MakeHost) -> None:
+def test_v5_deaf_answers_and_drives_on_whatever_it_is_commanded(faulty: MakeHost) -> None:
     host = faulty("V5")
     host.hold(400, c.SetCurrentBrake(20.0))
     host.run(400)
@@ -332,7 +332,7 @@ def test_v6_stalled_reader_fills_the_hosts_buffer(faulty: MakeHost) -> None:
 
 def test_v7_trickle_takes_5_ms_per_byte(faulty: MakeHost) -> None:
     host = faulty("V7")
-    host.tell(c.GetValuesSelective(0x180))  # 17 bytes
+    host.send(c.GetValuesSelective(0x180))  # 17 bytes
     host.run(79)
     assert host.heard() == []
     host.run(12)
@@ -341,12 +341,12 @@ def test_v7_trickle_takes_5_ms_per_byte(faulty: MakeHost) -> None:
 
 def test_v8_garbage_and_v9_crc_errors_and_v12_wrong_replies(faulty: MakeHost) -> None:
     host = faulty("V8")
-    host.tell(c.GetValues())
+    host.send(c.GetValues())
     host.run(1)
     assert len(host.world.serial_read(host.t_ns)) == 79 + 64
     host = faulty("V9", corrupt=1.0)
     for _ in range(20):
-        host.tell(c.GetValues())
+        host.send(c.GetValues())
         host.run(5)
         assert not any(isinstance(r, Values) and r.status == 0 for r in host.heard())
     assert host.parser.crc_errors + host.parser.dropped_bytes > 0
@@ -361,10 +361,10 @@ def test_v8_garbage_and_v9_crc_errors_and_v12_wrong_replies(faulty: MakeHost) ->
 
 def test_v10_partial_frame_then_silence(faulty: MakeHost) -> None:
     host = faulty("V10")
-    host.tell(c.GetValues())
+    host.send(c.GetValues())
     host.run(5)
     assert len(host.world.serial_read(host.t_ns)) == 39
-    host.tell(c.GetValues())
+    host.send(c.GetValues())
     host.run(5)
     assert host.world.serial_read(host.t_ns) == b""
 
@@ -435,7 +435,7 @@ def test_lossy_jittery_and_chatty_links_still_work(faulty: MakeHost) -> None:
         host = faulty(name)
         good = 0
         for _ in range(60):
-            host.tell(c.SetErpm(4614), c.GetValues())
+            host.send(c.SetErpm(4614), c.GetValues())
             host.run(12)
             good += sum(isinstance(r, Values) for r in host.heard())
         assert good > 45, name

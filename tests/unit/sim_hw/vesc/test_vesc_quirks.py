@@ -37,10 +37,10 @@ def test_head_of_line_blocking_delivers_everything_late_at_once(make_host: MakeH
     host = make_host(timeout_ms=0)
     host.world.serial_write(0, b"\x03\x02\x00")
     for erpm in range(1000, 1051):
-        host.tell(c.SetErpm(erpm))
+        host.send(c.SetErpm(erpm))
         host.run(10)
     assert host.world.vesc.motor.value == 0.0
-    host.tell(c.SetErpm(1051))  # 3 + 52 frames of 10 bytes: the false frame's 518 are there
+    host.send(c.SetErpm(1051))  # 3 + 52 frames of 10 bytes: the false frame's 518 are there
     assert host.world.vesc.motor.value in (1050.0, 1051.0)
 
 
@@ -68,7 +68,7 @@ def test_firmware_profiles_send_their_own_layouts(make_host: MakeHost, firmware:
     host = make_host(firmware=firmware)
     version = host.ask(c.GetFwVersion())
     assert version.firmware == firmware
-    host.tell(c.GetValues())
+    host.send(c.GetValues())
     host.run(1)
     (payload,) = host.parser.feed(host.world.serial_read(host.t_ns), host.t_ns)
     assert len(payload) == values_size(None, firmware)
@@ -84,7 +84,7 @@ def test_numbers_are_single_precision_truncated(make_host: MakeHost) -> None:
 
 def test_reply_comes_as_one_byte_then_the_rest(make_host: MakeHost) -> None:
     host = make_host(reply_delay_ns=300_000, fragment_gap_ns=50_000)
-    host.tell(c.GetFwVersion())
+    host.send(c.GetFwVersion())
     assert host.world.serial_read(299_999) == b""
     assert host.world.serial_read(300_000) == b"\x02"
     assert host.world.serial_read(349_999) == b""
@@ -96,7 +96,7 @@ def test_averages_restart_on_every_read_and_two_pollers_steal(make_host: MakeHos
     host.hold(300, c.SetErpm(ERPM_1))
     host.values()
     host.hold(50, c.SetErpm(3 * ERPM_1))
-    host.tell(c.GetValues(), c.GetValues())
+    host.send(c.GetValues(), c.GetValues())
     host.run(1)
     first, second = host.heard()
     assert first.motor_current > 5.0
@@ -108,7 +108,7 @@ def test_averages_restart_on_every_read_and_two_pollers_steal(make_host: MakeHos
 def test_timeout_strikes_on_the_10_ms_thread_although_polled(make_host: MakeHost) -> None:
     """The pre-arm proof: silence but for polls must raise status bit 0 in timeout + 20 ms."""
     host = make_host(timeout_ms=200)
-    host.tell(c.SetCurrentBrake(1.0))
+    host.send(c.SetCurrentBrake(1.0))
     struck = None
     for ms in range(5, 400, 5):
         host.run(5)
@@ -140,7 +140,7 @@ def test_timeout_with_brake_current_zero_coasts(make_host: MakeHost) -> None:
 
 def test_timeout_zero_never_strikes(make_host: MakeHost) -> None:
     host = make_host(timeout_ms=0)
-    host.tell(c.SetErpm(2 * ERPM_1))
+    host.send(c.SetErpm(2 * ERPM_1))
     host.run(5000)
     assert not host.values().timeout_active
     assert host.speed == pytest.approx(2.0, abs=0.01)
@@ -158,7 +158,7 @@ def test_servo_commands_and_polls_do_not_feed_the_timeout_but_alive_does(
     make_host: MakeHost,
 ) -> None:
     host = make_host()
-    host.tell(c.SetErpm(ERPM_1))
+    host.send(c.SetErpm(ERPM_1))
     host.hold(300, c.SetServoPos(0.5), c.GetValues())
     assert host.world.vesc.motor.timed_out
     host.hold(500, c.SetErpm(ERPM_1))
@@ -169,7 +169,7 @@ def test_servo_commands_and_polls_do_not_feed_the_timeout_but_alive_does(
 
 def test_servo_holds_its_last_angle_for_ever(make_host: MakeHost) -> None:
     host = make_host()
-    host.tell(c.SetServoPos(0.3))
+    host.send(c.SetServoPos(0.3))
     host.run(20_000)
     steer = servo_pos_to_steer(F1TENTH, 0.3)
     assert host.world.truth().state.steer == pytest.approx(steer, abs=1e-6)
@@ -188,7 +188,7 @@ def test_servo_samples_at_50_hz(make_host: MakeHost) -> None:
     host = make_host(servo_phase_ns=6 * MS)
     angles = []
     for k in range(20):  # a new angle every 5 ms
-        host.tell(c.SetServoPos(0.3 + 0.01 * k))
+        host.send(c.SetServoPos(0.3 + 0.01 * k))
         host.run(5)
         angles.append(host.world.vesc._servo_out)
     changes = [k for k in range(1, 20) if angles[k] != angles[k - 1]]
@@ -197,14 +197,14 @@ def test_servo_samples_at_50_hz(make_host: MakeHost) -> None:
 
 def test_speed_ramp_is_25000_erpm_per_second_from_the_actual_speed(make_host: MakeHost) -> None:
     host = make_host(config=ROLLING)
-    host.tell(c.SetErpm(5 * ERPM_1))
+    host.send(c.SetErpm(5 * ERPM_1))
     host.run(40)
     assert host.world.vesc.motor.ramped == pytest.approx(2 * ERPM_1 + 1000, abs=60)
 
 
 def test_firmware_before_5_03_has_no_ramp(make_host: MakeHost) -> None:
     host = make_host(config=ROLLING, firmware=FW_5_02)
-    host.tell(c.SetErpm(5 * ERPM_1))
+    host.send(c.SetErpm(5 * ERPM_1))
     host.run(2)
     assert host.world.vesc.motor.ramped == 5 * ERPM_1
 
@@ -293,9 +293,9 @@ def test_voltage_sag_ends_in_under_voltage(make_host: MakeHost) -> None:
 
 def test_blocking_commands_are_discarded_while_one_runs(make_host: MakeHost) -> None:
     host = make_host()
-    host.tell(c.PingCan())
+    host.send(c.PingCan())
     host.run(100)
-    host.tell(c.TerminalCommand("faults"))
+    host.send(c.TerminalCommand("faults"))
     host.run(2500)
     assert host.heard() == [CanIds(())]
     assert host.world.vesc.counts["discarded"] == 1
@@ -306,7 +306,7 @@ def test_uptime_counts_and_goes_back_with_a_reboot(make_host: MakeHost) -> None:
     host = make_host(uptime_ns=60_000 * MS)
     host.run(1000)
     assert host.ask(c.GetValuesSetupSelective(0x200000)).uptime_ms == 61_000
-    host.tell(c.Reboot())
+    host.send(c.Reboot())
     with pytest.raises(OSError, match="Input/output"):
         host.world.serial_read(host.t_ns + MS)
     assert host.world.serial_name is None
@@ -317,9 +317,9 @@ def test_uptime_counts_and_goes_back_with_a_reboot(make_host: MakeHost) -> None:
 
 def test_reboot_forgets_ram_limits_and_centres_the_servo(make_host: MakeHost) -> None:
     host = make_host()
-    host.tell(limits(erpm_max=5000.0), c.SetServoPos(0.2))
+    host.send(limits(erpm_max=5000.0), c.SetServoPos(0.2))
     host.run(50)
-    host.tell(c.Reboot())
+    host.send(c.Reboot())
     host.run(1600)
     assert host.ask(c.GetMcConfTemp()).erpm_max == 50_000.0
     assert host.world.vesc._servo_out == 0.5
@@ -339,7 +339,7 @@ def test_limits_in_ram_are_acknowledged_read_back_and_enforced(make_host: MakeHo
     assert held.erpm_gain == pytest.approx(ERPM_1, rel=0.002)
     host.hold(2000, c.SetErpm(4 * ERPM_1))
     assert host.speed == pytest.approx(1.5, abs=0.01)
-    host.tell(c.SetCurrentBrake(60.0))
+    host.send(c.SetCurrentBrake(60.0))
     assert host.world.vesc.motor.value == pytest.approx(6.0)
 
 
@@ -352,7 +352,7 @@ def test_appconf_says_timeout_and_brake_current(make_host: MakeHost) -> None:
 
 def test_imu_measures_the_car_and_repeats_its_200_hz_samples(make_host: MakeHost) -> None:
     host = make_host(gyro_noise=0.001, accel_noise=0.01)
-    host.tell(c.SetServoPos(0.3))
+    host.send(c.SetServoPos(0.3))
     host.hold(2000, c.SetErpm(2 * ERPM_1))
     one, two = host.ask(c.GetImuData(0xFFFF), 0.5), host.ask(c.GetImuData(0xFFFF), 0.5)
     assert isinstance(one, Imu)
@@ -391,9 +391,9 @@ def test_short_commands_are_ignored_and_counted_as_a_host_bug(make_host: MakeHos
 def test_host_that_does_not_read_blocks_the_vesc_and_gets_cut_frames(make_host: MakeHost) -> None:
     host = make_host(unread_limit=300, timeout_ms=0)
     for _ in range(4):
-        host.tell(c.GetValues())
+        host.send(c.GetValues())
     assert host.world.vesc._wire.cut == 1
-    host.tell(c.SetErpm(2000))
+    host.send(c.SetErpm(2000))
     assert host.world.vesc.motor.value == 0.0  # waits behind the blocked reply
     host.run(110)
     assert host.world.vesc.motor.value == 2000.0
@@ -401,12 +401,12 @@ def test_host_that_does_not_read_blocks_the_vesc_and_gets_cut_frames(make_host: 
     assert len([r for r in host.heard() if isinstance(r, Values)]) == 3
 
 
-def test_display_mode_sends_rotor_positions_unasked(make_host: MakeHost) -> None:
+def test_display_mode_sends_rotor_positions_unsolicited(make_host: MakeHost) -> None:
     host = make_host()
-    host.tell(c.SetDetect(3))
+    host.send(c.SetDetect(3))
     host.run(100.5)
     assert len([r for r in host.heard() if isinstance(r, RotorPosition)]) == 10
-    host.tell(c.SetDetect(0))
+    host.send(c.SetDetect(0))
     host.run(100)
     assert host.heard() == []
 
@@ -420,7 +420,7 @@ def test_boot_garbage_comes_before_everything(make_host: MakeHost) -> None:
 
 def test_estop_ignores_motor_commands_for_its_time(make_host: MakeHost) -> None:
     host = make_host(config=ROLLING, firmware=Firmware(7, 1))
-    host.tell(c.MotorEstop(300))
+    host.send(c.MotorEstop(300))
     host.hold(290, c.SetErpm(3 * ERPM_1))
     assert host.speed < 1.9
     host.hold(800, c.SetErpm(3 * ERPM_1))

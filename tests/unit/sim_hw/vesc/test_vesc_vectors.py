@@ -27,7 +27,7 @@ ANSWERED = {
 def test_each_known_request_gets_its_reply_and_nothing_else(
     make_host: Callable[..., Any], firmware: Firmware
 ) -> None:
-    asked = 0
+    requested = 0
     for vector in REQUESTS:
         host = make_host(firmware=firmware)
         host.world.serial_write(0, bytes.fromhex(vector["frame"]))
@@ -39,16 +39,16 @@ def test_each_known_request_gets_its_reply_and_nothing_else(
         replies = host.parser.feed(host.world.serial_read(2_000_000), 0)
         known = number is not None and firmware >= SINCE.get(number, Firmware(0, 0))
         if known and number in ANSWERED:
-            asked += 1
+            requested += 1
             (reply,) = replies
             assert reply[0] == payload[0]
             assert decode_reply(reply, firmware) is not None
             if number in (CommandId.GET_VALUES_SELECTIVE, CommandId.GET_VALUES_SETUP_SELECTIVE):
-                assert reply[1:5] == payload[1:5]  # the mask comes back as it was asked
+                assert reply[1:5] == payload[1:5]  # the mask comes back as it was requested
         else:
             acked = known and number is CommandId.SET_MCCONF_TEMP
             assert replies == ([payload[:1]] if acked else []), vector["name"]
-    assert asked >= 3
+    assert requested >= 3
 
 
 def test_streams_of_the_real_parser_are_taken_in_alike(make_host: Callable[..., Any]) -> None:
