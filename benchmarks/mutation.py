@@ -43,11 +43,11 @@ TESTS = (
     "tests/unit/daemon/process/test_guardian.py", "tests/unit/daemon/loop/test_supervisor_start.py",
     "tests/unit/daemon/loop/test_lateness.py", "tests/unit/daemon/loop/test_lease.py",
     "tests/unit/steer_bus/test_codec.py",
-    "tests/unit/steer_bus/test_codec_fresh.py", "tests/unit/daemon/loop/test_watchdogs_messages.py",
+    "tests/unit/steer_bus/test_codec_fresh.py", "tests/unit/daemon/loop/test_findings.py",
 )  # fmt: skip
 MORE_TESTS = (
     "tests/unit/daemon/loop/test_failed_loop.py",
-    "tests/unit/daemon/process/test_runner_watchdogs.py",
+    "tests/unit/daemon/process/test_runner.py",
     "tests/unit/steer_bus/test_lab.py",
     "tests/property/test_limits.py", "tests/property/test_codec_roundtrip.py",
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The processes of a run: started in order, told over standard input, ended by closing pipes."""
+"""The processes of a run: jobs on standard input, ended by closing their pipes."""
 
 # Why: docs/decisions/safety.md#d16
 
@@ -22,13 +22,14 @@ from steerd.daemon.settings.run_options import encode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
 
 READY_S = 30.0
-END_S = 10.0
-VIEWER_END_S = 2.0
+"""Longest time until a process is ready [s]."""
+END_S, VIEWER_END_S = 10.0, 2.0
+"""Longest time until a process has ended, before it is killed [s]."""
 
 
 @dataclass
 class Child:
-    """A process and the descriptor on which it says that it is ready."""
+    """A process and the descriptor on which it reports that it is ready."""
 
     process: subprocess.Popen[bytes]
     ready_fd: int
@@ -37,20 +38,20 @@ class Child:
         """Its first line.
 
         Raises:
-            SteerdError: it ended or stayed silent instead.
+            SteerdError: it ended, or nothing came in time.
         """
         poll = select.poll()
         poll.register(self.ready_fd, select.POLLIN | select.POLLHUP)
-        heard = b""
-        while not heard.endswith(b"\n"):
+        line = b""
+        while not line.endswith(b"\n"):
             if not poll.poll(int(READY_S * 1000)):
                 raise SteerdError(f"the {name} did not start", "", ExitCode.INTERNAL)
             data = os.read(self.ready_fd, 4096)
             if not data:
                 code = self.process.wait()
                 raise SteerdError(f"the {name} ended with code {code}", "", ExitCode.INTERNAL)
-            heard += data
-        return heard.decode().strip()
+            line += data
+        return line.decode().strip()
 
 
 def spawn(
@@ -58,10 +59,10 @@ def spawn(
 ) -> Child:
     """Start `python -m module` with these descriptors and the job as JSON on standard input.
 
-    It gets a process group of its own: Ctrl-C goes to us, and we say what it means.
+    It gets a process group of its own: Ctrl-C reaches this terminal alone.
     """
-    ready, theirs = os.pipe()
-    every = {**fds, "ready": theirs}
+    ready_fd, child_fd = os.pipe()
+    every = {**fds, "ready": child_fd}
     arguments = [f"{name}={fd}" if named else str(fd) for name, fd in every.items()]
     process = subprocess.Popen(
         [sys.executable, "-m", module, *arguments],
@@ -70,11 +71,11 @@ def spawn(
         process_group=0,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
     )
-    os.close(theirs)
+    os.close(child_fd)
     if process.stdin is not None:
         process.stdin.write(json.dumps(job).encode())
         process.stdin.close()
-    return Child(process, ready)
+    return Child(process, ready_fd)
 
 
 @dataclass
@@ -83,11 +84,11 @@ class RunProcesses:
 
     Attributes:
         core, recorder, gateway: the processes.
-        viewer: the process of `--view`, if asked for.
-        requests: our end of the socket on which the core takes requests from this terminal.
+        viewer: the process of `--view`, or None.
+        requests: this terminal's end of the socket for requests to the core.
         status_fd: records for this terminal.
-        session: where the recording goes.
-        told: what the core said when it was ready.
+        session: file of the recording.
+        core_report: what the core reported when it was ready.
     """
 
     core: Child
@@ -97,10 +98,10 @@ class RunProcesses:
     requests: socket.socket
     status_fd: int
     session: Path
-    told: dict[str, Any]
+    core_report: dict[str, Any]
 
     def end(self) -> int:
-        """Wait for the core, then for the others, which leave when its pipes close."""
+        """Wait for the core, then for the others, which end when its pipes close."""
         code = self.core.process.wait()
         self.requests.close()
         for child in (self.recorder, self.gateway):
@@ -112,7 +113,7 @@ class RunProcesses:
         return code
 
     def _end_viewer(self) -> None:
-        """A viewer that died early, or hangs, is told and held against nobody."""
+        """A viewer that failed or hangs is reported; the exit code stays the core's."""
         if self.viewer is None:
             return
         try:
@@ -127,17 +128,17 @@ class RunProcesses:
 def start_processes(
     plan: RunPlan, session: Path, boot_id: int, epoch_ns: int, leased: bool
 ) -> RunProcesses:
-    """Start recorder, gateway, core and, if asked for, viewer, in this order.
+    """Start recorder, gateway, core and, with `--view`, the viewer.
 
     Raises:
-        SteerdError: one of them cannot do its work, in its own words.
+        SteerdError: one of them failed to start, with its own text.
     """
     viewed = ("view",) if plan.options.view else ()
     pipes = {name: make_pipe() for name in ("recorder", "gateway", "status", *viewed)}
-    asked, asking = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    ours, parent = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    gateway_end, gateway_core_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    terminal_end, terminal_core_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     fds = {name: pipes[name][1] for name in pipes}
-    fds |= {"parent": parent.fileno(), "asking": asking.fileno()}
+    fds |= {"parent": terminal_core_end.fileno(), "gateway_requests": gateway_core_end.fileno()}
     job = {
         "options": encode_options(plan.options),
         "boot_id": boot_id,
@@ -147,11 +148,11 @@ def start_processes(
     started: list[Child] = []
     recording = False
     try:
-        # All at once: each spends a second on its imports. What the core says before the others
-        # listen waits in its pipes.
+        # All at once: each takes a second for its imports. What the core writes before the others
+        # are ready waits in its pipes.
         meta = make_metadata(plan, boot_id, epoch_ns, leased=leased)
         started.append(_start_recorder(plan, session, meta, epoch_ns, pipes["recorder"][0]))
-        started.append(_start_gateway(plan, pipes["gateway"][0], asked.fileno()))
+        started.append(_start_gateway(plan, pipes["gateway"][0], gateway_end.fileno()))
         started.append(spawn("steerd.daemon.process.core_process", fds, job, named=True))
         if viewed:
             started.append(
@@ -160,14 +161,16 @@ def start_processes(
         recorder, gateway, core, *others = started
         _expect_ready(recorder, "recorder", ExitCode.UNREADABLE)
         recording = True
-        told = json.loads(core.wait_ready("control core"))
-        if "what" in told:
-            raise SteerdError(told["what"], told["hint"], ExitCode(told["code"]))
+        core_report = json.loads(core.wait_ready("control core"))
+        if "what" in core_report:
+            code = ExitCode(core_report["code"])
+            raise SteerdError(core_report["what"], core_report["hint"], code)
         _expect_ready(gateway, "gateway", ExitCode.UNREACHABLE)
         for other in others:
             _expect_ready(other, "viewer", ExitCode.UNREADABLE)
     except SteerdError:
-        _give_up(started, pipes, (asked, asking, ours, parent))
+        ends = (gateway_end, gateway_core_end, terminal_end, terminal_core_end)
+        _end_started(started, pipes, ends)
         if recording:
             session.unlink(missing_ok=True)
         raise
@@ -175,24 +178,26 @@ def start_processes(
         os.close(pipes[name][1])
         if name != "status":
             os.close(pipes[name][0])
-    for end in (asked, asking, parent):
+    for end in (gateway_end, gateway_core_end, terminal_core_end):
         end.close()
     viewer = others[0] if others else None
-    return RunProcesses(core, recorder, gateway, viewer, ours, pipes["status"][0], session, told)
+    return RunProcesses(
+        core, recorder, gateway, viewer, terminal_end, pipes["status"][0], session, core_report
+    )
 
 
 def _expect_ready(child: Child, name: str, code: ExitCode) -> None:
-    said = child.wait_ready(name)
-    if said != "ready":
-        taken = "already in use" in said and name == "gateway"
+    line = child.wait_ready(name)
+    if line != "ready":
+        taken = "already in use" in line and name == "gateway"
         hint = "end that one, or --listen tcp/127.0.0.1:7448" if taken else ""
-        raise SteerdError(said, hint, code)
+        raise SteerdError(line, hint, code)
 
 
-def _give_up(
+def _end_started(
     started: list[Child], pipes: Mapping[str, tuple[int, int]], ends: tuple[socket.socket, ...]
 ) -> None:
-    """Close everything, so that what was started leaves by itself."""
+    """Close all descriptors, on which the started processes end; kill those that do not."""
     for pair in pipes.values():
         for fd in pair:
             os.close(fd)
@@ -227,7 +232,7 @@ def _start_recorder(
     return spawn("steerd.daemon.process.recorder", {"pipe": pipe_fd}, job)
 
 
-def _start_gateway(plan: RunPlan, pipe_fd: int, asked_fd: int) -> Child:
+def _start_gateway(plan: RunPlan, pipe_fd: int, requests_fd: int) -> Child:
     mocap = plan.options.mocap or ""
     pose_key = parse_mocap_url(mocap).key if mocap.startswith("zenoh:") else None
     job = {
@@ -238,4 +243,4 @@ def _start_gateway(plan: RunPlan, pipe_fd: int, asked_fd: int) -> Child:
         "pose_key": pose_key,
         "ros_domain": plan.options.ros_domain,
     }
-    return spawn("steerd.daemon.process.gateway", {"pipe": pipe_fd, "asked": asked_fd}, job)
+    return spawn("steerd.daemon.process.gateway", {"pipe": pipe_fd, "requests": requests_fd}, job)

@@ -29,6 +29,7 @@ from steerd.steer_bus.clock import MonotonicClock
 from steerd.vesc_link.transport import Port, PortError, open_port
 
 STATUS_PERIOD_NS = 100_000_000
+"""Time between two records of the same kind for the terminal."""
 _SHOWN = (topics.STATE.name, topics.DIAGNOSTICS.name, topics.TRANSITION.name, topics.TICK.name)
 
 
@@ -75,11 +76,11 @@ def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
         raise SteerdError(str(error), hint, ExitCode.UNREADABLE) from None
 
 
-def first_port(url: str) -> Port:
-    """Open the port before anything else starts, so that a wrong one is said at once.
+def open_first_port(url: str) -> Port:
+    """Open the port before anything else starts, so that a wrong one is reported at once.
 
     Raises:
-        SteerdError: it cannot be opened, with what to try.
+        SteerdError: it cannot be opened, with advice.
     """
     try:
         return open_port(url)
@@ -87,7 +88,7 @@ def first_port(url: str) -> Port:
         raise SteerdError(str(error), error.hint, ExitCode.UNREADABLE) from None
 
 
-def _opener(url: str, first: Port) -> Callable[[], Port]:
+def _make_opener(url: str, first: Port) -> Callable[[], Port]:
     waiting = [first]
 
     def open_it() -> Port:
@@ -98,7 +99,7 @@ def _opener(url: str, first: Port) -> Callable[[], Port]:
 
 def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
     plan = make_plan(decode_options(job["options"]))
-    port = first_port(plan.options.port or "")
+    port = open_first_port(plan.options.port or "")
     mocap = make_mocap(plan)
     names = ("recorder", "gateway", "status", "view")
     pipes = {name: PipeWriter(fds[name]) for name in names if name in fds}
@@ -107,7 +108,7 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
         pipe_sink(pipes["gateway"], lambda r: r.topic.on_bus),
         status_sink(pipes["status"]),
     ]
-    if "view" in pipes:  # no end of the runner's: whether anybody looks on is nothing to the car
+    if "view" in pipes:  # not a link of the runner: a lost viewer does not stop the car
         sinks.append(pipe_sink(pipes["view"], lambda r: r.topic.on_bus))
     clock = MonotonicClock()
     core = make_core(
@@ -118,18 +119,18 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
         leased=bool(job["leased"]),
     )
     latch_stray_exceptions(core)
-    requests = tuple(socket.socket(fileno=fds[name]) for name in ("parent", "asking"))
-    for end in requests:
-        end.setblocking(False)
-    ends = CoreLinks(pipes["recorder"], pipes["gateway"], requests, make_stop_signal_pipe())
+    requests = tuple(socket.socket(fileno=fds[name]) for name in ("parent", "gateway_requests"))
+    for sock in requests:
+        sock.setblocking(False)
+    links = CoreLinks(pipes["recorder"], pipes["gateway"], requests, make_stop_signal_pipe())
     report = enter_realtime()
-    _tell(fds["ready"], {"realtime": report.refused, "design": plan.controller.report.describe()})
+    _report(fds["ready"], {"realtime": report.refused, "design": plan.controller.report.describe()})
     runner = Runner(
         core,
         clock,
-        _opener(plan.options.port or "", port),
+        _make_opener(plan.options.port or "", port),
         mocap,
-        ends,
+        links,
         ProcessGuard(
             report.fifo,
             simulated=plan.options.simulated,
@@ -143,17 +144,17 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
 
 
 def latch_stray_exceptions(core: Core) -> None:
-    """What is raised in a thread or a destructor has no caller; the car stops for it (W29)."""
+    """An exception in a thread or a destructor has no caller; it stops the car too (W29)."""
 
     def take(error: BaseException | None) -> None:
         core.latch_exception(error or RuntimeError("an exception without a value"))
 
-    sys.unraisablehook = lambda stray: take(stray.exc_value)
-    threading.excepthook = lambda stray: take(stray.exc_value)
+    sys.unraisablehook = lambda raised: take(raised.exc_value)
+    threading.excepthook = lambda raised: take(raised.exc_value)
 
 
-def _tell(fd: int, what: Mapping[str, Any]) -> None:
-    with contextlib.suppress(BrokenPipeError):  # Ctrl-C took who asked; there is nobody to tell
+def _report(fd: int, what: Mapping[str, Any]) -> None:
+    with contextlib.suppress(BrokenPipeError):  # Ctrl-C ended the terminal
         os.write(fd, json.dumps(what).encode() + b"\n")
 
 
@@ -165,13 +166,13 @@ def main() -> int:
     try:
         core = _run(job, fds)
     except SteerdError as error:
-        _tell(fds["ready"], {"what": error.what, "hint": error.hint, "code": int(error.code)})
+        _report(fds["ready"], {"what": error.what, "hint": error.hint, "code": int(error.code)})
         return int(error.code)
     if core.error is not None:
         traceback.print_exception(core.error)
     sys.stdout.flush()
     sys.stderr.flush()
-    # Nothing is left to tidy up; interpreter shutdown would only hold the parent up.
+    # Nothing is left to clean up; interpreter shutdown would only delay the parent.
     os._exit(int(_exit_code(core)))
 
 

@@ -1,7 +1,7 @@
 """The gateway process: the car's messages onto the bus, operators' and controllers' requests back.
 
-The core never waits for it: messages come through a pipe that drops, requests go into a socket
-whose far end the core drains. Nothing from the network is believed here; the core checks it again.
+The core never waits for it: messages come through a pipe that drops when full, requests go into a
+socket that the core reads. Requests are not checked here but in the core.
 """
 
 import contextlib
@@ -26,8 +26,10 @@ from steerd.steer_bus.topics import alive_key, make_key, schema_replies
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
 
 _POLL_MS = 4
+"""Longest time that a request waits here [ms]."""
 _READ_BYTES = 1 << 20
 _DEPTH = 16
+"""Requests kept of each topic between two polls."""
 
 
 class Gateway:
@@ -51,7 +53,7 @@ class Gateway:
         self._tokens.append(bus.serve(make_key(car, "schema/**"), schemas.get))
 
     def publish(self, buffer: bytearray) -> None:
-        """Put every whole record on the bus, with its standard view."""
+        """Publish every whole record, with its standard ROS message."""
         for record in unpack_records(buffer):
             for each in (record, *self._views.convert(record)):
                 if each.topic.direction is topics.Direction.OUT:
@@ -60,8 +62,8 @@ class Gateway:
                     if self._ros is not None:
                         self._ros.publish(each)
 
-    def pass_on(self, core: socket.socket) -> None:
-        """Hand what arrived to the core; what does not fit is dropped there and then."""
+    def forward_requests(self, core: socket.socket) -> None:
+        """Send what arrived to the core; what does not fit is dropped."""
         for name, subscription in self._requests:
             for sample in subscription.poll():
                 if len(sample.data) <= REQUEST_MAX:
@@ -70,7 +72,7 @@ class Gateway:
 
 
 def run_gateway(gateway: Gateway, pipe_fd: int, core: socket.socket) -> None:
-    """Work until the pipe closes."""
+    """Publish and pass on until the pipe closes."""
     buffer = bytearray()
     poll = select.poll()
     poll.register(pipe_fd, select.POLLIN | select.POLLHUP)
@@ -82,7 +84,7 @@ def run_gateway(gateway: Gateway, pipe_fd: int, core: socket.socket) -> None:
             buffer += data
             gateway.publish(buffer)
         try:
-            gateway.pass_on(core)
+            gateway.forward_requests(core)
         except OSError:
             return
 
@@ -106,7 +108,7 @@ def main() -> int:
         with contextlib.suppress(OSError):
             os.write(ready_fd, f"{error}\n".encode())
         return 3
-    # zenoh's threads may keep the interpreter alive; nothing of ours is left to do.
+    # zenoh's threads may keep the interpreter alive; nothing is left to do.
     sys.stderr.flush()
     os._exit(0)
 

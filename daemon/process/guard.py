@@ -1,4 +1,4 @@
-"""The core's side of the guardian: start one for each opened port, beat for it, ask it."""
+"""The core's side of the guardian: start one for each port, send heartbeats, read its state."""
 
 import os
 import subprocess
@@ -11,8 +11,9 @@ from steerd.daemon.process.lifeline import Lifeline
 from steerd.daemon.settings.thresholds import Thresholds
 
 START_NS = 1_000_000_000
-"""A guardian that has just been started gets this long to show itself."""
+"""Time that a new guardian has until its first heartbeat."""
 STALE_NS_SIMULATED = 300_000_000
+"""Age of the core's heartbeat at which the guardian brakes a simulated car."""
 SILENT_S = Thresholds().guardian
 
 
@@ -24,7 +25,7 @@ class Guard(Protocol):
         ...
 
     def write_heartbeat(self, t_ns: int, engaged: bool) -> None:
-        """The core is alive; motor bytes may flow or not."""
+        """The core is alive; `engaged`: motor bytes may flow."""
         ...
 
     def may_write(self, tick_ns: int, now_ns: int) -> bool:
@@ -32,7 +33,7 @@ class Guard(Protocol):
         ...
 
     def is_silent(self, now_ns: int) -> bool:
-        """Whether the guardian itself has stopped."""
+        """Whether the guardian itself is gone or silent."""
         ...
 
     def has_tripped(self) -> bool:
@@ -40,7 +41,7 @@ class Guard(Protocol):
         ...
 
     def mark_clean(self) -> None:
-        """The wheels stand; nothing is left to guard."""
+        """The wheels stand: the guardian need not brake when the core ends."""
         ...
 
 
@@ -48,9 +49,9 @@ class ProcessGuard:
     """A guardian process per opened port.
 
     Args:
-        realtime: whether the core has a fixed priority; without, the heartbeat may be later.
-        simulated: the hardware is simulated; a machine that hiccups must not end the run.
-        silent_s: how long the guardian itself may be silent (W16) [s].
+        realtime: whether the core has a fixed priority; without, its heartbeat may be later.
+        simulated: the hardware is simulated; a machine that stalls must not end the run.
+        silent_s: largest age of the guardian's own heartbeat (W16) [s].
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class ProcessGuard:
         os.close(pid_fd)
 
     def _forget_ended_guardians(self) -> None:
-        """Forget the guardians that have gone; a plug that flaps all day must cost nothing."""
+        """Forget guardians that have ended; a port that is reopened often must not leak them."""
         gone = [pair for pair in self._lifelines if pair[0].poll() is not None]
         self._lifelines = [pair for pair in self._lifelines if pair not in gone]
         for _, lifeline in gone:
@@ -106,7 +107,7 @@ class ProcessGuard:
         return self._page is not None and self._page.may_write(tick_ns, now_ns, self._stale_ns)
 
     def is_silent(self, now_ns: int) -> bool:
-        """Whether the guardian is gone or has not shown itself for a while (W16)."""
+        """Whether the guardian is gone or its heartbeat is too old (W16)."""
         if self._page is None or self._process is None:
             return False
         if now_ns - self._started_ns < START_NS and not self._page.guardian_ns:
@@ -119,11 +120,11 @@ class ProcessGuard:
         return self._page is not None and self._page.tripped_ns != 0
 
     def mark_clean(self) -> None:
-        """The wheels stand: the guardian goes when the core does."""
+        """The wheels stand: the guardian ends with the core and does not brake."""
         if self._page is not None:
             self._page.mark_clean()
 
 
 def sleep_lag_ns() -> int:
-    """How long the machine has slept since boot [ns]: grows while it is suspended."""
+    """Time that the machine was suspended since boot [ns]."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()

@@ -18,17 +18,17 @@ from collections.abc import Callable, Sequence
 from steerd.daemon.process.lifeline import MUTEX_BYTES, OFFSET, Lifeline
 
 PAGE_BYTES = OFFSET + MUTEX_BYTES
-STALE_NS, STALE_NS_NO_RT = 30_000_000, 60_000_000
-PERIOD_NS, BRAKE_NS = 10_000_000, 2_000_000_000
+STALE_NS, STALE_NS_NO_RT = 30_000_000, 60_000_000  # heartbeat age that trips, with FIFO or not
+PERIOD_NS, BRAKE_NS = 10_000_000, 2_000_000_000  # between brake frames; for so long they go on
 PRIORITY = 60  # SCHED_FIFO, above the core's 50
 _HEARTBEAT, _ENGAGED, _TRIPPED, _GUARDIAN, _CLEAN = range(5)
 
 
 class HeartbeatPage:
-    """Five words of shared memory; each is one aligned 8-byte store, so no lock is needed.
+    """Five 8-byte words of shared memory; each store is aligned, so no lock is needed.
 
-    The core writes ``beat`` and ``clean``, the guardian ``trip`` and ``watch``. All times are
-    CLOCK_MONOTONIC [ns], 0 for never.
+    The core writes heartbeat and ``clean``, the guardian its trip and its own heartbeat. All times
+    are CLOCK_MONOTONIC [ns], 0 for never.
     """
 
     def __init__(self, fd: int) -> None:
@@ -46,7 +46,7 @@ class HeartbeatPage:
         return not self._words[_TRIPPED] and now_ns - tick_ns < stale_ns
 
     def mark_clean(self) -> None:
-        """Core: the wheels stand, nothing is left to guard."""
+        """Core: the wheels stand; do not brake when the core ends."""
         self._words[_CLEAN] = 1
 
     def watch(self, t_ns: int) -> None:
@@ -93,7 +93,7 @@ def make_page_fd() -> int:
 def wait_for_fault(
     page: HeartbeatPage, core: Lifeline, stale_ns: int, now: Callable[[], int]
 ) -> bool:
-    """Watch until the core ends, freezes or lets an unarmed car go: whether to brake the car."""
+    """Watch until the core ends or freezes; return whether to brake the car."""
     while True:
         t_ns = now()
         page.watch(t_ns)
@@ -108,7 +108,7 @@ def wait_for_fault(
 
 
 def brake(page: HeartbeatPage, serial_fd: int, frame: bytes, now: Callable[[], int]) -> None:
-    """Trip, then write the brake frame at once and every 10 ms for 2 s, whatever the fd answers."""
+    """Trip, then write the brake frame at once and every 10 ms for 2 s, whatever errors occur."""
     start = now()
     page.trip(start)
     pause = select.poll()
@@ -123,7 +123,7 @@ def brake(page: HeartbeatPage, serial_fd: int, frame: bytes, now: Callable[[], i
 def guardian_main(
     serial_fd: int, page_fd: int, core_pidfd: int, frame: bytes, stale_ns: int = STALE_NS
 ) -> None:
-    """Guard until nothing is left to guard or the car was braked.
+    """Guard until the core has ended in good order or the car was braked.
 
     ``serial_fd`` is a non-blocking duplicate of the core's, ``frame`` a whole brake frame.
     """

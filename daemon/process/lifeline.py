@@ -1,9 +1,9 @@
-"""How the guardian learns of the core's death at once: a robust mutex in their shared page.
+"""Immediate notice of the core's death for the guardian: a robust mutex in their shared page.
 
-A pidfd, a pipe's end or a parent-death signal tell of a killed process only after the kernel has
-taken its memory apart: 30 to 190 ms were measured for a core of 140 to 370 MB. The futexes of a
-dying thread are handed on before that (``exit_mm_release`` comes first in ``do_exit``). Standard
-library only; without the C library's functions the pidfd has to do.
+A pidfd, the end of a pipe or a parent-death signal report a killed process only after the kernel
+has freed its memory: 30 to 190 ms were measured for a core of 140 to 370 MB. The robust futexes of
+a dying thread are released before that (``exit_mm_release`` comes first in ``do_exit``). Standard
+library only; without the C library's functions the pidfd is used.
 """
 
 import ctypes
@@ -29,11 +29,11 @@ def _library() -> Any:
 
 
 class Lifeline:
-    """One end of the mutex: the core holds it for life, the guardian waits for it.
+    """One end of the mutex: the core holds it until it ends, the guardian waits for it.
 
     Args:
         page_fd: the shared page.
-        core_pidfd: the core, for where there is no such mutex; None at the core's own end.
+        core_pidfd: the core, where there is no such mutex; None at the core's own end.
     """
 
     def __init__(self, page_fd: int, core_pidfd: int | None = None) -> None:
@@ -45,7 +45,7 @@ class Lifeline:
             self._pidfd.register(core_pidfd, select.POLLIN)
 
     def hold(self) -> None:
-        """Core, main thread, before the guardian starts: tie its life to this thread's."""
+        """Core, main thread, before the guardian starts: lock the mutex for this thread's life."""
         if self._library is None:
             return
         kind = (ctypes.c_char * MUTEX_BYTES)()
@@ -56,14 +56,14 @@ class Lifeline:
         self._library.pthread_mutex_lock(self._mutex)
 
     def release(self) -> None:
-        """Core: the guardian at the other end has gone; take the mutex off this thread's list."""
+        """Core: the guardian has ended; remove the mutex from this thread's robust list."""
         if self._library is not None:
             self._library.pthread_mutex_unlock(self._mutex)
         del self._mutex
         self._page.close()
 
     def poll(self, timeout_ms: int) -> bool:
-        """Guardian: wait for so long at most; whether the core has died."""
+        """Guardian: wait for `timeout_ms` at most; return whether the core has died."""
         if self._library is not None:
             end_ns = time.monotonic_ns() + timeout_ms * 1_000_000
             until = _Timespec(end_ns // 1_000_000_000, end_ns % 1_000_000_000)
@@ -73,9 +73,9 @@ class Lifeline:
             if result == _TIMED_OUT:
                 # A core that left in good order unmapped its page first, with the mutex in it.
                 return bool(self._pidfd.poll(0))
-            # It is ours now; kept, it would be on this thread's list when the page is unmapped.
+            # Held, it would still be on this thread's robust list when the page is unmapped.
             self._library.pthread_mutex_unlock(self._mutex)
             if result == _OWNER_DIED:
                 return True
-            self._library = None  # nobody held it: the pidfd has to do
+            self._library = None  # nobody held it: use the pidfd
         return bool(self._pidfd.poll(timeout_ms))

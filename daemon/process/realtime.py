@@ -1,4 +1,4 @@
-"""What a control process asks the kernel for, and a plain statement of what it did not get.
+"""Real-time settings of a control process, with a report of those that were refused.
 
 Measurements behind each line: `docs/reference/safety-requirements.md#s8`,
 `docs/reference/identification.md#i5`.
@@ -14,6 +14,9 @@ import sys
 from dataclasses import dataclass
 
 FIFO_PRIORITY = 50
+"""Under SCHED_FIFO, below the guardian's 60."""
+SWITCH_INTERVAL_S = 0.0005
+"""Longest time for which a thread keeps the interpreter lock [s]."""
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT_AND_FUTURE = 3
 
@@ -25,7 +28,7 @@ class RealtimeReport:
     Attributes:
         fifo: whether the process runs under SCHED_FIFO.
         locked: whether its memory is locked.
-        refused: one line for each thing that was not allowed, with the mend.
+        refused: one line for each refused setting, with the remedy.
     """
 
     fifo: bool
@@ -55,9 +58,9 @@ def _lock_memory() -> bool:
 
 
 def enter_realtime(priority: int = FIFO_PRIORITY) -> RealtimeReport:
-    """Ask for a fixed priority, locked memory and a fine timer; never fails, says what it lacks."""
+    """Request a fixed priority, locked memory and a fine timer; refusals are reported."""
     _libc().prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
-    sys.setswitchinterval(0.0005)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     fifo, locked = _set_fifo(priority), _lock_memory()
     refused = []
     if not fifo:

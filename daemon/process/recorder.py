@@ -1,7 +1,7 @@
 """The recorder process: records from the core's pipe into an MCAP session.
 
-It ignores the terminal's signals and leaves when the pipe closes, so that a stop is recorded to its
-end. A quarter of a second at most is lost when it is killed.
+It ignores the terminal's signals and ends when the pipe closes, so that a stop is recorded to its
+end. At most `[record] flush_ms` of a session is lost when it is killed.
 """
 
 import json
@@ -23,6 +23,7 @@ from steerd.steer_bus.session_read import SessionError
 from steerd.steer_bus.topics import TOPICS, make_session_topic
 
 _POLL_MS = 50
+"""Longest wait for records before the file and the disk are looked after [ms]."""
 _READ_BYTES = 1 << 20
 _DISK_CHECK_NS = 1_000_000_000
 
@@ -54,7 +55,7 @@ class Recording:
         self._views = Views()
 
     def add(self, record: PipeRecord) -> None:
-        """Write one record, and what viewers want to see of it."""
+        """Write one record, and the standard ROS message made of it."""
         for each in (record, *self._views.convert(record)):
             topic = self._topics[each.topic.name]
             self.writer.write(topic, each.data, each.log_time_ns, each.publish_time_ns)
@@ -62,7 +63,7 @@ class Recording:
 
 
 def record_pipe(recording: Recording, fd: int, disk_free_min: int) -> str:
-    """Write until the pipe closes; the reason for the end."""
+    """Write until the pipe closes or the disk is nearly full; return the reason."""
     clock, buffer = MonotonicClock(), bytearray()
     poll = select.poll()
     poll.register(fd, select.POLLIN | select.POLLHUP)
@@ -77,7 +78,7 @@ def record_pipe(recording: Recording, fd: int, disk_free_min: int) -> str:
                 recording.add(record)
         now = clock.now_ns()
         if recording.writer.tick(now):
-            # The disk may take its time; the pipe must not wait for it.
+            # In a thread: the disk may be slow, the pipe must be read.
             threading.Thread(target=_sync, args=(recording.writer,), daemon=True).start()
         if now >= disk_due_ns:
             disk_due_ns = now + _DISK_CHECK_NS

@@ -1,4 +1,4 @@
-"""A car as a ROS 2 node that rmw_zenoh sees: its topics again, under ROS's keys."""
+"""The car as a ROS 2 node for rmw_zenoh: its topics once more, under ROS's keys."""
 
 import contextlib
 from typing import Any, Protocol
@@ -15,6 +15,7 @@ from steerd.steer_bus.topics import TOPICS, Direction, make_key
 DRIVE_NAME = "drive"
 """What went to the motor controller, as `ackermann_msgs/AckermannDriveStamped`."""
 _FIRST_ENTITY = 10
+"""Entity number of the first publisher."""
 
 
 class RosBus(Bus, Protocol):
@@ -36,7 +37,7 @@ class RosBridge:
 
         Raises:
             BusError: the bus is closed.
-            ValueError: the domain is none.
+            ValueError: the domain is invalid.
         """
         self._bus = bus
         node = f"steerd_{car}"
@@ -56,7 +57,7 @@ class RosBridge:
             self._tokens.append(bus.declare_alive(token))
 
     def publish(self, record: PipeRecord) -> None:
-        """One record under its ROS key; what went to the wire also as a drive command."""
+        """Publish one record under its ROS key; an actuation also as a drive command."""
         self._put(record.topic.name, record.data)
         if record.topic.name == topics.ACTUATION.name:
             self._put(DRIVE_NAME, encode(make_drive(decode(Actuation, record.data))))
@@ -69,5 +70,5 @@ class RosBridge:
 
 
 def make_drive(sent: Actuation) -> AckermannDriveStamped:
-    """What went to the wire in F1TENTH's message; rates and accelerations are left to the car."""
+    """The command on the wire in F1TENTH's message; rates and accelerations are 0, unset."""
     return AckermannDriveStamped(sent.header, AckermannDrive(sent.steer, 0.0, sent.speed, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""Whether this machine keeps time: wakes of an empty loop against absolute deadlines."""
+"""Timing check of this machine: wake times of an empty loop against absolute deadlines."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ P999_LIMIT_NS = 2_000_000
 
 
 class Wakes(NamedTuple):
-    """How late an empty loop woke.
+    """Statistics of the lateness of an empty loop.
 
     Attributes:
         p50_ns, p99_ns, p999_ns, worst_ns: lateness of its wakes.
@@ -48,7 +48,7 @@ def measure_wakes(clock: Clock, period_ns: int, ticks: int) -> NDArray[np.int64]
 
 
 def summarise_wakes(late_ns: NDArray[np.int64], period_ns: int) -> Wakes:
-    """The figures of some wakes, shape (n,) with n > 0 [ns]."""
+    """Statistics of wake lateness, shape (n,) with n > 0 [ns]."""
     p50, p99, p999 = (int(np.percentile(late_ns, share)) for share in (50, 99, 99.9))
     return Wakes(
         p50,

@@ -1,9 +1,8 @@
-"""Real time: one thread, one select, absolute deadlines.
+"""The real-time runner: one thread, one select, absolute deadlines.
 
-Serial port, mocap sockets and requests are handled as they arrive; with its pose, or at its
-deadline if none comes, the core ticks and one write goes out. The deadlines follow the poses
-(`steerd.daemon.process.pacing`). A tick that comes late is skipped to the next, never caught up in
-a burst.
+Serial port, mocap sockets and requests are handled as they arrive. With a pose, or at the deadline
+if none comes, the core ticks and its bytes are written. The deadlines follow the poses
+(`steerd.daemon.process.pacing`). Missed ticks are skipped, never caught up in a burst.
 """
 
 import contextlib
@@ -30,8 +29,17 @@ from steerd.steer_bus.messages import BODY, ClockSample, make_header
 from steerd.vesc_link.transport import LinkDown, Port, PortError
 
 REOPEN_NS = 200_000_000
+"""Time between two attempts to open the serial port."""
 MOCAP_TIMER_NS = 10_000_000
+"""Time between two calls of the mocap source's timer."""
 CLOCK_NS = 1_000_000_000
+"""Time between two clock messages."""
+_PACKETS_MAX = 32
+"""Requests read from a socket at once: a flood of them must not delay the tick."""
+_KEY_BYTES = 64
+"""Room for the topic name in a request."""
+LEAVE_SIGNALS = 3
+"""So many stop signals end the process at once; the guardian brakes what still moves."""
 
 OpenPort = Callable[[], Port]
 """Opens the serial port; raises PortError."""
@@ -39,13 +47,13 @@ OpenPort = Callable[[], Port]
 
 @dataclass(frozen=True)
 class CoreLinks:
-    """The core's ends of what leads to the other processes.
+    """The core's links to the other processes.
 
     Attributes:
         recorder: pipe to the recorder, or None when nothing is recorded.
         gateway: pipe to the gateway, or None.
         requests: sockets on which requests arrive, the parent's first.
-        stop_fd: yields a byte for each stop signal.
+        stop_fd: gives a byte for each stop signal.
     """
 
     recorder: PipeWriter | None
@@ -58,8 +66,8 @@ class Runner:
     """The control core in real time.
 
     Attributes:
-        signals: stop signals so far.
-        error: why the port could not be opened, last.
+        signals: number of stop signals.
+        error: why the port could not be opened, or None.
     """
 
     def __init__(
@@ -68,7 +76,7 @@ class Runner:
         clock: Clock,
         open_port: OpenPort,
         mocap: MocapReceiver | BusPoseSource,
-        ends: CoreLinks,
+        links: CoreLinks,
         guard: Guard,
         notify: Notify = notify_nobody,
     ) -> None:
@@ -77,8 +85,8 @@ class Runner:
         self._clock = clock
         self._open_port = open_port
         self._mocap = mocap
-        self._ends = ends
-        self._parent = ends.requests[0] if ends.requests else None
+        self._links = links
+        self._parent = links.requests[0] if links.requests else None
         self._guard = guard
         self._port: Port | None = None
         self._period_ns = core.loop.setup.period_ns
@@ -92,15 +100,15 @@ class Runner:
     # --- the loop
 
     def run(self) -> None:
-        """Run until asked to quit and parked, or until the planned drive is over."""
+        """Run until a stop signal or the end of the planned drive, and the car is at rest."""
         self._notify(READY)
         due = self._clock.now_ns()
         work_ns, pace = 0, Pace()
-        while not self._done():
+        while not self._is_done():
             # Only a pose that came since the last tick makes one.
             self._wait(due, max(due - early_window_ns(pace, self._period_ns), self._pose_ns + 1))
             now = self._clock.now_ns()
-            self._raise_flags()
+            self._set_flags()
             wire = self._core.tick(due, now, work_ns)
             self._core.post_tick(self._write(wire, now))
             after = self._clock.now_ns()
@@ -112,21 +120,21 @@ class Runner:
                 due += (after - due) // self._period_ns * self._period_ns
         self._leave()
 
-    def _done(self) -> bool:
-        """Whether nothing is left to do: the drive is over, or it was told to quit and is at rest.
+    def _is_done(self) -> bool:
+        """Whether the run is over: drive ended or stop signal received, and the car at rest.
 
-        A third signal leaves at once; the guardian brakes what still moves.
+        The third signal ends it at once; the guardian then brakes a car that moves.
         """
         loop = self._core.loop
         planned = loop.setup.duration_ns is not None and loop.ran
         over = self.signals > 0 or planned
-        return self.signals > 2 or (over and loop.at_rest)
+        return self.signals >= LEAVE_SIGNALS or (over and loop.at_rest)
 
     def _wait(self, due_ns: int, early_ns: int) -> None:
         """Handle what arrives until the deadline, or until a pose has come since `early_ns`."""
         while True:
             left_ns = due_ns - self._clock.now_ns()
-            fds = [self._ends.stop_fd, *(s.fileno() for s in self._ends.requests)]
+            fds = [self._links.stop_fd, *(s.fileno() for s in self._links.requests)]
             if self._port is not None:
                 fds.append(self._port.fd)
             if not isinstance(self._mocap, BusPoseSource):
@@ -138,7 +146,7 @@ class Runner:
                 return
 
     def _try(self, take: Callable[[int], None], what: int) -> None:
-        """Take in what comes from outside; an error that nothing expects stops the car (W29)."""
+        """Handle an input; an unexpected exception stops the car (W29)."""
         try:
             take(what)
         except Exception as error:
@@ -147,7 +155,7 @@ class Runner:
     def _take(self, fd: int) -> None:
         if self._port is not None and fd == self._port.fd:
             self._read_serial()
-        elif fd == self._ends.stop_fd:
+        elif fd == self._links.stop_fd:
             with contextlib.suppress(BlockingIOError):
                 self.signals += len(os.read(fd, 16))
         elif not isinstance(self._mocap, BusPoseSource) and fd in self._mocap.fds():
@@ -161,14 +169,14 @@ class Runner:
         self._core.on_poses(samples)
 
     def _read_requests(self, fd: int) -> None:
-        for end in self._ends.requests:
+        for end in self._links.requests:
             if end.fileno() != fd:
                 continue
             with contextlib.suppress(BlockingIOError):
-                for _ in range(32):
-                    packet = end.recv(REQUEST_MAX + 64)
+                for _ in range(_PACKETS_MAX):
+                    packet = end.recv(REQUEST_MAX + _KEY_BYTES)
                     if not packet:
-                        self._hang_up(end)
+                        self._close_requests(end)
                         return
                     self._on_request(packet)
 
@@ -181,20 +189,22 @@ class Runner:
         else:
             self._core.on_request(name, data, now)
 
-    def _hang_up(self, end: socket.socket) -> None:
-        """A process that could ask is gone: the gateway, or the parent, whose end means quit."""
-        rest = tuple(other for other in self._ends.requests if other is not end)
+    def _close_requests(self, end: socket.socket) -> None:
+        """A process that sends requests has ended: the gateway, or the parent, which means quit."""
+        rest = tuple(other for other in self._links.requests if other is not end)
         if end is self._parent:
             self.signals += 1
         else:
             self._core.flags |= Flag.GATEWAY_LOST
         end.close()
-        self._ends = CoreLinks(self._ends.recorder, self._ends.gateway, rest, self._ends.stop_fd)
+        self._links = CoreLinks(
+            self._links.recorder, self._links.gateway, rest, self._links.stop_fd
+        )
 
     # --- what is not an arrival
 
-    def _raise_flags(self) -> None:
-        """What the very next tick must know."""
+    def _set_flags(self) -> None:
+        """Set the flags that the next tick needs."""
         lag = sleep_lag_ns()
         if lag - self._slept_ns > self._core.loop.setup.settings.thresholds.suspend_step * 1e9:
             self._core.flags |= Flag.SUSPENDED
@@ -205,18 +215,18 @@ class Runner:
             self._core.flags |= Flag.ABORT
 
     def _housekeeping(self, now_ns: int) -> None:
-        """What has time until after the tick."""
+        """Work that can wait until after the tick."""
         if self._port is None and now_ns >= self._reopen_ns:
             self._try_open(now_ns)
         if now_ns >= self._mocap_ns:
             self._mocap_ns = now_ns + MOCAP_TIMER_NS
-            self._try(self._tend_mocap, now_ns)
+            self._try(self._step_mocap, now_ns)
         if now_ns >= self._clock_ns:
             self._clock_ns = now_ns + CLOCK_NS
-            self._tell_clock(now_ns)
+            self._post_clock(now_ns)
         self._watch_processes(now_ns)
 
-    def _tend_mocap(self, now_ns: int) -> None:
+    def _step_mocap(self, now_ns: int) -> None:
         seen = self._core.loop.perception
         self._mocap.ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
         self._mocap.ingest.stationary = seen.may_rebase
@@ -226,18 +236,18 @@ class Runner:
         self._core.flags &= ~Flag.MOCAP_REFUSED
         self._core.flags |= Flag.MOCAP_REFUSED if source.refused else 0
 
-    def _tell_clock(self, now_ns: int) -> None:
+    def _post_clock(self, now_ns: int) -> None:
         self._notify(ALIVE)
         realtime = self._clock.realtime_ns()
         header = make_header(now_ns + self._core.outbox.epoch_ns, BODY)
         self._core.outbox.post(topics.CLOCK, ClockSample(header, realtime, now_ns, 0), now_ns)
 
     def _watch_processes(self, now_ns: int) -> None:
-        ends, core, settings = self._ends, self._core, self._core.loop.setup.settings
+        links, core, settings = self._links, self._core, self._core.loop.setup.settings
         th = settings.thresholds
-        if settings.record.required and _is_lost(ends.recorder, th.recorder_full, now_ns):
+        if settings.record.required and _is_lost(links.recorder, th.recorder_full, now_ns):
             core.flags |= Flag.RECORDER_LOST
-        if _is_lost(ends.gateway, th.gateway_full, now_ns):
+        if _is_lost(links.gateway, th.gateway_full, now_ns):
             core.flags |= Flag.GATEWAY_LOST
         if self._port is not None:
             self._watch_guardian(now_ns)
@@ -245,7 +255,7 @@ class Runner:
             core.flags |= Flag.GUARDIAN_TRIPPED
 
     def _watch_guardian(self, now_ns: int) -> None:
-        """A guardian that is slow to start is a red check until it shows itself, no fault."""
+        """A guardian that is slow to start is a failed pre-arm check, no fault."""
         if self._guard.is_silent(now_ns):
             self._core.flags |= Flag.GUARDIAN_LOST
         elif not is_engaged(self._core.loop.supervisor.state):
@@ -280,7 +290,7 @@ class Runner:
         self._core.on_serial(self._clock.now_ns(), data)
 
     def _write(self, wire: bytes, tick_ns: int) -> bytes:
-        """Beat for the guardian and write a tick's bytes; gives back what was written."""
+        """Send the heartbeat and write a tick's bytes; return what was written."""
         if self._port is None:
             return b""
         last = self._core.last
@@ -328,9 +338,9 @@ class Runner:
     # --- the end
 
     def _leave(self) -> None:
-        """Leave; where the wheels stand, in good order: the VESC gets its own limits back.
+        """Close everything; at rest, the VESC gets its own limits back.
 
-        Where they do not, the guardian hears nothing but the end of this process, and brakes.
+        In motion, the guardian sees only the end of this process, and brakes.
         """
         self._notify(STOPPING)
         now = self._clock.now_ns()
@@ -346,9 +356,9 @@ class Runner:
             self._mocap.close()
 
 
-def _is_lost(pipe: PipeWriter | None, patience_s: float, now_ns: int) -> bool:
-    """Whether a reader is gone, or has taken nothing for too long (W26, W27)."""
+def _is_lost(pipe: PipeWriter | None, timeout_s: float, now_ns: int) -> bool:
+    """Whether a reader is gone, or has read nothing for too long (W26, W27)."""
     if pipe is None:
         return False
     full_ns = pipe.full_since_ns
-    return pipe.dead or (full_ns is not None and now_ns - full_ns > patience_s * 1e9)
+    return pipe.dead or (full_ns is not None and now_ns - full_ns > timeout_s * 1e9)

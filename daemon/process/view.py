@@ -1,7 +1,7 @@
 """The viewer's process: the car's messages on Foxglove's WebSocket, with a scene and parameters.
 
-A looker-on: it takes records from a pipe that drops, offers nothing with which a client could
-command the car, and nobody waits for it. Its end is told, and changes nothing else.
+It only shows: records come through a pipe that drops when full, and a client cannot command the
+car. Its end is reported and changes nothing else.
 """
 
 # Why: docs/decisions/messages-and-sessions.md#d26
@@ -39,13 +39,14 @@ SCENE = "/scene"
 SCENE_NS = 50_000_000
 """The car is drawn 20 times a second; channels carry every message."""
 LANE_NS = 1_000_000_000
-"""The lane is drawn anew for those who have just come."""
+"""The lane is sent again for clients that have just connected."""
 _READ_BYTES = 1 << 20
 _NICE = 10
+"""Lower priority than the control processes'."""
 
 
 class ReadOnlyParameters(ServerListener):
-    """Parameters that can be looked at; setting one gives the old value back."""
+    """Parameters that can be read; setting one returns the old value."""
 
     def __init__(self, values: Mapping[str, float | str]) -> None:
         self._values = dict(values)
@@ -60,7 +61,7 @@ class ReadOnlyParameters(ServerListener):
     def on_set_parameters(
         self, client: Client, parameters: list[Parameter], request_id: str | None = None
     ) -> list[Parameter]:
-        """Nothing is set: a car file changes between drives, not under one."""
+        """Nothing is set: a car file does not change during a drive."""
         return self.on_get_parameters(client, [p.name for p in parameters])
 
 
@@ -161,7 +162,7 @@ def main() -> int:
     if viewer.missed:
         print(f"note: the viewer missed {viewer.missed} messages", file=sys.stderr)
     sys.stderr.flush()
-    # The server's threads may keep the interpreter alive; nothing of ours is left to do.
+    # The server's threads may keep the interpreter alive; nothing is left to do.
     os._exit(0)
 
 

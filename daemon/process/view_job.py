@@ -1,4 +1,4 @@
-"""What the viewer's process is told: where to listen, the lane, the car, its file's values."""
+"""The job of the viewer's process: address, lane, car, values of the car file."""
 
 import ipaddress
 import tomllib
@@ -11,15 +11,16 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 DEFAULT_PORT = 8765
 """Foxglove's own."""
 _LANE_STEP = 0.05
+"""Distance between drawn points of the lane [m]."""
 _WIDTH = 0.27
-"""Of an F1TENTH car [m]; drawn, never computed with."""
+"""Width of an F1TENTH car [m]; only drawn."""
 
 
 def parse_view(text: str, insecure_lan: bool) -> tuple[str, int]:
     """Host and port of ``[HOST:]PORT``.
 
     Raises:
-        SteerdError: it is neither, or others could look on without `--insecure-lan`.
+        SteerdError: it is no address, or one for others without `--insecure-lan`.
     """
     host, _, port = text.rpartition(":")
     host = host.strip("[]") or "127.0.0.1"
@@ -36,10 +37,10 @@ def parse_view(text: str, insecure_lan: bool) -> tuple[str, int]:
 
 
 def check_view(text: str, insecure_lan: bool) -> None:
-    """Refuse early what a viewer cannot be.
+    """Check `--view` before anything starts.
 
     Raises:
-        SteerdError: the address makes no sense, or foxglove-sdk is not installed.
+        SteerdError: the address is invalid, or foxglove-sdk is not installed.
     """
     parse_view(text, insecure_lan)
     if find_spec("foxglove") is None:
@@ -51,7 +52,7 @@ def make_view_job(plan: RunPlan) -> dict[str, Any]:
     """The viewer's job as JSON values.
 
     Raises:
-        SteerdError: the address makes no sense.
+        SteerdError: the address is invalid.
     """
     host, port = parse_view(plan.options.view, plan.options.insecure_lan)
     path, settings = plan.path, plan.settings

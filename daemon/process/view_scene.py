@@ -1,4 +1,4 @@
-"""The car and its lane as Foxglove draws them: a transform, and shapes that hang on it."""
+"""The car and its lane as Foxglove draws them: a transform, and shapes in its frames."""
 
 from collections.abc import Mapping, Sequence
 from math import cos, sin
@@ -31,6 +31,7 @@ _WHEEL = Color(r=0.1, g=0.1, b=0.1, a=1.0)
 _SPEED = Color(r=0.2, g=0.75, b=0.3, a=0.9)
 _WHEEL_SIZE = Vector3(x=0.1, y=0.04, z=0.1)
 _HEIGHT = 0.05
+"""Of the wheels' axes over the floor [m]."""
 
 
 class Body(NamedTuple):

@@ -25,6 +25,7 @@ from steerd.steer_bus.standard import (
 from steerd.steer_bus.topics import Topic
 
 PERIOD_NS = 20_000_000
+"""Shortest time between two messages of a kind."""
 
 
 def _pose(x: float, y: float, yaw: float) -> Pose:
@@ -99,13 +100,13 @@ _VIEWS: dict[str, tuple[Topic, Callable[[Any], Any]]] = {
 
 @dataclass
 class Views:
-    """Which view was last made when, and how many."""
+    """Converts records to standard ROS messages, at most 50 of each kind per second."""
 
     _due_ns: dict[str, int] = field(default_factory=dict)
     _count: dict[str, int] = field(default_factory=dict)
 
     def convert(self, record: PipeRecord) -> Iterator[PipeRecord]:
-        """The standard message that shows this record, if one is due."""
+        """The standard message made of this record, if one is due."""
         view = _VIEWS.get(record.topic.name)
         if view is None or record.log_time_ns < self._due_ns.get(record.topic.name, 0):
             return

@@ -57,7 +57,7 @@ def serve(what, labs):
         stranger.stdin.close()
         while stranger.poll() is None:
             bus.publish(make_key("car1", topics.STATE), b"secret")
-            gateway.pass_on(theirs)
+            gateway.forward_requests(theirs)
             while select.select([core], [], [], 0)[0]:
                 core.recv(65536)
                 delivered += 1

@@ -40,7 +40,7 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 _HERE = "steerd.daemon.loop.watchdogs:"
-_RUNNER = "`test_runner_watchdogs.py`"
+_RUNNER = "`test_runner.py`"
 TRACES = {
     "W1": Trace(
         _HERE + "_check_mocap_age",
@@ -155,7 +155,7 @@ TRACES = {
         also=_RUNNER + "; live: SIGKILL gateway",
     ),
     "W28": Trace(
-        "steerd.daemon.process.runner:Runner._raise_flags",
+        "steerd.daemon.process.runner:Runner._set_flags",
         _names("suspend_step"), ("H17", "P5"), also=_RUNNER
     ),
     "W29": Trace(

@@ -63,6 +63,8 @@ def settings_with(tmp_path, section, **values):
         ("safety", {"jump_frames": True}, "Expected `int`, got `bool`"),
         ("safety", {"fence": [[0, 0], [1, 0]]}, "three corners"),
         ("record", {"flush_ms": 9}, "10 to 250 ms"),
+        ("record", {"flush_ms": 251}, "10 to 250 ms"),
+        ("record", {"requires": True}, "did you mean required?"),
         ("record", {"disk_free_min_mb": 99}, "at least 100 MB"),
     ],
 )

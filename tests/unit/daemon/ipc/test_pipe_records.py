@@ -1,0 +1,79 @@
+"""Records on a pipe: packed, split, dropped whole, and never waited for."""
+
+import os
+
+from steerd.daemon.ipc.pipe_records import (
+    PipeRecord,
+    PipeWriter,
+    make_pipe,
+    pack_record,
+    read_message,
+    unpack_records,
+)
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import encode
+
+MESSAGE = m.OperatorRequest(m.make_header(5, m.BODY), 1, 2, 3, int(m.RequestKind.STOP), "desk")
+RECORD = PipeRecord(topics.OPERATOR, 7, 11, 13, encode(MESSAGE), MESSAGE)
+
+
+def read_all(fd: int) -> list[PipeRecord]:
+    """Every whole record that lies in the pipe."""
+    os.set_blocking(fd, False)
+    buffer = bytearray()
+    while True:
+        try:
+            data = os.read(fd, 1 << 16)
+        except BlockingIOError:
+            break
+        if not data:
+            break
+        buffer += data
+    return list(unpack_records(buffer))
+
+
+def test_a_record_returns_from_the_pipe_as_it_was():
+    (found,) = unpack_records(bytearray(pack_record(RECORD)))
+    assert found == RECORD._replace(message=None)
+    assert read_message(found) == read_message(RECORD) == MESSAGE
+
+
+def test_records_are_found_wherever_the_bytes_are_split():
+    packed, found = pack_record(RECORD) * 3, []
+    buffer = bytearray()
+    for byte in packed:
+        buffer.append(byte)
+        found += unpack_records(buffer)
+    assert [record.sequence for record in found] == [7, 7, 7]
+    assert buffer == b""
+
+
+def test_a_full_pipe_drops_whole_records_and_recovers():
+    read_fd, write_fd = make_pipe()
+    pipe, sent = PipeWriter(write_fd), 0
+    while not pipe.dropped:
+        pipe.write([pack_record(RECORD._replace(sequence=sent))], sent)
+        sent += 1
+    assert pipe.full_since_ns is not None
+    before = read_all(read_fd)
+    pipe.write([pack_record(RECORD._replace(sequence=sent))], sent)
+    assert pipe.full_since_ns is None
+    numbers = [record.sequence for record in before + read_all(read_fd)]
+    assert len(numbers) == sent + 1 - pipe.dropped
+    assert numbers == sorted(set(numbers))
+    assert all(record.data == RECORD.data for record in before)
+    os.close(read_fd)
+    os.close(write_fd)
+
+
+def test_a_reader_that_is_gone_costs_one_write_and_no_exception():
+    read_fd, write_fd = make_pipe()
+    pipe = PipeWriter(write_fd)
+    os.close(read_fd)
+    pipe.write([pack_record(RECORD)], 1)
+    assert pipe.dead
+    pipe.write([pack_record(RECORD)] * 2, 2)
+    assert pipe.dropped == 2
+    assert pipe.full_since_ns == 2
+    os.close(write_fd)
