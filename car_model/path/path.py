@@ -149,16 +149,16 @@ def project(path: Path, x: float, y: float, hint: int) -> Projection:
         IndexError: `hint` is not a sample of the path.
     """
     count = len(path.x)
-    reach = SEARCH_REACH
+    remaining = SEARCH_REACH
     index = hint
     foot = _touch(path, index, x, y, path.curvature[index])
     for _ in range(SEARCH_ROUNDS):
-        move = round(max(-reach, min(reach, foot.along)) / path.step)
+        move = round(max(-remaining, min(remaining, foot.along)) / path.step)
         after = (index + move) % count if path.closed else max(0, min(count - 1, index + move))
         if after == index:
             break
         index = after
-        reach = max(reach - abs(move) * path.step, path.step)
+        remaining = max(remaining - abs(move) * path.step, path.step)
         foot = _touch(path, index, x, y, path.curvature[index])
     return _place(path, index, foot, x, y)
 

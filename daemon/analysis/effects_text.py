@@ -36,7 +36,7 @@ def format_table(width: int | None = None) -> str:
                 f"  {effect.name:<{_NAME - 2}}{parameters:<{_PARAMETERS}}{effect.equation}"
             )
     lines.append(
-        "`steerd effects NAME` tells more; `--effect NAME=VALUE` switches one on in a simulation."
+        "`steerd effects NAME` shows one; `--effect NAME=VALUE` switches one on in a simulation."
     )
     return "\n".join(line if len(line) <= width else line[: width - 1] + "…" for line in lines)
 

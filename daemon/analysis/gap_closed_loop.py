@@ -33,7 +33,7 @@ from steerd.steer_bus.session_read import Session, SessionError, open_session
 from steerd.steer_bus.topics import split_key
 
 SECONDS = 20.0
-"""Length of a simulated drive: several bends; longer tells no more of a profile [s]."""
+"""Length of a simulated drive: several bends; longer adds nothing to a profile [s]."""
 SETTLE = 3.0
 """The way into the lane is no lane keeping [s]."""
 _SEED = 7919

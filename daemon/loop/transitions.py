@@ -78,7 +78,7 @@ class Fact(IntFlag):
     ENDED = 1 << 8  # the run is over
     LAUNCHED = 1 << 9  # the launch checks have passed
     ESTIMATED = 1 << 10  # the estimator is healthy
-    SLOWING = 1 << 11  # the stop works, as far as W24 can tell
+    SLOWING = 1 << 11  # the stop works, by the check of W24
     CHECKS_HELD = 1 << 12  # CHECKS_PASS for 1 s
     STILL = 1 << 13  # |v| < 0.05 m/s for 0.3 s
     MEASURED = 1 << 14  # the speed is known, from any source

@@ -152,7 +152,7 @@ class Replay:
         self._expected: tuple[int, int, tuple[float, ...]] | None = None
 
     def take(self, record: Record) -> Difference | None:
-        """Feed one recorded message; a difference if it tells one."""
+        """Feed one recorded message; a difference if there is one."""
         topic = topics.find_topic(record.topic)
         t_ns = record.log_ns - self._epoch_ns
         match record.decode() if topic is not None else None:
