@@ -1,4 +1,4 @@
-"""docs/reference/commands.md from the parsers themselves: `python -m tests.contract.command_page`."""
+"""The page of commands from the parsers themselves: `python -m tests.contract.command_page`."""
 
 import argparse
 import importlib
@@ -10,8 +10,9 @@ from steerd.daemon.cli.main import COMMANDS
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "commands.md"
 _HEAD = """# Commands
 
-Every command with its arguments and options, from the parsers themselves: `python -m tests.contract.command_page` writes this page and
-a test compares it. `steerd COMMAND --help` prints the same. Exit codes are in
+Every command with its arguments and options, from the parsers themselves.
+`python -m tests.contract.command_page` writes this page and a test compares it.
+`steerd COMMAND --help` prints the same. Exit codes are in
 [troubleshooting](../how-to/troubleshooting.md#exit-codes).
 """
 
@@ -66,4 +67,4 @@ def make_page() -> str:
 
 
 if __name__ == "__main__":
-    print(f"{PAGE.write_text(make_page(), encoding='utf-8')} characters: {PAGE}")
+    PAGE.write_text(make_page(), encoding="utf-8")

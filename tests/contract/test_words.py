@@ -1,0 +1,162 @@
+"""Product code, docs and screen texts use the field's words: docs/glossary.md lists the others.
+
+Strings, comments, docstrings and identifiers are all text of a file, so the file is what is read.
+"""
+
+import ast
+import re
+import subprocess
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+GLOSSARY = "docs/glossary.md"
+PRODUCT = (
+    "steer_bus",
+    "car_model",
+    "vesc_link",
+    "mocap_link",
+    "estimator",
+    "controller",
+    "sysid",
+    "sim_hw",
+    "sim_gap",
+    "daemon",
+    "steerd",
+    "config",
+    "examples",
+    "benchmarks",
+)
+PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs")
+SUFFIXES = (".py", ".pyi", ".toml", ".md", ".html", ".js", ".css")
+FOREIGN = ("uplot.min.js", "uplot.min.css")
+"""Files of other authors, taken as they are."""
+NOT_YET: tuple[str, ...] = (
+    "benchmarks",
+    "daemon/analysis/identify_text.py",
+    "sim_gap",
+    "sysid/data",
+    "sysid/estimation",
+    "sysid/paper",
+    "sysid/report",
+)
+"""Folders and files that still use old words. This list only shrinks."""
+
+
+class Banned(NamedTuple):
+    """One row of the glossary's table."""
+
+    word: str
+    scope: str
+    instead: str
+
+
+@cache
+def banned_words() -> tuple[Banned, ...]:
+    """The table between the glossary's markers."""
+    text = (ROOT / GLOSSARY).read_text(encoding="utf-8")
+    table = text.partition("<!-- banned: begin -->")[2].partition("<!-- banned: end -->")[0]
+    rows = re.findall(r"^\| `([^`]+)` \| (\w+) \| (.+?) \|$", table, re.MULTILINE)
+    return tuple(Banned(*row) for row in rows)
+
+
+def make_pattern(word: str) -> re.Pattern[str]:
+    """Whole words; an underscore or a digit ends a word, a line break may stand for a blank."""
+    body = re.escape(word).replace(r"\*", "[a-z]*").replace(r"\ ", r"\s+(?:#\s*)?")
+    if word.endswith("_*"):
+        body = re.escape(word[:-1]) + r"\w*"
+    return re.compile(rf"(?<![A-Za-z]){body}(?![A-Za-z])", re.IGNORECASE)
+
+
+def names_in(source: str) -> tuple[set[tuple[int, str]], set[tuple[int, str]]]:
+    """Identifiers that a Python file binds, and its functions, each with its line."""
+    names, functions = set(), set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            functions.add((node.lineno, node.name))
+        elif isinstance(node, ast.ClassDef):
+            names.add((node.lineno, node.name))
+        elif isinstance(node, ast.arg):
+            names.add((node.lineno, node.arg))
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names.add((node.lineno, node.id))
+    return names | functions, functions
+
+
+def find_words(text: str, is_python: bool) -> list[str]:
+    """Every banned word with its line and its replacement."""
+    found = []
+    text = text.replace(".tell()", ".position()")  # the name of a method of Python's files
+    names, functions = names_in(text) if is_python else (set(), set())
+    for row in banned_words():
+        pattern = make_pattern(row.word)
+        if row.scope == "text":
+            lines = [text.count("\n", 0, m.start()) + 1 for m in pattern.finditer(text)]
+        else:
+            pool = functions if row.scope == "function" else names
+            lines = sorted(line for line, name in pool if pattern.fullmatch(name.strip("_")))
+        found += [f"{line}: `{row.word}`, say: {row.instead}" for line in lines]
+    return found
+
+
+def list_files() -> list[str]:
+    """Tracked files of product code and docs, as paths from the root."""
+    done = subprocess.run(
+        ["git", "ls-files", "--", *PRODUCT, *PAGES],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    files = [name for name in done.stdout.splitlines() if name.endswith(SUFFIXES)]
+    return [name for name in files if not name.endswith(FOREIGN) and (ROOT / name).is_file()]
+
+
+def read(name: str) -> str:
+    text = (ROOT / name).read_text(encoding="utf-8")
+    if name == GLOSSARY:
+        return text.partition("<!-- banned: begin -->")[0]
+    return text
+
+
+def is_late(name: str) -> bool:
+    return any(name == late or name.startswith(f"{late}/") for late in NOT_YET)
+
+
+def test_the_glossary_has_a_table_and_no_word_stands_twice() -> None:
+    words = [(row.word, row.scope) for row in banned_words()]
+    assert len(words) > 30
+    assert len(set(words)) == len(words)
+    assert {row.scope for row in banned_words()} == {"text", "name", "function"}
+
+
+@pytest.mark.parametrize(
+    ("text", "seen"),
+    [
+        ("x = 1  # what the data tell\n", True),
+        ("told_by = 1\n", True),
+        ("residuals hang\n# together\n", True),
+        ("def opened() -> None: ...\n", True),
+        ("was_opened = True  # the port opened\n", False),
+        ("at = file.tell()\n", False),
+        ("intelligible = 1  # a storyteller\n", False),
+    ],
+)
+def test_the_check_sees_words_and_not_parts_of_others(text: str, seen: bool) -> None:
+    source = "" if text.startswith("residuals") else text
+    assert bool(find_words(text, is_python=bool(source))) is seen
+
+
+@pytest.mark.parametrize("name", [n for n in list_files() if not is_late(n)])
+def test_a_file_uses_the_words_of_the_glossary(name: str) -> None:
+    found = find_words(read(name), is_python=name.endswith(".py"))
+    assert not found, f"{name}:" + "\n  ".join(["", *found])
+
+
+def test_what_is_exempt_still_needs_it() -> None:
+    for late in NOT_YET:
+        files = [n for n in list_files() if n == late or n.startswith(f"{late}/")]
+        assert any(find_words(read(n), n.endswith(".py")) for n in files), f"{late}: done, remove"
