@@ -59,12 +59,6 @@ class Fitted:
         return self.z[self.space.nuisance :]
 
     @property
-    def own_sd(self) -> Array:
-        """Their standard errors."""
-        sd: Array = np.sqrt(np.diag(self.covariance)[self.space.nuisance :])
-        return sd
-
-    @property
     def prior(self) -> Array:
         """(n,) deviation from the prior in its standard deviations."""
         away: Array = (self.z - self.space.centre) / self.space.spread

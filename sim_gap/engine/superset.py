@@ -50,13 +50,6 @@ class Superset:
         names = self.kernels.names
         return [i for i, name in enumerate(names) if name.startswith(f"{effect}.")]
 
-    def with_values(self, values: dict[str, tuple[float, ...]]) -> Array:
-        """The base's parameters with some effects at given values."""
-        p = self.base.copy()
-        for effect, numbers in values.items():
-            p[self.places(effect)] = numbers
-        return p
-
 
 def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset:
     """The superset about a base car.

@@ -229,14 +229,3 @@ def _lateral(trace: Trace, horizon: float) -> float:
     x, y, yaw = (np.interp(edges, t, pose[:, i]) for i in range(3))
     turned = np.abs(_angles(np.diff(yaw)))
     return float((np.hypot(np.diff(x), np.diff(y)) * turned).max() / _STEADY**2)
-
-
-def predict_errors(
-    model: Model[float], runs: Sequence[Run], horizons: Sequence[float] = HORIZONS
-) -> tuple[Prediction, ...]:
-    """Open-loop prediction error of a car on drives.
-
-    Raises:
-        ValueError: no window sees enough poses.
-    """
-    return errors_at(trace_windows(model, runs, max(horizons)), horizons)

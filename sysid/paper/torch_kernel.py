@@ -9,10 +9,10 @@ from torch.autograd.function import once_differentiable
 from steerd.sysid.compiler.kernels import (
     HeldCommands,
     Kernels,
-    view_by_window,
     make_window_blocks,
     march,
     march_back,
+    view_by_window,
 )
 from steerd.sysid.paper.torch_ops import Tensor
 
