@@ -21,7 +21,7 @@ from steerd.sysid.data.segments import (
 from steerd.sysid.estimation.fit import Options, fit
 from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names, learn, scatter
 from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
-from steerd.sysid.estimation.validation import errors_at, trace_windows
+from steerd.sysid.estimation.validation import HORIZONS, errors_at, trace_windows
 from steerd.sysid.parallel import map_jobs
 from steerd.sysid.report.design_comparison import compare_designs
 from steerd.sysid.report.identify_report import render_report
@@ -83,7 +83,8 @@ def test_wheel_speed_in_the_commands_place(run):
 
 def test_the_true_car_predicts_to_the_noise_and_a_wrong_one_does_not(run, truth):
     other = truth._replace(car=truth.car._replace(steer_gain=0.85))
-    true, wrong = (errors_at(trace_windows(model, [run], 2.0)) for model in (truth, other))
+    traces = (trace_windows(model, [run], max(HORIZONS)) for model in (truth, other))
+    true, wrong = (errors_at(each, HORIZONS) for each in traces)
     assert true[-1].position < 0.012
     for a, b in pairwise(p.position for p in wrong):
         assert a < b
@@ -172,7 +173,7 @@ def test_drives_with_and_without_speed_commands_are_not_one_fit(run, truth):
     with pytest.raises(DataError, match=r"bare has no speed commands, run 5 has.*--speed wheel"):
         fit([run, bare], DEFAULT)
     with pytest.raises(DataError, match="bare has no speed commands"):
-        trace_windows(truth, [run, bare], 2.0)
+        trace_windows(truth, [run, bare], max(HORIZONS))
     with pytest.raises(DataError, match="bare has no speed commands"):
         learn(Task((run,), DEFAULT, held_out=(bare,)), lambda: 0.0)
 
