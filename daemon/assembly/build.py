@@ -31,13 +31,17 @@ if TYPE_CHECKING:
     from steerd.daemon.loop.loop import LoopSetup
 
 NS = 1_000_000_000
+"""Nanoseconds in a second."""
+FASTEST_HZ = 1000.0
+"""Highest control rate [Hz]."""
 SLOWEST_HZ, SLOWEST_SIMULATED_HZ = 50.0, 20.0
-"""The guardian brakes a car whose core has not ticked for 30 ms; a simulated one, for 300 ms."""
+"""Lowest control rates [Hz]: the guardian brakes a car whose core has not ticked for 30 ms, and a
+simulated one for 300 ms."""
 
 
 @dataclass(frozen=True)
 class RunPlan:
-    """A run that is ready to start: everything that could be refused has been accepted."""
+    """A validated run that is ready to start."""
 
     options: RunOptions
     settings: Settings
@@ -46,7 +50,7 @@ class RunPlan:
 
     @cached_property
     def controller(self) -> LaneController:
-        """Designed for this run, once.
+        """The lane keeper, designed for this run once.
 
         Raises:
             SteerdError: the design is refused, with the reason.
@@ -69,7 +73,7 @@ class RunPlan:
 
     @property
     def period_ns(self) -> int:
-        """Of the control loop."""
+        """Period of the control loop [ns]."""
         return round(NS / self.options.rate_hz)
 
 
@@ -79,16 +83,16 @@ def make_plan(
     """Read the car file (unless its settings are given), the path, and design the controller.
 
     Args:
-        options: what to run.
+        options: of the run.
         settings: of the car file, if it was read.
-        design: False where another process will design the controller, and refuse it.
+        design: False where another process will design the controller.
 
     Raises:
         SteerdError: any of them is refused, with the reason.
     """
     slowest = SLOWEST_HZ if options.port and not options.simulated else SLOWEST_SIMULATED_HZ
-    if not slowest <= options.rate_hz <= 1000.0:
-        what = f"--rate {options.rate_hz:g}: {slowest:g} to 1000 Hz"
+    if not slowest <= options.rate_hz <= FASTEST_HZ:
+        what = f"--rate {options.rate_hz:g}: {slowest:g} to {FASTEST_HZ:g} Hz"
         raise SteerdError(what, "", ExitCode.USAGE)
     try:
         check_car_name(options.car)
@@ -122,9 +126,9 @@ def add_drill_fence(settings: Settings, drill: Drill) -> Settings:
 
 
 def make_design_car(settings: Settings) -> Car[float]:
-    """The car with the end stops that the last gate enforces: what a design may count on.
+    """The car with the end stops that the output limiter enforces, for the controller's design.
 
-    Effects that the car file knows of count as far as they are changes of parameters.
+    Effects of the car file count as far as they change parameters.
     """
     car, limits = believed_car(settings.file.model), settings.limits
     return car._replace(
@@ -134,7 +138,7 @@ def make_design_car(settings: Settings) -> Car[float]:
 
 
 def make_loop_setup(plan: RunPlan, boot_id: int, leased: bool) -> LoopSetup:
-    """What the loop of a plan keeps to; also what a replay of it keeps to."""
+    """The constants of a plan's loop, for a drive and for its replay."""
     from steerd.daemon.loop.loop import LoopSetup
 
     duration = plan.options.duration_s
@@ -158,10 +162,10 @@ def make_core(
     """The control core of a plan.
 
     Args:
-        plan: what to run.
-        boot_id: random name of this run.
+        plan: of the run.
+        boot_id: random number of this run.
         epoch_ns: UNIX time minus monotonic time.
-        sinks: who gets the messages.
+        sinks: receivers of the messages.
         leased: whether an operator's lease is needed.
     """
     from steerd.daemon.loop.core import Core
@@ -183,10 +187,10 @@ def make_core(
 def make_world_config(
     plan: RunPlan, mocap_kind: str = "natnet", keep_bytes: bool = False
 ) -> WorldConfig:
-    """Simulated hardware that fits a plan: the car of the car file, with the effects asked for.
+    """Simulated hardware for a plan: the car of the car file, with the effects of the options.
 
     Raises:
-        SteerdError: an effect is unknown or its value cannot be.
+        SteerdError: an effect is unknown or its value is invalid.
     """
     settings, options = plan.settings, plan.options
     try:

@@ -1,4 +1,4 @@
-"""What a session file says about itself, beyond its messages."""
+"""Metadata and attachments of a session file."""
 
 import os
 import platform
@@ -40,11 +40,11 @@ def make_metadata(
     """Metadata records of a session.
 
     Args:
-        plan: what is run.
+        plan: of the run.
         boot_id: of the run.
         epoch_ns: UNIX time minus monotonic time.
         leased: whether an operator's lease is needed.
-        reproducible: leave out what differs between machines.
+        reproducible: without what differs between machines.
     """
     options, car = plan.options, plan.settings.file.car
     session = {
@@ -66,7 +66,7 @@ def make_metadata(
 
 
 def make_attachments(plan: RunPlan) -> dict[str, str]:
-    """Texts to keep inside the session: car file and path file exactly as they were."""
+    """Attachments of the session: car file and path file, unchanged."""
     texts = {"car.toml": plan.settings.file.text}
     path_file = csv_file(plan.options.path)
     if path_file is not None:

@@ -1,4 +1,4 @@
-"""What a terminal reads of the messages that a core sends; needs nothing of the core's own."""
+"""Reading of the core's diagnostics message, for terminals."""
 
 from steerd.daemon.common.errors import SteerdError
 from steerd.steer_bus.standard import DiagnosticArray

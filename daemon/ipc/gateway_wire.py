@@ -1,7 +1,7 @@
-"""How requests travel from gateway and terminal to the core: one packet each."""
+"""Requests from gateway and terminal to the core: one packet each."""
 
 REQUEST_MAX = 4096
-"""Largest request that is passed on [bytes]."""
+"""Largest request that is forwarded [bytes]."""
 
 
 def pack_request(name: str, data: bytes) -> bytes:
@@ -10,6 +10,6 @@ def pack_request(name: str, data: bytes) -> bytes:
 
 
 def unpack_request(packet: bytes) -> tuple[str, bytes]:
-    """The inverse of `pack_request`; an empty name for what is none."""
+    """The inverse of `pack_request`; an empty name if it is no request."""
     name, mark, data = packet.partition(b"\0")
     return (name.decode("ascii", "replace"), data) if mark else ("", b"")

@@ -19,7 +19,7 @@ from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
 DEFAULT_ENDPOINT = f"tcp/127.0.0.1:{DEFAULT_PORT}"
 
 KEEPALIVE_NS = 50_000_000
-"""Well within the deadman's 300 ms."""
+"""Time between keepalives; the lease lasts 300 ms."""
 
 
 @dataclass
@@ -27,10 +27,10 @@ class Operator:
     """One person at one terminal.
 
     Attributes:
-        boot_id: of the run that is addressed.
+        boot_id: of the addressed run.
         lease_id: random, not zero.
         name: for the recording.
-        seq: of the last request.
+        seq: sequence number of the last request.
     """
 
     boot_id: int
@@ -49,7 +49,7 @@ class Operator:
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where the daemon is, and who we are there."""
+    """Options for the daemon's endpoint and our certificates."""
     parser.add_argument(
         "--connect", metavar="ENDPOINT", help=f"the daemon's (default {DEFAULT_ENDPOINT})"
     )
@@ -60,7 +60,7 @@ def connect(args: argparse.Namespace) -> ZenohBus:
     """Join the bus of a running daemon, as `add_bus_arguments` says.
 
     Raises:
-        SteerdError: there is none, or it does not take us.
+        SteerdError: none answers, or it refuses our certificate.
     """
     lab = read_lab(args.lab) if args.lab else None
     endpoint = args.connect or (lab.endpoint if lab else DEFAULT_ENDPOINT)
@@ -86,7 +86,7 @@ def read_lab(folder: Path) -> Lab:
 
 
 def read_status(bus: Bus, car: str, clock: Clock, timeout_s: float = 2.0) -> dict[str, str]:
-    """The daemon's own account of itself, from the first diagnostics that arrives.
+    """The supervisor's values from the first diagnostics message that arrives.
 
     Raises:
         SteerdError: nothing arrived in time.

@@ -1,6 +1,6 @@
-"""The core's way out for messages: count per topic, encode once, hand to every sink.
+"""Outgoing messages of the core: counted per topic, encoded once, given to every sink.
 
-Messages are values: what is posted while a pose waits for its tick is encoded after it.
+Messages are values: they are encoded at `flush`, after the tick's bytes were written.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ class Outbox:
 
     Attributes:
         epoch_ns: UNIX time minus monotonic time, fixed for the session [ns].
-        sinks: who gets the records at `flush`.
+        sinks: receivers of the records at `flush`.
     """
 
     epoch_ns: int
@@ -31,7 +31,7 @@ class Outbox:
     _last_ns: int = 0
 
     def post(self, topic: Topic, message: Any, t_ns: int, valid_ns: int | None = None) -> None:
-        """Queue a message handed out at `t_ns` whose content is valid at `valid_ns` (monotonic)."""
+        """Queue a message of time `t_ns` whose content is valid at `valid_ns` (monotonic)."""
         if not self.sinks:
             return
         count = self._counts.get(topic.name, 0)
@@ -43,10 +43,10 @@ class Outbox:
         self._pending.append(PipeRecord(topic, count, log_ns, publish_ns, b"", message))
 
     def flush(self, t_ns: int) -> None:
-        """Encode everything queued and hand it to the sinks.
+        """Encode everything queued and give it to the sinks.
 
         Raises:
-            CodecError: a message cannot be encoded; it alone is lost, the others were handed over.
+            CodecError: a message cannot be encoded; it alone is lost.
         """
         if not self._pending:
             return
@@ -59,7 +59,7 @@ class Outbox:
 
 
 def _encode_all(queued: list[PipeRecord]) -> tuple[list[PipeRecord], CodecError | None]:
-    """Encode each record; also give the first error."""
+    """Encode each record; also return the first error."""
     records, wrong = [], None
     for record in queued:
         try:

@@ -1,6 +1,6 @@
-"""How the control core hands messages to the recorder and the gateway: records on a pipe.
+"""Messages from the control core to recorder, gateway and viewer: records on a pipe.
 
-The core never waits: a pipe is non-blocking, a record is written whole or dropped and counted.
+The core never waits: the pipe is non-blocking, a record is written whole or dropped and counted.
 """
 
 import contextlib
@@ -22,13 +22,13 @@ _INDEX = {topic.name: index for index, topic in enumerate(TOPICS)}
 
 
 class PipeRecord(NamedTuple):
-    """One encoded message on its way out of the core."""
+    """One encoded outgoing message of the core."""
 
     topic: Topic
     sequence: int
     """Counter per topic."""
     log_time_ns: int
-    """UNIX time at which the core handed it out."""
+    """UNIX time at which the core sent it."""
     publish_time_ns: int
     """UNIX time of the sample itself."""
     data: bytes
@@ -57,7 +57,7 @@ def pack_record(record: PipeRecord) -> bytes:
 
 
 def unpack_records(buffer: bytearray) -> Iterator[PipeRecord]:
-    """Take every whole record off the front of `buffer`."""
+    """Remove every whole record from the front of `buffer`."""
     start = 0
     while len(buffer) - start >= _HEAD.size:
         size, index, _, sequence, log_ns, publish_ns = _HEAD.unpack_from(buffer, start)
@@ -97,10 +97,10 @@ class PipeWriter:
     _rest: bytes = b""
 
     def write(self, packed: list[bytes], t_ns: int) -> None:
-        """Hand over these records or drop them all; never waits, never raises.
+        """Write these records or drop them all; never waits, never raises.
 
-        The pipe may take a batch in part; what is left goes first next time, so that no record is
-        torn.
+        The pipe may take a batch in part; the rest is written first next time, so that no record
+        is torn.
         """
         if self._rest:
             self._rest = self._push(self._rest)

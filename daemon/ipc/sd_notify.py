@@ -1,7 +1,7 @@
 """Notify systemd that the service is up and alive: datagrams on its socket, nothing else.
 
 Protocol: sd_notify(3). Without `NOTIFY_SOCKET` nothing is sent; a full or missing socket is
-ignored, for a control loop waits for nobody.
+ignored: a control loop must not wait.
 """
 
 import contextlib

@@ -12,12 +12,12 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def block_stop_signals() -> None:
-    """Keep stop signals from this thread and all that it starts; call before any thread runs."""
+    """Block stop signals in this thread and all that it starts; call before any thread runs."""
     signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
 
 
 def make_stop_signal_pipe() -> int:
-    """Start the waiting thread; the descriptor yields one byte (the signal's number) each.
+    """Start the waiting thread; the descriptor gives a byte, the number, for each signal.
 
     The stop signals must be blocked (`block_stop_signals`).
     """
@@ -33,6 +33,6 @@ def make_stop_signal_pipe() -> int:
 
 
 def ignore_terminal_signals() -> None:
-    """For a process that leaves when its pipe closes: Ctrl-C reaches the whole group."""
+    """For a process that ends when its pipe closes: Ctrl-C reaches the whole group."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)

@@ -45,9 +45,9 @@ def make_failed_tick(loop: "Loop", error: BaseException, now_ns: int, linked: bo
     loop.supervisor, action = step_supervisor(loop.supervisor, conditions, 0, now_ns)
     loop.faulted = loop.faulted or loop.supervisor.state is SupervisorState.FAULT_STOP
     loop.ran = loop.ran or (old in _DRIVING and loop.supervisor.state not in _DRIVING)
-    gate = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
+    limiter = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
     order = make_order(
-        settings.limits, settings.brakes, settings.scaling, gate, action, None, speed, now_ns
+        settings.limits, settings.brakes, settings.scaling, limiter, action, None, speed, now_ns
     )
     return TickResult(
         replace(order, drive=_remove_steering(order.drive, settings.brakes)),

@@ -69,7 +69,7 @@ WATCHDOGS = {
     "W27": Watchdog("gateway", _SOFT, "restart steerd run"),
     "W28": Watchdog("clock", _HARD, "the machine was suspended: switch suspend off"),
     "W29": Watchdog("exception", _HARD, "report this with the session file"),
-    "gate": Watchdog("order not finite", _HARD, "report this with the session file"),
+    "limiter": Watchdog("order not finite", _HARD, "report this with the session file"),
     "launch": Watchdog("launch check", _HARD, "run steerd mocap check"),
 }
 

@@ -65,7 +65,7 @@ def _remember(former: Numbers, who: int, seq: int) -> Numbers:
 
 
 def accept_request(
-    lease: Lease, asked: OperatorRequest, t_ns: int, idle: bool
+    lease: Lease, request: OperatorRequest, t_ns: int, idle: bool
 ) -> tuple[Lease, Request]:
     """Accept a request or refuse it.
 
@@ -74,18 +74,18 @@ def accept_request(
     holder.
     """
     try:
-        kind = RequestKind(asked.kind)
+        kind = RequestKind(request.kind)
     except ValueError:
         return replace(lease, refused=lease.refused + 1), Request.UNKNOWN
-    own = asked.lease_id == lease.holder != 0 and asked.seq > lease.seq
+    own = request.lease_id == lease.holder != 0 and request.seq > lease.seq
     takes = (
         idle
-        and asked.lease_id not in (0, lease.holder)
-        and _is_new(lease.former, asked.lease_id, asked.seq)
+        and request.lease_id not in (0, lease.holder)
+        and _is_new(lease.former, request.lease_id, request.seq)
     )
-    if asked.boot_id == lease.boot_id and (own or takes):
+    if request.boot_id == lease.boot_id and (own or takes):
         former = _remember(lease.former, lease.holder, lease.seq) if takes else lease.former
-        taken = Lease(lease.boot_id, asked.lease_id, asked.seq, t_ns, lease.refused, former)
+        taken = Lease(lease.boot_id, request.lease_id, request.seq, t_ns, lease.refused, former)
         return taken, _REQUESTS[kind]
     refused = replace(lease, refused=lease.refused + 1)
     return refused, _REQUESTS[kind] if kind in _FROM_ANYBODY else Request.NONE

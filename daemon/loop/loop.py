@@ -167,7 +167,7 @@ class Loop:
         self.vesc: VescInfo | None = None
         self.faulted = False
         self.ran = False
-        self._gate = make_limiter_state(s.limits, Command(0.0, 0.0), 0)
+        self._limiter = make_limiter_state(s.limits, Command(0.0, 0.0), 0)
         self._issued: Command[float] | None = None
         self._control: ControllerState | None = None
         self._launch: LaunchState | None = None
@@ -231,7 +231,7 @@ class Loop:
             self.setup.settings.limits,
             self.setup.settings.brakes,
             self.setup.settings.scaling,
-            self._gate,
+            self._limiter,
             action,
             wish,
             speed,
@@ -277,14 +277,14 @@ class Loop:
         """The excitation plan's command; outside the drive the steering angle stays."""
         if self.supervisor.state is SupervisorState.RUNNING:
             return drill.wish((now_ns - self._started_ns) * 1e-9, lane)
-        return lane if drill.closed else Command(self._gate.order.steer, lane.speed)
+        return lane if drill.closed else Command(self._limiter.order.steer, lane.speed)
 
     def _make_remote_wish(self, now_ns: int) -> Command[float] | None:
         command = valid_command(self.remote, now_ns)
         if command is not None:
             return Command(command.steer, command.speed)
         # Lost while driving: hold the angle; the stop that follows takes the speed away.
-        held = self._gate.order
+        held = self._limiter.order
         return held if self.supervisor.state in _DRIVING else None
 
     def _run_watchdogs(
@@ -314,7 +314,7 @@ class Loop:
             return
         s = estimate.state
         wheel_speed = self.perception.wheel_speed
-        now = LaunchInput(now_ns, s.x, s.y, s.yaw, wheel_speed, self._gate.order.steer)
+        now = LaunchInput(now_ns, s.x, s.y, s.yaw, wheel_speed, self._limiter.order.steer)
         if self._launch is None:
             self._launch = make_launch_state(now)
             return
@@ -324,7 +324,7 @@ class Loop:
 
     def _check_commands(self, now_ns: int) -> Iterator[Finding]:
         if self._not_finite:
-            yield make_finding("gate", "the controller gave a number that is not finite")
+            yield make_finding("limiter", "the controller gave a number that is not finite")
         driving = self.supervisor.state is SupervisorState.RUNNING and self.setup.remote
         if driving and valid_command(self.remote, now_ns) is None:
             age = command_age(self.remote, now_ns)
@@ -341,7 +341,7 @@ class Loop:
         settings, seen = self.setup.settings, self.perception
         values = seen.telemetry.values if seen.telemetry else None
         s, health = estimated_state(estimate), estimate.health if estimate else None
-        steer = self._gate.order.steer
+        steer = self._limiter.order.steer
         limits = settings.limits
         side = limits.steer_left_max if steer > 0.0 else limits.steer_right_max
         lane = None if self.setup.ignores_lane else report
@@ -459,8 +459,8 @@ class Loop:
         self.perception.may_rebase = new in _PARKED and not rolling
 
     def _remember_order(self, order: Order, now_ns: int) -> None:
-        """Remember the order, for gate, filter and controller."""
-        self._gate = order.gate
+        """Remember the order, for limiter, filter and controller."""
+        self._limiter = order.limiter
         self._not_finite = order.verdict is Verdict.NOT_FINITE
         if order.command != self._issued:
             self.perception.on_command(now_ns, order.command)

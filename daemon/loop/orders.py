@@ -1,4 +1,4 @@
-"""From the supervisor's action and the controller's wish to the wire, through the gate."""
+"""From the supervisor's action and the controller's wish to the wire, through the limiter."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -34,14 +34,14 @@ class Order:
 
     Attributes:
         drive: for the wire.
-        gate: the gate's state after it.
+        limiter: state of the output limiter after it.
         command: the command as sent, for filter and controller; None when the motor does not
             follow a speed.
-        verdict: the gate's; NOT_FINITE means that this order brakes instead.
+        verdict: of the limiter; NOT_FINITE means that this order brakes instead.
     """
 
     drive: Drive
-    gate: LimiterState
+    limiter: LimiterState
     command: Command[float] | None
     verdict: Verdict
 
@@ -59,10 +59,10 @@ def make_order(
     """Make the order for an action; a wish that is missing or not finite brakes.
 
     Args:
-        limits: of the gate.
+        limits: of the car.
         brakes: currents.
         scaling: of the VESC: orders are rounded to what it can express.
-        state: of the gate.
+        state: of the output limiter.
         action: the supervisor's.
         wish: the controller's, None if it has none.
         speed: the car's, best known [m/s].
@@ -70,18 +70,18 @@ def make_order(
     """
     measured = speed if isfinite(speed) else limits.speed_max
     driven = action.motor in _DRIVEN
-    gated = limit_order(
+    limited = limit_order(
         limits, state, _make_target(action, state, wish, measured), measured, action.cap, t_ns
     )
-    if driven and (wish is None or gated.verdict is Verdict.NOT_FINITE):
+    if driven and (wish is None or limited.verdict is Verdict.NOT_FINITE):
         drive: Drive = DriveBrake(None, brakes.brake_current_a)
         return Order(drive, state, None, Verdict.NOT_FINITE if wish else Verdict.PASSED)
     if driven:
-        sent = Command(*as_sent(scaling, gated.order.steer, gated.order.speed))
-        return Order(DriveSpeed(*sent), gated.state, sent, gated.verdict)
-    steer = None if action.steering is SteeringOutput.NONE else gated.order.steer
-    rolling = _track_speed(limits, gated, measured, t_ns)
-    return Order(_make_brake_drive(action.motor, brakes, steer), rolling, None, gated.verdict)
+        sent = Command(*as_sent(scaling, limited.order.steer, limited.order.speed))
+        return Order(DriveSpeed(*sent), limited.state, sent, limited.verdict)
+    steer = None if action.steering is SteeringOutput.NONE else limited.order.steer
+    rolling = _track_speed(limits, limited, measured, t_ns)
+    return Order(_make_brake_drive(action.motor, brakes, steer), rolling, None, limited.verdict)
 
 
 def _make_target(
@@ -95,9 +95,9 @@ def _make_target(
     return Command(steer, wish.speed if wish is not None and action.motor in _DRIVEN else speed)
 
 
-def _track_speed(limits: Limits, gated: LimitedOrder, speed: float, t_ns: int) -> LimiterState:
-    """The gate's state while no speed is commanded: the next order starts from the measured one."""
-    order = Command(gated.order.steer, max(speed, 0.0))
+def _track_speed(limits: Limits, limited: LimitedOrder, speed: float, t_ns: int) -> LimiterState:
+    """State while no speed is commanded: the next order starts from the measured speed."""
+    order = Command(limited.order.steer, max(speed, 0.0))
     return make_limiter_state(limits, order, t_ns)
 
 

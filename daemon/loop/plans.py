@@ -301,7 +301,7 @@ def make_open_drill(
     Args:
         name: one of `NAMES`.
         car: as believed.
-        limits: of the gate.
+        limits: of the car.
         box: where to stay; None has orbits for the full speed.
         speed: highest [m/s].
 

@@ -95,7 +95,7 @@ class Action(NamedTuple):
     Attributes:
         motor: kind of motor bytes.
         steering: kind of servo bytes.
-        cap: highest speed that may be ordered [m/s]; ``inf`` where the gate's own limit rules.
+        cap: highest speed that may be ordered [m/s]; ``inf`` where only the car's limits apply.
         reason: why the supervisor is in this state.
         waiting: what it waits for.
     """

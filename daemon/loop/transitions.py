@@ -47,7 +47,7 @@ class MotorOutput(IntEnum):
     SILENT = 0  # telemetry polls only
     SOFT_BRAKE = 1  # SET_CURRENT_BRAKE(I_soft)
     HOLD_BRAKE = 2  # SET_CURRENT_BRAKE(I_hold)
-    DRIVE = 3  # the controller's order through the gate
+    DRIVE = 3  # the controller's order through the output limiter
     RAMP_STOP = 4  # the same, under a speed cap that falls
     BRAKE = 5  # SET_CURRENT_BRAKE(I_brake)
     DUTY_ZERO = 6  # SET_DUTY 0, because the brake current does not slow the car
@@ -56,12 +56,12 @@ class MotorOutput(IntEnum):
 
 
 class SteeringOutput(IntEnum):
-    """Kind of servo bytes of a tick; every angle goes through the gate."""
+    """Kind of servo bytes of a tick; every angle goes through the limiter."""
 
     NONE = 0
     CENTRE = 1
     LIVE = 2  # the controller's angle
-    HOLD = 3  # the last accepted angle, as far as the gate's lateral acceleration allows it
+    HOLD = 3  # the last accepted angle, as far as the limiter's lateral acceleration allows it
 
 
 class Fact(IntFlag):
@@ -117,7 +117,7 @@ _LEAVE = Fact.DISARM | Fact.UNKNOWN
 _HALT = Fact.STOP | Fact.DISARM | Fact.ABORT | Fact.UNKNOWN
 STOP_REASON = "stop asked for"
 UNPROVEN = (
-    "the VESC's timeout did not show: status bit 0 must stay set while nobody sends commands."
+    "the VESC's timeout did not show: status bit 0 must stay set while no commands are sent."
     " Close VESC Tool and its apps, and set App Settings > General > Timeout to 100-200 ms"
 )
 _0 = Fact(0)

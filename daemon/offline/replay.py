@@ -1,7 +1,7 @@
-"""Replay: the recorded events through the same loop, in recorded order; the same orders out?
+"""Replay: the recorded events through the loop, in recorded order; its orders are compared.
 
-The loop knows no clock and no randomness, so they must. Where they do not, either the code has
-changed since the drive, or something reaches the loop that is not recorded.
+The loop has no clock and no randomness, so the orders must be the recorded ones. If they differ,
+the code has changed since the drive, or the loop has an input that is not recorded.
 """
 
 import tempfile
@@ -32,7 +32,7 @@ from steerd.vesc_link.events import ImuSample, Stamped, Telemetry
 from steerd.vesc_link.telemetry import Imu, Values
 
 TOLERANCE = 1e-9
-"""Another machine's libm may differ in the last digits."""
+"""Allowed difference: another machine's libm may differ in the last digits."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def _or_none(value: float) -> float | None:
 
 
 def read_pose(pose: m.MocapPose) -> PoseSample:
-    """The sample that a recorded pose was made of (as far as the loop looks at it)."""
+    """The sample of a recorded pose (as far as the loop reads it)."""
     raw = RawPose(
         body="",
         frame=None if pose.frame < 0 else pose.frame,
@@ -77,7 +77,7 @@ def read_pose(pose: m.MocapPose) -> PoseSample:
 
 
 def read_telemetry(vesc: m.VescTelemetry) -> Telemetry:
-    """The event that recorded telemetry was made of."""
+    """The event of recorded telemetry."""
     values = Values(
         erpm=vesc.erpm,
         tachometer=vesc.tachometer,
@@ -93,7 +93,7 @@ def read_telemetry(vesc: m.VescTelemetry) -> Telemetry:
 
 
 def read_imu(imu: m.VescImu) -> ImuSample:
-    """The event that a recorded IMU reading was made of."""
+    """The event of a recorded IMU reading."""
     reading = Imu(
         mask=0,
         accel_x=_or_none(imu.accel_x),
@@ -119,7 +119,7 @@ def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bo
         text = session.attachment("car.toml").decode()
     except (KeyError, ValueError, msgspec.ValidationError, SessionError) as error:
         hint = "only sessions of `steerd run` hold what a replay needs"
-        why = f"it says nothing of its {error.args[0]}" if isinstance(error, KeyError) else error
+        why = f"it lacks {error.args[0]}" if isinstance(error, KeyError) else error
         raise SteerdError(f"{name} cannot be replayed: {why}", hint) from None
     try:
         settings = make_settings(parse_car(text, Path(f"{name}:car.toml")), options.speed)
@@ -164,8 +164,8 @@ class Replay:
                 self.loop.on_imu(read_imu(imu))
             case m.VescIdentity() as identity:
                 self.loop.on_vesc(read_identity(identity))
-            case m.OperatorRequest() as asked:
-                self.loop.on_operator(asked, t_ns)
+            case m.OperatorRequest() as request:
+                self.loop.on_operator(request, t_ns)
             case m.DriveCommand() as command:
                 self.loop.on_drive(command, t_ns)
             case m.Tick() as tick:

@@ -1,7 +1,6 @@
 """Virtual time: the same core against the simulated world, as fast as the machine allows.
 
-Deterministic: the same plan and seed give the same bytes. Nothing waits; the clock jumps to
-whatever happens next.
+Deterministic: the same plan and seed give the same bytes. The clock jumps to the next event.
 """
 
 import hashlib
@@ -22,9 +21,11 @@ EPOCH_NS = 1_700_000_000_000_000_000
 """UNIX time of virtual time zero: sessions of the same seed are the same file."""
 _SERVER = "127.0.0.1"
 _TIMER_NS = 20_000_000
+"""Time between two calls of the mocap source's timer."""
 _REOPEN_NS = 200_000_000
+"""Time between two attempts to open the serial port, as in real time."""
 _GRACE_NS = 30_000_000_000
-"""A run that has not begun to drive by then never will."""
+"""Time until a run must drive, else it is given up."""
 
 
 @dataclass
@@ -32,7 +33,10 @@ class VirtualRun:
     """One drive in virtual time.
 
     Attributes:
-        core, world: the two sides of the wires.
+        core: the control core.
+        world: the simulated hardware.
+        source: of mocap poses.
+        period_ns: of the control loop.
         t_ns: now.
         wire: digest of every byte in both directions.
     """
@@ -66,16 +70,16 @@ class VirtualRun:
         if data and self.core.flags & Flag.LINKED:
             self._write(now, data)
         self.core.post_tick(data)
-        self._pass(due + self.period_ns * (1 + late_ns // self.period_ns))
+        self._advance(due + self.period_ns * (1 + late_ns // self.period_ns))
 
-    def _pass(self, end: int) -> None:
-        """Live until `end`, taking what arrives as it does."""
+    def _advance(self, end: int) -> None:
+        """Advance to `end`, handling what arrives."""
         while self.t_ns < end:
             self.t_ns = min(max(self.world.next_wake_ns, self.t_ns + 1), end)
             self._receive(self.t_ns)
 
     def _feed_back(self) -> None:
-        """What the pipeline needs to know of the car."""
+        """Give the mocap pipeline what it needs of the car."""
         ingest, seen = self.source.ingest, self.core.loop.perception
         ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
         ingest.stationary = seen.may_rebase

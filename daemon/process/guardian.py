@@ -25,7 +25,7 @@ _HEARTBEAT, _ENGAGED, _TRIPPED, _GUARDIAN, _CLEAN = range(5)
 
 
 class HeartbeatPage:
-    """Five 8-byte words of shared memory; each store is aligned, so no lock is needed.
+    """Five 8-byte integers in shared memory; each store is aligned, so no lock is needed.
 
     The core writes heartbeat and ``clean``, the guardian its trip and its own heartbeat. All times
     are CLOCK_MONOTONIC [ns], 0 for never.

@@ -26,7 +26,7 @@ def test_the_body_of_an_imported_log_is_not_calibrated(imported, capsys):
 
 def test_an_imported_log_has_nothing_to_replay(imported, capsys):
     assert run_cli(["replay", str(imported)]) == 4
-    assert "it says nothing of its options" in capsys.readouterr().err
+    assert "it lacks options" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("argv", [("plot",), ("identify",), ("diagnose",)], ids=" ".join)

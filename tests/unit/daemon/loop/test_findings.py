@@ -1,8 +1,9 @@
-"""What each watchdog says, to the letter: an operator in a hurry reads nothing else."""
+"""Texts of the watchdogs, to the letter, and their summary for the supervisor."""
 
 import pytest
 
-from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.findings import WATCHDOGS, Severity, make_finding, summarise
+from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, step_watchdogs
 from steerd.daemon.loop.watchdogs_pose import PoseWatch
 from steerd.daemon.settings.thresholds import Thresholds
@@ -20,7 +21,7 @@ CALM = WatchdogInput(
 
 
 def said(seconds=0.0, th=TH, **changes):
-    """(id, words) of all findings, at once or after a condition was held for so long."""
+    """(id, text) of all findings, at once or after a condition was held for so long."""
     memory, found = step_watchdogs(th, WatchdogState(), CALM._replace(**changes))
     if seconds:
         end = CALM._replace(**{**changes, "t_ns": CALM.t_ns + round(seconds * S)})
@@ -29,7 +30,7 @@ def said(seconds=0.0, th=TH, **changes):
 
 
 @pytest.mark.parametrize(
-    ("changes", "id", "words"),
+    ("changes", "id", "expected"),
     [
         ({"mocap_age": 4.0}, "W1", "no good frame for 4000 ms (limit 150 ms)"),
         ({"mocap_age": 2.0, "speed": 4.0}, "W1", "no good frame for 2000 ms (limit 75 ms)"),
@@ -56,14 +57,14 @@ def said(seconds=0.0, th=TH, **changes):
         ({"lease_age": 2.0}, "W25", "not renewed for 2000 ms"),
     ],
 )
-def test_what_is_said_at_once(changes, id, words):
+def test_text_of_a_trip_at_once(changes, id, expected):
     (found,) = said(**changes)
     assert found[0] == id
-    assert f": {words}; " in found[1]
+    assert f": {expected}; " in found[1]
 
 
 @pytest.mark.parametrize(
-    ("seconds", "changes", "id", "words"),
+    ("seconds", "changes", "id", "expected"),
     [
         (0.2, {"status": 1, "state": SupervisorState.ARMED}, "W9", "status bit 0 stays set"),
         (0.5, {"cell_voltage": 3.2}, "W13", "3.20 V per cell"),
@@ -78,12 +79,12 @@ def test_what_is_said_at_once(changes, id, words):
         ),
     ],
 )
-def test_what_is_said_after_a_while(seconds, changes, id, words):
+def test_text_of_a_trip_after_a_while(seconds, changes, id, expected):
     found = [text for name, text in said(seconds, **changes) if name == id]
-    assert any(f": {words}; " in text for text in found), found
+    assert any(f": {expected}; " in text for text in found), found
 
 
-def test_what_is_said_of_the_fence():
+def test_text_of_the_fence():
     fenced = Thresholds(fence=SQUARE)
     ((name, text),) = said(th=fenced, x=4.9, y=-1.25)
     assert name == "W19"
@@ -99,7 +100,7 @@ def test_the_fence_warns_half_a_metre_before(x, warned, along_y):
     assert bool(said(th=fenced, **where)) is warned
 
 
-def test_what_is_said_of_a_stop_that_does_not_work():
+def test_text_of_a_stop_that_does_not_work():
     memory = WatchdogState()
     texts = []
     for tick in range(120):
@@ -111,7 +112,7 @@ def test_what_is_said_of_a_stop_that_does_not_work():
     assert ": CUT POWER: still 1.50 m/s, too little slower after 0.3 s; " in texts[-1]
 
 
-def test_what_is_said_of_steering_at_its_limit():
+def test_text_of_steering_at_its_limit():
     memory, texts = WatchdogState(), []
     for tick in range(130):
         i = CALM._replace(
@@ -122,10 +123,26 @@ def test_what_is_said_of_steering_at_its_limit():
     assert ": at the limit for 1.0 s, 0.20 m off and growing; " in " ".join(texts)
 
 
-def test_what_is_said_of_a_vesc_that_restarts_or_starves():
+def test_text_of_a_vesc_that_restarts_or_starves():
     memory, _ = step_watchdogs(TH, WatchdogState(), CALM._replace(tachometer=500))
     _, found = step_watchdogs(TH, memory, CALM._replace(tachometer=3))
     assert ": tachometer fell from 500 to 3; " in found[0].text
     memory, _ = step_watchdogs(TH, WatchdogState(), CALM)
     _, found = step_watchdogs(TH, memory, CALM._replace(status=1))
     assert ": status bit 0 is set while driving; " in found[0].text
+
+
+def test_summary_takes_the_worst_text_and_all_bits():
+    warn = make_finding("W7", "60 ms", Severity.WARN)
+    soft, kill = make_finding("W13", "3.2 V"), make_finding("W10", "pressed")
+    assert summarise(()) == (0, "")
+    assert summarise((warn,)) == (0, "")
+    assert summarise((warn, soft)) == (Fact.SOFT, soft.text)
+    assert summarise((soft, kill, soft)) == (Fact.SOFT | Fact.KILLED, kill.text)
+
+
+def test_every_watchdog_of_the_page_exists_with_advice():
+    assert {f"W{k}" for k in range(1, 30)} <= set(WATCHDOGS)
+    assert all(row.advice and row.severity > Severity.WARN for row in WATCHDOGS.values())
+    with pytest.raises(KeyError):
+        make_finding("W99", "")

@@ -1,0 +1,84 @@
+"""Pre-arm checks: what passes, what fails, and that each failure says what to do."""
+
+from math import nan
+
+import pytest
+
+from steerd.daemon.loop.checks import (
+    LaneStatus,
+    VescInfo,
+    check_findings,
+    check_flags,
+    check_lane,
+    check_motion,
+    check_vesc,
+)
+from steerd.daemon.loop.findings import Severity, make_finding
+from steerd.daemon.loop.flags import Flag
+from steerd.daemon.settings.config import BrakeSettings
+from steerd.daemon.settings.thresholds import Thresholds
+
+BRAKES = BrakeSettings()
+GOOD = VescInfo(True, "ab" * 12, (6, 2), 150, 5.0)
+TH = Thresholds()
+
+
+def test_a_good_vesc_passes_and_an_unknown_one_is_not_checked():
+    assert list(check_vesc(GOOD, BRAKES)) == []
+    assert list(check_vesc(None, BRAKES)) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "uuid", "said"),
+    [
+        ({"expected": False}, "cd" * 12, "is not the one of the car file"),
+        ({"expected": False}, "", "is not the one this run began with"),
+        ({"timeout_ms": None}, "", "did not report its timeout"),
+        ({"timeout_brake_current": None}, "", "did not report its timeout"),
+        ({"timeout_ms": 0}, "", "never times out"),
+        ({"timeout_ms": 201}, "", "timeout is 201 ms, at most 200 ms"),
+        ({"timeout_brake_current": 0.0}, "", "would coast on timeout"),
+        ({"timeout_brake_current": nan}, "", "would coast on timeout"),
+    ],
+)
+def test_a_vesc_that_must_not_be_armed(changes, uuid, said):
+    (text,) = check_vesc(GOOD._replace(**changes), BrakeSettings(uuid=uuid))
+    assert said in text
+
+
+def test_a_vesc_without_the_session_limits_fails():
+    assert list(check_flags(Flag.LINKED)) == []
+    (text,) = check_flags(Flag.LINKED | Flag.UNBOUNDED)
+    assert "power it off and on" in text
+
+
+@pytest.mark.parametrize(
+    ("e1", "e2", "said"),
+    [
+        (TH.lateral_warn, TH.heading_warn, None),
+        (0.25, 0.0, "0.25 m left of the path"),
+        (-0.25, 0.0, "0.25 m right of the path"),
+        (nan, 0.0, "of the path"),
+        (0.0, -1.0, "points -57 deg off the path"),
+    ],
+)
+def test_the_car_must_stand_in_its_lane(e1, e2, said):
+    found = list(check_lane(LaneStatus(e1, e2, remote=False, remote_alive=False), TH))
+    assert len(found) == (said is not None)
+    assert all(said in text for text in found)
+
+
+def test_with_an_external_controller_only_its_commands_count():
+    assert list(check_lane(LaneStatus(9.0, 3.0, remote=True, remote_alive=True), TH)) == []
+    (text,) = check_lane(LaneStatus(0.0, 0.0, remote=True, remote_alive=False), TH)
+    assert "steerd control" in text
+
+
+def test_a_trip_fails_and_a_warning_does_not():
+    trip, warning = make_finding("W13", "3.2 V"), make_finding("W7", "60 ms", Severity.WARN)
+    assert list(check_findings((warning, trip))) == [trip.text]
+
+
+@pytest.mark.parametrize(("speed", "count"), [(0.049, 0), (-0.049, 0), (0.05, 1), (nan, 1)])
+def test_a_car_that_moves_or_may_move_fails(speed, count):
+    assert len(list(check_motion(speed))) == count
