@@ -26,7 +26,8 @@ from tests.e2e.conftest import Launcher, free_port
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-ROOMS = "daemon|tests|sysid|sim_gap|sim_hw|car_model|vesc_link|mocap_link|estimator|controller|steer_bus"
+ROOMS = "daemon|tests|sysid|sim_gap|sim_hw|car_model|steer_bus"
+ROOMS += "|vesc_link|mocap_link|estimator|controller"
 HARDWARE = re.compile(r"/dev/tty|/dev/vesc|natnet://|vrpn://|zenoh:")
 OPERATOR = ("arm", "start", "stop", "disarm", "clear", "estop", "status", "control", "watch")
 LONG = ("identify", "diagnose", "collect")
