@@ -1,0 +1,105 @@
+"""Adding an effect is adding one file: it is then listed, simulated, fitted and diagnosed.
+
+The tests run the command line on a scratch copy of the car model with one file more; every other
+room is the repository's own.
+"""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).resolve().parents[2]
+PULL = 0.012
+"""Wheel angle per speed that the simulated car has [rad s/m]."""
+NEW_EFFECT = '''
+"""A car that pulls to one side, the more the faster it drives."""
+
+from collections.abc import Sequence
+
+from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Stage
+from steerd.car_model.ops import Ops, T
+from steerd.car_model.params import Car
+from steerd.car_model.state import State
+
+
+def _car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
+    """A trim in proportion to the speed."""
+    return car._replace(steer_bias=car.steer_bias + p[0] * state.speed)
+
+
+EFFECT = Effect(
+    name="speed_pull",
+    stage=Stage.ACTUATOR,
+    family="steering",
+    summary="the car pulls to one side with speed",
+    equation="steer_bias -> steer_bias + pull speed",
+    parameters=(
+        EffectParameter("pull", 0.0, -0.05, 0.05, "rad s/m", 0.01, "wheel angle per speed"),
+    ),
+    least_size=0.001,
+    confounded_with=None,
+    needs_commands=None,
+    selectable_in_base=BaseSelection.HEALTHY,
+    zero_gradient=False,
+    car=_car,
+)
+'''
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the package `steerd` in it, whose car model has one file more."""
+    folder = tmp_path_factory.mktemp("scratch")
+    package = folder / "steerd"
+    package.mkdir()
+    for entry in (ROOT / "steerd").iterdir():
+        if entry.name != "car_model":
+            (package / entry.name).symlink_to(entry.resolve())
+    shutil.copytree(
+        ROOT / "car_model", package / "car_model", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    (package / "car_model/effects/steering/speed_pull.py").write_text(NEW_EFFECT.lstrip())
+    return folder
+
+
+def steerd(scratch: Path, *argv: object) -> str:
+    """What the command prints; it must succeed."""
+    done = subprocess.run(
+        [sys.executable, "-m", "steerd", *map(str, argv)],
+        cwd=scratch, capture_output=True, text=True, check=False, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def session(scratch: Path) -> Path:
+    """A simulated lane drive of a car that has the effect."""
+    path = scratch / "pull.mcap"
+    steerd(scratch, "run", "--sim", "--fast", "--path", "figure8", "--speed", 1.8, "--duration", 24,
+           "--effect", f"speed_pull={PULL}", "--record", path)  # fmt: skip
+    return path
+
+
+def test_it_is_listed(scratch: Path) -> None:
+    assert "pull" in steerd(scratch, "effects", "speed_pull")
+    assert "speed_pull" in {
+        effect["name"] for effect in json.loads(steerd(scratch, "effects", "--json"))["effects"]
+    }
+
+
+def test_diagnose_names_it_fits_it_and_keeps_it_in_a_car_file(scratch: Path, session: Path) -> None:
+    report, car = scratch / "gap.json", scratch / "car.toml"
+    steerd(scratch, "diagnose", session, "--no-pairs", "--json", report, "-o", car)
+    verdict = json.loads(report.read_text())
+    (cause,) = verdict["causes"]
+    found = cause["parameters"]["pull"]
+    assert cause["effect"] == "speed_pull"
+    assert abs(found["value"] - PULL) < max(0.2 * PULL, 3.0 * found["sd"])
+    assert "[effects.speed_pull]" in car.read_text()
