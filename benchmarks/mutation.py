@@ -1,4 +1,4 @@
-"""Mutation score of what keeps the car safe: gate, table, watchdogs, guardian, launch, codec.
+"""Mutation score of the safety code: output limits, state machine, watchdogs, guardian, codec.
 
     pip install --group bench
     python benchmarks/mutation.py
@@ -7,9 +7,9 @@
 
 mutmut changes one operator, constant, argument or call at a time in a copy of the tree, and runs
 the unit tests that reach it. A mutant that no test notices survives. Printed: killed and survived
-by module, with `--survivors` each survivor's change. docs/results/safety.md says what they are, written
-by a person who looked at each. `--coverage` measures the branches that the same tests take, in
-these modules and in those that hold little but tables, and fails below 100 %.
+by module, with `--survivors` each survivor's change. docs/results/safety.md explains them; a
+person looked at each. `--coverage` measures the branches that the same tests take, in these modules
+and in those that hold little but tables, and fails below 100 %.
 """
 
 import argparse
@@ -51,22 +51,25 @@ MORE_TESTS = (
     "tests/unit/steer_bus/test_lab.py",
     "tests/property/test_limits.py", "tests/property/test_codec_roundtrip.py",
 )  # fmt: skip
-ROOMS = (
-    "steer_bus", "car_model", "vesc_link", "mocap_link", "estimator", "controller", "sim_hw",
-    "sysid", "sim_gap", "daemon", "tests", "config",
-)  # fmt: skip
-# The guardian's length is a rule for people; a mutated file holds every mutant at once.
+NAME_WIDTH = 40
+FOLDERS = ("steerd", "tests", "config")
+# One test limits the guardian's length; a mutated file holds every mutant at once.
 SELECTION = ("-m", "not realtime", "-k", "not stands_alone", "-p", "no:xdist")
+SCORE_MIN = 0.9
+"""Least share of killed mutants."""
 KILLED = ("killed", "timeout", "segfault", "suspicious", "caught by type check")
 
 
 def make_copy(folder: Path) -> None:
-    """A copy of the tree with mutmut's settings in its pyproject.toml."""
-    for room in ROOMS:
-        shutil.copytree(ROOT / room, folder / room, ignore=shutil.ignore_patterns("__pycache__"))
+    """A copy of the tree with mutmut's settings in its pyproject.toml.
+
+    The links in `steerd/` become folders, so that a module's path is its import name.
+    """
+    for name in FOLDERS:
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     settings = {
-        "source_paths": MODULES,
-        "also_copy": ROOMS,
+        "source_paths": [f"steerd/{module}" for module in MODULES],
+        "also_copy": FOLDERS,
         "pytest_add_cli_args_test_selection": TESTS,
         "pytest_add_cli_args": (*SELECTION, "-p", "no:cacheprovider"),
     }
@@ -109,11 +112,11 @@ def report(folder: Path, *, survivors: bool) -> float:
         if ran == 0:
             continue
         killed, tried = killed + fates["killed"], tried + ran
-        print(f"{module:<24}{fates['killed']:5} of {ran:<5}{fates['killed'] / ran:7.1%}")
+        print(f"{module:<{NAME_WIDTH}}{fates['killed']:5} of {ran:<5}{fates['killed'] / ran:7.1%}")
         for name, fate in mutants:
             if survivors and fate in ("survived", "no tests"):
                 print(f"  {name.removeprefix(module + '.')}\n{show(folder, name)}")
-    print(f"{'all':<24}{killed:5} of {tried:<5}{killed / max(tried, 1):7.1%}")
+    print(f"{'all':<{NAME_WIDTH}}{killed:5} of {tried:<5}{killed / max(tried, 1):7.1%}")
     return killed / max(tried, 1)
 
 
@@ -146,13 +149,13 @@ def main() -> int:
     folder = args.folder or Path(tempfile.mkdtemp(prefix="mutation"))
     if not (folder / "pyproject.toml").exists():
         make_copy(folder)
-    said = mutmut(folder, "run", "--max-children", str(args.jobs), *args.mutants)
+    output = mutmut(folder, "run", "--max-children", str(args.jobs), *args.mutants)
     score = report(folder, survivors=args.survivors)
     if score == 0.0:
-        print(said[-2000:], file=sys.stderr)
+        print(output[-2000:], file=sys.stderr)
     if args.folder is None:
         shutil.rmtree(folder)
-    return 0 if score >= 0.9 else 1
+    return 0 if score >= SCORE_MIN else 1
 
 
 if __name__ == "__main__":

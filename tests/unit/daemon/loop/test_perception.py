@@ -1,0 +1,101 @@
+"""Perception: accepted poses are fused, ages and speeds are unknown until measured."""
+
+from math import inf, isnan, nan
+
+import pytest
+
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.daemon.loop.perception import BLIND_S, Perception, best_speed, estimated_state
+from steerd.daemon.settings.thresholds import Thresholds
+from steerd.estimator.config import FilterConfig
+from steerd.mocap_link.source import ClockKind, PoseSample, RawPose
+from steerd.vesc_link.events import Stamped, Telemetry
+from steerd.vesc_link.scaling import F1TENTH
+from steerd.vesc_link.telemetry import Values
+
+MS, NS = 1_000_000, 1_000_000_000
+
+
+def make_perception():
+    return Perception(DEFAULT_CAR, FilterConfig(), Thresholds(), F1TENTH)
+
+
+def pose(t_ns, x, rejected=None, valid=True):
+    raw = RawPose("", None, 0, None, t_ns, (x, 0.0, 0.1), (1.0, 0.0, 0.0, 0.0), None, valid)
+    return PoseSample(t_ns, t_ns, raw, x, 0.0, 0.0, 0.1, 0.0, rejected, ClockKind.ARRIVAL)
+
+
+def telemetry(t_ns, erpm):
+    return Telemetry(Values(erpm=erpm), Stamped(t_ns - MS, t_ns))
+
+
+def drive(seen, seconds=1.0, speed=1.0):
+    """Poses and telemetry of a straight drive; the time of the last."""
+    for k in range(1, round(seconds * 100) + 1):
+        t_ns = k * 10 * MS
+        seen.on_pose(pose(t_ns, speed * t_ns / NS))
+        seen.on_telemetry(telemetry(t_ns, speed * F1TENTH.erpm_gain))
+        seen.estimate(t_ns)
+    return t_ns
+
+
+def test_nothing_is_known_before_the_first_measurement():
+    seen = make_perception()
+    assert seen.estimate(NS) is None
+    assert isnan(seen.wheel_speed)
+    assert isnan(seen.mocap_speed)
+    assert (seen.mocap_age(NS), seen.telemetry_age(NS)) == (inf, inf)
+    assert all(isnan(value) for value in estimated_state(None))
+
+
+def test_a_straight_drive_is_estimated():
+    seen = make_perception()
+    end = drive(seen)
+    estimate = seen.estimate(end)
+    assert estimate.state.speed == pytest.approx(1.0, abs=0.05)
+    assert estimate.state.x == pytest.approx(1.0, abs=0.05)
+    assert seen.wheel_speed == pytest.approx(1.0)
+    assert seen.mocap_speed == pytest.approx(1.0)
+    assert seen.mocap_age(end + 30 * MS) == pytest.approx(0.03)
+    assert seen.telemetry_age(end + 20 * MS) == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("bad", [{"rejected": "jump"}, {"valid": False}])
+def test_a_rejected_pose_does_not_renew_the_age(bad):
+    seen = make_perception()
+    end = drive(seen)
+    seen.on_pose(pose(end + 10 * MS, 1.01, **bad))
+    assert seen.accepted_ns == end
+
+
+def test_a_jump_while_driving_is_not_fused():
+    seen = make_perception()
+    end = drive(seen)
+    seen.may_rebase = False
+    seen.on_pose(pose(end + 10 * MS, 5.0))
+    assert seen.watch.jumps == 1
+    assert seen.estimate(end + 10 * MS).state.x == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_car_that_was_carried_starts_anew_where_it_stands():
+    seen = make_perception()
+    end = drive(seen, speed=0.0)
+    for k in range(1, 51):
+        seen.on_pose(pose(end + 10 * k * MS, 5.0))
+    assert seen.estimate(end + 500 * MS).state.x == pytest.approx(5.0, abs=0.05)
+
+
+def test_wheel_speed_that_is_old_is_unknown():
+    seen = make_perception()
+    end = drive(seen)
+    late = end + round(BLIND_S * NS)
+    assert seen.recent_wheel_speed(late) == pytest.approx(1.0)
+    assert isnan(seen.recent_wheel_speed(late + MS))
+
+
+def test_the_best_speed_is_the_filters_until_its_measurements_are_old():
+    seen = make_perception()
+    end = drive(seen)
+    assert best_speed(seen.estimate(end), nan) == pytest.approx(1.0, abs=0.05)
+    assert best_speed(None, 0.7) == 0.7
+    assert isnan(best_speed(seen.estimate(end + 2 * NS), 0.7))

@@ -1,0 +1,49 @@
+"""The recorder: everything up to the end of the pipe is in the file; a full disk ends it early."""
+
+import os
+from types import SimpleNamespace
+
+from steerd.daemon.ipc.pipe_records import PipeRecord, pack_record
+from steerd.daemon.process import recorder
+from steerd.daemon.process.recorder import Recording, record_pipe
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.session_read import open_session
+
+META = {"metadata": {"steerd.session": {"car": "car1"}}, "attachments": {"car.toml": "x = 1"}}
+
+
+def make_packed(count):
+    request = m.OperatorRequest(m.make_header(5, m.BODY), 1, 2, 3, int(m.RequestKind.STOP), "desk")
+    data = encode(request)
+    return [pack_record(PipeRecord(topics.OPERATOR, k, k + 1, k + 1, data)) for k in range(count)]
+
+
+def record(tmp_path, chunks, disk_free_min=0):
+    """Record chunks from a pipe that is then closed; the reason and the session."""
+    recording = Recording(tmp_path / "drive.mcap", "car1", {**META, "start_ns": 0})
+    read_fd, write_fd = os.pipe()
+    for chunk in chunks:
+        os.write(write_fd, chunk)
+    os.close(write_fd)
+    reason = record_pipe(recording, read_fd, disk_free_min)
+    os.close(read_fd)
+    recording.writer.finish({"reason": reason, "written": str(recording.written)})
+    return reason, open_session(tmp_path / "drive.mcap")
+
+
+def test_every_whole_record_before_the_end_of_the_pipe_is_written(tmp_path):
+    *whole, last = make_packed(5)
+    reason, session = record(tmp_path, [*whole, last[:-3]])
+    assert reason == "end of the run"
+    assert [message.log_ns for message in session.messages()] == [1, 2, 3, 4]
+    assert session.attachment("car.toml") == b"x = 1"
+
+
+def test_a_nearly_full_disk_ends_the_recording_with_a_complete_file(tmp_path, monkeypatch):
+    usage = SimpleNamespace(free=99)
+    monkeypatch.setattr(recorder.shutil, "disk_usage", lambda _path: usage)
+    reason, session = record(tmp_path, make_packed(2), disk_free_min=100)
+    assert reason == "disk nearly full"
+    assert len(list(session.messages())) == 2
