@@ -3,8 +3,11 @@
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
+from steerd.daemon.analysis.diagnose_case import Case
+from steerd.sim_gap.diagnosis import Diagnosis as Findings
+from steerd.sim_gap.lane_comparison import LaneComparison
 from steerd.sim_gap.report.summary_text import (
     ambiguity,
     cause_words,
@@ -16,16 +19,35 @@ from steerd.sim_gap.report.summary_text import (
     shrink_words,
 )
 
-if TYPE_CHECKING:
-    from steerd.daemon.analysis.diagnosis import Diagnosis
-
 COLUMNS, LINES = 100, 24
 _MARGIN = 12
 
 
-def describe(
-    diagnosis: "Diagnosis", written: Path | None = None, report: Path | None = None
-) -> str:
+class Described(Protocol):
+    """What the screen shows of a diagnosis (`steerd.daemon.analysis.diagnosis.Diagnosis`)."""
+
+    @property
+    def case(self) -> Case:
+        """Drives, base car and what was held out."""
+        ...
+
+    @property
+    def findings(self) -> Findings:
+        """Every number of the diagnosis."""
+        ...
+
+    @property
+    def lane(self) -> LaneComparison | None:
+        """The session's lane driven again in simulation; None if that was not possible."""
+        ...
+
+    @property
+    def lane_note(self) -> str:
+        """Why not; empty if it was, or was not asked for."""
+        ...
+
+
+def describe(diagnosis: Described, written: Path | None = None, report: Path | None = None) -> str:
     """The screen; what matters least is left out where it would not fit.
 
     Args:
@@ -54,7 +76,7 @@ def _wrap(label: str, text: str) -> list[str]:
     )  # fmt: skip
 
 
-def _rows(diagnosis: "Diagnosis") -> Iterator[tuple[str, str]]:
+def _rows(diagnosis: Described) -> Iterator[tuple[str, str]]:
     case, found, lane = diagnosis.case, diagnosis.findings, diagnosis.lane
     names = ", ".join(path.name for path in case.sessions)
     yield "drives", f"{case.seconds:.0f} s to explain, of {names}; base: {case.base_source}"
@@ -70,7 +92,7 @@ def _rows(diagnosis: "Diagnosis") -> Iterator[tuple[str, str]]:
     yield "gap after", "; ".join(gap_words(found))
     if found.causes:
         yield "shrinks by", shrink_words(found, case.held_out_of)
-        yield "", f"sha256 of the prediction: {found.shrinkage.digest}"
+        yield "", f"prediction sha256 {found.shrinkage.digest}"
     if lane is not None:
         yield "closed loop", lane_words(lane)
     elif diagnosis.lane_note and found.causes:
@@ -78,7 +100,7 @@ def _rows(diagnosis: "Diagnosis") -> Iterator[tuple[str, str]]:
     yield "drive next", manoeuvre_words(found)
 
 
-def _next(diagnosis: "Diagnosis", written: Path | None, report: Path | None) -> str:
+def _next(diagnosis: Described, written: Path | None, report: Path | None) -> str:
     """The command to type next."""
     causes, lane = diagnosis.findings.causes, diagnosis.lane
     if not causes and report is not None:
