@@ -9,7 +9,7 @@ from benchmarks.blind_gap.effects import SIZES
 from benchmarks.blind_gap.seal import SealError
 from benchmarks.foreign_cars.bank import Shares, draw_cases, load_cases, save_cases
 from benchmarks.foreign_cars.cases import Case, healthy_logs, later_logs, write_logs
-from benchmarks.foreign_cars.drives import SECONDS, TEMPERS
+from benchmarks.foreign_cars.drives import PUSH, SECONDS, TEMPERS
 from benchmarks.foreign_cars.effects import UnknownEffectError
 from benchmarks.foreign_cars.judge import ROWS, TOOL, judge, read_rows
 from benchmarks.foreign_cars.plants import PLANTS, MissingPlantError
@@ -18,7 +18,7 @@ from benchmarks.foreign_cars.table import format_cases, format_table
 
 def _make(args: argparse.Namespace) -> str:
     hidden = tuple((name, args.severity) for name in args.effect)
-    case = Case(args.plant, args.seed, args.number, hidden, args.temper, args.seconds)
+    case = Case(args.plant, args.seed, args.number, hidden, args.temper, args.seconds, args.push)
     write_logs(args.output, "healthy", healthy_logs(case))
     logs, labels = later_logs(case)
     write_logs(args.output, "later", logs)
@@ -30,7 +30,7 @@ def _make(args: argparse.Namespace) -> str:
 def _draw(args: argparse.Namespace) -> str:
     nonce = secrets.randbits(62) if args.nonce is None else args.nonce
     shares = Shares(args.nulls, args.singles, args.pairs, args.outside, args.cars)
-    cases = draw_cases(nonce, shares, args.plants.split(","), args.temper)
+    cases = draw_cases(nonce, shares, args.plants.split(","), args.temper, args.push)
     digest = save_cases(args.output, cases, args.seal)
     return f"{len(cases)} cases; publish this first: {digest}  {args.output.name}"
 
@@ -81,6 +81,7 @@ def make_parser() -> argparse.ArgumentParser:
         command.add_argument("-o", "--output", type=Path, required=True)
     for command in (make, draw):
         command.add_argument("--temper", choices=tuple(TEMPERS), default="rich")
+        command.add_argument("--push", type=float, default=PUSH, help="disturbances, a factor")
     return parser
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.blind_gap.effects import COMMON_PAIRS
 from benchmarks.blind_gap.seal import load_key, make_key, save_key, seal, sha256, unseal
 from benchmarks.foreign_cars.cases import Case, read_case
+from benchmarks.foreign_cars.drives import PUSH
 from benchmarks.foreign_cars.plants import PLANTS, Plant, make_plant
 
 Hidden = tuple[tuple[str, str], ...]
@@ -50,7 +51,11 @@ def _hidden(plant: Plant, shares: Shares, rng: np.random.Generator) -> Iterator[
 
 
 def draw_cases(
-    nonce: int, shares: Shares, plants: Sequence[str] = PLANTS, temper: str = "rich"
+    nonce: int,
+    shares: Shares,
+    plants: Sequence[str] = PLANTS,
+    temper: str = "rich",
+    push: float = PUSH,
 ) -> list[Case]:
     """Cases of a nonce, shared out among the cars of each plant; no two nonces share a car.
 
@@ -59,13 +64,15 @@ def draw_cases(
         shares: how many of which kind.
         plants: of `PLANTS`.
         temper: of the drives.
+        push: disturbances, per those of the blind test.
     """
     cases = []
     for name in plants:
         rng = np.random.default_rng([nonce, PLANTS.index(name)])
         cars = [int(seed) for seed in rng.integers(2**31, size=shares.cars)]
         for number, hidden in enumerate(_hidden(make_plant(name, cars[0]), shares, rng)):
-            cases.append(Case(name, cars[number % len(cars)], number, hidden, temper))
+            car = cars[number % len(cars)]
+            cases.append(Case(name, car, number, hidden, temper, push=push))
     return cases
 
 

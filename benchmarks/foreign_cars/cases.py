@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind_gap.effects import EFFECTS, Place, draw_place
-from benchmarks.foreign_cars.drives import SECONDS, Commands, make_commands
+from benchmarks.foreign_cars.drives import PUSH, SECONDS, Commands, make_commands
 from benchmarks.foreign_cars.effects import label_of, strength_of
 from benchmarks.foreign_cars.log import MAP, Log, write_csv
 from benchmarks.foreign_cars.plants import PLANTS, Plant, drive, make_plant
@@ -32,6 +32,7 @@ class Case:
         hidden: effects or one defect, each with its size; empty if nothing is wrong.
         temper: of all its drives.
         seconds: length of each drive.
+        push: disturbances, per those of the blind test.
     """
 
     plant: str
@@ -40,6 +41,7 @@ class Case:
     hidden: tuple[tuple[str, str], ...] = ()
     temper: str = "rich"
     seconds: float = SECONDS
+    push: float = PUSH
 
     @property
     def name(self) -> str:
@@ -49,8 +51,7 @@ class Case:
     @property
     def car(self) -> str:
         """Name of the car and its healthy drives, shared by all of its cases."""
-        length = "" if self.seconds == SECONDS else f"-{self.seconds:g}"
-        return f"{self.plant}-{self.seed}-{self.temper}{length}"
+        return f"{self.plant}-{self.seed}-{self.temper}-{self.seconds:g}-{self.push:g}"
 
     @property
     def kind(self) -> str:
@@ -78,7 +79,7 @@ def _seeds(case: Case, what: str, index: int) -> tuple[np.random.Generator, int]
 
 def _commands(case: Case, what: str, index: int) -> tuple[Commands, int]:
     rng, seed = _seeds(case, what, index)
-    return make_commands(case.temper, case.seconds, rng), seed
+    return make_commands(case.temper, case.seconds, rng, case.push), seed
 
 
 def healthy_logs(case: Case) -> list[Log]:

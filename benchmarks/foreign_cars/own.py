@@ -73,7 +73,7 @@ class OwnPlant:
         held, cut = (
             make_spells(seconds, v, e, rng) for v, e in ((self.freeze, 1.5), (self.cut, 3.0))
         )
-        noise, none = make_noise(seconds, rng), np.zeros((0, 3))
+        noise, none = make_noise(seconds, rng, process_scale=commands.push), np.zeros((0, 3))
         orders = Orders(commands.steer, commands.speed, none, 0.0, held, cut)
         trace = simulate(self.car, commands.start, LEAD, orders, noise)
         ticks = slice(LEAD_TICKS, None)

@@ -93,7 +93,7 @@ def draw_wiring(rng: np.random.Generator) -> Wiring:
 
 def make_push(commands: Commands, rng: np.random.Generator) -> Push:
     """Coloured pushes on the car and white pose errors, as in the blind test."""
-    noise = make_noise((commands.steps - LEAD) * STEP, rng)
+    noise = make_noise((commands.steps - LEAD) * STEP, rng, process_scale=commands.push)
     return Push(noise.process, noise.pose)
 
 
