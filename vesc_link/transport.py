@@ -22,11 +22,10 @@ from steerd.vesc_link.frames import FLUSH
 
 READ_LIMIT = 4096
 """Most bytes one `Port.read` returns; the rest waits for the next tick."""
-_UDEV_RULE = (
-    'ATTRS{idVendor}=="0483", ATTRS{idProduct}=="5740", ENV{ID_MM_DEVICE_IGNORE}="1", '
-    'MODE="0660", GROUP="dialout", SYMLINK+="vesc"'
+_UDEV_HINT = (
+    "install the udev rule and replug:\n"
+    "  steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules"
 )
-_UDEV_HINT = f"put this line in /etc/udev/rules.d/99-vesc.rules and replug:\n  {_UDEV_RULE}"
 
 
 class PortError(OSError):
@@ -59,7 +58,7 @@ def _not_found(url: str, what: str) -> NotFound:
         url,
         what,
         "is the VESC powered and its USB cable in? `ls -l /dev/ttyACM* /dev/serial/by-id` shows the"
-        f" ports there are; for a stable name {_UDEV_HINT}",
+        f" ports there are; for a stable name, {_UDEV_HINT}",
     )
 
 

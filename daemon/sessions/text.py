@@ -88,7 +88,8 @@ def _end(report: SessionReport) -> str:
     if report.info.finished:
         return "not recorded"
     name = clean(str(report.info.path))
-    return f"the recorder was killed or is still writing; to repair it: steerd recover {name}"
+    command = join_words(f"steerd recover {name}")
+    return f"the recorder was killed or is still writing; to repair it: {command}"
 
 
 def _states(report: SessionReport) -> str:

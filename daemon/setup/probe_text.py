@@ -105,5 +105,5 @@ def _advice(advice: Sequence[Advice]) -> Iterator[str]:
         yield from wrap(clean(item.what, ADVICE_MAX), "    ! ", "      ")
         for i, line in enumerate(item.fix.splitlines()):
             head = "      try: " if i == 0 else "        "
-            # A rule to paste must stay one line.
-            yield from [head + line] if "ATTRS{" in line else wrap(line, head, "           ")
+            # An indented line is to be copied and stays as it is.
+            yield from [head + line] if line.startswith(" ") else wrap(line, head, " " * 11)

@@ -37,7 +37,7 @@ TABLE = [
     (("run", "--sim", "--fast"), 2, ["--duration"]),
     (("run", "--fast"), 2, ["--sim"]),
     (("run",), 2, ["--port", "--sim"]),
-    (("run", "--sim", "--port", "/dev/ttyACM0"), 2, ["--sim brings its own"]),
+    (("run", "--sim", "--port", "/dev/ttyACM0"), 2, ["--sim has its own"]),
     ((*LIVE, "--port", "/dev/ttyACM0", "--auto-arm"), 2, ["--sim only"]),
     (("replay", "{tmp}/none.mcap"), 3, ["none.mcap does not exist"]),
     (("replay", "{tmp}/notes.csv"), 3, ["notes.csv is not an MCAP file"]),

@@ -6,6 +6,7 @@ import pytest
 
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.setup.probe import (
+    Advice,
     MocapSeen,
     SerialFound,
     VescFound,
@@ -118,11 +119,13 @@ def test_ports_by_their_usb_ids(tmp_path):
 def test_the_text_names_the_udev_file_and_fits_80_columns():
     bad = replace(GOOD, timeout_ms=0, fault="ABS_OVER_CURRENT", voltage=9.0)
     advice = tuple(judge_vesc(bad, BrakeSettings()))
+    advice += (Advice("it is busy", f"{'close what uses it, ' * 8}\n  to copy: {'x' * 50}"),)
     lines = list(format_serial([SerialFound("/dev/ttyACM0", "0483:5740", bad, advice)], False))
     text = "\n".join(lines)
     assert "timeout   never, then 20 A" in text
     assert "sudo usermod -aG dialout" in text
     assert max(map(len, lines)) <= 80
+    assert f"          to copy: {'x' * 50}" in lines
     assert "    steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules" in lines
     shown = "\n".join(format_mocap([(SEEN, tuple(judge_mocap(SEEN, named=True)))]))
     assert "100 of 100 Hz, 300 of 300 accepted" in shown
