@@ -9,31 +9,12 @@ from __future__ import annotations
 
 from collections import deque
 from itertools import pairwise
-from typing import Protocol
 
 NS = 1_000_000_000
 SKEW_MAX = 200e-6
 """No two quartz clocks differ by more; a fit that says so is noise."""
 
 WINDOW_NS = 60 * NS
-
-
-class ClockMap(Protocol):
-    """A map from source ticks to host nanoseconds."""
-
-    @property
-    def ready(self) -> bool:
-        """Whether `to_host_ns` can be trusted."""
-        ...
-
-    @property
-    def sigma_ns(self) -> int:
-        """One-sigma error bound [ns], constant part of one-way delay excluded."""
-        ...
-
-    def to_host_ns(self, source_ticks: int) -> int:
-        """Map a source time to CLOCK_MONOTONIC [ns]."""
-        ...
 
 
 class _Line:

@@ -11,7 +11,6 @@ from struct import Struct
 MAX_COUNT = 10_000
 """No section of a real frame has more items; a larger count is corruption."""
 
-MAX_DATAGRAM = 65_507
 
 Version = tuple[int, int]
 Point = tuple[float, float, float]

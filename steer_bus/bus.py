@@ -86,11 +86,6 @@ class Bus(Protocol):
         """Leave the bus, in bounded time; a second close does nothing."""
 
 
-def key_matches(pattern: str, key: str) -> bool:
-    """Say whether a key matches a pattern with ``*`` (one chunk) and ``**`` (any number)."""
-    return _chunks_match(pattern.split("/"), key.split("/"))
-
-
 def check_size(data: bytes) -> bytes:
     """Give a message back if the bus carries it.
 
@@ -111,11 +106,3 @@ def check_key(key: str) -> str:
     if not all(key.split("/")) or any(mark in key for mark in "*$#?"):
         raise BusError(f"{key!r} is no key to publish under")
     return key
-
-
-def _chunks_match(pattern: list[str], key: list[str]) -> bool:
-    if not pattern:
-        return not key
-    if pattern[0] == "**":
-        return any(_chunks_match(pattern[1:], key[i:]) for i in range(len(key) + 1))
-    return bool(key) and pattern[0] in ("*", key[0]) and _chunks_match(pattern[1:], key[1:])

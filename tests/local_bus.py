@@ -12,8 +12,20 @@ from steerd.steer_bus.bus import (
     Token,
     check_key,
     check_size,
-    key_matches,
 )
+
+
+def key_matches(pattern: str, key: str) -> bool:
+    """Say whether a key matches a pattern with ``*`` (one chunk) and ``**`` (any number)."""
+    return _chunks_match(pattern.split("/"), key.split("/"))
+
+
+def _chunks_match(pattern: list[str], key: list[str]) -> bool:
+    if not pattern:
+        return not key
+    if pattern[0] == "**":
+        return any(_chunks_match(pattern[1:], key[i:]) for i in range(len(key) + 1))
+    return bool(key) and pattern[0] in ("*", key[0]) and _chunks_match(pattern[1:], key[1:])
 
 
 @dataclass(slots=True, eq=False)

@@ -9,10 +9,10 @@ import time
 
 import pytest
 
-from steerd.steer_bus.bus import BusError, key_matches
+from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import MAX_BYTES
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_settings
-from tests.local_bus import LocalBus, LocalHub
+from tests.local_bus import LocalBus, LocalHub, key_matches
 
 STATE = "steerd/car1/state"
 DEADLINE_S = 5.0
