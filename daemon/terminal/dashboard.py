@@ -148,7 +148,9 @@ class Dashboard:
             f"RMS {100 * self.tally.rms:.2f} cm",
         )
         table.add_row(
-            "command", f"steer {degrees(s.steer_ref):+6.2f}°", f"speed {s.speed_ref:+5.2f} m/s"
+            "command",
+            _format_command("steer", degrees(s.steer_ref), "6.2f", "°"),
+            _format_command("speed", s.speed_ref, "5.2f", " m/s"),
         )
         table.add_row(
             "links",
@@ -157,3 +159,8 @@ class Dashboard:
             f"work {work_ms:.2f} ms",
         )
         return table
+
+
+def _format_command(name: str, value: float, digits: str, unit: str) -> str:
+    """A command, or a dash before the car is driven."""
+    return f"{name} {value:+{digits}}{unit}" if isfinite(value) else f"{name} –"

@@ -3,8 +3,8 @@
 from collections import Counter, deque
 from dataclasses import dataclass, field
 
+from rich.columns import Columns
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -118,10 +118,9 @@ class Watch:
         if (silent := self.silence(t_ns)) > 0.0:
             text = f" no message for {silent:.1f} s: is the daemon still running? "
             parts.append(Text(text, style="bold reverse red"))
-        table = Table.grid(padding=(0, 2))
         rates = self.rates(t_ns)
-        table.add_row("Hz", *(f"{name} {rates[name]:.0f}" for name in _SHOWN if name in rates))
-        parts.append(table)
+        cells = [f"{name} {rates[name]:.0f}" for name in _SHOWN if name in rates]
+        parts += [Text("messages per second", style="dim"), Columns(cells, padding=(0, 2))]
         if self.vesc is not None:
             v = self.vesc
             style = "red" if v.fault_code > 0 else ""

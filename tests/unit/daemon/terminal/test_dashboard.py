@@ -1,5 +1,6 @@
 """The dashboard of a run: figures of the drive, and what fits a terminal of 80 columns."""
 
+from dataclasses import replace
 from math import nan, pi
 
 import pytest
@@ -85,3 +86,16 @@ def test_the_panel_fits_80_columns_and_breaks_lines_between_words():
     wanted = " ".join([*board.status.values(), change.text, KEY_HELP]).split()
     assert set(wanted) <= words
     assert "-123.40" in words
+
+
+def test_before_the_first_command_there_is_a_dash():
+    board = Dashboard("car1")
+    resting = replace(state(1), steer_ref=nan, speed_ref=nan)
+    board.take(PipeRecord(topics.STATE, 0, 1, 1, encode(resting)))
+    console = Console(width=80)
+    with console.capture() as caught:
+        console.print(board.render())
+    (line,) = [line for line in caught.get().splitlines() if "command" in line]
+    assert "steer –" in line
+    assert "speed –" in line
+    assert "nan" not in line

@@ -8,6 +8,7 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.watch import SECOND, Watch, find_car
 from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Sample
 from steerd.steer_bus.codec import encode
 from tests.local_bus import LocalBus, LocalHub
@@ -29,8 +30,8 @@ def vesc(fault=0):
     return m.VescTelemetry(HEADER, 0, 0, 0, 0, 0, 0, fault, 0, 11.5, *[1.0] * 9)
 
 
-def shown(watch, t_ns):
-    console = Console(width=100, record=True, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
+def shown(watch, t_ns, width=100):
+    console = Console(width=width, record=True, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
     with console.capture() as caught:
         console.print(watch.render(t_ns))
     console.file.close()
@@ -52,6 +53,18 @@ def test_state_rates_and_faults():
     assert "e1  +1.20 cm" in text
     assert "11.5 V" in text
     assert "state 100" in text
+
+
+def test_rates_fit_80_columns_each_name_beside_its_figure():
+    watch = Watch(Dashboard("car1"))
+    names = [topic.name for topic in topics.TOPICS if topic.direction is topics.Direction.OUT]
+    for i in range(100):
+        for name in names:
+            watch.take(Sample(f"steerd/car1/{name}", b""), i * SECOND // 100)
+    lines = shown(watch, SECOND, width=80).splitlines()
+    assert max(map(len, lines)) <= 80
+    for name in ("state", "actuation", "diagnostics"):
+        assert any(f"{name} 100" in line for line in lines), name
 
 
 def test_silence_is_reported():
