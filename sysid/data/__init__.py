@@ -1,1 +1,1 @@
-"""Drives as arrays: segments, checks, windows, jitter of the log."""
+"""Drives as arrays: commands and measurements, data checks, segments, windows, log jitter."""

@@ -1,26 +1,30 @@
-"""Data that no fit should see, refused with the reason and the remedy."""
+"""Data checks: unusable drives are refused with the reason and the remedy."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SHORTEST = 1.0
+DURATION_MIN = 1.0
 """A drive is at least this long [s]."""
-FEWEST_POSES = 20
+POSES_MIN = 20
 SPAN_MAX = 200.0
-"""No hall is larger [m]: what is, is in millimetres."""
+"""Poses that spread further are in millimetres, not metres [m]."""
 TRAVEL_MIN = 0.05
-"""A car that moved less than this stood [m]."""
+"""A car that moved less than this stood still [m]."""
 STEER_SPREAD_MIN = 1e-3
-"""Steering that varies by less never changed [rad]."""
+"""Steering that varies by less is constant [rad]."""
 GAP = 0.2
 """Gaps longer than this are compared with the distance covered [s]."""
 FROZEN = 1.0
 """Poses that repeat for this long while the car moves are frozen [s]."""
 
 _REPEATS = 5
-"""One pose, then a gap, is no frozen pose: so many in a row are."""
+"""A pose repeated so often in a row is frozen; one pose and a gap is not."""
+SPEED_MIN = 0.3
+"""At lower speed a gap in time says nothing about the clock [m/s]."""
+DISTANCE_SHARE_MIN = 0.2
+"""Over a gap a car covers at least this share of what its speed before and after would give."""
 
 
 class DataError(ValueError):
@@ -48,7 +52,7 @@ def check_times(name: str, what: str, t: Array) -> None:
     back = np.flatnonzero(np.diff(t) < 0.0)
     if len(back):
         size = t[back[0]] - t[back[0] + 1]
-        hint = "the clock was set; cut the drive there, or use stamps of a monotonic clock"
+        hint = "the clock was set; split the drive there, or use stamps of a monotonic clock"
         raise DataError(f"{name}: time of {what} goes back by {size:.3g} s", hint)
 
 
@@ -65,9 +69,9 @@ def check_run(name: str, duration: float, t: Array, pose: Array, speed: Array) -
     Raises:
         DataError: it is.
     """
-    if duration < SHORTEST or len(t) < FEWEST_POSES:
+    if duration < DURATION_MIN or len(t) < POSES_MIN:
         what = f"{name}: {max(duration, 0.0):.2f} s of driving with {len(t)} poses"
-        raise DataError(what, f"drive at least {SHORTEST:g} s in view of the mocap")
+        raise DataError(what, f"drive at least {DURATION_MIN:g} s in view of the mocap")
     span = np.ptp(pose[:, :2], axis=0).max()
     if span > SPAN_MAX:
         what = f"{name}: poses spread over {span:.0f} m"
@@ -88,7 +92,7 @@ def _check_frozen(name: str, t: Array, pose: Array) -> None:
     jump = np.linalg.norm(pose[changes[worst + 1], :2] - pose[changes[worst], :2])
     if jump > TRAVEL_MIN:
         what = f"{name}: poses freeze for {stalls[worst]:.1f} s at t = {t[changes[worst]]:.1f} s"
-        raise DataError(what, "leave frozen samples out (the mocap gates do)")
+        raise DataError(what, "leave frozen samples out (steerd's mocap checks do)")
 
 
 def _check_clock(name: str, t: Array, pose: Array) -> None:
@@ -100,9 +104,9 @@ def _check_clock(name: str, t: Array, pose: Array) -> None:
         near = speed[max(i - 10, 0) : i + 11]
         near = near[near > 0.0]
         pace = float(np.median(near)) if len(near) else 0.0
-        if pace > 0.3 and moved[i] < 0.2 * pace * step[i]:
-            what = f"{name}: {step[i]:.2f} s pass at t = {t[i]:.1f} s, but the car hardly moves on"
-            raise DataError(what, "the clock stepped; cut the drive there")
+        if pace > SPEED_MIN and moved[i] < DISTANCE_SHARE_MIN * pace * step[i]:
+            what = f"{name}: {step[i]:.2f} s pass at t = {t[i]:.1f} s, but the car stays in place"
+            raise DataError(what, "the clock stepped; split the drive there")
 
 
 def check_excited(steers: list[Array]) -> None:
@@ -122,7 +126,7 @@ def check_excited(steers: list[Array]) -> None:
 def noise_of(t: Array, values: Array) -> float:
     """Standard deviation of white noise on a smooth signal, from its third differences.
 
-    The median makes it blind to gaps and outliers. A third difference of white noise has 20 times
+    The median makes it robust to gaps and outliers. A third difference of white noise has 20 times
     its variance.
     """
     if len(t) < 8:

@@ -1,7 +1,7 @@
 """Drives as arrays: commands on a uniform grid, measurements at their own times.
 
-`load_run` reads a session, `make_run` takes arrays; both refuse data that no fit should see
-(`gate`), with a typed error that says what is wrong and what to do.
+`load_run` reads a session, `make_run` takes arrays; both refuse unusable data (`data_checks`), with
+a typed error that says what is wrong and what to do.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,16 +25,18 @@ Array = NDArray[np.float64]
 GRID = 0.005
 """Step of the command grid [s], one tick of the control loop; `stability` refines it where needed.
 
-Twice as long serves smooth drives (RK4 is good to 1e-3 mm), but blurs dead times by 0.2 ms.
+Twice as long is enough for smooth drives (RK4 is good to 1e-3 mm), but blurs dead times by 0.2 ms.
 """
 SERVO_FRAME = 0.02
 """Period of a VESC's servo signal [s]; steerd itself drives servos through nothing else."""
 RAMP_ERPM = 25_000.0
 """A VESC's own limit of its speed setpoint's slope [ERPM/s] (`s_pid_ramp_erpms_s`, since 5.03)."""
-SHARP = 0.02
-"""Poses whose speed is less noisy tell it better than a wheel, whose slip is larger [m/s]."""
+POSE_SPEED_NOISE_MAX = 0.02
+"""Poses whose speed is less noisy than this measure it better than a wheel that slips [m/s]."""
 HISTORY = 0.5
-"""Known commands that the actuators run through before a window [s]."""
+"""Known commands that the actuators are simulated over before a window [s]."""
+HALF_SPAN = 2
+"""Samples to either side over which rates of a pose are differences."""
 
 
 class Signal(NamedTuple):
@@ -50,7 +52,7 @@ def _none() -> Signal:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One drive, or a part of one. Times in seconds from its own first command.
+    """One drive, or a segment of one. Times in seconds from its own first command.
 
     Attributes:
         name: for messages and reports.
@@ -64,13 +66,13 @@ class Run:
         throttle: open-loop motor command; may be empty.
         steer: the commanded angles at their own times; may be empty.
         servo_frame: period of the pulses that carry them to the servo [s]; 0 where none are known
-            to do so (see `servo`).
+            to do so (see `servo_pulse`).
         speed_command: the commanded speeds at their own times; may be empty.
         speed_ramp: how fast the motor controller's setpoint may follow them [m/s^2]; 0 where it is
-            not known to be limited (see `ramp`).
-        start: where in its drive this part begins [s]; what drifts counts from the drive's start.
-        history: so many of the commands before a window count [s]: a linkage with play remembers
-            the last turn.
+            not known to be limited (see `setpoint_ramp`).
+        start: where in its drive this segment begins [s]; drifts count from the drive's start.
+        history: how much of the commands before a window is simulated [s]: a linkage with play
+            keeps the side of the last turn.
         log_jitter: sampling jitter of the steering log, corrected in `commands` and `steer`.
     """
 
@@ -129,14 +131,14 @@ def hold_means(signal: Signal, edges: Array) -> Array:
 def pose_speed(pose: Signal) -> Signal:
     """Forward speed from poses, over five samples [m/s]."""
     t, p = pose
-    reach = min(2, (len(t) - 1) // 2)
-    if reach < 1:
+    half = min(HALF_SPAN, (len(t) - 1) // 2)
+    if half < 1:
         return Signal(t, np.zeros(len(t)))
-    span = t[2 * reach :] - t[: -2 * reach]
-    velocity = (p[2 * reach :, :2] - p[: -2 * reach, :2]) / span[:, None]
-    yaw = p[reach:-reach, 2]
+    span = t[2 * half :] - t[: -2 * half]
+    velocity = (p[2 * half :, :2] - p[: -2 * half, :2]) / span[:, None]
+    yaw = p[half:-half, 2]
     speed = velocity[:, 0] * np.cos(yaw) + velocity[:, 1] * np.sin(yaw)
-    return Signal(t[reach:-reach], speed)
+    return Signal(t[half:-half], speed)
 
 
 def _clean(signal: Signal | None) -> Signal:
@@ -165,7 +167,7 @@ def make_run(
         name: for messages.
         steer: commanded road-wheel angle [rad], each held until the next.
         speed: commanded speed [m/s]; without it a measured speed is prescribed, that of the poses
-            if they are sharp enough, else the wheel's.
+            if they are precise enough, else the wheel's.
         pose: (M, 3) x, y, yaw; yaw may wrap.
         wheel: reported speed [m/s].
         yaw_rate: gyro [rad/s].
@@ -177,8 +179,8 @@ def make_run(
     Raises:
         DataError: no fit should see these data.
     """
-    steer, asked, rolled, gyro, motor = map(_clean, (steer, speed, wheel, yaw_rate, throttle))
-    named = {"steer": steer, "speed": asked, "wheel": rolled, "yaw rate": gyro}
+    steer, commanded, rolled, gyro, motor = map(_clean, (steer, speed, wheel, yaw_rate, throttle))
+    named = {"steer": steer, "speed": commanded, "wheel": rolled, "yaw rate": gyro}
     for what, signal in {**named, "pose": pose}.items():
         check_times(name, what, signal.t)
     if not len(steer.t) or not len(pose.t):
@@ -193,43 +195,47 @@ def make_run(
     pose = Signal(*(part[(pose.t >= 0.0)] for part in pose))
     steps = int(max(end - zero, 0.0) / h + 1e-9)
     edges: Array = np.arange(steps + 1).astype(float) * h
-    moved = [Signal(s.t - zero, s.values) for s in (steer, asked, rolled, gyro, motor)]
-    steer, asked, rolled, gyro, motor = moved
-    source = "command" if len(asked.t) else _measured_source(rolled, pose)
-    check_run(name, edges[-1], pose.t, pose.values, asked.values)
-    run_speed = _speed_input(source, asked, rolled, pose, edges)
+    moved = [Signal(s.t - zero, s.values) for s in (steer, commanded, rolled, gyro, motor)]
+    steer, commanded, rolled, gyro, motor = moved
+    source = "command" if len(commanded.t) else _measured_source(rolled, pose)
+    check_run(name, edges[-1], pose.t, pose.values, commanded.values)
+    run_speed = _speed_input(source, commanded, rolled, pose, edges)
     commands = np.column_stack([hold_means(steer, edges), run_speed])
     return Run(
-        name, h, commands, pose, source, rolled, gyro, motor, steer, servo_frame, asked, speed_ramp
-    )
+        name, h, commands, pose, source, rolled, gyro, motor, steer, servo_frame, commanded,
+        speed_ramp,
+    )  # fmt: skip
 
 
 def _measured_source(rolled: Signal, pose: Signal) -> str:
-    """Which measurement tells the speed: sharp poses do, a wheel that spins or skids does not."""
+    """Which measurement gives the speed: precise poses, else the wheel, which spins and skids."""
     if not len(rolled.t):
         return "pose"
     blur = max(noise_of(pose.t, pose.values[:, i]) for i in (0, 1))
     span = 4.0 * float(np.median(np.diff(pose.t))) if len(pose.t) > 1 else 0.0
-    sharp = 0.0 < 2.0**0.5 * blur < SHARP * span
+    sharp = 0.0 < 2.0**0.5 * blur < POSE_SPEED_NOISE_MAX * span
     return "pose" if sharp else "wheel"
 
 
-def _speed_input(source: str, asked: Signal, rolled: Signal, pose: Signal, edges: Array) -> Array:
-    """Commanded speed by step; a measured one is what the step's end should reach."""
+def _speed_input(
+    source: str, commanded: Signal, rolled: Signal, pose: Signal, edges: Array
+) -> Array:
+    """Commanded speed by step; a measured one is that of the step's end."""
     if source == "command":
-        return hold_means(asked, edges)
+        return hold_means(commanded, edges)
     measured = rolled if source == "wheel" else pose_speed(pose)
-    reached: Array = np.interp(edges[1:], *measured)
-    return reached
+    at_end: Array = np.interp(edges[1:], *measured)
+    return at_end
 
 
 def load_run(path: Path | str, h: float = GRID) -> Run:
     """Read a drive from a session (steerd's own or an imported one).
 
-    Poses count unless a gate rejected them; commands count where the tick drove (mode 1).
+    Poses that the mocap checks rejected are left out, and commands while the car was not driven
+    (mode other than SPEED).
 
     Raises:
-        DataError: the drive is not fit for identification.
+        DataError: the drive cannot be used for identification.
         steerd.steer_bus.session.SessionError: the file cannot be read.
     """
     path = Path(path)

@@ -1,4 +1,4 @@
-"""How exciting a drive was: what it did with steering and speed, in numbers and in words."""
+"""Excitation of a drive: how much steering and speed varied, and what was missing."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sysid.data.dataset import Run, pose_speed
+from steerd.sysid.data.dataset import HALF_SPAN, Run, pose_speed
 
 Array = NDArray[np.float64]
 
@@ -15,12 +15,12 @@ TURNING = 0.03
 SPEED_SPAN, STEER_RATE, ONE_SIDE, LATERAL = 0.4, 0.2, 0.05, 1.0
 """Below these a session is called poor: [m/s], [rad/s], share of time, [m/s^2]."""
 
-NEAR, NEAR_SHARE = 0.2, 0.3
-"""A car obeys when it goes as fast as asked within [m/s] and this share of what was asked."""
+TRACKING_ERROR, TRACKING_SHARE = 0.2, 0.3
+"""A car follows its speed command within these [m/s] plus this share of the command."""
 
 
 class Excitation(NamedTuple):
-    """What drives did.
+    """Excitation of drives.
 
     Attributes:
         seconds: of driving; distance: [m].
@@ -29,7 +29,7 @@ class Excitation(NamedTuple):
         steer_rate: RMS of the commanded steering's rate [rad/s].
         left, right: share of time in turns to either side.
         lateral_accel: 99th percentile [m/s^2].
-        lacking: what was missing, in words.
+        lacking: what was missing, for the reader.
     """
 
     seconds: float
@@ -45,7 +45,7 @@ class Excitation(NamedTuple):
 
 
 def measure_excitation(runs: Sequence[Run]) -> Excitation:
-    """Measure what drives did."""
+    """Measure the excitation of drives together."""
     steer = np.concatenate([run.commands[:, 0] for run in runs])
     rate = np.concatenate([_smooth_rate(run) for run in runs])
     speed = np.concatenate([pose_speed(run.pose).values for run in runs])
@@ -63,18 +63,20 @@ def measure_excitation(runs: Sequence[Run]) -> Excitation:
 
 
 def speed_tracking_share(runs: Sequence[Run]) -> float:
-    """Share of the time in which the cars went about as fast as they were asked to.
+    """Share of the time in which the cars followed their speed commands.
 
-    1 where no speed was asked for.
+    1 where no speed was commanded.
     """
     near = [np.empty(0, bool)]
     for run in runs:
         if run.speed_source == "command":
             t, speed = pose_speed(run.pose)
-            asked = run.commands[np.clip((t / run.h).astype(int), 0, len(run.commands) - 1), 1]
-            near.append(np.abs(speed - asked) <= NEAR + NEAR_SHARE * np.abs(asked))
-    told = np.concatenate(near)
-    return float(told.mean()) if len(told) else 1.0
+            commanded = run.commands[np.clip((t / run.h).astype(int), 0, len(run.commands) - 1), 1]
+            near.append(
+                np.abs(speed - commanded) <= TRACKING_ERROR + TRACKING_SHARE * np.abs(commanded)
+            )
+    every = np.concatenate(near)
+    return float(every.mean()) if len(every) else 1.0
 
 
 def _smooth_rate(run: Run) -> Array:
@@ -85,9 +87,9 @@ def _smooth_rate(run: Run) -> Array:
 def _lateral(run: Run) -> Array:
     """Lateral acceleration from poses over five samples [m/s^2]."""
     t, pose = run.pose
-    reach = min(2, (len(t) - 1) // 2)
-    span = t[2 * reach :] - t[: -2 * reach]
-    turn = (pose[2 * reach :, 2] - pose[: -2 * reach, 2]) / span
+    half = min(HALF_SPAN, (len(t) - 1) // 2)
+    span = t[2 * half :] - t[: -2 * half]
+    turn = (pose[2 * half :, 2] - pose[: -2 * half, 2]) / span
     lateral: Array = np.abs(turn * pose_speed(run.pose).values)
     return lateral
 
@@ -101,5 +103,5 @@ def _lacking(speed_span: float, steer_rate: float, less: float, lateral: float) 
     if less < ONE_SIDE:
         lacking.append("turns to one side only: drive the other as well")
     if lateral < LATERAL:
-        lacking.append("gentle bends only: tyres tell little below 1 m/s2")
+        lacking.append("gentle bends only: tyres are not identifiable below 1 m/s2")
     return lacking

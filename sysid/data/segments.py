@@ -1,9 +1,9 @@
-"""Parts of drives: where the car moves, and blocks that are kept back for validation.
+"""Segments of drives in which the car moves, and blocks that are held out for validation.
 
 Below walking pace motor controllers do not follow a speed, and the yaw mode is so stiff that the
-smallest step would be needed throughout; a fit looks at the rest. Times within a part count from
-the part's first command; the commands of the half second before it (`Run.history`) come along, so
-that the steering's past is known.
+smallest step would be needed throughout; a fit uses the rest. Times within a segment count from
+its first command. The commands of the half second before it (`Run.history`) belong to it, so that
+the steering's past is known.
 """
 
 from collections.abc import Sequence
@@ -19,17 +19,17 @@ from steerd.sysid.data.dataset import HISTORY, Run, Signal, pose_speed
 Array = NDArray[np.float64]
 
 SPEED_MIN = 0.4
-"""A part moves at least so fast [m/s]."""
-SHORTEST = 2.0
-"""Shorter parts are left out [s]."""
+"""Speed of a segment, at least [m/s]."""
+DURATION_MIN = 2.0
+"""Shorter segments are left out [s]."""
 SMOOTH = 0.3
-"""Width of the bell over which a prescribed speed is smoothed [s]."""
+"""Width of the Hann window that smooths a prescribed speed [s]."""
 BLOCK = 5.4
-"""Length of the blocks of which every k-th is kept back [s]."""
+"""Length of the blocks of which every k-th is held out [s]."""
 
 
 def make_segment(run: Run, low: float, high: float) -> Run:
-    """The part of a drive between two times [s].
+    """The segment of a drive between two times [s].
 
     Commands begin up to the run's `history` earlier; measurements lie in [low, high].
     """
@@ -55,7 +55,7 @@ def make_segment(run: Run, low: float, high: float) -> Run:
 
 
 def with_wheel_speed(run: Run) -> Run:
-    """The drive with its measured wheel speed in place of the command, which was not obeyed.
+    """The drive with its measured wheel speed in place of the command, which it did not follow.
 
     Raises:
         DataError: no wheel speed was recorded.
@@ -68,16 +68,16 @@ def with_wheel_speed(run: Run) -> Run:
 
 
 def smooth_speed(run: Run) -> Run:
-    """The drive with a measured speed smoothed over a fifth of a second.
+    """The drive with a prescribed speed smoothed over `SMOOTH` seconds.
 
     Where the speed is prescribed, its slope is the acceleration that shifts load between the axles;
-    an encoder's steps, differentiated, would lift the rear wheels.
+    the derivative of an encoder's steps would be far too large.
     """
     if run.speed_source == "command":
         return run
-    reach = round(0.5 * SMOOTH / run.h)
-    padded = np.pad(run.commands[:, 1], reach, "edge")
-    window = np.hanning(2 * reach + 3)[1:-1]
+    half = round(0.5 * SMOOTH / run.h)
+    padded = np.pad(run.commands[:, 1], half, "edge")
+    window = np.hanning(2 * half + 3)[1:-1]
     speed = np.convolve(padded, window / window.sum(), "valid")
     return replace(run, commands=np.column_stack([run.commands[:, 0], speed]))
 
@@ -94,28 +94,28 @@ def _spans(run: Run) -> list[tuple[float, float]]:
 
 
 def moving_segments(runs: Sequence[Run]) -> tuple[Run, ...]:
-    """The parts of drives in which the car moves.
+    """The segments of drives in which the car moves.
 
     Raises:
         DataError: there is none.
     """
-    parts = [
+    segments = [
         make_segment(run, low + HISTORY, high)
         for run in map(smooth_speed, runs)
         for low, high in _spans(run)
-        if high - low - HISTORY >= SHORTEST
+        if high - low - HISTORY >= DURATION_MIN
     ]
-    if not parts:
+    if not segments:
         names = ", ".join(run.name for run in runs)
-        what = f"{names}: no {SHORTEST:g} s without a stop at more than {SPEED_MIN:g} m/s"
+        what = f"{names}: no {DURATION_MIN:g} s without a stop at more than {SPEED_MIN:g} m/s"
         raise DataError(what, "drive `steerd collect --plan mixed`")
-    return tuple(parts)
+    return tuple(segments)
 
 
 def make_blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
-    """Parts cut into blocks of about 5 s; the last measurement of one is not in the next.
+    """Segments split into blocks of about `BLOCK` seconds; no measurement is in two of them.
 
-    No model of a real car holds for a minute: what accumulates over long windows are its errors.
+    No model of a real car predicts a minute: over long windows its errors accumulate.
     """
     found: list[Run] = []
     for part in parts:
@@ -126,20 +126,20 @@ def make_blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
 
 
 def hold_out(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
-    """Cut parts into blocks and keep every k-th one back.
+    """Split segments into blocks and hold every k-th one out.
 
     Returns:
         Blocks to fit and blocks to validate with; no measurement is in both.
 
     Raises:
-        DataError: the drives are too short to keep anything back.
+        DataError: the drives are too short to hold anything out.
     """
     every_block = make_blocks(parts)
-    kept = every_block[every - 1 :: every]
+    held_out = every_block[every - 1 :: every]
     fitted = tuple(b for i, b in enumerate(every_block) if i % every != every - 1)
-    if not kept or not fitted:
+    if not held_out or not fitted:
         count = len(every_block)
         only = f"only {count} block{'s' * (count != 1)} of {BLOCK:g} s"
-        what = f"{only}: too short to keep every {every}th back"
+        what = f"{only}: too short to hold every {every}th out"
         raise DataError(what, "record more drives, or name one with --held-out FILE")
-    return fitted, kept
+    return fitted, held_out

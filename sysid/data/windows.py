@@ -1,4 +1,4 @@
-"""Runs cut into windows: what is simulated from where, and which measurements it must explain."""
+"""Windows of drives: what is simulated from where, and which measurements it is compared with."""
 
 import itertools
 from collections.abc import Sequence
@@ -18,12 +18,12 @@ Indices = NDArray[np.int64]
 GROUPS: tuple[str, ...] = ("position", "yaw", "wheel_speed", "yaw_rate")
 """Measurements that share a noise level: [m], [rad], [m/s], [rad/s]."""
 FLOORS = np.array([1e-5, 1e-5, 1e-4, 1e-4])
-"""No instrument is better, and simulated ones may have no noise at all."""
+"""Noise levels are at least this; simulated instruments may have none."""
 POSES_MIN = 4
-"""A window that sees fewer poses is left out (its initial state would be free)."""
+"""A window with fewer poses is left out (its initial state would not be identifiable)."""
 _WINDOWS_MIN = 4
-_REACH = 0.12
-"""Poses within this time of a window's start give its first guess [s]."""
+_GUESS_SPAN = 0.12
+"""Poses within this time of a window's start give the first guess of its state [s]."""
 
 
 class Seen(NamedTuple):
@@ -88,7 +88,7 @@ class Layout:
         return Stations(np.ascontiguousarray(places), (true - k)[order], spans, len(self.values))
 
 
-class _Cut(NamedTuple):
+class _Window(NamedTuple):
     """One window while the layout is made."""
 
     run: int
@@ -99,7 +99,7 @@ class _Cut(NamedTuple):
 
 def guess_state(pose: Signal, t: float) -> Array:
     """State at time `t` from a quadratic through the poses about it; steer 0."""
-    near = np.flatnonzero(np.abs(pose.t - t) <= _REACH)
+    near = np.flatnonzero(np.abs(pose.t - t) <= _GUESS_SPAN)
     if len(near) < 6:
         near = np.sort(np.argsort(np.abs(pose.t - t))[:6])
     at = pose.t[near] - t
@@ -126,11 +126,13 @@ def _between(signal: Signal, low: float, high: float) -> tuple[Array, Array]:
     return signal.t[a:b] - low, signal.values[a:b]
 
 
-def _cut_run(run: Run, number: int, low: int, horizon: float, pose_delay: float) -> list[_Cut]:
+def _make_windows(
+    run: Run, number: int, low: int, horizon: float, pose_delay: float
+) -> list[_Window]:
     edges = _edges(run, horizon, pose_delay)
     least, most = round(HISTORY / run.h), round(run.history / run.h)
     rows = len(run.commands)
-    cuts = []
+    windows = []
     for a, b in itertools.pairwise(edges):
         start, end = a * run.h, b * run.h + (1e-9 if b == edges[-1] else 0.0)
         t, pose = _between(run.pose, start + pose_delay, end + pose_delay)
@@ -142,14 +144,14 @@ def _cut_run(run: Run, number: int, low: int, horizon: float, pose_delay: float)
         kinds.append((2, *_between(run.yaw_rate, start, end)))
         settle = max(least, min(most, int(a)))
         span = (low, low + rows, low + int(a), int(b - a), settle)
-        cuts.append(_Cut(number, span, start, tuple(kinds)))
-    return cuts
+        windows.append(_Window(number, span, start, tuple(kinds)))
+    return windows
 
 
 def make_layout(
     runs: Sequence[Run], horizon: float, pose_delay: float = 0.0, most: float = np.inf
 ) -> Layout:
-    """Cut runs into windows of about `horizon` seconds (whole runs when it is longer).
+    """Split runs into windows of about `horizon` seconds (whole runs when it is longer).
 
     Args:
         runs: on one grid.
@@ -158,31 +160,31 @@ def make_layout(
         most: take windows of this many seconds in all, evenly from the whole [s].
 
     Raises:
-        ValueError: the runs' grids differ, or no window sees enough poses.
+        ValueError: the runs' grids differ, or no window has enough poses.
     """
     if len({run.h for run in runs}) != 1:
         raise ValueError("runs must share one grid step")
     lows = np.concatenate([[0], np.cumsum([len(run.commands) for run in runs])])
-    cuts = [
-        cut
+    windows = [
+        part
         for number, run in enumerate(runs)
-        for cut in _cut_run(run, number, int(lows[number]), horizon, pose_delay)
+        for part in _make_windows(run, number, int(lows[number]), horizon, pose_delay)
     ]
-    if not cuts:
+    if not windows:
         raise ValueError(f"no window of {horizon:g} s sees {POSES_MIN} poses")
-    length = runs[0].h * float(np.mean([cut.span[3] for cut in cuts]))
-    keep = len(cuts)
+    length = runs[0].h * float(np.mean([part.span[3] for part in windows]))
+    keep = len(windows)
     if np.isfinite(most):
         keep = min(keep, max(_WINDOWS_MIN, round(most / length)))
-    chosen = np.linspace(0, len(cuts) - 1, keep).round().astype(int)
-    return _assemble(runs, [cuts[i] for i in chosen], pose_delay)
+    chosen = np.linspace(0, len(windows) - 1, keep).round().astype(int)
+    return _assemble(runs, [windows[i] for i in chosen], pose_delay)
 
 
-def _assemble(runs: Sequence[Run], cuts: Sequence[_Cut], pose_delay: float) -> Layout:
+def _assemble(runs: Sequence[Run], windows: Sequence[_Window], pose_delay: float) -> Layout:
     window, t, kinds, rows, values, groups, bounds = [], [], [], [], [], [], [0]
     row = 0
-    for w, cut in enumerate(cuts):
-        for kind, times, measured in cut.kinds:
+    for w, part in enumerate(windows):
+        for kind, times, measured in part.kinds:
             width = 3 if kind == 0 else 1
             window.append(np.full(len(times), w))
             t.append(times)
@@ -195,18 +197,18 @@ def _assemble(runs: Sequence[Run], cuts: Sequence[_Cut], pose_delay: float) -> L
     seen = Seen(
         np.concatenate(window), np.concatenate(t), np.concatenate(kinds), np.concatenate(rows)
     )
-    spans = np.array([cut.span for cut in cuts], np.int64)
+    spans = np.array([part.span for part in windows], np.int64)
     return Layout(
         h=runs[0].h,
         commands=np.concatenate([run.commands for run in runs]),
         spans=spans,
-        t=np.array([runs[cut.run].start + cut.t for cut in cuts]),
-        run=np.array([cut.run for cut in cuts]),
+        t=np.array([runs[part.run].start + part.t for part in windows]),
+        run=np.array([part.run for part in windows]),
         seen=seen,
         values=np.concatenate(values),
         group=np.concatenate(groups),
         bounds=np.array(bounds),
-        guess=np.array([guess_state(runs[c.run].pose, c.t + pose_delay) for c in cuts]),
+        guess=np.array([guess_state(runs[c.run].pose, c.t + pose_delay) for c in windows]),
         has_past=spans[:, 2] - spans[:, 0] >= round(HISTORY / runs[0].h) // 2,
     )
 

@@ -1,4 +1,4 @@
-"""What others would do: CMA-ES through Optuna (the paper's baseline) and SciPy's least squares."""
+"""Baselines: CMA-ES through Optuna (the paper's own) and SciPy's least squares."""
 
 import warnings
 from typing import Any
@@ -12,8 +12,8 @@ from steerd.sysid.paper.paper_method import (
     LOW,
     PaperProblem,
     Watch,
-    _never,
     loss_value,
+    never_stop,
     one_thread,
     predict,
 )
@@ -43,7 +43,7 @@ def _optuna() -> Any:
 
 @one_thread()
 def search_cma(
-    problem: PaperProblem, start: Array, trials: int = 500, seed: int = 0, watch: Watch = _never
+    problem: PaperProblem, start: Array, trials: int = 500, seed: int = 0, watch: Watch = never_stop
 ) -> SearchHistory:
     """CMA-ES on the paper's loss, one batch a trial.
 
@@ -53,7 +53,7 @@ def search_cma(
     optuna = _optuna()
     first = dict(zip(NAMES, (start * _SCALE).tolist(), strict=True))
     with warnings.catch_warnings():
-        # Optuna moves its CMA-ES elsewhere some day; start and spread are the paper's.
+        # Optuna announces that its CMA-ES will move; start and spread are the paper's.
         warnings.simplefilter("ignore", FutureWarning)
         sampler = optuna.samplers.CmaEsSampler(x0=first, sigma0=CMA_SIGMA, seed=seed)
     study = optuna.create_study(sampler=sampler, direction="minimize")
@@ -79,10 +79,12 @@ def search_cma(
 
 
 @one_thread()
-def fit_least_squares(problem: PaperProblem, start: Array, watch: Watch = _never) -> SearchHistory:
+def fit_least_squares(
+    problem: PaperProblem, start: Array, watch: Watch = never_stop
+) -> SearchHistory:
     """SciPy's trust region on positions of whole runs, derivatives by differences.
 
-    Time-aligned residuals from known starts: what most people write first.
+    Time-aligned residuals from known starts: the obvious method.
     """
     from scipy.optimize import least_squares
 

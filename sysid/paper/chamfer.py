@@ -1,4 +1,4 @@
-"""Chamfer distance: how far two paths are apart as sets of points, whatever the time.
+"""Chamfer distance of two paths as sets of points, whatever the time.
 
 Mean squared distance to the nearest point of the other set, both ways (the definition that the
 paper's library, PyTorch3D, uses). A k-d tree finds the nearest points, so thousands are no problem;

@@ -40,7 +40,8 @@ STRIDE = 100
 """Steps between the points that soft-DTW aligns (0.2 s)."""
 SECONDS = 8.0
 """Length of the paper's runs [s]."""
-SHORTEST = 2.0
+DURATION_MIN = 2.0
+"""Shorter runs are left out [s]."""
 MOVING = 0.3
 """Runs are where the speed command is above this [m/s]."""
 
@@ -60,17 +61,18 @@ class PaperRun(NamedTuple):
 
 
 Watch = Callable[[int, Array, float], bool]
-"""Told iteration, parameters and loss; True ends the search."""
+"""Gets iteration, parameters and loss; True ends the search."""
 
 
-def _never(iteration: int, parameters: Array, loss: float) -> bool:
+def never_stop(iteration: int, parameters: Array, loss: float) -> bool:
+    """Search to the end."""
     return False
 
 
 def paper_runs(
     runs: Sequence[Run], seconds: float = SECONDS, skip: float = 0.0
 ) -> tuple[PaperRun, ...]:
-    """Cut drives into the paper's runs: pieces of `seconds` in which the car is told to move.
+    """Split drives into the paper's runs: `seconds` long, with a speed command.
 
     Args:
         runs: drives.
@@ -86,11 +88,11 @@ def paper_runs(
         edges = np.flatnonzero(np.diff(moving.astype(int)))
         for low, high in zip(edges[::2] * run.h + skip, edges[1::2] * run.h, strict=True):
             count = max(1, round((high - low) / seconds))
-            cuts = np.linspace(low, high, count + 1)
-            found += [_piece(run, a, b) for a, b in pairwise(cuts)
-                      if b - a >= SHORTEST]  # fmt: skip
+            edges_of_runs = np.linspace(low, high, count + 1)
+            found += [_piece(run, a, b) for a, b in pairwise(edges_of_runs)
+                      if b - a >= DURATION_MIN]  # fmt: skip
     if not found:
-        raise ValueError(f"no {SHORTEST:g} s in which the car was told to move")
+        raise ValueError(f"no {DURATION_MIN:g} s with a speed command")
     return tuple(found)
 
 
@@ -125,7 +127,7 @@ def make_problem(runs: tuple[PaperRun, ...], base: Car[float] = PAPER_CAR_DIRECT
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Torch on one thread: its tensors here are so small that threads only wait for each other."""
+    """Torch on one thread: its tensors here are too small for more to help."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -174,7 +176,7 @@ def loss_of(problem: PaperProblem, four: Tensor, runs: Sequence[PaperRun]) -> Te
 
 @one_thread()
 def search_adam(
-    problem: PaperProblem, start: Array, iterations: int = 100, watch: Watch = _never
+    problem: PaperProblem, start: Array, iterations: int = 100, watch: Watch = never_stop
 ) -> SearchHistory:
     """One start of the paper's method."""
     values = [torch.tensor(float(v), dtype=torch.float64, requires_grad=True) for v in start]

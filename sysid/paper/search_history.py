@@ -1,4 +1,4 @@
-"""What the paper's methods tell of a start, without the torch that they need."""
+"""History of a search by the paper's methods; needs no torch."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 NAMES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
-"""What the paper identifies."""
+"""Parameters that the paper identifies."""
 
 
 class BaselineMissingError(ImportError):
@@ -16,7 +16,7 @@ class BaselineMissingError(ImportError):
 
 
 class SearchHistory(NamedTuple):
-    """How one start went.
+    """History of one start.
 
     Attributes:
         start: (4,) in the order of `NAMES`.

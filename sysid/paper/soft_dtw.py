@@ -1,4 +1,4 @@
-"""Soft dynamic time warping: how far two paths are apart when time may stretch.
+"""Soft dynamic time warping: the distance of two paths whatever their timing.
 
 Cuturi and Blondel, "Soft-DTW: a differentiable loss function for time-series", ICML 2017: the soft
 minimum `-gamma log sum exp(-cost / gamma)` over all monotone alignments (algorithm 1), and its
@@ -58,7 +58,7 @@ class _SoftDtw(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, bars: Tensor) -> Any:
-        """Expected alignment, times what comes from above."""
+        """Expected alignment times the incoming gradient."""
         return torch.from_numpy(expect(*ctx.state)) * bars[:, None, None], None
 
 

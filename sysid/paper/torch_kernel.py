@@ -7,6 +7,7 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from steerd.sysid.compiler.kernels import (
+    STATES,
     HeldCommands,
     Kernels,
     make_window_blocks,
@@ -34,7 +35,7 @@ def simulate(
     Args:
         kernels: the compiled car.
         parameters: (P,) float64.
-        first: (B, 7 + memory) states; (B, 7) starts with empty memory.
+        first: (B, STATES + memory) states; (B, STATES) starts with empty memory.
         commands: (B, history + N, 2), each held over a step.
         h: step [s].
         integrator: `rk4` or `euler`.
@@ -43,14 +44,14 @@ def simulate(
         t: time into the run at the first step [s].
 
     Returns:
-        (B, N + 1, 7 + memory) states; a view whose innermost axis in memory is B.
+        (B, N + 1, STATES + memory) states; a view whose innermost axis in memory is B.
 
     Raises:
         TypeError: a tensor is not float64.
     """
     if {parameters.dtype, first.dtype, commands.dtype} != {torch.float64}:
         raise TypeError("parameters, first states and commands must be float64")
-    missing = 7 + kernels.memory - first.shape[-1]
+    missing = STATES + kernels.memory - first.shape[-1]
     if missing:
         first = torch.nn.functional.pad(first, (0, missing))
     setting = (kernels, h, integrator, substeps, history, t)
@@ -59,7 +60,7 @@ def simulate(
 
 
 class _Simulate(torch.autograd.Function):
-    """March and march back; everything stays in the blocks' layout, so nothing is copied."""
+    """March and march back; everything stays in the kernels' layout, so nothing is copied."""
 
     @staticmethod
     def forward(ctx: Any, parameters: Tensor, first: Tensor, commands: Tensor, setting: Any) -> Any:

@@ -1,4 +1,4 @@
-"""`Ops` over torch tensors: windows and runs are lanes, everything is differentiable."""
+"""`Ops` over torch tensors: batched over windows and runs, everything is differentiable."""
 
 from typing import Any
 

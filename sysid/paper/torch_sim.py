@@ -17,6 +17,7 @@ from steerd.sysid.paper.torch_ops import TORCH, Tensor
 
 INTEGRATORS: dict[str, Integrator[Tensor]] = {"euler": euler, "rk4": rk4}
 
+STATES = len(State._fields)
 PAPER_STEP = 0.002
 """Euler step of the paper's simulator [s]."""
 PAPER_CAR_DIRECT: Car[float] = PAPER_CAR._replace(
@@ -48,7 +49,7 @@ def simulate_reference(
 
     Args:
         parameters: (P,) the car's fields, then every effect's parameters.
-        first: (B, 7) states (x, y, yaw, speed, yaw_rate, slip_angle, steer), or (B, 7 + memory).
+        first: (B, STATES) states in the order of `State`, or (B, STATES + memory).
         commands: (B, history + N, 2) steer [rad] and speed [m/s], each held over a step.
         h: step [s].
         effects: what is switched on.
@@ -57,7 +58,7 @@ def simulate_reference(
         t: time into the run at the first step [s].
 
     Returns:
-        (B, N + 1, 7 + memory) states, `first` included.
+        (B, N + 1, STATES + memory) states, `first` included.
     """
     model = tensor_model(effects, parameters)
     late = delays(model)
@@ -76,5 +77,5 @@ def simulate_reference(
 
 def _first_moment(first: Tensor, memory: int) -> Moment[Tensor]:
     numbers = list(first.unbind(-1))
-    rest = numbers[7:] or [torch.zeros_like(numbers[0])] * memory
-    return Moment(State(*numbers[:7]), tuple(rest))
+    rest = numbers[STATES:] or [torch.zeros_like(numbers[0])] * memory
+    return Moment(State(*numbers[:STATES]), tuple(rest))

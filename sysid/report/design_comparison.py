@@ -26,11 +26,17 @@ from steerd.controller.lane_controller import LaneController, control, start_con
 Array = NDArray[np.float64]
 
 STEP = 0.01
+"""Control period [s]."""
 SECONDS = 15.0
+"""Length of a drive [s]."""
 SPEED = 2.0
+"""Greatest speed [m/s]."""
 RADIUS = 1.8
+"""Of the figure eight's circles [m]."""
 OFFSET = 0.15
-"""The car starts so far beside its path [m]."""
+"""First distance from the path [m]."""
+OFFSET_MAX = 2.0
+"""At a greater lateral error the car has left its lane, and the drive ends [m]."""
 FRICTIONS: Mapping[str, float] = {"standard": 1.0, "low": 0.5}
 
 
@@ -58,7 +64,7 @@ class Profile(NamedTuple):
 
 
 def drive_lane(controller: LaneController, plant: Car[float], offset: float = OFFSET) -> Array:
-    """Time, e1 and e2 (N, 3) of a drive; ends early where the car has left its lane by 2 m."""
+    """Time, e1 and e2 (N, 3) of a drive; ends early where the car leaves its lane."""
     model: Model[float] = Model(plant)
     moment = Moment(ORIGIN._replace(y=offset, speed=1.0))
     now = start_controller(controller, moment.state, 0)
@@ -74,7 +80,7 @@ def drive_lane(controller: LaneController, plant: Car[float], offset: float = OF
             channel_delayed(speed, k + 1, plant.drive_delay, STEP),
         )
         moment = step(FLOAT, model, moment, late, k * STEP, STEP)
-        if not abs(report.e1) < 2.0:
+        if not abs(report.e1) < OFFSET_MAX:
             break
     return np.array(rows)
 

@@ -1,4 +1,4 @@
-"""The look of the reports' figures, and how they become inline SVG without file or network."""
+"""Style of the reports' figures, and their conversion to inline SVG without file or network."""
 
 import io
 import re
@@ -27,7 +27,7 @@ def make_figure(rows: int, columns: int, height: float) -> tuple[Figure, NDArray
 
 
 def to_svg(figure: Figure, label: str = "") -> str:
-    """The figure as markup that scales with the page; `label` is read to those who cannot see."""
+    """The figure as markup that scales with the page; `label` is for screen readers."""
     text = io.StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     markup = text.getvalue()

@@ -1,4 +1,4 @@
-"""The report: one HTML file that needs nothing else, what was learnt first."""
+"""The report of `steerd identify`: one HTML file without links, results first."""
 
 from collections.abc import Iterator
 from math import degrees, isnan
@@ -11,6 +11,8 @@ from steerd.sysid.report import identify_figures as figures
 from steerd.sysid.report.design_comparison import Profile, compare_designs
 from steerd.sysid.report.page import render_page
 
+IMPROVEMENT_MIN = 1.02
+"""A smaller factor is no improvement."""
 TEMPLATE = Path(__file__).parent / "templates" / "report.html"
 
 
@@ -47,20 +49,23 @@ def _designs(outcome: Outcome) -> tuple[Car[float], dict[str, Car[float]]]:
 
 
 def _headline(outcome: Outcome) -> str:
-    """What was learnt, in two sentences."""
+    """The results in two sentences."""
     free = list(outcome.free_rows.values())
-    told = sum(row.identifiable for row in free)
-    text = f"{told} of {len(free)} free parameters are told by the data."
+    count = sum(row.identifiable for row in free)
+    text = f"{count} of {len(free)} free parameters are identifiable from these data."
     known = [h for h in outcome.held_out if not isnan(h.after.position)]
     if not known:
         return text
     last = known[-1]
-    change = f"{last.factor:.1f} times nearer than" if last.factor >= 1.02 else "no nearer than"
+    change = "no improvement"
+    if last.factor >= IMPROVEMENT_MIN:
+        change = f"the error falls by a factor of {last.factor:.1f}"
     after, before = last.after, last.before
+    against = f"start values: {before.position * 1e3:.1f} mm"
     return (
         f"{text} On drives that were not fitted, predictions {after.horizon:g} s ahead are off "
-        f"by {after.position * 1e3:.1f} mm and {degrees(after.heading):.2f}°: {change} "
-        f"with the start values ({before.position * 1e3:.1f} mm)."
+        f"by {after.position * 1e3:.1f} mm and {degrees(after.heading):.2f}° "
+        f"({against}): {change}."
     )
 
 
@@ -87,14 +92,15 @@ def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Secti
         )
         yield Section(
             "Correlation of the estimates",
-            "Near ±1: the data tell the combination, hardly its members.",
+            "Near ±1: the data identify the combination, not its members.",
             figures.draw_correlation(outcome.fit),
         )
         yield Section("Convergence", "", figures.draw_costs(outcome.fit))
     if outcome.searches:
         yield Section(
             "Convergence",
-            "Ends that stay near their starts were not learnt: the loss does not depend on them.",
+            "Parameters that stay near their starts do not change the loss: "
+            "they are not identifiable.",
             figures.draw_searches(outcome.searches),
         )
 
@@ -102,6 +108,6 @@ def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Secti
 def _closed(profiles: tuple[Profile, ...]) -> str:
     parts = []
     for p in profiles:
-        told = f"refused ({p.refused})" if p.refused else f"{p.rms * 1e3:.1f} mm"
-        parts.append(f"{p.design}, {p.friction} friction: {told}")
+        result = f"refused ({p.refused})" if p.refused else f"{p.rms * 1e3:.1f} mm"
+        parts.append(f"{p.design}, {p.friction} friction: {result}")
     return "RMS of e1: " + "; ".join(parts) + "."

@@ -60,7 +60,7 @@ def _not_a_number(t, steer, speed, pose):
     ("spoil", "reason"),
     [
         (_backwards, "goes back by 0.69"),
-        (_stepped, "hardly moves on"),
+        (_stepped, "stays in place"),
         (_frozen, "freeze for 1.8"),
         (_not_a_number, "not a number"),
         (lambda t, a, v, p: _make(t, a, v, p * [1000.0, 1000.0, 1.0]), "spread over"),
@@ -133,7 +133,7 @@ def test_a_session_without_poses_says_what_to_do(tmp_path):
         load_run(path)
 
 
-def test_a_car_that_goes_its_own_speed_is_told():
+def test_a_car_that_does_not_follow_its_speed_commands_is_noticed():
     drive = _make(*_good())
     assert speed_tracking_share([drive]) == 1.0
     slow = replace(drive, commands=drive.commands * [1.0, 3.0])
@@ -143,7 +143,7 @@ def test_a_car_that_goes_its_own_speed_is_told():
 
 
 @pytest.mark.parametrize(("blur", "source"), [(1e-4, "pose"), (2e-3, "wheel")])
-def test_sharp_poses_tell_a_speed_that_nobody_asked_for_better_than_a_wheel(blur, source):
+def test_sharp_poses_give_a_speed_without_commands_better_than_a_wheel(blur, source):
     rng = np.random.default_rng(4)
     t = np.arange(0.0, 8.0, 0.01)
     path = np.column_stack([t, np.sin(t), 0.2 * np.sin(t)]) + rng.normal(0.0, blur, (len(t), 3))

@@ -26,7 +26,7 @@ def test_a_part_begins_where_the_car_began_to_move(drive):
     )
 
 
-def test_windows_of_blocks_tell_the_time_of_the_drive(drive):
+def test_windows_of_blocks_keep_the_time_of_the_drive(drive):
     parts = moving_segments([drive])
     whole, yaw = make_layout(parts, 1.0).t, make_layout(make_blocks(parts), 1.0).t
     assert whole[0] == pytest.approx(yaw[0])

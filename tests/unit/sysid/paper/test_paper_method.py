@@ -99,5 +99,5 @@ def test_starts_are_the_papers():
 def test_a_standing_car_has_no_runs(make_drive, truth):
     run = make_drive(truth, 5.0, 1)
     run.commands[:, 1] = 0.0
-    with pytest.raises(ValueError, match="told to move"):
+    with pytest.raises(ValueError, match="speed command"):
         paper.paper_runs([run])
