@@ -28,7 +28,9 @@ NAN = float("nan")
 def state(t_ns, i, mode, e1, rng):
     r = rng.normal(size=24)
     fields = [*r[:7], *np.abs(r[7:14]), e1, *r[15:20], abs(r[20])]
-    return m.State(m.make_header(t_ns + EPOCH, m.WORLD), t_ns, i, 0, mode, *map(float, fields))
+    return m.StateMessage(
+        m.make_header(t_ns + EPOCH, m.WORLD), t_ns, i, 0, mode, *map(float, fields)
+    )
 
 
 def write_noise(path, seconds, rate, *, options=None, files=(), reason="end", car_name="noisy"):
@@ -76,7 +78,7 @@ def test_the_curves_are_the_recorded_numbers(tmp_path):
     e1, _ = unpack(panels["lateral error e1"]["curves"][0], slots)
     assert sorted(set(np.round(e1[np.isfinite(e1)], 3))) == [-2.0, 2.0]
     yaw, _ = unpack(panels["yaw rate"]["curves"][0], slots)
-    recorded = session.columns(m.State)["yaw_rate"]
+    recorded = session.columns(m.StateMessage)["yaw_rate"]
     assert yaw[np.isfinite(yaw)] == pytest.approx(recorded, abs=1e-4)
     late = panels["control tick"]["curves"][0]
     assert late["name"] == "late"
