@@ -80,10 +80,10 @@ def bare_path() -> dict[str, float]:
         stack.callback(echo.kill)
         sender = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         sender.connect(("127.0.0.1", int(echo.stdout.readline() if echo.stdout else 0)))
-        return percentiles(answered(sender, near))
+        return percentiles(measure_answers(sender, near))
 
 
-def answered(sender: socket.socket, near: int) -> list[int]:
+def measure_answers(sender: socket.socket, near: int) -> list[int]:
     """How long each answer took [ns]."""
     found, due = [], CLOCK.now_ns()
     for _ in range(round(RATE * SECONDS)):
@@ -104,7 +104,7 @@ def ticking(rest: Callable[[int], None]) -> dict[str, float]:
     config = replace(config, mocap=replace(config.mocap, rate_hz=RATE))
     run: VirtualRun = make_virtual_run(plan, (lambda _records, _t_ns: None,), World(config))
     spent: list[int] = []
-    tick, tell = run.core.tick, run.core.post_tick
+    tick, post_tick = run.core.tick, run.core.post_tick
 
     def timed_tick(due_ns: int, now_ns: int, work_ns: int = 0) -> bytes:
         rest(len(spent))
@@ -113,12 +113,12 @@ def ticking(rest: Callable[[int], None]) -> dict[str, float]:
         spent.append(CLOCK.now_ns() - began)
         return wire
 
-    def timed_tell(written: bytes) -> None:
+    def timed_post_tick(written: bytes) -> None:
         began = CLOCK.now_ns()
-        tell(written)
+        post_tick(written)
         spent[-1] += CLOCK.now_ns() - began
 
-    run.core.tick, run.core.post_tick = timed_tick, timed_tell  # type: ignore[method-assign]
+    run.core.tick, run.core.post_tick = timed_tick, timed_post_tick  # type: ignore[method-assign]
     while len(spent) < RATE * (2 + SECONDS):
         run.step()
     return percentiles(spent[2 * RATE :])

@@ -50,7 +50,7 @@ RATES = (100, 200, 500)
 
 
 def tap(port: str, server: tuple[str, int], pipe: Connection) -> None:
-    """Pass bytes between core and hardware until told to stop; then tell when they passed."""
+    """Pass bytes between core and hardware until a stop message; then report the times."""
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(60))
     near, far = os.openpty()
@@ -106,25 +106,25 @@ def guardian_of(core: int) -> list[int]:
     return [int(pid) for pid in text.split()]
 
 
-def told(processes: RunProcesses, heard: bytearray, seconds: float) -> bool:
-    """Read what the core tells for a while; whether the car moves by now."""
+def read_records(processes: RunProcesses, buffer: bytearray, seconds: float) -> bool:
+    """Read the core's records for a while; return whether the car moves."""
     end, moves = CLOCK.now_ns() + round(seconds * 1e9), False
     while (left := end - CLOCK.now_ns()) > 0:
         if select.select([processes.status_fd], [], [], left * 1e-9)[0]:
             data = os.read(processes.status_fd, 1 << 16)
             if not data:
                 return moves
-            heard += data
-            for record in unpack_records(heard):
+            buffer += data
+            for record in unpack_records(buffer):
                 if record.topic is topics.STATE:
-                    moves = moves or decode(m.State, record.data).speed > 0.3
+                    moves = moves or decode(m.StateMessage, record.data).speed > 0.3
     return moves
 
 
 def wait_moving(processes: RunProcesses) -> None:
-    heard = bytearray()
+    buffer = bytearray()
     for _ in range(60):
-        if told(processes, heard, 0.2):
+        if read_records(processes, buffer, 0.2):
             return
     raise TimeoutError("the car never drove")
 
@@ -139,7 +139,7 @@ def set_scheduling(pids: list[int], fifo: bool) -> bool:
 
 
 @contextlib.contextmanager
-def loaded(count: int) -> Any:
+def load_cpus(count: int) -> Any:
     """So many processes that do nothing but count."""
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
     try:
@@ -190,11 +190,11 @@ def judge(session: Path, frames: list[int], orders: list[int], begin: int, end: 
 
 def measure(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]:
     """One drive."""
-    asked = RunOptions(
+    options = RunOptions(
         car_file="", path="figure8", speed=1.0, rate_hz=float(rate), simulated=True, auto_arm=True,
         duration_s=60.0, listen=f"tcp/127.0.0.1:{free_port()}",
     )  # fmt: skip
-    config = make_world_config(make_plan(asked))
+    config = make_world_config(make_plan(options))
     config = replace(config, mocap=replace(config.mocap, rate_hz=rate), keep_bytes=False)
     context = mp.get_context("spawn")
     with tempfile.TemporaryDirectory() as folder, spawn_sim(config) as sim:
@@ -205,7 +205,7 @@ def measure(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]
         tapping.start()
         port, mocap = ours.recv()
         where = sim.mocap_url.replace(f":{server[1]}/", f":{mocap}/")
-        plan = make_plan(replace(asked, port=port, mocap=where))
+        plan = make_plan(replace(options, port=port, mocap=where))
         session = Path(folder) / "drive.mcap"
         processes = start_processes(
             plan, session, BOOT_ID, CLOCK.realtime_ns() - CLOCK.now_ns(), False
@@ -221,10 +221,10 @@ def measure(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]
             pids = {"core": core, "recorder": processes.recorder.process.pid,
                     "gateway": processes.gateway.process.pid, "guardian": guardian[0],
                     "simulation": sim.process.pid, "tap": tapping.pid}  # fmt: skip
-            with loaded(os.cpu_count() or 1 if busy else 0):
-                told(processes, bytearray(), 1.0)
+            with load_cpus(os.cpu_count() or 1 if busy else 0):
+                read_records(processes, bytearray(), 1.0)
                 before, begin = {n: cpu_s(p) for n, p in pids.items()}, CLOCK.now_ns()
-                told(processes, bytearray(), seconds)
+                read_records(processes, bytearray(), seconds)
                 end = CLOCK.now_ns()
                 share = {n: (cpu_s(p) - before[n]) / (end - begin) * 1e9 for n, p in pids.items()}
             ours.send("stop")
@@ -232,7 +232,7 @@ def measure(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]
         finally:
             processes.core.process.terminate()
             processes.requests.close()
-            told(processes, bytearray(), 0.5)
+            read_records(processes, bytearray(), 0.5)
             processes.end()
             tapping.join(5)
         found = judge(session, frames, orders, begin, end)
@@ -240,7 +240,7 @@ def measure(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]
     return {"rate": rate, "busy": busy, "fifo": granted, **found, "cpu_percent": shares}
 
 
-def tried(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]:
+def measure_with_retries(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]:
     """One drive, begun again where the machine stalled before the car moved."""
     for _ in range(2):
         with contextlib.suppress(TimeoutError):
@@ -256,7 +256,7 @@ def main() -> int:
     for rate in args.rates:
         for busy in (False, True):
             for fifo in (True, False):
-                print(json.dumps(tried(rate, args.seconds, busy, fifo)), flush=True)
+                print(json.dumps(measure_with_retries(rate, args.seconds, busy, fifo)), flush=True)
     return 0
 
 

@@ -68,7 +68,7 @@ def be_core(serial_fd: int) -> None:
 
 
 def be_watcher(cpu: int, pipe_fd: int) -> None:
-    """Wake every millisecond on one CPU, and tell when that came late."""
+    """Wake every millisecond on one CPU, and report how late that was."""
     os.sched_setaffinity(0, {cpu})
     enter_realtime(priority=90)
     pause, hangs_up = select.poll(), select.POLLERR | select.POLLHUP

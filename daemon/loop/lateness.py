@@ -34,7 +34,7 @@ def make_lateness_rules(thresholds: Thresholds) -> LatenessRules:
 
 ON_HARDWARE = make_lateness_rules(Thresholds())
 IN_SIMULATION = LatenessRules(250_000_000, 25, 0.5)
-"""A simulated car endangers nobody: a laptop's stalls are counted and reported as warnings."""
+"""For a simulated car: stalls of a laptop are only counted and reported as warnings."""
 
 
 class Lateness(NamedTuple):

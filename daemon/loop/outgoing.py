@@ -132,12 +132,12 @@ def make_state(
     seq: int,
     t_ns: int,
     epoch_ns: int,
-) -> m.State:
+) -> m.StateMessage:
     """The state message of a tick; NaN where nothing is known yet."""
     r = report or _NO_REPORT
     state = estimate.state if estimate else (nan,) * 7
     sd = estimate.sd if estimate else (nan,) * 7
-    return m.State(
+    return m.StateMessage(
         m.make_header(t_ns + epoch_ns, m.WORLD),
         t_ns,
         seq,

@@ -77,5 +77,5 @@ class Lifeline:
             self._library.pthread_mutex_unlock(self._mutex)
             if result == _OWNER_DIED:
                 return True
-            self._library = None  # nobody held it: use the pidfd
+            self._library = None  # the core did not hold it: use the pidfd
         return bool(self._pidfd.poll(timeout_ms))

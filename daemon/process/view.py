@@ -31,7 +31,7 @@ from steerd.daemon.process.view_scene import (
 from steerd.daemon.process.views import Views
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, schema_text, type_name
-from steerd.steer_bus.messages import State
+from steerd.steer_bus.messages import StateMessage
 from steerd.steer_bus.topics import TOPICS, Topic, make_session_topic
 
 TRANSFORMS = "/tf"
@@ -73,7 +73,7 @@ class Viewer:
     """
 
     def __init__(self, car: str, body: Body, lane: LaneLines) -> None:
-        # The SDK closes the channels of a context that nobody refers to, without a word.
+        # The SDK silently closes the channels of a context without references.
         self.context = foxglove.Context()
         self._channels = {t.name: make_channel(car, t, self.context) for t in TOPICS if t.on_bus}
         self._scene = SceneUpdateChannel(SCENE, context=self.context)
@@ -95,9 +95,9 @@ class Viewer:
                 channel.log(each.data, log_time=each.log_time_ns)
         if name == topics.STATE.name and record.log_time_ns >= self._scene_due_ns:
             self._scene_due_ns = record.log_time_ns + SCENE_NS
-            self._draw(decode(State, record.data), record.log_time_ns)
+            self._draw(decode(StateMessage, record.data), record.log_time_ns)
 
-    def _draw(self, state: State, log_ns: int) -> None:
+    def _draw(self, state: StateMessage, log_ns: int) -> None:
         self._frames.log(make_transform(state), log_time=log_ns)
         self._scene.log(make_car_scene(state, self._body), log_time=log_ns)
         if log_ns >= self._lane_due_ns:

@@ -21,7 +21,7 @@ from foxglove.messages import (  # noqa: TID251
     Vector3,
 )
 
-from steerd.steer_bus.messages import BODY, WORLD, State
+from steerd.steer_bus.messages import BODY, WORLD, StateMessage
 from steerd.steer_bus.standard import stamp_ns
 
 _LANE = Color(r=0.25, g=0.55, b=0.95, a=0.9)
@@ -66,7 +66,7 @@ def make_lane(points: Sequence[Sequence[float]], half_width: float, *, closed: b
     return LaneLines(beside(0.0), beside(half_width), beside(-half_width), closed)
 
 
-def make_transform(state: State) -> FrameTransforms:
+def make_transform(state: StateMessage) -> FrameTransforms:
     """The body frame in the world."""
     frame = FrameTransform(
         timestamp=_time(state),
@@ -78,7 +78,7 @@ def make_transform(state: State) -> FrameTransforms:
     return FrameTransforms(transforms=[frame])
 
 
-def make_car_scene(state: State, body: Body) -> SceneUpdate:
+def make_car_scene(state: StateMessage, body: Body) -> SceneUpdate:
     """Chassis, steered wheels and velocity, in the body frame."""
     x = 0.5 * (body.lf - body.lr)
     size = Vector3(x=1.45 * (body.lf + body.lr), y=0.7 * body.width, z=0.06)
@@ -155,6 +155,6 @@ def _turn(yaw: float) -> Quaternion:
     return Quaternion(x=0.0, y=0.0, z=sin(0.5 * yaw), w=cos(0.5 * yaw))
 
 
-def _time(state: State) -> Timestamp:
+def _time(state: StateMessage) -> Timestamp:
     sec, nsec = divmod(stamp_ns(state.header), 1_000_000_000)
     return Timestamp(sec=sec, nsec=nsec)

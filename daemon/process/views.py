@@ -39,7 +39,7 @@ def _diagonal(*variances: float) -> tuple[float, ...]:
     return tuple(matrix)
 
 
-def make_odometry(state: m.State) -> Odometry:
+def make_odometry(state: m.StateMessage) -> Odometry:
     """The estimate as `nav_msgs/Odometry`, velocity in the body frame."""
     vx, vy = state.speed * cos(state.slip_angle), state.speed * sin(state.slip_angle)
     twist = Twist(Vector3(vx, vy, 0.0), Vector3(0.0, 0.0, state.yaw_rate))

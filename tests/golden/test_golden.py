@@ -1,7 +1,7 @@
 """Golden sessions: recorded drives whose every order today's loop must give again.
 
 Each holds what reached the loop and what it ordered, no more. A difference is changed behaviour:
-mend it, or, if it is meant, run `pytest tests/golden --update-golden`, read the differences that it
+fix it, or, if it is meant, run `pytest tests/golden --update-golden`, read the differences that it
 prints (`-rP` shows them), and say in the commit message why the car now drives otherwise.
 """
 
@@ -43,13 +43,13 @@ def stop_at(t_s: float) -> Callable[[VirtualRun], None]:
         if not done and run.t_ns >= t_s * NS:
             done = True
             header = m.make_header(run.t_ns, m.BODY)
-            asked = m.OperatorRequest(header, 0, 1, 1, int(m.RequestKind.ESTOP), "bystander")
-            run.core.on_request(topics.OPERATOR.name, encode(asked), run.t_ns)
+            request = m.OperatorRequest(header, 0, 1, 1, int(m.RequestKind.ESTOP), "bystander")
+            run.core.on_request(topics.OPERATOR.name, encode(request), run.t_ns)
 
     return act
 
 
-def nobody(run: VirtualRun) -> None:
+def do_nothing(run: VirtualRun) -> None:
     """No one does anything."""
 
 
@@ -58,7 +58,7 @@ class Scene(NamedTuple):
 
     options: RunOptions
     faults: tuple[Fault, ...] = ()
-    act: Callable[[], Callable[[VirtualRun], None]] = lambda: nobody
+    act: Callable[[], Callable[[VirtualRun], None]] = lambda: do_nothing
     visits: tuple[SupervisorState, ...] = (
         SupervisorState.RUNNING,
         SupervisorState.STOPPING,

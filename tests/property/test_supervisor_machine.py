@@ -28,7 +28,7 @@ class CarLife(RuleBasedStateMachine):
     def tick(self, requests, dt_ns=10_000_000):
         self.t_ns += dt_ns
         before = self.memory
-        conditions = Conditions(self.facts, self.speed, 150_000_000, "words")
+        conditions = Conditions(self.facts, self.speed, 150_000_000, "a trip")
         self.memory, self.action = step_supervisor(before, conditions, requests, self.t_ns)
         self.check(before, requests)
 

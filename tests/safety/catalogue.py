@@ -51,7 +51,7 @@ class FaultCase:
 
     Attributes:
         code: of `docs/reference/safety-requirements.md#s6`; variants carry a letter.
-        name: in words.
+        name: for people.
         begin: brings it about, once.
         must: what the car must do while it moves.
         bound_s: from the fault to the first stop byte, without the tick that follows.

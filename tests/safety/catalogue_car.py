@@ -16,7 +16,7 @@ FENCE_M = 1.3
 
 
 def jam(angle: float) -> Any:
-    """The road wheels stay at an angle [rad], whatever the servo is told."""
+    """The road wheels stay at an angle [rad], whatever the servo command."""
 
     def act(rig: Rig) -> None:
         rig.run.world.vesc._servo = lambda _t_ns: angle  # type: ignore[method-assign]
@@ -25,7 +25,7 @@ def jam(angle: float) -> Any:
 
 
 def surge(rig: Rig) -> None:
-    """The motor turns twice as fast as it is told; its brake still works."""
+    """The motor turns twice as fast as commanded; its brake still works."""
     motor = rig.run.world.vesc.motor
     plain_command = motor.step
 

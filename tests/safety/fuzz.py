@@ -77,8 +77,13 @@ def fuzz_blind(name: str, runs: int, seed: int) -> int:
     took = time.process_time() - began
     if failure is not None:
         Path(f"crash-{name}").write_bytes(failure[0])
-    told: dict[str, Any] = {"target": name, "how": "damage", "runs": runs, "cpu_s": round(took, 1)}
-    print(json.dumps(told | {"failure": repr(failure[1]) if failure else None}), flush=True)
+    result: dict[str, Any] = {
+        "target": name,
+        "how": "damage",
+        "runs": runs,
+        "cpu_s": round(took, 1),
+    }
+    print(json.dumps(result | {"failure": repr(failure[1]) if failure else None}), flush=True)
     return int(failure is not None)
 
 

@@ -289,10 +289,10 @@ def vrpn_seeds() -> list[bytes]:
     server = VrpnServer(("car",))
     pose = server.pose("car", 1, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
     name = vrpn.make_description(vrpn.TYPE_DESCRIPTION, 1, vrpn.POSE_TYPE)
-    words = bytes((0xFE, 1)) + name.payload
+    payload = bytes((0xFE, 1)) + name.payload
     return [
         glue(0, (2, server.hello()), (2, pose), (3, pose), (2, pose)),
-        glue(0, (0, b""), (1, words)),
+        glue(0, (0, b""), (1, payload)),
     ]
 
 
@@ -320,7 +320,7 @@ def check_codec(script: bytes) -> None:
 
 
 def check_requests(script: bytes) -> None:
-    """Any requests: without this run's boot id and a rising number nothing but a stop is asked."""
+    """Any requests: without this run's boot id and a rising number only a stop is accepted."""
     lease, remote, t_ns = Lease(BOOT), Remote(), 0
     taken: dict[int, int] = {}
     for op, body in cut(script[:MOST]):
@@ -328,18 +328,18 @@ def check_requests(script: bytes) -> None:
         name, data = unpack_request(body if op & 1 else pack_request(NAMES[op // 2 % 2], body))
         try:
             if name == topics.OPERATOR.name:
-                asked = decode(m.OperatorRequest, data)
+                message = decode(m.OperatorRequest, data)
                 idle, before = bool(op & 4), lease
-                lease, request = accept_request(lease, asked, t_ns, idle)
-                ours = asked.boot_id == BOOT and asked.lease_id != 0
-                rises = asked.lease_id != before.holder or asked.seq > before.seq
-                free = idle or asked.lease_id == before.holder
+                lease, request = accept_request(lease, message, t_ns, idle)
+                ours = message.boot_id == BOOT and message.lease_id != 0
+                rises = message.lease_id != before.holder or message.seq > before.seq
+                free = idle or message.lease_id == before.holder
                 if not (ours and rises and free):
                     assert request in (Request.NONE, Request.STOP, Request.ESTOP, Request.UNKNOWN)
                     assert lease.renewed_ns == before.renewed_ns
                 if lease.renewed_ns == t_ns:
-                    assert asked.seq > taken.get(asked.lease_id, -1)
-                    taken[asked.lease_id] = asked.seq
+                    assert message.seq > taken.get(message.lease_id, -1)
+                    taken[message.lease_id] = message.seq
             elif name == topics.DRIVE.name:
                 command = decode(m.DriveCommand, data)
                 old, remote = remote, take_command(remote, BOOT, command, t_ns)

@@ -29,8 +29,7 @@ from steerd.sim_hw.real_time.links import SimHardware, raise_priority
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode
-from steerd.steer_bus.messages import RequestKind, Transition
-from steerd.steer_bus.messages import State as StateMessage
+from steerd.steer_bus.messages import RequestKind, StateMessage, Transition
 
 BOOT_ID, LEASE_ID = 815, 42
 KEEPALIVE_NS = 60_000_000
@@ -65,9 +64,9 @@ class Live:
     Attributes:
         processes: the processes.
         hardware: commands to the simulated hardware's process.
-        state: the supervisor's, as last told.
-        transitions: (from, to, words) so far.
-        speed: as last told [m/s].
+        state: the supervisor's, as last reported.
+        transitions: (from, to, reason) so far.
+        speed: as last reported [m/s].
         alive: whether the operator keeps the lease alive.
     """
 
@@ -79,8 +78,8 @@ class Live:
     speed: float = 0.0
     alive: bool = True
     ended: bool = False
-    _heard: bytearray = field(default_factory=bytearray)
-    _spoke_ns: int = 0
+    _buffer: bytearray = field(default_factory=bytearray)
+    _sent_ns: int = 0
 
     def ask(self, kind: RequestKind, operator: Operator | None = None) -> int:
         """An operator's request; the time at which it was sent."""
@@ -106,22 +105,24 @@ class Live:
         return read_motor_frames(entries)
 
     def pump(self, wait_s: float = 0.02) -> None:
-        """Keep the lease and read what the core tells."""
+        """Keep the lease and read the core's records."""
         now_ns = CLOCK.now_ns()
-        if self.alive and now_ns - self._spoke_ns >= KEEPALIVE_NS:
-            self._spoke_ns = now_ns
+        if self.alive and now_ns - self._sent_ns >= KEEPALIVE_NS:
+            self._sent_ns = now_ns
             self.ask(RequestKind.KEEPALIVE)
         fds = [] if self.ended else [self.processes.status_fd]
         if not select.select(fds, [], [], wait_s)[0]:
             return
         data = os.read(self.processes.status_fd, 1 << 16)
         self.ended = not data
-        self._heard += data
-        for record in unpack_records(self._heard):
+        self._buffer += data
+        for record in unpack_records(self._buffer):
             if record.topic is topics.TRANSITION:
-                told = decode(Transition, record.data)
-                self.state = SupervisorState(told.to_state)
-                self.transitions.append((SupervisorState(told.from_state), self.state, told.text))
+                change = decode(Transition, record.data)
+                self.state = SupervisorState(change.to_state)
+                self.transitions.append(
+                    (SupervisorState(change.from_state), self.state, change.text)
+                )
             elif record.topic is topics.STATE:
                 self.speed = decode(StateMessage, record.data).speed
 
@@ -167,7 +168,7 @@ class Live:
 
 
 def free_port() -> int:
-    """A TCP port that nobody listens on."""
+    """A TCP port without a listener."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

@@ -53,7 +53,7 @@ class Outcome:
         off_m: largest true distance from the path.
         states: states that followed, in order.
         reason: why the first of them; `reasons` of all.
-        wrong: verdicts that failed, in words; empty for a good cell.
+        wrong: verdicts that failed, as text; empty for a good cell.
     """
 
     code: str
@@ -78,7 +78,7 @@ class Facts:
     frames: Sequence[MotorFrame]
     states: tuple[SupervisorState, ...]
     reasons: tuple[str, ...]
-    told_s: float
+    reported_s: float
     stop_s: float
     bound_s: float
     distance_m: float
@@ -86,10 +86,10 @@ class Facts:
     off_m: float
 
     def rearmed(self, phase: str) -> bool:
-        """Whether the only step up is the end of a stop that the operator asked for."""
+        """Whether the only step up is the end of a stop that the operator requested for."""
         wanted = self.fault_case.asks_stop or self.fault_case.rearms
-        asked = phase == "P7" or wanted or self.must is Must.LIVE_ON
-        return asked and set(self.states) & UPWARD == {SupervisorState.ARMED}
+        requested = phase == "P7" or wanted or self.must is Must.LIVE_ON
+        return requested and set(self.states) & UPWARD == {SupervisorState.ARMED}
 
 
 def run_cell(fault_case: FaultCase, phase: str) -> Outcome:
@@ -108,7 +108,7 @@ def run_cell(fault_case: FaultCase, phase: str) -> Outcome:
 
 def drive_on(rig: Rig, fault_case: FaultCase, phase: str, t_fault: int) -> None:
     """Live with the fault until the car rests, or long enough to see that it need not."""
-    asked = False
+    requested = False
     end = t_fault + round((LONGEST_S if phase in MOVING else STANDING_S) * NS)
     while rig.t_ns < end:
         fault_case.each(rig)
@@ -116,8 +116,8 @@ def drive_on(rig: Rig, fault_case: FaultCase, phase: str, t_fault: int) -> None:
         wants = fault_case.asks_stop or (
             must_now(fault_case, phase) is Must.LIVE_ON and age >= WATCH_S * NS
         )
-        if phase in ("P4", "P5", "P6") and wants and not asked and age >= STOP_ASKED_NS:
-            asked = True
+        if phase in ("P4", "P5", "P6") and wants and not requested and age >= STOP_ASKED_NS:
+            requested = True
             rig.ask(RequestKind.STOP)
         rig.step()
         if phase in MOVING and rig.resting and settled(rig):
@@ -191,7 +191,7 @@ def judge(rig: Rig, fault_case: FaultCase, phase: str, t_fault: int, seen: int) 
         frames=[frame for frame in frames if frame.t_ns >= t_fault],
         states=tuple(SupervisorState(message.to_state) for _, message in followed),
         reasons=tuple(message.text for _, message in followed),
-        told_s=(followed[0][0] - t_fault) / NS if followed else inf,
+        reported_s=(followed[0][0] - t_fault) / NS if followed else inf,
         stop_s=(stop.t_ns - t_fault) / NS if stop else inf,
         bound_s=bound,
         distance_m=distance_driven(rig.track, t_fault),
@@ -215,7 +215,7 @@ def judge(rig: Rig, fault_case: FaultCase, phase: str, t_fault: int, seen: int) 
 
 
 def judge_moving(f: Facts, phase: str) -> Iterator[str]:
-    """A car that moves, or has just been told to stop."""
+    """A car that moves, or has just been requested to stop."""
     if any(state in UPWARD for state in f.states) and not f.rearmed(phase):
         yield f"(c) went up by itself: {f.states}"
     if not all(f.reasons):
@@ -259,8 +259,8 @@ def judge_stop(f: Facts, phase: str) -> Iterator[str]:
             yield "(c) armed again although something is wrong"
     elif wanted not in f.states:
         yield f"(a) {wanted.name} was never entered: {f.states}"
-    elif f.told_s > f.bound_s:
-        yield f"(e) told after {f.told_s * 1e3:.0f} ms"
+    elif f.reported_s > f.bound_s:
+        yield f"(e) reported after {f.reported_s * 1e3:.0f} ms"
 
 
 def judge_undisturbed(f: Facts, phase: str) -> Iterator[str]:
@@ -272,14 +272,14 @@ def judge_undisturbed(f: Facts, phase: str) -> Iterator[str]:
     ]
     if bad:
         yield f"(f) false stop: {f.states} {f.reasons[-1]}"
-    elif phase != "P7" and f.told_s < WATCH_S:
-        yield f"(f) false stop after {f.told_s:.2f} s: {f.reasons[0]}"
+    elif phase != "P7" and f.reported_s < WATCH_S:
+        yield f"(f) false stop after {f.reported_s:.2f} s: {f.reasons[0]}"
 
 
 def judge_deaf(f: Facts) -> Iterator[str]:
     """A VESC that ignores commands: the daemon must notice, go on braking and say so."""
     if SupervisorState.FAULT_STOP not in f.states:
-        yield f"(a) nobody noticed that the stop has no effect: {f.states}"
+        yield f"(a) no watchdog noticed that the stop has no effect: {f.states}"
     elif f.frames[-1].effort is not Effort.BRAKE:
         yield "(b) gave up braking"
 

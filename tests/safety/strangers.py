@@ -67,8 +67,8 @@ def serve(what, labs):
     print(json.dumps({"delivered": delivered, "read": read, "listening": open_sockets}))
 
 
-def ip(words):
-    subprocess.run(["ip", *words.split()], check=True)
+def ip(arguments):
+    subprocess.run(["ip", *arguments.split()], check=True)
 
 
 def list_listening():
@@ -108,8 +108,8 @@ def be_stranger(what, labs):
 def wait_for_cable():
     end = time.monotonic() + 5.0
     while time.monotonic() < end:
-        told = subprocess.run(["ip", "link", "show", "out"], capture_output=True, text=True)
-        if "LOWER_UP" in told.stdout:
+        shown = subprocess.run(["ip", "link", "show", "out"], capture_output=True, text=True)
+        if "LOWER_UP" in shown.stdout:
             return
         pause(0.05)
 

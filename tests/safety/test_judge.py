@@ -68,7 +68,7 @@ def test_drive_frames_after_a_moment_are_counted() -> None:
     assert count_drive_frames([drive(2), brake(3)], 2) == 0
 
 
-def test_the_way_is_measured_and_computed() -> None:
+def test_the_distance_is_measured_and_computed() -> None:
     track = [Motion(k, 0.3 * k, 0.4 * k, 1.0) for k in range(5)]
     assert distance_driven(track, 1) == pytest.approx(1.5)
     assert stopping_distance(2.0, 0.1, 4.0) == pytest.approx(0.7)

@@ -34,14 +34,14 @@ class LiveFault:
         bound_s: until the first stop byte, loosely.
         phases: where it is tried.
         wire: whether bytes still reach the VESC.
-        told: whether somebody is left who can say why.
+        reported: whether a process is left that can report the reason.
     """
 
     act: Callable[[Live], int]
     bound_s: float
     phases: str = "P1 P3 P5 P7"
     wire: bool = True
-    told: bool = True
+    reported: bool = True
 
 
 def send(process: str, number: signal.Signals, times: int = 1) -> Callable[[Live], int]:
@@ -84,10 +84,10 @@ FAULTS = {
     "SIGTERM": LiveFault(send("core", signal.SIGTERM), 0.3),
     "SIGHUP": LiveFault(send("core", signal.SIGHUP), 0.3),
     "SIGTERM twice": LiveFault(send("core", signal.SIGTERM, 2), 0.3, "P5 P7"),
-    "SIGKILL core": LiveFault(send("core", signal.SIGKILL), 0.3, told=False),
-    "SIGABRT core": LiveFault(send("core", signal.SIGABRT), 0.3, "P3 P5", told=False),
-    "SIGSEGV core": LiveFault(send("core", signal.SIGSEGV), 0.3, "P5 P7", told=False),
-    "SIGSTOP core": LiveFault(freeze_core, 0.5, told=False),
+    "SIGKILL core": LiveFault(send("core", signal.SIGKILL), 0.3, reported=False),
+    "SIGABRT core": LiveFault(send("core", signal.SIGABRT), 0.3, "P3 P5", reported=False),
+    "SIGSEGV core": LiveFault(send("core", signal.SIGSEGV), 0.3, "P5 P7", reported=False),
+    "SIGSTOP core": LiveFault(freeze_core, 0.5, reported=False),
     "SIGKILL guardian": LiveFault(kill_guardian, 0.6, "P1 P3 P5 P7"),
     "SIGKILL recorder": LiveFault(send("recorder", signal.SIGKILL), 0.6),
     "SIGKILL gateway": LiveFault(send("gateway", signal.SIGKILL), 0.6),
@@ -142,9 +142,9 @@ def test_live_cell(name, phase, tmp_path) -> None:
     else:
         assert not count_drive_frames(after, fault_ns + round(fault.bound_s * 1e9))
     assert SupervisorState.RUNNING not in [to for _, to, _ in followed]
-    if fault.told and phase in ("P3", "P5"):
+    if fault.reported and phase in ("P3", "P5"):
         assert followed
-        assert all(words for _, _, words in followed)
+        assert all(reason for _, _, reason in followed)
 
 
 def test_a_killed_recorder_leaves_a_readable_session(tmp_path) -> None:
@@ -153,8 +153,8 @@ def test_a_killed_recorder_leaves_a_readable_session(tmp_path) -> None:
         send("recorder", signal.SIGKILL)(live)
         live.until(lambda: live.state is SupervisorState.DISARMED)
         assert any(
-            to is SupervisorState.STOPPING and "recorder" in words
-            for _, to, words in live.transitions
+            to is SupervisorState.STOPPING and "recorder" in reason
+            for _, to, reason in live.transitions
         )
     (partial,) = tmp_path.glob("drive.mcap*")
     session = open_session(partial)

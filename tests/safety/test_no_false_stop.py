@@ -1,4 +1,4 @@
-"""A short drive of `benchmarks/no_false_stop.py`: lost and late poses stop nobody."""
+"""A short drive of `benchmarks/no_false_stop.py`: lost and late poses stop no car."""
 
 import pytest
 

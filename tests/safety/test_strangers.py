@@ -33,8 +33,8 @@ def namespaces():
 def labs(tmp_path_factory):
     root = tmp_path_factory.mktemp("labs")
     for whose in ("ours", "theirs"):
-        words = ["--operator", "desk", "--viewer", "screen"]
-        assert run_cli(["keys", str(root / whose), "--host", HOST, *words]) == 0
+        options = ["--operator", "desk", "--viewer", "screen"]
+        assert run_cli(["keys", str(root / whose), "--host", HOST, *options]) == 0
     return root
 
 

@@ -1,4 +1,4 @@
-"""Every watchdog of the safety page is there, speaks in its cell, and is missed there."""
+"""Every watchdog of the safety page exists, trips in its cell, and its absence shows there."""
 
 import re
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 from steerd.daemon.loop.findings import WATCHDOGS
 from steerd.daemon.settings.thresholds import BOUNDS
 from tests.safety.catalogue import BY_CODE
-from tests.safety.trace import TRACES, find_code, run_trace, speaks
+from tests.safety.trace import TRACES, find_code, run_trace, trips
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "safety-matrix.md"
 REQUIREMENTS = Path(__file__).parents[2] / "docs" / "reference" / "safety-requirements.md"
@@ -41,9 +41,9 @@ def test_the_page_shows_every_trace() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("id", TRACES)
-def test_it_speaks_in_its_cell_and_is_missed_there(id: str) -> None:
+def test_it_trips_in_its_cell_and_its_absence_shows(id: str) -> None:
     shown, without = run_trace(id)
-    assert speaks(id, shown), shown
+    assert trips(id, shown), shown
     assert not shown.wrong or TRACES[id].behind, shown
-    assert not speaks(id, without)
+    assert not trips(id, without)
     assert without.wrong or without.reasons != shown.reasons

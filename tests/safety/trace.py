@@ -1,8 +1,8 @@
 """From each watchdog of the requirements to its code, its thresholds and the cell that shows it.
 
 A cell is driven twice: as it is, where a transition must name the watchdog; and with the watchdog
-struck dumb, where the cell must fail or another watchdog must step in. So a watchdog that nothing
-needs, or that never speaks, is found out.
+silenced, where the cell must fail or another watchdog must step in. So a watchdog that nothing
+needs, or that never trips, is found out.
 """
 
 import importlib
@@ -23,8 +23,8 @@ class Trace(NamedTuple):
     Attributes:
         code: ``module:name``.
         thresholds: of the car file's `[safety]`; none where there is nothing to choose.
-        cell: (fault, phase) in which it speaks.
-        behind: watchdogs that would speak earlier in this cell, struck dumb to let it speak.
+        cell: (fault, phase) in which it trips.
+        behind: watchdogs that would trip earlier in this cell; silenced to let it trip.
         also: other tests of it.
     """
 
@@ -179,15 +179,15 @@ def find_code(code: str) -> Any:
 
 
 @contextmanager
-def struck_dumb(*ids: str) -> Iterator[None]:
+def silenced(*ids: str) -> Iterator[None]:
     """While this lasts, the supervisor hears nothing of these watchdogs."""
 
-    def deaf(findings: Sequence[Finding]) -> tuple[int, str]:
+    def summarise_others(findings: Sequence[Finding]) -> tuple[int, str]:
         return summarise(finding for finding in findings if finding.id not in ids)
 
     with (
-        patch("steerd.daemon.loop.loop.summarise", deaf),
-        patch("steerd.daemon.loop.failed_loop.summarise", deaf),
+        patch("steerd.daemon.loop.loop.summarise", summarise_others),
+        patch("steerd.daemon.loop.failed_loop.summarise", summarise_others),
     ):
         yield
 
@@ -196,13 +196,13 @@ def run_trace(id: str) -> tuple[Outcome, Outcome]:
     """A watchdog's cell as it is, and without the watchdog."""
     trace = TRACES[id]
     code, phase = trace.cell
-    with struck_dumb(*trace.behind):
+    with silenced(*trace.behind):
         shown = run_cell(BY_CODE[code], phase)
-    with struck_dumb(id, *trace.behind):
+    with silenced(id, *trace.behind):
         return shown, run_cell(BY_CODE[code], phase)
 
 
-def speaks(id: str, outcome: Outcome) -> bool:
+def trips(id: str, outcome: Outcome) -> bool:
     """Whether a transition of the cell names the watchdog."""
     return any(reason.startswith(f"{id} ") for reason in outcome.reasons)
 
@@ -238,5 +238,5 @@ def _ranges(names: Sequence[str]) -> str:
 def _loss(without: Outcome) -> str:
     """What became of the cell without its watchdog."""
     others = [reason for reason in without.reasons if reason not in ("stop asked for", "stopped")]
-    told = others[0].split(":")[0] if others else "nobody else"
-    return f"**fails**, {told}" if without.wrong else told
+    effect = others[0].split(":")[0] if others else "no other watchdog"
+    return f"**fails**, {effect}" if without.wrong else effect

@@ -71,17 +71,17 @@ def limits(erpm_max: float) -> SimpleNamespace:
 
 
 def fresh_core(plan) -> tuple[Core, list]:
-    core, asked = make_core(plan, 1, 0, (), leased=True), []
-    core.link.request = asked.append
-    return core, asked
+    core, requests = make_core(plan, 1, 0, (), leased=True), []
+    core.link.request = requests.append
+    return core, requests
 
 
-def test_a_vesc_that_refuses_the_session_limits_is_asked_thrice_then_told(plan):
-    core, asked = fresh_core(plan)
+def test_a_vesc_that_refuses_the_session_limits_is_tried_thrice_then_reported(plan):
+    core, requests = fresh_core(plan)
     for k in range(LIMITS_TRIES + 1):
         assert not core.flags & Flag.UNBOUNDED, k
         core._apply_session_limits(limits(1e9))
-    assert [type(a) for a in asked] == [SetMcConfTemp, GetMcConfTemp] * LIMITS_TRIES
+    assert [type(a) for a in requests] == [SetMcConfTemp, GetMcConfTemp] * LIMITS_TRIES
     assert core.flags & Flag.UNBOUNDED
     core.flags |= Flag.LINKED
     core.tick(0, 0)
@@ -89,7 +89,7 @@ def test_a_vesc_that_refuses_the_session_limits_is_asked_thrice_then_told(plan):
         "speed limit" in text
         for text in core.loop._find_failed_checks(None, (), 0.0, 0, core.flags)
     )
-    core._apply_session_limits(asked[0])
+    core._apply_session_limits(requests[0])
     assert not core.flags & Flag.UNBOUNDED
 
 
@@ -98,14 +98,14 @@ def identity(uuid: bytes, expected: bool = True) -> e.Identity:
 
 
 def test_one_run_drives_one_vesc(plan):
-    core, asked = fresh_core(plan)
+    core, requests = fresh_core(plan)
     core._check_identity(identity(b"first"))
     core._apply_session_limits(limits(1e9))
     own = core.make_shutdown_frames()
     core._check_identity(identity(b"other"))
     core._apply_session_limits(limits(1e9))
     assert not core._expected
-    assert len(asked) == 2, "the other one is not given our limits"
+    assert len(requests) == 2, "the other one is not given our limits"
     assert len(core.make_shutdown_frames()) < len(own), "nor the first one's at the end"
     core._check_identity(identity(b"first"))
     assert core._expected

@@ -1,4 +1,4 @@
-"""An exception in the loop: the brake, the words, and no way back without a restart."""
+"""An exception in the loop: the brake, the reason, and no recovery without a restart."""
 
 import pytest
 
@@ -45,7 +45,7 @@ def test_one_exception_keeps_the_car_latched_for_good():
     assert rig.run.core.flags & Flag.EXCEPTION
 
 
-def test_an_error_is_told_with_its_place():
+def test_an_error_is_described_with_its_place():
     with pytest.raises(BrokenError) as caught:
         broken()
     assert describe_error(caught.value).startswith("BrokenError at broken:")

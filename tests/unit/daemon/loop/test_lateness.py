@@ -40,7 +40,7 @@ def test_the_rules_are_the_thresholds():
 
 
 @pytest.mark.parametrize(
-    ("late_ms", "words"),
+    ("late_ms", "expected"),
     [
         ([12.3], "12.3 ms"),
         ([31.4], "a tick 31 ms late"),
@@ -49,12 +49,12 @@ def test_the_rules_are_the_thresholds():
         ([12, 0, 12, 0, 12], "3 of 100 ticks missed"),
     ],
 )
-def test_what_is_said(late_ms, words):
+def test_text_of_a_late_tick(late_ms, expected):
     state, found = Lateness(), None
     for k, ms in enumerate(late_ms):
         state, found = step_lateness(state, k * PERIOD, k * PERIOD + round(ms * MS), PERIOD)
     assert found is not None
-    assert f": {words}; " in found.text
+    assert f": {expected}; " in found.text
 
 
 def test_a_second_ends_after_a_second_and_the_next_begins_where_it_ended():

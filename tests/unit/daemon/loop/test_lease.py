@@ -57,15 +57,15 @@ def test_every_kind_of_request_is_known():
 
 
 @pytest.mark.parametrize(
-    "asked",
+    "changes",
     [
         ask(seq=10), ask(seq=9), ask(boot=BOOT + 1), ask(who=BOB), ask(who=0),
         ask(who=BOB, boot=BOOT + 1),
     ],
     ids=["same number", "older", "another run", "another operator", "nobody", "both"],
 )  # fmt: skip
-def test_others_and_old_requests_are_refused_and_counted(asked):
-    lease, got = accept_request(HELD, asked, T0 + 5, idle=False)
+def test_others_and_old_requests_are_refused_and_counted(changes):
+    lease, got = accept_request(HELD, changes, T0 + 5, idle=False)
     assert got == Request.NONE
     assert lease == Lease(BOOT, ANN, 10, T0, refused=1)
 
@@ -78,9 +78,9 @@ def test_nobody_is_no_holder_even_while_nobody_holds(kind):
 
 
 @pytest.mark.parametrize("kind", [RequestKind.STOP, RequestKind.ESTOP])
-@pytest.mark.parametrize("asked", [{"who": BOB}, {"seq": 1}, {"boot": 0}, {"who": 0}])
-def test_a_stop_is_anybody_s(kind, asked):
-    lease, got = accept_request(HELD, ask(kind, **asked), T0 + 5, idle=False)
+@pytest.mark.parametrize("changes", [{"who": BOB}, {"seq": 1}, {"boot": 0}, {"who": 0}])
+def test_a_stop_is_accepted_from_anybody(kind, changes):
+    lease, got = accept_request(HELD, ask(kind, **changes), T0 + 5, idle=False)
     assert got == (Request.STOP if kind == RequestKind.STOP else Request.ESTOP)
     assert (lease.holder, lease.seq, lease.renewed_ns, lease.refused) == (ANN, 10, T0, 1)
 
@@ -101,9 +101,9 @@ def test_an_idle_lease_is_free_for_another_and_not_for_nobody():
     assert accept_request(HELD, ask(seq=10), T0, idle=True)[1] == Request.NONE, "its own old number"
 
 
-def take(lease, *asked):
+def take(lease, *changes):
     """Requests while the holder is silent; what came of the last."""
-    for who, seq in asked:
+    for who, seq in changes:
         lease, got = accept_request(lease, ask(who=who, seq=seq), T0, idle=True)
     return lease, got
 

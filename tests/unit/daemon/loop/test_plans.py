@@ -58,9 +58,9 @@ def test_a_plan_fits_its_box_and_its_limits_or_is_refused(name, side, speed):
 def test_a_probe_rides_on_the_lane_keeper():
     drill = plans.parse_drill("mixed;closed", DEFAULT_CAR, LIMITS)
     lane = Command(0.1, 2.0)
-    asked = [drill.wish(0.05 * k, lane) for k in range(int(drill.seconds / 0.05))]
-    assert max(w.steer for w in asked) == pytest.approx(0.1 + plans.PROBE)
-    assert {round(w.speed, 3) for w in asked} >= {1.0, 1.5, 2.0}
+    commands = [drill.wish(0.05 * k, lane) for k in range(int(drill.seconds / 0.05))]
+    assert max(w.steer for w in commands) == pytest.approx(0.1 + plans.PROBE)
+    assert {round(w.speed, 3) for w in commands} >= {1.0, 1.5, 2.0}
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_the_loop_drives_an_open_plan_within_its_limits():
     run, orders, states = _drive("circles;box=9;speed=2.5", 6.0)
     assert not run.core.loop.faulted
     turning = [o.steer for o in orders[300:]]
-    # The order is what the VESC can be told: the nearest servo step to the limit.
+    # The order is what the VESC can express: the nearest servo step to the limit.
     assert min(turning) == max(turning) == pytest.approx(0.31, abs=5e-4)
     assert states[-1].yaw > 2.0
 

@@ -55,7 +55,7 @@ def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed(
     guard.write_heartbeat(now, engaged=True)
     assert guard.may_write(now, now)
     assert not guard.may_write(now, now + 300_000_000), "a tick of before a stop is not sent after"
-    assert select.select([read], [], [], 20.0)[0], "no beat any more: the guardian brakes"
+    assert select.select([read], [], [], 20.0)[0], "no heartbeat any more: the guardian brakes"
     assert os.read(read, 1000).startswith(BRAKE)
     assert guard.has_tripped()
     assert not guard.may_write(time.monotonic_ns(), time.monotonic_ns())

@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[4]
 
 
 class Times:
-    """A clock that tells the given times, then runs on by a step."""
+    """A clock that gives the given times, then runs on by a step."""
 
     def __init__(self, *times, step=0):
         self.times, self.step, self.last = list(times), step, 0
@@ -163,10 +163,10 @@ def test_brake_goes_on_when_the_device_refuses(page, monkeypatch):
 @pytest.mark.parametrize("engaged", [True, False])
 @pytest.mark.parametrize("allowed", [True, False])
 def test_main_ignores_signals_asks_for_priority_and_guards(page, monkeypatch, engaged, allowed):
-    ignored, asked, braked = [], [], []
+    ignored, requested, braked = [], [], []
 
     def schedule(pid, policy, parameter):
-        asked.append((pid, policy, parameter.sched_priority))
+        requested.append((pid, policy, parameter.sched_priority))
         if not allowed:
             raise PermissionError
 
@@ -177,11 +177,11 @@ def test_main_ignores_signals_asks_for_priority_and_guards(page, monkeypatch, en
     HeartbeatPage(fd).write_heartbeat(1, engaged)
     read_end, write_end = os.pipe()
     os.close(write_end)  # the read end is ready at once, like the pidfd of a core that has ended
-    words = [str(k) for k in (7, fd, read_end)]
-    main([*words, BRAKE.hex(), str(STALE_NS)])
+    arguments = [str(k) for k in (7, fd, read_end)]
+    main([*arguments, BRAKE.hex(), str(STALE_NS)])
     assert braked == ([(7, BRAKE)] if engaged else [])
     assert ignored == [(s, signal.SIG_IGN) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
-    assert asked == [(0, os.SCHED_FIFO, 60)]
+    assert requested == [(0, os.SCHED_FIFO, 60)]
     os.close(fd)
     os.close(read_end)
     assert callable(guardian_main)
@@ -245,9 +245,9 @@ class Rig:
         )
         pidfd = os.pidfd_open(self.core.pid)
         self.read_until(lambda data: frame in data)
-        words = [str(k) for k in (serial, page_fd, pidfd)]
+        arguments = [str(k) for k in (serial, page_fd, pidfd)]
         self.guardian = self.spawn(
-            ["-m", "steerd.daemon.process.guardian", *words, BRAKE.hex(), str(10 * STALE_NS)],
+            ["-m", "steerd.daemon.process.guardian", *arguments, BRAKE.hex(), str(10 * STALE_NS)],
             (serial, page_fd, pidfd),
         )
         for fd in (page_fd, pidfd):
@@ -255,9 +255,11 @@ class Rig:
         self.read_until(lambda _: self.page.guardian_ns > 0)
         self.read_until(lambda data: len(data) > 5 * len(frame))
 
-    def spawn(self, words, fds):
+    def spawn(self, arguments, fds):
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        return subprocess.Popen([sys.executable, *words], pass_fds=fds, env=environment, cwd=ROOT)
+        return subprocess.Popen(
+            [sys.executable, *arguments], pass_fds=fds, env=environment, cwd=ROOT
+        )
 
     def read_until(self, done, seconds=10.0):
         """Read what arrives until ``done(bytes so far)``; the time of the last arrival too."""
@@ -314,8 +316,10 @@ def test_stopped_core_is_braked_and_sends_nothing_stale_when_it_goes_on(rig):
     assert first - stopped + 0.05 > 0.2
     assert first - stopped < 0.5 + 10 * STALE_NS / 1e9
     rig.core.send_signal(signal.SIGCONT)
-    beat = rig.page.heartbeat_ns
-    more, _ = rig.read_until(lambda data: data.count(BRAKE) >= 50 and rig.page.heartbeat_ns > beat)
+    heartbeat = rig.page.heartbeat_ns
+    more, _ = rig.read_until(
+        lambda data: data.count(BRAKE) >= 50 and rig.page.heartbeat_ns > heartbeat
+    )
     assert_only_brakes_after_the_first(data + more)
     assert rig.core.poll() is None
 

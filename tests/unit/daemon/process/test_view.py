@@ -18,10 +18,10 @@ BODY = Body(0.16, 0.17, 0.27)
 
 
 def make_state(**values):
-    numbers = dict.fromkeys(m.State.__dataclass_fields__, 0.0)
+    numbers = dict.fromkeys(m.StateMessage.__dataclass_fields__, 0.0)
     numbers |= {"header": m.make_header(1_500_000_000_250_000_000, m.WORLD)}
     numbers |= {"mono_ns": 1, "seq": 1, "flags": 0, "mode": 0}
-    return m.State(**{**numbers, **values})
+    return m.StateMessage(**{**numbers, **values})
 
 
 def test_parameters_are_flat_and_cannot_be_set():

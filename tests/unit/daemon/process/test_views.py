@@ -20,7 +20,14 @@ def make_message(cls, **values):
 
 def test_odometry_has_the_pose_and_the_velocity_in_the_body_frame():
     state = make_message(
-        m.State, x=1.0, y=2.0, yaw=pi / 2, speed=2.0, slip_angle=0.1, yaw_rate=0.5, yaw_sd=0.2
+        m.StateMessage,
+        x=1.0,
+        y=2.0,
+        yaw=pi / 2,
+        speed=2.0,
+        slip_angle=0.1,
+        yaw_rate=0.5,
+        yaw_sd=0.2,
     )
     made = make_odometry(state)
     pose, twist = made.pose.pose, made.twist.twist
@@ -39,7 +46,7 @@ def test_telemetry_without_a_fault_code_has_none():
 
 def test_each_kind_is_made_at_most_every_20_ms():
     views, made = Views(), []
-    state = make_message(m.State, x=3.0)
+    state = make_message(m.StateMessage, x=3.0)
     for k in range(10):
         t_ns = k * PERIOD_NS // 4
         made += views.convert(PipeRecord(topics.STATE, k, t_ns, t_ns, encode(state)))
