@@ -95,11 +95,14 @@ def bus() -> dict[str, Any]:
 
     state = make_state(0)
     data = encode(state)
-    names = [name for name in m.State.__slots__ if name != "header"]
+    names = [name for name in m.StateMessage.__slots__ if name != "header"]
     numbers = {name: getattr(state, name) for name in names}
     packed = msgspec.msgpack.encode(numbers)
     return compared(
-        {"state, encode": lambda: encode(state), "state, decode": lambda: decode(m.State, data)},
+        {
+            "state, encode": lambda: encode(state),
+            "state, decode": lambda: decode(m.StateMessage, data),
+        },
         {
             "state, encode": lambda: msgspec.msgpack.encode(numbers),
             "state, decode": lambda: msgspec.msgpack.decode(packed),
@@ -120,11 +123,11 @@ def make_state(t_ns: int) -> Any:
     """A state message with every number set."""
     from dataclasses import fields
 
-    values = {f.name: 1 if f.type in ("int", int) else 0.5 for f in fields(m.State)}
+    values = {f.name: 1 if f.type in ("int", int) else 0.5 for f in fields(m.StateMessage)}
     header = m.make_header(t_ns, m.WORLD)
-    kinds = {f.name: f.type for f in fields(m.State)}
+    kinds = {f.name: f.type for f in fields(m.StateMessage)}
     whole = {name: int(values[name]) for name in values if _is_whole(kinds[name])}
-    return m.State(**{**values, **whole, "header": header})
+    return m.StateMessage(**{**values, **whole, "header": header})
 
 
 def _is_whole(kind: Any) -> bool:
@@ -139,7 +142,7 @@ def session() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.mcap"
         names = [make_session_topic("car1", t) for t in (topics.STATE, topics.TICK)]
-        writer = SessionWriter(path, dict(zip(names, (m.State, m.Tick), strict=True)), {})
+        writer = SessionWriter(path, dict(zip(names, (m.StateMessage, m.Tick), strict=True)), {})
         began = time.process_time()
         for k in range(ticks):
             writer.write(names[0], state, k * TICK_NS)
@@ -148,7 +151,7 @@ def session() -> dict[str, Any]:
         wrote = time.process_time() - began
         began = time.perf_counter()
         read = open_session(path)
-        columns = [read.columns(cls) for cls in (m.State, m.Tick)]
+        columns = [read.columns(cls) for cls in (m.StateMessage, m.Tick)]
         opened = time.perf_counter() - began
         began = time.perf_counter()
         raw = sum(1 for _ in _plain_reader(path))

@@ -35,7 +35,7 @@ from steerd.steer_bus.standard import Header, make_header, make_time, stamp_ns
 
 __all__ = [
     "BODY", "OWN_MESSAGES", "WORLD", "Actuation", "ActuationMode", "ClockSample", "DriveCommand",
-    "Header", "MocapPose", "OperatorRequest", "RequestKind", "State", "Throttle", "Tick",
+    "Header", "MocapPose", "OperatorRequest", "RequestKind", "StateMessage", "Throttle", "Tick",
     "Transition", "VescIdentity", "VescImu", "VescTelemetry", "WheelSpeed", "make_header",
     "make_time", "stamp_ns",
 ]  # fmt: skip
@@ -198,7 +198,7 @@ class Actuation:
 
 
 @message("steerd_msgs/msg/State")
-class State:
+class StateMessage:
     """The tick's aggregate: estimate with standard deviations, lane errors, references.
 
     ``mode`` is the supervisor's state; ``slip_angle`` is the CoG's; ``e1`` is the CoG's lateral
@@ -304,6 +304,6 @@ class Throttle:
 
 
 OWN_MESSAGES = (
-    Tick, MocapPose, VescTelemetry, VescIdentity, VescImu, Actuation, State, DriveCommand,
+    Tick, MocapPose, VescTelemetry, VescIdentity, VescImu, Actuation, StateMessage, DriveCommand,
     OperatorRequest, Transition, ClockSample, WheelSpeed, Throttle,
 )  # fmt: skip

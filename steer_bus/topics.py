@@ -17,7 +17,7 @@ from steerd.steer_bus.messages import (
     DriveCommand,
     MocapPose,
     OperatorRequest,
-    State,
+    StateMessage,
     Throttle,
     Tick,
     Transition,
@@ -76,7 +76,7 @@ VESC = Topic("vesc", VescTelemetry, rate_hz=200.0)
 IDENTITY = Topic("vesc_identity", VescIdentity)
 IMU = Topic("imu", VescImu, rate_hz=200.0)
 ACTUATION = Topic("actuation", Actuation, rate_hz=200.0)
-STATE = Topic("state", State, priority=Priority.REAL_TIME, rate_hz=200.0)
+STATE = Topic("state", StateMessage, priority=Priority.REAL_TIME, rate_hz=200.0)
 TRANSITION = Topic("transition", Transition)
 CLOCK = Topic("clock", ClockSample, rate_hz=1.0)
 DRIVE = Topic("cmd/drive", DriveCommand, Direction.IN, Priority.REAL_TIME, rate_hz=100.0)

@@ -41,7 +41,7 @@ class Tally:
     _since_ns: int | None = None
     _last: tuple[int, float, float] | None = None
 
-    def add(self, state: m.State) -> None:
+    def add(self, state: m.StateMessage) -> None:
         """Add the state of one tick."""
         if state.mode != SupervisorState.RUNNING:
             self._since_ns = self._last = None
@@ -89,7 +89,7 @@ class Dashboard:
     """
 
     title: str
-    state: m.State | None = None
+    state: m.StateMessage | None = None
     tick: m.Tick | None = None
     status: dict[str, str] = field(default_factory=dict)
     events: deque[str] = field(default_factory=lambda: deque(maxlen=6))
@@ -99,7 +99,7 @@ class Dashboard:
     def take(self, record: PipeRecord) -> str | None:
         """Take in a record; returns a line to print where nothing is rendered, or None."""
         if record.topic is topics.STATE:
-            state: m.State = read_message(record)
+            state: m.StateMessage = read_message(record)
             self.state = state
             self.tally.add(state)
         elif record.topic is topics.TICK:
@@ -128,7 +128,7 @@ class Dashboard:
             parts += [Text(), Text(self.keys, style="bold")]
         return Panel(Group(*parts), title=self.title, expand=True)
 
-    def _numbers(self, s: m.State) -> Table:
+    def _numbers(self, s: m.StateMessage) -> Table:
         table = Table.grid(padding=(0, 3))
         late_ms = max(self.tick.woke_ns - self.tick.due_ns, 0) * 1e-6 if self.tick else 0.0
         work_ms = self.tick.work_ns * 1e-6 if self.tick else 0.0

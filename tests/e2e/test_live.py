@@ -36,7 +36,7 @@ class Watcher:
         end = time.monotonic() + seconds
         while True:
             for sample in self._states.poll():
-                self.seen.append(decode(m.State, sample.data))
+                self.seen.append(decode(m.StateMessage, sample.data))
                 if done(self.seen[-1]):
                     return self.seen[-1]
             assert time.monotonic() < end, run.text
@@ -71,7 +71,7 @@ def last_change(session):
 
 def lane_errors(session):
     """Lateral errors while driving, after the first second [m]."""
-    table = open_session(session).columns(m.State)
+    table = open_session(session).columns(m.StateMessage)
     running = table["mode"] == SupervisorState.RUNNING
     t = table["mono_ns"][running]
     return table["e1"][running][t - t[0] > 1e9]

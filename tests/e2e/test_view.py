@@ -86,7 +86,7 @@ def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, t
     os.kill(run.child("steerd.daemon.process.view\0"), signal.SIGKILL)
     assert run.wait() == 0, run.text
     assert "the viewer ended with code -9" in run.text
-    table = open_session(record).columns(m.State)
+    table = open_session(record).columns(m.StateMessage)
     assert not set(table["mode"]) & set(LATE_MODES)
     recorded = {c.to_state for c in transitions(record)}
     assert SupervisorState.RUNNING in recorded

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerd.steer_bus.codec import encode
+from steerd.steer_bus.codec import encode, type_name
 from steerd.steer_bus.fields import Array, Blob, Scalar, Text, message_fields
 from steerd.steer_bus.messages import OWN_MESSAGES, WORLD, make_header
 from steerd.steer_bus.session import AttachedFile, SessionWriter
@@ -46,7 +46,9 @@ class Drive:
     order: list
 
 
-TOPIC_OF = {cls: f"/steerd/car1/{cls.__name__.lower()}" for cls in OWN_MESSAGES}
+TOPIC_OF = {
+    cls: f"/steerd/car1/{type_name(cls).rpartition('/')[2].lower()}" for cls in OWN_MESSAGES
+}
 
 
 def write_drive(path, ticks=200, seed=0):

@@ -20,7 +20,7 @@ from steerd.steer_bus.messages import (
     WORLD,
     Actuation,
     ActuationMode,
-    State,
+    StateMessage,
     Tick,
     Transition,
     make_header,
@@ -52,13 +52,13 @@ def test_tick_is_padded_to_eight():
 
 
 def test_state_follows_the_specs_pattern():
-    state = State(HEADER, 7, 8, 9, 1, *map(float, range(21)))
+    state = StateMessage(HEADER, 7, 8, 9, 1, *map(float, range(21)))
     expected = struct.pack(
         "<4siII4sqIIB7x21d", b"\0\1\0\0", 1_700_000_000, 123_456_789, 4, b"map\0", 7, 8, 9, 1,
         *map(float, range(21)),
     )  # fmt: skip
     assert encode(state) == expected
-    assert decode(State, expected) == state
+    assert decode(StateMessage, expected) == state
 
 
 def test_bytes_and_strings():
@@ -83,7 +83,7 @@ def test_times_before_the_epoch_keep_their_nanoseconds():
 
 def test_nan_and_infinity_pass():
     values = [math.nan, math.inf, -math.inf, *[0.0] * 18]
-    state = decode(State, encode(State(HEADER, 0, 0, 0, 0, *values)))
+    state = decode(StateMessage, encode(StateMessage(HEADER, 0, 0, 0, 0, *values)))
     assert math.isnan(state.x)
     assert state.y == math.inf
     assert state.yaw == -math.inf

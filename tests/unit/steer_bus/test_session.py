@@ -13,7 +13,7 @@ from steerd.steer_bus.messages import (
     WORLD,
     Actuation,
     ClockSample,
-    State,
+    StateMessage,
     Tick,
     Transition,
     make_header,
@@ -77,9 +77,9 @@ def test_columns_hold_every_value(drive, topic_of, cls):
 
 
 def test_columns_of_a_topic_without_messages(tmp_path):
-    writer = start(tmp_path / "a.mcap", state=State)
+    writer = start(tmp_path / "a.mcap", state=StateMessage)
     session = open_session(writer.finish({}))
-    columns = session.columns(State)
+    columns = session.columns(StateMessage)
     assert columns["x"].shape == (0,)
     assert columns["x"].dtype == np.float64
 
@@ -183,9 +183,9 @@ def test_undeclared_topics_are_a_mistake(tmp_path):
 def test_what_a_session_lacks_is_said(drive, topic_of, tmp_path):
     session = open_session(drive.path)
     cases = [
-        (lambda: session.columns(State, "/nothing"), "missing_topic"),
+        (lambda: session.columns(StateMessage, "/nothing"), "missing_topic"),
         (lambda: session.columns(Odometry), "missing_topic"),
-        (lambda: session.columns(State, topic_of[Tick]), "other_schema"),
+        (lambda: session.columns(StateMessage, topic_of[Tick]), "other_schema"),
         (lambda: session.attachment("x"), "missing_attachment"),
     ]
     for call, code in cases:
@@ -195,10 +195,10 @@ def test_what_a_session_lacks_is_said(drive, topic_of, tmp_path):
     assert session.attachment("car.toml") == b"mass_kg = 3.1\n"
     with pytest.raises(TypeError, match="messages"):
         session.columns(DiagnosticArray, "/x")
-    writer = start(tmp_path / "a.mcap", a=State, b=State)
+    writer = start(tmp_path / "a.mcap", a=StateMessage, b=StateMessage)
     two = open_session(writer.finish({}))
     with pytest.raises(SessionError, match="several") as caught:
-        two.columns(State)
+        two.columns(StateMessage)
     assert caught.value.code == "ambiguous_topic"
 
 
@@ -221,7 +221,7 @@ def test_a_file_that_shrinks_while_it_is_read(tmp_path, make_drive):
     session = open_session(drive.path)
     drive.path.write_bytes(drive.path.read_bytes()[:200])
     with pytest.raises(SessionError) as caught:
-        session.columns(State)
+        session.columns(StateMessage)
     assert caught.value.code == "changed"
 
 

@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, Writer  # noqa: TID251
 
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.mcap_records import MAGIC
-from steerd.steer_bus.messages import WORLD, ClockSample, State, make_header
+from steerd.steer_bus.messages import WORLD, ClockSample, StateMessage, make_header
 from steerd.steer_bus.session import SessionError, open_session, recover
 
 pytestmark = pytest.mark.slow
@@ -179,7 +179,9 @@ def test_recovery_saves_what_reading_finds(whole, tmp_path):
     assert not info.clean
     assert info.metadata["steerd.recovered"]["source"] == "bad.mcap"
     assert session.attachment("car.toml") == b"mass_kg = 3.1\n"
-    assert session.columns(State)["x"].shape[0] == sum(t.endswith("/state") for t, _, _ in found)
+    assert session.columns(StateMessage)["x"].shape[0] == sum(
+        t.endswith("/state") for t, _, _ in found
+    )
 
 
 def test_a_failed_recovery_leaves_nothing(whole, tmp_path, monkeypatch):
@@ -280,7 +282,7 @@ def test_schemas_of_a_lost_first_chunk_come_from_the_summary(whole, tmp_path):
     session, found = read_all(write(tmp_path / "a.mcap", bytes(bad)))
     assert session.warnings[0].code == "damaged"
     assert found == records[-len(found) :]
-    assert session.columns(State)["x"].size > 0
+    assert session.columns(StateMessage)["x"].size > 0
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))

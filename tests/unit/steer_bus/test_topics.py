@@ -4,9 +4,8 @@ import re
 
 import pytest
 
-from steerd.steer_bus.bus import key_matches
 from steerd.steer_bus.codec import schema_text, type_name
-from steerd.steer_bus.messages import State
+from steerd.steer_bus.messages import StateMessage
 from steerd.steer_bus.topics import (
     DRIVE,
     STATE,
@@ -22,6 +21,7 @@ from steerd.steer_bus.topics import (
     schema_replies,
     split_key,
 )
+from tests.local_bus import key_matches
 
 
 def test_names_are_unique_and_valid_ros_names():
@@ -34,7 +34,7 @@ def test_keys():
     assert make_key("car1", STATE) == "steerd/car1/state"
     assert make_session_topic("car1", DRIVE) == "/steerd/car1/cmd/drive"
     assert alive_key("car1") == "steerd/car1/alive"
-    assert schema_key("car1", State) == "steerd/car1/schema/steerd_msgs/msg/State"
+    assert schema_key("car1", StateMessage) == "steerd/car1/schema/steerd_msgs/msg/State"
 
 
 @pytest.mark.parametrize("car", ["", "Car", "a/b", "*", "a*", "**", "a b", "ä", "a\n", "x" * 65])
@@ -67,7 +67,7 @@ def test_commands_are_urgent_and_inward():
 
 def test_every_topic_on_the_bus_has_its_schema_served():
     replies = schema_replies("car1")
-    assert replies[schema_key("car1", State)] == schema_text(State).encode()
+    assert replies[schema_key("car1", StateMessage)] == schema_text(StateMessage).encode()
     for topic in TOPICS:
         if topic.on_bus:
             key = f"steerd/car1/schema/{type_name(topic.message)}"

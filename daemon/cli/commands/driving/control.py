@@ -27,8 +27,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock, MonotonicClock
 from steerd.steer_bus.codec import decode, encode
-from steerd.steer_bus.messages import BODY, DriveCommand, make_header
-from steerd.steer_bus.messages import State as StateMessage
+from steerd.steer_bus.messages import BODY, DriveCommand, StateMessage, make_header
 from steerd.steer_bus.topics import make_key
 
 VALID_MS = 100

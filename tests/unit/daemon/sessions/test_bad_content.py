@@ -19,14 +19,21 @@ from mcap.writer import Writer  # noqa: TID251
 
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.codec import decode, encode, schema_text, type_name
-from steerd.steer_bus.messages import Actuation, MocapPose, State, Tick, Transition, VescTelemetry
+from steerd.steer_bus.messages import (
+    Actuation,
+    MocapPose,
+    StateMessage,
+    Tick,
+    Transition,
+    VescTelemetry,
+)
 from steerd.steer_bus.session import open_session
 from steerd.steer_bus.topics import find_topic
 
 pytestmark = pytest.mark.slow
 
 SECOND = 1_000_000_000
-KEPT = (MocapPose, Actuation, State, Tick, Transition, VescTelemetry)
+KEPT = (MocapPose, Actuation, StateMessage, Tick, Transition, VescTelemetry)
 SEEDS = (1, 2)
 
 
@@ -143,7 +150,9 @@ def rotated_left(p, i, rng):
 
 def standing(records, rng):
     records = poses(lambda p, i, _: replace(p, x=0.0, y=0.0, yaw=0.0))(records, rng)
-    return of(State, lambda s, i, _: replace(s, x=0.0, y=0.0, yaw=0.0, speed=0.0))(records, rng)
+    return of(StateMessage, lambda s, i, _: replace(s, x=0.0, y=0.0, yaw=0.0, speed=0.0))(
+        records, rng
+    )
 
 
 def commands(change):

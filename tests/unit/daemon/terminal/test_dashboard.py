@@ -21,7 +21,7 @@ HEADER = m.make_header(1, m.WORLD)
 def state(t_ns, x=0.0, e1=0.0, mode=SupervisorState.RUNNING):
     numbers = [0.0] * 21
     numbers[0], numbers[2], numbers[14] = x, pi, e1
-    return m.State(HEADER, t_ns, 1, 0, mode, *numbers)
+    return m.StateMessage(HEADER, t_ns, 1, 0, mode, *numbers)
 
 
 def drive(tally, ticks, e1, start_ns=0, speed=1.5):

@@ -23,7 +23,7 @@ def sample(name, message):
 def state(speed=1.5, e1=0.012):
     numbers = [0.0] * 21
     numbers[3], numbers[14] = speed, e1
-    return m.State(HEADER, 0, 1, 0, SupervisorState.RUNNING, *numbers)
+    return m.StateMessage(HEADER, 0, 1, 0, SupervisorState.RUNNING, *numbers)
 
 
 def vesc(fault=0):
