@@ -13,7 +13,7 @@ from benchmarks.blind_gap.opening import load_manifest
 from benchmarks.blind_gap.verdicts import verdict_path
 
 IDENTIFY = "steerd identify {runs} -o {base}"
-DIAGNOSE = "steerd diagnose {runs} {held_out} --base {base} --runs-held-out {held_names} --json"
+DIAGNOSE = "steerd diagnose {runs} {held_out} --base {base} --held-out {held_names} --json"
 
 
 def expand(template: str, values: Mapping[str, str | Sequence[str]]) -> list[str]:

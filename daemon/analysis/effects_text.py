@@ -147,12 +147,12 @@ steerd run --sim --fast --duration 20 --effect steer_delay=0.03
 
 Several parameters go in order (`floor_slope=0.005,0.002`) or by name (`grip_patch:x=2,drop=0.3`);
 what is not given stays at its null, and at its nulls an effect changes nothing, bit for bit
-(`tests/contract/test_effects.py` holds every effect to that, in floats and in tensors).
+(a contract test holds every effect to that, in floats and in tensors).
 
 An effect is one file of a page in `car_model/effects/`: name, parameters (null, bounds, unit, prior
 scale: the column "usual" is what is ordinary on a car of this class) and functions for the stages
 it touches. Adding the file is all there is to adding an effect; this page is then rewritten with
-`steerd effects --page > docs/reference/effects.md` (a test compares them).
+`steerd effects --page` (a test compares them).
 
 Limits: an effect acts on the planar single-track car, so roll, pitch and the split between left and
 right wheels appear only through their effect on the axles. The diagnosis reports effects that are

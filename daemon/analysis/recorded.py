@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,8 +39,6 @@ class Session:
 
     path: Path
     _recording: session_read.Session = field(repr=False)
-    # Of a simulation that was not recorded under a name: the file lives as long as this value.
-    _folder: TemporaryDirectory[str] | None = field(default=None, repr=False)
 
     @property
     def topics(self) -> tuple[str, ...]:

@@ -1,13 +1,15 @@
 """`steerd.simulate`: a drive of the control loop on a simulated car, in virtual time."""
 
+import shutil
 import warnings
+import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import mkdtemp
 
 from steerd.daemon.analysis.recorded import Session
 from steerd.daemon.analysis.sources import CarSource, read_car
-from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.assembly.build import RunPlan, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.offline.fast import check_driven, record_virtual
 from steerd.daemon.offline.virtual import VirtualRun, drive
@@ -61,18 +63,29 @@ def simulate(
         auto_arm=True, effects=_format_effects(effects or {}),
     )  # fmt: skip
     plan = make_plan(options, make_settings(read_car(car), speed))
-    folder = TemporaryDirectory(prefix="steerd-") if record is None else None
-    file = Path(folder.name) / "simulated.mcap" if folder else Path(record or "")
+    if record is not None:
+        return _record(plan, Path(record))
+    folder = Path(mkdtemp(prefix="steerd-"))
+    try:
+        session = _record(plan, folder / "simulated.mcap")
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    weakref.finalize(session, shutil.rmtree, folder, ignore_errors=True)
+    return session
+
+
+def _record(plan: RunPlan, file: Path) -> Session:
     run = record_virtual(plan, file, drive)
     check_driven(run)
     _warn_stopped(run)
-    return Session(file, load_session(file), folder)
+    return Session(file, load_session(file))
 
 
 def _warn_stopped(run: VirtualRun) -> None:
     loop = run.core.loop
     if loop.faulted:
-        warnings.warn(f"the drive was stopped: {loop.supervisor.reason}", stacklevel=3)
+        warnings.warn(f"the drive was stopped: {loop.supervisor.reason}", stacklevel=4)
 
 
 def _format_effects(effects: EffectValues) -> tuple[str, ...]:

@@ -142,7 +142,7 @@ def test_the_prediction_stands_before_a_reserved_session_is_opened(late, tmp_pat
     broken, told = tmp_path / "broken.mcap", tmp_path / "prediction.json"
     broken.write_bytes(b"nothing")
     session = str(late[0] / "late.mcap")
-    words = ["diagnose", session, "--runs-held-out", str(broken), "--prediction", str(told),
+    words = ["diagnose", session, "--held-out", str(broken), "--prediction", str(told),
              "--no-pairs", "--no-closed-loop", "--only", "steer_delay", "--json"]  # fmt: skip
     assert run_cli(words) in (3, 4)
     said = capsys.readouterr()

@@ -10,10 +10,10 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The effect and the form of the answer."""
+    """The effect and the output format."""
     parser.add_argument("name", nargs="?", metavar="NAME", help="one effect, or an alias of it")
     parser.add_argument("--json", action="store_true", help="the same for programs")
-    parser.add_argument("--page", action="store_true", help="the text of docs/reference/effects.md")
+    parser.add_argument("--page", action="store_true", help="the same as a Markdown page")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,0 +1,131 @@
+"""`steerd.identify` and `steerd.diagnose`: the numbers of the command line, as values."""
+
+import json
+import math
+
+import pytest
+
+import steerd
+from steerd.car_model.car_file import load_car
+from steerd.daemon.cli.main import run_cli
+
+pytestmark = pytest.mark.slow
+
+FREE = ["steer_delay", "speed_lag"]
+DELAY = 0.04
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    return steerd.simulate(
+        path="figure8", speed=1.6, duration=24.0, effects={"steer_delay": DELAY},
+        record=tmp_path_factory.mktemp("drive") / "late.mcap",
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def fit(drive):
+    return steerd.identify(drive, free=FREE, held_out=3)
+
+
+@pytest.fixture(scope="module")
+def gap(drive):
+    only = ["steer_delay", "speed_delay"]
+    return steerd.diagnose(drive, only=only, pairs=False, closed_loop=False)
+
+
+def test_the_command_line_gives_the_same_numbers(drive, fit, capsys):
+    words = ["identify", str(drive.path), "--free", ",".join(FREE), "--held-out", "3"]
+    assert run_cli([*words, "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(fit.to_json()))
+
+
+def test_parameters_have_values_errors_and_units(fit):
+    assert set(fit.parameters) == set(FREE)
+    delay = fit.parameters["steer_delay"]
+    assert delay.value == pytest.approx(delay.start + DELAY, abs=0.01)
+    assert 0.0 < delay.sd < 0.02
+    assert delay.unit == "s"
+    assert fit.improved
+    assert "steer_delay" in str(fit)
+
+
+def test_the_identified_car_is_simulated_saved_and_read_again(fit, tmp_path):
+    path = fit.save_car(tmp_path / "car.toml")
+    assert load_car(path).car == fit.car.car
+    assert "noise" in load_car(path).sections
+    assert fit.car.car.steer_delay == fit.parameters["steer_delay"].value
+    session = steerd.simulate(fit, "circle:radius=2", duration=1.0)
+    assert session.metadata["steerd.vehicle"]["steer_delay"] == repr(fit.car.car.steer_delay)
+
+
+def test_what_is_stated_stands_in_the_car(drive):
+    found = steerd.identify(drive, free=["speed_lag"], fix={"mass": 3.0, "lf": None})
+    assert found.car.car.mass == 3.0
+    assert found.car.car.lf == found.request.car.car.lf
+
+
+def test_a_cause_is_named_and_goes_into_the_car(gap):
+    (cause,) = gap.causes
+    value, sd, unit = cause.parameters["delay"]
+    assert (gap.verdict, cause.effect, unit) == ("explained", "steer_delay", "s")
+    assert value == pytest.approx(DELAY, abs=0.01)
+    assert math.isfinite(sd)
+    assert [effect.name for effect in gap.car.effects] == ["steer_delay"]
+    assert gap.car.values[0][0] == value
+    data = gap.to_json()
+    assert data["schema"] == "steerd.gap/1"
+    assert data["residual"]["sessions"] == ["late.mcap"]
+
+
+def test_with_its_own_car_a_drive_has_no_such_gap(drive, gap):
+    only = ["steer_delay", "speed_delay"]
+    found = steerd.diagnose(drive, base=gap, only=only, pairs=False, closed_loop=False)
+    assert "steer_delay" not in [cause.effect for cause in found.causes]
+    assert found.findings.before.errors[-1][1] < 0.2 * gap.findings.before.errors[-1][1]
+
+
+def test_figures_are_matplotlib_figures(fit, gap, tmp_path):
+    for name, figure, axes in (("fit", fit.plot(), 5), ("gap", gap.plot(), 3)):
+        assert len(figure.axes) >= axes
+        figure.savefig(tmp_path / f"{name}.png")
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+
+
+def test_the_prediction_comes_before_the_measurement(gap):
+    assert gap.findings.shrinkage.text in gap.to_json()["residual"]["prediction"]
+    assert gap.findings.shrinkage.measured > 0.5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        ({"held_out": 1}, "held out 1"),
+        ({"held_out": 0}, "held out 0"),
+        ({"free": ["lenght"]}, "lenght is no parameter"),
+        ({"fix": {"mass": -3.0}}, "mass"),
+        ({"wheelbase": 330.0}, "in metres"),
+        ({"effects": ["wings"]}, "wings"),
+        ({"jobs": 0}, "jobs 0"),
+        ({"car": "none.toml"}, "none.toml"),
+    ],
+)
+def test_identify_refuses_what_makes_no_sense(arguments, what, drive):
+    with pytest.raises(steerd.SteerdError, match=what):
+        steerd.identify(drive, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        ({"only": ["wings"]}, "wings"),
+        ({"only": ["mass"], "without": ["mass"]}, "leave no effect"),
+        ({"healthy": "{drive}"}, "its gap would pass for noise"),
+        ({"held_out": "none.mcap"}, "does not exist"),
+        ({"jobs": 0}, "jobs 0"),
+    ],
+)
+def test_diagnose_refuses_what_makes_no_sense(arguments, what, drive):
+    given = {k: drive if v == "{drive}" else v for k, v in arguments.items()}
+    with pytest.raises(steerd.SteerdError, match=what):
+        steerd.diagnose(drive, **given)
