@@ -100,18 +100,18 @@ class Directions(NamedTuple):
     """Directions of the forward sensitivities: what derivatives are taken by.
 
     Attributes:
-        parameters: (P, >= count) derivative of each parameter.
-        first: (STATES, >= count) derivative of the first state.
+        parameters: (P, >= n) derivative of each parameter.
+        first: (STATES, >= n) derivative of the first state.
         delay_steps: (3,) dead times of steer, drive and pose in integration steps.
         delays: (rows of SENSITIVITIES) derivatives of `delay_steps`.
-        count: directions in use, a multiple of SLOTS.
+        n: directions in use, a multiple of SLOTS.
     """
 
     parameters: Array
     first: Array
     delay_steps: Array
     delays: Array
-    count: int
+    n: int
 
 
 class Window(NamedTuple):
@@ -140,7 +140,7 @@ class Readings(NamedTuple):
         scale: (rows,) by which each row of derivatives is multiplied.
         y: (rows,) readings, written; a pose writes three.
         jy: (rows * width,) their derivatives, written.
-        width: derivatives in a row of `jy`, at least `Directions.count`.
+        width: derivatives in a row of `jy`, at least `Directions.n`.
         start_pose: 0, or the first of three places in a row of `jy` for derivatives by position and
             heading of the window's start: a car that is the same everywhere moves and turns with
             it.

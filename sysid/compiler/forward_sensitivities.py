@@ -139,7 +139,7 @@ def delay_command(
         old = window.commands[unsigned(min(max(start + older, low), high - 1)), channel]
         z[ACTUATORS_COMMAND + channel] = new + (delay - whole) * (old - new)
         a, b = (ACTUATORS_COMMAND + channel) * SENSITIVITIES, channel * SENSITIVITIES
-        for i in range(0, directions.count, SLOTS):
+        for i in range(0, directions.n, SLOTS):
             scale_row(w, a + i, directions.delays, b + i, old - new)
 
 
@@ -313,7 +313,7 @@ def settle(
     m: Integration, directions: Directions, window: Window, now: Tangent, work: TangentWork
 ) -> None:
     """Actuators alone over the known commands before a window; `now` gets steer and memory."""
-    a, n, settling = work.actuators, directions.count, window.span[4]
+    a, n, settling = work.actuators, directions.n, window.span[4]
     if settling <= 0:
         return
     offset = now.x[STEER]
@@ -378,7 +378,7 @@ def seed_state(dx: "Array", dfirst: "Array", first: int, last: int, n: int) -> N
 def share_sensitivities(directions: Directions) -> "Array":
     """Of a reading's place within its step, by `late`: none, or those of the poses' dead time."""
     shares = np.zeros(2 * SENSITIVITIES)
-    for i in range(directions.count):
+    for i in range(directions.n):
         shares[SENSITIVITIES + i] = -directions.delays[2 * SENSITIVITIES + i]
     return shares
 
@@ -397,7 +397,7 @@ def march_window(
     """
     m, directions = Integration(*integration), Directions(*seeds)
     window, readings = Window(*place), Readings(*stations_of)
-    n, start, stations = directions.count, window.first, readings.stations
+    n, start, stations = directions.n, window.first, readings.stations
     work, shares = make_tangent_work(directions.parameters, n), share_sensitivities(directions)
     now, after = make_tangent(), make_tangent()
     now.x[:] = start

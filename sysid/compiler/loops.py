@@ -387,25 +387,27 @@ def adjoint_block(
     stream, into = make_stream(m, block, steps), gradients.commands
     returned = np.zeros(len(stream.rows) if len(into) else 0)
     work, delay_bars = make_adjoint_work(m.tableau.shape[1]), gradients.delays
+    # fields taken out here: within the loop each would cost two atomic reference counts
     wa, wr, wva = work.actuators, work.rates, work.actuators_vjp
+    stages, after, start = work.stages, work.after, work.start
     back = ACTUATORS_INPUTS + ACTUATORS_OUTPUTS
     set_bars(bar, loss, block, steps)
     load_state(wa, path, block, steps)
     for k in range(steps - 1, -1, -1):
         prefetch_moment(path, loss, block, k - PREFETCH_AHEAD)
         if REMEMBERS:
-            copy_rows(work.after, FIRST, wa, FIRST, CHASSIS)
+            copy_rows(after, FIRST, wa, FIRST, CHASSIS)
         load_state(wa, path, block, k)
         delay_commands(wa, ACTUATORS_COMMAND, stream, k)
         run_actuators(m, wa, wr, t, k)
-        repeat_stages(m, wa, wr, work.stages)
+        repeat_stages(m, wa, wr, stages)
         start_adjoint_step(work, bar)
         adjoint_remember(m, work, bar)
-        add_rows(work.start, FIRST, bar, FIRST, CHASSIS, 1.0)
+        add_rows(start, FIRST, bar, FIRST, CHASSIS, 1.0)
         adjoint_stages(m, work, bar)
         adjoint_actuators(m, work)
         set_bars(bar, loss, block, k)
-        add_rows(bar, FIRST, work.start, FIRST, CHASSIS, 1.0)
+        add_rows(bar, FIRST, start, FIRST, CHASSIS, 1.0)
         add_rows(bar, FIRST, wva, back, STATES + MEMORY, 1.0)
         add_delay_gradient(wva, back + ACTUATORS_COMMAND, stream, k, delay_bars)
         if len(into):
