@@ -24,7 +24,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from control_path import loaded, percentiles
+from control_path import load_cpus, percentiles
 from perf_virtual import plan_of
 
 from steerd.daemon.assembly.build import make_world_config
@@ -140,7 +140,7 @@ def main() -> int:
     said: dict[str, Any] = {"rate": RATE, "bare": {}}
     if shutil.which("cc"):
         for name, busy in (("idle", 0), ("loaded", os.cpu_count() or 1)):
-            with loaded(busy):
+            with load_cpus(busy):
                 said["bare"][name] = bare_path()
     in_a_row = ticking(lambda _number: None)
     said["tick"] = {"in a row": in_a_row, "after a sleep": ticking(until_due(CLOCK.now_ns()))}

@@ -260,7 +260,7 @@ def _count_frames(s: SupervisorMemory, bits: int) -> int:
 
 _WAITING = {
     SupervisorState.INIT: "VESC firmware, UUID and settings, and a first mocap frame",
-    SupervisorState.DISARMED: "all checks pass for 1 s",
+    SupervisorState.DISARMED: "all checks to pass for 1 s",
     SupervisorState.READY: "arm",
     SupervisorState.SELF_TEST: "the VESC's timeout to show",
     SupervisorState.ARMED: "start",
