@@ -64,43 +64,22 @@ def steady_turn(car: Car[float], speed: float, curvature: float) -> Turn:
     Raises:
         ValueError: The speed is not positive, or the car cannot turn so.
     """
-    guess = math.atan(wheelbase(car) * curvature)
-    return _settled(car, speed, speed * curvature, guess, (_SLIP, _WHEEL))
-
-
-def steady_steer(car: Car[float], speed: float, wheel: float) -> Turn:
-    """The steady turn under a given road-wheel angle [rad] at a speed [m/s].
-
-    Raises:
-        ValueError: The speed is not positive, or there is no such turn (an oversteering car at its
-            critical speed).
-    """
-    guess = speed * math.tan(wheel) / wheelbase(car)
-    return _settled(car, speed, guess, wheel, (_YAW_RATE, _SLIP))
-
-
-def _settled(
-    car: Car[float], speed: float, yaw_rate: float, wheel: float, free: tuple[int, int]
-) -> Turn:
-    """Newton's method on yaw and slip rate over two of (yaw rate, slip, wheel)."""
     if not speed > 0.0:
         raise ValueError(f"a steady turn needs a positive speed, not {speed}")
-    point = {_YAW_RATE: yaw_rate, _SLIP: 0.0, _WHEEL: wheel}
+    yaw_rate, slip, wheel = speed * curvature, 0.0, math.atan(wheelbase(car) * curvature)
     for _ in range(_NEWTON_STEPS):
-        state = ORIGIN._replace(speed=speed, yaw_rate=point[_YAW_RATE], slip_angle=point[_SLIP])
-        rates, jacobian = rates_and_jacobian(car, state, point[_WHEEL], 0.0)
-        (a, b), (c, d) = ([jacobian[row][col] for col in free] for row in (_YAW_RATE, _SLIP))
+        state = ORIGIN._replace(speed=speed, yaw_rate=yaw_rate, slip_angle=slip)
+        rates, jacobian = rates_and_jacobian(car, state, wheel, 0.0)
+        (a, b), (c, d) = ((jacobian[i][_SLIP], jacobian[i][_WHEEL]) for i in (_YAW_RATE, _SLIP))
         determinant = a * d - b * c
         if abs(determinant) <= 1e-12 * (abs(a * d) + abs(b * c)):
             break
-        first = (d * rates[_YAW_RATE] - b * rates[_SLIP]) / determinant
-        second = (a * rates[_SLIP] - c * rates[_YAW_RATE]) / determinant
-        point[free[0]] -= first
-        point[free[1]] -= second
-        if abs(first) + abs(second) < _NEWTON_TOLERANCE * (1.0 + abs(point[free[0]])):
-            turned = state._replace(yaw_rate=point[_YAW_RATE], slip_angle=point[_SLIP])
-            return Turn(turned._replace(steer=point[_WHEEL]), point[_WHEEL])
-    raise ValueError(f"no steady turn at {speed} m/s with yaw rate {yaw_rate} or wheel {wheel} rad")
+        by_slip = (d * rates[_YAW_RATE] - b * rates[_SLIP]) / determinant
+        by_wheel = (a * rates[_SLIP] - c * rates[_YAW_RATE]) / determinant
+        slip, wheel = slip - by_slip, wheel - by_wheel
+        if abs(by_slip) + abs(by_wheel) < _NEWTON_TOLERANCE * (1.0 + abs(slip)):
+            return Turn(state._replace(slip_angle=slip, steer=wheel), wheel)
+    raise ValueError(f"no steady turn of curvature {curvature} 1/m at {speed} m/s")
 
 
 def linearise(
@@ -159,19 +138,6 @@ def understeer_gradient(car: Car[float]) -> float:
     `(m / L) (lr / cf - lf / cr)` with per-axle stiffness; mass and load cancel.
     """
     return (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
-
-
-def feedforward_steer(car: Car[float], speed: float, curvature: float) -> float:
-    """Road-wheel angle [rad] that holds a path curvature [1/m]: `L k + K_us v^2 k`."""
-    return (wheelbase(car) + understeer_gradient(car) * speed * speed) * curvature
-
-
-def steady_slip(car: Car[float], speed: float, curvature: float) -> float:
-    """Slip angle [rad] of the steady turn; the heading error settles at its negative.
-
-    `lr k - v^2 k / (mu g C_Sr)`: the rear axle's slip carries its share of the lateral force.
-    """
-    return (car.lr - speed * speed / (car.mu * GRAVITY * car.c_sr)) * curvature
 
 
 def sample(a: Matrix, b: Matrix, period: float, delay: float = 0.0) -> Sampled:

@@ -92,9 +92,3 @@ def wheelbase(car: Car[T]) -> T:
     """Distance between the axles [m]."""
     length: T = car.lf + car.lr
     return length
-
-
-def axle_stiffness(car: Car[T]) -> tuple[T, T]:
-    """Cornering stiffness per axle `(cf, cr)` [N/rad] at rest load: `mu C_S F_z`."""
-    scale = car.mu * car.mass * GRAVITY / (car.lf + car.lr)
-    return scale * car.lr * car.c_sf, scale * car.lf * car.c_sr

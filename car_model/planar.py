@@ -52,7 +52,7 @@ def along_body(ops: Ops[T], car: Car[T], state: State[T], wheel: T, slip: T, fro
 
     A driven front axle rolls along its wheels: `v_x cos(delta) + (v_y + l_f r) sin(delta)`.
     """
-    ground = state.speed * (1.0 - slip)
+    ground: T = state.speed * (1.0 - slip)
     if not front:
         return ground
     sine, cosine = ops.sin(wheel), ops.cos(wheel)

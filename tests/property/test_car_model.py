@@ -10,7 +10,7 @@ from steerd.car_model.chassis import SPEED_DYNAMIC, SPEED_KINEMATIC, derivative
 from steerd.car_model.jacobian_generated import rates_and_jacobian
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
-from steerd.car_model.params import DEFAULT_CAR, GRAVITY, PARAMETERS, Car, axle_stiffness, wheelbase
+from steerd.car_model.params import DEFAULT_CAR, GRAVITY, PARAMETERS, Car
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
@@ -161,12 +161,3 @@ def test_lateral_forces_never_make_speed(
     car: Car[float], state: State[float], wheel: float, accel: float
 ) -> None:
     assert derivative(SINGLE_TRACK, FLOAT, car, state, wheel, accel).speed == accel
-
-
-@repeatable
-@given(cars)
-def test_coefficients_times_load_are_the_axle_stiffness(car: Car[float]) -> None:
-    cf, cr = axle_stiffness(car)
-    load = car.mass * GRAVITY
-    assert cf == pytest.approx(car.mu * car.c_sf * load * car.lr / wheelbase(car), rel=1e-12)
-    assert cr == pytest.approx(car.mu * car.c_sr * load * car.lf / wheelbase(car), rel=1e-12)

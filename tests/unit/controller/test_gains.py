@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from steerd.car_model.linear import feedforward_steer, lane_error_model, steady_slip
+from steerd.car_model.linear import lane_error_model
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
 from steerd.controller.config import PAPER_POLES, ControllerConfig, LqrWeights
 from steerd.controller.design import DesignRefused
 from steerd.controller.gain_table import GainTable, Turning, look_up
 from steerd.controller.gains import design_table, lqr_gains, pole_placement_gains
 from steerd.controller.loop_model import Timing, sampled_loop, turn_response
+from tests.textbook import feedforward_steer, steady_slip
 
 TIMING = Timing(rate_hz=100.0, delay_s=0.025, lag_s=0.05)
 
