@@ -312,7 +312,7 @@ def main() -> None:
         for name, e in found.estimates.items():
             print(
                 f"   {name:<6} {e.value:8.4f} ± {e.sd:.4f}"
-                + ("" if e.identifiable else "  not told")
+                + ("" if e.identifiable else "  not identifiable")
             )
         for c in found.combinations:
             print(f"   {c.text} = {c.value:.5f} ± {c.sd:.5f} m")

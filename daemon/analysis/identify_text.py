@@ -8,11 +8,17 @@ from steerd.sysid.estimation.learn import POOR
 from steerd.sysid.estimation.outcome import Outcome, Row
 
 _CERTAIN = 10.0
-"""A phase whose log-likelihood leads by more is told."""
+"""A phase whose log-likelihood leads by more is identified [nats]."""
 
 
 def describe(outcome: Outcome, written: Path | None = None, *, axles_measured: bool = False) -> str:
-    """The screen, most telling last: what to do next."""
+    """The screen; what to do next comes last.
+
+    Args:
+        outcome: of the identification.
+        written: the car file that was written.
+        axles_measured: whether the wheelbase was stated.
+    """
     parts = [
         _data(outcome), _parameters(outcome), _open(outcome), _validation(outcome),
         _next(outcome, written, axles_measured),
@@ -32,19 +38,19 @@ def _data(outcome: Outcome) -> Iterator[str]:
     effort += f", {len(outcome.searches)} starts" if outcome.searches else ""
     name = how.get(outcome.method, "the same loss by CMA-ES")
     for pulse in outcome.pulses:
-        certain = "" if pulse.sure > _CERTAIN else " (hardly told)"
+        certain = "" if pulse.sure > _CERTAIN else " (weakly identifiable)"
         yield f"servo      {pulse.run}: 50 Hz pulses at {1e3 * pulse.phase:.0f} ms{certain}"
     for ramp in outcome.ramps:
         limit = f"ramp of {ramp.rate:.1f} m/s2" if ramp.rate else "no ramp"
-        certain = "" if ramp.sure > _CERTAIN else " (hardly told)"
+        certain = "" if ramp.sure > _CERTAIN else " (weakly identifiable)"
         yield f"motor      {ramp.run}: {limit}{certain}"
     for jitter in outcome.log_jitters:
         found, corrected = jitter.describe()
         yield f"log        {found}"
         yield f"           {corrected}"
-    for step in outcome.manners:
+    for step in outcome.selected_effects:
         gain = f"gains {step.gain:.0f} ± {step.se:.0f} nats"
-        yield f"manner     {step.effect}: these drives show it ({gain})"
+        yield f"effect     {step.effect}: selected, these drives show it ({gain})"
     yield f"method     {outcome.method} ({name}{effort}), {outcome.seconds:.1f} s"
 
 
@@ -58,22 +64,22 @@ def _parameters(outcome: Outcome) -> Iterator[str]:
 
 def _line(name: str, row: Row) -> str:
     sd = "?" if row.sd is None else f"{row.sd:.2g}"
-    told = "" if row.identifiable else "  not told by these data"
+    remark = "" if row.identifiable else "  not identifiable from these data"
     value = f"{row.value:.5g}" if row.identifiable else f"({row.value:.3g})"
-    return f"{name}{value:>10} {sd:>8}  {row.before:>10.5g} {row.unit}{told}".rstrip()
+    return f"{name}{value:>10} {sd:>8}  {row.before:>10.5g} {row.unit}{remark}".rstrip()
 
 
 def _open(outcome: Outcome) -> Iterator[str]:
     if not outcome.unidentified:
         return
-    yield "what the data leave open, and the manoeuvre that would tell it"
+    yield "not identifiable from these data, and the manoeuvre that would identify it"
     by_hint: dict[str, list[str]] = {}
     for name, hint in outcome.unidentified.items():
         by_hint.setdefault(hint, []).append(name)
     for hint, names in by_hint.items():
         yield f"   {', '.join(names)}: {hint}"
     for c in (each for each in outcome.combinations if each.known):
-        yield f"   known all the same: {c.text} = {c.value:.5g} ± {c.sd:.2g} m"
+        yield f"   identifiable combination: {c.text} = {c.value:.5g} ± {c.sd:.2g} m"
 
 
 def _validation(outcome: Outcome) -> Iterator[str]:
@@ -81,7 +87,7 @@ def _validation(outcome: Outcome) -> Iterator[str]:
     for h in outcome.held_out:
         a, b = h.after, h.before
         if isnan(a.position):
-            yield f"   {a.horizon:.1f} s   nothing so long was kept back"
+            yield f"   {a.horizon:.1f} s   no held-out drive is so long"
             continue
         yield (
             f"   {a.horizon:.1f} s   {a.position * 1e3:7.1f} mm {degrees(a.heading):6.2f} deg   "
@@ -102,11 +108,11 @@ def _decimals(length: float) -> int:
 def _regimes(outcome: Outcome) -> Iterator[str]:
     if len(outcome.regimes) < 2:
         return
-    told = [
+    medians = [
         f"{1e3 * r.median:.{_decimals(r.median)}f} mm {_class(r.low, r.high)}"
         for r in outcome.regimes
     ]
-    yield f"   median after 1 s by lateral acceleration [m/s2]: {', '.join(told)}"
+    yield f"   median after 1 s by lateral acceleration [m/s2]: {', '.join(medians)}"
 
 
 def _next(outcome: Outcome, written: Path | None, axles_measured: bool) -> Iterator[str]:
@@ -127,10 +133,10 @@ def _why(outcome: Outcome, axles_measured: bool) -> Iterator[str]:
     poor = outcome.fit is None or max(outcome.fit.misfit.values(), default=0.0) > POOR
     if poor and not axles_measured:
         yield "      measure the distance of the axles and give it as --wheelbase M: a longer"
-        yield "      car, a smaller steering gain and a slower one look much alike"
+        yield "      car, a smaller steering gain and a slower one are hard to distinguish"
     elif not poor and outcome.unidentified:
-        yield "      the start explains these drives, and they tell too little to better it: steerd"
-        yield "      collect --plan mixed drives what tells more"
+        yield "      the start explains these drives, and they are too gentle to improve it: steerd"
+        yield "      collect --plan mixed drives manoeuvres that identify more"
 
 
 def improved(outcome: Outcome) -> bool:

@@ -118,20 +118,20 @@ def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str)
     )  # fmt: skip
 
 
-def draw_candidates(told: Diagnosis) -> str:
+def draw_candidates(found: Diagnosis) -> str:
     """Held-out gain of each refitted hypothesis, with its standard error."""
     with rc_context(_STYLE):
-        rows = min(len(told.candidates), SHOWN_MOST)
+        rows = min(len(found.candidates), SHOWN_MOST)
         figure, axes = make_figure(1, 1, 0.7 + 0.24 * max(rows, 2))
-        plot_candidates(axes[0, 0], told)
+        plot_candidates(axes[0, 0], found)
         return to_svg(figure, "Candidates and their gains")
 
 
-def plot_candidates(axis: Axes, told: Diagnosis) -> None:
+def plot_candidates(axis: Axes, found: Diagnosis) -> None:
     """Held-out gain of each refitted hypothesis, with its standard error."""
-    rows = sorted(told.candidates, key=lambda row: -row[1])[:SHOWN_MOST]
-    names = {cause.effect for cause in told.causes}
-    confounded = {other for cause in told.causes for other in cause.ambiguous_with}
+    rows = sorted(found.candidates, key=lambda row: -row[1])[:SHOWN_MOST]
+    names = {cause.effect for cause in found.causes}
+    confounded = {other for cause in found.causes for other in cause.ambiguous_with}
     for place, (effect, gain, se) in enumerate(rows):
         parts = set(effect.split("+"))
         chosen = bool(names) and (parts == names if len(names) > 1 else parts <= names)
@@ -211,7 +211,7 @@ def _steps(axis: Axes, line: Timeline, mine: Array, values: Array, colour: str) 
 
 
 def draw_regimes(regimes: Sequence[Regime]) -> str:
-    """How much larger the error is in each manner of driving than elsewhere."""
+    """How much larger the error is in each regime of driving than elsewhere."""
     rows = list(regimes[:6])
     with rc_context(_STYLE):
         figure, axes = make_figure(1, 1, 0.7 + 0.28 * len(rows))
@@ -231,7 +231,7 @@ def draw_regimes(regimes: Sequence[Regime]) -> str:
         ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000)
                  if axis.get_xlim()[0] <= t <= axis.get_xlim()[1]]  # fmt: skip
         axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
-        return to_svg(figure, "In which manner of driving the error is larger")
+        return to_svg(figure, "In which regime of driving the error is larger")
 
 
 def draw_shrinkage(s: Shrinkage) -> str:
@@ -287,10 +287,10 @@ def draw_lane(lane: LaneComparison) -> str:
         return to_svg(figure, "Lane keeping, recorded and simulated")
 
 
-def draw_parameters(told: Diagnosis) -> str:
+def draw_parameters(found: Diagnosis) -> str:
     """The constancy test: each half's value of the first cause's first parameter."""
-    splits = list(told.splits)
-    cause = told.causes[0]
+    splits = list(found.splits)
+    cause = found.causes[0]
     name, (value, sd, unit) = next(iter(cause.parameters.items()))
     scale, small = SCALES.get(unit, (1.0, unit))
     with rc_context(_STYLE):

@@ -39,7 +39,7 @@ class Subject:
         sessions: names of the files.
         seconds: driving that was looked at [s].
         base: where the base car comes from.
-        held_out_of: what was kept back, in words; empty if nothing.
+        held_out_of: what was held out, as text; empty if nothing.
         notes: what a reader should know about the data.
     """
 
@@ -69,41 +69,41 @@ class Section(NamedTuple):
     words: bool = False
 
 
-def render_report(subject: Subject, told: Diagnosis, lane: LaneComparison | None) -> str:
+def render_report(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -> str:
     """The whole page."""
     return render_page(
         TEMPLATE,
         subject=subject,
-        told=told,
-        family=FAMILIES[told.verdict],
-        headline=headline(told),
-        cards=list(_cards(subject, told)),
-        sections=list(_sections(subject, told, lane)),
-        notes=(*subject.notes, *told.notes),
+        found=found,
+        family=FAMILIES[found.verdict],
+        headline=headline(found),
+        cards=list(_cards(subject, found)),
+        sections=list(_sections(subject, found, lane)),
+        notes=(*subject.notes, *found.notes),
     )
 
 
-def _cards(subject: Subject, told: Diagnosis) -> Iterator[Card]:
-    leads = known_leads(told.before) or [0]
-    last = min(leads, key=lambda i: abs(told.before.errors[i][0] - 1.0))
-    before, after = told.before.errors[last], told.after.errors[last]
+def _cards(subject: Subject, found: Diagnosis) -> Iterator[Card]:
+    leads = known_leads(found.before) or [0]
+    last = min(leads, key=lambda i: abs(found.before.errors[i][0] - 1.0))
+    before, after = found.before.errors[last], found.after.errors[last]
     lead = f"position error after {before[0]:g} s"
-    if told.causes:
-        first = told.causes[0]
+    if found.causes:
+        first = found.causes[0]
         parameter, (value, sd, unit) = _surest(first)
-        more = f" and {told.causes[1].effect}" if len(told.causes) > 1 else ""
+        more = f" and {found.causes[1].effect}" if len(found.causes) > 1 else ""
         yield Card("cause", f"{first.effect}{more}", f"confidence {first.confidence:.0%}")
         yield Card("how large", value_words(value, sd, unit), f"{first.effect}: {parameter} ± sd")
         figure = f"{short(1e3 * before[1])} → {short(1e3 * after[1])} mm"
         yield Card(lead, figure, "base car → with the effect")
-        yield _shrunk(told)
+        yield _shrunk(found)
         return
     yield Card(lead, f"{short(1e3 * before[1])} mm", "root mean square, base car")
-    low, high = told.before.interval
+    low, high = found.before.interval
     text = f"1 is noise alone; 90 %: {low:.2g} to {high:.2g}"
-    yield Card("error over noise", f"{told.before.whitened:.2g}", text)
-    if told.candidates:
-        effect, gain, se = max(told.candidates, key=lambda row: row[1])
+    yield Card("error over noise", f"{found.before.whitened:.2g}", text)
+    if found.candidates:
+        effect, gain, se = max(found.candidates, key=lambda row: row[1])
         yield Card("best candidate", effect, f"gains {gain:.0f} ± {se:.0f} nats: not enough")
 
 
@@ -118,33 +118,33 @@ def _surest(cause: Cause) -> tuple[str, tuple[float, float, str]]:
     return max(cause.parameters.items(), key=sigmas)
 
 
-def _shrunk(told: Diagnosis) -> Card:
-    s, label = told.shrinkage, "excess error removed"
+def _shrunk(found: Diagnosis) -> Card:
+    s, label = found.shrinkage, "excess error removed"
     if s.measured is None:
         return Card(label, share_words(s.predicted), "predicted")
     said = f"measured; predicted {share_words(s.predicted)}"
     return Card(label, share_words(s.measured), said)
 
 
-def _sections(subject: Subject, told: Diagnosis, lane: LaneComparison | None) -> Iterator[Section]:
-    explained = bool(told.causes)
+def _sections(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -> Iterator[Section]:
+    explained = bool(found.causes)
     yield Section(
         "How large the gap is",
         "The car's pose and wheel speed are predicted from a window's start; this is how far the "
         "prediction is off after so many seconds, with 90 % intervals. The start itself is fitted "
         "to the window, so a wrong model is met best somewhere in its middle.",
-        figures.draw_gap(told.before, told.after, explained),
+        figures.draw_gap(found.before, found.after, explained),
     )
-    if told.verdict != "none":
-        yield from _where(told, explained)
-    if told.candidates:
-        yield Section("Which effect", _which(told), figures.draw_candidates(told))
+    if found.verdict != "none":
+        yield from _where(found, explained)
+    if found.candidates:
+        yield Section("Which effect", _which(found), figures.draw_candidates(found))
     if explained:
-        yield from _why(told)
+        yield from _why(found)
         yield Section(
             "How far the gap shrinks",
-            f"Adding the effect: {shrink_words(told, subject.held_out_of)}.",
-            figures.draw_shrinkage(told.shrinkage),
+            f"Adding the effect: {shrink_words(found, subject.held_out_of)}.",
+            figures.draw_shrinkage(found.shrinkage),
         )
     if lane is not None:
         yield Section(
@@ -155,17 +155,19 @@ def _sections(subject: Subject, told: Diagnosis, lane: LaneComparison | None) ->
             ("", "recorded", "base car", "with the effect"),
             [(label, *cells) for label, cells in lane_rows(lane)],
         )
-    if told.verdict in ("unexplained", "partial"):
-        yield Section("What is left", f"{_sentence(residual_words(told))}")
-    yield Section("What next", f"{_sentence('to drive: ' + manoeuvre_words(told))} {_typed(told)}")
+    if found.verdict in ("unexplained", "partial"):
+        yield Section("What is left", f"{_sentence(residual_words(found))}")
+    yield Section(
+        "What next", f"{_sentence('to drive: ' + manoeuvre_words(found))} {_typed(found)}"
+    )
 
 
-def _typed(told: Diagnosis) -> str:
-    if not told.causes:
+def _typed(found: Diagnosis) -> str:
+    if not found.causes:
         return ""
     return (
         "To type: steerd diagnose … -o car.toml writes the effect into a car file. steerd run "
-        "--sim --car car.toml then drives a car with the manners of this one, and controllers and "
+        "--sim --car car.toml then drives a car that behaves like this one, and controllers and "
         "filters designed from that file know of the effect as far as it is a parameter of theirs."
     )
 
@@ -174,42 +176,42 @@ def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
 
 
-def _where(told: Diagnosis, explained: bool) -> Iterator[Section]:
-    where = told.where
+def _where(found: Diagnosis, explained: bool) -> Iterator[Section]:
+    where = found.where
     yield Section(
         "Where it lies", where.sentence, figures.draw_where(where.equation, where.channels)
     )
-    if told.timeline is not None:
+    if found.timeline is not None:
         yield Section(
             "",
             "Over time: each bar is a window of one second. Shaded stretches stand out; the dotted "
             "line is noise alone.",
-            figures.draw_timeline(told.timeline, where.windows, explained),
+            figures.draw_timeline(found.timeline, where.windows, explained),
         )
     if where.regimes:
         yield Section(
             "",
-            "By manner of driving: right of the dotted line the error is larger than elsewhere "
+            "By regime: right of the dotted line the error is larger than elsewhere "
             "(coloured where its interval says so).",
             figures.draw_regimes(where.regimes),
         )
 
 
-def _which(told: Diagnosis) -> str:
-    if not told.causes:
+def _which(found: Diagnosis) -> str:
+    if not found.causes:
         return (
             "The best candidates, each added by itself. None predicts unseen windows so much "
             "better that it could be called a cause."
         )
-    stage = EQUATIONS.get(told.where.equation[0].name, told.where.stage)
+    stage = EQUATIONS.get(found.where.equation[0].name, found.where.stage)
     text = f"The error lies in the {stage}; every effect was tried all the same. "
-    rivals = [f"{c.effect} ({ambiguity(c)})" for c in told.causes if ambiguity(c)]
-    if not rivals:
+    confounded = [f"{c.effect} ({ambiguity(c)})" for c in found.causes if ambiguity(c)]
+    if not confounded:
         return f"{text}On these drives nothing in the library is mistaken for what was found."
-    return f"{text}What cannot be told from it: {'; '.join(rivals)}."
+    return f"{text}Not distinguishable from it: {'; '.join(confounded)}."
 
 
-def _why(told: Diagnosis) -> Iterator[Section]:
+def _why(found: Diagnosis) -> Iterator[Section]:
     rows = [
         (
             cause.effect,
@@ -218,14 +220,14 @@ def _why(told: Diagnosis) -> Iterator[Section]:
             f"{summary_of(cause.effect)}: {EFFECTS[cause.effect].equation}".replace("->", "→"),
             ambiguity(cause) or "nothing",
         )
-        for cause in told.causes
+        for cause in found.causes
     ]
-    heads = ("effect", "value ± sd", "confidence", "what it is", "not told from")
-    broken = [split.by for split in told.splits if split.broken]
+    heads = ("effect", "value ± sd", "confidence", "what it is", "not distinguishable from")
+    broken = [split.by for split in found.splits if split.broken]
     text = ""
     figure = ""
-    if told.splits:
-        figure = figures.draw_parameters(told)
+    if found.splits:
+        figure = figures.draw_parameters(found)
         text = "A real cause has one value everywhere. Fitted on halves of the drives, " + (
             f"it differs by {', '.join(broken)}: it behaves like this effect there only."
             if broken

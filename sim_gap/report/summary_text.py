@@ -49,36 +49,36 @@ def cause_words(cause: Cause) -> str:
 
 
 def summary_of(effect: str) -> str:
-    """What an effect is, in words."""
+    """What an effect is, as text."""
     return EFFECTS[effect].summary if effect in EFFECTS else effect
 
 
-def headline(told: Diagnosis) -> str:
+def headline(found: Diagnosis) -> str:
     """The verdict in one sentence."""
-    if told.verdict == "none":
+    if found.verdict == "none":
         return "What the simulation does not predict of these drives looks like noise."
-    if told.verdict == "unjudged":
-        lead, off = told.before.errors[-1][:2]
+    if found.verdict == "unjudged":
+        lead, off = found.before.errors[-1][:2]
         return (
             f"These drives cannot be judged: the simulation is {short(1e3 * off)} mm off after "
             f"{lead:g} s, and what was learnt as noise hides why."
         )
-    if told.verdict == "unexplained" or not told.causes:
+    if found.verdict == "unexplained" or not found.causes:
         return "There is a gap, and none of the known effects explains it."
-    names = " and ".join(cause.effect for cause in told.causes)
-    what = "; ".join(summary_of(cause.effect) for cause in told.causes)
-    if told.verdict == "partial":
+    names = " and ".join(cause.effect for cause in found.causes)
+    what = "; ".join(summary_of(cause.effect) for cause in found.causes)
+    if found.verdict == "partial":
         return f"Part of the gap behaves like {names}: {what}."
     return f"The gap is explained by {names}: {what}."
 
 
 def ambiguity(cause: Cause) -> str:
-    """What cannot be told from a cause."""
+    """What is not distinguishable from a cause."""
     parts = []
     if cause.ambiguous_with:
         parts.append(f"on these drives: {', '.join(cause.ambiguous_with)}")
     if cause.alias:
-        parts.append(f"ever or hardly: {cause.alias}")
+        parts.append(f"in general: {cause.alias}")
     return "; ".join(parts)
 
 
@@ -92,11 +92,11 @@ def known_leads(gap: Gap) -> list[int]:
     return [i for i, row in enumerate(gap.errors) if row[1] > 0.0]
 
 
-def gap_words(told: Diagnosis) -> Iterator[str]:
+def gap_words(found: Diagnosis) -> Iterator[str]:
     """Position and heading error before and after by lead."""
-    for i in known_leads(told.before):
-        before, after = told.before.errors[i], told.after.errors[i]
-        if not told.causes:
+    for i in known_leads(found.before):
+        before, after = found.before.errors[i], found.after.errors[i]
+        if not found.causes:
             yield f"{before[0]:g} s: {short(1e3 * before[1])} mm, {short(1e3 * before[2])} mrad"
             continue
         yield (
@@ -110,36 +110,36 @@ def share_words(share: float) -> str:
     return ">99%" if 0.99 < share < 1.0 else f"{share:.0%}"
 
 
-def shrink_words(told: Diagnosis, held_out_of: str) -> str:
+def shrink_words(found: Diagnosis, held_out_of: str) -> str:
     """Predicted and measured shrinkage."""
-    if not told.causes:
+    if not found.causes:
         return "no effect was found that could be added"
-    s = told.shrinkage
+    s = found.shrinkage
     low, best, high = map(share_words, (s.low, s.predicted, s.high))
     text = f"predicted {best} of the excess error ({low} to {high})"
     if s.before is None:
-        return f"{text}; not measured: nothing was kept back"
+        return f"{text}; not measured: nothing was held out"
     if s.measured is None:
         return f"{text}; {held_out_of} shows too little of the gap to measure it there"
     return f"{text}, measured {share_words(s.measured)} on {held_out_of}"
 
 
-def manoeuvre_words(told: Diagnosis) -> str:
+def manoeuvre_words(found: Diagnosis) -> str:
     """What to drive next."""
-    following = told.next_manoeuvre
+    following = found.next_manoeuvre
     if following is not None:
         first, second = following.separates
-        return f"to tell {first} from {second}: {following.name}, {following.how}"
-    if told.verdict == "none":
+        return f"to distinguish {first} from {second}: {following.name}, {following.how}"
+    if found.verdict == "none":
         return "nothing; if the car behaves badly elsewhere, record it there"
-    if told.verdict == "unjudged":
+    if found.verdict == "unjudged":
         return (
             "nothing yet: first `steerd identify`, then `--base` that car, `--healthy` its drives"
         )
-    if told.verdict == "unexplained":
-        return "`steerd collect --plan mixed`: more kinds of driving tell more of its shape"
-    if told.verdict == "partial":
-        return "the same once more, and faster: what is left must show twice to be believed"
+    if found.verdict == "unexplained":
+        return "`steerd collect --plan mixed`: more kinds of driving identify more of it"
+    if found.verdict == "partial":
+        return "the same once more, and faster: the remainder must be reproducible to be modelled"
     return "nothing more is needed to name it"
 
 
@@ -179,15 +179,15 @@ def lane_rows(lane: LaneComparison) -> list[tuple[str, list[str]]]:
     ]
 
 
-def residual_words(told: Diagnosis) -> str:
-    """What is left, in words."""
-    shape, parts = told.shape, []
+def residual_words(found: Diagnosis) -> str:
+    """What is left, as text."""
+    shape, parts = found.shape, []
     if shape.noise_like:
         parts.append("it is white in time and grows with speed: jitter of stamps or lost frames")
     elif shape.prominence > 3.0:
         parts.append(f"its heading error is strongest at {shape.peak_hz:.2g} Hz")
     if shape.dependence:
         name, size = next(iter(shape.dependence.items()))
-        way = "grows" if size > 0 else "falls"
-        parts.append(f"it {way} with {name.replace('_', ' ')} (rank correlation {size:+.2f})")
+        trend = "grows" if size > 0 else "falls"
+        parts.append(f"it {trend} with {name.replace('_', ' ')} (rank correlation {size:+.2f})")
     return "; ".join(parts) or "no pattern stands out"

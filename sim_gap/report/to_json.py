@@ -37,16 +37,16 @@ def _gap(gap: Gap) -> dict[str, Any]:
     return {"whitened": gap.whitened, "low": low, "high": high, "errors": leads}
 
 
-def _told_gap(told: Diagnosis, which: str) -> dict[str, Any]:
+def _gap_values(found: Diagnosis, which: str) -> dict[str, Any]:
     """A gap with its whitened error over other horizons."""
     horizons = [
-        {"horizon_s": each.seconds, "whitened": getattr(each, which)} for each in told.horizons
+        {"horizon_s": each.seconds, "whitened": getattr(each, which)} for each in found.horizons
     ]
-    return {**_gap(getattr(told, which)), "horizons": horizons}
+    return {**_gap(getattr(found, which)), "horizons": horizons}
 
 
-def _cause(cause: Cause, told: Diagnosis) -> dict[str, Any]:
-    s = told.shrinkage
+def _cause(cause: Cause, found: Diagnosis) -> dict[str, Any]:
+    s = found.shrinkage
     return {
         "effect": cause.effect, "stage": cause.stage, "family": cause.family,
         "parameters": {
@@ -61,14 +61,14 @@ def _cause(cause: Cause, told: Diagnosis) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def to_json(told: Diagnosis) -> dict[str, Any]:
+def to_json(found: Diagnosis) -> dict[str, Any]:
     """The diagnosis as plain values, exactly in the shape of `steerd.gap/1`."""
-    where = told.where
-    following = told.next_manoeuvre
+    where = found.where
+    following = found.next_manoeuvre
     return dict(_plain({
         "schema": SCHEMA,
-        "verdict": told.verdict,
-        "gap": {"before": _told_gap(told, "before"), "after": _told_gap(told, "after")},
+        "verdict": found.verdict,
+        "gap": {"before": _gap_values(found, "before"), "after": _gap_values(found, "after")},
         "where": {
             "stage": where.stage,
             "equation": [{"name": s.name, "share": s.share} for s in where.equation],
@@ -84,33 +84,33 @@ def to_json(told: Diagnosis) -> dict[str, Any]:
             ],
             "sentence": where.sentence,
         },
-        "causes": [_cause(cause, told) for cause in told.causes],
-        "candidates": [{"effect": n, "gain": g, "se": se} for n, g, se in told.candidates],
+        "causes": [_cause(cause, found) for cause in found.causes],
+        "candidates": [{"effect": n, "gain": g, "se": se} for n, g, se in found.candidates],
         "next_manoeuvre": {} if following is None else {
             "name": following.name, "how": following.how,
             "separates": list(following.separates),
             "expected_nats": following.expected_nats, "now_nats": following.now_nats,
         },
-        "residual": _residual(told),
+        "residual": _residual(found),
     }))  # fmt: skip
 
 
-def _residual(told: Diagnosis) -> dict[str, Any]:
-    s, shape = told.shrinkage, told.shape
+def _residual(found: Diagnosis) -> dict[str, Any]:
+    s, shape = found.shrinkage, found.shape
     return {
         "spectrum_peak_hz": shape.peak_hz, "prominence": shape.prominence,
         "dependence": shape.dependence, "noise_like": shape.noise_like,
-        "noise": {"instruments": list(told.noise.instruments), "pushes": list(told.noise.pushes),
-                  "known": told.noise_known},
-        "moved": told.moved,
-        "aliases": {c.effect: c.alias for c in told.causes if c.alias},
+        "noise": {"instruments": list(found.noise.instruments), "pushes": list(found.noise.pushes),
+                  "known": found.noise_known},
+        "moved": found.moved,
+        "aliases": {c.effect: c.alias for c in found.causes if c.alias},
         "constancy": [
             {"by": p.by, "first": p.first, "second": p.second, "sigmas": p.sigmas,
-             "broken": p.broken} for p in told.splits
+             "broken": p.broken} for p in found.splits
         ],
         "prediction_sha256": s.digest,
         "held_out": None if s.before is None or s.after is None else {
             "before": _gap(s.before), "after": _gap(s.after)
         },
-        "notes": list(told.notes),
+        "notes": list(found.notes),
     }  # fmt: skip

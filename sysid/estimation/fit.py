@@ -267,7 +267,7 @@ def fit(
     free = _free_names(runs, options, model.chassis)
     if not free:
         hint = "drive `steerd collect --plan mixed`"
-        raise DataError("the speed was never changed: these drives tell none of it", hint)
+        raise DataError("the speed was never changed: nothing of it is identifiable", hint)
     chart = make_chart(model.effects, parameter_vector(model), free, options.wheelbase)
     signal = estimate_noise(runs)
     sigma = np.array(options.noise) if options.noise is not None else signal

@@ -81,7 +81,7 @@ class Task:
         seed: of the random starts.
         jobs, dask: where to work, see `scale.map_jobs`.
         truth: the simulated car, if it is known.
-        effects: candidates; those that the drives show are fitted with the car (see `manners`).
+        effects: candidates; those that the drives show are fitted with the car.
         first: where the fit starts, if not at `model`.
         stated: parameters that whoever asks vouches for.
     """
@@ -159,9 +159,9 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     task = replace(task, options=replace(task.options, doubts=_doubts(task, pulses)))
     parts = moving_segments(task.runs)
     fitted, kept, words = _split(task, parts)
-    manners: tuple[Step, ...] = ()
+    selected: tuple[Step, ...] = ()
     if task.method == "ours":
-        task, manners = _shaped(task, fitted, rough)
+        task, selected = _shaped(task, fitted, rough)
         found: Fit | None = _fit_ours(task, fitted)
         searches: tuple[SearchHistory, ...] = ()
     else:
@@ -193,7 +193,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         ramps=ramps,
         effect_rows=_effect_rows(task.model, found),
         log_jitters=tuple(run.log_jitter for run in (*task.runs, *task.held_out) if run.log_jitter),
-        manners=manners,
+        selected_effects=selected,
         regimes=by_lateral_acceleration(traces[0], REGIME),
     )
 
@@ -248,13 +248,13 @@ def _shaped(task: Task, runs: Sequence[Run], rough: Fit | None) -> tuple[Task, t
         rough = fit(runs, task.model, options=replace(task.options, horizons=ROUGH))
     if not task.effects:
         return replace(task, options=reaching(task.options, rough)), ()
-    manners = choose(runs, rough, short, task.effects)
-    if not manners.steps:
+    selection = choose(runs, rough, short, task.effects)
+    if not selection.steps:
         return replace(task, options=reaching(task.options, rough)), ()
-    model, free = manners.nulled(task.model), (*(task.options.free or NAMES), *manners.free)
-    better = fit(runs, model, options=replace(short, free=free), starts=[manners.model])
+    model, free = selection.nulled(task.model), (*(task.options.free or NAMES), *selection.free)
+    better = fit(runs, model, options=replace(short, free=free), starts=[selection.model])
     options = replace(task.options if holds(better) else short, free=free)
-    return replace(task, model=model, options=options, first=better.model), manners.steps
+    return replace(task, model=model, options=options, first=better.model), selection.steps
 
 
 def _doubts(task: Task, pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...]:

@@ -79,7 +79,7 @@ class Outcome:
         pulses: phases of the servo's pulses, by drive.
         ramps: limits of the motor controller's setpoint, by drive.
         log_jitters: how late slow logs stored the steering, by drive.
-        manners: effects that the drives showed, in the order in which they were taken.
+        selected_effects: effects that the drives showed, in the order in which they were taken.
         regimes: prediction errors after 1 s by lateral acceleration.
     """
 
@@ -102,7 +102,7 @@ class Outcome:
     ramps: tuple[Ramp, ...] = ()
     effect_rows: dict[str, Row] = field(default_factory=dict)
     log_jitters: tuple[LogJitter, ...] = ()
-    manners: tuple[Step, ...] = ()
+    selected_effects: tuple[Step, ...] = ()
     regimes: tuple[Regime, ...] = ()
 
     @property

@@ -181,7 +181,7 @@ def draw_searches(searches: Sequence[SearchHistory]) -> str:
             axes[0, 1].plot(*search.final[2:], "o", color=colour)
         axes[0, 0].set(yscale="log", xlabel="iterations", ylabel="loss above the lowest")
         axes[0, 0].set_title("loss of the batch, and the best so far")
-        axes[0, 1].set(xlabel="C_Sf", ylabel="C_Sr", title="stiffness from start (open) to end")
+        axes[0, 1].set(xlabel="C_Sf", ylabel="C_Sr", title="stiffness from start (hollow) to end")
         axes[0, 0].legend(fontsize=8)
         return to_svg(figure)
 

@@ -36,12 +36,8 @@ FOREIGN = ("uplot.min.js", "uplot.min.css")
 """Files of other authors, taken as they are."""
 NOT_YET: tuple[str, ...] = (
     "benchmarks",
-    "daemon/analysis/identify_text.py",
     "sim_gap",
-    "sysid/data",
     "sysid/estimation",
-    "sysid/paper",
-    "sysid/report",
 )
 """Folders and files that still use old words. This list only shrinks."""
 

@@ -44,7 +44,7 @@ def outcome(*positions: tuple[float, float]) -> Outcome:
         (((0.2, 0.1), (0.3, 0.9)), True),  # the longest prediction decides
         (((0.1, 0.2), (1.01, 1.0)), True),  # 2 % are noise
         (((0.1, 0.2), (1.03, 1.0)), False),
-        (((0.1, 0.2), (nan, nan)), True),  # nothing so long was kept back: the one before
+        (((0.1, 0.2), (nan, nan)), True),  # no held-out drive is so long: the one before
         (((nan, nan),), False),
     ],
 )
@@ -55,7 +55,10 @@ def test_the_longest_known_prediction_decides(positions, better):
 def test_parameters_of_effects_stand_beside_the_cars():
     row = Row(0.02, 1.0, 0.99, "1", True, False, "ramp to the limit")
     said = describe(replace(outcome((0.1, 0.4)), effect_rows={"tyre_saturation.q": row}))
-    assert "tyre_saturation.q     (0.02)     0.99           1 1  not told by these data" in said
+    assert (
+        "tyre_saturation.q     (0.02)     0.99           1 1  not identifiable from these data"
+        in said
+    )
     assert "   tyre_saturation.q: ramp to the limit" in said
     assert "lf                       0.2     0.01        0.16 m" in said
 
@@ -76,29 +79,29 @@ def test_a_result_that_does_not_help_is_not_and_the_axles_may_be_why():
     assert "--wheelbase" not in describe(worse, axles_measured=True)
 
 
-def test_drives_that_tell_too_little_are_not_blamed_on_the_axles():
+def test_drives_that_are_too_gentle_are_not_blamed_on_the_axles():
     row = Row(0.2, 0.16, 0.1, "m", True, False, "bends")
     fitted = SimpleNamespace(misfit={"position": 1.1}, iterations=3)
     said = describe(replace(outcome((0.4, 0.1)), rows={"lf": row}, fit=fitted))
     assert "keep the old car file" in said
-    assert "tell too little" in said
+    assert "too gentle" in said
     assert "--wheelbase" not in said
 
 
 def test_what_was_undone_and_found_stands_on_the_screen():
-    told = replace(
+    found = replace(
         outcome((0.1, 0.2), (0.2, 0.9)),
         log_jitters=(LogJitter("a.mcap", 0.1, 0.45, -0.019, 40.0),),
-        manners=(Step("steer_backlash", 97.4, 26.0),),
+        selected_effects=(Step("steer_backlash", 97.4, 26.0),),
         regimes=(Regime(0.0, 2.0, 5, 0.02, 0.03), Regime(6.0, inf, 4, 0.15, 0.2)),
     )
-    lines = describe(told).splitlines()
+    lines = describe(found).splitlines()
     assert "log        a.mcap: steering stored 0 to 100 ms late" in lines
     assert any("1.9 ms/s" in line for line in lines)
-    assert "manner     steer_backlash: these drives show it (gains 97 ± 26 nats)" in lines
+    assert "effect     steer_backlash: selected, these drives show it (gains 97 ± 26 nats)" in lines
     assert any(line.endswith("[m/s2]: 20 mm to 2, 150 mm above 6") for line in lines)
 
 
-def test_one_class_of_lateral_acceleration_tells_nothing():
+def test_one_class_of_lateral_acceleration_is_not_shown():
     alone = replace(outcome((0.1, 0.2)), regimes=(Regime(0.0, 2.0, 5, 0.02, 0.03),))
     assert "lateral acceleration" not in describe(alone).split("prediction of")[1]

@@ -53,7 +53,7 @@ def test_the_outcome_holds_the_effect_and_predicts_with_it(bent, truth):
     assert row.before == 0.0
     assert row.value == pytest.approx(0.08, abs=5 * row.sd)
     assert outcome.held_out[-1].factor > 3.0
-    assert outcome.manners[0].effect == "steer_asymmetry"
+    assert outcome.selected_effects[0].effect == "steer_asymmetry"
     page = encode_outcome(outcome)
     assert page["parameters"]["steer_asymmetry.asymmetry"]["identifiable"]
     assert sum(r["predictions"] for r in page["held_out"]["regimes"]) > 0
