@@ -415,7 +415,7 @@ def _notes(case: _Case, known: bool, choice: Choice, extreme: Sequence[str]) -> 
     if not case.superset.sd:
         notes.append("the car file gives no standard errors: ordinary ones were assumed")
     if not known:
-        notes.append("noise was learnt from these drives: a gap that looks like noise is not identifiable")
+        notes.append("noise was learnt from these drives: a gap like noise is not identifiable")
     if len(np.unique(case.engine.readings.layout.run)) < 4:
         notes.append("fewer than four runs: held-out parts are blocks of the same drives")
     notes += [f"{s.by}: {s.first:.4g} against {s.second:.4g} ({s.sigmas:.1f} sigma)"

@@ -119,7 +119,8 @@ def _plot_parameters(axis: Axes, outcome: Outcome) -> None:
 
 def plot_diagnosis(found: Diagnosis) -> Figure:
     """Prediction errors before and after, candidate effects, the gap over time."""
-    explained, runs = bool(found.causes), list(dict.fromkeys(found.timeline.run))[:TIMELINES]
+    explained, line = bool(found.causes), found.timeline
+    runs = list(dict.fromkeys(line.run))[:TIMELINES] if line is not None else []
     present = find_measured(found.before)
     rows = 0.24 * max(len(found.candidates), 6)
     style: dict[Any, Any] = {**STYLE, "axes.axisbelow": True}
@@ -132,8 +133,9 @@ def plot_diagnosis(found: Diagnosis) -> Figure:
         plot_candidates(figure.add_subplot(grid[1, :]), found)
         for row, run in enumerate(runs, 2):
             axis = figure.add_subplot(grid[row, :])
-            plot_timeline(axis, found.timeline, run, found.where.windows, explained)
-        figure.axes[-1].set_xlabel("time into the drive [s]")
+            if line is not None:
+                plot_timeline(axis, line, run, found.where.windows, explained)
+                axis.set_xlabel("time into the drive [s]" if run == runs[-1] else "")
         causes = " and ".join(cause.effect for cause in found.causes)
         figure.suptitle(f"{found.verdict}: {causes}" if causes else found.verdict, fontsize=10)
         return figure
