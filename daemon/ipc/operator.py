@@ -1,6 +1,5 @@
 """An operator's side of the lease: requests with rising numbers under one id."""
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,22 +47,18 @@ class Operator:
         return encode(request)
 
 
-def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options for the daemon's endpoint and our certificates."""
-    parser.add_argument(
-        "--connect", metavar="ENDPOINT", help=f"the daemon's (default {DEFAULT_ENDPOINT})"
-    )
-    parser.add_argument("--lab", type=Path, metavar="DIR", help="our folder of `steerd keys`")
+def connect(given_endpoint: str | None, folder: Path | None) -> ZenohBus:
+    """Join the bus of a running daemon.
 
-
-def connect(args: argparse.Namespace) -> ZenohBus:
-    """Join the bus of a running daemon, as `add_bus_arguments` says.
+    Args:
+        given_endpoint: of the daemon; None for the lab's, or the one on this machine.
+        folder: this machine's folder of `steerd keys`; None for plain loopback.
 
     Raises:
         SteerdError: none answers, or it refuses our certificate.
     """
-    lab = read_lab(args.lab) if args.lab else None
-    endpoint = args.connect or (lab.endpoint if lab else DEFAULT_ENDPOINT)
+    lab = read_lab(folder) if folder else None
+    endpoint = given_endpoint or (lab.endpoint if lab else DEFAULT_ENDPOINT)
     try:
         return ZenohBus(make_spoke_profile(endpoint, lab))
     except BusError as error:

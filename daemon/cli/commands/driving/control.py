@@ -18,9 +18,10 @@ from steerd.controller.lane_controller import (
     start_controller,
 )
 from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.cli.bus_options import add_bus_arguments
 from steerd.daemon.cli.commands.driving.run import add_drive_arguments
 from steerd.daemon.common.errors import ExitCode
-from steerd.daemon.ipc.operator import add_bus_arguments, connect, read_status
+from steerd.daemon.ipc.operator import connect, read_status
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import topics
@@ -107,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
     )
     plan = make_plan(options)
     clock = MonotonicClock()
-    with connect(args) as bus:
+    with connect(args.connect, args.lab) as bus:
         status = read_status(bus, args.name, clock)
         keeper = RemoteKeeper(plan.controller, int(status["boot_id"]), secrets.randbits(62) + 1)
         print(f"steering {args.name} along {plan.path.name}; Ctrl-C ends", file=sys.stderr)

@@ -14,12 +14,12 @@ import signal
 import sys
 from collections.abc import Callable
 
+from steerd.daemon.cli.bus_options import add_bus_arguments
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.daemon.ipc.operator import (
     KEEPALIVE_NS,
     Operator,
-    add_bus_arguments,
     connect,
     read_status,
 )
@@ -125,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
     # A closed terminal means that the operator has left: end at once, the deadman stops the car.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     clock, name = MonotonicClock(), str(args.command)
-    with connect(args) as bus:
+    with connect(args.connect, args.lab) as bus:
         status = read_status(bus, args.name, clock)
         holder = int(status.get("holder", "0"))
         shared = name == "start" and status["state"] == SupervisorState.ARMED.name and holder

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
-    with connect(args) as bus:
+    with connect(args.connect, args.lab) as bus:
         status = read_status(bus, args.name, MonotonicClock())
     if args.json:
         print(json.dumps(status, indent=2))

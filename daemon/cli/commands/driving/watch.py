@@ -6,8 +6,9 @@ steerd watch --lab screen
 
 import argparse
 
+from steerd.daemon.cli.bus_options import add_bus_arguments
 from steerd.daemon.common.errors import ExitCode
-from steerd.daemon.ipc.operator import add_bus_arguments, connect
+from steerd.daemon.ipc.operator import connect
 from steerd.daemon.terminal.watch import DEPTH, SECOND, Watch, find_car
 from steerd.steer_bus.bus import Subscription
 from steerd.steer_bus.clock import Clock, MonotonicClock
@@ -36,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.terminal.dashboard import Dashboard
 
     clock = MonotonicClock()
-    with connect(args) as bus:
+    with connect(args.connect, args.lab) as bus:
         car = find_car(bus, args.name)
         watch = Watch(Dashboard(f"steerd watch · {car}"))
         received = bus.subscribe(make_key(car, "*"), DEPTH)
