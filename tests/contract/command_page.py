@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from steerd.daemon.cli.main import COMMANDS
+from steerd.daemon.common.packaged import EXAMPLES
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "commands.md"
 _HEAD = """# Commands
@@ -26,6 +27,8 @@ def make_parser(name: str) -> argparse.ArgumentParser:
 
 
 def _cell(text: str) -> str:
+    """Text of one cell; the examples' folder, which each machine has elsewhere, by its name."""
+    text = text.replace(f"{EXAMPLES}/", "examples/")
     return " ".join(text.split()).replace("|", "\\|").replace("%%", "%")
 
 
