@@ -259,7 +259,8 @@ def _told(
     found = choice.found and all(sizes) and matters
     chosen, gap_after = (choice.best, gap_best) if found else (choice.null, gap_null)
     mostly = share_of_most(before, chosen.fitted, case.floor)
-    verdict = verdict_of(choice, found, known, gap_before, gap_after, case.floor, mostly)
+    typical = typical_ratio(chosen.fitted)
+    verdict = verdict_of(choice, found, known, gap_before, gap_after, case.floor, mostly, typical)
     extreme = at_bound(engine, choice.best)
     verdict = judged(verdict, gap_before, extreme)
     case.options.progress("where", 0.75)
@@ -314,6 +315,12 @@ def share_of_most(before: Fitted, after: Fitted, floor: float) -> float:
     return explained_share(robust_mean(ratios(before)[kept]), robust_mean(left[kept]), floor)
 
 
+def typical_ratio(fitted: Fitted) -> float:
+    """Whitened error of all windows but the worst few."""
+    left = ratios(fitted)
+    return robust_mean(left[left <= np.quantile(left, 1.0 - c.SPARED)])
+
+
 def verdict_of(
     choice: Choice,
     found: bool,
@@ -322,6 +329,7 @@ def verdict_of(
     after: Gap,
     floor: float,
     mostly: float = 0.0,
+    typical: float = np.inf,
 ) -> str:
     """`none`, `explained`, `partial` or `unexplained`.
 
@@ -334,10 +342,13 @@ def verdict_of(
         floor: what noise alone leaves.
         mostly: share of the excess that is gone from all windows but the worst few: a car that
             locks its wheels now and then may be explained the rest of the time.
+        typical: what is left of all windows but the worst few: a few seconds in which the car
+            spun are no gap of its model everywhere.
     """
     most = c.EXCESS_LEFT * floor
     if not found:
-        alone = after.interval[0] > c.EXCESS_ALONE * floor and after.position(1.0) >= c.SPEED_MIN
+        alone = min(after.interval[0], typical) > c.EXCESS_ALONE * floor
+        alone = alone and after.position(1.0) >= c.SPEED_MIN
         return "unexplained" if known and alone else "none"
     share = explained_share(before.whitened, after.whitened, floor)
     if known and after.interval[0] > most and max(share, mostly) < c.PARTIAL_MIN:

@@ -1,31 +1,33 @@
-"""What drives without a gap tell the diagnosis: how large noise is, and the base car once more.
+"""What drives without a gap teach: the base car with all that every car has, and how sure of it.
 
 `steerd.sysid.estimation.fit` weighs errors as instruments' noise; over whole drives what disturbs
 the car on its way adds up and biases it. Here errors of one second are weighed by instruments and
 disturbances both, the same measure by which the diagnosis judges, so that a healthy car has no gap
-to it.
+to it. Base parameters and the structure that every car has (tyres that level off, a bent linkage)
+are free together under weak priors: their joint covariance is what the diagnosis may move.
 """
 
 # Why: docs/decisions/diagnosis.md#d50
 # Why: docs/decisions/diagnosis.md#d52
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
 from steerd.sim_gap.engine import constants as c
 from steerd.sim_gap.engine.base_fit import null_fit, open_engine
-from steerd.sim_gap.engine.descent import Fitted, descend
+from steerd.sim_gap.engine.descent import Fitted, curvature
 from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.knowledge import Knowledge, excess_by_regime, knowledge_section
 from steerd.sim_gap.engine.noise import (
     Noise,
     calibrated,
     learn_noise,
-    noise_of_section,
     noise_section,
     noise_share,
     whitened,
@@ -37,27 +39,80 @@ from steerd.sim_gap.verdict.candidates import blocks_of, gain_of, scored, single
 from steerd.sim_gap.verdict.decide import bounded
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
+from steerd.sysid.estimation.chart import make_chart
+from steerd.sysid.estimation.robust_covariance import Spread, widened
 
+Array = NDArray[np.float64]
+
+ORDINARY: dict[str, float] = {
+    "lf": 0.1, "lr": 0.1, "steer_gain": 0.33, "inertia_z": 0.4, "c_sf": 0.7, "c_sr": 0.7,
+}  # fmt: skip
+"""Share of identification's weak priors that is left when a base is taught: a car comes with a
+length and a gain that somebody measured (2 cm, 0.1), or that whole drives gave."""
+CLEAR = 2.0
+"""An effect nearer to its null than so many standard deviations is left out of the car file."""
 _ROUNDS = 2
-_REFITS = 4
-_FAR = 1.0
-"""A parameter so many prior standard deviations off is tried again about where it went ..."""
-_AGAIN = 3
-"""... so many times at most."""
+"""How often noise and base are learnt in turn."""
 
 
-def _learn(base: CarFile | Model[float], runs: Sequence[Run]) -> tuple[Noise, Fitted]:
+@dataclass(frozen=True, eq=False)
+class Taught:
+    """A base at its best on healthy drives.
+
+    Attributes:
+        superset: the car that was fitted.
+        engine: the windows, whitened by `noise`.
+        fitted: the base there.
+        noise: how large what is random is.
+        nuisance: names of the base's free parameters.
+    """
+
+    superset: Superset
+    engine: Engine
+    fitted: Fitted
+    noise: Noise
+    nuisance: tuple[str, ...]
+
+
+def teach(base: CarFile | Model[float], runs: Sequence[Run]) -> Taught:
+    """Fit base and noise in turn, under weak priors about the base's values.
+
+    Raises:
+        FloatingPointError: the base car's simulation diverges.
+        ValueError: no window sees enough poses.
+    """
+    base = replace(base, sd={}, sections={}) if isinstance(base, CarFile) else base
     superset = make_superset(base, runs)
+    nuisance = (*nuisance_names(superset, runs), *structure_names(superset, runs))
+    superset = replace(superset, knowledge=_weak(superset, nuisance))
     engine = open_engine(superset, runs)
-    nuisance, own = nuisance_names(superset, runs), _always(base, superset, runs)
-    fitted, noise = null_fit(engine, nuisance, effects=own), None
+    fitted, noise = null_fit(engine, nuisance), None
     for _ in range(_ROUNDS):
         noise = learn_noise(engine, fitted, noise)
         engine = whitened(engine, fitted, noise)
-        fitted = null_fit(engine, nuisance, fitted, own)
-    noise = learn_noise(engine, fitted, noise)
-    fitted = null_fit(whitened(engine, fitted, noise), nuisance, fitted, own)
-    return _calibrated(engine, fitted, noise, runs), fitted
+        fitted = null_fit(engine, nuisance, fitted)
+    noise = _calibrated(engine, fitted, learn_noise(engine, fitted, noise), runs)
+    engine = whitened(engine, fitted, noise)
+    fitted = null_fit(engine, nuisance, fitted)
+    return Taught(superset, engine, fitted, noise, nuisance)
+
+
+def structure_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Parameters of the effects that no real car is without, as far as such drives show them."""
+    shown = telling_effects(superset, runs)
+    return tuple(
+        f"{effect.name}.{parameter.name}"
+        for effect in superset.effects
+        if effect.on_every_car and effect.name in shown
+        for parameter in effect.parameters
+    )
+
+
+def _weak(superset: Superset, names: Sequence[str]) -> Knowledge:
+    """Knowing next to nothing: ordinary spreads of cars of this class."""
+    chart = make_chart(superset.effects, superset.base, names)
+    own = [ORDINARY.get(name, 1.0) for name in chart.free]
+    return Knowledge(tuple(names), np.diag(np.square(own * chart.spread)))
 
 
 def _calibrated(engine: Engine, fitted: Fitted, noise: Noise, runs: Sequence[Run]) -> Noise:
@@ -66,99 +121,146 @@ def _calibrated(engine: Engine, fitted: Fitted, noise: Noise, runs: Sequence[Run
     return calibrated(noise, robust_mean(ratios(fitted)), should)
 
 
-def _always(base: CarFile | Model[float], superset: Superset, runs: Sequence[Run]) -> list[str]:
-    """Manners that every car has, unless the base knows its own."""
-    known = {effect.name for effect in base.effects}
-    telling = telling_effects(superset, runs)
-    return [
-        e.name
-        for e in superset.effects
-        if e.on_every_car and e.name in telling and e.name not in known
-    ]
-
-
 def learn_healthy(base: CarFile | Model[float], runs: Sequence[Run]) -> Noise:
-    """How large noise is, from drives without the gap (see `noise.noise_section` to keep it).
-
-    What effects of the library would explain in them is no noise, whether or not the base has them.
-    """
-    noise, fitted = _learn(base, runs)
-    if isinstance(base, Model):
-        return noise
-    told = noise_of_section(
-        _with_own_effects(_moved(base, fitted, noise), runs, noise).sections["noise"]
-    )
-    return told or noise
+    """How large noise is, from drives without the gap (see `noise.noise_section` to keep it)."""
+    return teach(base, runs).noise
 
 
 def refine(base: CarFile, runs: Sequence[Run]) -> CarFile:
-    """The base car as drives without a gap show it: parameters, errors, own effects, `[noise]`.
-
-    An effect of the library that the healthy drives show clearly is the car's own manner and no
-    gap; it becomes part of the base.
+    """The base car as drives without a gap show it: values, errors, `[noise]` and `[knowledge]`.
 
     Args:
-        base: as identified; where its parameters end up is not tied to its standard errors.
+        base: as identified; only its values are a start.
         runs: drives without a gap.
+
+    Raises:
+        FloatingPointError: the base car's simulation diverges.
+        ValueError: no window sees enough poses.
     """
-    noise, fitted = _learn(replace(base, sd={}), runs)
-    for _ in range(_AGAIN):
-        if np.abs(fitted.prior[: fitted.space.nuisance]).max() <= _FAR:
-            break
-        noise, fitted = _learn(replace(_moved(base, fitted, noise), sd={}), runs)
-    return _with_own_effects(_moved(base, fitted, noise), runs, noise)
+    taught = teach(base, runs)
+    own = _limits(taught, runs)
+    if own:
+        taught = teach(_with_effects(base, taught, own), runs)
+    return taught_car(base, taught)
 
 
-def _with_own_effects(base: CarFile, runs: Sequence[Run], noise: Noise) -> CarFile:
-    """The base with what its healthy drives show beyond it, one effect after the other.
-
-    The base's parameters are free about where they are: one that made up for an effect must be able
-    to go back. So are the effects found so far, and noise is learnt anew with each.
-    """
-    superset = make_superset(replace(base, sd={}), runs)
-    nuisance, own = nuisance_names(superset, runs), _always(base, superset, runs)
-    engine = open_engine(superset, runs)
-    engine = whitened(engine, null_fit(engine, nuisance, effects=own), noise)
-    found = null_fit(engine, nuisance, effects=own)
-    never = {e.name for e in base.effects} | {
-        e.name for e in superset.effects if e.selectable_in_base is BaseSelection.NEVER
-    }
-    for _ in range(c.BUILT_IN):
-        taken = never | set(found.space.effects)
-        only = [name for name in telling_effects(superset, runs) if name not in taken]
-        ranked = singles(engine, found, nuisance, only, most=_REFITS)
-        if not ranked:
-            break
-        gain, se = gain_of(ranked[0], scored(engine, found), blocks_of(engine))
-        if gain < max(c.BUILT_IN_GAIN, c.BUILT_IN_SE * bounded(gain, se)):
-            break
-        found = ranked[0].fitted
-        for _ in range(_ROUNDS):
-            noise = learn_noise(engine, found, noise)
-            engine = whitened(engine, found, noise)
-            found = descend(engine, found.space, found.z.copy(), found.x.copy())
-        noise = _calibrated(engine, found, noise, runs)
-    return _own(_moved(base, found, noise), found, superset)
-
-
-def _own(base: CarFile, found: Fitted, superset: Superset) -> CarFile:
-    """The base with the effects of a fit as its own."""
-    chosen = [e for e in superset.effects if e.name in found.space.effects]
-    p = found.parameters
-    values = [tuple(float(v) for v in p[superset.places(e.name)]) for e in chosen]
-    return replace(base, effects=(*base.effects, *chosen), values=(*base.values, *values))
-
-
-def _moved(base: CarFile, fitted: Fitted, noise: Noise) -> CarFile:
-    """The base with what a fit found."""
-    chart, own = fitted.space.chart, fitted.space.nuisance
-    p = dict(zip(chart.names, chart.parameters(fitted.z), strict=True))
-    slopes = chart.slopes(fitted.z)
-    sd = np.sqrt(np.einsum("pi,ij,pj->p", slopes, fitted.covariance, slopes))
-    free = [chart.names.index(name) for name in chart.free[:own]]
+def taught_car(base: CarFile, taught: Taught) -> CarFile:
+    """The car file that says what was taught; effects that may as well be absent are left out."""
+    known = knowledge_of(taught)
+    z, kept = _without_small(taught, known.covariance)
+    chart = taught.fitted.space.chart
+    p, slopes = chart.parameters(z), chart.slopes(z)
+    spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, known.covariance, slopes))
+    free = {name: chart.names.index(name) for name in taught.nuisance}
+    car = {name: float(p[i]) for name, i in free.items() if "." not in name}
+    own = dict(zip((e.name for e in base.effects), base.values, strict=True))
+    own = {name: values for name, values in own.items() if name not in _structures(taught)}
+    own |= {name: tuple(p[taught.superset.places(name)].tolist()) for name in kept}
+    chosen = [e for e in taught.superset.effects if e.name in own]
+    sd = {name: float(spread[i]) for name, i in free.items()}
     return replace(
         base,
-        car=base.car._replace(**{chart.names[i]: float(p[chart.names[i]]) for i in free}),
-        sd={**base.sd, **{chart.names[i]: float(sd[i]) for i in free}},
-        sections={**base.sections, "noise": noise_section(noise)},
+        car=base.car._replace(**car),
+        effects=tuple(chosen),
+        values=tuple(own[e.name] for e in chosen),
+        sd={**base.sd, **{n: v for n, v in sd.items() if "." not in n or n.split(".")[0] in own}},
+        sections={
+            **base.sections,
+            "noise": noise_section(taught.noise),
+            "knowledge": knowledge_section(known),
+        },
     )
+
+
+def _structures(taught: Taught) -> list[str]:
+    """Names of the effects that were free, each once."""
+    return list(dict.fromkeys(n.partition(".")[0] for n in taught.nuisance if "." in n))
+
+
+def _without_small(taught: Taught, covariance: Array) -> tuple[Array, list[str]]:
+    """Coordinates with every effect at its null that is not clearly elsewhere, and those kept.
+
+    The smallest goes first; what moves with it moves to where it lies given that null.
+    """
+    space, superset = taught.fitted.space, taught.superset
+    labels, z = list(space.chart.free), taught.fitted.z.copy()
+    nulls = {e.name: e.nulls for e in superset.effects}
+    names = {name: [i for i, n in enumerate(labels) if n.startswith(f"{name}.")]
+             for name in _structures(taught)}  # fmt: skip
+    gone: list[int] = []
+    while names:
+        sizes = {}
+        for name, mine in names.items():
+            away = z[mine] - np.array(nulls[name])
+            sizes[name] = float(away @ np.linalg.solve(covariance[np.ix_(mine, mine)], away))
+            sizes[name] /= len(mine)
+        least = min(sizes, key=lambda name: sizes[name])
+        if sizes[least] > CLEAR**2:
+            break
+        gone += names.pop(least)
+        held = np.array([nulls[labels[i].partition(".")[0]][_place(labels, i)] for i in gone])
+        rest = [i for i in range(len(z)) if i not in gone]
+        pull = np.linalg.solve(covariance[np.ix_(gone, gone)], held - taught.fitted.z[gone])
+        z[rest] = taught.fitted.z[rest] + covariance[np.ix_(rest, gone)] @ pull
+        z[gone] = held
+    return np.clip(z, space.low, space.high), list(names)
+
+
+def _place(labels: Sequence[str], i: int) -> int:
+    """Which of its effect's parameters a coordinate is."""
+    effect = labels[i].partition(".")[0]
+    return sum(name.startswith(f"{effect}.") for name in labels[:i])
+
+
+def knowledge_of(taught: Taught) -> Knowledge:
+    """Joint covariance and discrepancy of a base.
+
+    Scores that vary more from block to block than noise makes them widen the covariance (White,
+    1982): that is how a model that is wrong a little everywhere shows.
+    """
+    engine, fitted = taught.engine, taught.fitted
+    blocks = blocks_of(engine)
+    inverse = np.asarray(np.linalg.inv(curvature(fitted.space, fitted.at)))
+    pulls = fitted.at.weight[:, None] * fitted.at.g
+    sums = np.zeros((int(blocks.max()) + 1, pulls.shape[1]))
+    np.add.at(sums, blocks, pulls)
+    sums -= sums.mean(axis=0)
+    covariance = widened(inverse, Spread(sums.T @ sums, float(len(sums))))
+    should = robust_mean(ratios(fitted))
+    excess = excess_by_regime(ratios(fitted) / should, engine.lateral)
+    return Knowledge(taught.nuisance, covariance, excess)
+
+
+def _limits(taught: Taught, runs: Sequence[Run]) -> dict[str, tuple[float, ...]]:
+    """Limits and play that healthy drives show: their gradient at the null is zero."""
+    engine, null, nuisance = taught.engine, taught.fitted, taught.nuisance
+    shown = telling_effects(taught.superset, runs)
+    only = [
+        e.name
+        for e in taught.superset.effects
+        if e.zero_gradient and e.name in shown and e.selectable_in_base is not BaseSelection.NEVER
+    ]
+    base, blocks = scored(engine, null), blocks_of(engine)
+    ranked = singles(engine, null, nuisance, only)
+    found: dict[str, tuple[float, ...]] = {}
+    for score in ranked:
+        gain, se = gain_of(score, base, blocks)
+        if gain > max(c.BUILT_IN_GAIN, c.BUILT_IN_SE * bounded(gain, se)):
+            p = score.fitted.parameters
+            found[score.name] = tuple(float(p[i]) for i in taught.superset.places(score.name))
+    return found
+
+
+def _with_effects(
+    base: CarFile | Model[float], taught: Taught, more: dict[str, tuple[float, ...]]
+) -> CarFile:
+    """The base with the effects that were taught, and some more."""
+    if not isinstance(base, CarFile):
+        raise TypeError("only a car file carries what was taught")
+    p, superset = taught.fitted.parameters, taught.superset
+    own = dict(zip((e.name for e in base.effects), base.values, strict=True))
+    free = {name.partition(".")[0] for name in taught.nuisance if "." in name}
+    own |= {name: tuple(float(p[i]) for i in superset.places(name)) for name in free}
+    own |= more
+    chosen = [e for e in superset.effects if e.name in own]
+    return replace(base, effects=tuple(chosen), values=tuple(own[e.name] for e in chosen))

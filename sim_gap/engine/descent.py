@@ -22,6 +22,8 @@ _LOST = 5.0
 """A window that leaves more than this of its whitened error may sit in a wrong start ..."""
 _FOUND = 10.0
 """... and is taken up anew from the poses if that gains so much of its squares."""
+LOST_LEAST, LOST_RATIO = 30.0, 6.0
+"""A window this much worse than noise, and than the median, does not pull at all."""
 _RETURNS = 3
 """Steps of such a start."""
 
@@ -69,36 +71,60 @@ def total(space: Space, at: Reduced, z: Array) -> float:
     """Cost [nats]: losses and prior."""
     if not at.finite:
         return np.inf
-    away = (z - space.centre) / space.spread
-    return float(at.loss.sum() + 0.5 * away @ away)
+    return float(at.loss.sum()) + space.prior_cost(z)
 
 
 def curvature(space: Space, at: Reduced) -> Array:
     """(n, n) Gauss-Newton curvature of the cost, prior included."""
     weighted = np.einsum("w,wij->ij", at.weight, at.h)
-    return np.asarray(weighted + np.diag(space.spread**-2.0))
+    return np.asarray(weighted + space.precision)
 
 
 def _slope(space: Space, at: Reduced, z: Array) -> Array:
-    pull: Array = at.weight @ at.g + (space.centre - z) / space.spread**2
+    pull: Array = at.weight @ at.g + space.prior_pull(z)
     return pull
 
 
 def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
-    """Newton's step within bounds: coordinates that would leave at a bound stay there."""
-    frozen = np.zeros(len(z), bool)
-    dz = np.zeros(len(z))
+    """Newton's step within bounds; the quadratic model never rises along it.
+
+    Coordinates that would leave stop at their bound and the others are solved again (an active
+    set). Clipping the step of coordinates that move together could go uphill: where it would, the
+    step is shortened as a whole instead.
+    """
+    fixed, dz = np.zeros(len(z), bool), np.zeros(len(z))
     for _ in range(len(z) + 1):
-        free = ~frozen
-        dz = np.zeros(len(z))
+        free = ~fixed
         if free.any():
-            dz[free] = np.linalg.solve(h[np.ix_(free, free)], slope[free])
-        out = ((z + dz < low) & (z <= low)) | ((z + dz > high) & (z >= high))
-        if not (out & ~frozen).any():
+            pull = slope[free] - h[np.ix_(free, fixed)] @ dz[fixed]
+            dz[free] = np.linalg.solve(h[np.ix_(free, free)], pull)
+        out = ((z + dz < low) | (z + dz > high)) & free
+        if not out.any():
             break
-        frozen |= out
+        dz[out] = np.clip(z + dz, low, high)[out] - z[out]
+        fixed |= out
     inside: Array = np.clip(z + dz, low, high) - z
-    return inside
+    if float(slope @ inside - 0.5 * inside @ h @ inside) >= 0.0:
+        return inside
+    return _shortened(h, slope, z, low, high)
+
+
+def _shortened(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
+    """Newton's step of what is not at a bound, cut where the first coordinate meets one."""
+    frozen = ((z <= low) & (slope < 0.0)) | ((z >= high) & (slope > 0.0))
+    for _ in range(len(z)):
+        free, dz = ~frozen, np.zeros(len(z))
+        if not free.any():
+            return dz
+        dz[free] = np.linalg.solve(h[np.ix_(free, free)], slope[free])
+        room = np.where(dz > 0.0, high - z, z - low)
+        stuck = free & (np.abs(dz) > 0.0) & (room <= 0.0)
+        if not stuck.any():
+            moving = np.abs(dz) > 0.0
+            share = float(np.min(room[moving] / np.abs(dz[moving]), initial=1.0))
+            return np.asarray(min(share, 1.0) * dz)
+        frozen |= stuck
+    return np.zeros(len(z))
 
 
 @dataclass
@@ -116,12 +142,16 @@ class _Search:
     stale: float = 0.0
     """Nats gained since derivatives were taken."""
 
+    def bounded(self, at: Reduced) -> Reduced:
+        """The losses with this search's limit for lost windows."""
+        return at._replace(limit=self.at.limit)
+
     def fresh(self) -> None:
         """Take derivatives here."""
         linear = self.engine.linear(self.space, self.z, self.x)
         if linear.finite:
             self.tangent = self.engine.tangent(linear)
-            self.at = self.engine.reduce_by(self.tangent, linear.error, self.x)
+            self.at = self.bounded(self.engine.reduce_by(self.tangent, linear.error, self.x))
             self.cost = total(self.space, self.at, self.z)
         self.stale = 0.0
 
@@ -149,7 +179,7 @@ class _Search:
         error, finite = self.engine.missed(self.space, self.z + dz, x)
         if not finite:
             return -np.inf
-        trial = self.engine.reduce_by(self.tangent, error, x)
+        trial = self.bounded(self.engine.reduce_by(self.tangent, error, x))
         gained = self.cost - total(self.space, trial, self.z + dz)
         if gained >= -1e-9 * abs(self.cost):
             self.z, self.x, self.at, self.cost = self.z + dz, x, trial, self.cost - gained
@@ -169,7 +199,7 @@ class _Search:
                 return promised, gained
             if self.stale > 0.0:
                 self.fresh()
-            elif promised < ENOUGH:
+            elif 0.0 <= promised < ENOUGH:
                 return promised, 0.0
             else:
                 self.damping *= 20.0
@@ -191,6 +221,7 @@ def descend(
         raise FloatingPointError("the simulation diverges at the start values")
     tangent = engine.tangent(linear)
     at = engine.reduce_by(tangent, linear.error, x)
+    at = at._replace(limit=lost_from(at))
     now = _Search(engine, space, z, x, tangent, at, total(space, at, z))
     now.restart()
     _walk(now, steps, enough)
@@ -199,6 +230,11 @@ def descend(
     if now.stale > _STALE_LAST:
         now.fresh()
     return Fitted(space, now.z, now.x, now.at, now.cost, covariance_of(space, now.at), now.tangent)
+
+
+def lost_from(at: Reduced) -> float:
+    """Squared error per degree of freedom from which a window is lost to the search."""
+    return max(LOST_LEAST, LOST_RATIO * float(np.median(at.square / at.dof)))
 
 
 def _walk(now: _Search, steps: int, enough: float) -> None:

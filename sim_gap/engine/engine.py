@@ -91,6 +91,8 @@ class Reduced(NamedTuple):
         dx: (W, 7) step of the start; minus `kx` (W, 7, n) per step of the coordinates.
         kx: see `dx`.
         finite: whether the simulation stayed finite.
+        limit: squared error per degree of freedom from which a window is lost: a car that spins
+            is chaotic, and its derivatives point nowhere.
     """
 
     square: Array
@@ -100,17 +102,19 @@ class Reduced(NamedTuple):
     dx: Array
     kx: Array
     finite: bool
+    limit: float = np.inf
 
     @property
     def weight(self) -> Array:
-        """(W,) weight of each window: those that nothing explains pull less."""
-        weight: Array = 2.0 / (1.0 + self.square / self.dof)
+        """(W,) weight of each window: those that nothing explains pull less, lost ones not."""
+        ratio = self.square / self.dof
+        weight: Array = np.where(ratio < self.limit, 2.0 / (1.0 + ratio), 0.0)
         return weight
 
     @property
     def loss(self) -> Array:
         """(W,) negative log-likelihood [nats] under Student's t of as many degrees as rows."""
-        loss: Array = self.dof * np.log1p(self.square / self.dof)
+        loss: Array = self.dof * np.log1p(np.minimum(self.square / self.dof, self.limit))
         return loss
 
 
@@ -139,6 +143,20 @@ class Engine:
         spread = np.tile(STATE_SPREAD, (len(layout.spans), 1))
         spread[:, 6] = np.where(layout.has_past, STEER_SPREAD, STEER_SPREAD_UNKNOWN)
         return spread
+
+    @property
+    def lateral(self) -> Array:
+        """(W,) mean lateral acceleration of the windows, from poses and commands [m/s^2]."""
+        layout, readings = self.readings.layout, self.readings
+        out = np.zeros(readings.count)
+        for w, (_, _, first, steps, _) in enumerate(layout.spans):
+            rows = readings.rows(w)
+            turn = readings.channel[rows] == 2
+            yaw, t = np.unwrap(layout.values[rows][turn]), readings.t[rows][turn]
+            speed = np.abs(layout.commands[first : first + steps, 1]).mean()
+            if len(t) > 1:
+                out[w] = speed * np.abs(np.diff(yaw)).sum() / max(t[-1] - t[0], 1e-3)
+        return out
 
     def pad(self, rows: Array) -> Array:
         """(R, ...) rows as (W, D, ...), zero where there is none."""

@@ -18,6 +18,7 @@ from steerd.sim_gap.engine.constants import NOISE_KEPT
 from steerd.sim_gap.engine.descent import Fitted
 from steerd.sim_gap.engine.disturbance_response import INPUTS, Responses, responses
 from steerd.sim_gap.engine.engine import FREE_STATES, Engine, Linear
+from steerd.sim_gap.engine.knowledge import EDGES
 
 Array = NDArray[np.float64]
 
@@ -195,7 +196,12 @@ def whitened(engine: Engine, fitted: Fitted, noise: Noise) -> Engine:
     error, _ = engine.missed(fitted.space, fitted.z, fitted.x)
     pushed = [*shapes(engine, seen, (0, 1, 2)), slip_shape(engine, error)]
     cov = covariance(engine, noise, pushed)
-    return replace(engine, whiten=whitening(cov, engine.padded.there))
+    white = whitening(cov, engine.padded.there)
+    known = engine.superset.knowledge
+    if known is not None:
+        excess = np.array(known.excess)[np.digitize(engine.lateral, EDGES)]
+        white = white / np.sqrt(excess)[:, None, None]
+    return replace(engine, whiten=white)
 
 
 assert INPUTS[:3] == ("accel", "lateral", "yaw")  # noqa: S101

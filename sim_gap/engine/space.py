@@ -24,13 +24,17 @@ EFFECT_WIDER = 3.0
 """Prior standard deviation of an effect's parameter per its scale: hardly a prior at all."""
 FLOORS = {
     "lf": 0.002, "lr": 0.002, "c_sf": 0.02, "c_sr": 0.02, "c_x": 0.1,
-    "inertia_z": 0.03, "steer_gain": 0.004, "steer_bias": 5e-4, "steer_delay": 1e-3, "steer_lag": 2e-3, "speed_gain": 0.002,
-    "speed_lag": 4e-3, "drive_delay": 2e-3, "pose_delay": 5e-4,
+    "inertia_z": 0.03, "steer_gain": 0.004, "steer_bias": 5e-4, "steer_delay": 1e-3,
+    "steer_lag": 2e-3, "speed_gain": 0.002, "speed_lag": 4e-3, "drive_delay": 2e-3, "pose_delay": 5e-4,
 }  # fmt: skip
 """Least prior standard deviation: what an identified car is off by because every model is wrong.
 
 Relative for stiffnesses, inertia and gains, else in the parameter's unit.
 """
+KNOWN_WIDER = 1.2
+"""Prior standard deviations per those of a joint covariance from healthy drives."""
+SESSION = 0.3
+"""Of the floors, what a car differs by from one day to the next beside that."""
 UNKNOWN = 3.0
 """How much wider the floors are where the car file gives no standard error."""
 
@@ -42,8 +46,9 @@ class Space:
     Attributes:
         chart: between coordinates and parameters.
         centre: (n,) where the prior lies; the base at its effects' nulls.
-        spread: (n,) prior standard deviations.
-        low: (n,) bounds.
+        covariance: (n, n) of the prior: the base's own coordinates move together.
+        precision: (n, n) its inverse.
+        low: (n,) physical bounds.
         high: (n,).
         effects: names of the hypothesis' effects, none for the base alone.
         nuisance: how many of the coordinates are the base's; they come first.
@@ -51,22 +56,56 @@ class Space:
 
     chart: Chart
     centre: Array
-    spread: Array
+    covariance: Array
+    precision: Array
     low: Array
     high: Array
     effects: tuple[str, ...]
     nuisance: int
 
+    @property
+    def spread(self) -> Array:
+        """(n,) prior standard deviations."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def prior_cost(self, z: Array) -> float:
+        """Negative log of the prior's density, but for a constant [nats]."""
+        away = z - self.centre
+        return 0.5 * float(away @ self.precision @ away)
+
+    def prior_pull(self, z: Array) -> Array:
+        """(n,) slope of the log prior."""
+        pull: Array = self.precision @ (self.centre - z)
+        return pull
+
+    def base_cost(self, z: Array) -> float:
+        """What the base's coordinates alone cost under their own prior [nats]."""
+        own = slice(0, self.nuisance)
+        if not self.nuisance:
+            return 0.0
+        away = (z - self.centre)[own]
+        return 0.5 * float(away @ np.linalg.solve(self.covariance[own, own], away))
+
 
 def nuisance_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     """Base parameters that are free in every hypothesis: those that identification frees."""
     slipping = bool(superset.kernels.chassis.drive)
-    names = [name for name in FLOORS if name != "c_x" or slipping]
     sources = {run.speed_source for run in runs}
+    names = [name for name in FLOORS if name != "c_x" or slipping]
+    if superset.knowledge is not None:
+        names = [name for name in superset.knowledge.names if "." in name or name in names]
+        held = {e.name for e in superset.effects if e.follows_acceleration}
+        if sources != {"command"}:
+            names = [name for name in names if name.partition(".")[0] not in held]
     if sources != {"command"}:
         gone = {"speed_lag", "drive_delay"} | ({"speed_gain"} if "wheel" not in sources else set())
         names = [name for name in names if name not in gone]
-    if superset.sd and "drive_delay" in names and "drive_delay" not in superset.sd:
+    if (
+        superset.knowledge is None
+        and superset.sd
+        and "drive_delay" in names
+        and "drive_delay" not in superset.sd
+    ):
         names.remove("drive_delay")
     return tuple(names)
 
@@ -101,26 +140,64 @@ def _spread(superset: Superset, name: str) -> float:
 def make_space(superset: Superset, nuisance: Sequence[str], effects: Sequence[str] = ()) -> Space:
     """Coordinates for some effects beside the base's own parameters.
 
+    An effect that the base has itself (`effect.parameter` among `nuisance`) is freed about the
+    base's value, its prior as wide as any effect's.
+
     Raises:
         ValueError: a name is unknown.
     """
     names = superset.kernels.names
     own = [names[i] for effect in effects for i in superset.places(effect)]
-    chart = make_chart(superset.effects, superset.base, [*nuisance, *own])
+    base = [name for name in nuisance if name not in own]
+    chart = make_chart(superset.effects, superset.base, [*base, *own])
     centre = chart.coordinates(superset.base)
-    spread = np.empty(len(centre))
-    low, high = (bound.copy() for bound in chart.bounds())
-    for i, name in enumerate(chart.free):
-        if i >= len(nuisance):
-            spread[i] = EFFECT_WIDER * chart.spread[i]
-            continue
-        value = float(superset.base[names.index(name)])
-        spread[i] = _spread(superset, name)
-        if name in INVERSE:
-            spread[i] /= value * value
-        elif name in LOGARITHM:
-            spread[i] /= value
-        low[i] = max(low[i], centre[i] - BOX * spread[i])
-        high[i] = min(high[i], centre[i] + BOX * spread[i])
+    low, high = chart.bounds()
+    covariance = _base_covariance(superset, chart, [*base, *own], len(base))
+    if superset.knowledge is None:
+        spread = BOX * np.sqrt(np.diag(covariance))[: len(base)]
+        low[: len(base)] = np.maximum(low[: len(base)], (centre[: len(base)] - spread))
+        high[: len(base)] = np.minimum(high[: len(base)], (centre[: len(base)] + spread))
+    width = range(len(base), len(centre))
+    covariance[width, width] += (EFFECT_WIDER * chart.spread[len(base) :]) ** 2
+    precision = np.asarray(np.linalg.inv(covariance))
     centre = np.clip(centre, low, high)
-    return Space(chart, centre, spread, low, high, tuple(effects), len(nuisance))
+    return Space(chart, centre, covariance, precision, low, high, tuple(effects), len(base))
+
+
+def _base_covariance(superset: Superset, chart: Chart, free: Sequence[str], nuisance: int) -> Array:
+    """(n, n) covariance of what the base knows; zero for what it does not have."""
+    covariance = np.zeros((len(free),) * 2)
+    known = superset.knowledge
+    if known is None:
+        spread = [_coordinate_spread(superset, name) for name in free[:nuisance]]
+        covariance[range(nuisance), range(nuisance)] = np.square(spread)
+        return covariance
+    held = [i for i, name in enumerate(free) if name in known.names]
+    covariance[np.ix_(held, held)] = KNOWN_WIDER**2 * known.part([free[i] for i in held])
+    for i, name in enumerate(free[:nuisance]):
+        if i in held:
+            covariance[i, i] += (SESSION * _floor(superset, name)) ** 2
+        else:
+            covariance[i, i] = _coordinate_spread(superset, name) ** 2
+    return covariance
+
+
+def _floor(superset: Superset, name: str) -> float:
+    """Least standard deviation of a base coordinate: what changes from day to day."""
+    if name not in FLOORS:
+        effect, _, parameter = name.partition(".")
+        found = next(e for e in superset.effects if e.name == effect)
+        scale = next(p.scale for p in found.parameters if p.name == parameter)
+        return 0.05 * scale
+    value = abs(float(superset.base[superset.kernels.names.index(name)]))
+    floor = FLOORS[name] * (value if name in RELATIVE else 1.0)
+    return floor / value**2 if name in INVERSE else floor / value if name in LOGARITHM else floor
+
+
+def _coordinate_spread(superset: Superset, name: str) -> float:
+    """Prior standard deviation of a base parameter's coordinate."""
+    value = float(superset.base[superset.kernels.names.index(name)])
+    if name not in FLOORS:
+        return _floor(superset, name) / 0.05
+    spread = _spread(superset, name)
+    return spread / value**2 if name in INVERSE else spread / value if name in LOGARITHM else spread

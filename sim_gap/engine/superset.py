@@ -17,6 +17,7 @@ from steerd.car_model.effect import Effect
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
+from steerd.sim_gap.engine.knowledge import Knowledge, knowledge_of_section
 from steerd.sysid.compiler.kernels import Kernels, make_kernels, parameter_vector
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.estimation.fit import prescribe_speed
@@ -33,12 +34,14 @@ class Superset:
         base: (P,) parameters of the base; an effect that the base has keeps its values.
         nulls: what each effect's parameters are when it is not a hypothesis: the base's values.
         sd: standard errors of the base by parameter name, as far as they are known.
+        knowledge: the joint covariance that healthy drives gave it, if they did.
     """
 
     kernels: Kernels
     base: Array
     nulls: dict[str, tuple[float, ...]]
     sd: dict[str, float]
+    knowledge: Knowledge | None = None
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -70,4 +73,5 @@ def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset
     values = tuple(nulls[e.name] for e in effects)
     full: Model[float] = Model(Car(*model.car), effects, values, model.chassis)
     kernels = make_kernels(effects, model.chassis)
-    return Superset(kernels, parameter_vector(full), nulls, sd)
+    known = base.sections.get("knowledge", {}) if isinstance(base, CarFile) else {}
+    return Superset(kernels, parameter_vector(full), nulls, sd, knowledge_of_section(known))

@@ -92,7 +92,7 @@ def held_out(fitted: Fitted, folds: NDArray[np.int64]) -> Array:
         h = everything - np.einsum("w,wij->ij", weight, at.h)
         slope = weight @ at.g
         dz = step_within(
-            h, (at.weight @ at.g + (space.centre - fitted.z) / space.spread**2) - slope,
+            h, (at.weight @ at.g + space.prior_pull(fitted.z)) - slope,
             fitted.z, space.low, space.high,
         )  # fmt: skip
         bent = np.einsum("i,wij,j->w", dz, at.h[out], dz)
@@ -103,9 +103,8 @@ def held_out(fitted: Fitted, folds: NDArray[np.int64]) -> Array:
 
 def scored(engine: Engine, fitted: Fitted) -> Score:
     """A fit with its held-out losses."""
-    own = fitted.prior[: fitted.space.nuisance]
     losses = held_out(fitted, folds_of(engine))
-    return Score(fitted.space.effects, fitted, losses, 0.5 * float(own @ own))
+    return Score(fitted.space.effects, fitted, losses, fitted.space.base_cost(fitted.z))
 
 
 def refit(
@@ -114,7 +113,8 @@ def refit(
     """A hypothesis with further effects, from the best of several starts; None if all diverge."""
     space, z = extended(engine, start, nuisance, [p.effect for p in promises])
     tried = z.copy()
-    tried[len(start.z) :] = np.concatenate([p.start for p in promises])
+    values = np.concatenate([p.start for p in promises])
+    tried[-len(values) :] = values
     tried = np.clip(tried, space.low, space.high)
     best: Fitted | None = None
     starts = [tried, 0.5 * (z + tried)] if len(promises) == 1 else [tried]

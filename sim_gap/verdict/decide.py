@@ -202,8 +202,8 @@ def _on_part(fitted: Fitted, part: NDArray[np.bool_], place: int) -> tuple[float
     """A coordinate and its standard error on some windows, by their own quadratic forms."""
     space, at = fitted.space, fitted.at
     weight = at.weight * part
-    h = np.einsum("w,wij->ij", weight, at.h) + np.diag(space.spread**-2.0)
-    slope = weight @ at.g + (space.centre - fitted.z) / space.spread**2
+    h = np.einsum("w,wij->ij", weight, at.h) + space.precision
+    slope = weight @ at.g + space.prior_pull(fitted.z)
     low, high = space.low.copy(), space.high.copy()
     low[place:], high[place:] = -np.inf, np.inf
     dz = step_within(h, slope, fitted.z, low, high)

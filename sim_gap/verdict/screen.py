@@ -28,11 +28,13 @@ class Promise(NamedTuple):
         effect: its name.
         gain: expected fall of the cost [nats].
         start: values of its parameters to start from.
+        tested: whether the simulation with it stayed finite.
     """
 
     effect: str
     gain: float
     start: tuple[float, ...]
+    tested: bool = True
 
 
 def open_effects(engine: Engine, taken: Sequence[str]) -> list[Effect]:
@@ -74,44 +76,62 @@ def extended(
 ) -> tuple[Space, Array]:
     """The hypothesis' space with further effects, and its point there: the new ones at null."""
     space = make_space(engine.superset, nuisance, [*fitted.space.effects, *effects])
-    z = space.centre.copy()
-    z[: len(fitted.z)] = fitted.z
+    known = dict(zip(fitted.space.chart.free, fitted.z.tolist(), strict=True))
+    z = np.array([known.get(n, c) for n, c in zip(space.chart.free, space.centre, strict=True)])
     return space, z
 
 
-def _expected(
-    space: Space, at: Reduced, z: Array, chosen: NDArray[np.int64]
-) -> tuple[float, Array]:
-    """Fall of the cost by Newton's step in some coordinates, and the step."""
-    h = curvature(space, at)[np.ix_(chosen, chosen)]
-    slope = (at.weight @ at.g + (space.centre - z) / space.spread**2)[chosen]
-    dz = step_within(h, slope, z[chosen], space.low[chosen], space.high[chosen])
+def _expected(space: Space, at: Reduced, z: Array) -> tuple[float, Array]:
+    """Fall of the cost by Newton's step, and the step."""
+    h, slope = curvature(space, at), at.weight @ at.g + space.prior_pull(z)
+    dz = step_within(h, slope, z, space.low, space.high)
     return float(slope @ dz - 0.5 * dz @ h @ dz), dz
+
+
+def _narrowed(at: Reduced, chosen: NDArray[np.int64]) -> Reduced:
+    """The same losses as functions of some of the coordinates."""
+    return at._replace(
+        g=at.g[:, chosen], h=at.h[:, chosen[:, None], chosen], kx=at.kx[:, :, chosen]
+    )
 
 
 def _linear(
     engine: Engine, fitted: Fitted, nuisance: Sequence[str], effects: Sequence[Effect]
 ) -> list[Promise]:
+    """Promises of effects with a gradient, from one Jacobian of all of them.
+
+    Where that is not finite, each half is looked at alone: one effect that leaves the map must not
+    take the others with it.
+    """
     space, z = extended(engine, fitted, nuisance, [e.name for e in effects])
     at = engine.reduce(space, z, fitted.x)
     if not at.finite:
-        return []
-    own, found = np.arange(len(fitted.z)), []
-    floor, _ = _expected(space, at, z, own)
-    place = len(fitted.z)
+        if len(effects) == 1:
+            return [Promise(effects[0].name, -np.inf, effects[0].nulls, tested=False)]
+        half = len(effects) // 2
+        first = _linear(engine, fitted, nuisance, effects[:half])
+        return first + _linear(engine, fitted, nuisance, effects[half:])
+    places = {name: i for i, name in enumerate(space.chart.free)}
+
+    def look(names: Sequence[str]) -> tuple[float, Array, Array, Space]:
+        own, start = extended(engine, fitted, nuisance, names)
+        chosen = np.array([places[name] for name in own.chart.free], dtype=np.int64)
+        gain, dz = _expected(own, _narrowed(at, chosen), start)
+        return gain, start, dz, own
+
+    floor = look(())[0]
+    found = []
     for effect in effects:
-        mine = np.arange(place, place + len(effect.parameters))
-        place += len(mine)
-        gain, dz = _expected(space, at, z, np.concatenate([own, mine]))
-        start = np.clip(z[mine] + dz[len(own) :], space.low[mine], space.high[mine])
-        found.append(Promise(effect.name, gain - floor, tuple(start.tolist())))
+        gain, start, dz, own = look([effect.name])
+        mine = slice(len(start) - len(effect.parameters), None)
+        value = np.clip((start + dz)[mine], own.low[mine], own.high[mine])
+        found.append(Promise(effect.name, gain - floor, tuple(value.tolist())))
     return found
 
 
 def _scan(engine: Engine, fitted: Fitted, nuisance: Sequence[str], effect: Effect) -> Promise:
     """The best of an effect's scan values, with everything else stepped once."""
     space, z = extended(engine, fitted, nuisance, [effect.name])
-    own = np.arange(len(fitted.z))
     best = Promise(effect.name, 0.0, tuple(z[len(fitted.z) :].tolist()))
     for start in scan_values(engine, fitted, effect):
         z[len(fitted.z) :] = start
@@ -120,7 +140,7 @@ def _scan(engine: Engine, fitted: Fitted, nuisance: Sequence[str], effect: Effec
             continue
         at = engine.reduce_by(fitted.tangent, error, fitted.x)
         cost = total(fitted.space, at, fitted.z)
-        gain = fitted.cost - cost + _expected(fitted.space, at, fitted.z, own)[0]
+        gain = fitted.cost - cost + _expected(fitted.space, at, fitted.z)[0]
         if gain > best.gain:
             best = Promise(effect.name, gain, start)
     return best

@@ -124,7 +124,7 @@ def predict(
 def _at_best(fitted: Fitted) -> Array:
     """Windows' whitened errors were the hypothesis fitted to them: one Newton step on."""
     space, at = fitted.space, fitted.at
-    slope = at.weight @ at.g + (space.centre - fitted.z) / space.spread**2
+    slope = at.weight @ at.g + space.prior_pull(fitted.z)
     dz = step_within(curvature(space, at), slope, fitted.z, space.low, space.high)
     square = at.square - 2.0 * at.g @ dz + np.einsum("i,wij,j->w", dz, at.h, dz)
     return np.asarray(np.maximum(square, 0.0) / at.dof)

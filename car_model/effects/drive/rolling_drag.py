@@ -54,6 +54,7 @@ EFFECT = Effect(
     ),
     needs_commands=Channel.SPEED,
     selectable_in_base=BaseSelection.HEALTHY,
+    on_every_car=True,
     zero_gradient=False,
     rates=_rates,
     aliases=("drag", "rolling_resistance", "friction_drag"),

@@ -33,6 +33,7 @@ EFFECT = Effect(
     ),
     needs_commands=None,
     selectable_in_base=BaseSelection.IDENTIFY,
+    on_every_car=True,
     zero_gradient=False,
     observe=_observe,
     aliases=("mocap_offset", "lever_arm"),

@@ -25,6 +25,7 @@ EFFECT = Effect(
     confounded_with=None,
     needs_commands=None,
     selectable_in_base=BaseSelection.IDENTIFY,
+    on_every_car=True,
     zero_gradient=False,
     observe=_observe,
     aliases=("yaw_misalignment", "mount_yaw", "yaw_offset"),

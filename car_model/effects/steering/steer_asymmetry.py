@@ -32,6 +32,7 @@ EFFECT = Effect(
     confounded_with=None,
     needs_commands=Channel.STEER,
     selectable_in_base=BaseSelection.IDENTIFY,
+    on_every_car=True,
     zero_gradient=False,
     linkage=_linkage,
     aliases=("left_right_asymmetry", "steering_asymmetry"),

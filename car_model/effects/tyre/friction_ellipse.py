@@ -56,6 +56,7 @@ EFFECT = Effect(
     confounded_with=None,
     needs_commands=Channel.SPEED,
     selectable_in_base=BaseSelection.HEALTHY,
+    on_every_car=True,
     zero_gradient=False,
     follows_acceleration=True,
     forces=_forces,

@@ -66,6 +66,7 @@ EFFECT = Effect(
     confounded_with=None,
     needs_commands=None,
     selectable_in_base=BaseSelection.IDENTIFY,
+    on_every_car=True,
     zero_gradient=False,
     forces=_forces,
     aliases=("lateral_transfer", "roll_transfer"),

@@ -47,6 +47,7 @@ EFFECT = Effect(
     confounded_with=None,
     needs_commands=None,
     selectable_in_base=BaseSelection.HEALTHY,
+    on_every_car=True,
     zero_gradient=False,
     rates=_rates,
     aliases=("locked_differential", "corner_drag", "tyre_scrub"),

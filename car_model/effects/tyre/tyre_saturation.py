@@ -40,6 +40,7 @@ EFFECT = Effect(
     confounded_with=None,
     needs_commands=None,
     selectable_in_base=BaseSelection.IDENTIFY,
+    on_every_car=True,
     zero_gradient=False,
     forces=_forces,
     aliases=("saturation", "pacejka"),
