@@ -22,7 +22,7 @@ from steerd.car_model.model import Model
 from steerd.sim_gap.engine import constants as c
 from steerd.sim_gap.engine.base_fit import null_fit, open_engine
 from steerd.sim_gap.engine.descent import Fitted, curvature
-from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.engine import Engine, Reduced
 from steerd.sim_gap.engine.knowledge import Knowledge, excess_by_regime, knowledge_section
 from steerd.sim_gap.engine.noise import (
     Noise,
@@ -219,9 +219,9 @@ def knowledge_of(taught: Taught) -> Knowledge:
     1982): that is how a model that is wrong a little everywhere shows.
     """
     engine, fitted = taught.engine, taught.fitted
-    blocks = blocks_of(engine)
-    inverse = np.asarray(np.linalg.inv(curvature(fitted.space, fitted.at)))
-    pulls = fitted.at.weight[:, None] * fitted.at.g
+    blocks, at = blocks_of(engine), _with_secants(taught)
+    inverse = np.asarray(np.linalg.inv(curvature(fitted.space, at)))
+    pulls = at.weight[:, None] * at.g
     sums = np.zeros((int(blocks.max()) + 1, pulls.shape[1]))
     np.add.at(sums, blocks, pulls)
     sums -= sums.mean(axis=0)
@@ -229,6 +229,29 @@ def knowledge_of(taught: Taught) -> Knowledge:
     should = robust_mean(ratios(fitted))
     excess = excess_by_regime(ratios(fitted) / should, engine.lateral)
     return Knowledge(taught.nuisance, covariance, excess)
+
+
+def _with_secants(taught: Taught) -> Reduced:
+    """Losses about the best point, dead times differenced over a step each way.
+
+    A servo at its slew limit starts on the step in which a command arrives, whatever the fraction:
+    the likelihood has steps in the delays, and its slope at one says too much.
+    """
+    engine, fitted, space = taught.engine, taught.fitted, taught.fitted.space
+    linear = engine.linear(space, fitted.z, fitted.x)
+    by_z, step = linear.by_z.copy(), engine.readings.layout.h / engine.substeps
+    for i, name in enumerate(space.chart.free):
+        if not name.endswith("_delay"):
+            continue
+        ends = [np.clip(fitted.z[i] + s, space.low[i], space.high[i]) for s in (-step, step)]
+        errors = []
+        for end in ends:
+            z = fitted.z.copy()
+            z[i] = end
+            errors.append(engine.missed(space, z, fitted.x)[0])
+        by_z[:, :, i] = (errors[0] - errors[1]) / (ends[1] - ends[0])
+    tangent = engine.tangent(linear._replace(by_z=by_z))
+    return engine.reduce_by(tangent, linear.error, fitted.x)._replace(limit=fitted.at.limit)
 
 
 def _limits(taught: Taught, runs: Sequence[Run]) -> dict[str, tuple[float, ...]]:

@@ -23,9 +23,10 @@ BOX = 3.0
 EFFECT_WIDER = 3.0
 """Prior standard deviation of an effect's parameter per its scale: hardly a prior at all."""
 FLOORS = {
-    "lf": 0.002, "lr": 0.002, "c_sf": 0.02, "c_sr": 0.02, "c_x": 0.1,
-    "inertia_z": 0.03, "steer_gain": 0.004, "steer_bias": 5e-4, "steer_delay": 1e-3,
-    "steer_lag": 2e-3, "speed_gain": 0.002, "speed_lag": 4e-3, "drive_delay": 2e-3, "pose_delay": 5e-4,
+    "lf": 0.002, "lr": 0.002, "c_sf": 0.02, "c_sr": 0.02, "c_x": 0.1, "inertia_z": 0.03,
+    "steer_gain": 0.004, "steer_bias": 5e-4, "steer_delay": 1e-3, "steer_lag": 2e-3,
+    "steer_rate": 0.02, "speed_gain": 0.002, "speed_lag": 4e-3, "drive_delay": 2e-3,
+    "pose_delay": 5e-4,
 }  # fmt: skip
 """Least prior standard deviation: what an identified car is off by because every model is wrong.
 
@@ -92,6 +93,8 @@ def nuisance_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     slipping = bool(superset.kernels.chassis.drive)
     sources = {run.speed_source for run in runs}
     names = [name for name in FLOORS if name != "c_x" or slipping]
+    if superset.knowledge is None and superset.sd:
+        names.remove("steer_rate")  # an identification from before it was free
     if superset.knowledge is not None:
         names = [name for name in superset.knowledge.names if "." in name or name in names]
         held = {e.name for e in superset.effects if e.follows_acceleration}

@@ -281,8 +281,9 @@ def _line(values: np.ndarray, z: float, spread: float = 1e6) -> SimpleNamespace:
         square=square, dof=dof, finite=True,
     )  # fmt: skip
     space = SimpleNamespace(
-        centre=np.zeros(1), spread=np.array([spread]), low=np.array([-1e9]), high=np.array([1e9]),
-        nuisance=0, effects=("a",),
+        centre=np.zeros(1), precision=np.array([[spread**-2.0]]),
+        prior_pull=lambda z: -z / spread**2,
+        low=np.array([-1e9]), high=np.array([1e9]), nuisance=0, effects=("a",),
     )  # fmt: skip
     return SimpleNamespace(space=space, at=at, z=np.array([z]))
 
