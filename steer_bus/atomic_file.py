@@ -1,12 +1,21 @@
 """Files replaced in one move: a reader sees the old content or the new, never half of it."""
 
 import contextlib
+import errno
 import os
 import tempfile
 from pathlib import Path
 
 MODE = 0o644
 """Everybody may read, the owner may write."""
+
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def is_full(error: OSError) -> bool:
+    """Whether a disk, a quota or a limit of the shell (`ulimit -f`) took no more bytes."""
+    return error.errno in _FULL
 
 
 def write_atomically(path: Path, data: str | bytes, mode: int = MODE) -> None:

@@ -5,14 +5,16 @@ means a crash, and :func:`recover` (or reading the partial file directly) gets t
 only file that knows the mcap library; reading is :mod:`steerd.steer_bus.session_read`.
 """
 
+import contextlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer  # noqa: TID251
 
+from steerd.steer_bus.atomic_file import is_full
 from steerd.steer_bus.codec import schema_text, type_name
 from steerd.steer_bus.container import SessionWarning
 from steerd.steer_bus.session_read import (
@@ -54,7 +56,9 @@ class AttachedFile:
 class SessionWriter:
     """Writes one session; owned by one thread, except :meth:`sync`.
 
-    Metadata and attachments are on disk before the first message, so they survive any crash.
+    Metadata and attachments are on disk before the first message, so they survive any crash. After
+    the first error of the disk nothing more is written: what comes behind a record that was cut
+    could not be found again.
     ``log_ns`` is UNIX time when a sample was taken and never goes back within a file; a stamp that
     would (the host's clock was set) is raised to the last one.
     """
@@ -79,30 +83,44 @@ class SessionWriter:
             flush_ns: how often :meth:`tick` flushes [ns].
 
         Raises:
-            SessionError: if a file of this name exists or cannot be created.
+            SessionError: if a file of this name exists or cannot be created; none is left then.
         """
         self.path = path
         self.partial = path.with_name(path.name + ".partial")
         self._file = _create(self.path, self.partial)
+        self._broken: SessionError | None = None
         self._writer = Writer(
             self._file,
             chunk_size=CHUNK_BYTES,
             compression=CompressionType.ZSTD,
             enable_data_crcs=True,
         )
+        self._last_log_ns = 0
+        self._flush_ns = flush_ns
+        self._flushed_ns = self._synced_ns = -(1 << 62)
+        try:
+            with self._disk():
+                self._begin(metadata, attachments, start_ns)
+                self._channels = {topic: self._add_topic(topic, of) for topic, of in topics.items()}
+                self._file.flush()
+                _sync_folder(path)
+        except SessionError:
+            self.partial.unlink(missing_ok=True)  # it holds no message
+            raise
+        self._sequences = dict.fromkeys(self._channels, 0)
+
+    def _begin(
+        self,
+        metadata: Mapping[str, Mapping[str, str]],
+        attachments: Sequence[AttachedFile],
+        start_ns: int,
+    ) -> None:
         self._writer.start(profile="ros2", library=_LIBRARY)
         for name, values in metadata.items():
             version = {"schema_version": SCHEMA_VERSION} if name == "steerd.session" else {}
             self._writer.add_metadata(name, {**version, **values})
         for item in attachments:
             self._writer.add_attachment(start_ns, start_ns, item.name, item.media_type, item.data)
-        self._channels = {topic: self._add_topic(topic, cls) for topic, cls in topics.items()}
-        self._sequences = dict.fromkeys(self._channels, 0)
-        self._last_log_ns = 0
-        self._flush_ns = flush_ns
-        self._flushed_ns = self._synced_ns = -(1 << 62)
-        self._file.flush()
-        _sync_folder(path)
 
     @property
     def count(self) -> int:
@@ -126,10 +144,12 @@ class SessionWriter:
         log_ns = self._last_log_ns = min(max(log_ns, self._last_log_ns), _MAX_TIME_NS)
         published = log_ns if publish_ns is None else min(max(publish_ns, 0), _MAX_TIME_NS)
         sequence = self._sequences[topic] = self._sequences[topic] + 1
+        if self._broken is not None:
+            raise self._broken
         try:
             self._writer.add_message(channel, log_ns, data, published, sequence & 0xFFFFFFFF)
         except OSError as error:
-            raise _disk_error(self.partial, error) from error
+            raise self._fail(error) from error
 
     def flush(self) -> None:
         """Close the chunk and hand everything to the kernel (survives SIGKILL, not power loss).
@@ -137,10 +157,8 @@ class SessionWriter:
         Raises:
             SessionError: if the disk does not take it.
         """
-        try:
+        with self._disk():
             self._writer.flush()  # type: ignore[no-untyped-call]
-        except OSError as error:
-            raise _disk_error(self.partial, error) from error
 
     def tick(self, t_ns: int) -> bool:
         """Flush if it is time (a quarter of a second by default); say whether :meth:`sync` is due.
@@ -165,6 +183,8 @@ class SessionWriter:
         Raises:
             SessionError: if the disk reports an error.
         """
+        if self._broken is not None:
+            raise self._broken
         try:
             os.fdatasync(self._file.fileno())
         except OSError as error:
@@ -182,17 +202,34 @@ class SessionWriter:
         Raises:
             SessionError: if the disk does not take it; what was flushed stays in ``.partial``.
         """
-        try:
+        with self._disk():
             self._writer.flush()  # type: ignore[no-untyped-call]
             self._writer.add_metadata("steerd.end", dict(end))
             _finish(self._writer, self._file, self.partial, self.path)
-        except OSError as error:
-            raise _disk_error(self.partial, error) from error
         return self.path
 
     def abandon(self) -> None:
         """Close without finishing; the ``.partial`` file stays and can be recovered."""
-        self._file.close()
+        _close_quietly(self._file)
+
+    @contextlib.contextmanager
+    def _disk(self) -> Iterator[None]:
+        """Turn the first error of the disk into the error of every later call.
+
+        Raises:
+            SessionError: the disk did not take something, now or before.
+        """
+        if self._broken is not None:
+            raise self._broken
+        try:
+            yield
+        except OSError as error:
+            raise self._fail(error) from error
+
+    def _fail(self, error: OSError) -> SessionError:
+        self.abandon()
+        self._broken = _disk_error(self.partial, error)
+        return self._broken
 
     def _add_topic(self, topic: str, cls: type[Any]) -> int:
         schema = self._writer.register_schema(type_name(cls), "ros2msg", schema_text(cls).encode())
@@ -238,10 +275,11 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
         writer.add_metadata("steerd.recovered", {"source": path_in.name, "lost_bytes": str(lost)})
         _finish(writer, file, partial, path_out)
     except (OSError, SessionError) as error:
-        file.close()
+        _close_quietly(file)
         partial.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            raise _disk_error(partial, error) from error
+            hint = "free some space, or choose another folder"
+            raise _disk_error(partial, error, hint) from error
         raise
     written = open_session(path_out).info()
     if written.count != session.info().count or written.warnings:
@@ -308,5 +346,15 @@ def _sync_folder(path: Path) -> None:
         os.close(folder)
 
 
-def _disk_error(path: Path, error: OSError) -> SessionError:
-    return SessionError("disk", f"{path} cannot be written: {error.strerror}", "is the disk full?")
+def _close_quietly(file: BinaryIO) -> None:
+    """Close a file whose last bytes the disk may refuse: that was said already."""
+    with contextlib.suppress(OSError):
+        file.close()
+
+
+_SPACE = "free some space; `steerd recover` saves what was written"
+
+
+def _disk_error(path: Path, error: OSError, hint: str = _SPACE) -> SessionError:
+    what = f"{path} cannot be written: {error.strerror}"
+    return SessionError("disk", what, hint if is_full(error) else "")

@@ -265,7 +265,9 @@ def open_session(path: Path | str) -> Session:
             _check_magic(path, file)
             contents = read_contents(file, size)
     except FileNotFoundError as error:
-        raise SessionError("not_found", f"{path} does not exist") from error
+        partial = path.with_name(path.name + ".partial")
+        hint = f"{partial.name} does: steerd recover {path}" if partial.exists() else ""
+        raise SessionError("not_found", f"{path} does not exist", hint) from error
     except OSError as error:
         raise SessionError("unreadable", f"{path} cannot be read: {error.strerror}") from error
     return Session(path, size, contents)

@@ -135,8 +135,13 @@ def write_private(path: Path, data: bytes, *, new: bool = True) -> None:
             write_atomically(path, data, _PRIVATE)
             return
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
-        with os.fdopen(os.open(path, flags, _PRIVATE), "wb") as file:
-            file.write(data)
+        file = os.fdopen(os.open(path, flags, _PRIVATE), "wb")
+        try:
+            with file:
+                file.write(data)
+        except OSError:
+            path.unlink()  # half a key helps nobody
+            raise
     except FileExistsError:
         raise _make_exists_error(path) from None
     except OSError as error:

@@ -7,6 +7,7 @@ Nothing here imports NumPy or torch, so `steerd --help` takes 30 ms.
 # Why: docs/decisions/rooms-and-code.md#d22
 
 import argparse
+import contextlib
 import importlib
 import os
 import sys
@@ -123,7 +124,9 @@ def main() -> int:
 def run_cli(argv: Sequence[str]) -> int:
     """Run one command line; a failure is a line or two on standard error and an exit code."""
     try:
-        return dispatch(argv)
+        code = dispatch(argv)
+        sys.stdout.flush()
+        return code
     except SteerdError as error:
         _print_error(error)
         return error.code
@@ -132,10 +135,27 @@ def run_cli(argv: Sequence[str]) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.OK
-    except Exception:
+    except Exception as error:
+        if isinstance(error, OSError) and _is_full(error):
+            return _end_full(error)
         traceback.print_exc()
         print("steerd: this is a bug in steerd; please report the lines above", file=sys.stderr)
         return ExitCode.INTERNAL
+
+
+def _is_full(error: OSError) -> bool:
+    from steerd.steer_bus.atomic_file import is_full
+
+    return is_full(error)
+
+
+def _end_full(error: OSError) -> int:
+    """A disk that took no more, wherever that was: a cache, a temporary file, the output itself."""
+    where = error.filename or "a cache, a temporary file or the output"
+    _print_error(SteerdError(f"{where}: {error.strerror}", "free some space"))
+    with contextlib.suppress(OSError):  # what is buffered has no place to go, at the end too
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return ExitCode.UNREADABLE
 
 
 def _print_error(error: SteerdError) -> None:

@@ -3,7 +3,9 @@
 from pathlib import Path
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.steer_bus.atomic_file import write_atomically
+from steerd.steer_bus.atomic_file import is_full, write_atomically
+
+_ELSEWHERE = "choose another folder"
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -16,4 +18,5 @@ def write_whole(path: Path, text: str) -> None:
         write_atomically(path, text)
     except OSError as error:
         what = f"{path}: {error.strerror}"
-        raise SteerdError(what, "choose another folder", ExitCode.UNREADABLE) from None
+        hint = "free some space, or choose another folder" if is_full(error) else _ELSEWHERE
+        raise SteerdError(what, hint, ExitCode.UNREADABLE) from None

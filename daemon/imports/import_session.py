@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.imports.import_map import ImportMap
 from steerd.mocap_link.frame import (
     FrameConfig,
@@ -120,7 +121,7 @@ def write_import(
             the_map.epoch_ns,
         )
     except SessionError as error:
-        raise SteerdError(str(error), "", ExitCode.UNREADABLE) from error
+        raise make_session_error(error) from error
     try:
         for sample in samples:
             data = encode(sample.message)
@@ -135,7 +136,8 @@ def write_import(
         writer.abandon()
         writer.partial.unlink(missing_ok=True)
         if isinstance(error, SessionError):
-            raise SteerdError(str(error), "", ExitCode.UNREADABLE) from error
+            what = str(error).removesuffix(f" ({error.hint})")
+            raise SteerdError(what, "free some space", ExitCode.UNREADABLE) from error
         raise
     return counts
 

@@ -38,6 +38,7 @@ class VirtualRun:
         source: of mocap poses.
         period_ns: of the control loop.
         t_ns: now.
+        failed: why the drive cannot go on although the car could, or None: nothing records it.
         wire: digest of every byte in both directions.
     """
 
@@ -46,6 +47,7 @@ class VirtualRun:
     source: NatNetSource
     period_ns: int
     t_ns: int = 0
+    failed: Exception | None = None
 
     def __post_init__(self) -> None:
         self.wire = hashlib.sha256()
@@ -151,9 +153,15 @@ def make_virtual_run(
 
 
 def drive(run: VirtualRun, on_tick: Callable[[VirtualRun], None] | None = None) -> None:
-    """Drive until the car is parked again after its run, or latched."""
+    """Drive until the car is parked again after its run, or latched.
+
+    Raises:
+        Exception: the run's own, once it has failed.
+    """
     while True:
         run.step()
+        if run.failed is not None:
+            raise run.failed
         if on_tick is not None:
             on_tick(run)
         loop = run.core.loop

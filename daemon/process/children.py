@@ -101,7 +101,11 @@ class RunProcesses:
     core_report: dict[str, Any]
 
     def end(self) -> int:
-        """Wait for the core, then for the others, which end when its pipes close."""
+        """Wait for the core, then for the others, which end when its pipes close.
+
+        Returns:
+            The core's exit code, or the recorder's where the session is not whole.
+        """
         code = self.core.process.wait()
         self.requests.close()
         for child in (self.recorder, self.gateway):
@@ -110,7 +114,7 @@ class RunProcesses:
             except subprocess.TimeoutExpired:
                 child.process.kill()
         self._end_viewer()
-        return code
+        return code or self.recorder.process.returncode or 0
 
     def _end_viewer(self) -> None:
         """A viewer that failed or hangs is reported; the exit code stays the core's."""

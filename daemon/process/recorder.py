@@ -26,6 +26,9 @@ _POLL_MS = 50
 """Longest wait for records before the file and the disk are looked after [ms]."""
 _READ_BYTES = 1 << 20
 _DISK_CHECK_NS = 1_000_000_000
+_NEARLY_FULL = "disk nearly full"
+_UNREADABLE = 3
+"""Exit code; its parent knows it by the name."""
 
 
 class Recording:
@@ -62,6 +65,21 @@ class Recording:
             self.written += 1
 
 
+def check_space(path: Path, disk_free_min: int) -> None:
+    """Refuse a recording that would end as soon as it has begun.
+
+    Raises:
+        SessionError: there is less free space than a recording needs [bytes].
+    """
+    try:
+        free = shutil.disk_usage(path.parent).free
+    except OSError as error:
+        raise SessionError("disk", f"{path.parent}: {error.strerror}") from error
+    if free < disk_free_min:
+        what = f"{path.parent} has {free / 1e6:.0f} MB left, less than {disk_free_min / 1e6:.0f} MB"
+        raise SessionError("disk", what, "free some space, or --record on another disk")
+
+
 def record_pipe(recording: Recording, fd: int, disk_free_min: int) -> str:
     """Write until the pipe closes or the disk is nearly full; return the reason."""
     clock, buffer = MonotonicClock(), bytearray()
@@ -83,7 +101,7 @@ def record_pipe(recording: Recording, fd: int, disk_free_min: int) -> str:
         if now >= disk_due_ns:
             disk_due_ns = now + _DISK_CHECK_NS
             if shutil.disk_usage(recording.writer.partial.parent).free < disk_free_min:
-                return "disk nearly full"
+                return _NEARLY_FULL
 
 
 def _sync(writer: SessionWriter) -> None:
@@ -98,20 +116,25 @@ def main() -> int:
     ignore_terminal_signals()
     fd, ready_fd = int(sys.argv[1]), int(sys.argv[2])
     meta = json.loads(sys.stdin.read())
+    disk_free_min = int(meta["disk_free_min"])
     try:
+        check_space(Path(meta["path"]), disk_free_min)
         recording = Recording(Path(meta["path"]), meta["car"], meta)
     except SessionError as error:
         os.write(ready_fd, f"{error}\n".encode())
-        return 3
+        return _UNREADABLE
     os.write(ready_fd, b"ready\n")
     os.close(ready_fd)
     try:
-        reason = record_pipe(recording, fd, int(meta["disk_free_min"]))
+        reason = record_pipe(recording, fd, disk_free_min)
         os.close(fd)
         recording.writer.finish({"reason": reason, "written": str(recording.written)})
     except SessionError as error:
         print(f"steerd recorder: {error}", file=sys.stderr)
-        return 3
+        return _UNREADABLE
+    if reason == _NEARLY_FULL:
+        print(f"steerd recorder: {reason}; {recording.writer.path} is whole", file=sys.stderr)
+        return _UNREADABLE
     return 0
 
 

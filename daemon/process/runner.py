@@ -123,11 +123,15 @@ class Runner:
     def _is_done(self) -> bool:
         """Whether the run is over: drive ended or stop signal received, and the car at rest.
 
+        So is a drive without an operator whose recorder or gateway is gone.
+
         The third signal ends it at once; the guardian then brakes a car that moves.
         """
         loop = self._core.loop
         planned = loop.setup.duration_ns is not None and loop.ran
-        over = self.signals > 0 or planned
+        # Nobody stands by to restart a drive by itself, and a process that is lost stays lost.
+        lost = loop.setup.auto_arm and self._core.flags & (Flag.RECORDER_LOST | Flag.GATEWAY_LOST)
+        over = self.signals > 0 or planned or bool(lost)
         return self.signals >= LEAVE_SIGNALS or (over and loop.at_rest)
 
     def _wait(self, due_ns: int, early_ns: int) -> None:

@@ -1,6 +1,8 @@
 """Rebuild the session of a killed recorder: all that can be read, in a new file.
 
-steerd recover SESSION.mcap.partial
+steerd recover SESSION.mcap
+
+Reads SESSION.mcap.partial where the session never got its name.
 """
 
 import argparse
@@ -29,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.sessions.text import print_warnings
     from steerd.steer_bus.session import SessionError, recover
 
-    source: Path = args.session
+    source = find_source(args.session)
     out: Path = args.output or default_output(source)
     session = load_session(source)
     if session.info().finished and not session.warnings:
@@ -48,6 +50,12 @@ def run(args: argparse.Namespace) -> int:
     print(f"longest  {report.longest_gap_s:.3g} s without any message")
     print(f"\nwritten: {report.path}\n   next: steerd info {report.path}")
     return ExitCode.OK
+
+
+def find_source(named: Path) -> Path:
+    """The file itself, or the `.partial` beside the name that it should have got."""
+    partial = named.with_name(named.name + ".partial")
+    return partial if partial.exists() and not named.exists() else named
 
 
 def default_output(source: Path) -> Path:

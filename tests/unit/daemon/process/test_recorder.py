@@ -3,13 +3,15 @@
 import os
 from types import SimpleNamespace
 
+import pytest
+
 from steerd.daemon.ipc.pipe_records import PipeRecord, pack_record
 from steerd.daemon.process import recorder
-from steerd.daemon.process.recorder import Recording, record_pipe
+from steerd.daemon.process.recorder import Recording, check_space, record_pipe
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
-from steerd.steer_bus.session_read import open_session
+from steerd.steer_bus.session_read import SessionError, open_session
 
 META = {"metadata": {"steerd.session": {"car": "car1"}}, "attachments": {"car.toml": "x = 1"}}
 
@@ -47,3 +49,14 @@ def test_a_nearly_full_disk_ends_the_recording_with_a_complete_file(tmp_path, mo
     reason, session = record(tmp_path, make_packed(2), disk_free_min=100)
     assert reason == "disk nearly full"
     assert len(list(session.messages())) == 2
+
+
+def test_a_recording_that_would_end_at_once_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder.shutil, "disk_usage", lambda _path: SimpleNamespace(free=100))
+    check_space(tmp_path / "drive.mcap", 100)
+    with pytest.raises(SessionError, match="0 MB left, less than") as caught:
+        check_space(tmp_path / "drive.mcap", 101)
+    assert "free some space" in caught.value.hint
+    monkeypatch.undo()
+    with pytest.raises(SessionError, match="No such file"):
+        check_space(tmp_path / "none" / "drive.mcap", 0)

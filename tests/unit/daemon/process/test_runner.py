@@ -422,3 +422,16 @@ def test_a_pose_makes_one_tick_only(monkeypatch):
     it._is_done = lambda: len(early) >= 400
     it.run()
     assert all(early)
+
+
+@pytest.mark.parametrize("flag", [Flag.RECORDER_LOST, Flag.GATEWAY_LOST])
+def test_a_drive_by_itself_does_not_wait_for_a_process_that_is_gone(plan, flag):
+    alone = make_runner(replace(plan, options=replace(plan.options, auto_arm=True)))
+    watched = make_runner(plan)
+    assert not alone.it._is_done()
+    for r in (alone, watched):
+        r.core.flags |= flag
+    assert alone.it._is_done(), "nobody is there to start it anew"
+    assert not watched.it._is_done(), "an operator reads what is wrong"
+    alone.core.loop.supervisor = alone.core.loop.supervisor._replace(state=SupervisorState.STOPPING)
+    assert not alone.it._is_done(), "first the car comes to rest"

@@ -1,0 +1,99 @@
+"""A full disk: one line, an exit code, and what was written can be recovered."""
+
+import os
+import resource
+from pathlib import Path
+
+import pytest
+
+from steerd.daemon.cli.main import run_cli
+from steerd.steer_bus.session_read import open_session
+
+SIM = ("--sim", "--fast", "--duration", "4", "--record")
+HINT = "free some space"
+
+
+@pytest.fixture
+def full():
+    """Let no file grow beyond so many bytes, as `ulimit -f` does; it needs no rights."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def limit(size: int | None = None) -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft if size is None else size, hard))
+
+    yield limit
+    limit()
+
+
+def said_of(argv, capsys) -> tuple[int, str]:
+    """Exit code and standard error of a command."""
+    capsys.readouterr()
+    code = run_cli([str(word) for word in argv])
+    return code, capsys.readouterr().err
+
+
+def is_clear(said: str) -> None:
+    lines = said.splitlines()
+    assert len(lines) == 2, said
+    assert lines[0].startswith("steerd: ")
+    assert "cannot be written: File too large" in lines[0]
+    assert HINT in lines[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [("run",), ("collect", "--plan", "circles")])
+@pytest.mark.parametrize("size", [0, 2_000, 40_000, 150_000])
+def test_a_drive_ends_with_one_line(command, size, tmp_path, full, capsys):
+    path = tmp_path / "drive.mcap"
+    full(size)
+    code, said = said_of([*command, *SIM, path], capsys)
+    full()
+    assert code == 3
+    is_clear(said)
+    assert not path.exists()
+    partial = path.with_name("drive.mcap.partial")
+    if size < 40_000:
+        assert not partial.exists(), "it held nothing"
+        return
+    assert partial.stat().st_size == size
+    assert said_of(["recover", path], capsys)[0] == 0
+    assert open_session(tmp_path / "drive.recovered.mcap").info().count > 100
+
+
+@pytest.mark.slow
+def test_a_recovery_and_a_page_without_room(tmp_path, full, capsys):
+    path = tmp_path / "drive.mcap"
+    full(100_000)
+    said_of(["run", *SIM, path], capsys)
+    full(20_000)
+    code, said = said_of(["recover", path], capsys)
+    assert code == 3
+    assert said.splitlines()[-2].endswith("cannot be written: File too large")
+    assert HINT in said.splitlines()[-1]
+    full()
+    assert said_of(["recover", path], capsys)[0] == 0
+    recovered = tmp_path / "drive.recovered.mcap"
+    code, said = said_of(["info", path], capsys)
+    assert (code, f"steerd recover {path}" in said) == (3, True)
+    full(1_000)
+    code, said = said_of(["plot", recovered, "-o", tmp_path / "drive.html"], capsys)
+    full()
+    assert code == 3
+    assert "drive.html: File too large" in said.splitlines()[-2]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "drive.mcap.partial", "drive.recovered.mcap"
+    ]  # fmt: skip
+
+
+def test_an_output_that_takes_nothing(monkeypatch, capfd):
+    with Path("/dev/full").open("w") as nothing:
+        monkeypatch.setattr("sys.stdout", nothing)
+        saved = os.dup(1)
+        try:
+            assert run_cli(["config"]) == 3
+        finally:
+            os.dup2(saved, 1)
+            os.close(saved)
+        said = capfd.readouterr().err
+    assert "No space left on device" in said
+    assert "Traceback" not in said
