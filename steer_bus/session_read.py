@@ -224,6 +224,16 @@ class Session:
         text = f"{self._path.name} has no attachment {name!r}"
         raise SessionError("missing_attachment", text, exit_code=WRONG_CONTENT)
 
+    def check_layouts(self) -> None:
+        """Refuse messages of steerd's types whose fields another version recorded.
+
+        Raises:
+            SessionError: a topic has other fields than its type has today.
+        """
+        for topic in self._info.topics:
+            if topic.type_name in MESSAGE_TYPES:
+                self._channels(topic.name, MESSAGE_TYPES[topic.type_name])
+
     def _channels(self, topic: str, cls: type[Any]) -> list[int]:
         found = [k for k, c in self.contents.channels.items() if c.topic == topic]
         if not found:

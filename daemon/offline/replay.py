@@ -17,7 +17,7 @@ from steerd.car_model.car_file import CarFileError, parse_car
 from steerd.daemon.assembly.build import RunPlan, make_loop_setup, make_plan
 from steerd.daemon.assembly.session_meta import csv_file
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.translate import make_car_file_error
+from steerd.daemon.common.translate import make_car_file_error, make_session_error
 from steerd.daemon.loop.core import read_identity
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.loop import Loop
@@ -204,6 +204,10 @@ def replay(session: Session, name: str) -> tuple[Replay, Iterator[Difference]]:
     Raises:
         SteerdError: the session cannot be replayed.
     """
+    try:
+        session.check_layouts()
+    except SessionError as error:
+        raise make_session_error(error) from None
     plan, boot_id, epoch_ns, leased = make_replay_plan(session, name)
     run = Replay(plan, boot_id, epoch_ns, leased)
     return run, (d for d in map(run.take, session.messages()) if d is not None)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from mcap.writer import Writer  # noqa: TID251
 
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -11,6 +12,7 @@ from steerd.daemon.offline.replay import check_same, describe_difference, make_r
 from steerd.daemon.offline.virtual import make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
+from steerd.steer_bus.codec import encode, schema_text
 from steerd.steer_bus.session_read import open_session
 
 TICKS = 300
@@ -68,3 +70,19 @@ def test_the_plan_of_a_session_is_that_of_its_drive(session):
 def test_nothing_compared_is_an_error():
     with pytest.raises(SteerdError):
         check_same(0, 0)
+
+
+def test_a_session_of_another_version_is_refused_and_names_the_field(tmp_path):
+    path = tmp_path / "old.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        text = schema_text(m.Tick).replace("uint32 flags", "uint32 ticked")
+        schema = writer.register_schema("steerd_msgs/msg/Tick", "ros2msg", text.encode())
+        channel = writer.register_channel("/steerd/car1/tick", "cdr", schema)
+        data = encode(m.Tick(m.make_header(0, m.BODY), 1, 2, 3, 4, 5))
+        writer.add_message(channel, 1, data, 1)
+        writer.finish()
+    with pytest.raises(SteerdError, match=r"lacks \['uint32 flags'\].*another version") as caught:
+        replay(open_session(path), path.name)
+    assert caught.value.code is ExitCode.INVALID
