@@ -162,6 +162,7 @@ class _Case:
     options: Options
     only: tuple[str, ...]
     floor: float
+    edited: bool = False
 
 
 def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None:
@@ -201,7 +202,9 @@ def diagnose(
     nuisance = nuisance_names(superset, runs)
     signals, opened = estimate_noise(runs), open_engine(superset, runs)
     floor = noise_floor(opened, float(signals[2]))
-    case = _Case(superset, opened, nuisance, options, only, floor)
+    edited = isinstance(base, CarFile) and bool(base.sections.get("knowledge"))
+    edited = edited and superset.knowledge is None
+    case = _Case(superset, opened, nuisance, options, only, floor, edited)
     known = _known_noise(base, options)
     known = known and louder(known, signals)
     engine, null, ranked, noise = _search(case, known)
@@ -423,7 +426,9 @@ def _moved(null: Fitted) -> dict[str, float]:
 
 def _notes(case: _Case, known: bool, choice: Choice, extreme: Sequence[str]) -> tuple[str, ...]:
     notes = []
-    if not case.superset.sd:
+    if case.edited:
+        notes.append("the car file was edited since identify wrote [knowledge]: it is not used")
+    if not case.superset.sd and case.superset.knowledge is None:
         notes.append("the car file gives no standard errors: ordinary ones were assumed")
     if not known:
         notes.append("noise was learnt from these drives: a gap like noise is not identifiable")

@@ -12,6 +12,7 @@ are free together under weak priors: their joint covariance is what the diagnosi
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,12 @@ from steerd.sim_gap.engine import constants as c
 from steerd.sim_gap.engine.base_fit import null_fit, open_engine
 from steerd.sim_gap.engine.descent import Fitted, curvature
 from steerd.sim_gap.engine.engine import Engine, Reduced
-from steerd.sim_gap.engine.knowledge import Knowledge, excess_by_regime, knowledge_section
+from steerd.sim_gap.engine.knowledge import (
+    Knowledge,
+    excess_by_regime,
+    knowledge_section,
+    numbers_of,
+)
 from steerd.sim_gap.engine.noise import (
     Noise,
     calibrated,
@@ -137,11 +143,26 @@ def refine(base: CarFile, runs: Sequence[Run]) -> CarFile:
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
+    return taught_car(base, teach_with_limits(base, runs))
+
+
+def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
+    """`[noise]` and `[knowledge]` for a car file whose numbers stay as they are.
+
+    Raises:
+        FloatingPointError: the base car's simulation diverges.
+        ValueError: no window sees enough poses.
+    """
+    taught = teach_with_limits(base, runs)
+    told = with_sections(base, base, knowledge_of(taught), taught.noise).sections
+    return {name: dict(told[name]) for name in ("noise", "knowledge")}
+
+
+def teach_with_limits(base: CarFile, runs: Sequence[Run]) -> Taught:
+    """`teach`, once more with the limits and the play that the drives show."""
     taught = teach(base, runs)
     own = _limits(taught, runs)
-    if own:
-        taught = teach(_with_effects(base, taught, own), runs)
-    return taught_car(base, taught)
+    return teach(_with_effects(base, taught, own), runs) if own else taught
 
 
 def taught_car(base: CarFile, taught: Taught) -> CarFile:
@@ -158,17 +179,21 @@ def taught_car(base: CarFile, taught: Taught) -> CarFile:
     own |= {name: tuple(p[taught.superset.places(name)].tolist()) for name in kept}
     chosen = [e for e in taught.superset.effects if e.name in own]
     sd = {name: float(spread[i]) for name, i in free.items()}
-    return replace(
+    moved = replace(
         base,
         car=base.car._replace(**car),
         effects=tuple(chosen),
         values=tuple(own[e.name] for e in chosen),
         sd={**base.sd, **{n: v for n, v in sd.items() if "." not in n or n.split(".")[0] in own}},
-        sections={
-            **base.sections,
-            "noise": noise_section(taught.noise),
-            "knowledge": knowledge_section(known),
-        },
+    )
+    return with_sections(moved, moved, known, taught.noise)
+
+
+def with_sections(base: CarFile, file: CarFile, known: Knowledge, noise: Noise) -> CarFile:
+    """The base with `[noise]` and `[knowledge]`, as they stand beside the numbers of `file`."""
+    section = knowledge_section(replace(known, of=numbers_of(file)))
+    return replace(
+        base, sections={**base.sections, "noise": noise_section(noise), "knowledge": section}
     )
 
 
@@ -228,7 +253,9 @@ def knowledge_of(taught: Taught) -> Knowledge:
     covariance = widened(inverse, Spread(sums.T @ sums, float(len(sums))))
     should = robust_mean(ratios(fitted))
     excess = excess_by_regime(ratios(fitted) / should, engine.lateral)
-    return Knowledge(taught.nuisance, covariance, excess)
+    p, names = fitted.parameters, taught.superset.kernels.names
+    values = tuple(float(p[names.index(name)]) for name in taught.nuisance)
+    return Knowledge(taught.nuisance, covariance, excess, values)
 
 
 def _with_secants(taught: Taught) -> Reduced:

@@ -82,23 +82,25 @@ def _servo_wait(outcome: "Outcome") -> str:
     return "; it contains the wait for the servo's next pulse"
 
 
-def with_noise(car: CarFile, runs: "tuple[Run, ...]") -> str:
-    """The car file's text with `[noise]`: how large what no car explains was in these drives.
+def with_knowledge(car: CarFile, runs: "tuple[Run, ...]") -> str:
+    """The car file's text with what these drives teach `steerd diagnose`: `[noise]`, `[knowledge]`.
 
-    `steerd diagnose` judges other drives of the car by it, cut like these to where the car moves: a
-    standing car is quieter. The file stays without where the drives do not identify it.
+    How large what no car explains was, the joint covariance of the base, where the model fails.
+    Other drives of the car are judged by it, cut like these to where the car moves: a standing car
+    is quieter. The file stays without where the drives do not identify it.
     """
-    from steerd.sim_gap.engine.noise import noise_section
-    from steerd.sim_gap.healthy_drives import learn_healthy
+    from steerd.sim_gap.healthy_drives import learn_sections
     from steerd.sysid.data.segments import moving_segments
     from steerd.sysid.estimation.prediction_horizon import remembering
 
     document = tomlkit.parse(car.text)
     try:
         drives = moving_segments(remembering(runs, car.model, ()))
-        document["noise"] = noise_section(learn_healthy(car, drives))
+        sections = learn_sections(car, drives)
     except (ValueError, FloatingPointError):
         return car.text
+    for name, table in sections.items():
+        document[name] = table
     return tomlkit.dumps(document)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from steerd.car_model.car_file import CarFile, parse_car
-from steerd.daemon.analysis.car_output import identified_values, make_car, with_noise
+from steerd.daemon.analysis.car_output import identified_values, make_car, with_knowledge
 from steerd.daemon.analysis.drives import Speed, Warn
 from steerd.daemon.analysis.identify_case import (
     IdentifyRequest,
@@ -112,7 +112,7 @@ class Identification:
             SteerdError: a value is none that a car file may hold.
         """
         base, given = self.request.car, given_values(self.request.fix)
-        return with_noise(
+        return with_knowledge(
             make_car(base, identified_values(self.outcome, base, given), path), self.runs
         )
 

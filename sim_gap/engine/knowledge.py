@@ -8,11 +8,14 @@ not good enough there cannot accuse.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import isclose, nan
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from steerd.car_model.car_file import CarFile
 
 Array = NDArray[np.float64]
 
@@ -32,11 +35,22 @@ class Knowledge:
         names: of the base's free parameters, in the order of the coordinates (see `chart`).
         covariance: (n, n) of the coordinates.
         excess: (len(EDGES) + 1,) squared error over noise by lateral acceleration, 1 or more.
+        values: the parameters' values that the covariance lies about, empty: the base's own.
+        of: the file's numbers when this was written; a file edited since knows it no more.
     """
 
     names: tuple[str, ...]
     covariance: Array
     excess: tuple[float, ...] = (1.0,) * (len(EDGES) + 1)
+    values: tuple[float, ...] = ()
+    of: Mapping[str, float] = field(default_factory=dict)
+
+    def fits(self, car: CarFile) -> bool:
+        """Whether a car file is still the one that this is about."""
+        now = numbers_of(car)
+        added = any("." in n and n in now and n not in self.of for n in self.names)
+        same = all(isclose(now.get(n, nan), v, rel_tol=1e-9) for n, v in self.of.items())
+        return same and not added
 
     def part(self, names: Sequence[str]) -> Array:
         """Covariance of some of the coordinates, in this order.
@@ -48,6 +62,16 @@ class Knowledge:
         return np.asarray(self.covariance[np.ix_(places, places)])
 
 
+def numbers_of(car: CarFile) -> dict[str, float]:
+    """A car file's parameters and its effects' by name."""
+    own = {
+        f"{effect.name}.{parameter.name}": float(value)
+        for effect, values in zip(car.effects, car.values, strict=True)
+        for parameter, value in zip(effect.parameters, values, strict=True)
+    }
+    return {**{name: float(value) for name, value in car.car._asdict().items()}, **own}
+
+
 def excess_by_regime(ratio: Array, lateral: Array) -> tuple[float, ...]:
     """How much larger than noise errors are, by lateral acceleration; it never falls.
 
@@ -56,15 +80,17 @@ def excess_by_regime(ratio: Array, lateral: Array) -> tuple[float, ...]:
         lateral: (W,) mean lateral acceleration of each [m/s^2].
     """
     place = np.digitize(lateral, EDGES)
+    count = np.bincount(place, minlength=len(EDGES) + 1)
+    hardest = max(np.flatnonzero(count >= WINDOWS_MIN), default=0)
     found, level = [], 1.0
-    for bin_ in range(len(EDGES) + 1):
-        mine = ratio[place == bin_]
+    for regime in range(len(EDGES) + 1):
+        mine = ratio[place == regime]
         if len(mine) >= WINDOWS_MIN:
             level = max(level, float(np.expm1(np.log1p(np.minimum(mine, 1e6)).mean())))
-        elif bin_:
+        elif regime > hardest:
             # Nobody drove so: what the model leaves grows at least with the square of the force.
-            low = EDGES[bin_ - 1]
-            level *= (EDGES[bin_] / low) ** 2 if bin_ < len(EDGES) else 2.0
+            low = EDGES[regime - 1]
+            level *= (EDGES[regime] / low) ** 2 if regime < len(EDGES) else 2.0
         found.append(min(level, EXCESS_MAX))
     return tuple(found)
 
@@ -79,6 +105,8 @@ def knowledge_section(known: Knowledge) -> dict[str, Any]:
         "sd": [float(f"{v:.6g}") for v in sd],
         "correlation": rows,
         "excess": [round(v, 3) for v in known.excess],
+        "values": [float(f"{v:.9g}") for v in known.values],
+        "of": dict(known.of),
     }
 
 
@@ -98,13 +126,15 @@ def knowledge_of_section(table: Mapping[str, Any]) -> Knowledge | None:
         for i, row in enumerate(rows):
             correlation[i, : i + 1] = row
         excess = tuple(float(v) for v in table["excess"])
-    except (KeyError, TypeError, ValueError) as error:
+        values = tuple(float(v) for v in table["values"])
+        of = {str(name): float(v) for name, v in table["of"].items()}
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"[knowledge] is not what identify writes ({error})") from error
     correlation += np.tril(correlation, -1).T
-    shaped = len(rows) == len(sd) == len(names) and len(excess) == len(EDGES) + 1
+    shaped = len(rows) == len(sd) == len(values) == len(names) and len(excess) == len(EDGES) + 1
     if not (shaped and np.isfinite(correlation).all() and (sd > 0.0).all()):
         raise ValueError("[knowledge] is not what identify writes")
     # Rounding may leave a tiny negative eigenvalue; a covariance has none.
-    values, vectors = np.linalg.eigh(correlation)
-    correlation = (vectors * np.maximum(values, 1e-8)) @ vectors.T
-    return Knowledge(names, correlation * np.outer(sd, sd), excess)
+    spectrum, axes = np.linalg.eigh(correlation)
+    correlation = (axes * np.maximum(spectrum, 1e-8)) @ axes.T
+    return Knowledge(names, correlation * np.outer(sd, sd), excess, values, of)

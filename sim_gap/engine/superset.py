@@ -7,7 +7,7 @@ parameters of this one car are free: one compilation serves all candidates and a
 # Why: docs/decisions/diagnosis.md#d30
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,5 +73,22 @@ def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset
     values = tuple(nulls[e.name] for e in effects)
     full: Model[float] = Model(Car(*model.car), effects, values, model.chassis)
     kernels = make_kernels(effects, model.chassis)
-    known = base.sections.get("knowledge", {}) if isinstance(base, CarFile) else {}
-    return Superset(kernels, parameter_vector(full), nulls, sd, knowledge_of_section(known))
+    return _known(Superset(kernels, parameter_vector(full), nulls, sd), base)
+
+
+def _known(superset: Superset, base: CarFile | Model[float]) -> Superset:
+    """The superset about what the base's healthy drives taught, if its file still fits it.
+
+    Raises:
+        ValueError: the file's `[knowledge]` is not what identify writes.
+    """
+    if not isinstance(base, CarFile):
+        return superset
+    known = knowledge_of_section(base.sections.get("knowledge", {}))
+    if known is None or not known.fits(base):
+        return superset
+    names, parameters = superset.kernels.names, superset.base.copy()
+    for name, value in zip(known.names, known.values, strict=False):
+        parameters[names.index(name)] = value
+    nulls = {e.name: tuple(parameters[superset.places(e.name)].tolist()) for e in superset.effects}
+    return replace(superset, base=parameters, nulls=nulls, knowledge=known)

@@ -4,7 +4,7 @@ import numpy as np
 import tomlkit
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.daemon.analysis.car_output import with_noise
+from steerd.daemon.analysis.car_output import with_knowledge
 from steerd.sim_gap.engine.noise import Noise, noise_section
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import SPEED_MIN, moving_segments
@@ -23,11 +23,11 @@ def _half_standing() -> Run:
 def test_noise_is_learnt_where_the_car_moves(monkeypatch):
     seen = []
     monkeypatch.setattr(
-        "steerd.sim_gap.healthy_drives.learn_healthy",
-        lambda car, runs: (seen.extend(runs), NOISE)[1],
+        "steerd.sim_gap.healthy_drives.learn_sections",
+        lambda car, runs: (seen.extend(runs), {"noise": noise_section(NOISE)})[1],
     )
     run = _half_standing()
-    text = with_noise(load_car(default_car_path()), (run,))
+    text = with_knowledge(load_car(default_car_path()), (run,))
     assert tomlkit.parse(text)["noise"] == noise_section(NOISE)
     assert [r.duration for r in seen] == [r.duration for r in moving_segments([run])]
     assert all(np.all(r.commands[:, 1] > SPEED_MIN) for r in seen)
@@ -39,4 +39,4 @@ def test_a_creeping_car_leaves_the_file_as_it_is():
     pose = Signal(t, np.column_stack([pace * t, np.zeros((1000, 2))]))
     run = make_run("creep", Signal(t, np.zeros(1000)), Signal(t, np.full(1000, pace)), pose)
     car = load_car(default_car_path())
-    assert with_noise(car, (run,)) == car.text
+    assert with_knowledge(car, (run,)) == car.text

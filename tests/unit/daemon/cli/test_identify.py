@@ -286,7 +286,7 @@ def test_the_noise_is_a_step_with_a_name_and_comes_before_any_file(
 
     session = importer(rows)
     monkeypatch.setattr("steerd.daemon.common.progress.show_progress", shown)
-    monkeypatch.setattr("steerd.daemon.analysis.identification.with_noise", interrupted)
+    monkeypatch.setattr("steerd.daemon.analysis.identification.with_knowledge", interrupted)
     assert main(["identify", str(session), *FREE, *_outputs(out)]) == 130
     assert list(out.iterdir()) == []
     assert [step for _, step in steps] == [

@@ -1,0 +1,82 @@
+"""What a base knows travels in its car file, and is not believed of another car."""
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from steerd.car_model.car_file import CarFile
+from steerd.car_model.effects import EFFECTS
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.sim_gap.engine.knowledge import (
+    EDGES,
+    EXCESS_MAX,
+    Knowledge,
+    excess_by_regime,
+    knowledge_of_section,
+    knowledge_section,
+    numbers_of,
+)
+
+NAMES = ("lf", "lr", "steer_gain", "scrub.drag")
+CAR = CarFile(Path("car.toml"), "car", DEFAULT_CAR)
+
+
+def known(seed: int = 0) -> Knowledge:
+    root = np.random.default_rng(seed).standard_normal((4, 6)) * [[1e-3], [2e-3], [0.01], [0.3]]
+    excess = (1.0, 1.0, 1.2, 1.5, 2.0, 4.0)
+    return Knowledge(NAMES, root @ root.T, excess, (0.16, 0.17, 1.01, 0.2), numbers_of(CAR))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_known_survives_the_car_file(seed: int) -> None:
+    before = known(seed)
+    after = knowledge_of_section(knowledge_section(before))
+    assert after is not None
+    assert after.names == before.names
+    assert after.values == before.values
+    assert after.excess == before.excess
+    sd = np.sqrt(np.diag(before.covariance))
+    away = np.abs(after.covariance - before.covariance) / np.outer(sd, sd)
+    assert away.max() < 2e-5
+    assert np.linalg.eigvalsh(after.covariance).min() > 0.0
+
+
+def test_a_file_that_was_edited_is_another_car() -> None:
+    edited = replace(CAR, car=DEFAULT_CAR._replace(lf=DEFAULT_CAR.lf + 1e-4))
+    drag = replace(CAR, effects=(EFFECTS["scrub"],), values=((0.0, 0.5),))
+    late = replace(CAR, effects=(EFFECTS["steer_delay"],), values=((0.03,),))
+    assert known().fits(CAR)
+    assert not known().fits(edited)
+    assert not known().fits(drag)
+    assert known().fits(late)  # nothing is known about a dead time on top of the car's
+
+
+@pytest.mark.parametrize("key", ["names", "sd", "correlation", "excess", "values", "of"])
+def test_a_damaged_section_is_refused(key: str) -> None:
+    table = knowledge_section(known())
+    for damaged in ({k: v for k, v in table.items() if k != key}, {**table, key: "?"}):
+        with pytest.raises(ValueError, match="knowledge"):
+            knowledge_of_section(damaged)
+    assert knowledge_of_section({}) is None
+
+
+@given(st.lists(st.tuples(st.floats(0.01, 500.0), st.floats(0.0, 12.0)), min_size=1, max_size=60))
+def test_excess_is_never_less_than_noise_and_never_falls(rows: list[tuple[float, float]]) -> None:
+    ratio, lateral = np.array(rows).T
+    found = excess_by_regime(ratio, lateral)
+    assert len(found) == len(EDGES) + 1
+    assert all(1.0 <= a <= b <= EXCESS_MAX for a, b in itertools.pairwise(found))
+
+
+def test_excess_is_learnt_where_the_model_fails() -> None:
+    lateral = np.concatenate([np.full(20, 0.5), np.full(20, 5.0)])
+    ratio = np.concatenate([np.full(20, 1.0), np.full(20, 6.0)])
+    found = excess_by_regime(ratio, lateral)
+    assert found[0] == pytest.approx(1.0)
+    assert found[4] == pytest.approx(6.0)
+    assert found[5] > found[4]  # nobody drove so hard: no better than where somebody did
