@@ -30,7 +30,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 @pytest.fixture(autouse=True, scope="session")
 def home_of_sessions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """What is recorded without a name stays out of the user's own sessions."""
+    """What is recorded without a name, and what was written, stays out of the user's own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_DATA_HOME", str(tmp_path_factory.mktemp("data")))
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield

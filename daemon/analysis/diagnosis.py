@@ -18,9 +18,9 @@ from steerd.daemon.analysis.sources import (
     make_held_out,
     read_car,
 )
-from steerd.daemon.common.atomic_file import write_whole
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.outputs import check_outputs
+from steerd.daemon.common.written import write_outputs
 from steerd.sim_gap.diagnosis import Cause
 from steerd.sim_gap.diagnosis import Diagnosis as Findings
 from steerd.sim_gap.lane_comparison import LaneComparison
@@ -95,7 +95,7 @@ class Diagnosis:
         """
         path = Path(path)
         check_outputs({"save_car": path})
-        write_whole(path, self.make_car(path).text)
+        write_outputs({path: self.make_car(path).text})
         return path
 
     def to_json(self) -> dict[str, Any]:

@@ -24,9 +24,9 @@ from steerd.daemon.analysis.sources import (
     make_held_out,
     read_car,
 )
-from steerd.daemon.common.atomic_file import write_whole
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.outputs import check_outputs
+from steerd.daemon.common.written import write_outputs
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.estimation.learn import Task
 from steerd.sysid.estimation.outcome import Outcome, encode_outcome
@@ -117,14 +117,14 @@ class Identification:
         )
 
     def save_car(self, path: Path | str) -> Path:
-        """Write the car file, whole or not at all.
+        """Write the car file, whole or not at all; a file that steerd did not write is kept.
 
         Raises:
             SteerdError: it cannot be written there.
         """
         path = Path(path)
         check_outputs({"save_car": path})
-        write_whole(path, self.car.text)
+        write_outputs({path: self.car.text})
         return path
 
     def to_json(self) -> dict[str, Any]:

@@ -15,13 +15,12 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
     from steerd.daemon.analysis.diagnose_case import DiagnoseRequest
-    from steerd.daemon.analysis.diagnosis import Diagnosis
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -109,6 +108,7 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.analysis.diagnose_text import describe
     from steerd.daemon.analysis.diagnosis import DRIVEN, run_diagnosis
     from steerd.daemon.common.progress import show_progress
+    from steerd.daemon.common.written import write_outputs
     from steerd.daemon.sessions.text import print_warnings
 
     _check_outputs(args)
@@ -117,14 +117,20 @@ def run(args: argparse.Namespace) -> int:
         found = run_diagnosis(
             request, print_warnings, advance, lambda text: _announce(text, args.prediction)
         )
-        advance(DRIVEN, "drawing the report" if args.report else "")
+        advance(DRIVEN, "")
         data = found.to_json()
-        report = found.render_report() if args.report else None
-    _write(args, found, data, report)
     if args.json == "-":
-        print(json.dumps(data, indent=1))
+        print(json.dumps(data, indent=1), flush=True)
     else:
-        print(describe(found, args.output, args.report))
+        print(describe(found, args.output, args.report), flush=True)
+    # What follows may fail, for want of space for instance; the result is on the screen by then.
+    with show_progress("writing", 1.0) as advance:
+        advance(0.0, "drawing the report" if args.report else "")
+        report = found.render_report() if args.report else None
+    named = Path(args.json) if args.json and args.json != "-" else None
+    car = found.make_car(args.output).text if args.output else None
+    text = json.dumps(data, indent=1) + "\n"
+    write_outputs({named: text, args.report: report, args.output: car})
     return ExitCode.OK
 
 
@@ -150,23 +156,8 @@ def _announce(prediction: str, path: Path | None) -> None:
     """The prediction's digest, and the prediction itself, before anything is measured."""
     import hashlib
 
-    from steerd.daemon.common.atomic_file import write_whole
+    from steerd.daemon.common.written import write_outputs
 
-    if path is not None:
-        write_whole(path, prediction)
+    write_outputs({path: prediction})
     digest = hashlib.sha256(prediction.encode()).hexdigest()
     print(f"predicted before measuring: sha256 {digest}", file=sys.stderr)
-
-
-def _write(
-    args: argparse.Namespace, found: "Diagnosis", data: dict[str, Any], report: str | None
-) -> None:
-    """Every file whole or not at all."""
-    from steerd.daemon.common.atomic_file import write_whole
-
-    if args.json and args.json != "-":
-        write_whole(Path(args.json), json.dumps(data, indent=1) + "\n")
-    if args.report and report is not None:
-        write_whole(args.report, report)
-    if args.output:
-        write_whole(args.output, found.make_car(args.output).text)

@@ -118,12 +118,13 @@ def run(args: argparse.Namespace) -> int:
     """Identify, print, write.
 
     Raises:
-        SteerdError: a session, the car file or an option cannot be used.
+        SteerdError: a session, the car file or an option cannot be used, or a file not be written.
     """
     from steerd.daemon.analysis.identification import FIT_WORK, run_identification
     from steerd.daemon.analysis.identify_text import describe
     from steerd.daemon.common.outputs import check_outputs
     from steerd.daemon.common.progress import show_progress
+    from steerd.daemon.common.written import write_outputs
     from steerd.daemon.sessions.text import print_warnings
 
     to_screen = str(args.json) == "-"
@@ -131,27 +132,20 @@ def run(args: argparse.Namespace) -> int:
     check_outputs({"-o": args.output, "--json": named, "--report": args.report})
     request = make_request(args)
     fitted = len(request.sessions) + len(request.held_out.files) + FIT_WORK
-    drawn = fitted + (_DRAW if args.report else 0.0)
-    with show_progress("identifying", drawn + (_NOISE if args.output else 0.0)) as advance:
+    with show_progress("identifying", fitted) as advance:
         found = run_identification(request, print_warnings, advance)
-        advance(fitted, "drawing the report" if args.report else "")
+    result = json.dumps(found.to_json(), indent=1) + "\n"
+    if to_screen:
+        print(result, end="", flush=True)
+    else:
+        measured = request.wheelbase is not None
+        print(describe(found.outcome, args.output, axles_measured=measured), flush=True)
+    # What follows may fail, for want of space for instance; the result is on the screen by then.
+    drawn = _DRAW if args.report else 0.0
+    with show_progress("writing", drawn + (_NOISE if args.output else 0.0)) as advance:
+        advance(0.0, "drawing the report" if args.report else "")
         report = found.render_report() if args.report else None
         advance(drawn, "learning the noise for diagnose" if args.output else "")
         car = found.make_car_text(args.output) if args.output else None
-    result = json.dumps(found.to_json(), indent=1) + "\n"
-    _write({args.report: report, named: result, args.output: car})
-    if to_screen:
-        print(result, end="")
-    else:
-        measured = request.wheelbase is not None
-        print(describe(found.outcome, args.output, axles_measured=measured))
+    write_outputs({args.report: report, named: result, args.output: car})
     return ExitCode.OK if found.improved else ExitCode.STOPPED
-
-
-def _write(texts: dict[Path | None, str | None]) -> None:
-    """Every file whole or not at all."""
-    from steerd.daemon.common.atomic_file import write_whole
-
-    for path, text in texts.items():
-        if path is not None and text is not None:
-            write_whole(path, text)

@@ -25,8 +25,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: the session cannot be read, or the page not be written.
     """
-    from steerd.daemon.common.atomic_file import write_whole
     from steerd.daemon.common.outputs import check_outputs
+    from steerd.daemon.common.written import write_outputs
     from steerd.daemon.sessions.info import load_session, make_session_report
     from steerd.daemon.sessions.plot_data import make_drawing
     from steerd.daemon.sessions.plot_page import make_page
@@ -38,6 +38,6 @@ def run(args: argparse.Namespace) -> int:
     report = make_session_report(session)
     print_warnings(report.warnings)
     page = make_page(report, make_drawing(session))
-    write_whole(output, page)
+    write_outputs({output: page})
     print(f"{output}: {len(page.encode()) / 1e6:.1f} MB; open it in a browser")
     return ExitCode.OK

@@ -104,14 +104,14 @@ def _describe(found: "SteeringCalibration", scaling: "Scaling") -> list[str]:
 
 
 def _finish(args: argparse.Namespace, text: str, values: dict[tuple[str, str], float]) -> int:
-    from steerd.daemon.common.atomic_file import write_whole
+    from steerd.daemon.common.written import write_outputs
     from steerd.daemon.settings.car_edit import edit_text
 
     new = edit_text(text, values)
     if args.output is None:
         print("   next: the same with -o car.toml writes it")
         return ExitCode.OK
-    write_whole(args.output, new)
+    write_outputs({args.output: new})
     print(f"{args.output}: written\n   next: steerd config --check {args.output}")
     return ExitCode.OK
 

@@ -90,10 +90,11 @@ def describe(settings: "Settings") -> list[str]:
 
 
 def _to_yaml(settings: "Settings", path: Path) -> int:
-    from steerd.daemon.common.atomic_file import write_whole
+    from steerd.daemon.common.written import write_outputs
     from steerd.daemon.settings.vesc_yaml import make_vesc_yaml
 
-    write_whole(path, make_vesc_yaml(settings.scaling, _read(path) if path.exists() else ""))
+    text = make_vesc_yaml(settings.scaling, _read(path) if path.exists() else "")
+    write_outputs({path: text})
     print(f"{path}: gains of {settings.file.name}")
     return ExitCode.OK
 

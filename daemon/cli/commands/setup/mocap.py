@@ -112,9 +112,9 @@ def _check_live(args: argparse.Namespace) -> "list[Check]":
 
 
 def _calibrate(args: argparse.Namespace) -> int:
-    from steerd.daemon.common.atomic_file import write_whole
     from steerd.daemon.common.outputs import check_outputs
     from steerd.daemon.common.screen import print_labelled
+    from steerd.daemon.common.written import write_outputs
     from steerd.daemon.settings.car_edit import edit_text, load_text
     from steerd.daemon.setup.calibration_data import load_recorded, make_drive
     from steerd.daemon.setup.mount_calibration import calibrate_mount
@@ -131,7 +131,7 @@ def _calibrate(args: argparse.Namespace) -> int:
     if args.output is None:
         print(f"   next: steerd mocap calibrate {args.session} -o car.toml")
         return ExitCode.OK
-    write_whole(args.output, text)
+    write_outputs({args.output: text})
     print(f"{args.output}: written\n   next: steerd run --car {args.output} …")
     return ExitCode.OK
 

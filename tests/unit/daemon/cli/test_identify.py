@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+import resource
 
 import numpy as np
 import pytest
@@ -271,17 +272,18 @@ def test_json_to_the_terminal_is_all_that_is_printed(rows, importer, tmp_path, c
     assert not (tmp_path / "-").exists()
 
 
-def test_the_noise_is_a_step_with_a_name_and_comes_before_any_file(
-    rows, importer, tmp_path, monkeypatch
+def test_the_result_is_on_the_screen_before_the_noise_and_the_noise_before_any_file(
+    rows, importer, tmp_path, monkeypatch, capsys
 ):
     steps, out = [], tmp_path / "out"
     out.mkdir()
 
     @contextlib.contextmanager
     def shown(label, total):
-        yield lambda done, step="": steps.append((done / total, step))
+        yield lambda done, step="": steps.append((label, done / max(total, 1.0), step))
 
     def interrupted(car, runs):
+        assert "steer_gain " in capsys.readouterr().out
         raise KeyboardInterrupt
 
     session = importer(rows)
@@ -289,12 +291,45 @@ def test_the_noise_is_a_step_with_a_name_and_comes_before_any_file(
     monkeypatch.setattr("steerd.daemon.analysis.identification.with_knowledge", interrupted)
     assert main(["identify", str(session), *FREE, *_outputs(out)]) == 130
     assert list(out.iterdir()) == []
-    assert [step for _, step in steps] == [
+    assert [step for *_, step in steps] == [
         "reading the drives",
         "fitting the car",
         "drawing the report",
         "learning the noise for diagnose",
     ]
-    shares = [share for share, _ in steps]
-    assert shares == sorted(shares)
-    assert shares[-1] < 0.5, "the noise takes longer than all before it"
+    places = [(label, share) for label, share, _ in steps]
+    assert places == sorted(places), "identifying, then writing; neither bar goes back"
+    assert places[-1][1] < 0.5, "the noise takes longer than all before it"
+
+
+def test_a_full_disk_takes_the_files_and_not_the_table(rows, importer, tmp_path, capsys):
+    session = importer(rows)
+    out = tmp_path / "car.toml"
+    out.write_text("# mine\n")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        code = main(["identify", str(session), *FREE, "-o", str(out)])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    said = capsys.readouterr()
+    assert code == 3
+    assert "steer_gain " in said.out
+    assert said.err.splitlines()[-2:] == [
+        f"steerd: {out}: File too large",
+        "   try: free some space, or choose another folder",
+    ]
+    assert [path.name for path in tmp_path.glob("car*")] == ["car.toml"]
+    assert out.read_text() == "# mine\n"
+
+
+def test_a_file_edited_by_hand_is_kept_and_named(rows, importer, tmp_path, capsys):
+    session, out = importer(rows), tmp_path / "car.toml"
+    assert main(["identify", str(session), *FREE, "-o", str(out)]) == 0
+    assert "kept" not in capsys.readouterr().err
+    out.write_text(out.read_text() + "# checked by hand\n")
+    assert main(["identify", str(session), *FREE, "-o", str(out)]) == 0
+    (kept,) = tmp_path.glob("car.*.toml")
+    assert kept.read_text().endswith("# checked by hand\n")
+    assert f"it is kept as {kept}" in capsys.readouterr().err
+    assert "by hand" not in out.read_text()

@@ -1,0 +1,127 @@
+"""What a command writes replaces what steerd wrote before; anything else is kept beside it."""
+
+import os
+import time
+
+import pytest
+
+from steerd.daemon.common import atomic_file, written
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.written import write_output, write_outputs
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("TZ", "UTC")
+    time.tzset()
+    place = tmp_path / "work"
+    place.mkdir()
+    return place
+
+
+def date(path, seconds=1_700_000_000):
+    os.utime(path, (seconds, seconds))
+
+
+def names(place):
+    return sorted(path.name for path in place.iterdir())
+
+
+def test_what_steerd_wrote_is_replaced(state):
+    path = state / "car.toml"
+    for text in ("one", "two", "one"):
+        assert write_output(path, text) is None
+        assert path.read_text() == text
+    assert names(state) == ["car.toml"]
+
+
+@pytest.mark.parametrize("ours", [True, False])
+def test_a_foreign_or_edited_file_is_kept_with_the_date_of_its_last_change(state, ours):
+    path = state / "car.toml"
+    if ours:
+        write_output(path, "mass = 3.0\n")
+    path.write_text("mass = 3.0 # weighed\n")
+    date(path)
+    kept = write_output(path, "mass = 3.2\n")
+    assert kept == state / "car.2023-11-14T22-13-20.toml"
+    assert kept.read_text() == "mass = 3.0 # weighed\n"
+    assert path.read_text() == "mass = 3.2\n"
+    path.write_text("again by hand")
+    date(path)
+    again = write_output(path, "mass = 3.3\n")
+    assert again == state / "car.2023-11-14T22-13-20.2.toml"
+    assert kept.read_text() == "mass = 3.0 # weighed\n"
+
+
+def test_the_same_content_needs_no_second_file(state):
+    path = state / "car.toml"
+    path.write_text("mass = 3.0\n")
+    assert write_output(path, "mass = 3.0\n") is None
+    assert names(state) == ["car.toml"]
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_write_that_fails_leaves_everything_as_it_was(state, monkeypatch, links):
+    path = state / "car.toml"
+    path.write_text("by hand")
+
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
+
+    if not links:
+        monkeypatch.setattr(written.os, "link", refuse)
+    monkeypatch.setattr(atomic_file, "write_atomically", refuse)
+    with pytest.raises(SteerdError, match="No space left"):
+        write_output(path, "new")
+    assert path.read_text() == "by hand"
+    assert names(state) == ["car.toml"]
+
+
+def test_a_file_that_can_neither_be_linked_nor_copied_is_not_replaced(state, monkeypatch):
+    path = state / "car.toml"
+    path.write_text("by hand")
+
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(written.os, "link", refuse)
+    monkeypatch.setattr(written.shutil, "copy2", refuse)
+    with pytest.raises(SteerdError, match="cannot be kept: No space left"):
+        write_output(path, "new")
+    assert path.read_text() == "by hand"
+
+
+def test_without_a_state_folder_every_other_file_is_kept(state, tmp_path):
+    (tmp_path / "state").write_text("no folder")
+    path = state / "car.toml"
+    write_output(path, "one")
+    assert write_output(path, "two") is not None
+
+
+def test_one_output_that_fails_does_not_take_the_others_along(state, capsys):
+    (state / "car.toml").write_text("by hand")
+    date(state / "car.toml")
+    texts = {
+        state / "none" / "report.html": "page",
+        state / "car.toml": "car",
+        None: "nobody asked",
+        state / "gap.json": None,
+    }
+    with pytest.raises(SteerdError, match=r"report\.html: No such file"):
+        write_outputs(texts)
+    assert (state / "car.toml").read_text() == "car"
+    assert names(state) == ["car.2023-11-14T22-13-20.toml", "car.toml"]
+    said = capsys.readouterr().err
+    assert said.startswith(f"note: {state / 'car.toml'} was not as steerd wrote it")
+    assert "car.2023-11-14T22-13-20.toml" in said
+
+
+def test_only_the_latest_digests_are_kept(state, monkeypatch):
+    monkeypatch.setattr(written, "_REMEMBERED", 2)
+    first, second = state / "a.toml", state / "b.toml"
+    write_output(first, "a")
+    write_output(second, "b")
+    write_output(second, "c")
+    assert write_output(second, "d") is None
+    assert write_output(first, "e") is not None
