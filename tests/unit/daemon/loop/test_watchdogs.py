@@ -9,7 +9,6 @@ from steerd.daemon.loop.findings import WATCHDOGS, Severity, make_finding, summa
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.loop.watchdogs import (
     COMMANDED_S,
-    WatchdogInput,
     WatchdogState,
     is_inside,
     is_slowing,
@@ -18,6 +17,7 @@ from steerd.daemon.loop.watchdogs import (
 )
 from steerd.daemon.loop.watchdogs_pose import PoseWatch
 from steerd.daemon.settings.thresholds import Thresholds
+from tests.unit.daemon.loop.calm import CALM
 
 # Binary fractions, so that "exactly at the threshold" is exact.
 TH = Thresholds(
@@ -32,13 +32,6 @@ TH = Thresholds(
     saturated=0.984375, saturated_warn=0.5, saturated_hold=1.0,
     brake_decel=4.0, stop_share=0.5, stop_lag=0.125, stop_window=0.25, stop_speed=0.125,
     lease_warn=0.125, lease=0.25,
-)  # fmt: skip
-CALM = WatchdogInput(
-    t_ns=10**9, state=SupervisorState.RUNNING, pose=PoseWatch(), mocap_age=0.0, telemetry_age=0.0,
-    lease_age=0.0, speed=1.5, speed_erpm=1.5, speed_mocap=1.5, speed_limit=2.0, x=0.0, y=0.0,
-    course=0.0, sigma_position=0.01, sigma_yaw=0.01, covariance_ok=True, lateral_error=0.0,
-    heading_error=0.0, steer_share=0.0, status=0, fault_code=0, tachometer=-1, cell_voltage=3.9,
-    fet_temperature=40.0, motor_temperature=40.0, current_share=0.1,
 )  # fmt: skip
 S = 10**9
 WARN, SOFT, HARD, KILL = Severity
