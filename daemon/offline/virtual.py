@@ -122,7 +122,11 @@ class VirtualRun:
         if linked and self.world.serial_name != self._opened:
             self._lose_link()
         elif linked:
-            data = self.world.serial_read(t_ns)
+            try:
+                data = self.world.serial_read(t_ns)
+            except OSError:  # pulled out in this moment
+                data = b""
+                self._lose_link()
             if data:
                 self.wire.update(b"<" + t_ns.to_bytes(8, "big") + data)
                 self.core.on_serial(t_ns, data)

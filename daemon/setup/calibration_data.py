@@ -150,7 +150,7 @@ def make_motion(r: Recorded) -> Track:
 
 
 def steering_commands(r: Recorded) -> tuple[Array, Array]:
-    """SteeringCalibration ordered while the car was driven: times [s] and angles [rad].
+    """Steering ordered while the car was driven: times [s] and angles [rad].
 
     Raises:
         SteerdError: the session holds none.

@@ -1,0 +1,46 @@
+"""Stop signals as bytes on a pipe, in a process of their own."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+TAKE = """
+import os, select, signal
+from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
+block_stop_signals()
+fd = make_stop_signal_pipe()
+for number in {numbers}:
+    os.kill(os.getpid(), number)
+    select.select([fd], [], [], 20)
+    print(os.read(fd, 8)[0])
+"""
+IGNORE = """
+import os, signal
+from steerd.daemon.ipc.signals import ignore_terminal_signals
+ignore_terminal_signals()
+for number in (signal.SIGINT, signal.SIGHUP):
+    os.kill(os.getpid(), number)
+print("alive", flush=True)
+os.kill(os.getpid(), signal.SIGTERM)
+"""
+
+
+def python(text):
+    return subprocess.run(
+        [sys.executable, "-c", text], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+@pytest.mark.parametrize("numbers", [[2], [15, 2, 1], [2, 2]])
+def test_each_stop_signal_is_one_byte_its_number(numbers):
+    done = python(TAKE.format(numbers=numbers))
+    assert done.returncode == 0, done.stderr
+    assert [int(line) for line in done.stdout.split()] == numbers
+
+
+def test_a_child_lives_through_what_the_terminal_sends_to_its_group_but_can_be_ended():
+    done = python(IGNORE)
+    assert done.stdout == "alive\n"
+    assert done.returncode == -signal.SIGTERM

@@ -1,0 +1,82 @@
+"""`run --fast` below its screen: what is refused, and what an interrupted drive leaves."""
+
+from dataclasses import replace
+
+import pytest
+
+from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.offline.fast import check_driven, make_recording, record_virtual, run_fast
+from steerd.daemon.offline.virtual import EPOCH_NS, make_virtual_run
+from steerd.daemon.settings.run_options import RunOptions
+from steerd.steer_bus import topics
+from steerd.steer_bus.session_read import open_session
+
+OPTIONS = RunOptions(
+    car_file="", path="line", speed=1.0, simulated=True, auto_arm=True, duration_s=0.5
+)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return make_plan(OPTIONS)
+
+
+def go(ticks):
+    """Drives so many ticks."""
+
+    def steps(run):
+        for _ in range(ticks):
+            run.step()
+
+    return steps
+
+
+def test_a_drive_without_an_end_is_refused(plan):
+    endless = replace(plan, options=replace(plan.options, duration_s=None))
+    with pytest.raises(SteerdError, match="--duration") as caught:
+        run_fast(endless)
+    assert caught.value.code is ExitCode.USAGE
+
+
+def test_a_file_that_cannot_be_made_is_refused_with_a_hint(plan, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SteerdError, match="--record") as caught:
+        make_recording(plan, tmp_path / "file" / "drive.mcap")
+    assert caught.value.code is ExitCode.UNREADABLE
+
+
+def test_every_record_is_seen_and_in_the_file(plan, tmp_path):
+    seen = []
+    path = tmp_path / "drive.mcap"
+    record_virtual(plan, path, go(50), lambda records, _t_ns: seen.extend(records))
+    session = open_session(path)
+    assert session.info().clean
+    assert session.info().start_ns >= EPOCH_NS
+    ticks = [record for record in seen if record.topic is topics.TICK]
+    assert len(ticks) == 50
+    written = session.messages(topics.make_session_topic("car1", topics.TICK))
+    assert [record.data for record in written] == [record.data for record in ticks]
+
+
+def test_an_interrupted_drive_is_kept_and_says_so(plan, tmp_path):
+    def interrupt(run):
+        go(30)(run)
+        raise KeyboardInterrupt
+
+    path = tmp_path / "drive.mcap"
+    with pytest.raises(KeyboardInterrupt):
+        record_virtual(plan, path, interrupt)
+    info = open_session(path).info()
+    assert info.metadata["steerd.end"]["reason"] == "interrupted"
+    assert info.count > 30
+
+
+def test_a_car_that_never_drove_is_an_error_that_says_what_was_missing(plan):
+    run = make_virtual_run(plan)
+    go(3)(run)
+    with pytest.raises(SteerdError, match=r"never driven: waiting for ..") as caught:
+        check_driven(run)
+    assert caught.value.code is ExitCode.STOPPED
+    run.core.loop.ran = True
+    check_driven(run)

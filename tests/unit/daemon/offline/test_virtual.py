@@ -1,0 +1,79 @@
+"""Drives in virtual time: reproducible, parked at the end, and what a lost link does to them."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+
+from steerd.daemon.assembly.build import make_plan, make_world_config
+from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.offline.virtual import drive, make_virtual_run
+from steerd.daemon.settings.run_options import RunOptions
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.world import World
+
+OPTIONS = RunOptions(
+    car_file="", path="line", speed=1.0, simulated=True, auto_arm=True, duration_s=0.5
+)
+NS = 10**9
+UNPLUGGED_NS = round(0.2 * NS)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return make_plan(OPTIONS)
+
+
+def test_a_drive_ends_parked_and_the_same_seed_gives_the_same_bytes(plan):
+    runs = [make_virtual_run(plan) for _ in range(2)]
+    for run in runs:
+        drive(run)
+    first, second = runs
+    assert first.core.loop.ran
+    assert first.core.loop.parked
+    assert not first.core.loop.faulted
+    assert (first.t_ns, first.wire.hexdigest()) == (second.t_ns, second.wire.hexdigest())
+
+
+def test_another_seed_gives_other_bytes(plan):
+    other = replace(plan, options=replace(plan.options, seed=plan.options.seed + 1))
+    digests = set()
+    for each in (plan, other):
+        run = make_virtual_run(each)
+        for _ in range(20):
+            run.step()
+        digests.add(run.wire.hexdigest())
+    assert len(digests) == 2
+
+
+@pytest.mark.parametrize(("late", "periods"), [(0, 1), (0.4, 1), (2.5, 3)])
+def test_a_late_tick_skips_whole_periods(plan, late, periods):
+    run = make_virtual_run(plan)
+    run.step()
+    before = run.t_ns
+    run.step(round(late * run.period_ns))
+    assert run.t_ns - before == periods * run.period_ns
+
+
+def test_a_failed_drive_raises_its_own_reason_after_that_tick(plan):
+    run = make_virtual_run(plan)
+
+    def fail(now):
+        now.failed = OSError("no space left")
+
+    with pytest.raises(OSError, match="no space left"):
+        drive(run, fail)
+    assert run.t_ns == 2 * run.period_ns
+
+
+def test_an_unplugged_port_is_noticed_and_opened_again(plan):
+    gone = Fault("unplug", UNPLUGGED_NS, 2 * UNPLUGGED_NS)
+    run = make_virtual_run(plan, (), World(make_world_config(plan), (gone,)))
+    linked = []
+    while run.t_ns < 5 * UNPLUGGED_NS:
+        run.step()
+        linked.append(bool(run.core.flags & Flag.LINKED))
+    assert [a for a, b in pairwise(linked) if a != b] == [True, False]
+    assert not run.core.flags & Flag.SERIAL_FAULT
+    assert run.core.loop.supervisor.state is not SupervisorState.RUNNING
