@@ -44,20 +44,22 @@ class FilterConfig:
     """Mutually consistent poses that start the filter."""
 
 
+# Between these a simulated car drives (tests/safety/test_car_file_bounds.py). Below, the filter
+# believes itself and refuses true poses (W5); above, it believes nothing and is never sure (W6).
 _LIMITS: dict[str, tuple[float, float]] = {
-    "pose_position_sd": (1e-6, 1.0),
+    "pose_position_sd": (1e-4, 1.0),
     "pose_yaw_sd": (1e-6, 1.0),
     "wheel_speed_sd": (1e-6, 10.0),
     "gyro_sd": (1e-6, 10.0),
-    "longitudinal_accel_density": (0.0, 100.0),
-    "lateral_accel_density": (0.0, 100.0),
-    "yaw_accel_density": (0.0, 1000.0),
+    "longitudinal_accel_density": (0.1, 100.0),
+    "lateral_accel_density": (0.03, 10.0),
+    "yaw_accel_density": (0.0, 30.0),
     "steer_rate_density": (0.0, 10.0),
     "position_density": (0.0, 1.0),
     "yaw_density": (0.0, 1.0),
     "gate_probability": (0.9, 1.0 - 1e-9),
     "history_s": (HEALTH_WINDOW_S, 2.0),
-    "initial_poses": (5, 100),
+    "initial_poses": (5, 50),
 }
 
 

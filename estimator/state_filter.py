@@ -94,9 +94,21 @@ _time = attrgetter("measurement.t_ns")
 _measurement = attrgetter("measurement")
 
 
+STEER_LAG_MIN, SPEED_LAG_MIN = 0.002, 0.02
+"""Shortest lags of servo and motor that the filter believes [s].
+
+Without a lag the angle is the order's at once and its covariance is none, which no Cholesky factor
+has; a speed that is the order's at once leaves no room for a wheel that slips. Noise is unmodelled
+motion over a time, and a lag of zero leaves it none.
+"""
+
+
 def make_state_filter(car: Car[float], config: FilterConfig | None = None) -> StateFilter:
-    """A filter for a car."""
+    """A filter for a car; shorter lags than it can believe are taken for the shortest."""
     config = config or FilterConfig()
+    car = car._replace(
+        steer_lag=max(car.steer_lag, STEER_LAG_MIN), speed_lag=max(car.speed_lag, SPEED_LAG_MIN)
+    )
     return StateFilter(car, config, Kalman(SIZE), make_sensors(car, config))
 
 

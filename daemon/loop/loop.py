@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from math import nan
 from typing import NamedTuple
 
+from steerd.car_model.actuators import references
 from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.ops import FLOAT
 from steerd.car_model.state import Command
 from steerd.controller.lane_controller import (
     ControllerState,
@@ -159,7 +161,7 @@ class Loop:
     def __init__(self, setup: LoopSetup) -> None:
         s = setup.settings
         self.setup = setup
-        car = believed_car(s.file.model)
+        car = self._car = believed_car(s.file.model)
         self.perception = Perception(car, s.filter, s.thresholds, s.scaling)
         self.supervisor = make_supervisor_memory(0)
         self.lease = Lease(setup.boot_id)
@@ -314,7 +316,8 @@ class Loop:
             return
         s = estimate.state
         wheel_speed = self.perception.wheel_speed
-        now = LaunchInput(now_ns, s.x, s.y, s.yaw, wheel_speed, self._limiter.order.steer)
+        aim = references(FLOAT, self._car, self._limiter.order)  # gain and bias of the linkage
+        now = LaunchInput(now_ns, s.x, s.y, s.yaw, wheel_speed, aim.steer)
         if self._launch is None:
             self._launch = make_launch_state(now)
             return

@@ -10,7 +10,8 @@ from typing import Any, TypeVar
 import msgspec
 
 from steerd.car_model.car_file import CarFile, CarFileError, load_car
-from steerd.car_model.params import wheelbase
+from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.params import GRAVITY, wheelbase
 from steerd.controller.config import ControllerConfig, load_controller_config
 from steerd.controller.limits import Limits
 from steerd.daemon.common.errors import SteerdError
@@ -112,7 +113,7 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
     """The settings of a car file that was read.
 
     Raises:
-        SteerdError: a section holds an unknown key or an invalid value.
+        SteerdError: a section holds an unknown key or an invalid value, or two contradict.
     """
     sections = _Sections(car_file)
     vesc = dict(sections.section("vesc"))
@@ -142,6 +143,7 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
         deadman=deadman,
         record=sections.make("record", lambda: _record(sections.section("record"))),
     )
+    _check_stop(car_file, settings.thresholds)
     if settings.controller.speed > settings.limits.speed_max:
         raise SteerdError(
             f"{settings.controller.speed:g} m/s is above the car file's limits.speed_max = "
@@ -149,6 +151,28 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
             "drive slower, or raise speed_max if the car may",
         )
     return settings
+
+
+def _check_stop(car_file: CarFile, thresholds: Thresholds) -> None:
+    """Refuse a car whose stops W24 would call ineffective, however well they work.
+
+    Raises:
+        SteerdError: its floor or its drive does not let it slow down as `[safety]` expects.
+    """
+    car = believed_car(car_file.model)
+    needed, given = thresholds.stop_share * thresholds.brake_decel, car.mu * GRAVITY
+    if given < needed:
+        what = (
+            f"{car_file.path}: friction {car.mu:g} stops the car with {given:.2f} m/s2 at most; "
+            f"[safety] expects {needed:.2f} m/s2 (stop_share x brake_decel)"
+        )
+        raise SteerdError(what, "measure brake_decel on this floor, and [car] mu")
+    if car.drive_delay > thresholds.stop_lag:
+        what = (
+            f"{car_file.path}: the drive's dead time of {car.drive_delay:g} s is longer than "
+            f"[safety] stop_lag = {thresholds.stop_lag:g} s, after which a stop must show"
+        )
+        raise SteerdError(what, "measure drive_delay; stop_lag may be 0.3 s at most")
 
 
 class _Sections:
