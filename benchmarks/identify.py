@@ -7,7 +7,7 @@ paper's car, poses at 100 Hz with 1 mm / 2 mrad noise, at standard and low frict
 
 The mark, by a rule that no result has a say in: a method is there when it predicts circles of other
 steering angles, which nobody fitted, as well as one pose is measured (1 mm, root mean square over
-8 s, open loop, no noise). What these data cannot tell counts for nothing there; how each method
+8 s, open loop, no noise). What these data cannot identify counts for nothing there; how each method
 ends on slaloms, where it does count, is printed beside it. Every method uses the same compiled
 simulator, and times are the process's own (CPU seconds), so they compare the methods, not the
 languages. The paper's own code needs about 25 s for one iteration.
@@ -139,7 +139,7 @@ class Judge:
         return float(1e3 * np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
     def error_mm(self, four: Array) -> float:
-        """On circles of other angles: what these data can tell."""
+        """On circles of other angles: what these data identify."""
         return self._apart_mm(four, self.circles)
 
     def slalom_mm(self, four: Array) -> float:
@@ -161,7 +161,7 @@ class Judge:
 
 @contextmanager
 def watched(judge: Judge) -> Iterator[None]:
-    """Our fit tells only its end: here every simulation that it makes of the drives is watched."""
+    """Our fit shows only its end: here every simulation that it makes of the drives is watched."""
     evaluate = Problem.evaluate
 
     def seen(self: Problem, z: Array, x: Array) -> Evaluation:

@@ -1,4 +1,4 @@
-"""Does every drive and start lead to the car, and do the standard errors tell the truth?
+"""Does every drive and start lead to the car, and are the standard errors right?
 
 python benchmarks/identify_coverage.py --seeds 100               # eleven parameters, three starts
 python benchmarks/identify_coverage.py --saturation --seeds 10   # a tyre that the model lacks

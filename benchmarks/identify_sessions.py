@@ -1,4 +1,4 @@
-"""Do the standard errors of `steerd identify` tell the truth about sessions of the whole chain?
+"""Are the standard errors of `steerd identify` right on sessions of the whole chain?
 
 python benchmarks/identify_sessions.py --folder DIR --first 9000 --seeds 60 [--plan mixed]
 
@@ -113,7 +113,7 @@ def pulls(outcome: Outcome, car: Car[float]) -> list[tuple[float, float]]:
 
 
 def say(found: np.ndarray, cars: list[Car[float]]) -> None:
-    """The table; a fit that could not tell a parameter counts like any other."""
+    """The table; a fit that could not identify a parameter counts like any other."""
     error, sd = found[..., 0], found[..., 1]
     pull = error / sd
     true = np.array([[getattr(car, n) for n in NAMES] for car in cars])

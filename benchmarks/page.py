@@ -173,7 +173,8 @@ def virtual(said: dict[str, Any]) -> str:
         "the rest; nothing is left that costs a tenth by itself but the four predictions and three "
         f"updates of the filter. The 80 × that was asked for, 125 µs a tick, is a budget of "
         f"{number(125.0 / each_us)} calls: it takes another language for filter and codecs, not "
-        "another tune of this one. mypyc brought nothing ([decision 44](../decisions/rooms-and-code.md#d44)).\n"
+        "another tune of this one. mypyc brought nothing "
+        "([decision 44](../decisions/rooms-and-code.md#d44)).\n"
     )
 
 

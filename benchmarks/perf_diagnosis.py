@@ -42,14 +42,14 @@ def make_drive(kernels: Kernels, number: int) -> Run:
 def measure(runs: list[Run], count: int, jobs: int) -> dict[str, Any]:
     names = ["steer_delay", *(name for name in EFFECTS if name != "steer_delay")][:count]
     cpu, wall = time.process_time(), time.perf_counter()
-    told = diagnose(runs, Model(DEFAULT_CAR), Options(only=names, pairs=False, jobs=jobs))
+    diagnosis = diagnose(runs, Model(DEFAULT_CAR), Options(only=names, pairs=False, jobs=jobs))
     return {
         "candidates": len(names),
         "jobs": jobs,
         "cpu_s": round(time.process_time() - cpu, 2),
         "wall_s": round(time.perf_counter() - wall, 2),
-        "named": told.causes[0].effect if told.causes else "",
-        "verdict": told.verdict,
+        "named": diagnosis.causes[0].effect if diagnosis.causes else "",
+        "verdict": diagnosis.verdict,
     }
 
 

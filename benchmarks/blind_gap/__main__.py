@@ -9,11 +9,11 @@ from benchmarks.blind_gap.detectability import FILE, save_severities
 from benchmarks.blind_gap.diagnosing import DIAGNOSE, IDENTIFY, diagnose_set
 from benchmarks.blind_gap.generate import generate, key_path
 from benchmarks.blind_gap.inside import diagnose_inside
-from benchmarks.blind_gap.opening import LOG, OpeningError, case_names, load_labels, load_manifest
-from benchmarks.blind_gap.opening import open_labels as unseal_labels
 from benchmarks.blind_gap.report import write_report
 from benchmarks.blind_gap.score import CONFIDENT, score
 from benchmarks.blind_gap.seal import SealError
+from benchmarks.blind_gap.unsealing import LOG, OpeningError, case_names, load_labels, load_manifest
+from benchmarks.blind_gap.unsealing import open_labels as unseal_labels
 from benchmarks.blind_gap.verdicts import VerdictError, load_verdicts, with_own
 
 _PAGE = Path(__file__).resolve().parents[2] / "docs" / "results" / "blind-test.md"

@@ -209,7 +209,7 @@ def make_plan(
     """The set's cases under opaque names; `limit` keeps every part's share of the whole.
 
     Every case has a rank between 0 and 1, spread evenly within its block; the first `limit` ranks
-    stay, and names are dealt out after shuffling, so that neither tells what a case is. `blocks`
+    stay, and names are dealt out after shuffling, so that neither says what a case is. `blocks`
     keeps only those whose name starts with one of them; cases keep their seeds. Fewer `cars` than
     `CARS` share the cases out among the first of them: each car is identified once. Blocks that
     start with one of `whole` are kept whole, whatever the limit leaves of the others.

@@ -118,7 +118,7 @@ _RANDOM = (
     "inertia_z", "lf", "lr", "stiff_front", "stiff_rear", "track", "steer_lag", "drive_lag",
 )  # fmt: skip
 """What identification finds out; mass, limits and the like stay at the published car's figures,
-which a car file holds and a scale or a data sheet tells."""
+which a car file holds and a scale or a data sheet gives."""
 
 
 def make_car(rng: np.random.Generator, mismatch: float = MISMATCH) -> PlantCar:

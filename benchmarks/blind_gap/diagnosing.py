@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.progress import Progress
 
-from benchmarks.blind_gap.opening import load_manifest
+from benchmarks.blind_gap.unsealing import load_manifest
 from benchmarks.blind_gap.verdicts import verdict_path
 
 IDENTIFY = "steerd identify {runs} -o {base}"

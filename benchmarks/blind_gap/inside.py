@@ -9,11 +9,12 @@ that was broken off, remove `*.claim` and start again: what has a verdict is kep
 import json
 import traceback
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import process_time
 from typing import Any
 
-from benchmarks.blind_gap.opening import load_manifest
+from benchmarks.blind_gap.unsealing import load_manifest
 from benchmarks.blind_gap.verdicts import verdict_path
 from steerd.car_model.car_file import CarFile, default_car_path, load_car
 from steerd.car_model.effects import EFFECTS
@@ -60,8 +61,8 @@ def _ask(out: Path, verdicts: Path, row: Mapping[str, Any], base: CarFile) -> No
     began = process_time()
     try:
         runs, held = load_runs(out, row["runs"]), load_runs(out, row["held_out"])
-        told = diagnose(runs, base, Options(held_out=held, horizons=False))
-        path.write_text(json.dumps(to_json(told), allow_nan=False) + "\n")
+        diagnosis = diagnose(runs, base, Options(held_out=held, horizons=False))
+        path.write_text(json.dumps(to_json(diagnosis), allow_nan=False) + "\n")
         path.with_suffix(".time").write_text(f"{process_time() - began:.3f}\n")
     except Exception:  # one case must not end the run; it counts as a failure
         path.with_suffix(".error").write_text(traceback.format_exc())
@@ -79,13 +80,18 @@ def _encoded(base: CarFile) -> dict[str, Any]:
 
 def _decoded(text: str) -> CarFile:
     """The reverse of `_encoded`."""
-    told = json.loads(text)
-    start, own = load_car(default_car_path()), told["effects"]
-    return CarFile(
-        start.path, start.name, Car(**told["car"]),
-        tuple(EFFECTS[name] for name in own), tuple(tuple(v) for v in own.values()),
-        told["sd"], sections={**start.sections, "noise": told["noise"]},
-    )  # fmt: skip
+    given = json.loads(text)
+    start, own = load_car(default_car_path()), given["effects"]
+    return replace(
+        start,
+        car=Car(**given["car"]),
+        effects=tuple(EFFECTS[name] for name in own),
+        values=tuple(tuple(v) for v in own.values()),
+        sd=given["sd"],
+        source={},
+        sections={**start.sections, "noise": given["noise"]},
+        text="",
+    )
 
 
 def _base(out: Path, verdicts: Path, row: Mapping[str, Any]) -> CarFile | None:

@@ -34,7 +34,7 @@ play, front wheels' angle of the step before."""
 
 @dataclass(frozen=True, slots=True)
 class Orders:
-    """What the car is told, and what fails while it drives; all arrays start at the lead-in.
+    """What the car is commanded, and what fails while it drives; all arrays start at the lead-in.
 
     Attributes:
         steer: commanded wheel angle every 10 ms [rad]; ignored on a route.
@@ -295,10 +295,10 @@ def _seen(car: PlantCar, states: Array, step: int, t: float, out: Array) -> None
 
 
 @njit(cache=True)
-def _nearest(route: Array, x: float, y: float, start: int, reach: int) -> int:
+def _nearest(route: Array, x: float, y: float, start: int, span: int) -> int:
     """Index of the route's nearest point, looked for ahead of the last one."""
     best, nearest = start, 1e18
-    for i in range(reach):
+    for i in range(span):
         at = (start + i) % len(route)
         d = (route[at, 0] - x) ** 2 + (route[at, 1] - y) ** 2
         if d < nearest:

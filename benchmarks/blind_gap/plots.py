@@ -39,7 +39,7 @@ def plot_calibration(scores: Scores, path: Path) -> None:
 
 
 def confusion_axes() -> tuple[list[str], list[str]]:
-    """Rows (what was hidden) and columns (what was told) of the confusion matrix."""
+    """Rows (what was hidden) and columns (what was named) of the confusion matrix."""
     families = list(dict.fromkeys(FAMILY.values()))
     return [*families, OUTSIDE, NO_GAP], [*families, NOT_NAMED, NO_GAP]
 
@@ -54,7 +54,7 @@ def plot_confusion(scores: Scores, path: Path) -> None:
         axes.imshow(share, cmap="Blues", vmin=0, vmax=1)
         axes.set_xticks(range(len(columns)), columns, rotation=40, ha="right")
         axes.set_yticks(range(len(rows)), rows)
-        axes.set(xlabel="told", ylabel="hidden")
+        axes.set(xlabel="named", ylabel="hidden")
         for (i, j), count in np.ndenumerate(counts):
             if count:
                 axes.text(j, i, str(count), ha="center", va="center",

@@ -29,13 +29,13 @@ def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
-def _met(value: float, test: Callable[[float], bool]) -> str:
+def _format_test(value: float, test: Callable[[float], bool]) -> str:
     return "-" if isnan(value) else ("yes" if test(value) else "no")
 
 
 def _row(title: str, got: str, target: str, value: float, limit: float, upper: bool) -> list[str]:
     test = (lambda v: v <= limit) if upper else (lambda v: v >= limit)
-    return [title, got, target, _met(value, test)]
+    return [title, got, target, _format_test(value, test)]
 
 
 def _share(title: str, r: Rate, limit: float, upper: bool = False) -> list[str]:
@@ -53,7 +53,7 @@ _STRONG, _GENTLE = "rich, medium and large", "gentle, all"
 def _targets(s: Scores) -> str:
     none = Rate(0, 0)
     wrong = next(r for name, r in s.outside.items() if name.startswith("confident"))
-    told = f" ({s.shrinkage.count} cases)"
+    counted = f" ({s.shrinkage.count} cases)"
     rows = [
         _share("false alarms on nulls", s.alarms["all nulls"], 0.02, upper=True),
         _share("detection, rich, medium", s.detection.get("rich, medium", none), 0.90),
@@ -71,8 +71,8 @@ def _targets(s: Scores) -> str:
         _share("outside the library: confident wrong name", wrong, 0.05, upper=True),
         _size("parameter error, median", 100 * s.parameters.median, 5.0, " %"),
         _size("parameter error, 90th percentile", 100 * s.parameters.p90, 20.0, " %"),
-        _size(f"shrinkage error, median{told}", s.shrinkage.median, 5.0, " points"),
-        _size(f"shrinkage error, 90th percentile{told}", s.shrinkage.p90, 15.0, " points"),
+        _size(f"shrinkage error, median{counted}", s.shrinkage.median, 5.0, " points"),
+        _size(f"shrinkage error, 90th percentile{counted}", s.shrinkage.p90, 15.0, " points"),
     ]
     return _table(("metric", "reached (counts; 95 % interval)", "target", "met"), rows)
 

@@ -51,8 +51,8 @@ class Rate:
             return float("nan"), float("nan")
         n, p, z2 = self.total, self.value, _Z * _Z
         middle = (p + z2 / (2 * n)) / (1 + z2 / n)
-        reach = _Z * sqrt(p * (1 - p) / n + z2 / (4 * n * n)) / (1 + z2 / n)
-        return max(middle - reach, 0.0), min(middle + reach, 1.0)
+        margin = _Z * sqrt(p * (1 - p) / n + z2 / (4 * n * n)) / (1 + z2 / n)
+        return max(middle - margin, 0.0), min(middle + margin, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ class Bin:
 
 @dataclass(frozen=True, slots=True)
 class Reliability:
-    """How well confidences tell how often a name is right.
+    """How well confidences predict how often a name is right.
 
     Attributes:
         bins: of equal width, those that hold cases.
@@ -191,18 +191,18 @@ def parameter_error(case: Scored) -> float:
         effect = EFFECTS[cause.effect]
         if not effect.comparable or any(p not in cause.parameters for p in effect.comparable):
             return float("nan")
-        told = np.array([cause.parameters[p] for p in effect.comparable])
+        estimate = np.array([cause.parameters[p] for p in effect.comparable])
         true = np.array([truth["parameters"][p] for p in effect.comparable])
         null = np.array([effect.null[p] for p in effect.comparable])
         own = case.verdict.own.get(cause.effect) if case.verdict else None
         if own is not None:
-            told = told - np.array(own[: len(null)]) + null
-        return float(np.linalg.norm(told - true) / np.linalg.norm(true - null))
+            estimate = estimate - np.array(own[: len(null)]) + null
+        return float(np.linalg.norm(estimate - true) / np.linalg.norm(true - null))
     return float("nan")
 
 
 def shrinkage_error(case: Scored) -> float:
-    """|predicted - measured| share of the gap, in points; NaN if not told."""
+    """|predicted - measured| share of the gap, in points; NaN if not given."""
     cause = case.first
     return float("nan") if cause is None else 100.0 * abs(cause.predicted - cause.measured)
 
@@ -247,7 +247,7 @@ def _middle(draws: Iterable[float]) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _told(case: Scored) -> str:
+def _named_family(case: Scored) -> str:
     """Column of the confusion matrix that a verdict falls in."""
     if not case.detected:
         return NO_GAP
@@ -259,14 +259,14 @@ def _told(case: Scored) -> str:
 
 
 def confusion(cases: Iterable[Scored]) -> dict[tuple[str, str], int]:
-    """Counts by (true family, told family) of singles, nulls and defects outside the library."""
+    """Counts by (true family, named family) of singles, nulls and defects outside the library."""
     rows: Counter[tuple[str, str]] = Counter()
     for case in cases:
         kind = case.label["kind"]
         if kind == "single":
-            rows[FAMILY[case.truths[0]], _told(case)] += 1
+            rows[FAMILY[case.truths[0]], _named_family(case)] += 1
         elif kind in ("null", "outside"):
-            rows[NO_GAP if kind == "null" else OUTSIDE, _told(case)] += 1
+            rows[NO_GAP if kind == "null" else OUTSIDE, _named_family(case)] += 1
     return dict(rows)
 
 
@@ -290,7 +290,7 @@ def one_named(case: Scored) -> bool:
 
 
 def _pair_rates(pairs: Sequence[Scored]) -> dict[str, Rate]:
-    """Pairs; those whose weaker effect would hardly show even alone are told apart."""
+    """Pairs; those whose weaker effect would not show even alone are counted apart."""
     table = load_severities()
 
     def shows(case: Scored) -> bool:

@@ -51,7 +51,7 @@ class Verdict:
 
     @property
     def suspects(self) -> frozenset[str]:
-        """The first cause and all that it cannot be told from."""
+        """The first cause and all that is not distinguishable from it."""
         first = self.first
         return frozenset() if first is None else frozenset((first.effect, *first.ambiguous_with))
 
@@ -74,7 +74,7 @@ def _read_cause(entry: dict[str, Any]) -> Cause:
 
 
 def _name(other: Any) -> str:
-    """A rival's name, given as a text or as an object with an `effect`."""
+    """An alternative's name, given as a text or as an object with an `effect`."""
     return str(other["effect"]) if isinstance(other, dict) else str(other)
 
 

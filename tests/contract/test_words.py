@@ -35,7 +35,6 @@ SUFFIXES = (".py", ".pyi", ".toml", ".md", ".html", ".js", ".css")
 FOREIGN = ("uplot.min.js", "uplot.min.css")
 """Files of other authors, taken as they are."""
 NOT_YET: tuple[str, ...] = (
-    "benchmarks",
     "sim_gap",
     "sysid/estimation",
 )

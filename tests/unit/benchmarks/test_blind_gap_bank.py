@@ -15,8 +15,8 @@ from benchmarks.blind_gap.diagnosing import diagnose_set, expand
 from benchmarks.blind_gap.effects import EFFECTS, OUTSIDE, SIZES
 from benchmarks.blind_gap.generate import generate, key_path, load_car, make_runs
 from benchmarks.blind_gap.inside import _claimed, _decoded, _encoded
-from benchmarks.blind_gap.opening import OpeningError, load_labels, load_log, open_labels
 from benchmarks.blind_gap.seal import KEY_BYTES, SealError, seal, unseal
+from benchmarks.blind_gap.unsealing import OpeningError, load_labels, load_log, open_labels
 from steerd.car_model.car_file import default_car_path
 from steerd.car_model.car_file import load_car as load_default_car
 from steerd.car_model.effects import find_effect

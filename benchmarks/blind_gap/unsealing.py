@@ -1,4 +1,4 @@
-"""Opening the sealed labels: only after the verdicts are written, and never unnoticed.
+"""Unsealing the sealed labels: only after the verdicts are written, and never unnoticed.
 
 Every opening of a report set adds a line to an append-only log in the repository; each line holds
 the hash of the line before it, so that a line taken out shows.
@@ -22,7 +22,7 @@ class OpeningError(RuntimeError):
 
 
 @dataclass(frozen=True, slots=True)
-class Opening:
+class Unsealing:
     """One line of the log."""
 
     when: str
@@ -51,7 +51,7 @@ def case_names(manifest: dict[str, Any]) -> list[str]:
     return [row["case"] for row in manifest["cases"]]
 
 
-def load_log(path: Path = LOG) -> list[Opening]:
+def load_log(path: Path = LOG) -> list[Unsealing]:
     """Every opening so far.
 
     Raises:
@@ -60,17 +60,17 @@ def load_log(path: Path = LOG) -> list[Opening]:
     lines = path.read_text().splitlines() if path.exists() else []
     openings, previous = [], ""
     for line in lines:
-        opening = Opening(**json.loads(line))
-        if opening.previous != previous:
-            raise OpeningError(f"{path.name}: the line of {opening.when} does not follow its last")
-        openings.append(opening)
+        entry = Unsealing(**json.loads(line))
+        if entry.previous != previous:
+            raise OpeningError(f"{path.name}: the line of {entry.when} does not follow its last")
+        openings.append(entry)
         previous = sha256(line.encode())
     return openings
 
 
-def _append(path: Path, opening: Opening) -> None:
+def _append(path: Path, entry: Unsealing) -> None:
     with path.open("a") as file:
-        file.write(json.dumps(asdict(opening)) + "\n")
+        file.write(json.dumps(asdict(entry)) + "\n")
 
 
 def open_labels(
@@ -109,13 +109,15 @@ def open_labels(
     when = (now or datetime.now(UTC)).isoformat(timespec="seconds")
     previous = sha256(lines[-1].encode()) if lines else ""
     counts = (len(manifest["cases"]), len(missing))
-    _append(log, Opening(when, sha256(sealed), digest, *counts, previous))
+    _append(log, Unsealing(when, sha256(sealed), digest, *counts, previous))
     (out / "labels.json").write_bytes(text)
     labels: dict[str, Any] = json.loads(text)
     return labels
 
 
-def load_labels(out: Path, verdicts: Path, log: Path = LOG) -> tuple[dict[str, Any], list[Opening]]:
+def load_labels(
+    out: Path, verdicts: Path, log: Path = LOG
+) -> tuple[dict[str, Any], list[Unsealing]]:
     """Labels that may be scored, and the openings of report sets so far.
 
     Raises:
@@ -136,7 +138,7 @@ def load_labels(out: Path, verdicts: Path, log: Path = LOG) -> tuple[dict[str, A
 
 
 def _check_report(
-    out: Path, manifest: dict[str, Any], verdicts: Path, text: bytes, openings: list[Opening]
+    out: Path, manifest: dict[str, Any], verdicts: Path, text: bytes, openings: list[Unsealing]
 ) -> None:
     digest, _ = digest_verdicts(verdicts, case_names(manifest))
     known = {(o.labels_sha256, o.verdicts_sha256) for o in openings}
