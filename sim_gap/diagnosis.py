@@ -220,7 +220,43 @@ def diagnose(
         engine, runs, base_fit, best, noise, (told.before, told.after)
     )
     verdict = judged(told.verdict, before)
-    return replace(told, verdict=verdict, horizons=found, before=before, after=after)
+    whole = replace(told, verdict=verdict, horizons=found, before=before, after=after)
+    return _without_overclaim(whole, strained(choice.best.fitted) if told.causes else 0.0)
+
+
+def strained(fitted: Fitted) -> float:
+    """How far the base moved beside the effects, against what its uncertainty lets it.
+
+    Its squared Mahalanobis distance less its mean, in standard deviations of chi-square.
+    """
+    n = fitted.space.nuisance
+    square = 2.0 * fitted.space.base_cost(fitted.z)
+    return (square - n) / np.sqrt(2.0 * n) if n else 0.0
+
+
+def grown(before: Gap, after: Gap) -> tuple[float, ...]:
+    """Times after which the explanation leaves a larger position error than the base [s]."""
+    return tuple(
+        row[0]
+        for row in before.errors
+        if after.position(row[0]) > c.GROWN * row[1] + c.GROWN_LEAST
+    )
+
+
+def _without_overclaim(found: Diagnosis, strain: float) -> Diagnosis:
+    """Nothing is `explained` whose errors grow in millimetres, or whose base is not the base."""
+    notes = []
+    if found.causes and grown(found.before, found.after):
+        leads = ", ".join(f"{lead:g} s" for lead in grown(found.before, found.after))
+        notes.append(f"position errors grow with the explanation after {leads}")
+    if strain > c.STRAINED:
+        notes.append("beside the cause the base moved further than its own uncertainty lets it")
+    if not notes or found.verdict != "explained":
+        return replace(found, notes=(*found.notes, *notes))
+    causes = tuple(
+        replace(cause, confidence=min(cause.confidence, c.PARTIAL_MOST)) for cause in found.causes
+    )
+    return replace(found, verdict="partial", causes=causes, notes=(*found.notes, *notes))
 
 
 def _search(case: _Case, known: Noise | None) -> tuple[Engine, Fitted, list[Score], Noise]:
