@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import tomlkit
 
 from steerd.car_model.car_file import CarFile, CarFileError, Learned, update_car
+from steerd.car_model.model import Model
 from steerd.daemon.common.translate import make_car_file_error
 
 if TYPE_CHECKING:
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from steerd.sim_gap.diagnosis import Cause
     from steerd.sysid.data.dataset import Run
     from steerd.sysid.estimation.outcome import Outcome
+    from steerd.sysid.estimation.taught import TaughtModel
 
 
 def make_car(base: CarFile, updates: "Mapping[str, Learned]", path: Path) -> CarFile:
@@ -66,11 +68,10 @@ def _fitted_values(outcome: "Outcome") -> dict[str, Learned]:
             updates[name] = Learned(row.value, row.sd, source)
         elif row.value != row.before:
             updates[name] = Learned(row.value, None, f"steerd identify: {names}")
-    estimates = outcome.fit.estimates if outcome.fit else {}
     effects = {
-        name: Learned(e.value, e.sd, f"steerd identify: {names}")
-        for name, e in estimates.items()
-        if "." in name
+        name: Learned(row.value, row.sd, f"steerd identify: {names}")
+        for name, row in outcome.effect_rows.items()
+        if row.free
     }
     return updates | effects
 
@@ -80,6 +81,24 @@ def _servo_wait(outcome: "Outcome") -> str:
     if outcome.pulses:
         return "; half a frame (10 ms) is the mean wait for a pulse of the 50 Hz servo signal"
     return "; it contains the wait for the servo's next pulse"
+
+
+def teach_car(model: Model[float], runs: "Sequence[Run]") -> "TaughtModel":
+    """A car taught by drives, disturbances known: see `sysid.estimation.taught`.
+
+    Raises:
+        FloatingPointError: the car's simulation diverges.
+        ValueError: no window sees enough poses.
+    """
+    from steerd.sim_gap.healthy_drives import refine
+    from steerd.sysid.estimation.taught import TaughtModel
+
+    file = CarFile(
+        Path("taught.toml"), "taught", model.car, model.effects, model.values,
+        chassis=model.chassis,
+    )  # fmt: skip
+    found = refine(file, runs)
+    return TaughtModel(found.model, found.sd)
 
 
 def with_knowledge(car: CarFile, runs: "tuple[Run, ...]") -> str:

@@ -10,6 +10,7 @@ from steerd.car_model.car_file import CarFile, CarFileError, Learned, parse_car,
 from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
+from steerd.daemon.analysis.car_output import teach_car
 from steerd.daemon.analysis.drives import (
     Speed,
     Warn,
@@ -99,6 +100,7 @@ def make_task(request: IdentifyRequest, warn: Warn) -> Task:
         model = level_loads(model, runs)
     return Task(
         runs=runs,
+        teach=teach_car,
         held_out=tuple(load_drive(path, request.speed, warn) for path in files),
         every=EVERY if request.held_out.every is None else request.held_out.every,
         model=model,

@@ -123,9 +123,15 @@ def standard_errors(chart: Chart, z: Array, covariance: Array) -> Array:
     return sd
 
 
-def _known(name: str, value: float, sd: float, prior_sd: float) -> bool:
+def is_identifiable(name: str, value: float, sd: float, prior_sd: float) -> bool:
+    """Whether a standard error is small against the value, or against what was known before."""
     relative = name in RELATIVE or name in ("lf", "lr")
     return sd < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior_sd)
+
+
+def manoeuvre_for(name: str) -> str:
+    """What would identify a parameter."""
+    return MANOEUVRES.get(name, _SHOWING)
 
 
 def _scale(chart: Chart, z: Array) -> Array:
@@ -191,8 +197,8 @@ def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     for i in moving:
         name, value, sd = chart.names[i], float(parameters[i]), float(sds[i])
         doubt = float(careful[i])
-        known = not stuck and _known(name, value, doubt, float(priors[i]))
-        hint = "" if known else stuck or MANOEUVRES.get(name, _SHOWING)
+        known = not stuck and is_identifiable(name, value, doubt, float(priors[i]))
+        hint = "" if known else stuck or manoeuvre_for(name)
         out[name] = Estimate(value, sd if known else max(sd, doubt), float(priors[i]), known, hint)
     return out
 

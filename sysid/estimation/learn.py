@@ -32,6 +32,7 @@ from steerd.sysid.estimation.prediction_horizon import (
 )
 from steerd.sysid.estimation.servo_pulse import Pulse, rough_fit, settle_servo
 from steerd.sysid.estimation.setpoint_ramp import Ramp, settle_ramp
+from steerd.sysid.estimation.taught import TaughtModel, Teacher, start_of, taught_rows
 from steerd.sysid.estimation.validation import (
     HORIZONS,
     by_lateral_acceleration,
@@ -84,6 +85,7 @@ class Task:
         effects: candidates; those that the drives show are fitted with the car.
         first: where the fit starts, if not at `model`.
         stated: parameters that whoever asks vouches for.
+        teach: gives the values where residuals are many times the noise, see `taught`.
     """
 
     runs: tuple[Run, ...]
@@ -101,6 +103,7 @@ class Task:
     effects: tuple[str, ...] = ()
     first: Model[float] | None = None
     stated: tuple[str, ...] = ()
+    teach: Teacher | None = None
 
 
 def fit_wheelbase(
@@ -166,11 +169,14 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         searches: tuple[SearchHistory, ...] = ()
     else:
         found, searches = None, _search(task)
+    taught = _taught(task, found, fitted)
     seconds = clock() - began
     car, rows = _rows(task, given, found, searches)
-    after = task.model._replace(car=car)
+    after, effect_rows = task.model._replace(car=car), _effect_rows(task.model, found)
     if found is not None:
         after = after._replace(values=found.model.values)
+    if taught is not None:
+        after, (rows, effect_rows) = taught.model, taught_rows(given, taught)
     traces = [trace_windows(model, kept, max(HORIZONS)) for model in (after, task.model)]
     errors = [errors_at(each, HORIZONS) for each in traces]
     return Outcome(
@@ -178,24 +184,36 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         sessions=tuple(dict.fromkeys(run.name for run in task.runs)),
         held_out_of=words,
         before=task.model.car,
-        after=car,
+        after=after.car,
         rows=rows,
-        combinations=found.combinations if found else (),
+        combinations=found.combinations if found and taught is None else (),
         held_out=tuple(HeldOut(a, b) for a, b in zip(*errors, strict=True)),
         excitation=measure_excitation(parts),
         traces=(traces[0], traces[1]),
         fit=found,
         searches=searches,
         seconds=seconds,
-        notes=_notes(found, speed_tracking_share(parts), task.options),
+        notes=_notes(found, speed_tracking_share(parts), task.options, taught is not None),
         truth=task.truth,
         pulses=pulses,
         ramps=ramps,
-        effect_rows=_effect_rows(task.model, found),
+        effect_rows=effect_rows,
         log_jitters=tuple(run.log_jitter for run in (*task.runs, *task.held_out) if run.log_jitter),
         selected_effects=selected,
         regimes=by_lateral_acceleration(traces[0], REGIME),
     )
+
+
+def _taught(task: Task, found: Fit | None, fitted: Sequence[Run]) -> TaughtModel | None:
+    """The car by the teacher, where the fit leaves more than noise and nobody stated otherwise."""
+    if task.teach is None or found is None or task.stated or task.effects:
+        return None
+    if task.options.wheelbase is not None or max(found.misfit.values(), default=0.0) <= POOR:
+        return None
+    try:
+        return task.teach(start_of(task.model, found), fitted)
+    except (ValueError, FloatingPointError):
+        return None
 
 
 def _split(task: Task, parts: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...], str]:
@@ -388,7 +406,7 @@ def _told(
     return out
 
 
-def _notes(found: Fit | None, share: float, options: Options) -> tuple[str, ...]:
+def _notes(found: Fit | None, share: float, options: Options, taught: bool) -> tuple[str, ...]:
     notes = []
     if share < OBEYED:
         notes.append(
@@ -409,7 +427,12 @@ def _notes(found: Fit | None, share: float, options: Options) -> tuple[str, ...]
         size = f"{poor[worst]:.{1 if poor[worst] < 10.0 else 0}f}"
         notes.append(
             f"residuals of {worst} are {size} times its noise: something is not in the "
-            f"model; {_remedy(found)}, and values may be off by more than their sd"
+            f"model; {_remedy(found)}"
+            + (
+                "; the values come from windows of 1 s, weighed by the disturbances that show"
+                if taught
+                else ", and values may be off by more than their sd"
+            )
         )
     return tuple(notes)
 
