@@ -323,7 +323,7 @@ HOOKS: tuple[str, ...] = (
 )
 
 
-class Bound(NamedTuple):
+class BoundHook(NamedTuple):
     """One hook of one effect in a model: which values and which memory it gets."""
 
     hook: Callable[..., Any]

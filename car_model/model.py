@@ -6,7 +6,7 @@ from typing import Generic, NamedTuple
 
 from steerd.car_model.actuators import Actuated, actuate, references
 from steerd.car_model.chassis import Axles, Chassis, Rates, lateral_forces
-from steerd.car_model.effect import HOOKS, Bound, Effect
+from steerd.car_model.effect import HOOKS, BoundHook, Effect
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.single_track import SINGLE_TRACK
@@ -30,15 +30,15 @@ class Moment(NamedTuple, Generic[T]):
 
 
 @lru_cache(maxsize=4096)
-def bound_hooks(effects: tuple[Effect, ...], name: str) -> tuple[Bound, ...]:
+def bound_hooks(effects: tuple[Effect, ...], name: str) -> tuple[BoundHook, ...]:
     """The hooks called `name` of all effects, in order, each with its slice of the memory."""
-    bound: list[Bound] = []
+    bound: list[BoundHook] = []
     start = 0
     for index, effect in enumerate(effects):
         stop = start + effect.memory
         hook = getattr(effect, name)
         if hook is not None:
-            bound.append(Bound(hook, index, start, stop))
+            bound.append(BoundHook(hook, index, start, stop))
         start = stop
     return tuple(bound)
 

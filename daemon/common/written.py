@@ -15,9 +15,9 @@ from pathlib import Path
 
 import platformdirs
 
-from steerd.daemon.common.atomic_file import write_whole
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.screen import print_labelled
+from steerd.daemon.common.whole_file import write_whole
 from steerd.steer_bus.atomic_file import write_atomically
 
 _REMEMBERED = 10_000

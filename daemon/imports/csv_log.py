@@ -12,7 +12,7 @@ from pathlib import Path
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.progress import Advance
-from steerd.daemon.imports.csv_table import Row, fail_cell, open_table, read_table
+from steerd.daemon.imports.csv_table import CsvRow, fail_cell, open_table, read_table
 from steerd.daemon.imports.import_map import NS, ImportMap, load_map
 from steerd.daemon.imports.import_session import (
     ImportNotes,
@@ -67,8 +67,8 @@ def import_csv(source: Path, map_path: Path, out: Path, advance: Advance) -> Imp
 
 
 def _add_times(
-    name: str, rows: Iterator[Row], the_map: ImportMap, notes: ImportNotes
-) -> Iterator[tuple[int, Row]]:
+    name: str, rows: Iterator[CsvRow], the_map: ImportMap, notes: ImportNotes
+) -> Iterator[tuple[int, CsvRow]]:
     """Rows with their times [ns], which never go back."""
     column = the_map.columns["t"].column
     last_ns, last_row = None, 0
@@ -95,8 +95,8 @@ def _nanoseconds(t: float) -> int:
 
 
 def _raise_epoch(
-    the_map: ImportMap, timed: Iterator[tuple[int, Row]]
-) -> tuple[ImportMap, Iterator[tuple[int, Row]]]:
+    the_map: ImportMap, timed: Iterator[tuple[int, CsvRow]]
+) -> tuple[ImportMap, Iterator[tuple[int, CsvRow]]]:
     """Raise the epoch if the log begins before 1970: a session's stamps are not negative."""
     first = next(timed, None)
     if first is None:
@@ -106,7 +106,7 @@ def _raise_epoch(
 
 
 def _samples(
-    name: str, timed: Iterator[tuple[int, Row]], the_map: ImportMap, notes: ImportNotes
+    name: str, timed: Iterator[tuple[int, CsvRow]], the_map: ImportMap, notes: ImportNotes
 ) -> Iterator[Sample]:
     maker = MessageMaker(the_map.epoch_ns, the_map.frame)
     for t_ns, (number, v) in timed:

@@ -24,7 +24,7 @@ _SHOWN = 12
 """Column names that an error lists."""
 
 
-class Row(NamedTuple):
+class CsvRow(NamedTuple):
     """The quantities that have a value in one line of the file."""
 
     number: int
@@ -60,7 +60,7 @@ def open_table(source: Path) -> TextIO:
 
 def read_table(
     name: str, file: TextIO, columns: Mapping[str, ColumnSpec], advance: Advance
-) -> Iterator[Row]:
+) -> Iterator[CsvRow]:
     """Read the rows of an open table.
 
     Args:
@@ -90,7 +90,7 @@ def read_table(
             found = ((c.quantity, _value(name, number, c, texts, delimiter)) for c in cells)
             values = {quantity: value for quantity, value in found if value is not None}
             if values:
-                yield Row(number, values)
+                yield CsvRow(number, values)
     except csv.Error as error:
         _fail(name, before + reader.line_num, str(error))
 

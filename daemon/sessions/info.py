@@ -12,8 +12,8 @@ from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.motion import (
     Array,
-    Range,
     Signal,
+    SignalRange,
     Track,
     find_implausible,
     make_range,
@@ -96,9 +96,9 @@ class SessionReport:
     states: tuple[StateChange, ...]
     end: str
     length_m: float | None
-    speed: Range | None
-    steer: Range | None
-    lateral_accel: Range | None
+    speed: SignalRange | None
+    steer: SignalRange | None
+    lateral_accel: SignalRange | None
     excitation: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -306,7 +306,10 @@ def _topic(topic: TopicInfo, tables: dict[str, Columns], start_ns: int) -> Topic
 
 
 def _find_unidentifiable(
-    track: Track | None, speed: Range | None, steer: Range | None, lateral: Range | None
+    track: Track | None,
+    speed: SignalRange | None,
+    steer: SignalRange | None,
+    lateral: SignalRange | None,
 ) -> tuple[str, ...]:
     """What cannot be identified from this drive."""
     remarks = []

@@ -83,7 +83,7 @@ class Signal:
 
 
 @dataclass(frozen=True, slots=True)
-class Range:
+class SignalRange:
     """A signal's 0.1 % and 99.9 % quantiles and its standard deviation."""
 
     low: float
@@ -135,13 +135,13 @@ def _unbroken(t: Array) -> tuple[Array, Array]:
     return np.repeat(t[starts], lengths), np.repeat(t[ends - 1], lengths)
 
 
-def make_range(values: Array) -> Range | None:
+def make_range(values: Array) -> SignalRange | None:
     """The range of the finite values; None if there is none."""
     values = values[np.isfinite(values)]
     if not values.size:
         return None
     low, high = np.quantile(values, (0.001, 0.999))
-    return Range(float(low), float(high), float(np.std(values)))
+    return SignalRange(float(low), float(high), float(np.std(values)))
 
 
 # -- plausibility --------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from typing import Any
 
 from steerd.daemon.common.screen import NBSP, WIDTH, clean, join_words, print_labelled, wrap
 from steerd.daemon.sessions.info import SessionReport, TopicReport
-from steerd.daemon.sessions.motion import Range
+from steerd.daemon.sessions.motion import SignalRange
 from steerd.steer_bus.topics import split_key
 
 TOPICS_SHOWN = 18
@@ -114,7 +114,7 @@ def _drive(report: SessionReport) -> str:
     return ", ".join(map(join_words, parts))
 
 
-def _span(found: Range, digits: int) -> str:
+def _span(found: SignalRange, digits: int) -> str:
     low, high = (round(v, digits) + 0.0 for v in (found.low, found.high))
     return f"{low:.{digits}f} to {high:.{digits}f}"
 

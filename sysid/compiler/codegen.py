@@ -22,7 +22,7 @@ SENSITIVITIES = 72
 """Most sensitivities of a number; a row is 9 cache lines, so that rows do not share cache sets."""
 
 
-class Block(NamedTuple):
+class CodeBlock(NamedTuple):
     """A function to print: which inputs it reads from where, and what it writes where.
 
     `loops`: its body is a loop over the numbers of a row.
@@ -82,12 +82,12 @@ def slopes_of(piece: Piece, traced: Traced) -> list[Slope]:
     return found
 
 
-def jacobian_block(name: str, piece: Piece, slopes: Sequence[Slope]) -> Block:
+def jacobian_block(name: str, piece: Piece, slopes: Sequence[Slope]) -> CodeBlock:
     """Outputs and nonzero derivatives at one point: `out[i]`, and `j[s]` for slope `s`."""
     loads = tuple((s, f"z[{i}]") for i, s in enumerate(piece.inputs))
     targets = [(f"out[{i}]", e) for i, e in enumerate(piece.outputs)]
     targets += [(f"j[{k}]", slope.formula) for k, slope in enumerate(slopes)]
-    return Block(name, "z, p, q, h, out, j", loads, tuple(targets), loops=False)
+    return CodeBlock(name, "z, p, q, h, out, j", loads, tuple(targets), loops=False)
 
 
 def _print_jvp(name: str, piece: Piece, slopes: Sequence[Slope]) -> list[str]:
@@ -102,7 +102,7 @@ def _print_jvp(name: str, piece: Piece, slopes: Sequence[Slope]) -> list[str]:
             if s.output == i
         ]
         body.append(f"{_sensitivities(split + i)} = {' + '.join(terms) or '0.0'}")
-    block = Block(name, "j, w, n", (), (), loops=True)
+    block = CodeBlock(name, "j, w, n", (), (), loops=True)
     return _assemble(block, head, body)
 
 
@@ -110,14 +110,14 @@ def _zero(node: Node) -> bool:
     return node.entry.op == "const" and node.entry.value == 0.0
 
 
-def rows_block(name: str, piece: Piece) -> Block:
+def rows_block(name: str, piece: Piece) -> CodeBlock:
     """Workspace rows: inputs, then outputs."""
     loads = tuple((s, _slots(i)) for i, s in enumerate(piece.inputs))
     targets = tuple((_slots(len(loads) + i), e) for i, e in enumerate(piece.outputs))
-    return Block(name, "w, n, p, q, h", loads, targets, loops=True)
+    return CodeBlock(name, "w, n, p, q, h", loads, targets, loops=True)
 
 
-def vjp_block(name: str, piece: Piece, traced: Traced) -> Block:
+def vjp_block(name: str, piece: Piece, traced: Traced) -> CodeBlock:
     """Vector-Jacobian product; rows: inputs, output weights, input slopes (set), parameter slopes.
 
     Parameter slopes are added to; rows of parameters that the piece does not depend on stay.
@@ -132,7 +132,7 @@ def vjp_block(name: str, piece: Piece, traced: Traced) -> Block:
     for k, e in enumerate(slopes[split:]):
         if not _zero(e):
             targets.append((f"{_slots(first + split + k)} +", e))
-    return Block(name, "w, n, p, q, h", loads, tuple(targets), loops=True)
+    return CodeBlock(name, "w, n, p, q, h", loads, tuple(targets), loops=True)
 
 
 def _constant_places(traced: Traced, places: Sequence[int]) -> set[int]:
@@ -147,7 +147,7 @@ def _constant_places(traced: Traced, places: Sequence[int]) -> set[int]:
     return {p for p in known - fixed if entries[p].op != "const"}
 
 
-def _print_block(block: Block, traced: Traced, constants: _Constants) -> list[str]:
+def _print_block(block: CodeBlock, traced: Traced, constants: _Constants) -> list[str]:
     entries = traced.tape.entries
     places = needed(node for _, node in block.targets)
     hoisted = _constant_places(traced, places)
@@ -169,7 +169,7 @@ def _print_block(block: Block, traced: Traced, constants: _Constants) -> list[st
     return _assemble(block, head, body)
 
 
-def _assemble(block: Block, head: list[str], body: list[str]) -> list[str]:
+def _assemble(block: CodeBlock, head: list[str], body: list[str]) -> list[str]:
     lines = ["@inlined", f"def {block.name}({block.arguments}):"]
     lines += [f"    {line}" for line in head]
     indent = "    "

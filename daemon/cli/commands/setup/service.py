@@ -91,7 +91,7 @@ def _absolute(text: str, dest: str) -> str:
 
 
 def _install(path: Path, text: str, user: bool, *, force: bool) -> int:
-    from steerd.daemon.common.atomic_file import write_whole
+    from steerd.daemon.common.whole_file import write_whole
 
     if path.exists() and path.read_text() != text and not force:
         raise SteerdError(f"{path} exists already", "--force replaces it", ExitCode.USAGE)
