@@ -2,6 +2,7 @@
 
 import shutil
 import textwrap
+from math import isfinite
 from typing import TextIO
 
 WIDTH = 80
@@ -16,6 +17,13 @@ def clean(text: str, length: int = TEXT_MAX) -> str:
     """Text from a file, safe for a terminal: no control characters, not too long."""
     shown = "".join(c if c.isprintable() else "?" for c in text[:length])
     return shown + ("…" if len(text) > length else "")
+
+
+def show(value: float, form: str) -> str:
+    """A number in a format, or a dash of that width where it is not known (NaN, infinite)."""
+    if isfinite(value):
+        return format(value, form)
+    return format("–", f">{len(format(0.0, form))}")
 
 
 def wrap(text: str, first: str = "", rest: str = "", width: int = WIDTH) -> list[str]:

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator
 from math import degrees
 from typing import NamedTuple
 
+from steerd.daemon.common.screen import show
 from steerd.daemon.loop.findings import Finding, Severity
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.settings.config import BrakeSettings
@@ -77,9 +78,9 @@ def check_lane(lane: LaneStatus, thresholds: Thresholds) -> Iterator[str]:
         return
     if not abs(lane.e1) <= thresholds.lateral_warn:
         side = "left" if lane.e1 > 0.0 else "right"
-        yield f"the car stands {abs(lane.e1):.2f} m {side} of the path: put it on the path"
+        yield f"the car stands {show(abs(lane.e1), '.2f')} m {side} of the path: put it on the path"
     elif not abs(lane.e2) <= thresholds.heading_warn:
-        yield f"the car points {degrees(lane.e2):+.0f} deg off the path: turn it"
+        yield f"the car points {show(degrees(lane.e2), '+.0f')} deg off the path: turn it"
 
 
 def check_findings(findings: Iterable[Finding]) -> Iterator[str]:
@@ -90,4 +91,4 @@ def check_findings(findings: Iterable[Finding]) -> Iterator[str]:
 def check_motion(speed: float) -> Iterator[str]:
     """Failure of a car that moves."""
     if not abs(speed) < STANDING_SPEED:
-        yield f"the car moves at {speed:.2f} m/s: let it stand"
+        yield f"the car moves at {show(speed, '.2f')} m/s: let it stand"

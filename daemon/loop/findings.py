@@ -17,11 +17,19 @@ class Severity(IntEnum):
 
 
 class Finding(NamedTuple):
-    """The report of one watchdog in one tick."""
+    """The report of one watchdog in one tick.
+
+    Attributes:
+        id: of the watchdog.
+        severity: of the stop that it requires.
+        text: for people.
+        known: whether its number was ever measured; if not, people have nothing to look after yet.
+    """
 
     id: str
     severity: Severity
     text: str
+    known: bool = True
 
 
 class Watchdog(NamedTuple):
@@ -72,6 +80,37 @@ WATCHDOGS = {
     "limiter": Watchdog("order not finite", _HARD, "report this with the session file"),
     "launch": Watchdog("launch check", _HARD, "run steerd mocap check"),
 }
+
+
+SIMULATED = {
+    "W1": "simulated cameras are late when the machine is busy; --fast drives in virtual time",
+    "W7": "a simulated VESC is silent when the machine is busy; --fast drives in virtual time",
+    "W8": "the simulated hardware has ended, or the machine is too busy for it",
+    "W9": "the machine is too busy for real time; --fast drives in virtual time",
+    "W15": "the machine is too busy for real time; --fast drives in virtual time",
+    "W24": "the simulated car is slower to stop than [safety] brake_decel says",
+    "W28": "the machine slept: start the simulation anew",
+}
+"""Advice where the hardware is simulated and the usual one would mislead."""
+
+
+def advise_simulation(finding: Finding) -> Finding:
+    """The finding with the advice for simulated hardware."""
+    advice = SIMULATED.get(finding.id)
+    if advice is None:
+        return finding
+    text = finding.text.removesuffix(f"; {WATCHDOGS[finding.id].advice}")
+    return finding if text == finding.text else finding._replace(text=f"{text}; {advice}")
+
+
+def make_unknown(id: str, what: str) -> Finding:
+    """Return the finding of a watchdog whose number was never measured: no advice is known.
+
+    Raises:
+        KeyError: there is no such watchdog.
+    """
+    watchdog = WATCHDOGS[id]
+    return Finding(id, watchdog.severity, f"{id} {watchdog.name}: {what}", known=False)
 
 
 def make_finding(id: str, measured: str, severity: Severity | None = None) -> Finding:

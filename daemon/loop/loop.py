@@ -7,7 +7,7 @@ states from tick to tick.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import nan
+from math import isfinite, nan
 from typing import NamedTuple
 
 from steerd.car_model.actuators import references
@@ -32,7 +32,13 @@ from steerd.daemon.loop.checks import (
     check_motion,
     check_vesc,
 )
-from steerd.daemon.loop.findings import Finding, make_finding, summarise
+from steerd.daemon.loop.findings import (
+    Finding,
+    advise_simulation,
+    make_finding,
+    make_unknown,
+    summarise,
+)
 from steerd.daemon.loop.flags import Flag, make_reported_findings
 from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
 from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
@@ -309,7 +315,7 @@ class Loop:
         self._watchdogs, findings = step_watchdogs(
             self.setup.settings.thresholds, self._watchdogs, inputs
         )
-        return findings
+        return tuple(map(advise_simulation, findings)) if self.setup.simulated else findings
 
     def _check_launch(self, estimate: StateEstimate | None, now_ns: int) -> Iterator[Finding]:
         if self.supervisor.state is not SupervisorState.RUNNING or estimate is None:
@@ -331,7 +337,10 @@ class Loop:
         driving = self.supervisor.state is SupervisorState.RUNNING and self.setup.remote
         if driving and valid_command(self.remote, now_ns) is None:
             age = command_age(self.remote, now_ns)
-            yield make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")
+            if isfinite(age):
+                yield make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")
+            else:
+                yield make_unknown("W25", "no valid command yet")
 
     def _make_watchdog_input(
         self,

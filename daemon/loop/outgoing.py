@@ -174,7 +174,7 @@ def make_diagnostics(
         2 if supervisor.state in (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED) else 0
     )
     level = 2 if supervisor.state is SupervisorState.ESTOP else level
-    warnings = [finding.text for finding in findings]
+    warnings = [finding.text for finding in findings if finding.known]
     if warnings and level == 0:
         level = 1
     values = {

@@ -9,10 +9,11 @@ the runner implements W8, W15, W16 and W26 to W29 (``WatchdogInput.reported``).
 # Why: docs/decisions/safety.md#d41
 
 from collections.abc import Callable
-from math import cos, degrees, sin
+from math import cos, degrees, isfinite, sin
 from typing import NamedTuple
 
-from steerd.daemon.loop.findings import Finding, Severity, make_finding
+from steerd.daemon.common.screen import show
+from steerd.daemon.loop.findings import Finding, Severity, make_finding, make_unknown
 from steerd.daemon.loop.supervisor import SOFT_DECEL
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs_pose import PoseWatch, is_flapping, rejected_share
@@ -116,6 +117,9 @@ def is_inside(fence: tuple[tuple[float, float], ...], x: float, y: float) -> boo
 def _check_mocap_age(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.mocap_age <= th.mocap_warn:
         return
+    if not isfinite(i.mocap_age):
+        report(make_unknown("W1", "no good frame yet"))
+        return
     speed = i.speed if abs(i.speed) > abs(i.speed_erpm) else i.speed_erpm
     allowed = mocap_timeout(th, speed)
     text = f"no good frame for {i.mocap_age * 1e3:.0f} ms (limit {allowed * 1e3:.0f} ms)"
@@ -125,7 +129,7 @@ def _check_mocap_age(th: Thresholds, i: WatchdogInput, report: Report) -> None:
 def _check_pose(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     w = i.pose
     if w.frozen >= th.freeze_warn:
-        text = f"{w.frozen} identical frames at {i.speed_erpm:.2f} m/s"
+        text = f"{w.frozen} identical frames at {show(i.speed_erpm, '.2f')} m/s"
         report(make_finding("W2", text, None if w.frozen >= th.freeze_frames else _WARN))
     if w.invalid:
         text = f"{w.invalid} bad frames in a row"
@@ -147,13 +151,18 @@ def _check_innovation(th: Thresholds, i: WatchdogInput, report: Report) -> None:
 
 def _check_estimate(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     good = i.sigma_position <= th.sigma_position and i.sigma_yaw <= th.sigma_yaw
-    if not (good and i.covariance_ok):
+    known = isfinite(i.sigma_position) and isfinite(i.sigma_yaw)
+    if i.covariance_ok and not known:
+        report(make_unknown("W6", "no estimate yet"))
+    elif not (good and i.covariance_ok):
         text = f"sigma {i.sigma_position:.3f} m, {degrees(i.sigma_yaw):.1f} deg"
         report(make_finding("W6", text if i.covariance_ok else "covariance not positive definite"))
 
 
 def _check_telemetry(th: Thresholds, i: WatchdogInput, report: Report) -> None:
-    if not i.telemetry_age <= th.telemetry_warn:
+    if not isfinite(i.telemetry_age):
+        report(make_unknown("W7", "no reply yet"))
+    elif i.telemetry_age > th.telemetry_warn:
         text = f"no reply for {i.telemetry_age * 1e3:.0f} ms"
         report(make_finding("W7", text, _WARN if i.telemetry_age <= th.telemetry else None))
 
@@ -168,16 +177,18 @@ def _check_vesc(_th: Thresholds, i: WatchdogInput, report: Report) -> None:
 
 def _check_battery(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.cell_voltage < th.cell_warn:
-        report(make_finding("W13", f"{i.cell_voltage:.2f} V per cell", _WARN))
+        report(make_finding("W13", f"{show(i.cell_voltage, '.2f')} V per cell", _WARN))
 
 
 def _check_temperature(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     fet_trips, motor_trips = not i.fet_temperature <= th.fet, i.motor_temperature > th.motor
-    if fet_trips or i.fet_temperature > th.fet_warn:
+    if not isfinite(i.fet_temperature):
+        report(make_unknown("W14", "the transistors' temperature is not known yet"))
+    elif fet_trips or i.fet_temperature > th.fet_warn:
         text = f"transistors at {i.fet_temperature:.0f} C"
         report(make_finding("W14", text, None if fet_trips else _WARN))
     if motor_trips or i.motor_temperature > th.motor_warn:
-        text = f"motor at {i.motor_temperature:.0f} C"
+        text = f"motor at {show(i.motor_temperature, '.0f')} C"
         report(make_finding("W14", text, None if motor_trips else _WARN))
 
 
@@ -185,10 +196,15 @@ def _check_path(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.state not in _DRIVING:
         return
     lateral, heading = abs(i.lateral_error), abs(i.heading_error)
-    if not lateral <= th.lateral_warn:
-        text = f"{lateral:.2f} m"
-        report(make_finding("W17", text, _WARN if lateral <= th.lateral_max else None))
-    if not heading <= th.heading_warn:
+    if not isfinite(lateral):
+        report(make_unknown("W17", "no lane error"))
+    elif lateral > th.lateral_warn:
+        report(
+            make_finding("W17", f"{lateral:.2f} m", _WARN if lateral <= th.lateral_max else None)
+        )
+    if not isfinite(heading):
+        report(make_unknown("W18", "no heading error"))
+    elif heading > th.heading_warn:
         text = f"{degrees(heading):.0f} deg"
         report(make_finding("W18", text, _WARN if heading <= th.heading else None))
 
@@ -197,6 +213,9 @@ def _check_fence(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if not th.fence:
         return
     v = abs(i.speed)
+    if not (isfinite(v) and isfinite(i.x) and isfinite(i.y) and isfinite(i.course)):
+        report(make_unknown("W19", "where the car is is not known"))
+        return
     stopping_distance = v * th.fence_delay + v * v / (2.0 * th.brake_decel) + th.fence_margin
     c, s = cos(i.course), sin(i.course)
     inside = is_inside(th.fence, i.x + stopping_distance * c, i.y + stopping_distance * s)
@@ -209,7 +228,9 @@ def _check_fence(th: Thresholds, i: WatchdogInput, report: Report) -> None:
 
 
 def _check_lease(th: Thresholds, i: WatchdogInput, report: Report) -> None:
-    if i.state in _LEASED and not i.lease_age <= th.lease_warn:
+    if i.state in _LEASED and not isfinite(i.lease_age):
+        report(make_unknown("W25", "no operator yet"))
+    elif i.state in _LEASED and not i.lease_age <= th.lease_warn:
         text = f"not renewed for {i.lease_age * 1e3:.0f} ms"
         report(make_finding("W25", text, _WARN if i.lease_age <= th.lease else None))
 
@@ -251,37 +272,46 @@ def _is_blocked(th: Thresholds, i: WatchdogInput) -> bool:
     return stands and i.current_share > th.blocked_current and i.state == SupervisorState.RUNNING
 
 
+def _describe_speeds(i: WatchdogInput) -> str:
+    return f"wheels {show(i.speed_erpm, '.2f')}, mocap {show(i.speed_mocap, '.2f')} m/s"
+
+
+def _describe_block(i: WatchdogInput) -> str:
+    share, speed = show(i.current_share, ".0%"), show(i.speed_erpm, ".2f")
+    return f"{share} of the current limit at {speed} m/s"
+
+
 TIMED: tuple[Timed, ...] = (
     Timed("W9", _is_starved, lambda _: COMMANDED_S, lambda _: "status bit 0 stays set"),
     Timed(
         "W13",
         lambda th, i: not i.cell_voltage >= th.cell,
         lambda th: th.cell_hold,
-        lambda i: f"{i.cell_voltage:.2f} V per cell",
+        lambda i: f"{show(i.cell_voltage, '.2f')} V per cell",
     ),
     Timed(
         "W17",
         lambda th, i: i.state in _DRIVING and abs(i.lateral_error) > th.lateral,
         lambda th: th.lateral_hold,
-        lambda i: f"{abs(i.lateral_error):.2f} m",
+        lambda i: f"{show(abs(i.lateral_error), '.2f')} m",
     ),
     Timed(
         "W20",
         _is_fast,
         lambda th: th.overspeed_hold,
-        lambda i: f"wheels {i.speed_erpm:.2f}, mocap {i.speed_mocap:.2f} m/s",
+        _describe_speeds,
     ),
     Timed(
         "W21",
         _is_mismatched,
         lambda th: th.mismatch_hold,
-        lambda i: f"wheels {i.speed_erpm:.2f}, mocap {i.speed_mocap:.2f} m/s",
+        _describe_speeds,
     ),
     Timed(
         "W22",
         _is_blocked,
         lambda th: th.blocked_hold,
-        lambda i: f"{i.current_share:.0%} of the current limit at {i.speed_erpm:.2f} m/s",
+        _describe_block,
     ),
 )
 NEVER = -1
@@ -355,7 +385,7 @@ def _step_saturation(
         return i.t_ns, error
     held = (i.t_ns - w.saturated_ns) / 1e9
     if held >= th.saturated_warn and not error <= w.saturated_error + SATURATED_GROWTH:
-        text = f"at the limit for {held:.1f} s, {error:.2f} m off and growing"
+        text = f"at the limit for {held:.1f} s, {show(error, '.2f')} m off and growing"
         report(make_finding("W23", text, None if held >= th.saturated_hold else _WARN))
     return w.saturated_ns, w.saturated_error
 
@@ -376,7 +406,9 @@ def _step_stop(th: Thresholds, w: WatchdogState, i: WatchdogInput, report: Repor
         weak = abs(i.speed) > th.stop_speed and not drop >= th.stop_share * plan * seconds
         w = w._replace(stop_ns=i.t_ns, stop_speed=i.speed, weak=w.weak + weak)
     if w.weak:
-        text = f"still {abs(i.speed):.2f} m/s, too little slower after {th.stop_window:.1f} s"
+        text = (
+            f"still {show(abs(i.speed), '.2f')} m/s, too little slower after {th.stop_window:.1f} s"
+        )
         report(make_finding("W24", text if w.weak == 1 else f"CUT POWER: {text}"))
     return w
 

@@ -9,6 +9,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from steerd.daemon.common.screen import show
 from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.loop.transitions import SupervisorState
@@ -133,18 +134,21 @@ class Dashboard:
         late_ms = max(self.tick.woke_ns - self.tick.due_ns, 0) * 1e-6 if self.tick else 0.0
         work_ms = self.tick.work_ns * 1e-6 if self.tick else 0.0
         table.add_row(
-            "pose", f"x {s.x:+7.3f} m", f"y {s.y:+7.3f} m", f"yaw {degrees(s.yaw):+7.1f}°"
+            "pose",
+            f"x {show(s.x, '+7.3f')} m",
+            f"y {show(s.y, '+7.3f')} m",
+            f"yaw {show(degrees(s.yaw), '+7.1f')}°",
         )
         table.add_row(
             "motion",
-            f"v {s.speed:+6.2f} m/s",
-            f"r {s.yaw_rate:+6.2f} rad/s",
-            f"slip {degrees(s.slip_angle):+5.1f}°",
+            f"v {show(s.speed, '+6.2f')} m/s",
+            f"r {show(s.yaw_rate, '+6.2f')} rad/s",
+            f"slip {show(degrees(s.slip_angle), '+5.1f')}°",
         )
         table.add_row(
             "lane",
-            f"e1 {100 * s.e1:+6.2f} cm",
-            f"e2 {degrees(s.e2):+6.2f}°",
+            f"e1 {show(100 * s.e1, '+6.2f')} cm",
+            f"e2 {show(degrees(s.e2), '+6.2f')}°",
             f"RMS {100 * self.tally.rms:.2f} cm",
         )
         table.add_row(

@@ -8,6 +8,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.screen import show
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.terminal.dashboard import Dashboard
@@ -101,7 +102,11 @@ class Watch:
         if (silent := self.silence(t_ns)) > 0.0:
             return f"no message for {silent:.1f} s: is the daemon still running?"
         name = SupervisorState(state.mode).name if state else status.get("state", "?")
-        motion = f"{state.speed:+.2f} m/s, e1 {100 * state.e1:+.2f} cm" if state else "no state"
+        motion = (
+            f"{show(state.speed, '+.2f')} m/s, e1 {show(100 * state.e1, '+.2f')} cm"
+            if state
+            else "no state"
+        )
         rates = self.rates(t_ns)
         shown = ", ".join(f"{key} {rates[key]:.0f}" for key in _SHOWN if key in rates)
         return f"{name:<14}{motion}; {shown} Hz; fault {self.fault}"
@@ -126,7 +131,8 @@ class Watch:
             style = "red" if v.fault_code > 0 else ""
             parts.append(
                 Text(
-                    f"VESC  {v.v_in:.1f} V  {v.current_motor:+.1f} A  {v.temp_fet:.0f} °C  "
+                    f"VESC  {show(v.v_in, '.1f')} V  {show(v.current_motor, '+.1f')} A  "
+                    f"{show(v.temp_fet, '.0f')} °C  "
                     f"fault: {self.fault}",
                     style=style,
                 )

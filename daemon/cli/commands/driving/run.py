@@ -183,7 +183,7 @@ def drive(plan: RunPlan, *, fast: bool) -> int:
         return run_fast(plan)
     if plan.options.simulated:
         return _run_simulated(plan)
-    return _run_live(plan)
+    return _run_live(plan)[0]
 
 
 def _run_simulated(plan: RunPlan) -> int:
@@ -195,10 +195,37 @@ def _run_simulated(plan: RunPlan) -> int:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     with spawn_sim(make_world_config(plan)) as sim:
         options = replace(plan.options, port=sim.port, mocap=sim.mocap_url)
-        return _run_live(replace(plan, options=options))
+        code, reason = _run_live(replace(plan, options=options))
+    if code == ExitCode.STOPPED and _was_busy(plan, reason):
+        return _fall_back(plan)
+    return code
 
 
-def _run_live(plan: RunPlan) -> int:
+_BUSY = ("W1 ", "W7 ", "W8 ", "W9 ", "W15 ", "W16 ")
+"""Watchdogs that a machine without time for simulated hardware trips."""
+
+
+def _was_busy(plan: RunPlan, reason: str) -> bool:
+    """Whether a drive by itself was ended by its machine, and may be driven in virtual time."""
+    options = plan.options
+    alone = options.auto_arm and options.duration_s is not None and not options.effects
+    return alone and reason.startswith(_BUSY)
+
+
+def _fall_back(plan: RunPlan) -> int:
+    """Drive the plan again in virtual time, into a session of its own."""
+    from dataclasses import replace
+
+    from steerd.daemon.offline.fast import run_fast
+
+    print("this machine was too busy for real time: the same drive again, in virtual time")
+    record = plan.options.record
+    named = str(Path(record).with_suffix(".fast.mcap")) if record else None
+    return run_fast(replace(plan, options=replace(plan.options, record=named)))
+
+
+def _run_live(plan: RunPlan) -> tuple[int, str]:
+    """Drive in real time; the exit code, and why the car was stopped."""
     from steerd.daemon.assembly.session_meta import default_session_path
     from steerd.daemon.ipc.operator import Operator
     from steerd.daemon.process.children import start_processes
@@ -229,7 +256,9 @@ def _run_live(plan: RunPlan) -> int:
     code = processes.end()
     summary, *where_to = closing_lines(plan, board.tally, session)
     print(summary)
-    if board.status.get("state") in ("FAULT_LATCHED", "FAULT_STOP", "ESTOP"):
-        print(f"stopped: {board.status.get('reason', '')}")
+    stopped = board.status.get("state") in ("FAULT_LATCHED", "FAULT_STOP", "ESTOP")
+    reason = board.status.get("reason", "") if stopped else ""
+    if stopped:
+        print(f"stopped: {reason}")
     print("\n".join(where_to))
-    return code
+    return code, reason

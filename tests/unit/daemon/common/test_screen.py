@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerd.daemon.common.screen import clean, join_words, print_labelled, wrap
+from steerd.daemon.common.screen import clean, join_words, print_labelled, show, wrap
 
 
 class Terminal(io.StringIO):
@@ -49,3 +49,9 @@ def test_a_pipe_gets_one_line():
     pipe = io.StringIO()
     print_labelled("warning: ", "poses are late " * 10, pipe)
     assert pipe.getvalue() == "warning: " + "poses are late " * 10 + "\n"
+
+
+def test_a_number_that_is_not_known_is_a_dash_of_its_width():
+    assert show(1.234, "+.2f") == "+1.23"
+    assert show(float("nan"), "+7.2f") == "      –"
+    assert show(float("inf"), ".0f") == "–"

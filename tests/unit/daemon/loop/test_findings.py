@@ -1,8 +1,17 @@
 """Texts of the watchdogs, to the letter, and their summary for the supervisor."""
 
+from math import inf, nan
+
 import pytest
 
-from steerd.daemon.loop.findings import WATCHDOGS, Severity, make_finding, summarise
+from steerd.daemon.loop.findings import (
+    WATCHDOGS,
+    Severity,
+    advise_simulation,
+    make_finding,
+    make_unknown,
+    summarise,
+)
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogState, step_watchdogs
 from steerd.daemon.loop.watchdogs_pose import PoseWatch
@@ -140,3 +149,45 @@ def test_every_watchdog_of_the_page_exists_with_advice():
     assert all(row.advice and row.severity > Severity.WARN for row in WATCHDOGS.values())
     with pytest.raises(KeyError):
         make_finding("W99", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "id", "text"),
+    [
+        ("mocap_age", "W1", "no good frame yet"),
+        ("sigma_yaw", "W6", "no estimate yet"),
+        ("telemetry_age", "W7", "no reply yet"),
+        ("fet_temperature", "W14", "the transistors' temperature is not known yet"),
+        ("lateral_error", "W17", "no lane error"),
+        ("heading_error", "W18", "no heading error"),
+        ("lease_age", "W25", "no operator yet"),
+    ],
+)
+@pytest.mark.parametrize("value", [inf, nan])
+def test_a_number_that_is_not_known_trips_and_is_not_shown(name, id, text, value):
+    _, (found,) = step_watchdogs(TH, WatchdogState(), CALM._replace(**{name: value}))
+    assert found.text == f"{id} {WATCHDOGS[id].name}: {text}", "no advice about what nobody knows"
+    assert found.severity is WATCHDOGS[id].severity
+    assert not found.known
+
+
+def test_no_text_ever_shows_a_number_that_is_none():
+    numbers = [name for name, value in CALM._asdict().items() if isinstance(value, float)]
+    fence = Thresholds(fence=SQUARE)
+    for state in SupervisorState:
+        for value in (nan, inf, -inf):
+            for names in (numbers, *([name] for name in numbers)):
+                texts = said(2.0, fence, state=state, **dict.fromkeys(names, value))
+                assert not [text for _, text in texts if "nan" in text or "inf " in text], names
+
+
+def test_advice_in_simulation_is_about_the_simulation():
+    found = make_finding("W7", "no reply for 120 ms")
+    simulated = advise_simulation(found)
+    assert "USB" not in simulated.text
+    assert simulated.text.startswith("W7 telemetry stale: no reply for 120 ms; a simulated VESC")
+    assert simulated.severity is found.severity
+    other = make_finding("W13", "3.10 V per cell")
+    assert advise_simulation(other) is other
+    unknown = make_unknown("W7", "no reply yet")
+    assert advise_simulation(unknown) is unknown

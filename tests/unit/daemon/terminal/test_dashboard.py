@@ -1,6 +1,6 @@
 """The dashboard of a run: figures of the drive, and what fits a terminal of 80 columns."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from math import nan, pi
 
 import pytest
@@ -99,3 +99,16 @@ def test_before_the_first_command_there_is_a_dash():
     assert "steer –" in line
     assert "speed –" in line
     assert "nan" not in line
+
+
+def test_an_estimate_that_is_not_there_shows_no_number():
+    board = Dashboard("car1")
+    numbers = {
+        f.name: nan for f in fields(state(1)) if isinstance(getattr(state(1), f.name), float)
+    }
+    board.take(PipeRecord(topics.STATE, 0, 1, 1, encode(replace(state(1), **numbers))))
+    console = Console(width=100)
+    with console.capture() as caught:
+        console.print(board.render())
+    assert "nan" not in caught.get()
+    assert "x       – m" in caught.get()
