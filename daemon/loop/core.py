@@ -310,6 +310,7 @@ class Core:
     def _make_extra_values(self) -> dict[str, str]:
         vesc, source = self.loop.vesc, self.source
         values = {"boot_id": str(self.loop.setup.boot_id), "holder": str(self.loop.lease.holder)}
+        values["leased"] = str(int(self.loop.setup.leased))
         values["controller"] = "remote" if self.loop.setup.remote else "lane"
         if vesc is not None:
             values["uuid"] = vesc.uuid

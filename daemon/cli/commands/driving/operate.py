@@ -3,6 +3,9 @@
 `steerd start` keeps the car driving as its deadman: Ctrl-C, closing the
 terminal or losing the connection stops the car. `steerd arm` waits until the
 car is armed and holds it armed until Ctrl-C or until somebody starts it.
+
+A car that nobody holds stops after 0.3 s, so two short commands cannot hand
+it over: `--no-hold` is refused unless it is simulated or has no deadman.
 """
 
 # Why: docs/decisions/safety.md#d27
@@ -36,6 +39,8 @@ ANSWER_NS = 1_500_000_000
 """A request that has no effect after this was refused [ns]."""
 REST_NS = 5_000_000_000
 """A car comes to rest within this [ns]."""
+_HOLDING = ("arm", "start")
+"""Commands that stay as the deadman."""
 _KINDS = {
     "arm": RequestKind.ARM,
     "start": RequestKind.START,
@@ -77,7 +82,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of these commands."""
     add_car_arguments(parser)
     parser.add_argument(
-        "--no-hold", action="store_true", help="arm, start: do not stay as the deadman"
+        "--no-hold",
+        action="store_true",
+        help="arm, start: do not stay (cars without a deadman only)",
     )
 
 
@@ -134,9 +141,20 @@ def run(args: argparse.Namespace) -> int:
         operator.seq = clock.realtime_ns() // 1_000_000 % 2_000_000_000
         link = _Link(bus, args.name, operator, clock)
         link.state, link.values = SupervisorState[status["state"]], status
+        if name in _HOLDING and args.no_hold and status.get("leased") == "1":
+            _refuse_unheld(name)
         if name == "start" and link.state is not SupervisorState.ARMED:
             _refuse_unarmed(link)
         return _request(link, name, hold=not args.no_hold)
+
+
+def _refuse_unheld(name: str) -> None:
+    raise SteerdError(
+        f"{name} --no-hold: this car has a deadman and would stop after 0.3 s without one",
+        "`steerd arm` in one terminal and `steerd start` in another, both left open; "
+        "a car without a deadman says `deadman = false` under [safety]",
+        ExitCode.USAGE,
+    )
 
 
 def _refuse_unarmed(link: _Link) -> None:
@@ -157,7 +175,7 @@ def _request(link: _Link, name: str, *, hold: bool) -> int:
             "steerd status",
             ExitCode.STOPPED,
         )
-    if name in ("arm", "start") and hold:
+    if name in _HOLDING and hold:
         return _hold(link, name)
     print(link.state.name)
     return ExitCode.OK
