@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerd.car_model.car_file import CarFile
@@ -65,6 +65,7 @@ def test_a_damaged_section_is_refused(key: str) -> None:
     assert knowledge_of_section({}) is None
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(st.floats(0.01, 500.0), st.floats(0.0, 12.0)), min_size=1, max_size=60))
 def test_excess_is_never_less_than_noise_and_never_falls(rows: list[tuple[float, float]]) -> None:
     ratio, lateral = np.array(rows).T

@@ -67,7 +67,7 @@ def test_kept_blocks_and_fitted_ones_share_no_pose(run):
 
 
 def test_too_little_to_keep_back_is_said(make_drive, truth):
-    with pytest.raises(DataError, match="too short to keep"):
+    with pytest.raises(DataError, match="too short to hold"):
         hold_out(moving_segments([make_drive(truth, 6.0, 1)]), 4)
 
 
