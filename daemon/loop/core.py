@@ -203,7 +203,7 @@ class Core:
     def tick(self, due_ns: int, now_ns: int, work_ns: int = 0) -> bytes:
         """Decide; return the bytes of this tick's write. `post_tick` must follow it."""
         flags = int(self.flags)
-        self.flags &= ~(Flag.REBOOTED | Flag.SUSPENDED)
+        self.flags &= ~(Flag.REBOOTED | Flag.SUSPENDED | Flag.STALLED)
         self.on_serial(now_ns, b"")
         self._seq += 1
         self.last = self._decide(due_ns, now_ns, flags)

@@ -103,6 +103,15 @@ def advise_simulation(finding: Finding) -> Finding:
     return finding if text == finding.text else finding._replace(text=f"{text}; {advice}")
 
 
+STALLED = "the host of this virtual machine took the processor away: drive from a real one"
+
+
+def blame_machine(finding: Finding) -> Finding:
+    """The finding of a late tick that this program did not cause."""
+    text = finding.text.removesuffix(f"; {WATCHDOGS[finding.id].advice}")
+    return finding._replace(text=f"{text}; {STALLED}")
+
+
 def make_unknown(id: str, what: str) -> Finding:
     """Return the finding of a watchdog whose number was never measured: no advice is known.
 

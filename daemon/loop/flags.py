@@ -24,6 +24,7 @@ class Flag:
     ABORT = 1024  # a second stop signal
     GUARDIAN_TRIPPED = 2048  # W15
     UNBOUNDED = 4096  # the VESC did not take the session's limits
+    STALLED = 8192  # the host took the processor away; for one tick
 
 
 _REPORTS = (

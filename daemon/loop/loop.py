@@ -35,6 +35,7 @@ from steerd.daemon.loop.checks import (
 from steerd.daemon.loop.findings import (
     Finding,
     advise_simulation,
+    blame_machine,
     make_finding,
     make_unknown,
     summarise,
@@ -308,7 +309,8 @@ class Loop:
         self._lateness, late = step_lateness(
             self._lateness, due_ns, now_ns, self.setup.period_ns, self._late_rules
         )
-        reported += [late] if late else []
+        if late is not None:
+            reported.append(blame_machine(late) if flags & Flag.STALLED else late)
         reported += self._check_launch(estimate, now_ns)
         reported += self._check_commands(now_ns)
         inputs = self._make_watchdog_input(estimate, report, speed, now_ns, tuple(reported))

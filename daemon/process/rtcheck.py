@@ -1,5 +1,9 @@
 """Timing check of this machine: wake times of an empty loop against absolute deadlines."""
 
+import contextlib
+import subprocess
+import sys
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +38,19 @@ class Wakes(NamedTuple):
     def good(self) -> bool:
         """Whether a car may be driven on this machine, as loaded now."""
         return self.missed == 0 and self.p999_ns < P999_LIMIT_NS
+
+
+@contextlib.contextmanager
+def keep_busy(count: int) -> Iterator[None]:
+    """Run so many processes that do nothing but compute, at ordinary priority."""
+    command = [sys.executable, "-c", "while True: pass"]
+    busy = [subprocess.Popen(command) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
 
 
 def measure_wakes(clock: Clock, period_ns: int, ticks: int) -> NDArray[np.int64]:

@@ -20,6 +20,7 @@ from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.transitions import is_engaged
 from steerd.daemon.process.guard import Guard, sleep_lag_ns
 from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
+from steerd.daemon.process.steal import is_stalled, read_steal_ns
 from steerd.mocap_link.sessions import BusPoseSource
 from steerd.mocap_link.sockets import MocapReceiver
 from steerd.mocap_link.source import PoseSample
@@ -93,7 +94,7 @@ class Runner:
         self._reopen_ns = self._mocap_ns = self._clock_ns = 0
         self._clogged = 0
         self._pose_ns = -1
-        self._slept_ns = sleep_lag_ns()
+        self._slept_ns, self._stolen_ns = sleep_lag_ns(), read_steal_ns()
         self.signals = 0
         self.error: PortError | None = None
 
@@ -108,7 +109,7 @@ class Runner:
             # Only a pose that came since the last tick makes one.
             self._wait(due, max(due - early_window_ns(pace, self._period_ns), self._pose_ns + 1))
             now = self._clock.now_ns()
-            self._set_flags()
+            self._set_flags(now - due)
             wire = self._core.tick(due, now, work_ns)
             self._core.post_tick(self._write(wire, now))
             after = self._clock.now_ns()
@@ -207,8 +208,10 @@ class Runner:
 
     # --- what is not an arrival
 
-    def _set_flags(self) -> None:
-        """Set the flags that the next tick needs."""
+    def _set_flags(self, late_ns: int = 0) -> None:
+        """Set the flags that the next tick needs, which is late by so much."""
+        if late_ns > self._period_ns and is_stalled(late_ns, read_steal_ns() - self._stolen_ns):
+            self._core.flags |= Flag.STALLED
         lag = sleep_lag_ns()
         if lag - self._slept_ns > self._core.loop.setup.settings.thresholds.suspend_step * 1e9:
             self._core.flags |= Flag.SUSPENDED
@@ -228,6 +231,7 @@ class Runner:
         if now_ns >= self._clock_ns:
             self._clock_ns = now_ns + CLOCK_NS
             self._post_clock(now_ns)
+            self._stolen_ns = read_steal_ns()
         self._watch_processes(now_ns)
 
     def _step_mocap(self, now_ns: int) -> None:

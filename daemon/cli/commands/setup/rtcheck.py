@@ -5,21 +5,29 @@ late ticks would stop a car, or nearly so.
 """
 
 import argparse
+import os
 import sys
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+
+STOLEN_SHARE = 0.001
+"""A host that takes more of the time than this is the first suspect."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd rtcheck`."""
     parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure")
+    parser.add_argument(
+        "--under-load", action="store_true", help="keep every processor busy meanwhile"
+    )
     parser.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of the loop")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
     from steerd.daemon.process.realtime import enter_realtime, settle_memory
-    from steerd.daemon.process.rtcheck import measure_wakes, summarise_wakes
+    from steerd.daemon.process.rtcheck import keep_busy, measure_wakes, summarise_wakes
+    from steerd.daemon.process.steal import read_steal_ns
     from steerd.steer_bus.clock import MonotonicClock
 
     if not (0.1 <= args.seconds <= 3600.0 and 20.0 <= args.rate <= 1000.0):
@@ -30,17 +38,25 @@ def run(args: argparse.Namespace) -> int:
     settle_memory()
     period_ns = round(1e9 / args.rate)
     ticks = max(1, round(args.seconds * args.rate))
-    wakes = summarise_wakes(measure_wakes(MonotonicClock(), period_ns, ticks), period_ns)
+    stolen_ns = -read_steal_ns()
+    with keep_busy(os.cpu_count() or 1 if args.under_load else 0):
+        late_ns = measure_wakes(MonotonicClock(), period_ns, ticks)
+    stolen_ns += read_steal_ns()
+    wakes = summarise_wakes(late_ns, period_ns)
     print(f"fixed priority: {'yes' if report.fifo else 'no'}")
     print(f"locked memory:  {'yes' if report.locked else 'no'}")
     print(f"{wakes.ticks} wakes at {args.rate:g} Hz, late by")
     for name in ("p50", "p99", "p999", "worst"):
         print(f"  {name:<6}{getattr(wakes, name + '_ns') * 1e-6:8.3f} ms")
     print(f"missed: {wakes.missed}; later than 25 ms, which stops a car: {wakes.fatal}")
+    print(f"taken by the host of this machine: {stolen_ns * 1e-6:.0f} ms")
     for line in report.refused:
         print(f"note: {line}")
     if wakes.good:
         print("this machine is fast enough")
         return ExitCode.OK
+    if stolen_ns >= STOLEN_SHARE * args.seconds * 1e9:
+        print("this virtual machine is stalled by its host: drive from a real one")
+        return ExitCode.STOPPED
     print("this machine is too slow: close other programs, allow a fixed priority")
     return ExitCode.STOPPED

@@ -395,7 +395,7 @@ def runner_with(monkeypatch, world: World, notes: list[str]) -> Runner:
         core, world, lambda: None, world, CoreLinks(None, None, (), STOP), SimpleNamespace()
     )
     it._write = lambda wire, _t_ns: notes.append(wire.decode()) or wire
-    it._set_flags = it._leave = lambda: None
+    it._set_flags, it._leave = lambda late_ns: None, lambda: None
     it._housekeeping = lambda _t_ns: notes.append("tidied")
     return it
 
@@ -435,3 +435,18 @@ def test_a_drive_by_itself_does_not_wait_for_a_process_that_is_gone(plan, flag):
     assert not watched.it._is_done(), "an operator reads what is wrong"
     alone.core.loop.supervisor = alone.core.loop.supervisor._replace(state=SupervisorState.STOPPING)
     assert not alone.it._is_done(), "first the car comes to rest"
+
+
+@pytest.mark.parametrize(("late_ms", "stolen_ms", "said"), [(41, 40, 1), (41, 10, 0), (9, 40, 0)])
+def test_a_late_tick_of_a_machine_that_stood_still_is_said_to_be_one(
+    plan, monkeypatch, late_ms, stolen_ms, said
+):
+    monkeypatch.setattr(runner_module, "read_steal_ns", lambda: 5 * SECOND)
+    r = make_runner(plan)
+    monkeypatch.setattr(runner_module, "read_steal_ns", lambda: 5 * SECOND + stolen_ms * MS)
+    r.it._set_flags(late_ms * MS)
+    assert bool(r.core.flags & Flag.STALLED) == bool(said)
+    r.core.tick(0, late_ms * MS)
+    assert not r.core.flags & Flag.STALLED, "it is one tick's"
+    texts = [finding.text for finding in r.core.last.findings if finding.id == "W15"]
+    assert any("the host of this virtual machine" in text for text in texts) == bool(said)
