@@ -116,7 +116,10 @@ TRACES = {
         ("C5", "P5"),
     ),
     "W20": Trace(
-        _HERE + "_is_fast", _names("overspeed_ratio overspeed_margin overspeed_hold"), ("C3", "P5")
+        _HERE + "_is_fast",
+        _names("overspeed_ratio overspeed_margin overspeed_hold"),
+        ("C3", "P5"),
+        behind=("W5",),  # wheels that run away also slip, which the filter sees at the same time
     ),
     "W21": Trace(
         _HERE + "_is_mismatched",
