@@ -237,9 +237,7 @@ def strained(fitted: Fitted) -> float:
 def grown(before: Gap, after: Gap) -> tuple[float, ...]:
     """Times after which the explanation leaves a larger position error than the base [s]."""
     return tuple(
-        row[0]
-        for row in before.errors
-        if after.position(row[0]) > c.GROWN * row[1] + c.GROWN_LEAST
+        row[0] for row in before.errors if after.position(row[0]) > c.GROWN * row[1] + c.GROWN_LEAST
     )
 
 

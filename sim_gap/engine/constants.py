@@ -70,7 +70,7 @@ with a weak prior about 0, 1, -1, -0.5.
 PARTIAL_MOST = 0.75
 """No name is surer while part of the gap has none: what makes that part may make it all."""
 GROWN, GROWN_LEAST = 1.1, 0.002
-"""Position errors that grow by this factor and this much [m] at any time shown are not explained."""
+"""Position errors that grow by this factor and this much [m] at any time are not explained."""
 STRAINED = 6.0
 """Standard deviations of chi-square beyond which the base has moved further than it may."""
 GAIN_CLEAR = 32.0
