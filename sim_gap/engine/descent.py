@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from steerd.sim_gap.engine.engine import Engine, Reduced, Tangent, take_windows
 from steerd.sim_gap.engine.space import Space
@@ -22,6 +23,10 @@ _LOST = 5.0
 """A window that leaves more than this of its whitened error may sit in a wrong start ..."""
 _FOUND = 10.0
 """... and is taken up anew from the poses if that gains so much of its squares."""
+_EXCHANGES = 200
+"""Of coordinates at and off their bounds, at most."""
+_HAIR = 1e-12
+"""Bounds must lie apart; where they do not, by so much."""
 LOST_LEAST, LOST_RATIO = 30.0, 6.0
 """A window this much worse than noise, and than the median, does not pull at all."""
 _RETURNS = 3
@@ -86,45 +91,38 @@ def _slope(space: Space, at: Reduced, z: Array) -> Array:
 
 
 def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
-    """Newton's step within bounds; the quadratic model never rises along it.
+    """The best step of the quadratic model within bounds.
 
-    Coordinates that would leave stop at their bound and the others are solved again (an active
-    set). Clipping the step of coordinates that move together could go uphill: where it would, the
-    step is shortened as a whole instead.
+    Newton's where that stays inside, else bounded least squares on the Cholesky factor (Stark and
+    Parker, 1995). Clipping the step of coordinates that move together could go uphill.
     """
-    fixed, dz = np.zeros(len(z), bool), np.zeros(len(z))
-    for _ in range(len(z) + 1):
-        free = ~fixed
-        if free.any():
-            pull = slope[free] - h[np.ix_(free, fixed)] @ dz[fixed]
-            dz[free] = np.linalg.solve(h[np.ix_(free, free)], pull)
-        out = ((z + dz < low) | (z + dz > high)) & free
-        if not out.any():
-            break
-        dz[out] = np.clip(z + dz, low, high)[out] - z[out]
-        fixed |= out
-    inside: Array = np.clip(z + dz, low, high) - z
+    dz: Array = np.linalg.solve(h, slope)
+    if ((z + dz >= low) & (z + dz <= high)).all():
+        return dz
+    scale = 1.0 / np.sqrt(np.diag(h))
+    lower = np.linalg.cholesky(0.5 * (h + h.T) * np.outer(scale, scale))
+    room = np.where(high - low <= 0.0, _HAIR, np.maximum(high - z, 0.0))
+    found = lsq_linear(
+        lower.T, np.linalg.solve(lower, slope * scale),
+        (np.minimum(low - z, 0.0) / scale, room / scale), method="bvls", max_iter=_EXCHANGES,
+    )  # fmt: skip
+    inside: Array = np.clip(z + found.x * scale, low, high) - z
     if float(slope @ inside - 0.5 * inside @ h @ inside) >= 0.0:
         return inside
     return _shortened(h, slope, z, low, high)
 
 
 def _shortened(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
-    """Newton's step of what is not at a bound, cut where the first coordinate meets one."""
-    frozen = ((z <= low) & (slope < 0.0)) | ((z >= high) & (slope > 0.0))
-    for _ in range(len(z)):
-        free, dz = ~frozen, np.zeros(len(z))
-        if not free.any():
-            return dz
-        dz[free] = np.linalg.solve(h[np.ix_(free, free)], slope[free])
-        room = np.where(dz > 0.0, high - z, z - low)
-        stuck = free & (np.abs(dz) > 0.0) & (room <= 0.0)
-        if not stuck.any():
-            moving = np.abs(dz) > 0.0
-            share = float(np.min(room[moving] / np.abs(dz[moving]), initial=1.0))
-            return np.asarray(min(share, 1.0) * dz)
-        frozen |= stuck
-    return np.zeros(len(z))
+    """Steepest descent of what is not at a bound, cut where the first coordinate meets one."""
+    dz: Array = slope / np.diag(h)
+    dz[((z <= low) & (dz < 0.0)) | ((z >= high) & (dz > 0.0))] = 0.0
+    moving = dz != 0.0
+    if not moving.any():
+        return dz
+    room = np.where(dz > 0.0, high - z, z - low)
+    share = float(np.min(room[moving] / np.abs(dz[moving]), initial=1.0))
+    along = float(slope @ dz) / float(dz @ h @ dz)
+    return np.asarray(min(share, along) * dz)
 
 
 @dataclass

@@ -46,7 +46,7 @@ def error(text: str) -> CarFileError:
 def test_the_shipped_file_is_the_default_car_with_every_section() -> None:
     file = load_car(default_car_path())
     assert file.car == DEFAULT_CAR
-    assert file.model == Model(DEFAULT_CAR)
+    assert file.model == Model(DEFAULT_CAR, chassis=make_planar("all"))
     assert set(file.sections) == {
         "vesc", "mocap", "limits", "controller", "estimator", "record", "safety",
     }  # fmt: skip
@@ -214,21 +214,31 @@ def test_no_updates_change_no_byte() -> None:
     assert updated_text(load_car(default_car_path()), {}) == TEXT
 
 
+def chassis_lines(chassis: str, drive: str = 'drive = "all"') -> str:
+    """The default file with other lines for its chassis."""
+    return edited("chassis ", chassis).replace('drive = "all"', drive, 1)
+
+
 @pytest.mark.parametrize("drive", ["rear", "front", "all"])
 def test_the_chassis_is_the_one_that_the_file_names(drive: str) -> None:
-    lines = f'chassis = "planar"\ndrive = "{drive}"'
-    found = parse_car(TEXT.replace("[car]", f"[car]\n{lines}", 1), HERE)
+    text = chassis_lines('chassis = "planar"', f'drive = "{drive}"')
+    found = parse_car(text, HERE)
     assert found.chassis is make_planar(drive)
     assert found.model.chassis is found.chassis
 
 
-def test_a_file_without_a_chassis_is_a_single_track_car() -> None:
-    assert parse_car(TEXT, HERE).chassis is SINGLE_TRACK
+def test_the_default_car_is_planar_and_a_file_without_a_chassis_single_track() -> None:
+    assert parse_car(TEXT, HERE).chassis is make_planar("all")
+    assert parse_car(edited("chassis ", ""), HERE).chassis is SINGLE_TRACK
 
 
 @pytest.mark.parametrize(
-    "lines", ['chassis = "bicycle"', 'chassis = "planar"\ndrive = "left"', "chassis = 2"]
+    ("chassis", "drive"),
+    [
+        ('chassis = "bicycle"', 'drive = "all"'),
+        ('chassis = "planar"', 'drive = "left"'),
+        ("chassis = 2", 'drive = "all"'),
+    ],
 )
-def test_an_unknown_chassis_or_drive_is_refused(lines: str) -> None:
-    found = error(TEXT.replace("[car]", f"[car]\n{lines}", 1))
-    assert found.where.startswith("car.")
+def test_an_unknown_chassis_or_drive_is_refused(chassis: str, drive: str) -> None:
+    assert error(chassis_lines(chassis, drive)).where.startswith("car.")

@@ -1,0 +1,90 @@
+"""The step within bounds, and windows that are lost to a search."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from steerd.sim_gap.engine.descent import LOST_LEAST, LOST_RATIO, lost_from, step_within
+from steerd.sim_gap.engine.engine import Reduced
+
+
+def _quadratic(seed: int, n: int) -> tuple[np.ndarray, ...]:
+    """A convex quadratic with strongly correlated coordinates, a point and bounds about it."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((n, n)) @ np.diag(10.0 ** rng.uniform(-2.0, 2.0, n))
+    h = root @ root.T + 1e-6 * np.eye(n)
+    slope = root @ rng.standard_normal(n) * 10.0 ** rng.uniform(-1.0, 2.0)
+    z = rng.standard_normal(n)
+    low, high = z - rng.choice([0.0, 0.01, 1.0], n), z + rng.choice([0.0, 0.01, 1.0], n)
+    return h, slope, z, low, high
+
+
+@settings(deadline=None, max_examples=200)
+@given(seed=st.integers(0, 10**6), n=st.integers(1, 8))
+def test_no_step_promises_less_than_nothing_or_leaves_the_bounds(seed: int, n: int) -> None:
+    h, slope, z, low, high = _quadratic(seed, n)
+    dz = step_within(h, slope, z, low, high)
+    assert np.isfinite(dz).all()
+    assert (z + dz >= low - 1e-12).all()
+    assert (z + dz <= high + 1e-12).all()
+    promised = slope @ dz - 0.5 * dz @ h @ dz
+    assert promised >= -1e-9 * (1.0 + abs(slope @ dz))
+
+
+def test_without_bounds_it_is_newtons_step() -> None:
+    h, slope, z, _, _ = _quadratic(3, 5)
+    wide = np.full(5, 1e9)
+    assert step_within(h, slope, z, -wide, wide) == pytest.approx(np.linalg.solve(h, slope))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_it_is_the_best_step_within_the_bounds(seed: int) -> None:
+    """Against another of SciPy's bounded minimisers."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((4, 4)) + 2.0 * np.eye(4)
+    h, slope = root @ root.T, 3.0 * rng.standard_normal(4)
+    low, high = np.full(4, -0.3), np.full(4, 0.3)
+    best = minimize(
+        lambda d: 0.5 * d @ h @ d - slope @ d, np.zeros(4), jac=lambda d: h @ d - slope,
+        bounds=list(zip(low, high, strict=True)),
+    )  # fmt: skip
+    dz = step_within(h, slope, np.zeros(4), low, high)
+    assert slope @ dz - 0.5 * dz @ h @ dz == pytest.approx(-best.fun, rel=1e-5)
+
+
+def _windows(ratio: list[float], limit: float) -> Reduced:
+    count = len(ratio)
+    nothing = np.zeros((count, 7))
+    return Reduced(
+        100.0 * np.array(ratio), np.full(count, 100.0), np.ones((count, 1)),
+        np.ones((count, 1, 1)), nothing, np.zeros((count, 7, 1)), True, limit,
+    )  # fmt: skip
+
+
+def test_a_window_in_which_the_car_spins_pulls_at_nothing() -> None:
+    at = _windows([1.0, 1.0, 5000.0], 30.0)
+    assert at.weight[:2] == pytest.approx(1.0)
+    assert at.weight[2] == 0.0
+    assert at.loss[2] == pytest.approx(100.0 * np.log1p(30.0))
+
+
+def test_where_all_is_far_off_nothing_is_lost() -> None:
+    """A wrong gain leaves every window far off; the search must still see them."""
+    assert lost_from(_windows([1.0, 1.2, 0.9], np.inf)) == LOST_LEAST
+    assert lost_from(_windows([200.0, 300.0, 100.0], np.inf)) == LOST_RATIO * 200.0
+
+
+def test_strain_is_a_distance_in_the_bases_own_uncertainty() -> None:
+    from steerd.sim_gap.diagnosis import strained
+
+    costs = iter([0.5 * 20.0, 0.5 * 20.0 + 40.0, 0.0])
+    space = SimpleNamespace(nuisance=20, base_cost=lambda z: next(costs))
+    fitted = SimpleNamespace(space=space, z=np.zeros(20))
+    assert strained(fitted) == pytest.approx(0.0)
+    assert strained(fitted) == pytest.approx(80.0 / np.sqrt(40.0))
+    space.nuisance = 0
+    assert strained(fitted) == 0.0
