@@ -114,7 +114,7 @@ def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Ar
 
 def _shortened(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
     """Steepest descent of what is not at a bound, cut where the first coordinate meets one."""
-    dz: Array = slope / np.diag(h)
+    dz = np.asarray(slope / np.diag(h), dtype=float)
     dz[((z <= low) & (dz < 0.0)) | ((z >= high) & (dz > 0.0))] = 0.0
     moving = dz != 0.0
     if not moving.any():
