@@ -96,7 +96,7 @@ def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Ar
     Newton's where that stays inside, else bounded least squares on the Cholesky factor (Stark and
     Parker, 1995). Clipping the step of coordinates that move together could go uphill.
     """
-    dz: Array = np.linalg.solve(h, slope)
+    dz = np.asarray(np.linalg.solve(h, slope), dtype=np.float64)
     if ((z + dz >= low) & (z + dz <= high)).all():
         return dz
     scale = 1.0 / np.sqrt(np.diag(h))
@@ -114,7 +114,7 @@ def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Ar
 
 def _shortened(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
     """Steepest descent of what is not at a bound, cut where the first coordinate meets one."""
-    dz = np.asarray(slope / np.diag(h), dtype=float)
+    dz = np.asarray(slope / np.diag(h), dtype=np.float64)
     dz[((z <= low) & (dz < 0.0)) | ((z >= high) & (dz > 0.0))] = 0.0
     moving = dz != 0.0
     if not moving.any():
