@@ -42,6 +42,7 @@ from steerd.sim_gap.verdict.decide import (
 from steerd.sim_gap.verdict.horizons import Horizon, cross_check
 from steerd.sim_gap.verdict.next_manoeuvre import Manoeuvre, next_manoeuvre
 from steerd.sim_gap.verdict.residual_shape import Shape, shape_of
+from steerd.sim_gap.verdict.screen import screen
 from steerd.sim_gap.verdict.shrinkage import Shrinkage, explained_share, measure, predict
 from steerd.sim_gap.verdict.timeline import Timeline, timeline_of
 from steerd.sim_gap.verdict.where import Where, locate
@@ -163,6 +164,7 @@ class _Case:
     only: tuple[str, ...]
     floor: float
     edited: bool = False
+    untested: tuple[str, ...] = ()
 
 
 def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None:
@@ -207,7 +209,8 @@ def diagnose(
     case = _Case(superset, opened, nuisance, options, only, floor, edited)
     known = _known_noise(base, options)
     known = known and louder(known, signals)
-    engine, null, ranked, noise = _search(case, known)
+    engine, null, ranked, noise, untested = _search(case, known)
+    case = replace(case, untested=untested)
     options.progress("decide", 0.6)
     blocks = blocks_of(engine)
     choice = choose(engine, scored(engine, null), ranked, nuisance, blocks, options.pairs, only)
@@ -257,8 +260,13 @@ def _without_overclaim(found: Diagnosis, strain: float) -> Diagnosis:
     return replace(found, verdict="partial", causes=causes, notes=(*found.notes, *notes))
 
 
-def _search(case: _Case, known: Noise | None) -> tuple[Engine, Fitted, list[Score], Noise]:
-    """Base, noise and single effects; noise is learnt about the best effect if it is not known."""
+def _search(
+    case: _Case, known: Noise | None
+) -> tuple[Engine, Fitted, list[Score], Noise, tuple[str, ...]]:
+    """Base, noise and single effects; noise is learnt about the best effect if it is not known.
+
+    Last come the effects whose simulation did not stay finite.
+    """
     engine, options = case.engine, case.options
     options.progress("base", 0.05)
     null = null_fit(engine, case.nuisance)
@@ -267,9 +275,11 @@ def _search(case: _Case, known: Noise | None) -> tuple[Engine, Fitted, list[Scor
     null = null_fit(engine, case.nuisance, null)
     options.progress("candidates", 0.2)
     most = c.REFITS if known else c.REFITS_ROUGH
-    ranked = singles(engine, null, case.nuisance, case.only, options.jobs, most)
+    promises = screen(engine, null, case.nuisance, case.only)
+    untested = tuple(p.effect for p in promises if not p.tested)
+    ranked = singles(engine, null, case.nuisance, case.only, options.jobs, most, promises)
     if not ranked:
-        return engine, null, [scored(engine, null)], noise
+        return engine, null, [scored(engine, null)], noise, untested
     if known is None:
         best = ranked[0].fitted
         noise = learn_noise(engine, best, noise)
@@ -277,7 +287,7 @@ def _search(case: _Case, known: Noise | None) -> tuple[Engine, Fitted, list[Scor
         null = null_fit(engine, case.nuisance, null)
         options.progress("candidates again", 0.4)
         ranked = singles(engine, null, case.nuisance, case.only, options.jobs) or ranked
-    return engine, null, ranked, noise
+    return engine, null, ranked, noise, untested
 
 
 def _told(
@@ -470,5 +480,8 @@ def _notes(case: _Case, known: bool, choice: Choice, extreme: Sequence[str]) -> 
         notes.append("fewer than four runs: held-out parts are blocks of the same drives")
     notes += [f"{s.by}: {s.first:.4g} against {s.second:.4g} ({s.sigmas:.1f} sigma)"
               for s in choice.splits if s.broken]  # fmt: skip
+    if case.untested:
+        names = ", ".join(case.untested)
+        notes.append(f"could not be tested, the simulation diverges with it: {names}")
     notes += [f"{name} is at its bound: not this, but what it makes up for" for name in extreme]
     return tuple(notes)

@@ -152,9 +152,20 @@ def singles(
     only: Sequence[str] | None = None,
     jobs: int = 1,
     most: int = REFITS,
+    promises: Sequence[Promise] | None = None,
 ) -> list[Score]:
-    """Every effect of the library on one footing, the most promising refitted; best first."""
-    promises = screen(engine, null, nuisance, only)
+    """Every effect of the library on one footing, the most promising refitted; best first.
+
+    Args:
+        engine: the windows.
+        null: the base's fit.
+        nuisance: base parameters that are free.
+        only: names to look at; None looks at all.
+        jobs: threads.
+        most: refits at most.
+        promises: of `screen`, if they are known.
+    """
+    promises = screen(engine, null, nuisance, only) if promises is None else promises
     base = scored(engine, null)
     found = refit_all(engine, null, nuisance, promises, jobs, most)
     blocks = blocks_of(engine)

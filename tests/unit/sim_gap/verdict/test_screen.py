@@ -1,0 +1,59 @@
+"""An effect that cannot be simulated is said to be untested, and takes no other with it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from steerd.sim_gap.engine.base_fit import null_fit, open_engine
+from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.space import nuisance_names
+from steerd.sim_gap.engine.superset import make_superset
+from steerd.sim_gap.verdict.screen import screen
+
+NAMES = ("steer_bias", "steer_gain", "scrub", "speed_scale")
+
+
+@pytest.fixture(scope="module")
+def case(drive, base):
+    runs = drive("steer_bias=0.02", runs=2, seconds=6.0, seed=11)
+    superset = make_superset(base, runs)
+    nuisance = nuisance_names(superset, runs)
+    engine = open_engine(superset, runs)
+    return engine, null_fit(engine, nuisance), nuisance
+
+
+def test_all_are_tested_where_all_stay_finite(case):
+    promises = screen(*case, NAMES)
+    assert {p.effect for p in promises} == set(NAMES)
+    assert all(p.tested for p in promises)
+    assert promises[0].effect == "steer_bias"
+
+
+def test_one_that_diverges_is_untested_and_the_others_promise_as_before(case, monkeypatch):
+    engine, null, nuisance = case
+    whole = {p.effect: p.gain for p in screen(engine, null, nuisance, NAMES)}
+    linear = Engine.linear
+
+    def diverging(self, space, z, x):
+        found = linear(self, space, z, x)
+        return found._replace(finite=found.finite and "scrub" not in space.effects)
+
+    monkeypatch.setattr(Engine, "linear", diverging)
+    promises = {p.effect: p for p in screen(engine, null, nuisance, NAMES)}
+    assert not promises["scrub"].tested
+    assert promises["scrub"].gain == -np.inf
+    for name in set(NAMES) - {"scrub"}:
+        assert promises[name].tested
+        assert promises[name].gain == pytest.approx(whole[name], rel=1e-6)
+
+
+def test_the_reader_is_told(case):
+    from steerd.sim_gap import diagnosis
+
+    engine, _, _ = case
+    bare = diagnosis._Case(engine.superset, engine, (), diagnosis.Options(), (), 1.0)
+    choice = type("Choice", (), {"splits": ()})()
+    notes = diagnosis._notes(replace(bare, untested=("scrub",)), True, choice, ())
+    assert any("could not be tested" in note and "scrub" in note for note in notes)
+    assert not any("could not" in note for note in diagnosis._notes(bare, True, choice, ()))
