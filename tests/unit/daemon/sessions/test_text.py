@@ -11,7 +11,7 @@ from steerd.daemon.sessions.info import (
     load_session,
     make_session_report,
 )
-from steerd.daemon.sessions.motion import Range
+from steerd.daemon.sessions.motion import SignalRange
 from steerd.daemon.sessions.text import WARNINGS_SHOWN, format_report, print_warnings
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import BODY, Transition, make_header
@@ -29,9 +29,9 @@ def report(tmp_path_factory) -> SessionReport:
         make_session_report(load_session(path)),
         states=tuple(StateChange(1234.5 * i, name, "") for i, name in enumerate(NAMES)),
         length_m=12345.6,
-        speed=Range(-10.0, 10.0, 1.0),
-        steer=Range(-0.41, 0.41, 0.22),
-        lateral_accel=Range(-10.0, 9.0, 1.0),
+        speed=SignalRange(-10.0, 10.0, 1.0),
+        steer=SignalRange(-0.41, 0.41, 0.22),
+        lateral_accel=SignalRange(-10.0, 9.0, 1.0),
         excitation=("lateral acceleration stays below 1 m/s²: tyre parameters, all of them, are "
                     "not identifiable",),
         topics=(
