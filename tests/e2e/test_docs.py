@@ -142,7 +142,9 @@ def test_every_command_line_is_understood(command):
 def test_what_needs_no_hardware_runs(command, workplace, capsys):
     arguments = shortened(arguments_of(command))
     workplace(arguments)
-    assert run_cli(arguments) == ExitCode.OK, capsys.readouterr().err
+    # That a machine does not keep time is an answer of `rtcheck`, and has a code of its own.
+    answers = {ExitCode.OK, ExitCode.STOPPED} if arguments[0] == "rtcheck" else {ExitCode.OK}
+    assert run_cli(arguments) in answers, capsys.readouterr().err
     is_read = ">" not in command  # a file for a shell may be as long as it likes
     assert not is_read or len(capsys.readouterr().out.splitlines()) < 140
 
