@@ -109,7 +109,7 @@ def test_arm_start_stop_from_other_terminals_over_natnet(undisturbed, capsys) ->
         assert np.abs(lane_errors(record)).max() < 0.03
         capsys.readouterr()
         assert run_cli(["replay", str(record)]) == 0
-        assert "every one is the recorded one" in capsys.readouterr().out
+        assert "all equal the recorded ones" in capsys.readouterr().out
 
     undisturbed(scenario)
 
