@@ -142,11 +142,16 @@ def test_every_command_line_is_understood(command):
 def test_what_needs_no_hardware_runs(command, workplace, capsys):
     arguments = shortened(arguments_of(command))
     workplace(arguments)
-    # That a machine does not keep time is an answer of `rtcheck`, and has a code of its own.
-    answers = {ExitCode.OK, ExitCode.STOPPED} if arguments[0] == "rtcheck" else {ExitCode.OK}
-    assert run_cli(arguments) in answers, capsys.readouterr().err
+    code = run_cli(arguments)
+    out, err = capsys.readouterr()
+    if arguments[:2] == ["rtcheck", "--under-load"] and code == ExitCode.STOPPED:
+        # That this machine does not keep time beside a load is the answer; it must be given.
+        assert "stalled by its host" in out or "too slow" in out
+        assert re.search(r"later than 25 ms, which stops a car: \d+", out)
+    else:
+        assert code == ExitCode.OK, err
     is_read = ">" not in command  # a file for a shell may be as long as it likes
-    assert not is_read or len(capsys.readouterr().out.splitlines()) < 140
+    assert not is_read or len(out.splitlines()) < 140
 
 
 def against(arguments, port, url):
