@@ -26,7 +26,9 @@ from steerd.sim_gap.verdict.timeline import Timeline
 from steerd.sim_gap.verdict.where import Regime, Share, range_words
 from steerd.sysid.report.drawing import (
     AFTER,
+    BAND,
     BEFORE,
+    CONFOUNDED,
     FAINT,
     INK,
     MEASURED,
@@ -39,7 +41,6 @@ Array = NDArray[np.float64]
 
 SHOWN_MOST = 12
 """Candidates that are drawn; the rest is in the JSON."""
-CONFOUNDED = "#f0a77f"
 Corner = Literal["upper left", "lower right"]
 _STYLE: dict[Any, Any] = {**STYLE, "axes.axisbelow": True}
 
@@ -196,7 +197,7 @@ def plot_timeline(
     mine = np.array([name == run for name in line.run])
     for stretch in stretches:
         if stretch.run == run:
-            axis.axvspan(stretch.t0, stretch.t1, color="#fff0e6", lw=0)
+            axis.axvspan(stretch.t0, stretch.t1, color=BAND, lw=0)
     _steps(axis, line, mine, line.before, BEFORE)
     if explained:
         _steps(axis, line, mine, line.after, AFTER)
@@ -296,7 +297,7 @@ def draw_parameters(found: Diagnosis) -> str:
     with rc_context(_STYLE):
         figure, axes = make_figure(1, 1, 0.8 + 0.26 * len(splits))
         axis = axes[0, 0]
-        axis.axvspan(scale * (value - 2 * sd), scale * (value + 2 * sd), color="#fff0e6", lw=0)
+        axis.axvspan(scale * (value - 2 * sd), scale * (value + 2 * sd), color=BAND, lw=0)
         axis.axvline(scale * value, color=AFTER, lw=1.0)
         for place, split in enumerate(splits):
             colour = AFTER if split.broken else INK

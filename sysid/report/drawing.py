@@ -2,6 +2,7 @@
 
 import io
 import re
+from types import MappingProxyType
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -9,14 +10,26 @@ from numpy.typing import NDArray
 
 INK, FAINT = "#1f2933", "#9aa5b1"
 MEASURED, AFTER, BEFORE = "#1f2933", "#d9480f", "#4c8dca"
+BAND, CONFOUNDED, GRID, PAGE = "#fff0e6", "#f0a77f", "#e4e7eb", "#fefefe"
+TEAL, VIOLET, GREEN = "#0b7285", "#862e9c", "#5c940d"
+IN_PAGE = MappingProxyType({
+    INK: "ink", FAINT: "soft", GRID: "line", BAND: "band", AFTER: "after", BEFORE: "before",
+    CONFOUNDED: "confounded", TEAL: "teal", VIOLET: "violet", GREEN: "green",
+    PAGE: "back",
+})  # fmt: skip
+"""Colours that the page decides: the variables of `look.css`, one value a theme."""
 WIDTH = 9.6
 """Of a figure that fills the page [inch]."""
+READABLE = 44.0
+"""Width below which the words of such a figure are too small to read; a window that is narrower
+scrolls it [rem]."""
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif", "font.size": 9.0, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
     "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False,
-    "axes.grid": True, "grid.color": "#e4e7eb", "grid.linewidth": 0.6, "svg.fonttype": "none",
-    "svg.hashsalt": "steerd", "legend.frameon": False, "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
+    "axes.grid": True, "grid.color": GRID, "grid.linewidth": 0.6, "svg.fonttype": "none",
+    "svg.hashsalt": "steerd", "legend.facecolor": PAGE, "legend.edgecolor": "none",
+    "axes.titlesize": 9.5, "axes.titlelocation": "left", "text.color": INK, "axes.titlecolor": INK,
+    "axes.facecolor": "none",
 }  # fmt: skip
 
 
@@ -29,11 +42,14 @@ def make_figure(rows: int, columns: int, height: float) -> tuple[Figure, NDArray
 def to_svg(figure: Figure, label: str = "") -> str:
     """The figure as markup that scales with the page; `label` is for screen readers."""
     text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    figure.savefig(text, format="svg", facecolor="none", metadata={"Date": None, "Creator": None})
     markup = text.getvalue()
     markup = markup[markup.index("<svg") :]
     markup = re.sub(r"<metadata>.*?</metadata>", "", markup, flags=re.DOTALL)
-    size = f'width="{figure.get_figwidth() / WIDTH:.0%}"'
+    for colour, variable in IN_PAGE.items():
+        markup = markup.replace(colour, f"var(--{variable})")
+    share = figure.get_figwidth() / WIDTH
+    size = f'width="{share:.0%}" style="min-width:{READABLE * share:.1f}rem"'
     if label:
         size = f'role="img" aria-label="{label}" {size}'
     return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', size, markup, count=1)

@@ -18,16 +18,19 @@ from steerd.sysid.report.drawing import (
     AFTER,
     BEFORE,
     FAINT,
+    GREEN,
     INK,
     MEASURED,
     STYLE,
+    TEAL,
+    VIOLET,
     make_figure,
     to_svg,
 )
 
 Array = NDArray[np.float64]
 
-COLOURS = (AFTER, "#0b7285", BEFORE, "#862e9c", "#5c940d")
+COLOURS = (AFTER, TEAL, BEFORE, VIOLET, GREEN)
 UNITS = {"position": "mm", "yaw": "mrad", "wheel_speed": "mm/s", "yaw_rate": "mrad/s"}
 POINTS_MAX = 1500
 
@@ -141,12 +144,12 @@ def draw_correlation(found: Fit) -> str:
         axes = figure.subplots()
         image = axes.imshow(found.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
         places = range(len(labels))
-        axes.set_xticks(places, labels, rotation=60, ha="right")
+        axes.set_xticks(places, labels, rotation=90)
         axes.set_yticks(places, labels)
         for i in places:
             for j in places:
                 value = found.correlation[i, j]
-                ink = "white" if abs(value) > 0.6 else INK
+                ink = "white" if abs(value) > 0.6 else "black"
                 axes.text(j, i, f"{value:.1f}", ha="center", va="center", fontsize=6.5, color=ink)
         figure.colorbar(image, ax=axes, shrink=0.7)
         return to_svg(figure)

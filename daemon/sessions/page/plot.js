@@ -44,7 +44,7 @@ const tint = (u, alpha) => {
     if (p1 <= p0) return;
     c.fillStyle = STATE[name] || "#888"; c.fillRect(p0, b.top, p1 - p0, b.height);
     if (alpha < .5) return;
-    c.fillStyle = "#fff"; c.font = `600 ${11 * devicePixelRatio}px system-ui,sans-serif`; c.textBaseline = "middle";
+    c.fillStyle = "#10151b"; c.font = `600 ${11 * devicePixelRatio}px system-ui,sans-serif`; c.textBaseline = "middle"; c.textAlign = "left";
     const label = name.toLowerCase().replace("_", " ");
     if (c.measureText(label).width + 10 < p1 - p0) c.fillText(label, p0 + 5, b.top + b.height / 2);
   });

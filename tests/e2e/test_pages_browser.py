@@ -1,0 +1,101 @@
+"""Every page that steerd writes, in a real browser, as a reader's window may be.
+
+Wide and narrow, light and dark, in the language that containers give: nothing on the console, no
+text over text, none cut off, beyond the edge, or too pale to read.
+"""
+
+import re
+
+import pytest
+
+from steerd.daemon.cli.main import run_cli
+from tests.browser import CHROMIUM, NO_BROWSER, browsing
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not CHROMIUM, reason=NO_BROWSER)]
+
+WINDOWS = [
+    pytest.param(width, dark, id=f"{width} px, {'dark' if dark else 'light'}")
+    for width in (1280, 420)
+    for dark in (False, True)
+]
+PAGES = ("drive", "identify", "gap")
+DRAWN = "document.documentElement.dataset.ready || !document.getElementById('panels')"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with browsing() as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """One page of each kind, all of one drive with a hidden effect."""
+    folder = tmp_path_factory.mktemp("pages")
+    session, car = folder / "late.mcap", folder / "car.toml"
+    drive = "run --sim --fast --path figure8 --speed 1.8 --duration 24 --effect steer_delay=0.05"
+    for line in (
+        f"{drive} --record {session}",
+        f"plot {session} -o {folder}/drive.html",
+        f"identify {session} -o {car} --report {folder}/identify.html",
+        f"diagnose {session} --report {folder}/gap.html",
+    ):
+        assert run_cli(line.split()) == 0, line
+    return folder
+
+
+@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize(("width", "dark"), WINDOWS)
+def test_a_page_is_whole_in_every_window(browser, pages, tmp_path, name, width, dark):
+    page = pages / f"{name}.html"
+    browser.open(page.as_uri(), width, dark=dark)
+    assert browser.ask("navigator.language") == ("en-US" if name == "drive" else "en-US@posix")
+    browser.wait(DRAWN)
+    assert browser.console == []
+    assert browser.faults_of_layout() == []
+    browser.screenshot(tmp_path / "page.png")
+    assert (tmp_path / "page.png").stat().st_size > 30_000
+
+
+def test_the_drive_is_drawn_and_read_under_the_pointer(browser, pages):
+    browser.open((pages / "drive.html").as_uri(), language="de-DE")
+    browser.wait(DRAWN)
+    titles = browser.ask("[...document.querySelectorAll('h2')].map(e => e.firstChild.data.trim())")
+    assert titles[:4] == [
+        "lateral error e1", "heading error e2", "speed", "steering angle (left +)",
+    ]  # fmt: skip
+    assert browser.ask("document.documentElement.dataset.ready") == "11"
+    # The values under the pointer are longer than the dashes without one.
+    over = "document.querySelector('.panel:nth-child(4) .u-over')"
+    box = browser.ask(f"{over}.getBoundingClientRect().toJSON()")
+    where = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2}
+    browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
+    browser.wait("document.getElementById('clock').textContent.startsWith('t = ')")
+    shown = browser.ask("[...document.querySelectorAll('.u-value')].map(e => e.textContent)")
+    assert sum(bool(re.fullmatch(r"-?\d[\d.]*", value)) for value in shown) > 8
+    assert browser.faults_of_layout() == []
+    assert browser.console == []
+
+
+def test_a_damaged_page_says_so(browser, pages, tmp_path):
+    page = tmp_path / "drive.html"
+    page.write_text((pages / "drive.html").read_text().replace('"data":"eN', '"data":"AA', 1))
+    browser.open(page.as_uri())
+    browser.wait("document.body.textContent.includes('could not be drawn')")
+    assert not browser.ask("document.documentElement.dataset.ready")
+
+
+BROKEN = """<!doctype html><style>body{margin:0;font:16px sans-serif}
+p{position:absolute;top:0;left:9px;margin:0}
+</style><p>one text</p><p style="left:20px">over another</p>
+<p style="top:60px;left:9px;width:30px;overflow:hidden;white-space:nowrap">cut off here</p>
+<p style="top:90px;left:3000px">far out</p><p style="top:120px;color:#eee">too pale</p>"""
+
+
+def test_the_look_finds_what_is_broken(browser, tmp_path):
+    page = tmp_path / "broken.html"
+    page.write_text(BROKEN)
+    browser.open(page.as_uri())
+    faults = " ".join(browser.faults_of_layout())
+    for fault in ('"one text" lies over', "cut off by", "beyond the edge", "too pale", "px wide"):
+        assert fault in faults, fault
