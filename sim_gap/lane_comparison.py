@@ -107,11 +107,15 @@ class LaneComparison:
 
         None where that cannot be told.
         """
+        return sum(self.votes) >= 2 if self.votes else None
+
+    @property
+    def votes(self) -> tuple[bool, ...]:
+        """Whether each of three measures is nearer with the effect; empty if it cannot be told."""
         before, after = self.distances
         if before is None or after is None:
-            return None
-        votes = [after.e1 < before.e1, after.e2 < before.e2, after.steer_db < before.steer_db]
-        return sum(votes) >= 2
+            return ()
+        return after.e1 < before.e1, after.e2 < before.e2, after.steer_db < before.steer_db
 
 
 def _density(t: Array, values: Array) -> tuple[Array, Array]:

@@ -29,6 +29,10 @@ from steerd.sim_gap.report.summary_text import (
 from steerd.sysid.report.page import render_page
 
 TEMPLATE = Path(__file__).parent / "templates" / "gap.html"
+_HALVES = (
+    " Each half weighs the base's own uncertainty in full against half of the data, so both dots "
+    "of a line may lie on one side of the value; the test is how far they are apart."
+)
 
 
 @dataclass(frozen=True)
@@ -233,4 +237,5 @@ def _why(found: Diagnosis) -> Iterator[Section]:
             if broken
             else "no two halves differ by more than four standard errors and a third of it."
         )
+        text += _HALVES
     yield Section("How sure", text, figure, heads, rows, words=True)
