@@ -17,6 +17,7 @@ from steerd.daemon.analysis.drives import (
     without_reserved,
 )
 from steerd.daemon.analysis.held_out import HeldOut
+from steerd.daemon.assembly.sim_car import compare_truths
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import SessionError, open_session
 from steerd.sysid.data.dataset import Run
@@ -112,6 +113,7 @@ def make_case(request: DiagnoseRequest, warn: Warn, advance: Callable[[float], N
     for number, path in enumerate(sessions):
         drives.append(load_drive(path, speed, warn))
         advance((number + 1) / len(sessions))
+    warn(compare_truths({path.name: open_session(path).info().metadata for path in sessions}))
     base, source, notes = find_base(request.base, sessions)
     jitters = tuple(" ".join(drive.log_jitter.describe()) for drive in drives if drive.log_jitter)
     drives = remembering(drives, base.model, ())

@@ -1,6 +1,6 @@
 """What is to be identified, checked: drives, what is held out, what is free and what is fixed."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -19,6 +19,7 @@ from steerd.daemon.analysis.drives import (
     without_reserved,
 )
 from steerd.daemon.analysis.held_out import EVERY, HeldOut
+from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import open_session
 from steerd.sysid.estimation.effect_selection import CANDIDATES
@@ -116,7 +117,7 @@ def make_task(request: IdentifyRequest, warn: Warn) -> Task:
         seed=request.seed,
         jobs=request.jobs,
         dask=request.dask,
-        truth=_truth(sessions[0]),
+        truth=_truth(sessions, files, warn),
         effects=candidates,
         stated=tuple(fixed),
     )
@@ -133,16 +134,12 @@ def _candidates(given: tuple[str, ...] | Literal["auto"]) -> tuple[str, ...]:
         raise SteerdError(what, hint or "`steerd effects` lists them", _USAGE) from None
 
 
-def _truth(path: Path) -> Car[float] | None:
-    """The simulated car of a session that was recorded in simulation."""
-    metadata = open_session(path).info().metadata
-    vehicle = metadata.get("steerd.vehicle", {})
-    if metadata.get("steerd.session", {}).get("mode") != "sim":
-        return None
-    try:
-        return Car(**{name: float(vehicle[name]) for name in Car._fields})
-    except (KeyError, ValueError):
-        return None
+def _truth(sessions: Sequence[Path], held_out: Sequence[Path], warn: Warn) -> Car[float] | None:
+    """The simulated car of sessions that were recorded in simulation; None if they differ."""
+    metadata = {str(p.name): open_session(p).info().metadata for p in (*sessions, *held_out)}
+    different = compare_truths(metadata)
+    warn(different)
+    return None if different else read_true_car(metadata[sessions[0].name])
 
 
 def given_values(fix: Mapping[str, float | None]) -> dict[str, Learned]:

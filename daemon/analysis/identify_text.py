@@ -11,17 +11,24 @@ _CERTAIN = 10.0
 """A phase whose log-likelihood leads by more is identified [nats]."""
 
 
-def describe(outcome: Outcome, written: Path | None = None, *, axles_measured: bool = False) -> str:
+def describe(
+    outcome: Outcome,
+    written: Path | None = None,
+    *,
+    axles_measured: bool = False,
+    sim_option: str = "",
+) -> str:
     """The screen; what to do next comes last.
 
     Args:
         outcome: of the identification.
         written: the car file that was written.
         axles_measured: whether the wheelbase was stated.
+        sim_option: what brings the sessions' simulated car back, see `read_sim_option`.
     """
     parts = [
         _data(outcome), _parameters(outcome), _open(outcome), _validation(outcome),
-        _next(outcome, written, axles_measured),
+        _next(outcome, written, axles_measured, sim_option),
     ]  # fmt: skip
     return "\n\n".join("\n".join(lines) for lines in map(list, parts) if lines)
 
@@ -115,13 +122,16 @@ def _regimes(outcome: Outcome) -> Iterator[str]:
     yield f"   median after 1 s by lateral acceleration [m/s2]: {', '.join(medians)}"
 
 
-def _next(outcome: Outcome, written: Path | None, axles_measured: bool) -> Iterator[str]:
+def _next(
+    outcome: Outcome, written: Path | None, axles_measured: bool, sim_option: str
+) -> Iterator[str]:
     yield from (f"note: {note}" for note in outcome.notes)
     if not improved(outcome):
         yield "next: these values predict no better than the start; keep the old car file"
         yield from _why(outcome, axles_measured)
     elif written is not None:
-        yield f"next: steerd run --sim --car {written}   (on the car: --port and --mocap for --sim)"
+        yield f"next: steerd run --sim{sim_option} --car {written}"
+        yield "      (on the car: --port and --mocap for --sim)"
         names = " ".join(outcome.sessions)
         yield f"      steerd diagnose {names} --base {written}   (what this model still misses)"
     else:

@@ -8,11 +8,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from steerd.car_model.car_file import default_car_path
-from steerd.car_model.effects import parse_effects
 from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import Car
 from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path
+from steerd.daemon.assembly.sim_car import load_sim_car, make_true_model
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.outbox import Outbox, Sink
 from steerd.daemon.loop.plans import Drill, PlanError, parse_drill
@@ -70,6 +70,15 @@ class RunPlan:
         except ValueError as error:
             what = f"--path {self.options.path}: {error}"
             raise SteerdError(what, "", ExitCode.INVALID) from None
+
+    @cached_property
+    def sim(self) -> Settings:
+        """The settings of the simulated car; those of the car file unless `--sim-car` differs.
+
+        Raises:
+            SteerdError: the simulated car's file is refused.
+        """
+        return load_sim_car(self.options.sim_car) if self.options.sim_car else self.settings
 
     @property
     def period_ns(self) -> int:
@@ -187,25 +196,19 @@ def make_core(
 def make_world_config(
     plan: RunPlan, mocap_kind: str = "natnet", keep_bytes: bool = False
 ) -> WorldConfig:
-    """Simulated hardware for a plan: the car of the car file, with the effects of the options.
+    """Simulated hardware for a plan: the simulated car, with the effects of the options.
 
     Raises:
-        SteerdError: an effect is unknown or its value is invalid.
+        SteerdError: the simulated car's file or an effect is refused.
     """
-    settings, options = plan.settings, plan.options
-    try:
-        added = parse_effects(",".join(options.effects)) if options.effects else []
-    except ValueError as error:
-        raise SteerdError(
-            f"--effect: {error}", "`steerd effects` lists them", ExitCode.USAGE
-        ) from None
-    file = settings.file
+    settings, options = plan.sim, plan.options
+    model = make_true_model(settings, options.effects)
     return WorldConfig(
         seed=options.seed,
-        car=file.car,
-        chassis=file.chassis,
-        effects=(*file.effects, *(effect for effect, _ in added)),
-        effect_values=(*file.values, *(values for _, values in added)),
+        car=model.car,
+        chassis=model.chassis,
+        effects=model.effects,
+        effect_values=model.values,
         scaling=settings.scaling,
         vesc=VescConfig(current_limit=settings.brakes.current_max_a),
         mocap=MocapConfig(kind=mocap_kind, frame=settings.ingest.frame),

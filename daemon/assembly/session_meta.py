@@ -9,6 +9,7 @@ from pathlib import Path
 import platformdirs
 
 from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.assembly.sim_car import make_true_model, make_truth
 from steerd.daemon.settings.run_options import encode_options
 
 
@@ -62,12 +63,17 @@ def make_metadata(
     scaling = {
         name: repr(getattr(plan.settings.scaling, name)) for name in plan.settings.scaling.__slots__
     }
-    return {"steerd.session": session, "steerd.vehicle": vehicle, "steerd.scaling": scaling}
+    found = {"steerd.session": session, "steerd.vehicle": vehicle, "steerd.scaling": scaling}
+    if options.simulated:
+        found["steerd.truth"] = make_truth(make_true_model(plan.sim, options.effects))
+    return found
 
 
 def make_attachments(plan: RunPlan) -> dict[str, str]:
-    """Attachments of the session: car file and path file, unchanged."""
+    """Attachments of the session: car file, path file and the simulated car's file, unchanged."""
     texts = {"car.toml": plan.settings.file.text}
+    if plan.options.sim_car:
+        texts["sim_car.toml"] = plan.sim.file.text
     path_file = csv_file(plan.options.path)
     if path_file is not None:
         texts["path.csv"] = Path(path_file).read_text()

@@ -122,10 +122,12 @@ def run(args: argparse.Namespace) -> int:
     """
     from steerd.daemon.analysis.identification import FIT_WORK, run_identification
     from steerd.daemon.analysis.identify_text import describe
+    from steerd.daemon.assembly.sim_car import read_sim_option
     from steerd.daemon.common.outputs import check_outputs
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.written import write_outputs
     from steerd.daemon.sessions.text import print_warnings
+    from steerd.steer_bus.session_read import open_session
 
     to_screen = str(args.json) == "-"
     named = None if to_screen else args.json
@@ -139,7 +141,9 @@ def run(args: argparse.Namespace) -> int:
         print(result, end="", flush=True)
     else:
         measured = request.wheelbase is not None
-        print(describe(found.outcome, args.output, axles_measured=measured), flush=True)
+        again = read_sim_option(open_session(request.sessions[0]).info().metadata)
+        screen = describe(found.outcome, args.output, axles_measured=measured, sim_option=again)
+        print(screen, flush=True)
     # What follows may fail, for want of space for instance; the result is on the screen by then.
     drawn = _DRAW if args.report else 0.0
     with show_progress("writing", drawn + (_NOISE if args.output else 0.0)) as advance:

@@ -29,6 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     where.add_argument("--sim", action="store_true", help="simulated hardware on a pty and sockets")
     where.add_argument("--fast", action="store_true", help="with --sim: virtual time, repeatable")
+    where.add_argument(
+        "--sim-car",
+        metavar="FILE.toml|hidden:SEED",
+        help="the simulated car, where it is not --car's: a file, or one that the seed hides",
+    )
     add_drive_arguments(parser)
     run = parser.add_argument_group("run")
     run.add_argument(
@@ -105,6 +110,8 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         raise SteerdError("a car needs --port and --mocap", hint, ExitCode.USAGE)
     if not args.sim and (args.auto_arm or args.effect):
         raise SteerdError("--auto-arm and --effect are for --sim only", "", ExitCode.USAGE)
+    if not args.sim and args.sim_car:
+        raise SteerdError("--sim-car is the simulated car", "add --sim", ExitCode.USAGE)
     if args.duration is not None and not 0.0 < args.duration <= 86400.0:
         raise SteerdError(f"--duration {args.duration:g}: more than 0 s", "", ExitCode.USAGE)
     if args.speed is not None and not 0.0 < args.speed < inf:
@@ -136,6 +143,7 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         insecure_lan=args.insecure_lan,
         view=args.view or "",
         ros_domain=args.ros_domain,
+        sim_car=args.sim_car or "",
     )
 
 

@@ -14,7 +14,11 @@ from steerd.daemon.settings.run_options import RunOptions
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd sim`."""
-    parser.add_argument("--car", metavar="FILE.toml", help="car file (default: F1TENTH's figures)")
+    parser.add_argument(
+        "--car",
+        metavar="FILE.toml|hidden:SEED",
+        help="the simulated car (default: F1TENTH's figures; hidden: one that the seed hides)",
+    )
     parser.add_argument("--mocap", choices=("natnet", "vrpn"), default="natnet")
     parser.add_argument("--effect", action="append", default=[], metavar="NAME=VALUE,…")
     parser.add_argument(
@@ -39,7 +43,12 @@ def run(args: argparse.Namespace) -> int:
     )
 
     options = RunOptions(
-        args.car or "", simulated=True, seed=args.seed, effects=tuple(args.effect), path="line"
+        "",
+        simulated=True,
+        seed=args.seed,
+        effects=tuple(args.effect),
+        path="line",
+        sim_car=args.car or "",
     )
     world = make_world_config(make_plan(options), args.mocap)
     try:

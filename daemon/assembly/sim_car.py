@@ -1,0 +1,168 @@
+"""The simulated hardware's own car, of `--sim-car`: a file, or one that a seed hides.
+
+A controller that is designed from the very car that it drives has nothing to learn. With a car of
+its own, simulated hardware is to the controller what a car on the floor is.
+"""
+
+# Why: docs/decisions/processes-and-time.md#d67
+
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from steerd.car_model.car_file import Learned, default_car_path, load_car, update_car
+from steerd.car_model.effect import Effect
+from steerd.car_model.effects import parse_effects
+from steerd.car_model.model import Model
+from steerd.car_model.params import Car
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.screen import clean
+from steerd.daemon.settings.config import Settings, load_settings, make_settings
+from steerd.daemon.settings.run_options import decode_options
+
+HIDDEN = "hidden:"
+"""Begins the name of a car that a seed hides: `hidden:7`."""
+SHARES: Mapping[str, float] = {
+    "c_sf": 0.15, "c_sr": 0.15, "inertia_z": 0.2, "steer_gain": 0.08,
+    "steer_lag": 0.3, "speed_gain": 0.04, "speed_lag": 0.3,
+}  # fmt: skip
+"""How far a hidden car may lie from the published one, as a share of the value. The axles are where
+they are published: a tape measures them, and the mocap body was placed by them."""
+BIAS = (0.02, 0.035)
+"""Bounds of a hidden car's steering offset, to either side [rad]: 1.1 to 2 degrees, a linkage
+that was screwed on by eye."""
+DELAY = 0.02
+"""Largest dead time that a hidden car's steering has beyond the published one's [s]."""
+_STREAM = 17
+"""Keeps these numbers apart from those of the simulated instruments' noise."""
+
+
+def load_sim_car(spec: str) -> Settings:
+    """The true car of a simulation.
+
+    Args:
+        spec: a car file, or `hidden:SEED`.
+
+    Raises:
+        SteerdError: the file cannot be used, or the seed is none.
+    """
+    if not spec.startswith(HIDDEN):
+        return load_settings(spec)
+    seed = spec.removeprefix(HIDDEN)
+    if not seed.isdecimal():
+        what = f"--sim-car {spec}: the seed is a whole number"
+        raise SteerdError(what, f"--sim-car {HIDDEN}7, or a car file", ExitCode.USAGE)
+    updates = {name: Learned(value) for name, value in _hide(int(seed)).items()}
+    return make_settings(update_car(Path(f"{spec}.toml"), load_car(default_car_path()), updates))
+
+
+def _hide(seed: int) -> dict[str, float]:
+    """Values of the car that a seed hides, about the published one."""
+    car, rng = load_car(default_car_path()).car, np.random.default_rng([_STREAM, seed])
+    values = {
+        name: getattr(car, name) * rng.uniform(1.0 - share, 1.0 + share)
+        for name, share in SHARES.items()
+    }
+    values["steer_bias"] = rng.choice((-1.0, 1.0)) * rng.uniform(*BIAS)
+    values["steer_delay"] = car.steer_delay + rng.uniform(0.0, DELAY)
+    return {name: float(f"{value:.4g}") for name, value in values.items()}
+
+
+def parse_added(texts: tuple[str, ...]) -> list[tuple[Effect, tuple[float, ...]]]:
+    """The effects of `--effect`.
+
+    Raises:
+        SteerdError: an effect is unknown or its value is invalid.
+    """
+    try:
+        return parse_effects(",".join(texts)) if texts else []
+    except ValueError as error:
+        hint = "`steerd effects` lists them"
+        raise SteerdError(f"--effect: {error}", hint, ExitCode.USAGE) from None
+
+
+def make_true_model(settings: Settings, effects: tuple[str, ...]) -> Model[float]:
+    """The simulated car: that of the settings, with the effects of `--effect` added.
+
+    Raises:
+        SteerdError: an effect is unknown or its value is invalid.
+    """
+    file, added = settings.file, parse_added(effects)
+    return Model(
+        file.car,
+        (*file.effects, *(effect for effect, _ in added)),
+        (*file.values, *(values for _, values in added)),
+        file.chassis,
+    )
+
+
+def make_truth(model: Model[float]) -> dict[str, str]:
+    """The simulated car as a session records it: every value by its name."""
+    found = {name: repr(value) for name, value in model.car._asdict().items()}
+    for effect, values in zip(model.effects, model.values, strict=True):
+        for parameter, value in zip(effect.parameters, values, strict=True):
+            found[f"{effect.name}.{parameter.name}"] = repr(value)
+    return found | {"chassis": model.chassis.name}
+
+
+def read_truth(metadata: Mapping[str, Any]) -> dict[str, str] | None:
+    """The simulated car of a session as `make_truth` wrote it; None for any other session.
+
+    Sessions from before it was recorded were driven on the car of their car file.
+    """
+    if metadata.get("steerd.session", {}).get("mode") != "sim":
+        return None
+    found = metadata.get("steerd.truth") or metadata.get("steerd.vehicle", {})
+    return dict(found) or None
+
+
+def read_true_car(metadata: Mapping[str, Any]) -> Car[float] | None:
+    """The parameters of a session's simulated car; None where there is none."""
+    truth = read_truth(metadata) or {}
+    try:
+        return Car(**{name: float(truth[name]) for name in Car._fields})
+    except (KeyError, ValueError):
+        return None
+
+
+def read_sim_option(metadata: Mapping[str, Any]) -> str:
+    """The words of `steerd run` that bring a session's simulated car back; none for other cars."""
+    try:
+        spec = decode_options(metadata.get("steerd.session", {}).get("options", "")).sim_car
+    except ValueError:
+        return ""
+    return f" --sim-car {shlex.quote(clean(spec))}" if spec else ""
+
+
+def compare_truths(named: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """What one car cannot have been: sessions whose simulated cars differ, as sentences.
+
+    Args:
+        named: metadata by the session's name.
+    """
+    truths = {name: truth for name, data in named.items() if (truth := read_truth(data))}
+    remarks = []
+    first = next(iter(truths), "")
+    for other in list(truths)[1:]:
+        one, two = truths[first], truths[other]
+        names = [k for k in dict.fromkeys((*one, *two)) if one.get(k) != two.get(k)]
+        if names:
+            shown = ", ".join(
+                f"{k} {_short(one.get(k))} and {_short(two.get(k))}" for k in names[:3]
+            )
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            remarks.append(
+                f"{first} and {other} were driven on different simulated cars ({shown}{more}): "
+                "one car cannot fit both"
+            )
+    return remarks
+
+
+def _short(value: str | None) -> str:
+    try:
+        return "unset" if value is None else f"{float(value):.4g}"
+    except ValueError:
+        return str(value)
