@@ -1,12 +1,23 @@
 """Car files that come out of an identification or a diagnosis."""
 
+from math import floor, isfinite, log10
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import tomlkit
 
-from steerd.car_model.car_file import CarFile, CarFileError, Learned, update_car
+from steerd.car_model.car_file import (
+    CarFile,
+    CarFileError,
+    Learned,
+    default_car_path,
+    load_car,
+    parse_car,
+    update_car,
+)
+from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
+from steerd.car_model.params import PARAMETERS
 from steerd.daemon.common.translate import make_car_file_error
 
 if TYPE_CHECKING:
@@ -29,10 +40,50 @@ def make_car(base: CarFile, updates: "Mapping[str, Learned]", path: Path) -> Car
     Raises:
         SteerdError: a value is none that a car file may hold.
     """
+    rounded = {name: _rounded(learned) for name, learned in updates.items()}
     try:
-        return update_car(path, base, updates)
+        car = update_car(path, base, rounded)
+        return parse_car(_with_own_words(car, base, rounded), path)
     except CarFileError as error:
         raise make_car_file_error(error) from None
+
+
+def _rounded(learned: Learned) -> Learned:
+    """Two digits of the standard error, and the value to a hundredth of it; no digit says more.
+
+    A hundredth: what the drives know of a combination of values must survive the rounding.
+    """
+    value, sd, source = learned
+    if sd is None or not (isfinite(sd) and sd > 0.0):
+        return Learned(float(f"{value:.6g}"), sd, source)
+    return Learned(round(value, 2 - floor(log10(sd))), float(f"{sd:.2g}"), source)
+
+
+def _with_own_words(car: CarFile, base: CarFile, updates: "Mapping[str, Learned]") -> str:
+    """The file's text with comments that belong to the new values, under a name of its own."""
+    document = tomlkit.parse(car.text)
+    if base.name in (load_car(default_car_path()).name, ""):
+        document["car"]["name"] = car.path.stem  # type: ignore[index]
+    known = {p.name: (p.unit, p.meaning) for p in PARAMETERS}
+    for effect in car.effects:
+        known |= {f"{effect.name}.{p.name}": (p.unit, p.meaning) for p in effect.parameters}
+    for name, learned in updates.items():
+        owner, dot, key = name.rpartition(".")
+        tables: Any = document["effects"] if dot else document
+        named = [n for n in tables if not dot or find_effect(n).name == find_effect(owner).name]
+        table = tables[named[0] if dot else "car"]
+        unit, meaning = known[name]
+        value = table[key]
+        value.comment(_comment(unit, meaning, learned))
+        value.trivia.comment_ws = " " * max(2, 21 - len(f"{key} = {value.as_string()}"))
+    return tomlkit.dumps(document)
+
+
+def _comment(unit: str, meaning: str, learned: Learned) -> str:
+    """What stands beside a value."""
+    sd = f" ± {learned.sd:.2g}" if learned.sd else ""
+    how = learned.source.partition(":")[0].removeprefix("steerd ")
+    return ", ".join(filter(None, (f"{unit}{sd}" if unit != "1" else sd.strip(), meaning, how)))
 
 
 def identified_values(

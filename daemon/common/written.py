@@ -1,5 +1,7 @@
 """Output files: replaced where steerd wrote them; anything else is kept beside the new one.
 
+A car file is always kept: yesterday's may be the better one, and a car drove by it.
+
 The digests of what steerd wrote lie in the user's state folder. A file whose digest is not among
 them was written by somebody else, or edited since. Without the state folder every file is kept.
 """
@@ -32,7 +34,8 @@ def write_output(path: Path, text: str) -> Path | None:
         text: its new content.
 
     Returns:
-        Where the old content is now, or None: there was none, or it was steerd's or the same.
+        Where the old content is now, or None: there was none, it was the same, or a page or a
+        table of steerd's.
 
     Raises:
         SteerdError: it cannot be written; the old content is then where it was.
@@ -74,11 +77,11 @@ def write_outputs(texts: Mapping[Path | None, str | None]) -> None:
 
 def describe_kept(path: Path, kept: Path) -> str:
     """One line about a file that was kept."""
-    return f"{path} was not as steerd wrote it; it is kept as {kept}"
+    return f"what {path} was before is kept as {kept}"
 
 
 def _keep(path: Path, text: str) -> Path | None:
-    """Give a foreign or edited file a second, dated name; it keeps the first until it is replaced.
+    """Give a car file, or a foreign or edited one, a second, dated name beside the first.
 
     Raises:
         SteerdError: it can be neither linked nor copied.
@@ -89,7 +92,7 @@ def _keep(path: Path, text: str) -> Path | None:
         return None
     except OSError as error:
         raise SteerdError(f"{path}: {error.strerror}", "choose another name") from None
-    if old == text.encode() or _digest(old) in _written():
+    if old == text.encode() or (path.suffix != ".toml" and _digest(old) in _written()):
         return None
     kept = _dated_name(path)
     try:

@@ -331,5 +331,5 @@ def test_a_file_edited_by_hand_is_kept_and_named(rows, importer, tmp_path, capsy
     assert main(["identify", str(session), *FREE, "-o", str(out)]) == 0
     (kept,) = tmp_path.glob("car.*.toml")
     assert kept.read_text().endswith("# checked by hand\n")
-    assert f"it is kept as {kept}" in capsys.readouterr().err
+    assert f"is kept as {kept}" in capsys.readouterr().err
     assert "by hand" not in out.read_text()

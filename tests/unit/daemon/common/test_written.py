@@ -29,11 +29,20 @@ def names(place):
 
 
 def test_what_steerd_wrote_is_replaced(state):
-    path = state / "car.toml"
+    path = state / "gap.html"
     for text in ("one", "two", "one"):
         assert write_output(path, text) is None
         assert path.read_text() == text
-    assert names(state) == ["car.toml"]
+    assert names(state) == ["gap.html"]
+
+
+def test_a_car_file_is_kept_though_steerd_wrote_it(state):
+    path = state / "car.toml"
+    assert write_output(path, "steer_gain = 1.04\n") is None
+    date(path)
+    kept = write_output(path, "steer_gain = 0.61\n")
+    assert kept == state / "car.2023-11-14T22-13-20.toml"
+    assert kept.read_text() == "steer_gain = 1.04\n"
 
 
 @pytest.mark.parametrize("ours", [True, False])
@@ -113,13 +122,13 @@ def test_one_output_that_fails_does_not_take_the_others_along(state, capsys):
     assert (state / "car.toml").read_text() == "car"
     assert names(state) == ["car.2023-11-14T22-13-20.toml", "car.toml"]
     said = capsys.readouterr().err
-    assert said.startswith(f"note: {state / 'car.toml'} was not as steerd wrote it")
+    assert said.startswith(f"note: what {state / 'car.toml'} was before is kept as")
     assert "car.2023-11-14T22-13-20.toml" in said
 
 
 def test_only_the_latest_digests_are_kept(state, monkeypatch):
     monkeypatch.setattr(written, "_REMEMBERED", 2)
-    first, second = state / "a.toml", state / "b.toml"
+    first, second = state / "a.html", state / "b.html"
     write_output(first, "a")
     write_output(second, "b")
     write_output(second, "c")
