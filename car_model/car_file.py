@@ -4,6 +4,7 @@
 handed on as it stands, for the room that it configures. Writing keeps comments, order and sections.
 """
 
+import difflib
 import re
 import tomllib
 from collections.abc import Mapping
@@ -299,6 +300,9 @@ def _plain(what: str) -> str:
 def _hint(key: str) -> str:
     """What to write at a key."""
     name = key.removeprefix("car.")
+    near = difflib.get_close_matches(name, [*Car._fields, "name", "chassis", "drive"], n=1)
+    if key.startswith("car.") and near and near[0] != name:
+        return f"did you mean {near[0]}?"
     for p in PARAMETERS:
         if p.name == name:
             return f"{p.name} = {p.default:g}  # {p.unit}, {p.meaning}; {p.low:g} to {p.high:g}"

@@ -1,4 +1,4 @@
-"""The one screen that `steerd diagnose` prints: at most 24 lines of 100 columns."""
+"""The one screen that `steerd diagnose` prints: at most 30 lines of 80 columns."""
 
 import textwrap
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ from steerd.sim_gap.report.summary_text import (
     shrink_words,
 )
 
-COLUMNS, LINES = 100, 24
+COLUMNS, LINES = 80, 30
 _MARGIN = 12
 
 

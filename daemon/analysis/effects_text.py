@@ -24,21 +24,21 @@ def by_stage() -> dict[Stage, list[Effect]]:
 
 
 def format_table(width: int | None = None) -> str:
-    """All effects, one line each; cut to a width, or to the terminal's if there is one."""
+    """All effects, one line each, with their equations where the terminal is wide enough."""
     if width is None:
         width = shutil.get_terminal_size().columns if sys.stdout.isatty() else 1000
-    lines = [f"{'effect':<{_NAME}}{'parameters: null (range) unit':<{_PARAMETERS}}equation"]
+    equations = width >= _NAME + _PARAMETERS + max(len(e.equation) for e in EFFECTS.values())
+    head = f"{'effect':<{_NAME}}{'parameters: null (range) unit':<{_PARAMETERS}}"
+    lines = [f"{head}{'equation' if equations else ''}".rstrip()]
     for stage, effects in by_stage().items():
         lines.append(f"{stage}: {_STAGES[stage]}")
         for effect in effects:
             parameters = _brief(effect.parameters)
-            lines.append(
-                f"  {effect.name:<{_NAME - 2}}{parameters:<{_PARAMETERS}}{effect.equation}"
-            )
-    lines.append(
-        "`steerd effects NAME` shows one; `--effect NAME=VALUE` switches one on in a simulation."
-    )
-    return "\n".join(line if len(line) <= width else line[: width - 1] + "…" for line in lines)
+            line = f"  {effect.name:<{_NAME - 2}}{parameters:<{_PARAMETERS}}"
+            lines.append((line + effect.equation if equations else line).rstrip())
+    lines += ["`steerd effects NAME` shows one and its equation;"]
+    lines += ["`--effect NAME=VALUE` switches one on in a simulation."]
+    return "\n".join(lines)
 
 
 def _brief(parameters: Iterable[EffectParameter]) -> str:

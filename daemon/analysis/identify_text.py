@@ -1,12 +1,15 @@
 """The one screen that `steerd identify` prints."""
 
+import re
 from collections.abc import Iterator
 from math import degrees, isfinite, isnan
 from pathlib import Path
 
+from steerd.daemon.common.screen import WIDTH, wrap
 from steerd.sysid.estimation.learn import POOR
 from steerd.sysid.estimation.outcome import Outcome, Row
 
+_COMMAND = ("next: steerd", "      steerd")
 _CERTAIN = 10.0
 """A phase whose log-likelihood leads by more is identified [nats]."""
 
@@ -30,7 +33,22 @@ def describe(
         _data(outcome), _parameters(outcome), _open(outcome), _validation(outcome),
         _next(outcome, written, axles_measured, sim_option),
     ]  # fmt: skip
-    return "\n\n".join("\n".join(lines) for lines in map(list, parts) if lines)
+    return "\n\n".join("\n".join(_fitted(lines)) for lines in map(list, parts) if lines)
+
+
+def _fitted(lines: list[str]) -> Iterator[str]:
+    """The lines broken between words where they are too wide, indented as their own label is."""
+    for line in lines:
+        if len(line) <= WIDTH or line.startswith(_COMMAND):  # a command to copy is never broken
+            yield line
+        else:
+            yield from wrap(line, "", " " * _indent(line))
+
+
+def _indent(line: str) -> int:
+    """Where the text after a label begins."""
+    label = re.match(r"(\w+:? +| +)", line)
+    return label.end() if label else 6
 
 
 def _data(outcome: Outcome) -> Iterator[str]:
@@ -71,7 +89,7 @@ def _parameters(outcome: Outcome) -> Iterator[str]:
 
 def _line(name: str, row: Row) -> str:
     sd = "?" if row.sd is None else f"{row.sd:.2g}"
-    remark = "" if row.identifiable else "  not identifiable from these data"
+    remark = "" if row.identifiable else "  not identifiable"
     value = f"{row.value:.5g}" if row.identifiable else f"({row.value:.3g})"
     return f"{name}{value:>10} {sd:>8}  {row.before:>10.5g} {row.unit}{remark}".rstrip()
 

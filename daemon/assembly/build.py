@@ -14,6 +14,7 @@ from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.assembly.sim_car import load_sim_car, make_true_model
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.near import find_near
 from steerd.daemon.ipc.outbox import Outbox, Sink
 from steerd.daemon.loop.plans import Drill, PlanError, parse_drill
 from steerd.daemon.settings.config import Settings, load_settings
@@ -114,7 +115,8 @@ def make_plan(
     except OSError as error:
         raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.UNREADABLE) from None
     except ValueError as error:
-        raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.USAGE) from None
+        hint = _near_path(options.path)
+        raise SteerdError(f"--path {options.path}: {error}", hint, ExitCode.USAGE) from None
     plan = RunPlan(options, settings, path)
     if options.drill:
         try:
@@ -125,6 +127,20 @@ def make_plan(
     if design:
         _ = plan.controller
     return plan
+
+
+_SHAPES = ("line", "circle", "figure8", "csv")
+_SHAPE_OPTIONS = ("length", "radius", "dir", "size", "place", "smooth")
+
+
+def _near_path(spec: str) -> str:
+    """The path that was perhaps meant: the same words, mistyped ones replaced."""
+    shape, colon, rest = spec.partition(":")
+    if shape != "csv" or not rest:
+        words = [word.partition("=") for word in rest.split(",")]
+        rest = ",".join((find_near(k, _SHAPE_OPTIONS) or k) + eq + value for k, eq, value in words)
+    meant = (find_near(shape, _SHAPES) or shape) + colon + rest
+    return f"did you mean --path {meant}?" if meant != spec else ""
 
 
 def add_drill_fence(settings: Settings, drill: Drill) -> Settings:

@@ -90,6 +90,11 @@ def parse_command(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
 
         print(f"steerd {version('steerd')}")
         raise SystemExit(0)
+    if argv and not argv[0].startswith("-") and argv[0] not in COMMANDS:
+        from steerd.daemon.common.near import did_you_mean
+
+        hint = did_you_mean(argv[0], COMMANDS) or "`steerd --help` lists the commands"
+        raise SteerdError(f"there is no command {argv[0]!r}", hint, ExitCode.USAGE)
     args = make_parser().parse_args(argv[:1] or ["--help"])
     return str(args.command), argv[1:]
 
@@ -106,8 +111,22 @@ def dispatch(argv: Sequence[str]) -> int:
     )
     module.add_arguments(parser)
     parser.set_defaults(command=name)
-    code: int = module.run(parser.parse_args(rest))
+    args, unknown = parser.parse_known_args(rest)
+    if unknown:
+        raise _refuse(name, parser, unknown)
+    code: int = module.run(args)
     return code
+
+
+def _refuse(name: str, parser: argparse.ArgumentParser, unknown: list[str]) -> SteerdError:
+    """The error of words that a command does not take, with the nearest option."""
+    from steerd.daemon.common.near import did_you_mean
+
+    options = [text for action in parser._actions for text in action.option_strings]  # noqa: SLF001
+    word = next((each for each in unknown if each.startswith("-")), unknown[0])
+    what = f"`steerd {name}` takes no {word.partition('=')[0]}"
+    hint = did_you_mean(word.partition("=")[0], options) if word.startswith("-") else ""
+    return SteerdError(what, hint or f"`steerd {name} --help` shows its options", ExitCode.USAGE)
 
 
 def main() -> int:

@@ -17,6 +17,7 @@ from typing import Any
 import msgspec
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.near import did_you_mean
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.mocap_link.frame import FrameConfig
 from steerd.steer_bus.topics import check_car_name
@@ -168,7 +169,10 @@ def _columns(columns: dict[str, str | ColumnSpec]) -> dict[str, ColumnSpec]:
     made = {k: ColumnSpec(v) if isinstance(v, str) else v for k, v in columns.items()}
     for name, spec in made.items():
         if name not in known:
-            raise ValueError(f"[columns] {name!r} is none of {', '.join(known)}")
+            meant = did_you_mean(name, known)
+            raise ValueError(
+                f"[columns] {name!r} is none of {', '.join(known)}; {meant}".strip("; ")
+            )
         if not (math.isfinite(spec.scale) and math.isfinite(spec.offset)) or spec.scale == 0.0:
             raise ValueError(f"[columns] {name}: scale and offset must be finite, scale not 0")
     if made and "t" not in made:
@@ -185,7 +189,10 @@ def _columns(columns: dict[str, str | ColumnSpec]) -> dict[str, ColumnSpec]:
 def _topics(topics: dict[str, str]) -> dict[str, str]:
     for role in topics:
         if role not in ROLES:
-            raise ValueError(f"[topics] {role!r} is none of {', '.join(ROLES)}")
+            meant = did_you_mean(role, ROLES)
+            raise ValueError(
+                f"[topics] {role!r} is none of {', '.join(ROLES)}; {meant}".strip("; ")
+            )
     return topics
 
 

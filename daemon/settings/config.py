@@ -1,6 +1,5 @@
 """A car file as settings: each section is checked by the room that uses it."""
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from math import radians
@@ -15,6 +14,7 @@ from steerd.car_model.params import GRAVITY, wheelbase
 from steerd.controller.config import ControllerConfig, load_controller_config
 from steerd.controller.limits import Limits
 from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.near import did_you_mean, find_near
 from steerd.daemon.common.translate import make_car_file_error
 from steerd.daemon.settings.thresholds import Thresholds, check_bounds
 from steerd.estimator.config import FilterConfig, load_filter_config
@@ -115,6 +115,7 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
     Raises:
         SteerdError: a section holds an unknown key or an invalid value, or two contradict.
     """
+    _check_sections(car_file)
     sections = _Sections(car_file)
     vesc = dict(sections.section("vesc"))
     brakes = {k: vesc.pop(k) for k in list(vesc) if k in _names(BrakeSettings)}
@@ -151,6 +152,26 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
             "drive slower, or raise speed_max if the car may",
         )
     return settings
+
+
+_SECTIONS = (
+    "car", "effects", "vesc", "mocap", "limits", "controller", "estimator", "record", "safety",
+    "noise", "knowledge",
+)  # fmt: skip
+"""Sections that some room reads."""
+
+
+def _check_sections(car_file: CarFile) -> None:
+    """Refuse a section whose name is nearly that of another: its limits would not hold.
+
+    Raises:
+        SteerdError: a name is mistyped; other sections are a reader's own and stay.
+    """
+    for name in car_file.sections:
+        near = find_near(name, _SECTIONS)
+        if name not in _SECTIONS and near:
+            what = f"{car_file.path}: [{name}] is not a section that steerd reads"
+            raise SteerdError(what, f"did you mean [{near}]?")
 
 
 def _check_stop(car_file: CarFile, thresholds: Thresholds) -> None:
@@ -203,8 +224,7 @@ def _convert(table: Mapping[str, Any], cls: type[S]) -> S:
     known = _names(cls)
     for name in table:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+            hint = did_you_mean(name, known) or f"known are {', '.join(known)}"
             raise ValueError(f"{name} is not a setting; {hint}")
     return msgspec.convert(dict(table), cls)
 

@@ -2,7 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass, field
-from math import degrees, hypot, isfinite, sqrt
+from math import degrees, hypot, isfinite, remainder, sqrt, tau
 
 from rich.console import Group, RenderableType
 from rich.panel import Panel
@@ -137,7 +137,7 @@ class Dashboard:
             "pose",
             f"x {show(s.x, '+7.3f')} m",
             f"y {show(s.y, '+7.3f')} m",
-            f"yaw {show(degrees(s.yaw), '+7.1f')}°",
+            f"yaw {show(degrees(remainder(s.yaw, tau)), '+7.1f')}°",
         )
         table.add_row(
             "motion",

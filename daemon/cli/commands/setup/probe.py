@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the findings; exit code 3 if what was named cannot be used.
+    """Print the findings; exit code 3 if what was named cannot be used, or nothing was found.
 
     Raises:
         SteerdError: the mocap address or the car file makes no sense.
@@ -62,7 +62,8 @@ def run(args: argparse.Namespace) -> int:
                          *format_sockets(sockets)]))  # fmt: skip
     useless = args.port and not any(port.vesc for port in serial)
     useless = useless or (args.mocap and not any(seen.samples for seen, _ in mocap))
-    return ExitCode.UNREADABLE if useless else ExitCode.OK
+    nothing = not any(port.vesc for port in serial) and not mocap
+    return ExitCode.UNREADABLE if useless or nothing else ExitCode.OK
 
 
 def _serial(port: str | None, brakes: "BrakeSettings") -> Iterator[SerialFound]:

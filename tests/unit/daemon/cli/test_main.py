@@ -89,3 +89,21 @@ def test_an_error_is_wrapped_on_a_terminal_and_is_one_line_in_a_pipe(monkeypatch
     assert max(map(len, lines)) <= 80
     assert len(lines) == 4
     assert lines[1].startswith("        ")
+
+
+@pytest.mark.parametrize(
+    ("line", "meant"),
+    [
+        ("idenify a.mcap", "did you mean identify?"),
+        ("run --sim --sped 2", "did you mean --speed?"),
+        ("run --sim --fast --path figur8", "did you mean --path figure8?"),
+        ("run --sim --fast --path circle:raduis=2", "did you mean --path circle:radius=2?"),
+        ("frobnicate", "`steerd --help` lists the commands"),
+        ("info a.mcap b.mcap c.mcap --xyzzy", "`steerd info --help` shows its options"),
+    ],
+)
+def test_what_was_perhaps_meant_is_offered(line, meant, capsys):
+    assert run_cli(line.split()) == ExitCode.USAGE
+    said = capsys.readouterr()
+    assert meant in said.err
+    assert said.out == ""
