@@ -45,6 +45,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "sessions.replay",
         "feed a recorded session through the loop and compare its commands",
     ),
+    "sessions": ("sessions.sessions", "the recorded drives: date, car, errors, notes"),
     "info": ("sessions.info", "contents of a session"),
     "plot": ("sessions.plot", "a drive as one HTML page: track, errors, commands, timing"),
     "recover": ("sessions.recover", "rebuild the session of a recorder that was killed"),

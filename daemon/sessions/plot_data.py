@@ -8,13 +8,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.path.path import Path as Lane
 from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.assembly.session_meta import csv_file
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import Times, find_table, make_track_of, read_tables
+from steerd.daemon.sessions.lane_error import rms, settled_errors
 from steerd.daemon.sessions.motion import Array, Track
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import topics
@@ -27,8 +27,6 @@ NIS_95 = 7.815
 """95 % of a chi-squared distribution with 3 degrees of freedom lie below."""
 LANE_HALF_WIDTH = 0.30
 """[m], where the lateral watchdog stops the car unless the car file says otherwise."""
-SETTLE = 3.0
-"""The approach to the lane at the start of a drive is left out of the errors [s]."""
 GAP = 0.5
 """A line breaks where samples are further apart [s]."""
 
@@ -77,16 +75,16 @@ class _Tables:
     """The session's tables by topic."""
 
     def __init__(self, tables: Mapping[str, Columns], start_ns: int) -> None:
-        self._tables, self._times = dict(tables), Times(start_ns)
+        self._tables, self.seconds = dict(tables), Times(start_ns)
 
     def table(self, topic: Topic) -> Columns | None:
         return find_table(self._tables, topic)
 
     def times(self, table: Columns) -> Array:
-        return self._times.of(table["stamp_ns"])
+        return self.seconds.of(table["stamp_ns"])
 
     def track(self) -> Track | None:
-        return make_track_of(self._tables, self._times)
+        return make_track_of(self._tables, self.seconds)
 
     def curve(
         self, topic: Topic, field: str, name: str, role: str, scale: float = 1.0
@@ -170,25 +168,15 @@ def _figures(s: _Tables, track: Track | None) -> tuple[tuple[str, str], ...]:
     state, tick = s.table(topics.STATE), s.table(topics.TICK)
     if state is not None:
         running = state["mode"] == SupervisorState.RUNNING
-        e1 = np.abs(state["e1"][_settled(running, s.times(state))])
-        e1 = e1[np.isfinite(e1)]
+        e1 = settled_errors(state, s.seconds)
         if e1.size:
-            facts.append(
-                ("lateral error RMS, after 3 s", f"{100 * np.sqrt(np.mean(e1**2)):.2f} cm")
-            )
+            facts.append(("lateral error RMS, after 3 s", f"{100 * rms(e1):.2f} cm"))
             facts.append(("largest", f"{100 * e1.max():.2f} cm"))
         if running.any():
             facts.append(("fastest", f"{np.nanmax(state['speed'][running]):.2f} m/s"))
     if tick is not None and len(tick["due_ns"]):
         facts.append(("tick late, 99 %", f"{np.quantile(_late_ms(tick), 0.99):.2f} ms"))
     return tuple(facts)
-
-
-def _settled(running: NDArray[np.bool_], t: Array) -> NDArray[np.bool_]:
-    """Where a drive has been running for more than `SETTLE` seconds."""
-    begins = running & ~np.concatenate(([False], running[:-1]))
-    since = np.maximum.accumulate(np.where(begins, t, -np.inf))
-    return np.asarray(running & (t - since >= SETTLE))
 
 
 # -- the panels ----------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ WINDOWS = [
     for width in (1280, 420)
     for dark in (False, True)
 ]
-PAGES = ("drive", "identify", "gap")
+PAGES = ("drive", "compare", "identify", "gap")
 DRAWN = "document.documentElement.dataset.ready || !document.getElementById('panels')"
 
 
@@ -37,6 +37,8 @@ def pages(tmp_path_factory):
     for line in (
         f"{drive} --record {session}",
         f"plot {session} -o {folder}/drive.html",
+        f"run --sim --fast --speed 1.8 --duration 12 --record {folder}/prompt.mcap",
+        f"plot {session} {folder}/prompt.mcap -o {folder}/compare.html",
         f"identify {session} -o {car} --report {folder}/identify.html",
         f"diagnose {session} --report {folder}/gap.html",
     ):

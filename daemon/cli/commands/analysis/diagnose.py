@@ -17,6 +17,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from steerd.daemon.cli.session_argument import add_sessions, pick_sessions
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd diagnose`."""
-    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION.mcap")
+    add_sessions(parser)
     what = parser.add_argument_group("what is compared")
     what.add_argument(
         "--base", type=Path, metavar="CAR.toml",
@@ -85,7 +86,7 @@ def make_request(args: argparse.Namespace) -> "DiagnoseRequest":
     from steerd.daemon.analysis.held_out import parse_held_out, split_list
 
     return DiagnoseRequest(
-        sessions=tuple(args.sessions),
+        sessions=tuple(pick_sessions(args.sessions)),
         base=args.base,
         held_out=parse_held_out(args.held_out),
         healthy=tuple(map(Path, split_list(args.healthy))),

@@ -16,6 +16,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from steerd.daemon.cli.session_argument import add_sessions, pick_sessions
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ _DRAW, _NOISE = 1.0, 8.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd identify`."""
-    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION.mcap")
+    add_sessions(parser)
     what = parser.add_argument_group("what is learnt")
     what.add_argument("--car", type=Path, metavar="FILE.toml", help="start values (F1TENTH's)")
     what.add_argument("--base", dest="car", type=Path, help=argparse.SUPPRESS)
@@ -81,7 +82,7 @@ def make_request(args: argparse.Namespace) -> "IdentifyRequest":
 
     effects = args.effects or ""
     return IdentifyRequest(
-        sessions=tuple(args.sessions),
+        sessions=tuple(pick_sessions(args.sessions)),
         car=read_car(args.car),
         held_out=parse_held_out(args.held_out),
         free=tuple(split_list([args.free or ""])),

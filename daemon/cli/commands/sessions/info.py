@@ -5,14 +5,14 @@ steerd info SESSION.mcap --json
 """
 
 import argparse
-from pathlib import Path
 
+from steerd.daemon.cli.session_argument import add_session, pick_session
 from steerd.daemon.common.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The session and the form of the output."""
-    parser.add_argument("session", type=Path, metavar="SESSION", help="a session file (.mcap)")
+    add_session(parser)
     parser.add_argument("--json", action="store_true", help="the same for programs")
 
 
@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.sessions.info import load_session, make_session_report
     from steerd.daemon.sessions.text import format_report, make_json, print_warnings
 
-    report = make_session_report(load_session(args.session))
+    report = make_session_report(load_session(pick_session(args.session)))
     if args.json:
         import json
 

@@ -3,17 +3,19 @@
 The page needs no network: send it by mail, or keep it beside the session.
 
 steerd plot SESSION.mcap -o DRIVE.html
+steerd plot BEFORE.mcap AFTER.mcap       # drives of one lane, compared by place
 """
 
 import argparse
 from pathlib import Path
 
+from steerd.daemon.cli.session_argument import add_sessions, pick_sessions
 from steerd.daemon.common.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The session and the page."""
-    parser.add_argument("session", type=Path, metavar="SESSION", help="a session file (.mcap)")
+    """The sessions and the page."""
+    add_sessions(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.html", help="default: beside the session"
     )
@@ -23,21 +25,46 @@ def run(args: argparse.Namespace) -> int:
     """Write the page and say where it is.
 
     Raises:
-        SteerdError: the session cannot be read, or the page not be written.
+        SteerdError: a session cannot be read, drives cannot be compared, or the page not be
+            written.
     """
     from steerd.daemon.common.outputs import check_outputs
     from steerd.daemon.common.written import write_outputs
+
+    paths = pick_sessions(args.sessions)
+    output = args.output or _default_output(paths)
+    check_outputs({"-o": output})
+    page = _compare(paths) if len(paths) > 1 else _draw(paths[0])
+    write_outputs({output: page})
+    print(f"{output}: {len(page.encode()) / 1e6:.1f} MB; open it in a browser")
+    return ExitCode.OK
+
+
+def _default_output(paths: list[Path]) -> Path:
+    if len(paths) == 1:
+        return paths[0].with_suffix(".html")
+    return paths[0].with_name("-".join(path.stem for path in paths)[:120] + ".html")
+
+
+def _draw(path: Path) -> str:
     from steerd.daemon.sessions.info import load_session, make_session_report
     from steerd.daemon.sessions.plot_data import make_drawing
     from steerd.daemon.sessions.plot_page import make_page
     from steerd.daemon.sessions.text import print_warnings
 
-    session = load_session(args.session)
-    output = args.output or args.session.with_suffix(".html")
-    check_outputs({"-o": output})
+    session = load_session(path)
     report = make_session_report(session)
     print_warnings(report.warnings)
-    page = make_page(report, make_drawing(session))
-    write_outputs({output: page})
-    print(f"{output}: {len(page.encode()) / 1e6:.1f} MB; open it in a browser")
-    return ExitCode.OK
+    return make_page(report, make_drawing(session))
+
+
+def _compare(paths: list[Path]) -> str:
+    from steerd.daemon.sessions.compare import (
+        check_same_lane,
+        load_lane_session,
+        render_comparison,
+    )
+
+    drives = [load_lane_session(path) for path in paths]
+    check_same_lane(drives)
+    return render_comparison(drives)

@@ -1,12 +1,13 @@
 """Feed a recorded session through the loop and report commands that differ."""
 
 import argparse
-from pathlib import Path
+
+from steerd.daemon.cli.session_argument import add_session, pick_session
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd replay`."""
-    parser.add_argument("session", type=Path, help="an .mcap session of `steerd run`")
+    add_session(parser)
     parser.add_argument("--show", type=int, default=5, metavar="N", help="differences to print")
 
 
@@ -16,9 +17,10 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.sessions.info import load_session
     from steerd.daemon.sessions.text import print_warnings
 
-    session = load_session(args.session)
+    path = pick_session(args.session)
+    session = load_session(path)
     print_warnings([warning.message for warning in session.warnings])
-    going, differences = replay(session, args.session.name)
+    going, differences = replay(session, path.name)
     count = first_ns = 0
     for difference in differences:
         first_ns = first_ns or difference.t_ns

@@ -1,0 +1,98 @@
+"""The recorded drives: when, which car, what was driven, how well, and notes.
+
+steerd sessions                          # this folder's, and those kept by run
+steerd sessions --folder DIR --tag wet
+steerd sessions tag @last wet new-tyres  # untag takes them away
+steerd sessions note @-2 "left front tyre changed"
+
+@last is the drive that ended last, @-2 the one before it; plot, info, replay,
+identify and diagnose take them too. Tags and notes lie beside the session, in
+NAME.notes.toml.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
+SHOWN = 40
+"""Drives that are listed unless all are asked for."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The list's options, and what can be written about a drive."""
+    parser.add_argument("--folder", type=Path, metavar="DIR", help="another folder than these")
+    parser.add_argument("--tag", metavar="TAG", help="only drives with this tag")
+    parser.add_argument("--car", metavar="NAME", help="only drives of this car")
+    parser.add_argument("--all", action="store_true", help=f"more than {SHOWN}")
+    parser.add_argument("--json", action="store_true", help="the same for programs")
+    kinds = parser.add_subparsers(dest="kind", metavar="tag|untag|note")
+    for kind, text in (("tag", "add tags to a drive"), ("untag", "take tags away")):
+        child = kinds.add_parser(kind, help=text)
+        child.add_argument("session", metavar="SESSION", help="a file, @last or @-N")
+        child.add_argument("tags", nargs="+", metavar="TAG")
+    note = kinds.add_parser("note", help="write a sentence about a drive; an empty one removes it")
+    note.add_argument("session", metavar="SESSION", help="a file, @last or @-N")
+    note.add_argument("text", nargs="+", metavar="TEXT")
+
+
+def run(args: argparse.Namespace) -> int:
+    """List the drives, or write about one.
+
+    Raises:
+        SteerdError: the folder or the drive does not exist, or a note cannot be written.
+    """
+    from steerd.daemon.sessions.catalogue import default_folders, find_session
+
+    if args.folder is not None and not args.folder.is_dir():
+        raise SteerdError(f"there is no folder {args.folder}", "", ExitCode.UNREADABLE)
+    folders = (args.folder,) if args.folder else default_folders()
+    if args.kind is None:
+        return _list(args, folders)
+    return _write(args, find_session(args.session, folders))
+
+
+def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> int:
+    from steerd.daemon.common.progress import show_progress
+    from steerd.daemon.sessions.catalogue import find_sessions, list_entries
+    from steerd.daemon.sessions.catalogue_text import format_entries, make_json
+
+    paths = find_sessions(folders)
+    shown = paths if args.all or args.tag or args.car or args.json else paths[:SHOWN]
+    with show_progress("reading the drives", float(len(shown))) as advance:
+        entries = list(list_entries(shown, advance))
+    places = {path: number for number, path in enumerate(paths, 1)}
+    entries = [
+        e
+        for e in entries
+        if (not args.tag or args.tag in e.tags) and (not args.car or args.car == e.car)
+    ]
+    if args.json:
+        import json
+
+        print(json.dumps(make_json(entries), indent=1, allow_nan=False))
+        return ExitCode.OK
+    if not entries:
+        print(f"no drive in {' or '.join(str(folder) for folder in folders)}", file=sys.stderr)
+        return ExitCode.OK
+    print("\n".join(format_entries(entries, [places[e.path] for e in entries])))
+    if len(paths) > len(shown):
+        print(f"and {len(paths) - len(shown)} older ones: --all")
+    return ExitCode.OK
+
+
+def _write(args: argparse.Namespace, session: Path) -> int:
+    from steerd.daemon.sessions.catalogue import notes_file, read_notes, write_notes
+
+    tags, note = read_notes(session)
+    match args.kind:
+        case "tag":
+            tags = (*tags, *args.tags)
+        case "untag":
+            tags = tuple(tag for tag in tags if tag not in args.tags)
+        case _:
+            note = " ".join(args.text)
+    write_notes(session, tags, note)
+    print(f"written: {notes_file(session)}")
+    return ExitCode.OK

@@ -1,0 +1,40 @@
+"""The session that a command looks at: a file, `@last`, `@-2`, or the last one if none is named."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from steerd.daemon.sessions.catalogue import find_session
+
+HELP = "a session file (.mcap), @last or @-2 (default: @last)"
+
+
+def add_session(parser: argparse.ArgumentParser) -> None:
+    """One session, or the last one."""
+    parser.add_argument("session", nargs="?", default="@last", metavar="SESSION", help=HELP)
+
+
+def add_sessions(parser: argparse.ArgumentParser) -> None:
+    """Any number of sessions; none means the last one."""
+    parser.add_argument("sessions", nargs="*", metavar="SESSION.mcap", help=HELP)
+
+
+def pick_session(text: str) -> Path:
+    """The file; one that was not named is told on standard error.
+
+    Raises:
+        SteerdError: there is none.
+    """
+    path = find_session(text)
+    if str(path) != text:
+        print(f"session: {path}", file=sys.stderr)
+    return path
+
+
+def pick_sessions(texts: list[str]) -> list[Path]:
+    """The files, see `pick_session`.
+
+    Raises:
+        SteerdError: there is none.
+    """
+    return [pick_session(text) for text in texts or ["@last"]]

@@ -1,0 +1,246 @@
+"""The recorded drives of a machine: a table of figures, read from the files and remembered.
+
+The figures are kept in an SQLite file in the user's cache folder, one row a session, by name, size
+and date of change. It can be deleted at any time: the next listing reads the files again. What
+people write about a session lies beside it, in `NAME.notes.toml`, and goes where the file goes.
+"""
+
+# Why: docs/decisions/messages-and-sessions.md#d68
+
+import contextlib
+import json
+import sqlite3
+import tomllib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import platformdirs
+import tomlkit
+
+from steerd.daemon.assembly.session_meta import default_session_path
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.screen import clean
+from steerd.daemon.common.whole_file import write_whole
+
+_SCHEMA = 1
+"""Of the remembered rows: others are read anew."""
+_FAULTS = ("FAULT_STOP", "FAULT_LATCHED", "ESTOP")
+_TAG_MAX, _NOTE_MAX = 40, 500
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One session; figures that it does not hold are None or empty.
+
+    Attributes:
+        path: the file.
+        changed_ns: when it was last written [UNIX ns]: when the drive ended.
+        car, mode: as in the session.
+        lane: the path, as `--path` takes it, or the excitation plan.
+        seconds, metres: length.
+        e1_rms, e1_max: lateral error after the approach [m].
+        verdict: `ok`, or why it was stopped or cannot be used.
+        tags, note: what people wrote about it.
+    """
+
+    path: Path
+    changed_ns: int
+    car: str = ""
+    mode: str = ""
+    lane: str = ""
+    seconds: float = 0.0
+    metres: float | None = None
+    e1_rms: float | None = None
+    e1_max: float | None = None
+    verdict: str = ""
+    tags: tuple[str, ...] = ()
+    note: str = ""
+
+
+def default_folders() -> tuple[Path, ...]:
+    """Where drives are looked for: this folder, and the one that recordings go to by themselves."""
+    kept = default_session_path("car", 0, 0).parent
+    here = Path.cwd()
+    return (here,) if kept.resolve() == here.resolve() else (here, kept)
+
+
+def find_sessions(folders: Iterable[Path]) -> list[Path]:
+    """Session files of folders, the one that was written last first."""
+    found = [path for folder in folders if folder.is_dir() for path in folder.glob("*.mcap")]
+    dated = []
+    for path in found:
+        with contextlib.suppress(OSError):  # gone since
+            dated.append((path.stat().st_mtime_ns, path))
+    return [path for _, path in sorted(dated, key=lambda row: (-row[0], str(row[1])))]
+
+
+def find_session(text: str, folders: Iterable[Path] | None = None) -> Path:
+    """The session that a word names: a file, `@last`, or `@-2` for the last but one.
+
+    Raises:
+        SteerdError: there are not so many, or the word after `@` means nothing.
+    """
+    if not text.startswith("@") or Path(text).exists():
+        return Path(text)
+    number = text.removeprefix("@")
+    back = 1 if number == "last" else int(number[1:]) if number[1:].isdecimal() else 0
+    if back < 1 or not (number == "last" or number.startswith("-")):
+        what = f"{text}: no such session"
+        raise SteerdError(what, "@last, or @-2 for the last but one", ExitCode.USAGE)
+    places = tuple(folders or default_folders())
+    found = find_sessions(places)
+    if len(found) < back:
+        shown = " or ".join(str(place) for place in places)
+        what = f"{text}: {len(found) or 'no'} session{'' if len(found) == 1 else 's'} in {shown}"
+        raise SteerdError(what, "record one with `steerd run`, or name a file", ExitCode.UNREADABLE)
+    return found[back - 1]
+
+
+# -- notes -----------------------------------------------------------------------------------------
+
+
+def notes_file(session: Path) -> Path:
+    """Where people's words about a session lie."""
+    return session.with_suffix(".notes.toml")
+
+
+def read_notes(session: Path) -> tuple[tuple[str, ...], str]:
+    """Tags and note of a session; none where there is no such file, or it is none of ours."""
+    try:
+        table = tomllib.loads(notes_file(session).read_text(encoding="utf-8"))
+        tags = tuple(clean(str(tag), _TAG_MAX) for tag in table.get("tags", []))
+        return tags, clean(str(table.get("note", "")), _NOTE_MAX)
+    except (OSError, ValueError, TypeError):
+        return (), ""
+
+
+def write_notes(session: Path, tags: Iterable[str], note: str) -> None:
+    """Write tags and note beside a session.
+
+    Raises:
+        SteerdError: there is no such session, or the file cannot be written.
+    """
+    if not session.is_file():
+        raise SteerdError(f"{session} does not exist", "", ExitCode.UNREADABLE)
+    document = tomlkit.document()
+    document["tags"] = list(dict.fromkeys(tags))
+    document["note"] = note
+    write_whole(notes_file(session), tomlkit.dumps(document))
+
+
+# -- the index -------------------------------------------------------------------------------------
+
+
+def list_entries(
+    paths: Iterable[Path], advance: Callable[[float], None] = lambda done: None
+) -> Iterator[Entry]:
+    """The sessions' figures, remembered ones where the file has not changed since.
+
+    Args:
+        paths: the files.
+        advance: is called with the number of files done.
+    """
+    with contextlib.closing(_open_index()) as index:
+        for number, path in enumerate(paths):
+            with contextlib.suppress(OSError):
+                entry = _remembered(index, path)
+                tags, note = read_notes(path)
+                yield replace(entry, tags=tags, note=note)
+            advance(number + 1.0)
+
+
+def index_file() -> Path:
+    """The remembered figures; it may be deleted."""
+    return platformdirs.user_cache_path("steerd") / "sessions.sqlite"
+
+
+def _open_index() -> sqlite3.Connection:
+    """The index; one in memory where the file cannot be used."""
+    with contextlib.suppress(OSError, sqlite3.Error):
+        index_file().parent.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(sqlite3.DatabaseError):
+            return _prepared(sqlite3.connect(index_file(), timeout=2.0))
+        index_file().unlink()  # no database: made anew
+        return _prepared(sqlite3.connect(index_file(), timeout=2.0))
+    return _prepared(sqlite3.connect(":memory:"))
+
+
+def _prepared(index: sqlite3.Connection) -> sqlite3.Connection:
+    index.execute(
+        "CREATE TABLE IF NOT EXISTS sessions "
+        "(path TEXT PRIMARY KEY, size INTEGER, changed INTEGER, schema INTEGER, row TEXT)"
+    )
+    return index
+
+
+def _remembered(index: sqlite3.Connection, path: Path) -> Entry:
+    """The figures of a file, from the index or, when it has changed, from itself."""
+    about, name = path.stat(), str(path.resolve())
+    key = (about.st_size, about.st_mtime_ns, _SCHEMA)
+    with contextlib.suppress(sqlite3.Error, ValueError, TypeError):
+        found = index.execute(
+            "SELECT row FROM sessions WHERE path=? AND size=? AND changed=? AND schema=?",
+            (name, *key),
+        ).fetchone()
+        if found:
+            return Entry(path, about.st_mtime_ns, **json.loads(found[0]))
+    entry = summarise(path)
+    row = asdict(entry)
+    kept = {k: v for k, v in row.items() if k not in ("path", "changed_ns", "tags", "note")}
+    with contextlib.suppress(sqlite3.Error):  # a read-only or full disk: read again next time
+        index.execute(
+            "INSERT OR REPLACE INTO sessions VALUES (?,?,?,?,?)", (name, *key, json.dumps(kept))
+        )
+        index.commit()
+    return entry
+
+
+def summarise(path: Path) -> Entry:
+    """Read a session's figures; what cannot be read is told in the verdict."""
+    from steerd.daemon.sessions.info import Times, find_table, load_session, make_session_report
+    from steerd.daemon.sessions.lane_error import rms, settled_errors
+    from steerd.steer_bus import topics
+    from steerd.steer_bus.session_read import SessionError
+
+    changed_ns = path.stat().st_mtime_ns
+    try:
+        session = load_session(path)
+        report = make_session_report(session)
+        name = next(
+            (t.name for t in report.topics if topics.find_topic(t.name) is topics.STATE), ""
+        )
+        tables = session.tables({name: topics.STATE.message}) if name else {}
+    except (SteerdError, SessionError) as error:
+        return Entry(path, changed_ns, verdict=clean(f"unreadable: {error}", 60))
+    state = find_table(tables, topics.STATE)
+    errors = None if state is None else settled_errors(state, Times(report.info.start_ns))
+    lane, followed = _lane(report.info.metadata.get("steerd.session", {}).get("options", ""))
+    driven = followed and errors is not None and errors.size > 0
+    stops = [change.reason for change in report.states if change.state in _FAULTS]
+    end = report.end if report.info.finished else "the recorder was killed"
+    return Entry(
+        path,
+        changed_ns,
+        car=clean(report.car, 24),
+        mode=clean(report.mode, 12),
+        lane=lane,
+        seconds=report.info.duration_s,
+        metres=report.length_m,
+        e1_rms=rms(errors) if driven and errors is not None else None,
+        e1_max=float(errors.max()) if driven and errors is not None else None,
+        verdict=clean(stops[0], 60) if stops else "ok" if end else "no end",
+    )
+
+
+def _lane(options_text: str) -> tuple[str, bool]:
+    """What was driven, a plan or a path with its speed, and whether a lane was followed."""
+    from steerd.daemon.settings.run_options import decode_options
+
+    try:
+        options = decode_options(options_text)
+    except ValueError:
+        return "", True
+    if options.drill:
+        return clean(options.drill.partition(";")[0], 24), "closed" in options.drill
+    return clean(f"{options.path} {options.speed:g} m/s", 40), True

@@ -1,0 +1,194 @@
+"""Drives of one lane side by side: what each did at the same place, as one HTML page."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import degrees
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+
+from steerd.car_model.path.path import Path as Lane
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.screen import clean
+from steerd.daemon.sessions.info import Times, find_table, load_session, make_track_of, read_tables
+from steerd.daemon.sessions.lane_error import find_settled, rms
+from steerd.daemon.sessions.motion import Array, Track
+from steerd.daemon.sessions.plot_data import load_lane
+from steerd.steer_bus import topics
+from steerd.sysid.report.drawing import (
+    AFTER,
+    BEFORE,
+    FAINT,
+    GREEN,
+    STYLE,
+    TEAL,
+    VIOLET,
+    make_figure,
+    to_svg,
+)
+from steerd.sysid.report.page import render_page
+
+TEMPLATE = Path(__file__).parent / "page" / "compare.html"
+COLOURS = (BEFORE, AFTER, TEAL, VIOLET, GREEN)
+"""One a drive; more drives than these are not told apart."""
+BINS = 400
+"""Places along the lane."""
+NAME_MAX = 40
+_POINTS_MAX = 1200
+_PANELS = (
+    ("e1", "lateral error e1 [mm]", 1e3),
+    ("e2", "heading error e2 [°]", degrees(1.0)),
+    ("speed", "speed [m/s]", 1.0),
+    ("steer_ref", "steering command [°], left +", degrees(1.0)),
+)
+"""Field of the `state` topic, title, scale."""
+
+
+@dataclass(frozen=True, eq=False)
+class LaneSession:
+    """One drive on its lane, settled.
+
+    Attributes:
+        name: the file's.
+        spec: the path, as `--path` took it.
+        lane: the path.
+        track: of the car; None without poses.
+        place: along the lane [m], in [0, its length).
+        values: fields of `_PANELS` at these places, SI.
+        laps: how often the lane's length was driven.
+    """
+
+    name: str
+    spec: str
+    lane: Lane
+    track: Track | None
+    place: Array
+    values: dict[str, Array]
+    laps: float
+
+
+def load_lane_session(path: Path) -> LaneSession:
+    """Read what a drive did along its lane.
+
+    Raises:
+        SteerdError: it cannot be read, or it followed no lane.
+    """
+    session = load_session(path)
+    lane, times = load_lane(session), Times(session.info().start_ns)
+    tables = read_tables(session)[0]
+    state = find_table(tables, topics.STATE)
+    if lane is None or state is None:
+        what = f"{path.name} follows no lane that could be compared"
+        raise SteerdError(what, "name drives of `steerd run`", ExitCode.INVALID)
+    names = [name for name, _, _ in _PANELS]
+    kept = find_settled(state, times)
+    for name in ("path_s", *names):
+        kept &= np.isfinite(state[name])
+    if kept.sum() < 2:
+        what = f"{path.name} keeps its lane for less than the 3 s after which drives are compared"
+        raise SteerdError(what, "name a longer drive", ExitCode.INVALID)
+    along = state["path_s"][kept].astype(float)
+    return LaneSession(
+        clean(path.name, NAME_MAX),
+        lane.name,
+        lane,
+        make_track_of(tables, times),
+        along % lane.length,
+        {name: state[name][kept].astype(float) for name in names},
+        float(np.abs(np.diff(along)).sum() / lane.length),
+    )
+
+
+def check_same_lane(drives: Sequence[LaneSession]) -> None:
+    """Refuse drives of different lanes: a place on one is none on the other.
+
+    Raises:
+        SteerdError: two lanes differ in shape or length, or there are too many drives.
+    """
+    if len(drives) > len(COLOURS):
+        what = f"{len(drives)} drives: {len(COLOURS)} at most can be told apart"
+        raise SteerdError(what, "name fewer", ExitCode.USAGE)
+    first = drives[0]
+    for other in drives[1:]:
+        same = len(first.lane.x) == len(other.lane.x)
+        same = same and np.allclose(first.lane.x, other.lane.x, atol=0.01)
+        if not (same and np.allclose(first.lane.y, other.lane.y, atol=0.01)):
+            what = f"{first.name} drives {first.spec}, {other.name} {other.spec}"
+            hint = "compare drives of one --path: places along different lanes do not match"
+            raise SteerdError(what, hint, ExitCode.INVALID)
+
+
+def profile(drive: LaneSession, values: Array) -> Array:
+    """(BINS,) mean at each place of the lane; NaN where the drive never was."""
+    place = (drive.place / drive.lane.length * BINS).astype(int).clip(0, BINS - 1)
+    count = np.bincount(place, minlength=BINS)
+    total = np.bincount(place, weights=values, minlength=BINS)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def render_comparison(drives: Sequence[LaneSession]) -> str:
+    """The page of several drives of one lane."""
+    with rc_context({**STYLE, "axes.axisbelow": True}):
+        tracks, curves = _draw_tracks(drives), _draw_curves(drives)
+    colours = [f"var(--{name})" for name in ("before", "after", "teal", "violet", "green")]
+    return render_page(
+        TEMPLATE,
+        names=[(d.name, colour) for d, colour in zip(drives, colours, strict=False)],
+        lane=clean(drives[0].spec, NAME_MAX),
+        heads=[d.name for d in drives],
+        rows=list(_rows(drives)),
+        tracks=tracks,
+        curves=curves,
+    )
+
+
+def _rows(drives: Sequence[LaneSession]) -> Any:
+    """A table: label and a figure a drive."""
+
+    def row(label: str, form: str, figure: Any) -> tuple[str, list[str]]:
+        return label, [format(figure(d), form) for d in drives]
+
+    yield row("laps", ".1f", lambda d: d.laps)
+    yield row("e1 RMS [mm]", ".1f", lambda d: 1e3 * rms(d.values["e1"]))
+    yield row("e1 mean [mm]", "+.1f", lambda d: 1e3 * d.values["e1"].mean())
+    yield row("e1 largest [mm]", ".1f", lambda d: 1e3 * np.abs(d.values["e1"]).max())
+    yield row("e2 RMS [°]", ".2f", lambda d: degrees(rms(d.values["e2"])))
+    yield row("fastest [m/s]", ".2f", lambda d: d.values["speed"].max())
+
+
+def _draw_tracks(drives: Sequence[LaneSession]) -> str:
+    """Tracks over the lane."""
+    figure, axes = make_figure(1, 1, 4.2)
+    axis, lane = axes[0, 0], drives[0].lane
+    x, y = ([*v, v[0]] if lane.closed else [*v] for v in (lane.x, lane.y))
+    axis.plot(x, y, color=FAINT, lw=1.0, ls="--")
+    for drive, colour in zip(drives, COLOURS, strict=False):
+        if drive.track is not None:
+            step = max(1, len(drive.track.x) // _POINTS_MAX)
+            axis.plot(drive.track.x[::step], drive.track.y[::step], color=colour, lw=1.1)
+    axis.set_aspect("equal", adjustable="datalim")
+    axis.set(xlabel="x [m]", ylabel="y [m]")
+    return to_svg(figure, "Tracks over the lane")
+
+
+def _draw_curves(drives: Sequence[LaneSession]) -> str:
+    """Errors, speed and steering over the place along the lane."""
+    figure, axes = make_figure(len(_PANELS), 1, 1.9 * len(_PANELS))
+    for axis, (name, title, scale) in zip(axes[:, 0], _PANELS, strict=True):
+        for drive, colour in zip(drives, COLOURS, strict=False):
+            _draw_drive(axis, drive, scale * drive.values[name], colour)
+        axis.set_title(title)
+        axis.set_xlim(0.0, drives[0].lane.length)
+    axes[-1, 0].set_xlabel("place along the lane [m]")
+    return to_svg(figure, "Errors, speed and steering along the lane")
+
+
+def _draw_drive(axis: Axes, drive: LaneSession, values: Array, colour: str) -> None:
+    """Every lap, faint, and the mean of them."""
+    step = max(1, len(values) // _POINTS_MAX)
+    axis.plot(drive.place[::step], values[::step], ".", ms=1.0, color=colour, alpha=0.35)
+    at = (np.arange(BINS) + 0.5) / BINS * drive.lane.length
+    axis.plot(at, profile(drive, values), color=colour, lw=1.4)

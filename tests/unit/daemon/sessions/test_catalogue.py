@@ -1,0 +1,143 @@
+"""The list of drives: order, figures, what is remembered, and what people wrote."""
+
+import json
+import os
+import shutil
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from steerd.daemon.cli.main import run_cli
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.sessions import catalogue
+from steerd.daemon.sessions.catalogue import (
+    find_session,
+    find_sessions,
+    index_file,
+    list_entries,
+    read_notes,
+    write_notes,
+)
+
+GOLDEN = Path(__file__).resolve().parents[3] / "golden"
+DAY_NS = 86_400_000_000_000
+NOON_NS = 1_700_000_000_000_000_000
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Three drives, one a day; an index and a data folder of their own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    place = tmp_path / "drives"
+    place.mkdir()
+    for number, name in enumerate(("circle", "estop", "straight")):
+        path = place / f"{name}.mcap"
+        shutil.copyfile(GOLDEN / f"{name}.mcap", path)
+        os.utime(path, ns=(0, NOON_NS + number * DAY_NS))
+    monkeypatch.chdir(place)
+    return place
+
+
+def by_name(folder):
+    return {e.path.stem: e for e in list_entries(find_sessions([folder]))}
+
+
+def test_the_drive_that_ended_last_comes_first(folder):
+    assert [path.stem for path in find_sessions([folder])] == ["straight", "estop", "circle"]
+    assert find_session("@last").stem == "straight"
+    assert find_session("@-1").stem == "straight"
+    assert find_session("@-3").stem == "circle"
+    assert find_session("other.mcap") == Path("other.mcap")
+
+
+@pytest.mark.parametrize("word", ["@", "@first", "@-0", "@-x", "@3"])
+def test_a_word_that_names_no_place_is_refused(folder, word):
+    with pytest.raises(SteerdError) as caught:
+        find_session(word)
+    assert caught.value.code == ExitCode.USAGE
+
+
+def test_more_than_there_are_says_how_many_and_where(folder):
+    with pytest.raises(SteerdError, match="3 sessions in"):
+        find_session("@-4")
+
+
+def test_figures_come_from_the_files(folder):
+    found = by_name(folder)
+    assert found["circle"].verdict == "ok"
+    assert found["circle"].lane.startswith("circle")
+    assert 0.0 < found["circle"].metres < 100.0
+    assert found["estop"].verdict != "ok"
+
+
+def test_a_file_is_read_once_and_again_when_it_has_changed(folder, monkeypatch):
+    first = by_name(folder)
+    read = []
+    summarise = catalogue.summarise
+    monkeypatch.setattr(catalogue, "summarise", lambda path: read.append(path) or summarise(path))
+    assert by_name(folder) == first
+    assert read == []
+    os.utime(folder / "circle.mcap", ns=(0, NOON_NS + 9 * DAY_NS))
+    assert by_name(folder)["circle"].metres == first["circle"].metres
+    assert [path.stem for path in read] == ["circle"]
+
+
+@pytest.mark.parametrize("damage", ["delete", "garbage", "old", "folder"])
+def test_the_index_can_be_thrown_away(folder, damage):
+    first = by_name(folder)
+    match damage:
+        case "delete":
+            index_file().unlink()
+        case "garbage":
+            index_file().write_bytes(b"no database " * 1000)
+        case "old":
+            with sqlite3.connect(index_file()) as index:
+                index.execute("UPDATE sessions SET row = '{\"unknown\": 1}'")
+            index.close()
+        case "folder":
+            index_file().unlink()
+            index_file().mkdir()
+    assert by_name(folder) == first
+
+
+def test_a_file_that_is_no_session_is_listed_as_such(folder):
+    (folder / "broken.mcap").write_bytes(b"hello")
+    assert by_name(folder)["broken"].verdict.startswith("unreadable")
+
+
+def test_tags_and_notes_go_where_the_file_goes(folder):
+    write_notes(folder / "circle.mcap", ["wet", "new", "wet"], 'tyre "B"')
+    assert read_notes(folder / "circle.mcap") == (("wet", "new"), 'tyre "B"')
+    entry = by_name(folder)["circle"]
+    assert (entry.tags, entry.note) == (("wet", "new"), 'tyre "B"')
+    (folder / "circle.notes.toml").write_text("tags = 3 [")
+    assert read_notes(folder / "circle.mcap") == ((), "")
+
+
+def test_the_command_lists_tags_and_filters(folder, capsys):
+    assert run_cli(["sessions", "tag", "@-3", "wet"]) == 0
+    assert run_cli(["sessions", "note", "@last", "left tyre", "changed"]) == 0
+    capsys.readouterr()
+    assert run_cli(["sessions"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    text = "\n".join(lines)
+    assert text.index("@last") < text.index("left tyre changed") < text.index("@-2")
+    assert "#wet" in lines[-1]
+    assert run_cli(["sessions", "--tag", "wet", "--json"]) == 0
+    (only,) = json.loads(capsys.readouterr().out)["sessions"]
+    assert Path(only["path"]).stem == "circle"
+    assert run_cli(["sessions", "untag", "@-3", "wet"]) == 0
+    assert run_cli(["sessions", "--folder", "nowhere"]) == ExitCode.UNREADABLE
+
+
+def test_a_command_without_a_session_takes_the_last_one_and_says_so(folder, capsys):
+    assert run_cli(["info"]) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("straight.mcap")
+    assert "session: " in said.err
+    assert run_cli(["info", "@-3"]) == 0
+    assert capsys.readouterr().out.startswith("circle.mcap")

@@ -1,0 +1,59 @@
+"""Drives of one lane side by side."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from steerd.car_model.path.path_spec import parse_path
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.sessions.compare import (
+    BINS,
+    COLOURS,
+    LaneSession,
+    check_same_lane,
+    profile,
+    render_comparison,
+)
+
+CIRCLE = parse_path("circle:radius=2")
+
+
+def drive(name="a.mcap", offset=0.0, lane=CIRCLE):
+    along = np.linspace(0.0, 2.0 * lane.length, 5000)
+    wave = 0.02 * np.sin(2.0 * np.pi * along / lane.length)
+    values = {"e1": wave + offset, "e2": 0.1 * wave, "speed": 1.0 + wave, "steer_ref": wave}
+    return LaneSession(name, lane.name, lane, None, along % lane.length, values, 2.0)
+
+
+def test_a_profile_is_the_mean_of_the_laps_at_each_place():
+    one = drive(offset=0.01)
+    at = (np.arange(BINS) + 0.5) / BINS
+    expected = 0.01 + 0.02 * np.sin(2.0 * np.pi * at)
+    np.testing.assert_allclose(profile(one, one.values["e1"]), expected, atol=5e-4)
+
+
+def test_where_a_drive_never_was_there_is_no_value():
+    one = drive()
+    half = one.place < 0.5 * CIRCLE.length
+    cut = replace(one, place=one.place[half])
+    means = profile(cut, one.values["e1"][half])
+    assert np.isnan(means[BINS // 2 + 2 :]).all()
+    assert np.isfinite(means[: BINS // 2 - 2]).all()
+
+
+def test_places_of_different_lanes_are_not_compared():
+    check_same_lane([drive(), drive("b.mcap")])
+    other = drive("b.mcap", lane=parse_path("circle:radius=2.2"))
+    with pytest.raises(SteerdError, match=r"b\.mcap"):
+        check_same_lane([drive(), other])
+    with pytest.raises(SteerdError, match="at most"):
+        check_same_lane([drive()] * (len(COLOURS) + 1))
+
+
+def test_the_page_names_the_drives_and_their_errors():
+    page = render_comparison([drive("before.mcap", 0.03), drive("<b>.mcap", 0.001)])
+    assert "before.mcap" in page
+    assert "<b>" not in page
+    assert "+30.0" in page
+    assert page.count("<svg") == 2
