@@ -47,7 +47,8 @@ unit: install     ## the quick tests, half a minute: no processes, no statistics
 
 all-tests: install
 	$(PYTEST) -n 2 -m "not realtime"
-	# A machine that stalls for 30 ms rightly stops a car; such a drive is driven again, twice at most.
+	# A machine that stalls for 30 ms rightly stops a car; such a drive is driven again, twice at most;
+	# the run fails if more than a tenth of them needed that (tests/conftest.py).
 	$(PYTEST) -m realtime --reruns 2
 
 bench: install     ## measure everything; writes docs/results/performance.md (10 minutes)
