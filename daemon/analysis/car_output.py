@@ -63,7 +63,7 @@ def _with_own_words(car: CarFile, base: CarFile, updates: "Mapping[str, Learned]
     """The file's text with comments that belong to the new values, under a name of its own."""
     document = tomlkit.parse(car.text)
     if base.name in (load_car(default_car_path()).name, ""):
-        document["car"]["name"] = car.path.stem  # type: ignore[index]
+        document["car"]["name"] = car.path.stem
     known = {p.name: (p.unit, p.meaning) for p in PARAMETERS}
     for effect in car.effects:
         known |= {f"{effect.name}.{p.name}": (p.unit, p.meaning) for p in effect.parameters}

@@ -4,7 +4,8 @@ A bag's own message definitions are used; bags that carry none (rosbag2's older 
 read with ROS's standard ones and those of `ackermann_msgs`, `vesc_msgs` and `phasespace_msgs`.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from math import nan
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import Advance
-from steerd.daemon.imports.import_map import ROLES, ImportMap, load_map
+from steerd.daemon.imports.import_map import ROLES, ImportMap, load_map, with_erpm_gain
 from steerd.daemon.imports.import_session import (
     ImportNotes,
     ImportReport,
@@ -59,6 +60,17 @@ _TYPES: Mapping[str, tuple[str, ...]] = {
     "wheel": (_ODOMETRY,),
 }
 _OUT: Mapping[str, Topic] = {"pose": MOCAP, "command": ACTUATION, "vesc": VESC, "wheel": WHEEL}
+PREFERRED: Mapping[str, tuple[str, ...]] = {
+    "pose": (
+        r"vrpn|mocap|motion_?capture|vicon|optitrack|natnet|qualisys|phasespace|ground_?truth",
+        r"(^|/)pf/|particle|amcl|slam",
+        r"odom",
+    ),
+    "command": (r"ackermann_cmd$|ackermann_cmd_mux/output$", r"(^|/)drive$", r"teleop|joy"),
+    "vesc": (r"sensors/core$",),
+}
+"""Names of F1TENTH's topics, best first: what a mocap node sends before what the car thinks, and
+what goes to the VESC before what somebody asked for."""
 _OTHER_CLOCK_NS = 10_000_000_000
 """Header stamps this far from the bag's time are of another clock [ns]."""
 _ADVANCE_MESSAGES = 1000
@@ -74,10 +86,12 @@ class BagChoice:
     Attributes:
         topics: `TOPIC`, or `ROLE=TOPIC` with a role of `ROLES`.
         rigid: which rigid body of a PhaseSpace message is the car.
+        erpm_gain: electrical rpm per m/s, negative for a motor that is wired so.
     """
 
     topics: tuple[str, ...] = ()
     rigid: int | None = None
+    erpm_gain: float | None = None
 
 
 def import_bag(
@@ -105,13 +119,63 @@ def import_bag(
             the_map,
             epoch_ns=max(reader.start_time, 0) if reader.message_count else 0,
             rigid=the_map.rigid if choice.rigid is None else choice.rigid,
+            vesc=with_erpm_gain(the_map.vesc, choice.erpm_gain),
         )
         roles = _choose_topics(source, reader, the_map.topics, choice.topics)
         maker = MessageMaker(the_map.epoch_ns, the_map.frame)
         bag = _Bag(source, reader, roles, the_map, notes, maker)
         topics = [_OUT[role] for role in roles]
         counts = write_import(out, source, the_map, topics, _samples(bag, advance))
-    return ImportReport(out, counts, notes.lines())
+        remarks = tuple(_remarks(roles, _types_of(reader)))
+    return ImportReport(out, counts, notes.lines(), remarks)
+
+
+def _types_of(reader: "AnyReader") -> dict[str, str]:
+    """Type by topic, of topics with messages."""
+    return {c.topic: c.msgtype for c in reader.connections if c.msgcount}
+
+
+def _remarks(roles: Mapping[str, str], types: Mapping[str, str]) -> Iterator[str]:
+    """What was chosen among several, and what is missing for an identification."""
+    for role, topic in roles.items():
+        others = [t for t, kind in sorted(types.items()) if kind in _TYPES[role] and t != topic]
+        if others and role != "wheel":
+            more = f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
+            yield f"{role} is {topic}, not {', '.join(others[:_SHOWN])}{more} (--topic chooses)"
+    for role, what in _NEEDED.items():
+        if role not in roles and not (role == "vesc" and "wheel" in roles):
+            wanted = " or ".join(kind.rpartition("/")[2] for kind in _TYPES[role])
+            yield f"no {role}: {what} (a topic of {wanted})"
+
+
+_NEEDED = {
+    "pose": "identify and diagnose need the car's track",
+    "command": "identify and diagnose need what the car was told",
+    "vesc": "the wheels' speed is not known; wheel=TOPIC takes it from an Odometry",
+}
+"""What is missed without a role."""
+
+
+def propose_bag(source: Path) -> dict[str, dict[str, Any]]:
+    """Roles and topics of a bag, the first of several where names do not decide.
+
+    Raises:
+        SteerdError: it cannot be read, or holds no topic that steerd reads.
+    """
+    if not source.exists():
+        raise SteerdError(f"{source} does not exist", "", ExitCode.UNREADABLE)
+    with closing(_call_rosbags(source, lambda: _open(source))) as reader:
+        types = _types_of(reader)
+    roles = {}
+    for role in ("pose", "command", "vesc"):
+        found = [t for t, kind in sorted(types.items()) if kind in _TYPES[role]]
+        if found:
+            roles[role] = find_best(role, found)[0]
+    if not roles:
+        raise SteerdError(
+            f"{source.name} has no topic of a type that steerd reads", _list_topics(types)
+        )
+    return {"topics": roles}
 
 
 def _open(source: Path) -> "AnyReader":
@@ -151,7 +215,7 @@ def _choose_topics(
     source: Path, reader: "AnyReader", mapped: Mapping[str, str], named: Iterable[str]
 ) -> dict[str, str]:
     """Role to topic: as named, else as mapped, else the only topic of a fitting type."""
-    types = {c.topic: c.msgtype for c in reader.connections if c.msgcount}
+    types = _types_of(reader)
     chosen = dict(mapped)
     for text in named:
         role, equals, topic = text.rpartition("=")
@@ -163,9 +227,10 @@ def _choose_topics(
         found = [t for t, kind in sorted(types.items()) if kind in _TYPES[role]]
         if role in chosen or not found:
             continue
-        chosen[role] = found[0]
-        if len(found) > 1:
-            listed = ", ".join(f"{t} ({types[t].rpartition('/')[2]})" for t in found[:_SHOWN])
+        best = find_best(role, found)
+        chosen[role] = best[0]
+        if len(best) > 1:
+            listed = ", ".join(f"{t} ({types[t].rpartition('/')[2]})" for t in best[:_SHOWN])
             several.append(f"{role}: {listed}")
     if several:
         what = f"{source.name} has several topics for {'; '.join(several)}"
@@ -175,6 +240,18 @@ def _choose_topics(
             f"{source.name} has no topic of a type that steerd reads", _list_topics(types)
         )
     return chosen
+
+
+def find_best(role: str, topics: Sequence[str]) -> list[str]:
+    """The topics whose names fit a role best: one where F1TENTH's own names decide."""
+
+    def rank(topic: str) -> int:
+        patterns = PREFERRED.get(role, ())
+        fits = (i for i, p in enumerate(patterns) if re.search(p, topic, re.IGNORECASE))
+        return next(fits, len(patterns))
+
+    ranks = {topic: rank(topic) for topic in topics}
+    return [topic for topic in topics if ranks[topic] == min(ranks.values())]
 
 
 def _find_role(source: Path, types: Mapping[str, str], topic: str) -> str:

@@ -13,7 +13,7 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.progress import Advance
 from steerd.daemon.imports.csv_table import CsvRow, fail_cell, open_table, read_table
-from steerd.daemon.imports.import_map import NS, ImportMap, load_map
+from steerd.daemon.imports.import_map import NS, ImportMap, load_map, with_erpm_gain
 from steerd.daemon.imports.import_session import (
     ImportNotes,
     ImportReport,
@@ -38,7 +38,13 @@ _INT32_MAX = (1 << 31) - 1
 """Largest UNIX time [s] and largest ERPM of a message."""
 
 
-def import_csv(source: Path, map_path: Path, out: Path, advance: Advance) -> ImportReport:
+def import_csv(
+    source: Path,
+    map_path: Path,
+    out: Path,
+    advance: Advance,
+    erpm_gain: float | None = None,
+) -> ImportReport:
     """Turn a csv file into a session.
 
     Args:
@@ -46,6 +52,7 @@ def import_csv(source: Path, map_path: Path, out: Path, advance: Advance) -> Imp
         map_path: the map, with `[columns]`.
         out: the session to write; nothing is left of it after an error.
         advance: called with the bytes read so far.
+        erpm_gain: electrical rpm per m/s; None for the map's.
 
     Raises:
         SteerdError: something is wrong with the map, the file or the output; the message says
@@ -56,6 +63,7 @@ def import_csv(source: Path, map_path: Path, out: Path, advance: Advance) -> Imp
     if not the_map.columns:
         hint = f"copy {EXAMPLE_MAP} and name your columns"
         raise SteerdError(f"map {map_path} has no [columns]", hint)
+    the_map = replace(the_map, vesc=with_erpm_gain(the_map.vesc, erpm_gain))
     notes = ImportNotes()
     topics = list(dict.fromkeys(_TOPICS[q] for q in the_map.columns if q in _TOPICS))
     with open_table(source) as file:

@@ -58,6 +58,15 @@ def open_table(source: Path) -> TextIO:
         raise SteerdError(what, "", ExitCode.UNREADABLE) from error
 
 
+def read_header(name: str, file: TextIO) -> tuple[str, list[str]]:
+    """The delimiter and the columns' names of an open table; the rows come next in the file.
+
+    Raises:
+        SteerdError: it holds no line.
+    """
+    return _split_header(_first_line(name, _lines(name, file))[1], set())
+
+
 def read_table(
     name: str, file: TextIO, columns: Mapping[str, ColumnSpec], advance: Advance
 ) -> Iterator[CsvRow]:

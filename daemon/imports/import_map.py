@@ -21,6 +21,7 @@ from steerd.daemon.common.near import did_you_mean
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.mocap_link.frame import FrameConfig
 from steerd.steer_bus.topics import check_car_name
+from steerd.vesc_link.scaling import F1TENTH
 
 NS = 1_000_000_000
 MAP_BYTES_MAX = 1_000_000
@@ -57,6 +58,13 @@ class FrameSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     cog_ahead_of_rear: float = 0.0
 
 
+class VescSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How the log's electrical rpm and the car's speed belong together; negative: wired so."""
+
+    erpm_gain: float = F1TENTH.erpm_gain
+    erpm_offset: float = 0.0
+
+
 class SessionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the log does not hold: the car's name, the UNIX time of its time zero, a remark."""
 
@@ -70,6 +78,7 @@ class _Tables(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     topics: dict[str, str] = {}
     rigid: int | None = None
     frame: FrameSpec | None = None
+    vesc: VescSpec | None = None
     session: SessionSpec = SessionSpec()
 
 
@@ -82,6 +91,7 @@ class ImportMap:
         topics: role to topic.
         rigid: which rigid body of a PhaseSpace message is the car; None if there is only one.
         frame: from the recorded body to the centre of gravity; None changes nothing.
+        vesc: electrical rpm per m/s, and its offset; None for the F1TENTH figures.
         car: the car's name in topics.
         epoch_ns: UNIX time of the log's time zero [ns].
         comment: a remark for `steerd info`.
@@ -92,6 +102,7 @@ class ImportMap:
     topics: dict[str, str] = field(default_factory=dict)
     rigid: int | None = None
     frame: FrameConfig | None = None
+    vesc: VescSpec | None = None
     car: str = "car"
     epoch_ns: int = 0
     comment: str = ""
@@ -138,11 +149,37 @@ def parse_map(text: str) -> ImportMap:
         topics=_topics(tables.topics),
         rigid=tables.rigid,
         frame=make_frame(tables.frame) if tables.frame else None,
+        vesc=check_vesc(tables.vesc) if tables.vesc else None,
         car=check_car_name(tables.session.car),
         epoch_ns=_epoch_ns(tables.session.epoch),
         comment=tables.session.comment,
         text=text,
     )
+
+
+def with_erpm_gain(spec: VescSpec | None, erpm_gain: float | None) -> VescSpec | None:
+    """A map's VESC with the gain of the command line.
+
+    Raises:
+        SteerdError: it is no gain.
+    """
+    if erpm_gain is None:
+        return spec
+    try:
+        return check_vesc(msgspec.structs.replace(spec or VescSpec(), erpm_gain=erpm_gain))
+    except ValueError as error:
+        raise SteerdError(f"--erpm-gain {erpm_gain:g}: {error}", "", ExitCode.USAGE) from None
+
+
+def check_vesc(spec: VescSpec) -> VescSpec:
+    """The VESC's figures.
+
+    Raises:
+        ValueError: they are none.
+    """
+    if not 1.0 <= abs(spec.erpm_gain) <= 1e6 or not abs(spec.erpm_offset) <= 1e6:
+        raise ValueError("[vesc] erpm_gain is the ERPM of 1 m/s, 4614 for an F1TENTH car")
+    return spec
 
 
 def make_frame(spec: FrameSpec) -> FrameConfig:

@@ -49,11 +49,13 @@ class ImportReport:
         path: the session.
         counts: messages by topic name.
         notes: oddities of the log, one line each.
+        remarks: what was chosen, and what the log lacks.
     """
 
     path: Path
     counts: dict[str, int]
     notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass
@@ -116,7 +118,7 @@ def write_import(
         writer = SessionWriter(
             out,
             {names[topic.name]: topic.message for topic in topics},
-            {"steerd.session": _describe(source, the_map)},
+            {"steerd.session": _describe(source, the_map), **_scaling(the_map)},
             [AttachedFile("map.toml", "application/toml", the_map.text.encode())],
             the_map.epoch_ns,
         )
@@ -152,6 +154,14 @@ def _describe(source: Path, the_map: ImportMap) -> dict[str, str]:
         "comment": the_map.comment,
         "steerd_version": version("steerd"),
     }
+
+
+def _scaling(the_map: ImportMap) -> dict[str, dict[str, str]]:
+    """What the log's electrical rpm mean, where somebody said so."""
+    if the_map.vesc is None:
+        return {}
+    gain, offset = the_map.vesc.erpm_gain, the_map.vesc.erpm_offset
+    return {"steerd.scaling": {"erpm_gain": repr(gain), "erpm_offset": repr(offset)}}
 
 
 @dataclass

@@ -15,6 +15,7 @@ from steerd.daemon.sessions.motion import (
     Signal,
     SignalRange,
     Track,
+    check_erpm,
     find_implausible,
     make_range,
     make_track,
@@ -28,11 +29,13 @@ from steerd.steer_bus.topics import (
     MOCAP,
     STATE,
     TRANSITION,
+    VESC,
     WHEEL,
     Topic,
     find_topic,
     split_key,
 )
+from steerd.vesc_link.scaling import F1TENTH
 
 GAP_FACTOR = 3.0
 """A pause of more than this many median intervals is a gap."""
@@ -154,6 +157,7 @@ def make_session_report(session: Session) -> SessionReport:
             *(warning.message for warning in info.warnings),
             *unreadable,
             *find_implausible(track, _nonempty(steer), _nonempty(wheel), _nonempty(gyro)),
+            *_check_erpm(tables, times, track, info),
         ),
     )
 
@@ -221,6 +225,17 @@ def _signal(tables: dict[str, Columns], topic: Topic, name: str, times: Times) -
 
 def _nonempty(signal: Signal) -> Signal | None:
     return signal if np.isfinite(signal.value).any() else None
+
+
+def _check_erpm(
+    tables: dict[str, Columns], times: Times, track: Track | None, info: SessionInfo
+) -> list[str]:
+    """Doubts about the ERPM of another system's log; steerd's own have their car file's figures."""
+    if info.metadata.get("steerd.session", {}).get("mode") != "import":
+        return []
+    scaling = info.metadata.get("steerd.scaling", {})
+    erpm = _signal(tables, VESC, "erpm", times)
+    return check_erpm(track, _nonempty(erpm), float(scaling.get("erpm_gain", F1TENTH.erpm_gain)))
 
 
 def _motion(

@@ -38,6 +38,8 @@ _STEP = 0.05
 _STEPS_MAX = 10_000
 _RATIO_LOW, _RATIO_HIGH = 0.8, 1.25
 """Wheel speed over path speed within these is plausible [-]."""
+_ERPM_LEFT = 0.3
+"""Share of the electrical rpm that a gain must leave unexplained at most [-]."""
 _STEER_LATENCY = 0.15
 """Delay and lag of an ordinary car's steering [s]."""
 
@@ -145,6 +147,38 @@ def make_range(values: Array) -> SignalRange | None:
 
 
 # -- plausibility --------------------------------------------------------------------------------
+
+
+def find_erpm_gain(track: Track | None, erpm: Signal | None) -> float | None:
+    """Electrical rpm per m/s that the poses show, sign included; None where they cannot tell."""
+    if track is None or erpm is None:
+        return None
+    speed = np.interp(erpm.t, track.t, np.nan_to_num(track.speed), np.nan, np.nan)
+    both = np.isfinite(speed) & np.isfinite(erpm.value) & (np.abs(speed) > _DRIVING)
+    if np.count_nonzero(both) < _SAMPLES_MIN:
+        return None
+    speed, value = speed[both], erpm.value[both]
+    gain = float(np.sum(speed * value) / np.sum(speed**2))
+    left = float(np.sqrt(np.mean((value - gain * speed) ** 2) / np.mean(value**2)))
+    return gain if left < _ERPM_LEFT and abs(gain) >= 1.0 else None
+
+
+def check_erpm(track: Track | None, erpm: Signal | None, stated: float) -> list[str]:
+    """Whether poses and electrical rpm belong together as was stated or assumed."""
+    gain = find_erpm_gain(track, erpm)
+    if gain is None or _RATIO_LOW <= gain / stated <= _RATIO_HIGH:
+        return []
+    shown = round_gain(gain)
+    return [
+        f"the poses show {shown:.0f} ERPM per m/s, and {stated:.0f} was assumed: a motor that is "
+        f"wired or geared otherwise? Import it with --erpm-gain {shown:.0f}"
+    ]
+
+
+def round_gain(gain: float) -> float:
+    """Two digits and a half: poses say no more."""
+    unit = 10.0 ** (np.floor(np.log10(abs(gain))) - 1.0) / 2.0
+    return float(np.round(gain / unit) * unit)
 
 
 def find_implausible(

@@ -22,6 +22,7 @@ from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session, SessionError
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import Topic
+from steerd.vesc_link.scaling import F1TENTH
 
 NIS_95 = 7.815
 """95 % of a chi-squared distribution with 3 degrees of freedom lie below."""
@@ -205,8 +206,9 @@ def _command(s: _Tables, field: str, scale: float = 1.0) -> Iterator[Curve]:
 def _speed(s: _Tables, session: Session, track: Track | None) -> Panel:
     curves = [*_command(s, "speed")]
     table, scaling = s.table(topics.VESC), session.info().metadata.get("steerd.scaling", {})
-    if table is not None and "erpm_gain" in scaling:
-        gain, offset = float(scaling["erpm_gain"]), float(scaling.get("erpm_offset", "0"))
+    if table is not None:
+        gain = float(scaling.get("erpm_gain", F1TENTH.erpm_gain))
+        offset = float(scaling.get("erpm_offset", F1TENTH.erpm_offset))
         speed = (table["erpm"].astype(float) - offset) / gain
         curves += make_curve("wheels", "measured", s.times(table), speed)
     curves += s.curve(topics.WHEEL, "speed", "wheels", "measured")

@@ -252,12 +252,13 @@ def load_run(path: Path | str, h: float = GRID) -> Run:
     tables = session.tables(wanted)
     columns = {name: tables[key] for name, key in by_name.items() if key in tables}
     scaling = session.contents.metadata.get("steerd.scaling", {})
+    ours = "servo_gain" in scaling  # an import may state the ERPM of a VESC that steerd never drove
     return make_run(
         path.name,
         **_signals(session, columns),
         h=h,
-        servo_frame=SERVO_FRAME if scaling else 0.0,
-        speed_ramp=_speed_ramp(scaling) if scaling else 0.0,
+        servo_frame=SERVO_FRAME if ours else 0.0,
+        speed_ramp=_speed_ramp(scaling) if ours else 0.0,
     )
 
 

@@ -1,29 +1,52 @@
 """Turn another system's log into a session: a csv file or a ROS 1 or ROS 2 bag.
 
+steerd import RUN.bag                    # F1TENTH's topics are known by name
+steerd import --ask RUN.csv              # proposes a map and what it means
 steerd import csv RUN.csv --map MAP.toml -o RUN.mcap
 steerd import bag RUN.bag --topic /vrpn/car/pose -o RUN.mcap
 """
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from steerd.daemon.common.errors import ExitCode
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
+
+if TYPE_CHECKING:
+    from steerd.daemon.imports.import_session import ImportReport
+
+_KINDS = ("csv", "bag")
+_BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The two kinds of log and their options."""
-    kinds = parser.add_subparsers(dest="kind", required=True, metavar="csv|bag")
-    table = kinds.add_parser("csv", help="a table with one row per time")
-    bag = kinds.add_parser("bag", help="a ROS 1 .bag, a ROS 2 bag folder or its .mcap file")
-    for kind in (table, bag):
-        kind.add_argument("source", type=Path, metavar="FILE", help="the log")
-        kind.add_argument("-o", "--output", type=Path, required=True, metavar="SESSION.mcap")
-    table.add_argument(
-        "--map", type=Path, required=True, help=f"which column is what (TOML; {EXAMPLE_MAP} is one)"
+    """The log and how to read it."""
+    parser.add_argument(
+        "words",
+        nargs="+",
+        metavar="[csv|bag] FILE",
+        help="the log: a table with one row per time, a ROS 1 .bag, a ROS 2 bag folder or its "
+        ".mcap or .db3 file",
     )
-    bag.add_argument("--map", type=Path, help="topics, frame and car name (TOML)")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="SESSION.mcap", help="default: beside the log"
+    )
+    parser.add_argument(
+        "--ask", action="store_true", help="propose a map, show what it means, then write"
+    )
+    parser.add_argument(
+        "--map", type=Path, help=f"which column or topic is what (TOML; {EXAMPLE_MAP} is one)"
+    )
+    parser.add_argument(
+        "--erpm-gain",
+        type=float,
+        metavar="ERPM",
+        help="of 1 m/s; negative for a motor that is wired so (default: F1TENTH's 4614)",
+    )
+    bag = parser.add_argument_group("bags")
     bag.add_argument(
         "--topic",
         action="append",
@@ -40,31 +63,98 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: the log, its map or the output cannot be used.
     """
-    from steerd.daemon.common.progress import show_progress
-
-    if args.kind == "csv":
-        from steerd.daemon.imports.csv_log import import_csv
-
-        size = args.source.stat().st_size if args.source.is_file() else 1
-        with show_progress(f"reading {args.source.name}", size) as advance:
-            report = import_csv(args.source, args.map, args.output, advance)
-    else:
-        from steerd.daemon.imports.bag import BagChoice, import_bag
-
-        choice = BagChoice(tuple(args.topic), args.rigid)
-        with show_progress(f"reading {args.source.name}", 1.0) as advance:
-            report = import_bag(args.source, args.map, args.output, choice, advance)
-    _print_result(report.path, report.notes)
+    kind, source = read_words(args.words)
+    out = args.output or default_output(source)
+    if args.ask:
+        return _ask(args, kind, source, out)
+    if kind == "csv" and args.map is None:
+        hint = f"`steerd import --ask {source}` proposes one; {EXAMPLE_MAP} is one"
+        raise SteerdError("a csv file needs a map of its columns, --map", hint, ExitCode.USAGE)
+    _print_result(_import(args, kind, source, args.map, out))
     return ExitCode.OK
 
 
-def _print_result(path: Path, notes: tuple[str, ...]) -> None:
+def read_words(words: list[str]) -> tuple[str, Path]:
+    """The kind of log, and the log.
+
+    Raises:
+        SteerdError: there is no log, or more than one.
+    """
+    kind, rest = (words[0], words[1:]) if words[0] in _KINDS and len(words) > 1 else ("", words)
+    if len(rest) != 1 or (rest[0] in _KINDS and not Path(rest[0]).exists()):
+        what = f"`steerd import` takes one log, not {len(rest) if len(rest) > 1 else 'none'}"
+        raise SteerdError(what, "import the others one by one", ExitCode.USAGE)
+    source = Path(rest[0])
+    if not source.exists():
+        raise SteerdError(f"{source} does not exist", "", ExitCode.UNREADABLE)
+    is_bag = source.is_dir() or source.suffix.lower() in _BAG_SUFFIXES
+    return kind or ("bag" if is_bag else "csv"), source
+
+
+def default_output(source: Path) -> Path:
+    """A session beside the log."""
+    name = source.with_suffix(".mcap")
+    return name if name != source and not source.is_dir() else source.with_suffix(".session.mcap")
+
+
+def _import(
+    args: argparse.Namespace, kind: str, source: Path, the_map: Path | None, out: Path
+) -> "ImportReport":
+    from steerd.daemon.common.progress import show_progress
+
+    if kind == "csv":
+        from steerd.daemon.imports.csv_log import import_csv
+
+        size = source.stat().st_size if source.is_file() else 1
+        with show_progress(f"reading {source.name}", size) as advance:
+            return import_csv(source, the_map or Path(), out, advance, args.erpm_gain)
+    from steerd.daemon.imports.bag import BagChoice, import_bag
+
+    choice = BagChoice(tuple(args.topic), args.rigid, args.erpm_gain)
+    with show_progress(f"reading {source.name}", 1.0) as advance:
+        return import_bag(source, the_map, out, choice, advance)
+
+
+def _ask(args: argparse.Namespace, kind: str, source: Path, out: Path) -> int:
+    from steerd.daemon.cli.import_ask import ask
+    from steerd.daemon.common.written import write_outputs
+    from steerd.daemon.imports.import_session import check_output
+
+    check_output(out)
+    text = ask(_propose(kind, source), source, _make_trial(args, kind, source))
+    the_map = out.with_suffix(".map.toml")
+    write_outputs({the_map: text})
+    print(f"written: {the_map}")
+    _print_result(_import(args, kind, source, the_map, out))
+    return ExitCode.OK
+
+
+def _propose(kind: str, source: Path) -> dict[str, dict[str, object]]:
+    if kind == "csv":
+        from steerd.daemon.imports.propose import propose_csv
+
+        return propose_csv(source)
+    from steerd.daemon.imports.bag import propose_bag
+
+    return propose_bag(source)
+
+
+def _make_trial(args: argparse.Namespace, kind: str, source: Path) -> Callable[[Path, Path], None]:
+    def trial(the_map: Path, out: Path) -> None:
+        _import(args, kind, source, the_map, out)
+
+    return trial
+
+
+def _print_result(made: "ImportReport") -> None:
     from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.sessions.info import load_session, make_session_report
     from steerd.daemon.sessions.text import format_report
 
-    report = make_session_report(load_session(path))
+    report = make_session_report(load_session(made.path))
     print(format_report(report))
-    for note in (*notes, *report.warnings):
-        print_labelled("warning: ", note, sys.stderr)
-    print(f"\nwritten: {path}\n   next: steerd identify {path}")
+    for remark in made.remarks:
+        print_labelled("note: ", remark, sys.stderr)
+    for warning in (*made.notes, *report.warnings):
+        print_labelled("warning: ", warning, sys.stderr)
+    print(f"\nwritten: {made.path}\n   next: steerd identify {made.path}")

@@ -1,0 +1,163 @@
+"""The conversation of `steerd import --ask`: a proposed map, what it would mean, changes, yes."""
+
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import degrees
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.imports.propose import Proposal, change, format_map, known_names
+
+if TYPE_CHECKING:
+    from steerd.daemon.sessions.info import SessionReport
+    from steerd.steer_bus.session_read import Session
+
+Trial = Callable[[Path, Path], None]
+"""Imports by a map file into a session file."""
+_LEFT, _MM = "must be left positive", "millimetres"
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What a map makes of a log.
+
+    Attributes:
+        lines: in words.
+        warnings: what looks wrong.
+        erpm_gain: ERPM per m/s that the poses show, None where they cannot tell.
+    """
+
+    lines: tuple[str, ...]
+    warnings: tuple[str, ...]
+    erpm_gain: float | None
+
+
+def ask(proposal: Proposal, source: Path, trial: Trial) -> str:
+    """Talk until somebody agrees.
+
+    Args:
+        proposal: first guess.
+        source: the log.
+        trial: imports the log by a map.
+
+    Returns:
+        The text of the map.
+
+    Raises:
+        SteerdError: nobody agreed.
+    """
+    text = _show(proposal, source, trial, mend=True)
+    while True:
+        print("Enter writes it; NAME = VALUE changes a line; ? lists names; q leaves")
+        print("> ", end="", flush=True)
+        line = sys.stdin.readline()
+        answer = line.strip()
+        if not line or answer == "q":
+            raise SteerdError("nothing was written", "", ExitCode.USAGE)
+        if answer == "?":
+            print("  " + ", ".join(known_names(proposal)))
+        elif answer:
+            wrong = change(proposal, answer)
+            if wrong:
+                print(f"  {wrong}")
+            else:
+                text = _show(proposal, source, trial, mend=False)
+        elif text:
+            return text
+        else:
+            print("  it cannot be imported like this")
+
+
+def _show(proposal: Proposal, source: Path, trial: Trial, *, mend: bool) -> str:
+    """Print the map and its meaning; the map's text, or nothing where it does not work."""
+    meaning = _try(proposal, source, trial)
+    if mend and not isinstance(meaning, str) and _mend(proposal, meaning):
+        meaning = _try(proposal, source, trial)
+    text = format_map(proposal, source.name)
+    print(f"\nproposed map\n{_indent(text)}\nwhat it would mean")
+    if isinstance(meaning, str):
+        print(f"  nothing: {meaning}")
+        return ""
+    print("\n".join(f"  {line}" for line in meaning.lines))
+    for warning in meaning.warnings:
+        print(f"  doubtful: {warning}")
+    return text
+
+
+def _indent(text: str) -> str:
+    return "".join(f"  {line}\n" for line in text.splitlines() if line.strip())
+
+
+def _try(proposal: Proposal, source: Path, trial: Trial) -> Meaning | str:
+    """What the map makes of the log, or why it makes nothing."""
+    from steerd.daemon.sessions.info import load_session, make_session_report
+
+    with tempfile.TemporaryDirectory(prefix="steerd-") as folder:
+        the_map, out = Path(folder) / "map.toml", Path(folder) / "trial.mcap"
+        the_map.write_text(format_map(proposal, source.name), encoding="utf-8")
+        try:
+            trial(the_map, out)
+            session = load_session(out)
+            return _read_meaning(session, make_session_report(session))
+        except SteerdError as error:
+            shown = error.what.replace(str(the_map), "the map")
+            return f"{shown}; {error.hint}" if error.hint else shown
+
+
+def _read_meaning(session: "Session", report: "SessionReport") -> Meaning:
+    from steerd.daemon.sessions.info import (
+        Times,
+        find_table,
+        make_track_of,
+        read_tables,
+    )
+    from steerd.daemon.sessions.motion import Signal, find_erpm_gain, round_gain
+    from steerd.steer_bus.topics import VESC
+
+    times, tables = Times(report.info.start_ns), read_tables(session)[0]
+    track, vesc = make_track_of(tables, times), find_table(tables, VESC)
+    gain = None
+    if vesc is not None:
+        erpm = Signal(times.of(vesc["stamp_ns"]), vesc["erpm"].astype(float))
+        gain = find_erpm_gain(track, erpm)
+        gain = None if gain is None else round_gain(gain)
+    lines = list(_lines(report, None if track is None else track.yaw, gain))
+    return Meaning(tuple(lines), report.warnings, gain)
+
+
+def _lines(report: "SessionReport", yaw: "np.ndarray | None", gain: float | None) -> Iterator[str]:
+    yield f"{report.info.duration_s:.1f} s, {report.info.count} messages"
+    if report.length_m is not None:
+        yield f"driven    {report.length_m:.1f} m"
+    if report.speed:
+        yield f"speed     {report.speed.low:.2f} to {report.speed.high:.2f} m/s"
+    if yaw is not None and len(yaw) > 1:
+        turn = np.diff(np.unwrap(yaw))
+        left, right = degrees(turn.clip(0.0).sum()), degrees((-turn).clip(0.0).sum())
+        yield f"turned    {left:.0f}° to the left, {right:.0f}° to the right"
+    if report.steer:
+        low, high = report.steer.low, report.steer.high
+        yield f"steering  {degrees(low):+.1f} to {degrees(high):+.1f}°, left is positive"
+    if gain is not None:
+        yield f"motor     {gain:.0f} ERPM per m/s, by the poses"
+
+
+def _mend(proposal: Proposal, meaning: Meaning) -> bool:
+    """Change what the drive itself says must be otherwise; whether anything was."""
+    text, mended = " ".join(meaning.warnings), False
+    columns = proposal.get("columns", {})
+    if _LEFT in text and "steer_cmd" in columns:
+        old = columns["steer_cmd"]
+        name, scale = (old, 1.0) if isinstance(old, str) else (old["column"], old["scale"])
+        columns["steer_cmd"], mended = {"column": name, "scale": -scale}, True
+    if "topics" in proposal and _MM in text:
+        proposal.setdefault("frame", {})["units"], mended = "mm", True
+    if meaning.erpm_gain is not None and "--erpm-gain" in text:
+        proposal.setdefault("vesc", {})["erpm_gain"] = meaning.erpm_gain
+        mended = True
+    return mended
