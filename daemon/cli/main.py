@@ -41,6 +41,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "estop": ("driving.operate", "emergency stop"),
     "status": ("driving.status", "state of a running daemon and what it is waiting for"),
     "watch": ("driving.watch", "a running car in the terminal: state, errors, rates, faults"),
+    "page": ("driving.page", "a running car as a live page in a browser, with a stop button"),
     "replay": (
         "sessions.replay",
         "feed a recorded session through the loop and compare its commands",

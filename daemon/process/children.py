@@ -17,6 +17,7 @@ from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import make_pipe
+from steerd.daemon.process.page_job import make_page_job
 from steerd.daemon.process.view_job import make_view_job
 from steerd.daemon.settings.run_options import encode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
@@ -79,12 +80,57 @@ def spawn(
 
 
 @dataclass
+class Page:
+    """The live page's process, which ends when its lifeline closes.
+
+    Attributes:
+        child: the process.
+        lifeline_fd: our end.
+        url: where the page is.
+    """
+
+    child: Child
+    lifeline_fd: int
+    url: str
+
+    def end(self) -> None:
+        """Close the lifeline and wait; a page that hangs is ended."""
+        os.close(self.lifeline_fd)
+        try:
+            self.child.process.wait(VIEWER_END_S)
+        except subprocess.TimeoutExpired:
+            self.child.process.kill()
+            self.child.process.wait()
+
+
+def start_page(plan: RunPlan) -> Page:
+    """Start the live page of a car whose bus is up.
+
+    Raises:
+        SteerdError: its port is taken, or it cannot reach the car.
+    """
+    read_fd, write_fd = os.pipe()
+    child = spawn("steerd.daemon.process.page", {"lifeline": read_fd}, make_page_job(plan))
+    os.close(read_fd)
+    try:
+        line = child.wait_ready("page")
+    except SteerdError:
+        os.close(write_fd)
+        raise
+    if not line.startswith("http"):
+        os.close(write_fd)
+        raise SteerdError(line, "--page with another port", ExitCode.UNREACHABLE)
+    return Page(child, write_fd, line)
+
+
+@dataclass
 class RunProcesses:
     """All processes of a run.
 
     Attributes:
         core, recorder, gateway: the processes.
         viewer: the process of `--view`, or None.
+        page: of `--page`, or None.
         requests: this terminal's end of the socket for requests to the core.
         status_fd: records for this terminal.
         session: file of the recording.
@@ -99,6 +145,7 @@ class RunProcesses:
     status_fd: int
     session: Path
     core_report: dict[str, Any]
+    page: Page | None = None
 
     def end(self) -> int:
         """Wait for the core, then for the others, which end when its pipes close.
@@ -114,6 +161,8 @@ class RunProcesses:
             except subprocess.TimeoutExpired:
                 child.process.kill()
         self._end_viewer()
+        if self.page is not None:
+            self.page.end()
         return code or self.recorder.process.returncode or 0
 
     def _end_viewer(self) -> None:
@@ -172,6 +221,7 @@ def start_processes(
         _expect_ready(gateway, "gateway", ExitCode.UNREACHABLE)
         for other in others:
             _expect_ready(other, "viewer", ExitCode.UNREADABLE)
+        page = None if plan.options.page is None else start_page(plan)
     except SteerdError:
         ends = (gateway_end, gateway_core_end, terminal_end, terminal_core_end)
         _end_started(started, pipes, ends)
@@ -186,8 +236,9 @@ def start_processes(
         end.close()
     viewer = others[0] if others else None
     return RunProcesses(
-        core, recorder, gateway, viewer, terminal_end, pipes["status"][0], session, core_report
-    )
+        core, recorder, gateway, viewer, terminal_end, pipes["status"][0], session, core_report,
+        page,
+    )  # fmt: skip
 
 
 def _expect_ready(child: Child, name: str, code: ExitCode) -> None:

@@ -36,6 +36,7 @@ class RunOptions:
         drill: excitation plan of `steerd collect` (see `plans.parse_drill`), or "".
         lab: this machine's folder of `steerd keys`, or "" for plain loopback.
         insecure_lan: whether a plain listener beyond loopback is allowed.
+        page: port of the live page on loopback, 0 for a free one; None for no page.
         sim_car: car file of the simulated car, or `hidden:SEED`; "" for the car file's own car.
         ros_domain: ROS 2 domain in which rmw_zenoh sees the car, or None.
         view: ``[HOST:]PORT`` of the viewer's WebSocket, or "" for none.
@@ -62,6 +63,7 @@ class RunOptions:
     view: str = ""
     ros_domain: int | None = None
     sim_car: str = ""
+    page: int | None = None
 
 
 def encode_options(options: RunOptions) -> str:

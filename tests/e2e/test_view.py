@@ -9,7 +9,7 @@ import socket
 import struct
 
 import pytest
-import websockets
+import websockets  # noqa: TID251
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from steerd.daemon.loop.transitions import SupervisorState

@@ -74,6 +74,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="[HOST:]PORT",
         help=f"show it live in Foxglove or Lichtblick (ws://127.0.0.1:{DEFAULT_PORT})",
     )
+    run.add_argument(
+        "--page",
+        nargs="?",
+        type=int,
+        const=0,
+        metavar="PORT",
+        help="a live page in a browser on this machine, with a stop button",
+    )
 
 
 def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
@@ -120,6 +128,8 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         raise SteerdError(f"--seed {args.seed}: 0 or more", "", ExitCode.USAGE)
     if args.view:
         _check_view(args)
+    if args.page is not None:
+        _check_page(args)
     if args.ros_domain is not None:
         _check_domain(args)
     listen = _choose_endpoint(args)
@@ -144,6 +154,7 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         view=args.view or "",
         ros_domain=args.ros_domain,
         sim_car=args.sim_car or "",
+        page=args.page,
     )
 
 
@@ -176,6 +187,16 @@ def _check_view(args: argparse.Namespace) -> None:
         hint = "drop --fast; open the session in Foxglove, or with `steerd plot`"
         raise SteerdError("--view shows a drive as it happens", hint, ExitCode.USAGE)
     check_view(args.view, args.insecure_lan)
+
+
+def _check_page(args: argparse.Namespace) -> None:
+    from steerd.daemon.process.page_job import check_page
+
+    if args.fast:
+        raise SteerdError("--page shows a drive as it happens", "drop --fast", ExitCode.USAGE)
+    if not 0 <= args.page < 65536:
+        raise SteerdError(f"--page {args.page}: a port, 0 to 65535", "", ExitCode.USAGE)
+    check_page(str(args.lab or ""), "" if args.listen == "" else "bus")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -257,6 +278,8 @@ def _run_live(plan: RunPlan) -> tuple[int, str]:
     if processes.viewer is not None:
         host, port = parse_view(plan.options.view, plan.options.insecure_lan)
         print(f"view: ws://{host}:{port} (Foxglove or Lichtblick: Open connection)")
+    if processes.page is not None:
+        print(f"page: {processes.page.url} (in a browser on this machine)")
     where = "simulated hardware" if plan.options.simulated else str(plan.options.port)
     board = Dashboard(f"steerd · {plan.options.car} on {where} · {plan.path.name}")
     operator = Operator(boot_id, secrets.randbits(62) + 1, "terminal")

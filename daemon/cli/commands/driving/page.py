@@ -1,0 +1,56 @@
+"""A running car as a live page in a browser on this machine.
+
+steerd page
+steerd page --lab console          # the car is elsewhere, in the lab
+
+The page shows track, lane, errors, speed, battery and what the car waits for.
+Whoever arms the car there holds it: close or leave the page and it stops.
+`steerd run --page` starts the same for its own car.
+"""
+
+import argparse
+import asyncio
+import sys
+
+from steerd.daemon.cli.bus_options import add_bus_arguments
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which car, and where the page is."""
+    add_bus_arguments(parser)
+    parser.add_argument("--name", default="car1", help="the car's name")
+    parser.add_argument("--path", help="the lane to draw, as --path of run")
+    parser.add_argument(
+        "--port", type=int, default=0, metavar="N", help="of the page (default: a free one)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve the page until Ctrl-C.
+
+    Raises:
+        SteerdError: no daemon answers, or the port is taken.
+    """
+    from steerd.daemon.ipc.operator import connect
+    from steerd.daemon.process.page import make_page, run_page
+    from steerd.daemon.process.page_job import make_lane_job
+    from steerd.daemon.process.page_link import CarView
+    from steerd.steer_bus.clock import MonotonicClock
+
+    page = make_page({"car": args.name, **make_lane_job(args.path)})
+
+    def opened(url: str) -> None:
+        print(f"page: {url}", flush=True)
+        print("open it in a browser on this machine; Ctrl-C ends it", file=sys.stderr)
+
+    with connect(args.connect, args.lab) as bus:
+        view = CarView(bus, args.name, MonotonicClock())
+        try:
+            asyncio.run(run_page(view, page, args.port, opened, asyncio.Event()))
+        except KeyboardInterrupt:
+            return ExitCode.OK
+        except OSError as error:
+            what = f"--port {args.port}: {error.strerror or error}"
+            raise SteerdError(what, "name another port", ExitCode.UNREACHABLE) from None
+    return ExitCode.OK

@@ -1,0 +1,143 @@
+"""What the live page shows of a car, and what its buttons ask for.
+
+The bus on one side, JSON values on the other; no socket of a browser here.
+"""
+
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Any
+
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.ipc.diagnostics import read_diagnostics
+from steerd.daemon.ipc.operator import Operator
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.steer_bus import topics
+from steerd.steer_bus.bus import Bus
+from steerd.steer_bus.clock import Clock
+from steerd.steer_bus.codec import decode
+from steerd.steer_bus.messages import RequestKind, StateMessage, Transition, VescTelemetry
+from steerd.steer_bus.standard import DiagnosticArray
+from steerd.steer_bus.topics import make_key
+from steerd.vesc_link.ids import fault_name
+
+EVENTS = 8
+"""State changes that are kept for a page that opens later."""
+NAME = "page"
+"""Of the page's operators, in recordings."""
+_KINDS = {
+    "alive": RequestKind.KEEPALIVE, "arm": RequestKind.ARM, "start": RequestKind.START,
+    "stop": RequestKind.STOP, "disarm": RequestKind.DISARM, "clear": RequestKind.CLEAR,
+    "estop": RequestKind.ESTOP,
+}  # fmt: skip
+_NUMBERS = ("x", "y", "yaw", "speed", "e1", "e2", "steer", "steer_ref", "speed_ref", "path_s")
+_TEXTS = ("state", "reason", "waiting", "warnings", "holder", "leased", "mocap", "mocap_rate_hz")
+
+
+@dataclass
+class CarView:
+    """The newest of a car, from the bus.
+
+    Attributes:
+        values: of the supervisor's diagnostics.
+        state, vesc: the newest messages.
+        heard_ns: when the last message came; None before the first.
+        events: the last state changes, as sentences.
+    """
+
+    bus: Bus
+    car: str
+    clock: Clock
+    values: dict[str, str] = field(default_factory=dict)
+    state: StateMessage | None = None
+    vesc: VescTelemetry | None = None
+    heard_ns: int | None = None
+    events: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        wanted: tuple[tuple[Any, Callable[[Any], None]], ...] = (
+            (topics.STATE, self._take_state), (topics.VESC, self._take_vesc),
+            (topics.TRANSITION, self._take_change), (topics.DIAGNOSTICS, self._take_values),
+        )  # fmt: skip
+        self._wanted = [
+            (self.bus.subscribe(make_key(self.car, topic)), topic.message, take)
+            for topic, take in wanted
+        ]
+
+    def poll(self) -> None:
+        """Take in what has come; what cannot be read, of another version, is left out."""
+        for subscription, message, take in self._wanted:
+            for sample in subscription.poll():
+                self.heard_ns = self.clock.now_ns()
+                try:
+                    take(decode(message, sample.data))
+                except (ValueError, SteerdError):
+                    continue
+
+    def _take_state(self, state: StateMessage) -> None:
+        self.state = state
+
+    def _take_vesc(self, vesc: VescTelemetry) -> None:
+        self.vesc = vesc
+
+    def _take_change(self, change: Transition) -> None:
+        name = SupervisorState(change.to_state).name
+        self.events = [*self.events, f"{name.lower().replace('_', ' ')}: {change.text}"][-EVENTS:]
+
+    def _take_values(self, message: DiagnosticArray) -> None:
+        self.values = read_diagnostics(message)
+
+    def snapshot(self) -> dict[str, Any]:
+        """What the page shows, as JSON values; unknown numbers are None."""
+        now = self.clock.now_ns()
+        shown: dict[str, Any] = {name: self.values.get(name, "") for name in _TEXTS}
+        if self.state is not None:
+            shown["state"] = SupervisorState(self.state.mode).name
+            shown |= {name: _finite(getattr(self.state, name)) for name in _NUMBERS}
+        if self.vesc is not None:
+            code = self.vesc.fault_code
+            shown["battery"], shown["amps"] = (
+                _finite(self.vesc.v_in), _finite(self.vesc.current_motor),
+            )  # fmt: skip
+            shown["fault"] = fault_name(code) if code > 0 else ""
+        silent = 0.0 if self.heard_ns is None else (now - self.heard_ns) * 1e-9
+        return shown | {"silent": round(silent, 2), "events": self.events}
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 5) if isfinite(value) else None
+
+
+class PageOperator:
+    """One open page: an operator as any other, alive only as long as its browser says so.
+
+    Nothing here sends by itself: every keepalive on the bus is one that the browser sent. A tab
+    that is closed, hidden, frozen or cut off is silent, and the lease ends 0.3 s later.
+    """
+
+    def __init__(self, view: CarView) -> None:
+        self._view = view
+        self._operator: Operator | None = None
+
+    @property
+    def lease(self) -> str:
+        """This page's lease, as the car's `holder` names it."""
+        return str(self._operator.lease_id) if self._operator else ""
+
+    def ask(self, what: str) -> bool:
+        """Send a request of the page.
+
+        Returns:
+            Whether it was sent; not for words that are no request, or before the car was heard.
+        """
+        kind, view = _KINDS.get(what), self._view
+        boot_id = int(view.values.get("boot_id", "0") or 0)
+        if kind is None or not boot_id:
+            return False
+        if self._operator is None or self._operator.boot_id != boot_id:
+            self._operator = Operator(boot_id, secrets.randbits(62) + 1, NAME)
+            self._operator.seq = view.clock.realtime_ns() // 1_000_000 % 2_000_000_000
+        request = self._operator.make_request(kind, view.clock.realtime_ns())
+        view.bus.publish(make_key(view.car, topics.OPERATOR), request)
+        return True

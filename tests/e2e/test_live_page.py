@@ -1,0 +1,268 @@
+"""The live page: what it shows in a real browser, whom it answers, how its hold on a car ends."""
+
+import asyncio
+import json
+import math
+import os
+import signal
+import threading
+import urllib.error
+import urllib.request
+from contextlib import contextmanager
+
+import pytest
+from websockets.exceptions import InvalidStatus  # noqa: TID251
+from websockets.sync.client import connect  # noqa: TID251
+
+from steerd.car_model.path.path_spec import parse_path
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.page import make_page, run_page
+from steerd.daemon.process.page_job import make_lane_job
+from steerd.daemon.process.page_link import CarView, PageOperator
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, make_header
+from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
+from steerd.steer_bus.topics import make_key
+from tests.browser import CHROMIUM, NO_BROWSER, browsing
+from tests.e2e.test_live import Watcher, start_run
+from tests.local_bus import LocalBus, LocalHub
+
+HEADER = make_header(0, BODY)
+LANE = parse_path("figure8")
+
+
+class FakeCar:
+    """A car on an in-process bus that drives its lane and notes what it is asked for.
+
+    Attributes:
+        state, holder: what it says of itself.
+        asked: requests that came, oldest first.
+    """
+
+    def __init__(self):
+        hub = LocalHub()
+        self.bus = LocalBus(hub)
+        self._requests = self.bus.subscribe(make_key("car1", topics.OPERATOR), 4096)
+        self.view = CarView(LocalBus(hub), "car1", MonotonicClock())
+        self.state, self.holder, self.speaks, self.asked = SupervisorState.READY, 0, True, []
+        self._step = 0
+
+    def publish(self):
+        for sample in self._requests.poll():
+            request = decode(OperatorRequest, sample.data)
+            self.asked.append(request)
+            self._obey(request)
+        if not self.speaks:
+            return
+        self._step += 3
+        i = self._step % len(LANE.x)
+        numbers = dict.fromkeys(m.StateMessage.__dataclass_fields__, 0.01)
+        numbers |= {"header": HEADER, "mono_ns": 0, "seq": 0, "flags": 0, "mode": self.state}
+        numbers |= {"x": LANE.x[i], "y": LANE.y[i], "yaw": LANE.yaw[i], "e1": math.nan}
+        self._say(topics.STATE, m.StateMessage(**numbers))
+        said = {"state": self.state.name, "reason": "all well", "waiting": "an operator",
+                "warnings": "the battery is low: 10.1 V", "boot_id": "77", "leased": "1",
+                "holder": str(self.holder), "mocap": "ok", "mocap_rate_hz": "100.0"}  # fmt: skip
+        pairs = tuple(KeyValue(key, value) for key, value in said.items())
+        status = DiagnosticStatus(0, "steerd: supervisor", "", "", pairs)
+        self._say(topics.DIAGNOSTICS, DiagnosticArray(HEADER, (status,)))
+
+    def _obey(self, request):
+        states = SupervisorState
+        wanted = {
+            RequestKind.ARM: states.ARMED, RequestKind.START: states.RUNNING,
+            RequestKind.STOP: states.READY, RequestKind.ESTOP: states.ESTOP,
+        }  # fmt: skip
+        if RequestKind(request.kind) is RequestKind.ARM:
+            self.holder = request.lease_id
+        new = wanted.get(RequestKind(request.kind), self.state)
+        if new is not self.state:
+            change = m.Transition(HEADER, self.state, new, "operator", "a button of the page")
+            self.state = new
+            self._say(topics.TRANSITION, change)
+
+    def _say(self, topic, message):
+        self.bus.publish(make_key("car1", topic), encode(message))
+
+    def kinds(self):
+        return [RequestKind(request.kind) for request in self.asked]
+
+
+@contextmanager
+def served(car):
+    """The car's page on a free port: its address."""
+    ready, address, ended, loops = threading.Event(), [], asyncio.Event(), []
+
+    def opened(url):
+        address.append(url)
+        ready.set()
+
+    async def drive():
+        while True:
+            car.publish()
+            await asyncio.sleep(0.01)
+
+    async def serve():
+        loops.append(asyncio.get_running_loop())
+        driving = asyncio.create_task(drive())
+        page = make_page({"car": "car1", **make_lane_job("figure8")})
+        await run_page(car.view, page, 0, opened, ended)
+        driving.cancel()
+
+    thread = threading.Thread(target=asyncio.run, args=(serve(),))
+    thread.start()
+    assert ready.wait(60.0)
+    try:
+        yield address[0]
+    finally:
+        loops[0].call_soon_threadsafe(ended.set)
+        thread.join()
+
+
+@pytest.fixture
+def car():
+    return FakeCar()
+
+
+def live(url, **options):
+    """The page's WebSocket, as its own script opens it."""
+    return connect(url.replace("http", "ws") + "live", origin=url[: url.index("/", 8)], **options)
+
+
+def until(socket, done):
+    """The first picture for which `done` holds."""
+    while True:
+        seen = json.loads(socket.recv(30.0))
+        if done(seen):
+            return seen
+
+
+def test_only_its_own_page_is_answered(car):
+    with served(car) as url:
+        with urllib.request.urlopen(url) as page:
+            assert "Emergency stop" in page.read().decode()
+            assert "default-src 'none'" in page.headers["Content-Security-Policy"]
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(url.rsplit("/", 2)[0] + "/guess/")
+        named = urllib.request.Request(url, headers={"Host": "evil.example"})
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(named)
+        for origin in ("http://evil.example", None):
+            with pytest.raises(InvalidStatus, match="403"):
+                connect(url.replace("http", "ws") + "live", origin=origin)
+    assert car.asked == []
+
+
+def test_a_page_is_an_operator_like_any_other(car):
+    with served(car) as url, live(url) as socket:
+        first = until(socket, lambda seen: seen["state"] == "READY")
+        assert (first["mine"], first["held"], first["e1"]) == (False, False, None)
+        socket.send("arm")
+        until(socket, lambda seen: seen["state"] == "ARMED" and seen["mine"])
+        socket.send("start")
+        until(socket, lambda seen: seen["state"] == "RUNNING")
+        with live(url) as other:
+            seen = until(other, lambda seen: seen["state"] == "RUNNING")
+            assert (seen["mine"], seen["held"]) == (False, True)
+            other.send("nonsense")
+            other.send("estop")
+            until(socket, lambda seen: seen["state"] == "ESTOP")
+    assert car.kinds() == [RequestKind.ARM, RequestKind.START, RequestKind.ESTOP]
+    assert {request.boot_id for request in car.asked} == {77}
+    arm, start, estop = car.asked
+    assert arm.lease_id == start.lease_id != estop.lease_id
+    assert start.seq == arm.seq + 1
+
+
+def test_nothing_is_sent_that_the_browser_did_not_send():
+    """A silent browser is a silent operator: no timer of ours keeps a lease alive."""
+    car = FakeCar()
+    operator = PageOperator(car.view)
+    assert not operator.ask("alive"), "not before the car was heard"
+    car.publish()
+    car.view.poll()
+    assert operator.ask("alive")
+    for _ in range(50):
+        car.publish()
+        car.view.poll()
+        car.view.snapshot()
+    assert car.kinds() == [RequestKind.KEEPALIVE]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not CHROMIUM, reason=NO_BROWSER)
+def test_in_a_browser_it_is_whole_and_its_buttons_work(car, tmp_path):
+    with served(car) as url, browsing() as browser:
+        for width in (1280, 420):
+            for dark in (False, True):
+                browser.open(url, width, dark=dark)
+                browser.wait("document.documentElement.dataset.ready === '1'")
+                assert browser.faults_of_layout() == []
+                assert browser.console == []
+                browser.screenshot(tmp_path / f"live-{width}-{dark}.png")
+        browser.ask("document.getElementById('arm').click()")
+        browser.wait("!document.getElementById('start').disabled")
+        browser.ask("document.getElementById('start').click()")
+        browser.wait("document.getElementById('state').textContent === 'running'")
+        assert "You hold this car" in browser.ask("document.getElementById('hold').textContent")
+        browser.wait("document.querySelectorAll('#events li').length === 2")
+        while car.kinds().count(RequestKind.KEEPALIVE) < 5:
+            browser.ask("new Promise(r => setTimeout(r, 20))")
+        car.speaks = False
+        browser.wait("document.getElementById('alarm').textContent.includes('still running?')")
+        car.speaks = True
+        browser.open("about:blank")  # the page is left
+        assert browser.ask("1 + 1") == 2
+        while RequestKind.STOP not in car.kinds():
+            browser.ask("new Promise(r => setTimeout(r, 20))")
+        assert car.kinds()[-1] is RequestKind.STOP, "after that it is silent"
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize("end", ["silent", "closed", "killed"])
+def test_a_page_that_goes_stops_the_car_within_the_lease(undisturbed, end):
+    def scenario(steerd, folder):
+        port, url = steerd.sim(folder)
+        run, _ = start_run(steerd, folder, "--port", port, "--mocap", url, "--page")
+        address = run.expect(r"page: (\S+)")[1]
+        run.expect("READY")
+        watcher = Watcher(steerd.endpoint)
+        with live(address) as socket:
+            holding = threading.Event()
+
+            def keep():
+                while not holding.wait(0.05):
+                    socket.send("alive")
+
+            keeper = threading.Thread(target=keep)
+            keeper.start()
+            try:
+                socket.send("arm")
+                until(socket, lambda seen: seen["state"] == "ARMED" and seen["mine"])
+                socket.send("start")
+                driven = watcher.driving(run, 2.0)
+                assert driven.mode == SupervisorState.RUNNING, run.text
+            finally:
+                holding.set()
+                keeper.join()
+            if end == "closed":
+                socket.close()
+            if end == "killed":
+                page = run.child("steerd.daemon.process.page")
+                os.kill(page, signal.SIGKILL)
+            assert watcher.stopped(run) in (SupervisorState.FAULT_STOP, SupervisorState.STOPPING)
+        stop = next(
+            s
+            for s in watcher.seen
+            if s.mono_ns > driven.mono_ns and s.mode != SupervisorState.RUNNING
+        )
+        assert (stop.mono_ns - driven.mono_ns) * 1e-9 < 0.3 + 0.35, "the lease and a slow machine"
+        watcher.close()
+        run.send(signal.SIGINT)
+        run.wait()
+
+    undisturbed(scenario)
