@@ -26,6 +26,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 MODULES = (
     "controller/limits.py", "daemon/process/guardian.py", "daemon/loop/lateness.py",
+    "daemon/loop/following.py",
     "daemon/loop/launch.py",
     "daemon/loop/lease.py", "daemon/loop/supervisor.py", "daemon/loop/watchdogs.py",
     "daemon/loop/watchdogs_pose.py",
@@ -42,7 +43,7 @@ TESTS = (
     "tests/unit/daemon/settings/test_thresholds.py", "tests/unit/daemon/loop/test_launch.py",
     "tests/unit/daemon/process/test_guardian.py", "tests/unit/daemon/loop/test_supervisor_stops.py",
     "tests/unit/daemon/loop/test_lateness.py", "tests/unit/daemon/loop/test_lease.py",
-    "tests/unit/steer_bus/test_codec.py",
+    "tests/unit/steer_bus/test_codec.py", "tests/unit/daemon/loop/test_following.py",
     "tests/unit/steer_bus/test_codec_fresh.py", "tests/unit/daemon/loop/test_findings.py",
 )  # fmt: skip
 MORE_TESTS = (

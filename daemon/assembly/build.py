@@ -29,7 +29,7 @@ from steerd.steer_bus.topics import check_car_name
 if TYPE_CHECKING:
     from steerd.controller.lane_controller import LaneController
     from steerd.daemon.loop.core import Core
-    from steerd.daemon.loop.loop import LoopSetup
+    from steerd.daemon.loop.loop_setup import LoopSetup
 
 NS = 1_000_000_000
 """Nanoseconds in a second."""
@@ -164,7 +164,7 @@ def make_design_car(settings: Settings) -> Car[float]:
 
 def make_loop_setup(plan: RunPlan, boot_id: int, leased: bool) -> LoopSetup:
     """The constants of a plan's loop, for a drive and for its replay."""
-    from steerd.daemon.loop.loop import LoopSetup
+    from steerd.daemon.loop.loop_setup import LoopSetup
 
     duration = plan.options.duration_s
     return LoopSetup(

@@ -77,6 +77,8 @@ WATCHDOGS = {
     "W27": Watchdog("gateway", _SOFT, "restart steerd run"),
     "W28": Watchdog("clock", _HARD, "the machine was suspended: switch suspend off"),
     "W29": Watchdog("exception", _HARD, "report this with the session file"),
+    "W30": Watchdog("speed not followed", _HARD, "check motor and gears; identify the car"),
+    "W31": Watchdog("steering not followed", _HARD, "check servo and linkage; identify the car"),
     "limiter": Watchdog("order not finite", _HARD, "report this with the session file"),
     "launch": Watchdog("launch check", _HARD, "run steerd mocap check"),
 }

@@ -6,8 +6,7 @@ states from tick to tick.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from math import isfinite, nan
+from math import isfinite
 from typing import NamedTuple
 
 from steerd.car_model.actuators import references
@@ -17,7 +16,6 @@ from steerd.car_model.state import Command
 from steerd.controller.lane_controller import (
     ControllerState,
     ControlReport,
-    LaneController,
     control,
     start_controller,
 )
@@ -41,6 +39,15 @@ from steerd.daemon.loop.findings import (
     summarise,
 )
 from steerd.daemon.loop.flags import Flag, make_reported_findings
+from steerd.daemon.loop.following import (
+    Followed,
+    FollowState,
+    advance,
+    compare,
+    follow_span,
+    make_follow_model,
+    send_order,
+)
 from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
 from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
 from steerd.daemon.loop.lease import (
@@ -52,8 +59,9 @@ from steerd.daemon.loop.lease import (
     take_command,
     valid_command,
 )
+from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.orders import Order, make_order
-from steerd.daemon.loop.perception import Perception, best_speed, estimated_state
+from steerd.daemon.loop.perception import Perception, best_speed
 from steerd.daemon.loop.plans import Drill
 from steerd.daemon.loop.supervisor import (
     LAUNCH_SPEED,
@@ -65,8 +73,8 @@ from steerd.daemon.loop.supervisor import (
     step_supervisor,
 )
 from steerd.daemon.loop.transitions import Fact, Request, SupervisorState
-from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, is_slowing, step_watchdogs
-from steerd.daemon.settings.config import Settings
+from steerd.daemon.loop.watchdog_input import make_watchdog_input
+from steerd.daemon.loop.watchdogs import WatchdogState, is_slowing, step_watchdogs
 from steerd.estimator.state_filter import StateEstimate
 from steerd.mocap_link.source import PoseSample
 from steerd.steer_bus.messages import DriveCommand, OperatorRequest
@@ -90,40 +98,6 @@ _FACTS = tuple(
         Fact.LAUNCHED, Fact.ESTIMATED, Fact.SLOWING,
     )
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class LoopSetup:
-    """What does not change during a run.
-
-    Attributes:
-        settings: of the car file.
-        controller: the lane keeper, which also gives the lane errors.
-        period_ns: period of the loop.
-        boot_id: random number of this run, which operators must name.
-        remote: commands come from an external controller.
-        auto_arm: arm and start once without an operator.
-        leased: an operator's lease and deadman are needed.
-        duration_ns: length of the drive, None without end.
-        simulated: the hardware is simulated: limits of lateness are loose.
-        drill: excitation plan, in place of the lane keeper or added to it.
-    """
-
-    settings: Settings
-    controller: LaneController
-    period_ns: int
-    boot_id: int
-    remote: bool = False
-    auto_arm: bool = False
-    leased: bool = True
-    duration_ns: int | None = None
-    simulated: bool = False
-    drill: Drill | None = None
-
-    @property
-    def ignores_lane(self) -> bool:
-        """Whether lane errors do not count: something else than the lane keeper drives."""
-        return self.remote or (self.drill is not None and not self.drill.closed)
 
 
 class TickResult(NamedTuple):
@@ -181,6 +155,8 @@ class Loop:
         self._control: ControllerState | None = None
         self._launch: LaunchState | None = None
         self._watchdogs = WatchdogState()
+        self._ranges = make_follow_model(car, s.file.sd, s.filter, s.thresholds)
+        self._following = FollowState()
         self._lateness = Lateness()
         self._late_rules = IN_SIMULATION if setup.simulated else make_lateness_rules(s.thresholds)
         self._requests_pending = Request.NONE
@@ -313,11 +289,35 @@ class Loop:
             reported.append(blame_machine(late) if flags & Flag.STALLED else late)
         reported += self._check_launch(estimate, now_ns)
         reported += self._check_commands(now_ns)
-        inputs = self._make_watchdog_input(estimate, report, speed, now_ns, tuple(reported))
+        launched = self._launch is not None and self._launch.done
+        most = self.setup.settings.limits.speed_max
+        inputs = make_watchdog_input(
+            self.setup,
+            self.perception,
+            estimate,
+            report,
+            state=self.supervisor.state,
+            t_ns=now_ns,
+            lease_age=lease_age(self.lease, now_ns) if self.setup.leased else 0.0,
+            speed=speed,
+            speed_limit=most if launched else min(LAUNCH_SPEED, most),
+            steer=self._limiter.order.steer,
+            followed=self._compare_with_orders(now_ns),
+            reported=tuple(reported),
+        )
         self._watchdogs, findings = step_watchdogs(
             self.setup.settings.thresholds, self._watchdogs, inputs
         )
         return tuple(map(advise_simulation, findings)) if self.setup.simulated else findings
+
+    def _compare_with_orders(self, now_ns: int) -> Followed:
+        """What wheels and pose did since, against the orders that left."""
+        seen = self.perception
+        speed = seen.mocap_speed
+        ground = speed if isfinite(speed) else 0.0
+        self._following = advance(self._following, self._ranges, now_ns, ground)
+        turns = seen.turns(follow_span(self.setup.settings.thresholds, ground))
+        return compare(self._following, self._ranges, seen.wheel, turns)
 
     def _check_launch(self, estimate: StateEstimate | None, now_ns: int) -> Iterator[Finding]:
         if self.supervisor.state is not SupervisorState.RUNNING or estimate is None:
@@ -343,57 +343,6 @@ class Loop:
                 yield make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")
             else:
                 yield make_unknown("W25", "no valid command yet")
-
-    def _make_watchdog_input(
-        self,
-        estimate: StateEstimate | None,
-        report: ControlReport | None,
-        speed: float,
-        now_ns: int,
-        reported: tuple[Finding, ...],
-    ) -> WatchdogInput:
-        settings, seen = self.setup.settings, self.perception
-        values = seen.telemetry.values if seen.telemetry else None
-        s, health = estimated_state(estimate), estimate.health if estimate else None
-        steer = self._limiter.order.steer
-        limits = settings.limits
-        side = limits.steer_left_max if steer > 0.0 else limits.steer_right_max
-        lane = None if self.setup.ignores_lane else report
-        launched = self._launch is not None and self._launch.done
-        cap = limits.speed_max if launched else min(LAUNCH_SPEED, limits.speed_max)
-        return WatchdogInput(
-            t_ns=now_ns,
-            state=self.supervisor.state,
-            pose=seen.watch,
-            mocap_age=seen.mocap_age(now_ns),
-            telemetry_age=seen.telemetry_age(now_ns),
-            lease_age=lease_age(self.lease, now_ns) if self.setup.leased else 0.0,
-            speed=speed,
-            speed_erpm=seen.wheel_speed,
-            speed_mocap=seen.mocap_speed,
-            speed_limit=cap,
-            x=s.x,
-            y=s.y,
-            course=s.yaw + s.slip_angle,
-            sigma_position=health.position_sd if health else nan,
-            sigma_yaw=health.yaw_sd if health else nan,
-            covariance_ok=health.sound if health else False,
-            lateral_error=lane.e1 if lane else (0.0 if self.setup.ignores_lane else nan),
-            heading_error=lane.e2 if lane else (0.0 if self.setup.ignores_lane else nan),
-            steer_share=abs(steer) / side,
-            status=(values.status or 0) if values else 0,
-            fault_code=(values.fault or 0) if values else 0,
-            tachometer=values.tachometer_abs
-            if values and values.tachometer_abs is not None
-            else -1,
-            cell_voltage=_nan_if_none(values.input_voltage if values else None)
-            / settings.brakes.cells,
-            fet_temperature=_nan_if_none(values.temp_fet_c if values else None),
-            motor_temperature=_nan_if_none(values.temp_motor_c if values else None),
-            current_share=abs(_nan_if_none(values.motor_current if values else None))
-            / settings.brakes.current_max_a,
-            reported=reported,
-        )
 
     def _find_failed_checks(
         self,
@@ -478,6 +427,14 @@ class Loop:
         self._not_finite = order.verdict is Verdict.NOT_FINITE
         if order.command != self._issued:
             self.perception.on_command(now_ns, order.command)
+        rolling = self.perception.wheel_speed
+        self._following = send_order(
+            self._following,
+            self._ranges,
+            now_ns,
+            order.command,
+            rolling if isfinite(rolling) else 0.0,
+        )
         self._issued = order.command
 
     @property
@@ -492,7 +449,3 @@ class Loop:
             self.supervisor.state is SupervisorState.ESTOP and self.supervisor.still_ns != NEVER
         )
         return self.parked or stopped
-
-
-def _nan_if_none(value: float | None) -> float:
-    return nan if value is None else value

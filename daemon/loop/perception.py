@@ -5,6 +5,7 @@ from math import hypot, inf, nan
 
 from steerd.car_model.params import Car, wheelbase
 from steerd.car_model.state import Command, State
+from steerd.daemon.loop.following import LONG_TURN_S, Turn, measure_turns
 from steerd.daemon.loop.watchdogs_pose import (
     PoseFrame,
     PoseVerdict,
@@ -27,6 +28,8 @@ from steerd.mocap_link.source import PoseSample
 from steerd.vesc_link.events import ImuSample, Telemetry
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed
 
+_TRACK_NS = round(1e9 * LONG_TURN_S)
+"""How long poses are kept."""
 _SPEED_SPAN_NS = 100_000_000
 """Time over which mocap speed is taken: single steps at 100 Hz are mostly noise."""
 BLIND_S = 0.5
@@ -54,7 +57,8 @@ class Perception:
         self._wheelbase = wheelbase(car)
         self._measurements: list[Measurement] = []
         self._commands: list[tuple[int, Command[float] | None]] = []
-        self._track: deque[tuple[int, float, float]] = deque()
+        self._track: deque[tuple[int, float, float, float]] = deque()
+        self._oldest_ns = 0
         self._refused = 0
         self._seen = 0
         self.watch = PoseWatch()
@@ -84,7 +88,7 @@ class Perception:
         if verdict in _SEEN and sample.rejected is None:
             self.accepted_ns = sample.t_arrival_ns
             self._measurements.append(make_pose(sample.t_valid_ns, sample.x, sample.y, sample.yaw))
-            self._track.append((sample.t_valid_ns, sample.x, sample.y))
+            self._track.append((sample.t_valid_ns, sample.x, sample.y, sample.yaw))
             # Now, not in the tick: the pose comes just before its deadline
             # (`steerd.daemon.process.pacing`).
             stamps = (measurement.t_ns for measurement in self._measurements)
@@ -115,8 +119,9 @@ class Perception:
         estimate = predict_to(self._filter, self._state, now_ns)
         if estimate is not None:
             self._note_innovations(estimate)
-        while len(self._track) > 2 and self._track[1][0] <= now_ns - _SPEED_SPAN_NS:
+        while len(self._track) > 2 and self._track[1][0] <= now_ns - _TRACK_NS:
             self._track.popleft()
+        self._oldest_ns = now_ns - _SPEED_SPAN_NS
         return estimate
 
     def _fuse(self, now_ns: int) -> None:
@@ -147,11 +152,24 @@ class Perception:
         return self.wheel_speed if self.telemetry_age(now_ns) <= BLIND_S else nan
 
     @property
+    def wheel(self) -> tuple[int, float] | None:
+        """Time of validity [ns] and wheel speed [m/s] of the last telemetry, if it has one."""
+        if self.telemetry is None or self.telemetry.values.erpm is None:
+            return None
+        return self.telemetry.when.stamp_ns, self.wheel_speed
+
+    def turns(self, span: float) -> tuple[Turn, ...]:
+        """What mocap saw over the last `span` seconds and over a longer stretch."""
+        return measure_turns(tuple(self._track), span)
+
+    @property
     def mocap_speed(self) -> float:
         """Speed by mocap alone over the last 100 ms [m/s]; NaN while unknown."""
         if len(self._track) < 2:
             return nan
-        (t0, x0, y0), (t1, x1, y1) = self._track[0], self._track[-1]
+        t1, x1, y1, _ = self._track[-1]
+        older = [pose for pose in self._track if pose[0] <= self._oldest_ns]
+        t0, x0, y0, _ = older[-1] if older else self._track[0]
         return hypot(x1 - x0, y1 - y0) / ((t1 - t0) * 1e-9) if t1 > t0 else nan
 
     def mocap_age(self, now_ns: int) -> float:

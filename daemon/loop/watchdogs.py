@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from steerd.daemon.common.screen import show
 from steerd.daemon.loop.findings import Finding, Severity, make_finding, make_unknown
+from steerd.daemon.loop.following import Band, Followed, follow_span
 from steerd.daemon.loop.supervisor import SOFT_DECEL
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs_pose import PoseWatch, is_flapping, rejected_share
@@ -55,6 +56,7 @@ class WatchdogInput(NamedTuple):
         fet_temperature: [C].
         motor_temperature: [C]; NaN without a sensor, which is allowed.
         current_share: |motor current| over its limit.
+        followed: measured motion against what the orders ask of a car like this one.
         reported: findings of the runner, the launch check and the command check.
     """
 
@@ -84,6 +86,7 @@ class WatchdogInput(NamedTuple):
     fet_temperature: float
     motor_temperature: float
     current_share: float
+    followed: Followed = Followed()
     reported: tuple[Finding, ...] = ()
 
 
@@ -246,7 +249,7 @@ class Timed(NamedTuple):
 
     id: str
     holds: Callable[[Thresholds, WatchdogInput], bool]
-    seconds: Callable[[Thresholds], float]
+    seconds: Callable[[Thresholds, WatchdogInput], float]
     text: Callable[[WatchdogInput], str]
 
 
@@ -281,37 +284,59 @@ def _describe_block(i: WatchdogInput) -> str:
     return f"{share} of the current limit at {speed} m/s"
 
 
+def _describe_band(band: Band) -> str:
+    return f"{show(band.low, '.2f')} to {show(band.high, '.2f')}"
+
+
 TIMED: tuple[Timed, ...] = (
-    Timed("W9", _is_starved, lambda _: COMMANDED_S, lambda _: "status bit 0 stays set"),
+    Timed("W9", _is_starved, lambda *_: COMMANDED_S, lambda _: "status bit 0 stays set"),
     Timed(
         "W13",
         lambda th, i: not i.cell_voltage >= th.cell,
-        lambda th: th.cell_hold,
+        lambda th, _: th.cell_hold,
         lambda i: f"{show(i.cell_voltage, '.2f')} V per cell",
     ),
     Timed(
         "W17",
         lambda th, i: i.state in _DRIVING and abs(i.lateral_error) > th.lateral,
-        lambda th: th.lateral_hold,
+        lambda th, _: th.lateral_hold,
         lambda i: f"{show(abs(i.lateral_error), '.2f')} m",
     ),
     Timed(
         "W20",
         _is_fast,
-        lambda th: th.overspeed_hold,
+        lambda th, _: th.overspeed_hold,
         _describe_speeds,
     ),
     Timed(
         "W21",
         _is_mismatched,
-        lambda th: th.mismatch_hold,
+        lambda th, _: th.mismatch_hold,
         _describe_speeds,
     ),
     Timed(
         "W22",
         _is_blocked,
-        lambda th: th.blocked_hold,
+        lambda th, _: th.blocked_hold,
         _describe_block,
+    ),
+    Timed(
+        "W30",
+        lambda _, i: i.state in _DRIVING and not i.followed.speed_excess <= 0.0,
+        lambda th, i: follow_span(th, i.speed_erpm),
+        lambda i: (
+            f"wheels {show(i.followed.speed, '.2f')} m/s, "
+            f"orders allow {_describe_band(i.followed.speed_band)}"
+        ),
+    ),
+    Timed(
+        "W31",
+        lambda _, i: i.state in _DRIVING and not i.followed.turn_excess <= 0.0,
+        lambda th, i: 0.5 * follow_span(th, i.speed_mocap),
+        lambda i: (
+            f"turns at {show(i.followed.turn_rate, '.2f')} rad/s, "
+            f"orders allow {_describe_band(i.followed.turn_band)}"
+        ),
     ),
 )
 NEVER = -1
@@ -358,7 +383,7 @@ def _step_timed(
             continue
         start = i.t_ns if began == NEVER else began
         since.append(start)
-        if (i.t_ns - start) / 1e9 >= row.seconds(th):
+        if (i.t_ns - start) / 1e9 >= row.seconds(th, i):
             report(make_finding(row.id, row.text(i)))
     return tuple(since)
 

@@ -103,6 +103,13 @@ class Thresholds:
     stop_lag: Annotated[float, _between(0.0, 0.3, "s")] = 0.15
     stop_window: Annotated[float, _between(0.1, 0.5, "s")] = 0.3
     stop_speed: Annotated[float, _between(0.05, 0.3, "m/s")] = 0.15
+    # W30 speed, W31 steering not followed: share that the car file's numbers may be off, noise in
+    # standard deviations, play of the steering; time beyond the bounds, or the way if that is less.
+    follow_share: Annotated[float, _between(0.05, 0.3, "")] = 0.2
+    follow_noise: Annotated[float, _between(3.0, 8.0, "")] = 4.0
+    follow_steer: Annotated[float, _between(0.005, 0.08, "rad")] = 0.015
+    follow_hold: Annotated[float, _between(0.03, 0.1, "s")] = 0.1
+    follow_distance: Annotated[float, _between(0.05, 0.15, "m")] = 0.10
     # W25 lease or deadman: age of the operator's last message.
     lease_warn: Annotated[float, _between(0.05, 0.3, "s")] = 0.15
     lease: Annotated[float, _between(0.1, 0.3, "s")] = 0.30

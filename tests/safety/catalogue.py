@@ -380,7 +380,7 @@ def _car() -> tuple[FaultCase, ...]:
     return (
         FaultCase("C1", "steering jams at full lock", car.jam(-0.31), HARD, 0.2, lane_m=0.6),
         FaultCase("C2", "steering jams, a little off", car.jam(0.06), HARD, 1.0, at={"P4": SAFE}),
-        FaultCase("C3", "motor runs at twice the order", car.surge, HARD, 0.7, lane_m=1.2),
+        FaultCase("C3", "motor runs at twice the order", car.surge, HARD, 0.2),
         FaultCase("C4", "wheels blocked", car.hit_a_wall, HARD, 0.12),
         FaultCase("C5", "fence ahead", car.fence_off, HARD, 1.5, within_m=car.FENCE_M),
         FaultCase("C6", "filter diverges", car.diverge, HARD, cold="red"),
@@ -391,6 +391,13 @@ def _car() -> tuple[FaultCase, ...]:
         FaultCase(
             "C9", "controller steers a little", car.stuck(0.06), HARD, 1.3, at=lost, lane_m=0.8
         ),
+        FaultCase("C10", "wheels accelerate by 2 m/s2", car.run_away, HARD, 0.3, cold="launch"),
+        FaultCase("C11", "motor dead", car.die, HARD, 0.45, decel=COAST, cold="launch"),
+        # What a servo does wrong does not show before it is told to turn: on the straight and in
+        # the steady bend of these phases perhaps never. `python -m tests.safety.shown` turns.
+        FaultCase("C12", "steering stays where it is", car.stick, SAFE, asks_stop=True),
+        FaultCase("C13", "servo turns the other way", car.reverse, HARD, 1.5, at=lost, lane_m=0.6),
+        FaultCase("C14", "servo ten times slower", car.slow_down, SAFE, asks_stop=True),
     )
 
 

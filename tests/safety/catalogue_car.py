@@ -5,7 +5,7 @@ from math import cos, sin, tau
 from typing import Any
 
 from steerd.car_model.state import Command
-from steerd.sim_hw.plant.car import Demand, Drive
+from steerd.sim_hw.plant.car import COAST, Demand, Drive
 from steerd.sim_hw.vesc.vesc_motor import Act, Mode
 from tests.safety.rig import Rig
 
@@ -91,3 +91,58 @@ def restart_quietly(rig: Rig) -> None:
     """The VESC has begun anew behind a port that stayed: its uptime goes back."""
     vesc = rig.run.world.vesc
     vesc.boot_ns = rig.t_ns
+
+
+RUNAWAY = 2.0
+"""Acceleration of wheels that obey no speed [m/s^2]."""
+SLOW_SERVO = 0.32
+"""A tenth of a servo's slew rate [rad/s]."""
+
+
+def run_away(rig: Rig) -> None:
+    """The wheels accelerate whatever speed is ordered; the brake still works."""
+    _push(rig, Demand(Drive.FORCE, RUNAWAY + rig.run.world.car.setup.coast_decel))
+
+
+def die(rig: Rig) -> None:
+    """The motor neither drives nor brakes: the car rolls."""
+    rig.run.world.vesc._act = lambda _demand, _erpm: (COAST, 0.0)  # type: ignore[method-assign]
+
+
+def _push(rig: Rig, instead: Demand) -> None:
+    """What the motor does instead of following a speed."""
+    vesc = rig.run.world.vesc
+    plain = vesc._act
+
+    def act(demand: Act, erpm: float) -> tuple[Demand, float]:
+        done, current = plain(demand, erpm)
+        return (instead, current) if demand.mode is Mode.SPEED else (done, current)
+
+    vesc._act = act  # type: ignore[method-assign]
+
+
+def stick(rig: Rig) -> None:
+    """The road wheels stay where they are."""
+    jam(rig.run.world.truth().state.steer)(rig)
+
+
+def reverse(rig: Rig) -> None:
+    """The servo turns the other way."""
+    vesc = rig.run.world.vesc
+    plain = vesc._servo
+    vesc._servo = lambda t_ns: -plain(t_ns)  # type: ignore[method-assign]
+
+
+def slow_down(rig: Rig) -> None:
+    """The servo slews at a tenth of its rate."""
+    vesc = rig.run.world.vesc
+    plain = vesc._servo
+    at = {"t_ns": rig.t_ns, "angle": rig.run.world.truth().state.steer}
+
+    def servo(t_ns: int) -> float:
+        most = SLOW_SERVO * (t_ns - at["t_ns"]) * 1e-9
+        at["angle"] += min(max(plain(t_ns) - at["angle"], -most), most)
+        at["t_ns"] = t_ns
+        return float(at["angle"])
+
+    vesc._servo = servo  # type: ignore[method-assign]

@@ -122,7 +122,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(outcome.code, outcome.phase, *outcome.wrong)
     print(f"{len(outcomes)} cells, {len(bad)} bad")
     if not args.check:
-        write_sections("safety.md", watchdogs=write_watchdogs(), thresholds=write_thresholds())
+        write_sections(
+            "safety-watchdogs.md", watchdogs=write_watchdogs(), thresholds=write_thresholds()
+        )
         write_sections("safety-matrix.md", trace=write_trace(), matrix=write_matrix(outcomes))
     return 1 if bad else 0
 

@@ -13,6 +13,7 @@ from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun
+from steerd.daemon.settings.config import Settings
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.mocap_link.sessions import NatNetSource
 from steerd.sim_hw.judge import Motion
@@ -121,9 +122,11 @@ class Rig:
         self.run.world.add_fault(Fault(fault, self.t_ns, **params))
 
 
-def make_rig(path: str, speed: float) -> Rig:
-    """A car that has just been switched on."""
+def make_rig(path: str, speed: float, settings: Settings | None = None) -> Rig:
+    """A car that has just been switched on; `settings` in place of the default car file's."""
     plan = _plan(path, speed)
+    if settings is not None:
+        plan = make_plan(plan.options, settings)
     config = make_world_config(plan, keep_bytes=True)
     config = replace(config, mocap=replace(config.mocap, bystanders=(BYSTANDER,)))
     notes = Notes()

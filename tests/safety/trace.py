@@ -69,7 +69,7 @@ TRACES = {
     "W5": Trace(
         _HERE + "_check_innovation",
         _names("nis_frames nis_share nis_window mocap_rate"),
-        ("C1", "P5"),
+        ("C13", "P6"),
     ),
     "W6": Trace(_HERE + "_check_estimate", _names("sigma_position sigma_yaw"), ("C6", "P5")),
     "W7": Trace(
@@ -118,19 +118,19 @@ TRACES = {
     "W20": Trace(
         _HERE + "_is_fast",
         _names("overspeed_ratio overspeed_margin overspeed_hold"),
-        ("C3", "P5"),
-        behind=("W5",),  # wheels that run away also slip, which the filter sees at the same time
+        ("C3", "P4"),  # the launch window's limit is close; elsewhere W30 is sooner
     ),
     "W21": Trace(
         _HERE + "_is_mismatched",
         _names("mismatch_speed mismatch_share mismatch_hold"),
         ("V21", "P5"),
+        behind=("W30",),
     ),
     "W22": Trace(
         _HERE + "_is_blocked",
         _names("blocked_current blocked_speed blocked_hold"),
         ("C4", "P5"),
-        behind=("W5",),
+        behind=("W5", "W30"),
     ),
     "W23": Trace(
         _HERE + "_step_saturation",
@@ -141,6 +141,7 @@ TRACES = {
         _HERE + "_step_stop",
         _names("stop_share stop_lag stop_window stop_speed brake_decel"),
         ("V5", "P5"),
+        behind=("W30",),
     ),
     "W25": Trace(
         _HERE + "_check_lease", _names("lease_warn lease"), ("Z8", "P5"), also="live: operator gone"
@@ -164,6 +165,18 @@ TRACES = {
     "W29": Trace(
         "steerd.daemon.loop.failed_loop:make_failed_tick", (),
         ("H13", "P5"), also="H13b to H13e; " + _RUNNER
+    ),
+    "W30": Trace(
+        "steerd.daemon.loop.following:compare",
+        _names("follow_share follow_noise follow_hold follow_distance"),
+        ("C10", "P5"),
+    ),
+    "W31": Trace(
+        "steerd.daemon.loop.following:_compare_turn",
+        _names("follow_share follow_noise follow_steer follow_hold follow_distance"),
+        ("C13", "P5"),
+        behind=("W5",),  # the filter refuses the poses of a car that turns the other way
+        also="`shown.py`",
     ),
 }  # fmt: skip
 

@@ -6,6 +6,7 @@ from math import cos, inf, nan, nextafter, pi
 import pytest
 
 from steerd.daemon.loop.findings import WATCHDOGS, Severity, make_finding, summarise
+from steerd.daemon.loop.following import Band, Followed
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.loop.watchdogs import (
     COMMANDED_S,
@@ -31,7 +32,7 @@ TH = Thresholds(
     blocked_current=0.5, blocked_speed=0.0625, blocked_hold=1.0,
     saturated=0.984375, saturated_warn=0.5, saturated_hold=1.0,
     brake_decel=4.0, stop_share=0.5, stop_lag=0.125, stop_window=0.25, stop_speed=0.125,
-    lease_warn=0.125, lease=0.25,
+    lease_warn=0.125, lease=0.25, follow_hold=0.0625, follow_distance=0.125,
 )  # fmt: skip
 S = 10**9
 WARN, SOFT, HARD, KILL = Severity
@@ -196,6 +197,8 @@ def test_vesc_status_and_fault_codes(status, fault, expected):
     assert brief(look(status=status, fault_code=fault)) == expected
 
 
+TINY = 5e-324
+FAST = {"speed_erpm": 4.0, "speed_mocap": 4.0, "speed_limit": 6.0}
 STUCK = {"current_share": up(0.5), "speed_erpm": 0.0, "speed_mocap": 0.0, "speed": 2.0}
 """The wheels stand and the motor pushes, whatever the filter believes."""
 HELD = [
@@ -210,6 +213,12 @@ HELD = [
     ("W21", 0.1875, {"speed_erpm": 1.0, "speed_mocap": up(1.5)}, HARD, []),
     ("W21", 0.1875, {"speed_erpm": 3.0, "speed_mocap": up(4.0), "speed_limit": 6.0}, HARD, []),
     ("W22", 1.0, {**STUCK, "speed_erpm": down(0.0625)}, HARD, []),
+    ("W30", 0.0625, {"followed": Followed(speed_excess=TINY)}, HARD, []),
+    ("W30", 0.0625, {"followed": Followed(speed_excess=nan)}, HARD, []),
+    ("W30", 0.03125, {**FAST, "followed": Followed(speed_excess=TINY)}, HARD, []),
+    ("W31", 0.03125, {"followed": Followed(turn_excess=TINY)}, HARD, []),
+    ("W31", 0.03125, {"followed": Followed(turn_excess=nan)}, HARD, []),
+    ("W31", 0.015625, {**FAST, "followed": Followed(turn_excess=TINY)}, HARD, []),
     ("W22", 1.0, {**STUCK, "speed_erpm": -down(0.0625)}, HARD, []),
 ]
 NOT_HELD = [
@@ -222,7 +231,23 @@ NOT_HELD = [
     {**STUCK, "current_share": 0.5},
     {**STUCK, "speed_erpm": 0.0625},
     {**STUCK, "state": SupervisorState.ARMED},
+    {"followed": Followed(speed_excess=0.0, turn_excess=0.0)},
+    {"state": SupervisorState.ARMED, "followed": Followed(speed_excess=1.0, turn_excess=1.0)},
 ]
+
+
+@pytest.mark.parametrize("state", [SupervisorState.RUNNING, SupervisorState.STOPPING])
+def test_a_car_that_does_not_do_as_ordered_is_told_by_its_numbers(state):
+    followed = Followed(2.5, Band(0.75, 1.25), 1.125, -0.5, Band(0.125, 0.25), 0.5)
+    memory, _ = step_watchdogs(TH, WatchdogState(), CALM._replace(followed=followed, state=state))
+    found = look(TH, memory, followed=followed, state=state, t_ns=CALM.t_ns + S // 16)
+    speed, turn = (f.text for f in found if f.id in ("W30", "W31"))
+    assert speed.startswith(
+        "W30 speed not followed: wheels 2.50 m/s, orders allow 0.75 to 1.25; "
+    )
+    assert turn.startswith(
+        "W31 steering not followed: turns at -0.50 rad/s, orders allow 0.12 to 0.25; "
+    )
 
 
 def test_wheels_of_unknown_speed_count_as_blocked():

@@ -57,7 +57,9 @@ def test_ceilings_are_these_and_changing_one_is_a_decision():
         "sigma_position": 0.20, "telemetry": 0.15, "cell_hold": 1.0, "fet": 95, "motor": 110,
         "lateral": 0.6, "lateral_max": 1.0, "overspeed_ratio": 1.3, "overspeed_margin": 0.3,
         "overspeed_hold": 0.1, "mismatch_speed": 1.0, "mismatch_hold": 0.4, "blocked_hold": 2.0,
-        "saturated_hold": 2.0, "stop_lag": 0.3, "stop_window": 0.5, "lease": 0.3,
+        "saturated_hold": 2.0, "follow_share": 0.3, "follow_noise": 8.0, "follow_steer": 0.08,
+        "follow_hold": 0.1, "follow_distance": 0.15, "stop_lag": 0.3, "stop_window": 0.5,
+        "lease": 0.3,
         "suspend_step": 0.05, "out_queue": 256, "out_ticks": 3, "late": 0.025, "late_run": 3,
         "late_share": 0.02, "guardian": 0.05, "recorder_full": 1.0, "gateway_full": 1.0,
     }  # fmt: skip

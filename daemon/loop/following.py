@@ -1,0 +1,450 @@
+"""Does the car do as ordered? What cars close to the car file would do, and what this one does.
+
+A car whose parameters lie within a share of the file's moves inside a band; lags and slew rates
+that were never identified may be off by a factor instead. The ends of the band follow from
+the orders that really left, by comparison: a first-order lag with a slew limit is monotone in its
+state and its aim, so the upper end rises as the fastest such car would and falls as the slowest
+one, and the lower end the other way round. Speed is compared with the wheels', steering with the
+turn of the mocap pose over a short stretch, which knows nothing of the filter. Pure functions over
+small tuples.
+"""
+
+# Why: docs/decisions/safety.md#d68
+
+from collections.abc import Mapping
+from math import exp, hypot, remainder, sqrt, tan, tau
+from typing import NamedTuple
+
+from steerd.car_model.actuators import LAG_FLOOR
+from steerd.car_model.chassis import KINEMATIC_RATE, SPEED_DYNAMIC
+from steerd.car_model.params import GRAVITY, Car
+from steerd.car_model.state import Command
+from steerd.daemon.loop.supervisor import SOFT_BRAKE_SPEED
+from steerd.daemon.settings.thresholds import Thresholds
+from steerd.estimator.config import FilterConfig
+
+LATE_S = 0.012
+"""An order may reach wheels or servo later than the dead time: half a servo pulse, a reply [s]."""
+UNKNOWN = 3.0
+"""Factor by which a lag, a slew rate or a dead time may be off before `identify` has seen it."""
+UNKNOWN_BIAS = 0.05
+"""Wheel angle at order zero that a car may have before `identify` has seen it [rad]."""
+UNKNOWN_LATE_S = 0.05
+"""Dead time that a car may have before `identify` has seen it [s]."""
+SURE = 3.0
+"""Standard errors of an identified value that count as possible."""
+LONG_TURN, LONG_TURN_S = 3.0, 0.2
+"""A turn is measured over a short stretch and over this many times as long, at most so long [s]."""
+TRAIL_S = 0.35
+"""How long ends of the bands are kept, for measurements that arrive late [s]."""
+SPEED_MARGIN_MAX, TURN_MARGIN_MAX = 0.5, 0.05
+"""Noise that a car file may claim [m/s], [rad]: beyond, the watchdog would see nothing."""
+_NS, _SECONDS = 1_000_000_000, 1e-9
+_NEVER = -1
+
+
+class Band(NamedTuple):
+    """Lower and upper end of a quantity."""
+
+    low: float
+    high: float
+
+
+class Actuator(NamedTuple):
+    """What an actuator can do at least and at most.
+
+    Attributes:
+        lag: [s].
+        slew: limit of the rate, per second; `fall` that towards lower values.
+        fall: the same.
+        delay: dead time [s].
+    """
+
+    lag: Band
+    slew: Band
+    fall: Band
+    delay: Band
+
+
+class FollowModel(NamedTuple):
+    """All cars within the share, as ranges of what matters.
+
+    Attributes:
+        drive: motor; rates in m/s^2.
+        servo: rates in rad/s.
+        gain: wheel angle per ordered angle.
+        bias: wheel angle at order zero [rad].
+        left: end stop [rad]; `right` the other, negative.
+        right: the same.
+        base: wheelbase [m]. Gain and wheelbase are off independently: together by the root of
+            the sum of squares, of which the gain has its full share.
+        understeer: growth of the wheel angle per lateral acceleration [rad s^2/m].
+        settling: time constant of yaw per speed [s^2/m].
+        slack: wheel angle that no file knows: bias, play [rad].
+        speed_margin: noise of the wheel speed [m/s].
+        turn_margin: noise of a turn between two poses [rad].
+    """
+
+    drive: Actuator
+    servo: Actuator
+    gain: Band
+    bias: float
+    left: Band
+    right: Band
+    base: Band
+    understeer: Band
+    settling: float
+    slack: float
+    speed_margin: float
+    turn_margin: float
+
+
+class Mark(NamedTuple):
+    """The bands at one moment: speed [m/s], and curvature summed over time [s/m]."""
+
+    t_ns: int
+    speed: Band
+    turned: Band
+
+
+class FollowState(NamedTuple):
+    """Memory between ticks; empty while no speed is ordered.
+
+    Attributes:
+        orders: that may still take effect, with their times, in order.
+        steer: wheel angle [rad].
+        curvature: of the path [1/m].
+        trail: the bands lately, the newest last.
+    """
+
+    orders: tuple[tuple[int, Command[float]], ...] = ()
+    steer: Band = Band(0.0, 0.0)
+    curvature: Band = Band(0.0, 0.0)
+    trail: tuple[Mark, ...] = ()
+
+
+class Turn(NamedTuple):
+    """What mocap saw between two poses: times of validity [ns], turn [rad], way [m]."""
+
+    t0_ns: int
+    t1_ns: int
+    angle: float
+    way: float
+
+
+class Followed(NamedTuple):
+    """Measurement against band; the excess is above zero where no car of the file does this.
+
+    Attributes:
+        speed: by the wheels [m/s]; `speed_band` what was expected, `speed_excess` beyond it.
+        turn_rate: by mocap [rad/s]; the same for it.
+    """
+
+    speed: float = 0.0
+    speed_band: Band = Band(0.0, 0.0)
+    speed_excess: float = 0.0
+    turn_rate: float = 0.0
+    turn_band: Band = Band(0.0, 0.0)
+    turn_excess: float = 0.0
+
+
+def follow_span(th: Thresholds, speed: float) -> float:
+    """Time [s] over which an order may be missed: `follow_distance` metres, at most `follow_hold`.
+
+    It is also the stretch over which a turn is measured, which then may be missed half as long.
+    """
+    if not abs(speed) * th.follow_hold > th.follow_distance:
+        return th.follow_hold
+    return th.follow_distance / abs(speed)
+
+
+def make_follow_model(
+    car: Car[float], known: Mapping[str, float], config: FilterConfig, th: Thresholds
+) -> FollowModel:
+    """The ranges for a car.
+
+    Args:
+        car: of the car file.
+        known: standard errors of what was identified, by parameter.
+        config: noise of the instruments.
+        th: the share that an identified car may be off, and the rest of what is allowed.
+    """
+    share = th.follow_share
+    soft = 1.0 / (GRAVITY * car.mu * (1.0 - share) ** 2)
+    stiff = 1.0 / (GRAVITY * car.mu * (1.0 + share) ** 2)
+    # Understeer of the single-track model: 1/g (1/(mu C_f) - 1/(mu C_r)), Rajamani, section 3.3.
+    understeer = Band(stiff / car.c_sf - soft / car.c_sr, soft / car.c_sf - stiff / car.c_sr)
+    length = car.lf + car.lr
+    cf, cr = (c * car.mu * car.mass * GRAVITY for c in (car.c_sf * car.lr, car.c_sr * car.lf))
+    slowest = max(
+        car.inertia_z * length / (cf * car.lf**2 + cr * car.lr**2), car.mass * length / (cf + cr)
+    )
+    noise = th.follow_noise
+    return FollowModel(
+        drive=_make_actuator(
+            car, known, share, ("speed_lag", "accel_max", "decel_max", "drive_delay")
+        ),
+        servo=_make_actuator(
+            car, known, share, ("steer_lag", "steer_rate", "steer_rate", "steer_delay")
+        ),
+        gain=_around(car.steer_gain, share),
+        bias=car.steer_bias,
+        left=_around(car.steer_max, share),
+        right=_around(car.steer_min, share),
+        base=_around(length, (sqrt(2.0) - 1.0) * share),
+        understeer=understeer,
+        settling=slowest * (1.0 + 2.0 * share),
+        slack=th.follow_steer if "steer_bias" in known else max(th.follow_steer, UNKNOWN_BIAS),
+        speed_margin=min(noise * config.wheel_speed_sd, SPEED_MARGIN_MAX),
+        turn_margin=min(noise * sqrt(2.0) * config.pose_yaw_sd, TURN_MARGIN_MAX),
+    )
+
+
+def send_order(
+    state: FollowState, model: FollowModel, t_ns: int, order: Command[float] | None, speed: float
+) -> FollowState:
+    """Remember the order that leaves now; None, a brake or silence, ends the comparison.
+
+    The first one starts it: at the wheels' measured speed, with the steering anywhere.
+    """
+    if order is None:
+        return FollowState()
+    if state.orders:
+        same = state.orders[-1][1] == order
+        return state if same else state._replace(orders=(*state.orders, (t_ns, order)))
+    steer = Band(model.right.low, model.left.high)
+    start = Band(min(0.0, speed), max(0.0, speed))
+    mark = Mark(t_ns, start, Band(0.0, 0.0))
+    curvature = _curvature(model, steer, speed)
+    return FollowState(((t_ns, order),), steer, curvature, (mark,))
+
+
+def advance(state: FollowState, model: FollowModel, t_ns: int, speed: float) -> FollowState:
+    """Move the bands on to `t_ns`, at a ground speed of `speed` [m/s]."""
+    if not state.orders or t_ns <= state.trail[-1].t_ns:
+        return state
+    last = state.trail[-1]
+    h = (t_ns - last.t_ns) * _SECONDS
+    pushed = _sent(state.orders, last.t_ns, t_ns, model.drive.delay)
+    steered = _sent(state.orders, last.t_ns, t_ns, model.servo.delay)
+    wheel = _step_band(model.drive, last.speed, _aim_speed(*pushed, last.speed), h)
+    steer = _step_band(model.servo, state.steer, _aim_steer(model, *steered, state.steer), h)
+    bend = _settle(state.curvature, _curvature(model, steer, speed), h, _settling(model, speed))
+    turned = Band(
+        last.turned.low + h * min(bend.low, state.curvature.low),
+        last.turned.high + h * max(bend.high, state.curvature.high),
+    )
+    oldest = t_ns - round(TRAIL_S * _NS)
+    first = next(i for i, mark in enumerate((*state.trail, last)) if mark.t_ns >= oldest)
+    kept = state.trail[max(0, first - 1) :]
+    return FollowState(
+        _still_open(state.orders, t_ns, max(model.drive.delay.high, model.servo.delay.high)),
+        steer,
+        bend,
+        (*kept, Mark(t_ns, wheel, turned)),
+    )
+
+
+def compare(
+    state: FollowState,
+    model: FollowModel,
+    wheel: tuple[int, float] | None,
+    turns: tuple[Turn, ...],
+) -> Followed:
+    """Hold the latest measurements against the bands of their own time.
+
+    Args:
+        state: bands up to now.
+        model: ranges.
+        wheel: time of validity [ns] and speed [m/s] of the last telemetry.
+        turns: what mocap saw; the one that is furthest off counts.
+    """
+    seen = Followed()
+    trail = state.trail
+    if not trail:
+        return seen
+    if wheel is not None and wheel[0] >= trail[0].t_ns:
+        band = _speed_at(trail, wheel[0])
+        off = max(wheel[1] - band.high, band.low - wheel[1]) - model.speed_margin
+        seen = seen._replace(speed=wheel[1], speed_band=band, speed_excess=off)
+    known = (t for t in turns if trail[0].t_ns <= t.t0_ns and t.t1_ns <= trail[-1].t_ns)
+    judged = [_compare_turn(trail, turn, model.turn_margin) for turn in known]
+    if judged:
+        rate, band, off = max(judged, key=lambda one: one[2])
+        seen = seen._replace(turn_rate=rate, turn_band=band, turn_excess=off)
+    return seen
+
+
+def _compare_turn(trail: tuple[Mark, ...], turn: Turn, margin: float) -> tuple[float, Band, float]:
+    """Rate of a turn, the band of its time and the excess, all [rad/s]."""
+    span = (turn.t1_ns - turn.t0_ns) * _SECONDS
+    begin, end = _turned_at(trail, turn.t0_ns), _turned_at(trail, turn.t1_ns)
+    speed = turn.way / span
+    band = Band((end.low - begin.low) / span * speed, (end.high - begin.high) / span * speed)
+    rate = turn.angle / span
+    return rate, band, max(rate - band.high, band.low - rate) - margin / span
+
+
+def measure_turns(
+    track: tuple[tuple[int, float, float, float], ...], span: float
+) -> tuple[Turn, ...]:
+    """The ways from the newest pose back over `span` and over `LONG_TURN` times as long.
+
+    A large miss shows in the short one at once, a small one in the long one above the noise.
+
+    Args:
+        track: poses (time of validity [ns], x, y [m], yaw [rad]) in their order.
+        span: [s].
+    """
+    if len(track) < 2:
+        return ()
+    t1, x1, y1, yaw1 = track[-1]
+    found = []
+    for length in (span, min(LONG_TURN * span, LONG_TURN_S)):
+        latest = t1 - round(length * _NS)
+        before = [pose for pose in track if pose[0] <= latest] or [track[0]]
+        t0, x0, y0, yaw0 = before[-1]
+        if t0 < t1:
+            way = hypot(x1 - x0, y1 - y0)
+            found.append(Turn(t0, t1, remainder(yaw1 - yaw0, tau), way))
+    return tuple(found)
+
+
+def _around(value: float, share: float) -> Band:
+    off = abs(value) * share
+    return Band(value - off, value + off)
+
+
+def _make_actuator(
+    car: Car[float], known: Mapping[str, float], share: float, names: tuple[str, str, str, str]
+) -> Actuator:
+    """The ranges of one actuator; `names` are those of lag, slew rates and dead time."""
+
+    def possible(name: str) -> Band:
+        value = float(getattr(car, name))
+        if name not in known:
+            return Band(value / UNKNOWN, value * UNKNOWN)
+        off = max(share * value, SURE * known[name])
+        return Band(max(0.0, value - off), value + off)
+
+    lag, rise, fall, late = map(possible, names)
+    slack = LATE_S if names[-1] in known else max(LATE_S, UNKNOWN_LATE_S - late.high)
+    return Actuator(lag, rise, fall, Band(late.low, late.high + slack))
+
+
+def _sent(
+    orders: tuple[tuple[int, Command[float]], ...], begin_ns: int, end_ns: int, delay: Band
+) -> tuple[list[Command[float]], bool]:
+    """The orders that may act between two moments, and whether the first has surely arrived."""
+    earliest = begin_ns - round(delay.high * _NS)
+    latest = end_ns - round(delay.low * _NS)
+    found = []
+    for (sent_ns, order), after in zip(orders, (*orders[1:], (latest + 1, None)), strict=True):
+        if sent_ns <= latest and after[0] > earliest:
+            found.append(order)
+    return found, orders[0][0] <= earliest
+
+
+def _still_open(
+    orders: tuple[tuple[int, Command[float]], ...], t_ns: int, delay: float
+) -> tuple[tuple[int, Command[float]], ...]:
+    """The orders without those whose successor has certainly arrived."""
+    certain = t_ns - round(delay * _NS)
+    first = 0
+    while first + 1 < len(orders) and orders[first + 1][0] <= certain:
+        first += 1
+    return orders[first:]
+
+
+def _aim_speed(orders: list[Command[float]], sure: bool, now: Band) -> Band:
+    """What the motor aims at. Slow orders may let it go: then it coasts, however long."""
+    speeds = [order.speed for order in orders]
+    if not sure:
+        speeds += now
+    low, high = min(speeds), max(speeds)
+    if low < SOFT_BRAKE_SPEED:
+        return Band(min(0.0, low), max(high, now.high))
+    return Band(low, high)
+
+
+def _aim_steer(model: FollowModel, orders: list[Command[float]], sure: bool, now: Band) -> Band:
+    angles = [gain * order.steer + model.bias for order in orders for gain in model.gain]
+    if not sure:
+        angles += now
+    low, high = min(angles), max(angles)
+    return Band(
+        min(max(low, model.right.low), model.left.low),
+        min(max(high, model.right.high), model.left.high),
+    )
+
+
+def _step_band(actuator: Actuator, band: Band, aim: Band, h: float) -> Band:
+    """Both ends after `h` seconds: outwards as fast as any, inwards as slowly as any."""
+    a = actuator
+    low = (
+        band.low - _move(band.low - aim.low, a.lag.low, a.fall.high, h)
+        if aim.low < band.low
+        else band.low + _move(aim.low - band.low, a.lag.high, a.slew.low, h)
+    )
+    high = (
+        band.high + _move(aim.high - band.high, a.lag.low, a.slew.high, h)
+        if aim.high > band.high
+        else band.high - _move(band.high - aim.high, a.lag.high, a.fall.low, h)
+    )
+    return Band(low, high)
+
+
+def _move(gap: float, lag: float, slew: float, h: float) -> float:
+    return min(gap * (1.0 - exp(-h / max(lag, LAG_FLOOR))), slew * h)
+
+
+def _curvature(model: FollowModel, steer: Band, speed: float) -> Band:
+    """Curvature of the steady turn at each end, the tightest and the widest car's."""
+    square = speed * speed
+    short = max(model.base.low + model.understeer.low * square, 0.5 * model.base.low)
+    long = model.base.high + model.understeer.high * square
+    low, high = tan(steer.low - model.slack), tan(steer.high + model.slack)
+    return Band(
+        low / (short if low < 0.0 else long),
+        high / (short if high > 0.0 else long),
+    )
+
+
+def _settling(model: FollowModel, speed: float) -> float:
+    """Longest time that yaw needs to settle [s]."""
+    crawling = 1.0 / KINEMATIC_RATE if abs(speed) < SPEED_DYNAMIC else 0.0
+    return max(model.settling * abs(speed), crawling)
+
+
+def _settle(now: Band, aim: Band, h: float, lag: float) -> Band:
+    """Outwards at once, inwards with the lag: yaw follows the wheels within it."""
+    share = 1.0 - exp(-h / lag)
+    low = aim.low if aim.low < now.low else now.low + share * (aim.low - now.low)
+    high = aim.high if aim.high > now.high else now.high + share * (aim.high - now.high)
+    return Band(low, high)
+
+
+def _around_time(trail: tuple[Mark, ...], t_ns: int) -> tuple[Mark, Mark]:
+    """The marks before and after a moment; the last one twice for what is later."""
+    after = trail[-1]
+    for mark in reversed(trail):
+        if mark.t_ns <= t_ns:
+            return mark, after
+        after = mark
+    return after, after
+
+
+def _speed_at(trail: tuple[Mark, ...], t_ns: int) -> Band:
+    before, after = _around_time(trail, t_ns)
+    return Band(min(before.speed.low, after.speed.low), max(before.speed.high, after.speed.high))
+
+
+def _turned_at(trail: tuple[Mark, ...], t_ns: int) -> Band:
+    before, after = _around_time(trail, t_ns)
+    if after.t_ns == before.t_ns:
+        return before.turned
+    part = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
+    return Band(
+        before.turned.low + part * (after.turned.low - before.turned.low),
+        before.turned.high + part * (after.turned.high - before.turned.high),
+    )

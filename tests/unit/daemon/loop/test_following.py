@@ -1,0 +1,357 @@
+"""Bands of motion after orders: their ends against closed forms, and what is compared with them."""
+
+from math import exp, inf, nan, pi, sqrt, tan
+
+import pytest
+
+from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.car_model.state import Command
+from steerd.daemon.loop.following import (
+    LATE_S,
+    LONG_TURN_S,
+    SPEED_MARGIN_MAX,
+    TRAIL_S,
+    TURN_MARGIN_MAX,
+    UNKNOWN,
+    UNKNOWN_BIAS,
+    UNKNOWN_LATE_S,
+    Band,
+    Followed,
+    FollowState,
+    Mark,
+    Turn,
+    advance,
+    compare,
+    follow_span,
+    make_follow_model,
+    measure_turns,
+    send_order,
+)
+from steerd.daemon.settings.thresholds import Thresholds
+from steerd.estimator.config import FilterConfig
+
+MS = 1_000_000
+TH = Thresholds(follow_hold=0.0625, follow_distance=0.125, follow_noise=4.0, follow_steer=0.02)
+CAR = DEFAULT_CAR._replace(
+    lf=0.15, lr=0.25, c_sf=5.0, c_sr=4.0, mu=1.0, steer_delay=0.05, steer_lag=0.1, steer_rate=2.0,
+    speed_lag=0.2, drive_delay=0.1, accel_max=4.0, decel_max=3.0, steer_min=-0.3, steer_max=0.4,
+)  # fmt: skip
+KNOWN = dict.fromkeys(Car._fields, 0.0)
+EXACT = make_follow_model(CAR, KNOWN, FilterConfig(), Thresholds(follow_share=0.05))
+MODEL = make_follow_model(CAR, KNOWN, FilterConfig(), TH)
+
+
+def near(low, high):
+    return (pytest.approx(low), pytest.approx(high))
+
+
+def go(orders, until_ms, model=MODEL, step_ms=10, speed=1.0, start=0.0):
+    """The state after orders {ms: order}, ticked at a step."""
+    state = FollowState()
+    for ms in range(0, until_ms + 1, step_ms):
+        state = advance(state, model, ms * MS, speed)
+        if ms in orders:
+            state = send_order(state, model, ms * MS, orders[ms], start)
+    return state
+
+
+@pytest.mark.parametrize(
+    ("speed", "span"), [(0.0, 0.0625), (2.0, 0.0625), (-2.0, 0.0625), (4.0, 0.03125),
+                        (-4.0, 0.03125), (nan, 0.0625)],
+)  # fmt: skip
+def test_an_order_may_be_missed_for_a_time_and_for_a_distance(speed, span):
+    assert follow_span(TH, speed) == span
+
+
+def test_ranges_of_an_identified_car():
+    m = MODEL
+    assert m.drive.lag == near(0.16, 0.24)
+    assert m.drive.slew == near(3.2, 4.8)
+    assert m.drive.fall == near(2.4, 3.6)
+    assert m.drive.delay == near(0.08, 0.12 + LATE_S)
+    assert m.servo.lag == near(0.08, 0.12)
+    assert m.servo.slew == m.servo.fall == near(1.6, 2.4)
+    assert m.servo.delay == near(0.04, 0.06 + LATE_S)
+    assert m.gain == near(0.8, 1.2)
+    assert m.left == near(0.32, 0.48)
+    assert m.right == near(-0.36, -0.24)
+    together = 0.2 * (sqrt(2.0) - 1.0)
+    assert m.base == near(0.4 * (1.0 - together), 0.4 * (1.0 + together))
+    assert m.bias == 0.0
+    assert m.slack == 0.02
+    soft, stiff = 1.0 / 9.81 / 0.64, 1.0 / 9.81 / 1.44
+    assert m.understeer == near(stiff / 5.0 - soft / 4.0, soft / 5.0 - stiff / 4.0)
+    assert m.speed_margin == pytest.approx(4.0 * 0.03)
+    assert m.turn_margin == pytest.approx(4.0 * sqrt(2.0) * 0.002)
+
+
+def test_yaw_settles_with_the_slower_of_its_two_motions():
+    weight = CAR.mass * 9.81
+    front, rear = 5.0 * weight * 0.25 / 0.4, 4.0 * weight * 0.15 / 0.4
+    turning = CAR.inertia_z / (front * 0.15**2 + rear * 0.25**2)
+    assert MODEL.settling == pytest.approx(1.4 * max(turning, CAR.mass / (front + rear)))
+    slow = make_follow_model(CAR._replace(inertia_z=1.0), KNOWN, FilterConfig(), TH)
+    assert slow.settling == pytest.approx(1.4 / (front * 0.15**2 + rear * 0.25**2))
+    slippery = make_follow_model(CAR._replace(inertia_z=1e-3), KNOWN, FilterConfig(), TH)
+    assert slippery.settling == pytest.approx(1.4 * CAR.mass / (front + rear))
+
+
+def test_what_was_never_identified_may_be_off_by_a_factor():
+    m = make_follow_model(CAR, {}, FilterConfig(), TH)
+    assert m.drive.lag == near(0.2 / UNKNOWN, 0.2 * UNKNOWN)
+    assert m.drive.slew == near(4.0 / UNKNOWN, 4.0 * UNKNOWN)
+    assert m.drive.fall == near(3.0 / UNKNOWN, 3.0 * UNKNOWN)
+    assert m.drive.delay == near(0.1 / UNKNOWN, 0.3 + LATE_S)
+    assert m.servo.delay == near(0.05 / UNKNOWN, 0.15 + LATE_S)
+    assert m.slack == UNKNOWN_BIAS
+    wide = make_follow_model(CAR, {}, FilterConfig(), Thresholds(follow_steer=0.08))
+    assert wide.slack == 0.08
+    prompt = make_follow_model(CAR._replace(drive_delay=0.0), {}, FilterConfig(), TH)
+    assert prompt.drive.delay == near(0.0, UNKNOWN_LATE_S)
+    assert m.gain == MODEL.gain
+
+
+def test_a_large_standard_error_widens_the_range():
+    m = make_follow_model(CAR, {**KNOWN, "speed_lag": 0.02, "steer_lag": 0.05}, FilterConfig(), TH)
+    assert m.drive.lag == near(0.14, 0.26)
+    assert m.servo.lag == near(0.0, 0.25)
+
+
+def test_a_car_file_cannot_switch_it_off_by_noise():
+    loud = FilterConfig(wheel_speed_sd=10.0, pose_yaw_sd=1.0)
+    m = make_follow_model(CAR, KNOWN, loud, TH)
+    assert (m.speed_margin, m.turn_margin) == (SPEED_MARGIN_MAX, TURN_MARGIN_MAX)
+
+
+def test_nothing_is_compared_without_orders():
+    assert advance(FollowState(), MODEL, 5 * MS, 1.0) == FollowState()
+    assert compare(FollowState(), MODEL, (0, 9.0), (Turn(0, 1, 3.0, 1.0),)) == Followed()
+    state = go({0: Command(0.1, 1.0)}, 300)
+    assert send_order(state, MODEL, 310 * MS, None, 0.5) == FollowState()
+
+
+@pytest.mark.parametrize(("rolling", "band"), [(0.5, (0.0, 0.5)), (-0.5, (-0.5, 0.0))])
+def test_the_first_order_starts_at_the_measured_speed_with_the_steering_anywhere(rolling, band):
+    order = Command(0.1, 1.0)
+    state = send_order(FollowState(), MODEL, 7, order, rolling)
+    assert state.orders == ((7, order),)
+    assert state.trail == (Mark(7, Band(*band), Band(0.0, 0.0)),)
+    assert state.steer == (MODEL.right.low, MODEL.left.high)
+    short = MODEL.base.low + MODEL.understeer.low * 0.25
+    assert state.curvature == near(tan(-0.36 - 0.02) / short, tan(0.48 + 0.02) / short)
+
+
+def test_an_order_that_repeats_is_kept_once():
+    order = Command(0.1, 1.0)
+    state = go({0: order, 10: order, 20: Command(0.1, 1.1)}, 20)
+    assert state.orders == ((0, order), (20 * MS, Command(0.1, 1.1)))
+
+
+def test_time_that_does_not_pass_changes_nothing():
+    state = go({0: Command(0.1, 1.0)}, 50)
+    assert advance(state, MODEL, 50 * MS, 1.0) == state
+    assert advance(state, MODEL, 49 * MS, 1.0) == state
+
+
+def test_before_an_order_can_have_arrived_nothing_moves():
+    order = Command(0.1, 1.0)
+    state = advance(send_order(FollowState(), MODEL, 0, order, 0.0), MODEL, 40 * MS, 1.0)
+    assert state.trail[-1].speed == (0.0, 0.0)
+    assert state.steer == (MODEL.right.low, MODEL.left.high)
+
+
+def test_speed_rises_between_the_fastest_and_the_slowest_car():
+    """One order, long in force: lags alone, since 0.5 m/s over 0.2 s is below the slew limit."""
+    state = go({0: Command(0.0, 0.5)}, 400)
+    (late, t) = (0.08, 0.4)
+    band = state.trail[-1].speed
+    fast = 0.5 * (1.0 - exp(-(t - late) / 0.16))
+    assert fast * 0.98 <= band.high <= 0.5
+    slow = 0.5 * (1.0 - exp(-(t - 0.132) / 0.24))
+    assert slow * 0.9 <= band.low <= slow
+
+
+def test_slew_limits_bound_both_ends():
+    state = go({0: Command(0.0, 3.0)}, 300)
+    band = state.trail[-1].speed
+    assert band.high == pytest.approx(4.8 * 0.23)
+    assert band.low == pytest.approx(3.2 * (0.3 - 0.132), abs=0.04)
+
+
+def test_both_ends_come_to_rest_on_the_order():
+    state = go({0: Command(0.1, 1.0)}, 4000)
+    assert state.trail[-1].speed == near(1.0, 1.0)
+    assert state.steer == near(0.08, 0.12)
+    assert len(state.orders) == 1
+
+
+def test_a_fall_of_speed_has_its_own_limits():
+    base = {0: Command(0.0, 3.0), 4000: Command(0.0, 1.0)}
+    band = go(base, 4400).trail[-1].speed
+    assert band.low == pytest.approx(3.0 - 3.6 * (0.4 - 0.08), abs=0.05)
+    assert band.high == pytest.approx(3.0 - 2.4 * (0.4 - 0.132 - 0.01), abs=0.05)
+
+
+def test_a_slow_order_may_release_the_motor():
+    """Below 0.3 m/s a VESC lets go: the car may stand at once or coast for ever."""
+    state = go({0: Command(0.0, 2.0), 4000: Command(0.0, 0.29)}, 8000)
+    assert state.trail[-1].speed == (pytest.approx(0.0, abs=1e-6), pytest.approx(2.0))
+    state = go({0: Command(0.0, 2.0), 4000: Command(0.0, 0.3)}, 9000)
+    assert state.trail[-1].speed == near(0.3, 0.3)
+
+
+def test_the_wheel_angle_stays_within_the_end_stops():
+    state = go({0: Command(0.5, 1.0)}, 3000)
+    assert state.steer == near(0.32, 0.48)
+    state = go({0: Command(-0.5, 1.0)}, 3000)
+    assert state.steer == near(-0.36, -0.24)
+
+
+def test_bias_and_gain_of_the_linkage():
+    biased = make_follow_model(CAR._replace(steer_bias=0.05), KNOWN, FilterConfig(), TH)
+    assert go({0: Command(-0.1, 1.0)}, 3000, biased).steer == near(-0.07, -0.03)
+
+
+@pytest.mark.parametrize("speed", [0.3, 1.0, 2.5])
+def test_curvature_of_the_steady_turn(speed):
+    """A turn to the left: the tightest car's upper end, the widest car's lower end."""
+    state = go({0: Command(0.2, 1.0)}, 4000, speed=speed)
+    short = max(MODEL.base.low + MODEL.understeer.low * speed**2, 0.5 * MODEL.base.low)
+    wide = MODEL.base.high + MODEL.understeer.high * speed**2
+    assert state.curvature == near(tan(0.16 - 0.02) / wide, tan(0.24 + 0.02) / short)
+    right = go({0: Command(-0.2, 1.0)}, 4000, speed=speed)
+    assert right.curvature == near(tan(-0.24 - 0.02) / short, tan(-0.16 + 0.02) / wide)
+
+
+def test_an_oversteering_car_is_bounded_at_half_its_wheelbase():
+    state = go({0: Command(0.2, 1.0)}, 4000, speed=9.0)
+    assert state.curvature.high == pytest.approx(tan(0.26) / (0.5 * MODEL.base.low), rel=1e-5)
+
+
+def test_curvature_grows_at_once_and_falls_with_the_yaw_lag():
+    turned = go({0: Command(0.2, 2.0), 3000: Command(0.0, 2.0)}, 3000, speed=2.0)
+    before = turned.curvature
+    after = advance(turned, MODEL, 3060 * MS, 2.0)
+    share = 1.0 - exp(-0.06 / (MODEL.settling * 2.0))
+    short = MODEL.base.low + MODEL.understeer.low * 4.0
+    steady = Band(tan(after.steer.low - 0.02), tan(after.steer.high + 0.02) / short)
+    assert after.curvature.high == pytest.approx(before.high + share * (steady.high - before.high))
+    assert after.curvature.low < before.low
+    assert after.steer.low < 0.16
+
+
+@pytest.mark.parametrize(("speed", "lag"), [(0.2, 0.02), (-0.2, 0.02), (0.5, None), (-2.0, None)])
+def test_a_crawling_car_turns_as_its_kinematics_settle(speed, lag):
+    turned = go({0: Command(0.2, 2.0), 3000: Command(0.0, 2.0)}, 3000, speed=speed)
+    after = advance(turned, MODEL, 3060 * MS, speed)
+    lag = lag or MODEL.settling * abs(speed)
+    short = max(MODEL.base.low + MODEL.understeer.low * speed**2, 0.5 * MODEL.base.low)
+    aim = tan(after.steer.high + 0.02) / short
+    share = 1.0 - exp(-0.06 / lag)
+    before = turned.curvature.high
+    assert after.curvature.high == pytest.approx(before + share * (aim - before))
+
+
+def test_the_sum_of_curvature_is_no_smaller_than_either_end_of_a_step():
+    state = go({0: Command(0.2, 1.0)}, 2000)
+    band, last = state.curvature, state.trail[-1]
+    after = advance(state, MODEL, 2010 * MS, 1.0).trail[-1]
+    assert after.turned.low == pytest.approx(last.turned.low + 0.01 * band.low)
+    assert after.turned.high == pytest.approx(last.turned.high + 0.01 * band.high)
+
+
+def test_the_trail_is_as_long_as_late_measurements_need():
+    state = go({0: Command(0.1, 1.0)}, 2000)
+    newest = state.trail[-1].t_ns
+    assert newest == 2000 * MS
+    assert newest - state.trail[0].t_ns >= TRAIL_S * 1e9
+    assert newest - state.trail[1].t_ns <= TRAIL_S * 1e9
+
+
+def test_orders_are_forgotten_when_their_successor_has_arrived():
+    many = {k: Command(0.0, 0.5 + 1e-4 * k) for k in range(0, 2001, 10)}
+    state = go(many, 2000)
+    assert state.orders[-1][0] == 2000 * MS
+    certain = 2000 * MS - round(0.132 * 1e9)
+    assert state.orders[0][0] <= certain < state.orders[1][0]
+
+
+# --- comparison
+
+STEADY = go({0: Command(0.0, 1.0)}, 4000)
+NOW = 4000 * MS
+
+
+@pytest.mark.parametrize(("speed", "excess"), [(1.0, -0.12), (1.2, 0.08), (0.7, 0.18), (inf, inf)])
+def test_wheels_against_the_band_of_their_time(speed, excess):
+    seen = compare(STEADY, MODEL, (NOW, speed), ())
+    assert seen.speed_excess == pytest.approx(excess)
+    assert seen.speed == speed
+    assert seen.speed_band == near(1.0, 1.0)
+    assert (seen.turn_rate, seen.turn_excess) == (0.0, 0.0)
+
+
+def test_a_measurement_between_two_ticks_may_lie_in_either_band():
+    marks = (Mark(0, Band(0.0, 1.0), Band(0, 0)), Mark(10, Band(-1.0, 0.5), Band(0, 0)))
+    state = STEADY._replace(trail=marks)
+    assert compare(state, MODEL, (5, 0.0), ()).speed_band == (-1.0, 1.0)
+    assert compare(state, MODEL, (10, 0.0), ()).speed_band == (-1.0, 0.5)
+    assert compare(state, MODEL, (99, 0.0), ()).speed_band == (-1.0, 0.5)
+    assert compare(state, MODEL, (0, 0.0), ()).speed_band == (-1.0, 1.0)
+
+
+def test_what_was_measured_before_the_band_began_is_not_judged():
+    oldest = STEADY.trail[0].t_ns
+    assert compare(STEADY, MODEL, (oldest - 1, 9.0), ()) == Followed()
+    assert compare(STEADY, MODEL, (oldest, 9.0), ()).speed_excess > 0.0
+    assert compare(STEADY, MODEL, None, (Turn(oldest - 1, NOW, 1.0, 0.1),)) == Followed()
+    assert compare(STEADY, MODEL, None, (Turn(oldest, NOW, 1.0, 0.1),)).turn_excess > 0.0
+    assert compare(STEADY, MODEL, None, (Turn(oldest, NOW + 1, 1.0, 0.1),)) == Followed()
+
+
+def test_turns_against_the_band_over_the_way():
+    """1 rad/m at most over 0.2 m in 0.1 s: 2 rad/s, and no less than 1 rad/s."""
+    marks = (
+        Mark(0, Band(0, 0), Band(1.0, 2.0)),
+        Mark(50 * MS, Band(0, 0), Band(1.025, 2.05)),
+        Mark(100 * MS, Band(0, 0), Band(1.05, 2.1)),
+        Mark(200 * MS, Band(0, 0), Band(1.05, 2.1)),
+    )
+    state = STEADY._replace(trail=marks)
+    margin = MODEL.turn_margin / 0.1
+    fast = compare(state, MODEL, None, (Turn(0, 100 * MS, 0.25, 0.2),))
+    assert fast.turn_band == near(1.0, 2.0)
+    assert fast.turn_rate == pytest.approx(2.5)
+    assert fast.turn_excess == pytest.approx(0.5 - margin)
+    slow = compare(state, MODEL, None, (Turn(0, 100 * MS, 0.05, 0.2),))
+    assert slow.turn_excess == pytest.approx(0.5 - margin)
+    half = compare(state, MODEL, None, (Turn(25 * MS, 75 * MS, 0.05, 0.1),))
+    assert half.turn_band == near(1.0, 2.0)
+    both = compare(
+        state, MODEL, None, (Turn(0, 100 * MS, 0.15, 0.2), Turn(25 * MS, 75 * MS, 0.2, 0.1))
+    )
+    assert both.turn_rate == pytest.approx(4.0)
+    last = compare(state, MODEL, None, (Turn(100 * MS, 200 * MS, 0.0, 0.2),))
+    assert last.turn_band == near(0.0, 0.0)
+
+
+def test_turns_are_measured_over_a_short_and_a_long_stretch():
+    track = tuple((10 * k * MS, 0.03 * k, 0.04 * k, 0.01 * k) for k in range(31))
+    short, long = measure_turns(track, 0.05)
+    assert short == (250 * MS, 300 * MS, pytest.approx(0.05), pytest.approx(0.25))
+    assert long == (150 * MS, 300 * MS, pytest.approx(0.15), pytest.approx(0.75))
+    _, longest = measure_turns(track, 0.1)
+    assert longest.t0_ns == 300 * MS - round(LONG_TURN_S * 1e9)
+    _, early = measure_turns(track[:8], 0.05)
+    assert early.t0_ns == 0
+
+
+def test_a_turn_through_the_back_is_a_small_one():
+    track = ((0, 0.0, 0.0, pi - 0.01), (10 * MS, 0.0, 0.0, -pi + 0.01))
+    assert [turn.angle for turn in measure_turns(track, 0.01)] == [pytest.approx(0.02)] * 2
+
+
+def test_one_pose_is_no_turn():
+    assert measure_turns((), 0.1) == ()
+    assert measure_turns(((0, 0.0, 0.0, 0.0),), 0.1) == ()
+    assert measure_turns(((0, 0.0, 0.0, 0.0), (0, 1.0, 0.0, 0.0)), 0.0) == ()
