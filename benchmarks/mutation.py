@@ -26,7 +26,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 MODULES = (
     "controller/limits.py", "daemon/process/guardian.py", "daemon/loop/lateness.py",
-    "daemon/loop/following.py",
+    "daemon/loop/following.py", "daemon/loop/follow_model.py",
     "daemon/loop/launch.py",
     "daemon/loop/lease.py", "daemon/loop/supervisor.py", "daemon/loop/watchdogs.py",
     "daemon/loop/watchdogs_pose.py",

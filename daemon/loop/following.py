@@ -9,94 +9,24 @@ turn of the mocap pose over a short stretch, which knows nothing of the filter. 
 small tuples.
 """
 
-# Why: docs/decisions/safety.md#d68
+# Why: docs/decisions/safety.md#d70
 
-from collections.abc import Mapping
-from math import exp, hypot, remainder, sqrt, tan, tau
+from math import exp, hypot, remainder, tan, tau
 from typing import NamedTuple
 
 from steerd.car_model.actuators import LAG_FLOOR
 from steerd.car_model.chassis import KINEMATIC_RATE, SPEED_DYNAMIC
-from steerd.car_model.params import GRAVITY, Car
 from steerd.car_model.state import Command
+from steerd.daemon.loop.follow_model import Actuator, Band, FollowModel
 from steerd.daemon.loop.supervisor import SOFT_BRAKE_SPEED
 from steerd.daemon.settings.thresholds import Thresholds
-from steerd.estimator.config import FilterConfig
 
-LATE_S = 0.012
-"""An order may reach wheels or servo later than the dead time: half a servo pulse, a reply [s]."""
-UNKNOWN = 3.0
-"""Factor by which a lag, a slew rate or a dead time may be off before `identify` has seen it."""
-UNKNOWN_BIAS = 0.05
-"""Wheel angle at order zero that a car may have before `identify` has seen it [rad]."""
-UNKNOWN_LATE_S = 0.05
-"""Dead time that a car may have before `identify` has seen it [s]."""
-SURE = 3.0
-"""Standard errors of an identified value that count as possible."""
 LONG_TURN, LONG_TURN_S = 3.0, 0.2
 """A turn is measured over a short stretch and over this many times as long, at most so long [s]."""
 TRAIL_S = 0.35
 """How long ends of the bands are kept, for measurements that arrive late [s]."""
-SPEED_MARGIN_MAX, TURN_MARGIN_MAX = 0.5, 0.05
-"""Noise that a car file may claim [m/s], [rad]: beyond, the watchdog would see nothing."""
 _NS, _SECONDS = 1_000_000_000, 1e-9
 _NEVER = -1
-
-
-class Band(NamedTuple):
-    """Lower and upper end of a quantity."""
-
-    low: float
-    high: float
-
-
-class Actuator(NamedTuple):
-    """What an actuator can do at least and at most.
-
-    Attributes:
-        lag: [s].
-        slew: limit of the rate, per second; `fall` that towards lower values.
-        fall: the same.
-        delay: dead time [s].
-    """
-
-    lag: Band
-    slew: Band
-    fall: Band
-    delay: Band
-
-
-class FollowModel(NamedTuple):
-    """All cars within the share, as ranges of what matters.
-
-    Attributes:
-        drive: motor; rates in m/s^2.
-        servo: rates in rad/s.
-        gain: wheel angle per ordered angle.
-        bias: wheel angle at order zero [rad].
-        left: end stop [rad]; `right` the other, negative.
-        right: the same.
-        base: wheelbase [m]. Gain and wheelbase are off independently: together by the root of
-            the sum of squares, of which the gain has its full share.
-        understeer: growth of the wheel angle per lateral acceleration [rad s^2/m].
-        settling: time constant of yaw per speed [s^2/m].
-        slack: wheel angle that no file knows: bias, play [rad].
-        speed_margin: noise of the wheel speed [m/s].
-        turn_margin: noise of a turn between two poses [rad].
-    """
-
-    drive: Actuator
-    servo: Actuator
-    gain: Band
-    bias: float
-    left: Band
-    right: Band
-    base: Band
-    understeer: Band
-    settling: float
-    slack: float
-    speed_margin: float
-    turn_margin: float
 
 
 class Mark(NamedTuple):
@@ -156,48 +86,6 @@ def follow_span(th: Thresholds, speed: float) -> float:
     if not abs(speed) * th.follow_hold > th.follow_distance:
         return th.follow_hold
     return th.follow_distance / abs(speed)
-
-
-def make_follow_model(
-    car: Car[float], known: Mapping[str, float], config: FilterConfig, th: Thresholds
-) -> FollowModel:
-    """The ranges for a car.
-
-    Args:
-        car: of the car file.
-        known: standard errors of what was identified, by parameter.
-        config: noise of the instruments.
-        th: the share that an identified car may be off, and the rest of what is allowed.
-    """
-    share = th.follow_share
-    soft = 1.0 / (GRAVITY * car.mu * (1.0 - share) ** 2)
-    stiff = 1.0 / (GRAVITY * car.mu * (1.0 + share) ** 2)
-    # Understeer of the single-track model: 1/g (1/(mu C_f) - 1/(mu C_r)), Rajamani, section 3.3.
-    understeer = Band(stiff / car.c_sf - soft / car.c_sr, soft / car.c_sf - stiff / car.c_sr)
-    length = car.lf + car.lr
-    cf, cr = (c * car.mu * car.mass * GRAVITY for c in (car.c_sf * car.lr, car.c_sr * car.lf))
-    slowest = max(
-        car.inertia_z * length / (cf * car.lf**2 + cr * car.lr**2), car.mass * length / (cf + cr)
-    )
-    noise = th.follow_noise
-    return FollowModel(
-        drive=_make_actuator(
-            car, known, share, ("speed_lag", "accel_max", "decel_max", "drive_delay")
-        ),
-        servo=_make_actuator(
-            car, known, share, ("steer_lag", "steer_rate", "steer_rate", "steer_delay")
-        ),
-        gain=_around(car.steer_gain, share),
-        bias=car.steer_bias,
-        left=_around(car.steer_max, share),
-        right=_around(car.steer_min, share),
-        base=_around(length, (sqrt(2.0) - 1.0) * share),
-        understeer=understeer,
-        settling=slowest * (1.0 + 2.0 * share),
-        slack=th.follow_steer if "steer_bias" in known else max(th.follow_steer, UNKNOWN_BIAS),
-        speed_margin=min(noise * config.wheel_speed_sd, SPEED_MARGIN_MAX),
-        turn_margin=min(noise * sqrt(2.0) * config.pose_yaw_sd, TURN_MARGIN_MAX),
-    )
 
 
 def send_order(
@@ -308,28 +196,6 @@ def measure_turns(
             way = hypot(x1 - x0, y1 - y0)
             found.append(Turn(t0, t1, remainder(yaw1 - yaw0, tau), way))
     return tuple(found)
-
-
-def _around(value: float, share: float) -> Band:
-    off = abs(value) * share
-    return Band(value - off, value + off)
-
-
-def _make_actuator(
-    car: Car[float], known: Mapping[str, float], share: float, names: tuple[str, str, str, str]
-) -> Actuator:
-    """The ranges of one actuator; `names` are those of lag, slew rates and dead time."""
-
-    def possible(name: str) -> Band:
-        value = float(getattr(car, name))
-        if name not in known:
-            return Band(value / UNKNOWN, value * UNKNOWN)
-        off = max(share * value, SURE * known[name])
-        return Band(max(0.0, value - off), value + off)
-
-    lag, rise, fall, late = map(possible, names)
-    slack = LATE_S if names[-1] in known else max(LATE_S, UNKNOWN_LATE_S - late.high)
-    return Actuator(lag, rise, fall, Band(late.low, late.high + slack))
 
 
 def _sent(

@@ -39,13 +39,13 @@ from steerd.daemon.loop.findings import (
     summarise,
 )
 from steerd.daemon.loop.flags import Flag, make_reported_findings
+from steerd.daemon.loop.follow_model import make_follow_model
 from steerd.daemon.loop.following import (
     Followed,
     FollowState,
     advance,
     compare,
     follow_span,
-    make_follow_model,
     send_order,
 )
 from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness

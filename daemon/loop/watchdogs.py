@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 from steerd.daemon.common.screen import show
 from steerd.daemon.loop.findings import Finding, Severity, make_finding, make_unknown
-from steerd.daemon.loop.following import Band, Followed, follow_span
+from steerd.daemon.loop.follow_model import Band
+from steerd.daemon.loop.following import Followed, follow_span
 from steerd.daemon.loop.supervisor import SOFT_DECEL
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs_pose import PoseWatch, is_flapping, rejected_share

@@ -25,7 +25,8 @@ from benchmarks.no_false_stop import draw_car, load_identified
 from steerd.car_model.params import Car
 from steerd.car_model.state import Command
 from steerd.daemon.assembly.build import make_world_config
-from steerd.daemon.loop.following import follow_span, make_follow_model
+from steerd.daemon.loop.follow_model import make_follow_model
+from steerd.daemon.loop.following import follow_span
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.sim_hw.world import World
 from steerd.steer_bus.messages import RequestKind

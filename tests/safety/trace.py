@@ -172,7 +172,7 @@ TRACES = {
         ("C10", "P5"),
     ),
     "W31": Trace(
-        "steerd.daemon.loop.following:_compare_turn",
+        "steerd.daemon.loop.following:measure_turns",
         _names("follow_share follow_noise follow_steer follow_hold follow_distance"),
         ("C13", "P5"),
         behind=("W5",),  # the filter refuses the poses of a car that turns the other way

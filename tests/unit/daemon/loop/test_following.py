@@ -6,16 +6,19 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.car_model.state import Command
-from steerd.daemon.loop.following import (
+from steerd.daemon.loop.follow_model import (
     LATE_S,
-    LONG_TURN_S,
     SPEED_MARGIN_MAX,
-    TRAIL_S,
     TURN_MARGIN_MAX,
     UNKNOWN,
     UNKNOWN_BIAS,
     UNKNOWN_LATE_S,
     Band,
+    make_follow_model,
+)
+from steerd.daemon.loop.following import (
+    LONG_TURN_S,
+    TRAIL_S,
     Followed,
     FollowState,
     Mark,
@@ -23,7 +26,6 @@ from steerd.daemon.loop.following import (
     advance,
     compare,
     follow_span,
-    make_follow_model,
     measure_turns,
     send_order,
 )

@@ -6,7 +6,8 @@ from math import cos, inf, nan, nextafter, pi
 import pytest
 
 from steerd.daemon.loop.findings import WATCHDOGS, Severity, make_finding, summarise
-from steerd.daemon.loop.following import Band, Followed
+from steerd.daemon.loop.follow_model import Band
+from steerd.daemon.loop.following import Followed
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.loop.watchdogs import (
     COMMANDED_S,
@@ -242,9 +243,7 @@ def test_a_car_that_does_not_do_as_ordered_is_told_by_its_numbers(state):
     memory, _ = step_watchdogs(TH, WatchdogState(), CALM._replace(followed=followed, state=state))
     found = look(TH, memory, followed=followed, state=state, t_ns=CALM.t_ns + S // 16)
     speed, turn = (f.text for f in found if f.id in ("W30", "W31"))
-    assert speed.startswith(
-        "W30 speed not followed: wheels 2.50 m/s, orders allow 0.75 to 1.25; "
-    )
+    assert speed.startswith("W30 speed not followed: wheels 2.50 m/s, orders allow 0.75 to 1.25; ")
     assert turn.startswith(
         "W31 steering not followed: turns at -0.50 rad/s, orders allow 0.12 to 0.25; "
     )
