@@ -35,7 +35,7 @@ from tests.safety.report import replace_section
 from tests.safety.rig import MS, Rig, make_rig, twin
 
 OFF = 0.2
-DRAWN = 16
+DRAWN = 4
 LONGEST_S = 4.0
 FAULTS = {
     "wheels accelerate by 2 m/s2": car.run_away,
