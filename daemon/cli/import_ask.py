@@ -29,7 +29,7 @@ class Meaning:
     Attributes:
         lines: in words.
         warnings: what looks wrong.
-        erpm_gain: ERPM per m/s that the poses show, None where they cannot tell.
+        erpm_gain: ERPM per m/s that the poses show, None where they cannot say.
     """
 
     lines: tuple[str, ...]
@@ -51,7 +51,7 @@ def ask(proposal: Proposal, source: Path, trial: Trial) -> str:
     Raises:
         SteerdError: nobody agreed.
     """
-    text = _show(proposal, source, trial, mend=True)
+    text = _show(proposal, source, trial, fix=True)
     while True:
         print("Enter writes it; NAME = VALUE changes a line; ? lists names; q leaves")
         print("> ", end="", flush=True)
@@ -66,17 +66,17 @@ def ask(proposal: Proposal, source: Path, trial: Trial) -> str:
             if wrong:
                 print(f"  {wrong}")
             else:
-                text = _show(proposal, source, trial, mend=False)
+                text = _show(proposal, source, trial, fix=False)
         elif text:
             return text
         else:
             print("  it cannot be imported like this")
 
 
-def _show(proposal: Proposal, source: Path, trial: Trial, *, mend: bool) -> str:
+def _show(proposal: Proposal, source: Path, trial: Trial, *, fix: bool) -> str:
     """Print the map and its meaning; the map's text, or nothing where it does not work."""
     meaning = _try(proposal, source, trial)
-    if mend and not isinstance(meaning, str) and _mend(proposal, meaning):
+    if fix and not isinstance(meaning, str) and _fix(proposal, meaning):
         meaning = _try(proposal, source, trial)
     text = format_map(proposal, source.name)
     print(f"\nproposed map\n{_indent(text)}\nwhat it would mean")
@@ -147,17 +147,17 @@ def _lines(report: "SessionReport", yaw: "np.ndarray | None", gain: float | None
         yield f"motor     {gain:.0f} ERPM per m/s, by the poses"
 
 
-def _mend(proposal: Proposal, meaning: Meaning) -> bool:
+def _fix(proposal: Proposal, meaning: Meaning) -> bool:
     """Change what the drive itself says must be otherwise; whether anything was."""
-    text, mended = " ".join(meaning.warnings), False
+    text, fixed = " ".join(meaning.warnings), False
     columns = proposal.get("columns", {})
     if _LEFT in text and "steer_cmd" in columns:
         old = columns["steer_cmd"]
         name, scale = (old, 1.0) if isinstance(old, str) else (old["column"], old["scale"])
-        columns["steer_cmd"], mended = {"column": name, "scale": -scale}, True
+        columns["steer_cmd"], fixed = {"column": name, "scale": -scale}, True
     if "topics" in proposal and _MM in text:
-        proposal.setdefault("frame", {})["units"], mended = "mm", True
+        proposal.setdefault("frame", {})["units"], fixed = "mm", True
     if meaning.erpm_gain is not None and "--erpm-gain" in text:
         proposal.setdefault("vesc", {})["erpm_gain"] = meaning.erpm_gain
-        mended = True
-    return mended
+        fixed = True
+    return fixed

@@ -20,7 +20,7 @@ def add_sessions(parser: argparse.ArgumentParser) -> None:
 
 
 def pick_session(text: str) -> Path:
-    """The file; one that was not named is told on standard error.
+    """The file; one that was not named is shown on standard error.
 
     Raises:
         SteerdError: there is none.

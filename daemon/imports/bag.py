@@ -150,7 +150,7 @@ def _remarks(roles: Mapping[str, str], types: Mapping[str, str]) -> Iterator[str
 
 _NEEDED = {
     "pose": "identify and diagnose need the car's track",
-    "command": "identify and diagnose need what the car was told",
+    "command": "identify and diagnose need the commands to the car",
     "vesc": "the wheels' speed is not known; wheel=TOPIC takes it from an Odometry",
 }
 """What is missed without a role."""

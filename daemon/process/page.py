@@ -96,7 +96,7 @@ class PageServer:
         return server
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """The page itself, or nothing where a WebSocket may be opened."""
+        """The page itself, or nothing where a WebSocket may open."""
         host = f"{HOST}:{self.port}"
         if request.headers.get("Host") != host:  # another name for this machine: DNS rebinding
             return connection.respond(HTTPStatus.FORBIDDEN, "not here\n")
@@ -143,7 +143,7 @@ class PageServer:
 
 
 async def run_page(
-    view: CarView, page: str, port: int, opened: Callable[[str], None], ended: asyncio.Event
+    view: CarView, page: str, port: int, on_open: Callable[[str], None], ended: asyncio.Event
 ) -> None:
     """Serve until the end is asked for.
 
@@ -152,7 +152,7 @@ async def run_page(
     """
     pages = PageServer(view, page)
     server = await pages.open(port)
-    opened(pages.url)
+    on_open(pages.url)
     try:
         while not ended.is_set():
             view.poll()
@@ -177,13 +177,13 @@ async def _serve_child(job: Mapping[str, Any], lifeline_fd: int, ready_fd: int) 
     ended = asyncio.Event()
     asyncio.get_running_loop().add_reader(lifeline_fd, ended.set)
 
-    def opened(url: str) -> None:
+    def on_open(url: str) -> None:
         os.write(ready_fd, f"{url}\n".encode())
         os.close(ready_fd)
 
     with join(job) as bus:
         view = CarView(bus, job["car"], MonotonicClock())
-        await run_page(view, make_page(job), job["port"], opened, ended)
+        await run_page(view, make_page(job), job["port"], on_open, ended)
 
 
 def main() -> int:

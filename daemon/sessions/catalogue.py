@@ -197,7 +197,7 @@ def _remembered(index: sqlite3.Connection, path: Path) -> Entry:
 
 
 def summarise(path: Path) -> Entry:
-    """Read a session's figures; what cannot be read is told in the verdict."""
+    """Read a session's figures; what cannot be read is said in the verdict."""
     from steerd.daemon.sessions.info import Times, find_table, load_session, make_session_report
     from steerd.daemon.sessions.lane_error import rms, settled_errors
     from steerd.steer_bus import topics

@@ -33,7 +33,7 @@ from steerd.sysid.report.page import render_page
 
 TEMPLATE = Path(__file__).parent / "page" / "compare.html"
 COLOURS = (BEFORE, AFTER, TEAL, VIOLET, GREEN)
-"""One a drive; more drives than these are not told apart."""
+"""One a drive; the eye does not distinguish more."""
 BINS = 400
 """Places along the lane."""
 NAME_MAX = 40
@@ -109,7 +109,7 @@ def check_same_lane(drives: Sequence[LaneSession]) -> None:
         SteerdError: two lanes differ in shape or length, or there are too many drives.
     """
     if len(drives) > len(COLOURS):
-        what = f"{len(drives)} drives: {len(COLOURS)} at most can be told apart"
+        what = f"{len(drives)} drives: {len(COLOURS)} at most can be distinguished"
         raise SteerdError(what, "name fewer", ExitCode.USAGE)
     first = drives[0]
     for other in drives[1:]:

@@ -150,7 +150,7 @@ def make_range(values: Array) -> SignalRange | None:
 
 
 def find_erpm_gain(track: Track | None, erpm: Signal | None) -> float | None:
-    """Electrical rpm per m/s that the poses show, sign included; None where they cannot tell."""
+    """Electrical rpm per m/s that the poses show, sign included; None where they cannot say."""
     if track is None or erpm is None:
         return None
     speed = np.interp(erpm.t, track.t, np.nan_to_num(track.speed), np.nan, np.nan)

@@ -29,7 +29,8 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").r
 ROOMS = "daemon|tests|sysid|sim_gap|sim_hw|car_model|steer_bus"
 ROOMS += "|vesc_link|mocap_link|estimator|controller"
 HARDWARE = re.compile(r"/dev/tty|/dev/vesc|natnet://|vrpn://|zenoh:")
-OPERATOR = ("arm", "start", "stop", "disarm", "clear", "estop", "status", "control", "watch", "page")
+OPERATOR = ("arm", "start", "stop", "disarm", "clear", "estop")
+OPERATOR += ("status", "control", "watch", "page")
 LONG = ("identify", "diagnose", "collect")
 """Held by tests of their own, minutes long; here they are read by their parsers."""
 

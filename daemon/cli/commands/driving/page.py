@@ -40,14 +40,14 @@ def run(args: argparse.Namespace) -> int:
 
     page = make_page({"car": args.name, **make_lane_job(args.path)})
 
-    def opened(url: str) -> None:
+    def on_open(url: str) -> None:
         print(f"page: {url}", flush=True)
         print("open it in a browser on this machine; Ctrl-C ends it", file=sys.stderr)
 
     with connect(args.connect, args.lab) as bus:
         view = CarView(bus, args.name, MonotonicClock())
         try:
-            asyncio.run(run_page(view, page, args.port, opened, asyncio.Event()))
+            asyncio.run(run_page(view, page, args.port, on_open, asyncio.Event()))
         except KeyboardInterrupt:
             return ExitCode.OK
         except OSError as error:
