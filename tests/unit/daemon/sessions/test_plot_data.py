@@ -8,10 +8,8 @@ from steerd.daemon.sessions.info import load_session
 from steerd.daemon.sessions.plot_data import (
     GAP,
     LANE_HALF_WIDTH,
-    SETTLE,
     _half_width,
     _late_ms,
-    _settled,
     make_curve,
     make_drawing,
 )
@@ -31,13 +29,6 @@ def test_a_curve_is_sorted_and_broken_where_samples_are_missing():
 
 def test_a_curve_without_a_number_is_none():
     assert list(make_curve("e1", "estimate", np.arange(3.0), np.full(3, NAN))) == []
-
-
-def test_each_start_settles_anew():
-    t = np.arange(0.0, 12.0)
-    running = np.array([0, 1, 1, 1, 1, 1, 0, 0, 1, 1, 1, 1], dtype=bool)
-    assert np.flatnonzero(_settled(running, t)).tolist() == [4, 5, 11]
-    assert SETTLE == 3.0
 
 
 def test_a_tick_that_came_early_is_not_late():
