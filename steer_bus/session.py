@@ -104,8 +104,10 @@ class SessionWriter:
                 self._channels = {topic: self._add_topic(topic, of) for topic, of in topics.items()}
                 self._file.flush()
                 _sync_folder(path)
-        except SessionError:
-            self.partial.unlink(missing_ok=True)  # it holds no message
+        except SessionError as error:
+            self.partial.unlink(missing_ok=True)  # it holds no message, nothing can be recovered
+            if isinstance(error.__cause__, OSError):
+                raise _disk_error(self.partial, error.__cause__, _ROOM) from error.__cause__
             raise
         self._sequences = dict.fromkeys(self._channels, 0)
 
@@ -352,7 +354,8 @@ def _close_quietly(file: BinaryIO) -> None:
         file.close()
 
 
-_SPACE = "free some space; `steerd recover` saves what was written"
+_ROOM = "free some space"
+_SPACE = f"{_ROOM}; `steerd recover` saves what was written"
 
 
 def _disk_error(path: Path, error: OSError, hint: str = _SPACE) -> SessionError:

@@ -58,21 +58,22 @@ def write_outputs(texts: Mapping[Path | None, str | None]) -> None:
         texts: content by file; an entry without a file or without a content is left out.
 
     Raises:
-        SteerdError: the first failure, after the other files were written.
+        SteerdError: every file that failed in one line, after the others were written.
     """
-    failure: SteerdError | None = None
+    failures: list[SteerdError] = []
     for path, text in texts.items():
         if path is None or text is None:
             continue
         try:
             kept = write_output(path, text)
         except SteerdError as error:
-            failure = failure or error
+            failures.append(error)
             continue
         if kept is not None:
             print_labelled("note: ", describe_kept(path, kept), sys.stderr)
-    if failure is not None:
-        raise failure
+    if failures:
+        what = "; ".join(failure.what for failure in failures)
+        raise SteerdError(what, failures[0].hint, failures[0].code)
 
 
 def describe_kept(path: Path, kept: Path) -> str:

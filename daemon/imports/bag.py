@@ -23,6 +23,7 @@ from steerd.daemon.imports.import_session import (
     check_output,
     write_import,
 )
+from steerd.steer_bus.atomic_file import is_full
 from steerd.steer_bus.codec import schema_text, type_name
 from steerd.steer_bus.standard import AckermannDriveStamped, Odometry, PoseStamped, VescStateStamped
 from steerd.steer_bus.topics import ACTUATION, MOCAP, VESC, WHEEL, Topic
@@ -202,6 +203,8 @@ def _call_rosbags(source: Path, read: Callable[[], T]) -> T:
     except SteerdError:
         raise
     except Exception as error:
+        if isinstance(error, OSError) and is_full(error):
+            raise  # a compressed bag is unpacked into a temporary folder: the bag itself is good
         text = " ".join(str(error).split())[:160] or type(error).__name__
         what = f"{source} cannot be read as a ROS bag: {text}"
         hint = "name a .bag file, a ROS 2 bag folder or its .mcap file"

@@ -114,9 +114,10 @@ def run(args: argparse.Namespace) -> int:
 
     _check_outputs(args)
     request = make_request(args)
+    late: list[str] = []
     with show_progress("diagnosing", 1.0) as advance:
         found = run_diagnosis(
-            request, print_warnings, advance, lambda text: _announce(text, args.prediction)
+            request, print_warnings, advance, lambda text: _announce(text, args.prediction, late)
         )
         advance(DRIVEN, "")
         data = found.to_json()
@@ -131,7 +132,8 @@ def run(args: argparse.Namespace) -> int:
     named = Path(args.json) if args.json and args.json != "-" else None
     car = found.make_car(args.output).text if args.output else None
     text = json.dumps(data, indent=1) + "\n"
-    write_outputs({named: text, args.report: report, args.output: car})
+    foretold = late[0] if late else None
+    write_outputs({args.prediction: foretold, named: text, args.report: report, args.output: car})
     return ExitCode.OK
 
 
@@ -153,12 +155,19 @@ def _check_outputs(args: argparse.Namespace) -> None:
     )
 
 
-def _announce(prediction: str, path: Path | None) -> None:
-    """The prediction's digest, and the prediction itself, before anything is measured."""
+def _announce(prediction: str, path: Path | None, late: list[str]) -> None:
+    """The prediction's digest, and the prediction itself, before anything is measured.
+
+    Where it cannot be written, the diagnosis goes on: the digest is on the screen, so the same
+    text, kept in `late`, may be written after it.
+    """
     import hashlib
 
     from steerd.daemon.common.written import write_outputs
 
-    write_outputs({path: prediction})
     digest = hashlib.sha256(prediction.encode()).hexdigest()
     print(f"predicted before measuring: sha256 {digest}", file=sys.stderr)
+    try:
+        write_outputs({path: prediction})
+    except SteerdError:
+        late.append(prediction)
