@@ -123,7 +123,8 @@ def advance(state: FollowState, model: FollowModel, t_ns: int, speed: float) -> 
         last.turned.high + h * max(bend.high, state.curvature.high),
     )
     oldest = t_ns - round(TRAIL_S * _NS)
-    first = next(i for i, mark in enumerate((*state.trail, last)) if mark.t_ns >= oldest)
+    # After a tick later than the trail is long, the last mark alone is kept.
+    first = next((i for i, m in enumerate(state.trail) if m.t_ns >= oldest), len(state.trail))
     kept = state.trail[max(0, first - 1) :]
     return FollowState(
         _still_open(state.orders, t_ns, max(model.drive.delay.high, model.servo.delay.high)),

@@ -357,3 +357,14 @@ def test_one_pose_is_no_turn():
     assert measure_turns((), 0.1) == ()
     assert measure_turns(((0, 0.0, 0.0, 0.0),), 0.1) == ()
     assert measure_turns(((0, 0.0, 0.0, 0.0), (0, 1.0, 0.0, 0.0)), 0.0) == ()
+
+
+@pytest.mark.parametrize("late_s", [TRAIL_S - 0.01, TRAIL_S, TRAIL_S + 1e-9, 0.6, 10.0])
+def test_a_tick_later_than_the_trail_is_long_goes_on(late_s):
+    """A machine that stood still: that stops the car as what it is, and as no exception."""
+    before = go({0: Command(0.1, 1.0)}, 1000)
+    now = before.trail[-1].t_ns + round(late_s * 1e9)
+    after = advance(before, MODEL, now, 1.0)
+    assert after.trail[-1].t_ns == now
+    assert after.trail[-2] == before.trail[-1]
+    assert abs(compare(after, MODEL, (now, 1.0), ()).speed_excess) < 1.0
