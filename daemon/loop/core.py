@@ -7,7 +7,7 @@ same object.
 from steerd.daemon.ipc.outbox import Outbox
 from steerd.daemon.loop.checks import VescInfo, check_vesc
 from steerd.daemon.loop.failed_loop import describe_error, make_failed_tick
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.flags import CAUSES, Flag
 from steerd.daemon.loop.loop import Loop, TickResult
 from steerd.daemon.loop.outgoing import (
     make_actuation,
@@ -203,7 +203,7 @@ class Core:
     def tick(self, due_ns: int, now_ns: int, work_ns: int = 0) -> bytes:
         """Decide; return the bytes of this tick's write. `post_tick` must follow it."""
         flags = int(self.flags)
-        self.flags &= ~(Flag.REBOOTED | Flag.SUSPENDED | Flag.STALLED)
+        self.flags &= ~(Flag.REBOOTED | Flag.SUSPENDED | CAUSES)
         self.on_serial(now_ns, b"")
         self._seq += 1
         self.last = self._decide(due_ns, now_ns, flags)

@@ -106,12 +106,23 @@ def advise_simulation(finding: Finding) -> Finding:
 
 
 STALLED = "the host of this virtual machine took the processor away: drive from a real one"
+ALL_LATE = "all processes stood still at once: this machine stalled; steerd rtcheck --under-load"
+ALONE = "this program alone was late"
 
 
-def blame_machine(finding: Finding) -> Finding:
+def blame_machine(finding: Finding, reason: str = STALLED) -> Finding:
     """The finding of a late tick that this program did not cause."""
-    text = finding.text.removesuffix(f"; {WATCHDOGS[finding.id].advice}")
-    return finding._replace(text=f"{text}; {STALLED}")
+    return finding._replace(text=f"{_without_advice(finding)}; {reason}")
+
+
+def blame_program(finding: Finding) -> Finding:
+    """The finding of a late tick while the other processes ran."""
+    advice = WATCHDOGS[finding.id].advice
+    return finding._replace(text=f"{_without_advice(finding)}; {ALONE}; {advice}")
+
+
+def _without_advice(finding: Finding) -> str:
+    return finding.text.removesuffix(f"; {WATCHDOGS[finding.id].advice}")
 
 
 def make_unknown(id: str, what: str) -> Finding:

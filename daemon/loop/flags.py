@@ -5,7 +5,13 @@ Plain integers: an IntFlag "or" takes a microsecond, and these are tested thirty
 
 from collections.abc import Iterator
 
-from steerd.daemon.loop.findings import Finding, make_finding
+from steerd.daemon.loop.findings import (
+    ALL_LATE,
+    Finding,
+    blame_machine,
+    blame_program,
+    make_finding,
+)
 
 
 class Flag:
@@ -25,6 +31,12 @@ class Flag:
     GUARDIAN_TRIPPED = 2048  # W15
     UNBOUNDED = 4096  # the VESC did not take the session's limits
     STALLED = 8192  # the host took the processor away; for one tick
+    ALL_LATE = 16384  # every process stood still at once; for one tick
+    ALONE_LATE = 32768  # the tick was late, the other processes were not; for one tick
+
+
+CAUSES = Flag.STALLED | Flag.ALL_LATE | Flag.ALONE_LATE
+"""Who made this one tick late."""
 
 
 _REPORTS = (
@@ -45,3 +57,12 @@ def make_reported_findings(flags: int) -> Iterator[Finding]:
         for flag, name, text in _REPORTS:
             if flags & flag:
                 yield make_finding(name, text)
+
+
+def blame(late: Finding, flags: int) -> Finding:
+    """The finding of a late tick with who made it late, as far as the runner could tell."""
+    if flags & Flag.STALLED:
+        return blame_machine(late)
+    if flags & Flag.ALL_LATE:
+        return blame_machine(late, ALL_LATE)
+    return blame_program(late) if flags & Flag.ALONE_LATE else late

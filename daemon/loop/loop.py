@@ -33,12 +33,11 @@ from steerd.daemon.loop.checks import (
 from steerd.daemon.loop.findings import (
     Finding,
     advise_simulation,
-    blame_machine,
     make_finding,
     make_unknown,
     summarise,
 )
-from steerd.daemon.loop.flags import Flag, make_reported_findings
+from steerd.daemon.loop.flags import Flag, blame, make_reported_findings
 from steerd.daemon.loop.follow_model import make_follow_model
 from steerd.daemon.loop.following import (
     Followed,
@@ -286,7 +285,7 @@ class Loop:
             self._lateness, due_ns, now_ns, self.setup.period_ns, self._late_rules
         )
         if late is not None:
-            reported.append(blame_machine(late) if flags & Flag.STALLED else late)
+            reported.append(blame(late, flags))
         reported += self._check_launch(estimate, now_ns)
         reported += self._check_commands(now_ns)
         launched = self._launch is not None and self._launch.done

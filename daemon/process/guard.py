@@ -40,6 +40,10 @@ class Guard(Protocol):
         """Whether it has taken over."""
         ...
 
+    def pause(self, now_ns: int) -> tuple[int, int] | None:
+        """Its own last pause, from and to; (0, 0) if it made none, None if there is no guardian."""
+        ...
+
     def mark_clean(self) -> None:
         """The wheels stand: the guardian need not brake when the core ends."""
         ...
@@ -118,6 +122,10 @@ class ProcessGuard:
     def has_tripped(self) -> bool:
         """Whether the guardian has taken over."""
         return self._page is not None and self._page.tripped_ns != 0
+
+    def pause(self, now_ns: int) -> tuple[int, int] | None:
+        """When the guardian itself stood still last, as its page says."""
+        return None if self._page is None else self._page.pause(now_ns)
 
     def mark_clean(self) -> None:
         """The wheels stand: the guardian ends with the core and does not brake."""

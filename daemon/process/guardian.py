@@ -21,14 +21,15 @@ PAGE_BYTES = OFFSET + MUTEX_BYTES
 STALE_NS, STALE_NS_NO_RT = 30_000_000, 60_000_000  # heartbeat age that trips, with FIFO or not
 PERIOD_NS, BRAKE_NS = 10_000_000, 2_000_000_000  # between brake frames; for so long they go on
 PRIORITY = 60  # SCHED_FIFO, above the core's 50
-_HEARTBEAT, _ENGAGED, _TRIPPED, _GUARDIAN, _CLEAN = range(5)
+PAUSE_NS = 15_000_000  # between two beats of the guardian: more is a pause of its own
+_HEARTBEAT, _ENGAGED, _TRIPPED, _GUARDIAN, _CLEAN, _PAUSE_BEGIN, _PAUSE_END = range(7)
 
 
 class HeartbeatPage:
-    """Five 8-byte integers in shared memory; each store is aligned, so no lock is needed.
+    """Seven 8-byte integers in shared memory; each store is aligned, so no lock is needed.
 
-    The core writes heartbeat and ``clean``, the guardian its trip and its own heartbeat. All times
-    are CLOCK_MONOTONIC [ns], 0 for never.
+    The core writes heartbeat and ``clean``, the guardian its trip, its own heartbeat and its last
+    pause. All times are CLOCK_MONOTONIC [ns], 0 for never.
     """
 
     def __init__(self, fd: int) -> None:
@@ -51,6 +52,9 @@ class HeartbeatPage:
 
     def watch(self, t_ns: int) -> None:
         """Guardian: alive at ``t_ns``."""
+        before = self._words[_GUARDIAN]
+        if before and t_ns - before > PAUSE_NS:
+            self._words[_PAUSE_BEGIN], self._words[_PAUSE_END] = before, t_ns
         self._words[_GUARDIAN] = t_ns
 
     def trip(self, t_ns: int) -> None:
@@ -76,6 +80,15 @@ class HeartbeatPage:
     def guardian_ns(self) -> int:
         """When the guardian was last alive (W16)."""
         return self._words[_GUARDIAN]
+
+    def pause(self, now_ns: int) -> tuple[int, int] | None:
+        """Core: the guardian's last pause, which may go on; (0, 0): none; None: it never lived."""
+        alive_ns = self.guardian_ns
+        if not alive_ns:
+            return None
+        if now_ns - alive_ns > PAUSE_NS:
+            return alive_ns, now_ns
+        return self._words[_PAUSE_BEGIN], self._words[_PAUSE_END]
 
     @property
     def clean(self) -> bool:

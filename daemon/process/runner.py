@@ -20,7 +20,8 @@ from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.transitions import is_engaged
 from steerd.daemon.process.guard import Guard, sleep_lag_ns
 from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
-from steerd.daemon.process.steal import is_stalled, read_steal_ns
+from steerd.daemon.process.stall import find_cause
+from steerd.daemon.process.steal import read_steal_ns
 from steerd.mocap_link.sessions import BusPoseSource
 from steerd.mocap_link.sockets import MocapReceiver
 from steerd.mocap_link.source import PoseSample
@@ -210,8 +211,10 @@ class Runner:
 
     def _set_flags(self, late_ns: int = 0) -> None:
         """Set the flags that the next tick needs, which is late by so much."""
-        if late_ns > self._period_ns and is_stalled(late_ns, read_steal_ns() - self._stolen_ns):
-            self._core.flags |= Flag.STALLED
+        if late_ns > self._period_ns:
+            now = self._clock.now_ns()
+            stolen_ns = read_steal_ns() - self._stolen_ns
+            self._core.flags |= find_cause((now - late_ns, now), stolen_ns, self._guard.pause(now))
         lag = sleep_lag_ns()
         if lag - self._slept_ns > self._core.loop.setup.settings.thresholds.suspend_step * 1e9:
             self._core.flags |= Flag.SUSPENDED

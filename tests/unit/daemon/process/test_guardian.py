@@ -16,6 +16,7 @@ import pytest
 from steerd.daemon.process import guardian
 from steerd.daemon.process.guardian import (
     BRAKE_NS,
+    PAUSE_NS,
     PERIOD_NS,
     STALE_NS,
     HeartbeatPage,
@@ -81,6 +82,21 @@ def test_both_sides_see_the_same_words():
     assert watcher.clean
     core.write_heartbeat(1, False)
     assert not watcher.engaged
+
+
+def test_the_page_tells_when_the_guardian_itself_stood_still(page):
+    start = 10**12
+    assert page.pause(start) is None, "it never lived"
+    for k in range(3):
+        page.watch(start + k * PERIOD_NS)
+    now = start + 2 * PERIOD_NS
+    assert page.pause(now + PAUSE_NS) == (0, 0)
+    assert page.pause(now + PAUSE_NS + 1) == (now, now + PAUSE_NS + 1), "it goes on"
+    page.watch(now + 45 * MS)
+    page.watch(now + 55 * MS)
+    assert page.pause(now + 56 * MS) == (now, now + 45 * MS)
+    page.watch(now + 55 * MS + PAUSE_NS)
+    assert page.pause(now + 71 * MS) == (now, now + 45 * MS), "no pause: its ordinary sleep"
 
 
 def test_core_may_write_only_fresh_ticks_and_never_after_a_trip(page):

@@ -8,7 +8,7 @@ import pytest
 
 from steerd.daemon.assembly.build import make_core, make_plan
 from steerd.daemon.ipc.pipe_records import PipeWriter, read_message
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.flags import CAUSES, Flag
 from steerd.daemon.loop.supervisor import NEVER
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import runner as runner_module
@@ -49,6 +49,7 @@ class FakeGuard:
 
     def __init__(self):
         self.quiet = self.took_over = self.clean = False
+        self.paused = None
 
     def watch(self, *_):
         self.clean = False
@@ -64,6 +65,9 @@ class FakeGuard:
 
     def has_tripped(self):
         return self.took_over
+
+    def pause(self, _):
+        return self.paused
 
     def mark_clean(self):
         self.clean = True
@@ -450,3 +454,27 @@ def test_a_late_tick_of_a_machine_that_stood_still_is_said_to_be_one(
     assert not r.core.flags & Flag.STALLED, "it is one tick's"
     texts = [finding.text for finding in r.core.last.findings if finding.id == "W15"]
     assert any("the host of this virtual machine" in text for text in texts) == bool(said)
+
+
+@pytest.mark.parametrize(
+    ("stood", "flag", "said"),
+    [
+        ((-5, 45), Flag.ALL_LATE, "all processes stood still at once: this machine stalled"),
+        ((0, 0), Flag.ALONE_LATE, "this program alone was late; run steerd rtcheck"),
+        (None, 0, "late; run steerd rtcheck"),
+    ],
+)
+def test_a_late_tick_says_whether_the_guardian_stood_still_too(
+    plan, monkeypatch, stood, flag, said
+):
+    monkeypatch.setattr(runner_module, "read_steal_ns", lambda: 0)
+    r = make_runner(plan)
+    start = r.it._clock.now_ns() - 41 * MS
+    r.guard.paused = stood and (start + stood[0] * MS, start + stood[1] * MS)
+    r.it._set_flags(41 * MS)
+    assert r.core.flags & CAUSES == flag
+    r.core.tick(0, 41 * MS)
+    assert not r.core.flags & CAUSES, "it is one tick's"
+    texts = [finding.text for finding in r.core.last.findings if finding.id == "W15"]
+    assert any(said in text for text in texts)
+    assert sum("stood still" in text or "alone" in text for text in texts) == bool(flag)
