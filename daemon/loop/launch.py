@@ -8,9 +8,10 @@ over the first half metre, because single samples at walking pace are mostly noi
 from math import atan2, cos, degrees, hypot, pi, remainder, sin, tan, tau
 from typing import NamedTuple
 
+from steerd.daemon.settings.thresholds import LAUNCH_RATIO
+
 LAUNCH_DISTANCE = 0.5  # [m] by the wheels
 JUDGE_DISTANCE = 0.25  # [m] by wheels or mocap; shorter, mocap's delay alone spoils the ratio
-RATIO_LOW, RATIO_HIGH = 0.7, 1.4  # mocap distance over wheel distance
 TURN_EXPECTED, TURN_MEASURED = 0.10, 0.03  # [rad] turned before the sign of steering is judged
 HEADING_MAX = pi / 6  # [rad] between yaw and travel
 
@@ -64,7 +65,8 @@ def _find_fault(s: LaunchState) -> str:
     by_wheels, by_mocap = abs(s.travelled), hypot(s.last.x - s.x0, s.last.y - s.y0)
     if not max(by_wheels, by_mocap) >= JUDGE_DISTANCE:
         return ""
-    if not RATIO_LOW * by_wheels <= by_mocap <= RATIO_HIGH * by_wheels:
+    low, high = LAUNCH_RATIO
+    if not low * by_wheels <= by_mocap <= high * by_wheels:
         return f"mocap moved {by_mocap:.2f} m, wheels {by_wheels:.2f} m: units, body or gear ratio"
     off = atan2(s.sideways, s.forward if s.travelled > 0.0 else -s.forward)
     if abs(off) > HEADING_MAX:

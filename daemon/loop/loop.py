@@ -63,7 +63,6 @@ from steerd.daemon.loop.orders import Order, make_order
 from steerd.daemon.loop.perception import Perception, best_speed
 from steerd.daemon.loop.plans import Drill
 from steerd.daemon.loop.supervisor import (
-    LAUNCH_SPEED,
     NEVER,
     Action,
     Conditions,
@@ -74,6 +73,7 @@ from steerd.daemon.loop.supervisor import (
 from steerd.daemon.loop.transitions import Fact, Request, SupervisorState
 from steerd.daemon.loop.watchdog_input import make_watchdog_input
 from steerd.daemon.loop.watchdogs import WatchdogState, is_slowing, step_watchdogs
+from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 from steerd.estimator.state_filter import StateEstimate
 from steerd.mocap_link.source import PoseSample
 from steerd.steer_bus.messages import DriveCommand, OperatorRequest

@@ -21,11 +21,11 @@ from steerd.daemon.loop.transitions import (
     TransitionRow,
     choose_row,
 )
+from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 
 STILL_SPEED = 0.05  # [m/s] slower than this is standing
 SOFT_DECEL = 1.5  # [m/s2] slope of the speed cap while stopping
 SOFT_BRAKE_SPEED = 0.3  # [m/s] below it a VESC's speed loop releases: brake current takes over
-LAUNCH_SPEED = 0.5  # [m/s] until the launch checks have passed
 OPEN_FRAMES = 3  # brake frames after the port was (re)opened
 STILL_NS = 300_000_000  # a car that is slow for so long stands
 CHECKS_HOLD_NS = 1_000_000_000  # the pre-arm checks must pass for so long

@@ -16,7 +16,12 @@ from steerd.controller.limits import Limits
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.near import did_you_mean, find_near
 from steerd.daemon.common.translate import make_car_file_error
-from steerd.daemon.settings.thresholds import Thresholds, check_bounds
+from steerd.daemon.settings.thresholds import (
+    LAUNCH_RATIO,
+    LAUNCH_SPEED,
+    Thresholds,
+    check_bounds,
+)
 from steerd.estimator.config import FilterConfig, load_filter_config
 from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
@@ -145,6 +150,7 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
         record=sections.make("record", lambda: _record(sections.section("record"))),
     )
     _check_stop(car_file, settings.thresholds)
+    _check_gain(settings)
     if settings.controller.speed > settings.limits.speed_max:
         raise SteerdError(
             f"{settings.controller.speed:g} m/s is above the car file's limits.speed_max = "
@@ -194,6 +200,26 @@ def _check_stop(car_file: CarFile, thresholds: Thresholds) -> None:
             f"[safety] stop_lag = {thresholds.stop_lag:g} s, after which a stop must show"
         )
         raise SteerdError(what, "measure drive_delay; stop_lag may be 0.3 s at most")
+
+
+def _check_gain(settings: Settings) -> None:
+    """Refuse a car that by its own file drives so far off its wheels' speed that each start fails.
+
+    Raises:
+        SteerdError: the launch check or W20 would stop it.
+    """
+    th, file = settings.thresholds, settings.file
+    slow = min(LAUNCH_SPEED, settings.limits.speed_max)
+    low, high = LAUNCH_RATIO
+    high = min(high, max(th.overspeed_ratio, 1.0 + th.overspeed_margin / slow))
+    gain = believed_car(file.model).speed_gain
+    if not low <= gain <= high:
+        scaled = settings.scaling.erpm_gain / gain
+        what = (
+            f"{file.path}: this car drives at {gain:g} times the speed of its wheels (speed_gain, "
+            f"and the effects that change it); a start lets {low:g} to {high:g} pass"
+        )
+        raise SteerdError(what, f"[vesc] erpm_gain = {scaled:.0f} and speed_gain = 1 say the same")
 
 
 class _Sections:

@@ -149,6 +149,10 @@ def _read_bounds() -> dict[str, Bound]:
 
 
 BOUNDS: Mapping[str, Bound] = _read_bounds()
+LAUNCH_SPEED = 0.5
+"""Until the launch checks have passed [m/s]."""
+LAUNCH_RATIO = 0.7, 1.4
+"""Mocap's distance over the wheels' that the launch check lets pass."""
 
 
 def check_bounds(table: Mapping[str, Any]) -> None:

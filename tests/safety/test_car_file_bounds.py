@@ -72,6 +72,8 @@ REFUSED = [
     (Case("car", "drive_delay", 0.3), "dead time of 0.3 s is longer than"),
     (Case("effects.drive_delay", "delay", 0.3), "dead time of 0.3 s is longer than"),
     (Case("car", "lf", 1.0), "wheelbase = 1.17145 m is outside"),
+    (Case("car", "speed_gain", 0.5), "drives at 0.5 times the speed of its wheels"),
+    (Case("effects.speed_scale", "scale", 1.5), "a start lets 0.7 to 1.3 pass"),
     (Case("estimator", "lateral_accel_density", 0.0), "lateral_accel_density = 0.0 is outside"),
     (Case("estimator", "initial_poses", 100), "initial_poses = 100 is outside"),
     (Case("estimator", "pose_position_sd", 1e-6), "pose_position_sd = 1e-06 is outside"),
