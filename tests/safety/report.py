@@ -1,12 +1,15 @@
 """Run the whole matrix and write the tables of the safety pages: `python -m tests.safety.report`.
 
-`--check` only says whether every cell is good.
+`--check` only says whether every cell is good. `--keep FILE` writes each cell as it comes and does
+not drive those that are there: the matrix of one state of the code, in slices.
 """
 
 import argparse
+import json
 import os
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict, fields
 from math import isfinite
 from pathlib import Path
 
@@ -24,9 +27,37 @@ from tests.safety.trace import write_trace
 PAGES = Path(__file__).parents[2] / "docs" / "reference"
 
 
-def run_fault(code: str) -> list[Outcome]:
-    """All cells of one fault."""
-    return [run_cell(BY_CODE[c], phase) for c, phase in list_cells() if c == code]
+def run_named(cell: tuple[str, str]) -> Outcome:
+    """One cell by fault and phase."""
+    return run_cell(BY_CODE[cell[0]], cell[1])
+
+
+def read_kept(path: Path | None) -> dict[tuple[str, str], Outcome]:
+    """The cells that were driven already, by fault and phase."""
+    if path is None or not path.exists():
+        return {}
+    names = {each.name for each in fields(Outcome)}
+    kept = {}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        found = {key: value for key, value in json.loads(line).items() if key in names}
+        lists = {key: tuple(value) for key, value in found.items() if isinstance(value, list)}
+        kept[found["code"], found["phase"]] = Outcome(**{**found, **lists})
+    return kept
+
+
+def drive_matrix(keep: Path | None, jobs: int) -> list[Outcome]:
+    """Every cell: read where it was kept, driven where it was not."""
+    cells, kept = list_cells(), read_kept(keep)
+    left = [cell for cell in cells if cell not in kept]
+    driven = Parallel(n_jobs=jobs, return_as="generator_unordered")(
+        delayed(run_named)(cell) for cell in left
+    )
+    for outcome in driven:
+        kept[outcome.code, outcome.phase] = outcome
+        if keep is not None:
+            with keep.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(outcome)) + "\n")
+    return [kept[cell] for cell in cells]
 
 
 def show(outcome: Outcome | None) -> str:
@@ -112,11 +143,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing")
     parser.add_argument("--jobs", type=int, default=-1)
+    parser.add_argument("--keep", type=Path, metavar="FILE.jsonl", help="cells, as they come")
     args = parser.parse_args(argv)
-    parts = Parallel(n_jobs=args.jobs)(
-        delayed(run_fault)(fault_case.code) for fault_case in FAULT_CASES
-    )
-    outcomes = [outcome for part in parts for outcome in part]
+    outcomes = drive_matrix(args.keep, args.jobs)
     bad = [outcome for outcome in outcomes if outcome.wrong]
     for outcome in bad:
         print(outcome.code, outcome.phase, *outcome.wrong)
