@@ -22,7 +22,7 @@ from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
 from steerd.sim_gap.engine import constants as c
 from steerd.sim_gap.engine.base_fit import null_fit, open_engine
-from steerd.sim_gap.engine.descent import Fitted, curvature
+from steerd.sim_gap.engine.descent import Fitted, curvature, descend
 from steerd.sim_gap.engine.engine import Engine, Reduced
 from steerd.sim_gap.engine.knowledge import (
     Knowledge,
@@ -39,7 +39,7 @@ from steerd.sim_gap.engine.noise import (
     whitened,
 )
 from steerd.sim_gap.engine.residuals import ratios, robust_mean
-from steerd.sim_gap.engine.space import nuisance_names, telling_effects
+from steerd.sim_gap.engine.space import make_space, nuisance_names, telling_effects
 from steerd.sim_gap.engine.superset import Superset, make_superset
 from steerd.sim_gap.verdict.candidates import blocks_of, gain_of, scored, singles
 from steerd.sim_gap.verdict.decide import bounded
@@ -92,15 +92,25 @@ def teach(base: CarFile | Model[float], runs: Sequence[Run]) -> Taught:
     nuisance = (*nuisance_names(superset, runs), *structure_names(superset, runs))
     superset = replace(superset, knowledge=_weak(superset, nuisance))
     engine = open_engine(superset, runs)
-    fitted, noise = null_fit(engine, nuisance), None
-    for _ in range(_ROUNDS):
+    return _in_turn(engine, null_fit(engine, nuisance), None, nuisance, runs)
+
+
+def _in_turn(
+    engine: Engine,
+    fitted: Fitted,
+    noise: Noise | None,
+    nuisance: tuple[str, ...],
+    runs: Sequence[Run],
+) -> Taught:
+    """Noise and base, each given the other."""
+    for _ in range(_ROUNDS if noise is None else 1):
         noise = learn_noise(engine, fitted, noise)
         engine = whitened(engine, fitted, noise)
         fitted = null_fit(engine, nuisance, fitted)
     noise = _calibrated(engine, fitted, learn_noise(engine, fitted, noise), runs)
     engine = whitened(engine, fitted, noise)
     fitted = null_fit(engine, nuisance, fitted)
-    return Taught(superset, engine, fitted, noise, nuisance)
+    return Taught(engine.superset, engine, fitted, noise, nuisance)
 
 
 def structure_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
@@ -159,10 +169,10 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
 
 
 def teach_with_limits(base: CarFile, runs: Sequence[Run]) -> Taught:
-    """`teach`, once more with the limits and the play that the drives show."""
+    """`teach`, once more with the limits and the play that the drives show, free like the rest."""
     taught = teach(base, runs)
     own = _limits(taught, runs)
-    return teach(_with_effects(base, taught, own), runs) if own else taught
+    return _with_effects(taught, own, runs) if own else taught
 
 
 def taught_car(base: CarFile, taught: Taught) -> CarFile:
@@ -302,15 +312,18 @@ def _limits(taught: Taught, runs: Sequence[Run]) -> dict[str, tuple[float, ...]]
 
 
 def _with_effects(
-    base: CarFile | Model[float], taught: Taught, more: dict[str, tuple[float, ...]]
-) -> CarFile:
-    """The base with the effects that were taught, and some more."""
-    if not isinstance(base, CarFile):
-        raise TypeError("only a car file carries what was taught")
-    p, superset = taught.fitted.parameters, taught.superset
-    own = dict(zip((e.name for e in base.effects), base.values, strict=True))
-    free = {name.partition(".")[0] for name in taught.nuisance if "." in name}
-    own |= {name: tuple(float(p[i]) for i in superset.places(name)) for name in free}
-    own |= more
-    chosen = [e for e in superset.effects if e.name in own]
-    return replace(base, effects=tuple(chosen), values=tuple(own[e.name] for e in chosen))
+    taught: Taught, more: dict[str, tuple[float, ...]], runs: Sequence[Run]
+) -> Taught:
+    """What was taught, with more effects free about these values."""
+    old, before = taught.superset, taught.fitted
+    centre, start = old.base.copy(), before.parameters.copy()
+    for name, values in more.items():
+        centre[old.places(name)] = start[old.places(name)] = values
+    own = tuple(name for name in old.kernels.names if name.partition(".")[0] in more)
+    nuisance = (*taught.nuisance, *own)
+    superset = replace(old, base=centre, nulls={**old.nulls, **more})
+    superset = replace(superset, knowledge=_weak(superset, nuisance))
+    engine, space = replace(taught.engine, superset=superset), make_space(superset, nuisance)
+    z = np.clip(space.chart.coordinates(start), space.low, space.high)
+    fitted = descend(engine, space, z, before.x.copy())
+    return _in_turn(engine, fitted, taught.noise, nuisance, runs)

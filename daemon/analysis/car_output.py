@@ -149,29 +149,41 @@ def teach_car(model: Model[float], runs: "Sequence[Run]") -> "TaughtModel":
         chassis=model.chassis,
     )  # fmt: skip
     found = refine(file, runs)
-    return TaughtModel(found.model, found.sd)
+    return TaughtModel(found.model, found.sd, found.sections)
 
 
-def with_knowledge(car: CarFile, runs: "tuple[Run, ...]") -> str:
+def with_knowledge(
+    car: CarFile, runs: "tuple[Run, ...]", learnt: "Mapping[str, Mapping[str, Any]] | None" = None
+) -> str:
     """The car file's text with what these drives teach `steerd diagnose`: `[noise]`, `[knowledge]`.
 
     How large what no car explains was, the joint covariance of the base, where the model fails.
     Other drives of the car are judged by it, cut like these to where the car moves: a standing car
     is quieter. The file stays without where the drives do not identify it.
+
+    Args:
+        car: the identified car.
+        runs: its drives.
+        learnt: the tables, where the identification had to learn them itself.
     """
+    from steerd.sim_gap.engine.knowledge import about
+
+    document = tomlkit.parse(car.text)
+    try:
+        sections = learnt or _learnt(car, runs)
+    except (ValueError, FloatingPointError):
+        return car.text
+    for name, table in about(car, sections).items():
+        document[name] = table
+    return tomlkit.dumps(document)
+
+
+def _learnt(car: CarFile, runs: "tuple[Run, ...]") -> "dict[str, dict[str, Any]]":
     from steerd.sim_gap.healthy_drives import learn_sections
     from steerd.sysid.data.segments import moving_segments
     from steerd.sysid.estimation.prediction_horizon import remembering
 
-    document = tomlkit.parse(car.text)
-    try:
-        drives = moving_segments(remembering(runs, car.model, ()))
-        sections = learn_sections(car, drives)
-    except (ValueError, FloatingPointError):
-        return car.text
-    for name, table in sections.items():
-        document[name] = table
-    return tomlkit.dumps(document)
+    return learn_sections(car, moving_segments(remembering(runs, car.model, ())))
 
 
 def diagnosed_values(causes: "Sequence[Cause]", sessions: "Sequence[Path]") -> dict[str, Learned]:

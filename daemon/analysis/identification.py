@@ -112,9 +112,8 @@ class Identification:
             SteerdError: a value is none that a car file may hold.
         """
         base, given = self.request.car, given_values(self.request.fix)
-        return with_knowledge(
-            make_car(base, identified_values(self.outcome, base, given), path), self.runs
-        )
+        car = make_car(base, identified_values(self.outcome, base, given), path)
+        return with_knowledge(car, self.runs, self.outcome.sections)
 
     def save_car(self, path: Path | str) -> Path:
         """Write the car file, whole or not at all; a file that steerd did not write is kept.

@@ -44,6 +44,9 @@ def null_fit(
     space = make_space(engine.superset, nuisance, effects)
     if start is not None:
         # A linear step may have left a start where a real car never was; then the poses' own.
+        same = start.space.chart.free == space.chart.free
         with suppress(FloatingPointError):
-            return descend(engine, space, start.z.copy(), start.x.copy())
+            return descend(
+                engine, space, start.z.copy(), start.x.copy(), known=start.linear if same else None
+            )
     return descend(engine, space, space.centre.copy(), engine.readings.layout.guess.copy())

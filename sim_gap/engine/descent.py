@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from steerd.sim_gap.engine.engine import Engine, Reduced, Tangent, take_windows
+from steerd.sim_gap.engine.engine import Engine, Linear, Reduced, Tangent, take_windows
 from steerd.sim_gap.engine.space import Space
 
 Array = NDArray[np.float64]
@@ -19,6 +19,12 @@ _TRUST = 0.4
 """Derivatives are taken anew when a step gains this much more or less than it promised."""
 _STALE, _STALE_LAST = 100.0, 2.0
 """And after this many nats; at the end already after fewer."""
+_STALE_KNOWN = 1e-9
+"""Derivatives of a point near the start count as such, until a step fails."""
+_BEHIND = 60.0
+"""A hypothesis that costs so much more than another is no rival of it [nats]."""
+_REACH = 4.0
+"""What is still to be gained, at most, per what the last step did: steps shrink."""
 _LOST = 5.0
 """A window that leaves more than this of its whitened error may sit in a wrong start ..."""
 _FOUND = 10.0
@@ -44,7 +50,8 @@ class Fitted:
         at: losses about there.
         cost: sum of the losses and half the prior's square [nats].
         covariance: (n, n) of the coordinates.
-        tangent: derivatives about there.
+        tangent: derivatives about there, whitened.
+        linear: errors there and derivatives about there, as they are.
     """
 
     space: Space
@@ -54,6 +61,7 @@ class Fitted:
     cost: float
     covariance: Array
     tangent: Tangent
+    linear: Linear
 
     @property
     def parameters(self) -> Array:
@@ -133,6 +141,7 @@ class _Search:
     space: Space
     z: Array
     x: Array
+    linear: Linear
     tangent: Tangent
     at: Reduced
     cost: float
@@ -148,7 +157,7 @@ class _Search:
         """Take derivatives here."""
         linear = self.engine.linear(self.space, self.z, self.x)
         if linear.finite:
-            self.tangent = self.engine.tangent(linear)
+            self.linear, self.tangent = linear, self.engine.tangent(linear)
             self.at = self.bounded(self.engine.reduce_by(self.tangent, linear.error, self.x))
             self.cost = total(self.space, self.at, self.z)
         self.stale = 0.0
@@ -181,6 +190,7 @@ class _Search:
         gained = self.cost - total(self.space, trial, self.z + dz)
         if gained >= -1e-9 * abs(self.cost):
             self.z, self.x, self.at, self.cost = self.z + dz, x, trial, self.cost - gained
+            self.linear = self.linear._replace(error=error)
             self.stale += max(gained, 0.0)
         return gained
 
@@ -205,29 +215,49 @@ class _Search:
 
 
 def descend(
-    engine: Engine, space: Space, z: Array, x: Array, steps: int = STEPS, enough: float = ENOUGH
+    engine: Engine,
+    space: Space,
+    z: Array,
+    x: Array,
+    steps: int = STEPS,
+    enough: float = ENOUGH,
+    known: Linear | None = None,
+    beat: float = np.inf,
 ) -> Fitted:
     """Go from a start to the nearest minimum of the cost.
 
     Derivatives are taken anew only where steps no longer do what they promise, and at the end.
 
+    Args:
+        engine: the windows.
+        space: the coordinates.
+        z: (n,) where to start.
+        x: (W, 7) windows' starts there.
+        steps: how many at most.
+        enough: nats; a step that promises and gains less is the last.
+        known: errors at the start and derivatives about it, of the same windows and coordinates,
+            where somebody has them already.
+        beat: cost of a better hypothesis; a search that stays clearly above it is given up.
+
     Raises:
         FloatingPointError: the simulation is not finite at the start.
     """
-    linear = engine.linear(space, z, x)
+    linear = known or engine.linear(space, z, x)
     if not linear.finite:
         raise FloatingPointError("the simulation diverges at the start values")
     tangent = engine.tangent(linear)
     at = engine.reduce_by(tangent, linear.error, x)
     at = at._replace(limit=lost_from(at))
-    now = _Search(engine, space, z, x, tangent, at, total(space, at, z))
+    now = _Search(engine, space, z, x, linear, tangent, at, total(space, at, z))
+    now.stale = _STALE_KNOWN if known else 0.0
     now.restart()
-    _walk(now, steps, enough)
-    if now.restart():
-        _walk(now, steps, enough)
+    _walk(now, steps, enough, beat)
+    if not behind(now.cost, beat) and now.restart():
+        _walk(now, steps, enough, beat)
     if now.stale > _STALE_LAST:
         now.fresh()
-    return Fitted(space, now.z, now.x, now.at, now.cost, covariance_of(space, now.at), now.tangent)
+    covariance = covariance_of(space, now.at)
+    return Fitted(space, now.z, now.x, now.at, now.cost, covariance, now.tangent, now.linear)
 
 
 def lost_from(at: Reduced) -> float:
@@ -235,11 +265,18 @@ def lost_from(at: Reduced) -> float:
     return max(LOST_LEAST, LOST_RATIO * float(np.median(at.square / at.dof)))
 
 
-def _walk(now: _Search, steps: int, enough: float) -> None:
-    """Steps until one promises and gains too little."""
+def behind(cost: float, beat: float, within_reach: float = 0.0) -> bool:
+    """Whether a hypothesis is worse than another beyond doubt, whatever it may still gain."""
+    return cost - within_reach > beat + _BEHIND
+
+
+def _walk(now: _Search, steps: int, enough: float, beat: float) -> None:
+    """Steps until one promises and gains too little, or too little to catch up."""
     for _ in range(steps):
         promised, gained = now.step()
         if max(gained, promised) < enough:
+            break
+        if behind(now.cost, beat, _REACH * max(gained, promised)):
             break
         if abs(gained - promised) > _TRUST * promised or now.stale > _STALE:
             now.fresh()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.values import first_states, paths, readings_of
+from steerd.sim_gap.engine.values import INTEGRATOR, first_states, paths, readings_of
 from steerd.sysid.compiler.kernels import (
     HeldCommands,
     delays_of,
@@ -104,7 +104,7 @@ def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[i
     runs = np.tile(layout.spans[:, :3], (len(kinds), 1))
     runs[:, 2] += middle // engine.substeps
     blocks = make_window_blocks(runs, np.tile(layout.t, len(kinds)) + middle * at.fine)
-    held = HeldCommands(layout.commands, layout.h, engine.substeps)
+    held = HeldCommands(layout.commands, layout.h, engine.substeps, INTEGRATOR)
     steps = at.steps - middle
     late = march(engine.superset.kernels, at.parameters, first, held, blocks, steps)
     moved = view_by_window(late, len(first))
@@ -131,6 +131,6 @@ def _aimed(at: _Nominal, kind: int, low: int, high: int) -> Array:
     runs = np.column_stack([start, start + width, start + late + 1])
     kernels = engine.superset.kernels
     first = first_states(kernels, engine.readings, at.parameters, at.x, sub)
-    held = HeldCommands(commands.reshape(-1, 2), layout.h, sub)
+    held = HeldCommands(commands.reshape(-1, 2), layout.h, sub, INTEGRATOR)
     path = march(kernels, at.parameters, first, held, make_window_blocks(runs, layout.t), at.steps)
     return np.ascontiguousarray(view_by_window(path, at.count))

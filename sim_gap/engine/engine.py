@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from steerd.sim_gap.engine.readings import Readings
 from steerd.sim_gap.engine.space import Space
 from steerd.sim_gap.engine.superset import Superset
-from steerd.sim_gap.engine.values import predicted
+from steerd.sim_gap.engine.values import INTEGRATOR, predicted
 from steerd.sysid.compiler.kernels import (
     HeldCommands,
     Stations,
@@ -169,7 +169,7 @@ class Engine:
         """Errors and derivatives at coordinates `z` and starts `x`."""
         parameters, n = space.chart.parameters(z), len(z)
         kernels, layout = self.superset.kernels, self.readings.layout
-        held = HeldCommands(layout.commands, layout.h, self.substeps)
+        held = HeldCommands(layout.commands, layout.h, self.substeps, INTEGRATOR)
         seeds = np.zeros((len(parameters), n + STATES))
         seeds[:, :n] = space.chart.slopes(z)
         dfirst = np.zeros((STATES, n + STATES))
@@ -262,7 +262,7 @@ def make_engine(superset: Superset, readings: Readings, sigma: Array) -> Engine:
     per_row = (1.0 / sigma)[readings.layout.group][padded.row] * padded.there
     white = per_row[:, :, None] * np.eye(padded.there.shape[1])
     car = model_of(superset.kernels, superset.base).car
-    substeps = stable_substeps(car, *readings.speeds, readings.layout.h)
+    substeps = stable_substeps(car, *readings.speeds, readings.layout.h, INTEGRATOR)
     return Engine(superset, readings, padded, white, substeps)
 
 

@@ -42,6 +42,8 @@ _START = np.array([1e-3, 2e-3, 0.02, 0.05, 0.3, 0.3, 2.0, WHEEL_SLIP])
 LOUDER = 1.3
 """Instruments that are noisier than known by this factor are believed to be."""
 _ROUNDS = 40
+_ENOUGH = 1e-7
+"""Share of the log-likelihood below which a step is the last: some hundredths of a nat."""
 _KEYS = ("position", "yaw", "wheel_speed", "yaw_rate", "push_along", "push_across", "push_about",
          "wheel_slip")  # fmt: skip
 
@@ -132,7 +134,7 @@ def learn_noise(engine: Engine, fitted: Fitted, guess: Noise | None = None) -> N
     """
     chosen = np.linspace(0, engine.readings.count - 1, WINDOWS_MOST).round().astype(int)
     chosen = np.unique(chosen)
-    at = engine.linear(fitted.space, fitted.z, fitted.x)
+    at = fitted.linear
     seen = responses(engine, fitted.parameters, fitted.x, (0, 1, 2))
     pushed = [v[chosen] for v in shapes(engine, seen, (0, 1, 2))]
     pushed.append(slip_shape(engine, at.error)[chosen])
@@ -144,7 +146,7 @@ def learn_noise(engine: Engine, fitted: Fitted, guess: Noise | None = None) -> N
     found = minimize(
         _likelihood, np.log(first), (error, known, rows, pushed, there), jac=True,
         method="L-BFGS-B", bounds=list(zip(np.log(_LEAST), np.log(_MOST), strict=True)),
-        options={"maxiter": _ROUNDS},
+        options={"maxiter": _ROUNDS, "ftol": _ENOUGH},
     )  # fmt: skip
     sizes = np.exp(found.x)
     absent = rows.sum(axis=(1, 2)) == 0
@@ -174,7 +176,7 @@ def _likelihood(
     cov[:, width, width] += np.einsum("g,gwd->wd", squares[:_INSTRUMENTS], rows) + (1.0 - there)
     lower = np.linalg.cholesky(cov)
     inverse = np.linalg.inv(cov)
-    pulled = np.einsum("wij,wj->wi", inverse, error)
+    pulled = np.matmul(inverse, error[:, :, None])[:, :, 0]
     square, dof = (error * pulled).sum(axis=1), there.sum(axis=1)
     weight = 2.0 / (1.0 + square / dof)
     halves = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum()
@@ -184,8 +186,8 @@ def _likelihood(
     for g in range(_INSTRUMENTS):
         slope[g] = (rows[g] * (spread - weight[:, None] * pulled**2)).sum()
     for i, v in enumerate(pushed):
-        trace = np.einsum("wij,wji->w", inverse, v)
-        bent = np.einsum("wi,wij,wj->w", pulled, v, pulled)
+        trace = (inverse * v).sum(axis=(1, 2))
+        bent = (np.matmul(v, pulled[:, :, None])[:, :, 0] * pulled).sum(axis=1)
         slope[_INSTRUMENTS + i] = (trace - weight * bent).sum()
     return value, slope * squares
 

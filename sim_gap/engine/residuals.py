@@ -64,7 +64,8 @@ def settled(engine: Engine, space: Space, z: Array, x: Array | None = None) -> F
         x, at = x + at.dx, moved
         if gained < _SETTLED:
             break
-    return Fitted(space, z, x, at, total(space, at, z), covariance_of(space, at), tangent)
+    here = linear._replace(error=engine.missed(space, z, x)[0])
+    return Fitted(space, z, x, at, total(space, at, z), covariance_of(space, at), tangent, here)
 
 
 def robust_mean(ratios: Array) -> float:

@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 CHASSIS = 6
+INTEGRATOR = "midpoint"
+"""Half the work of `rk4`; on a grid of 5 ms a position differs by 0.01 mm after a second."""
 
 
 def active_model(kernels: Kernels, parameters: Array) -> Model[float]:
@@ -81,7 +83,7 @@ def first_states(
         before = layout.spans[:, :3].copy()
         before[:, 2] -= settle
         blocks = make_window_blocks(before, layout.t - settle * layout.h)
-        held = HeldCommands(layout.commands, layout.h, substeps)
+        held = HeldCommands(layout.commands, layout.h, substeps, INTEGRATOR)
         path = march(kernels, parameters, calm, held, blocks, settle * substeps)
         last = view_by_window(path[-1:], len(x))[:, 0]
         kept = [6, *(7 + i for i in _linkage_places(kernels.effects))]
@@ -97,7 +99,7 @@ def paths(
     layout = readings.layout
     first = first_states(kernels, readings, parameters, x, substeps)
     blocks = make_window_blocks(layout.spans[:, :3], layout.t)
-    held = HeldCommands(layout.commands, layout.h, substeps)
+    held = HeldCommands(layout.commands, layout.h, substeps, INTEGRATOR)
     steps = int(layout.spans[:, 3].max()) * substeps
     return np.ascontiguousarray(
         view_by_window(march(kernels, parameters, first, held, blocks, steps), len(x))

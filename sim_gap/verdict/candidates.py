@@ -12,7 +12,7 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from steerd.sim_gap.engine.constants import REFITS, WINSOR
-from steerd.sim_gap.engine.descent import Fitted, curvature, descend, step_within
+from steerd.sim_gap.engine.descent import Fitted, behind, curvature, descend, step_within
 from steerd.sim_gap.engine.engine import Engine
 from steerd.sim_gap.verdict.screen import Promise, extended, screen
 
@@ -108,9 +108,21 @@ def scored(engine: Engine, fitted: Fitted) -> Score:
 
 
 def refit(
-    engine: Engine, start: Fitted, nuisance: Sequence[str], promises: Sequence[Promise]
+    engine: Engine,
+    start: Fitted,
+    nuisance: Sequence[str],
+    promises: Sequence[Promise],
+    beat: float = np.inf,
 ) -> Score | None:
-    """A hypothesis with further effects, from the best of several starts; None if all diverge."""
+    """A hypothesis with further effects, from the best of several starts; None if all diverge.
+
+    Args:
+        engine: the windows.
+        start: the hypothesis to add to.
+        nuisance: base parameters that are free.
+        promises: what is added.
+        beat: cost of a better hypothesis: one that stays far above it is not brought to its best.
+    """
     space, z = extended(engine, start, nuisance, [p.effect for p in promises])
     tried = z.copy()
     values = np.concatenate([p.start for p in promises])
@@ -120,12 +132,12 @@ def refit(
     starts = [tried, 0.5 * (z + tried)] if len(promises) == 1 else [tried]
     for first in starts:
         try:
-            found = descend(engine, space, first, start.x.copy())
+            found = descend(engine, space, first, start.x.copy(), beat=beat)
         except FloatingPointError:
             continue
         if best is None or found.cost < best.cost:
             best = found
-        if best.cost < start.cost - 0.5 * promises[0].gain:
+        if best.cost < start.cost - 0.5 * promises[0].gain or behind(best.cost, beat):
             break
     return None if best is None else scored(engine, best)
 
@@ -138,11 +150,15 @@ def refit_all(
     jobs: int = 1,
     most: int = REFITS,
 ) -> list[Score]:
-    """Refit the most promising effects, each alone."""
+    """Refit the most promising effects, each alone; what the first few leave is to be beaten."""
     chosen = [p for p in promises if p.gain > 0.5][:most]
-    tasks = (delayed(refit)(engine, start, nuisance, [p]) for p in chosen)
-    found = Parallel(n_jobs=jobs, prefer="threads")(tasks)
-    return [score for score in found if score is not None]
+    found: list[Score] = []
+    for batch in (chosen[:1], chosen[1:2], chosen[2:]):
+        beat = min((score.fitted.cost for score in found), default=np.inf)
+        tasks = (delayed(refit)(engine, start, nuisance, [p], beat) for p in batch)
+        scores = Parallel(n_jobs=jobs, prefer="threads")(tasks)
+        found += [score for score in scores if score is not None]
+    return found
 
 
 def singles(

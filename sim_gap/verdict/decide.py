@@ -2,7 +2,7 @@
 
 # Why: docs/decisions/diagnosis.md#d34
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,7 +107,8 @@ def promising_pair(
     for first in ranked[: 1 + near(ranked, blocks)]:
         promises = screen(engine, first.fitted, nuisance, only)
         for promise in [p for p in promises[:3] if p.gain > c.PAIR_PROMISE]:
-            pair = refit(engine, first.fitted, nuisance, [promise])
+            beat = np.inf if best is None else best.fitted.cost
+            pair = refit(engine, first.fitted, nuisance, [promise], beat)
             if pair is not None and (best is None or pair.losses.sum() < best.losses.sum()):
                 best = pair
     return best
@@ -152,7 +153,7 @@ def needless(pair: Score, kept: Score, blocks: NDArray[np.int64]) -> bool:
 
 
 def dropped(engine: Engine, pair: Score, nuisance: Sequence[str]) -> list[tuple[str, Score]]:
-    """The pair without each of its effects, refitted."""
+    """The pair without each of its effects, refitted as far as it is a rival."""
     out = []
     for name in pair.effects:
         kept = [e for e in pair.effects if e != name]
@@ -160,7 +161,7 @@ def dropped(engine: Engine, pair: Score, nuisance: Sequence[str]) -> list[tuple[
         names = pair.fitted.space.chart.free
         z = np.array([pair.fitted.z[names.index(n)] for n in space.chart.free])
         z = np.clip(z, space.low, space.high)
-        fitted = descend(engine, space, z, pair.fitted.x.copy())
+        fitted = descend(engine, space, z, pair.fitted.x.copy(), beat=pair.fitted.cost)
         out.append((name, scored(engine, fitted)))
     return out
 
@@ -326,7 +327,7 @@ def choose(
         drops = dropped(engine, pair, nuisance)
         alone = [kept for _, kept in drops if needless(pair, kept, blocks)]
         if not alone:
-            return _two(engine, null, ranked, pair, nuisance, blocks, only)
+            return _two(engine, null, ranked, pair, nuisance, blocks, only, dict(drops))
         best = max(alone, key=lambda kept: gain_of(kept, null, blocks)[0])
         ranked = [best, *(s for s in ranked if s.effects != best.effects)]
     gain, se = gain_of(best, null, blocks)
@@ -348,22 +349,25 @@ def _two(
     nuisance: Sequence[str],
     blocks: NDArray[np.int64],
     only: Sequence[str] | None,
+    rest: Mapping[str, Score],
     swapped: int = 0,
 ) -> Choice:
     """Two causes: the one whose absence costs more comes first; rivals from swaps.
 
     A swap that predicts better takes the pair's place.
     """
-    rest = dict(dropped(engine, pair, nuisance))
     worth = {name: gain_of(pair, without, blocks)[0] for name, without in rest.items()}
     order = sorted(pair.effects, key=lambda name: -worth[name])
-    swaps = {name: _swaps(engine, rest[name], name, nuisance, only) for name in order}
+    swaps = {
+        name: _swaps(engine, rest[name], name, nuisance, only, pair.fitted.cost) for name in order
+    }
     better = max(
         (s for found in swaps.values() for s in found if _all_large(engine, s)),
         key=lambda s: gain_of(s, pair, blocks)[0], default=pair,
     )  # fmt: skip
     if swapped < c.SWAPS and gain_of(better, pair, blocks)[0] > c.AMBIGUOUS_NATS:
-        return _two(engine, null, ranked, better, nuisance, blocks, only, swapped + 1)
+        rest = dict(dropped(engine, better, nuisance))
+        return _two(engine, null, ranked, better, nuisance, blocks, only, rest, swapped + 1)
     rivals = [
         tuple(n for n in rivals_of(pair, swaps[name], {}, blocks) if n != name) for name in order
     ]
@@ -383,10 +387,11 @@ def _swaps(
     name: str,
     nuisance: Sequence[str],
     only: Sequence[str] | None,
+    beat: float,
 ) -> list[Score]:
     """The hypothesis with the dropped effect replaced by the most promising others."""
     promises: list[Promise] = [
         p for p in screen(engine, kept.fitted, nuisance, only) if p.effect != name and p.gain > 1.0
     ]
-    found = [refit(engine, kept.fitted, nuisance, [p]) for p in promises[:3]]
+    found = [refit(engine, kept.fitted, nuisance, [p], beat) for p in promises[:3]]
     return [score for score in found if score is not None]

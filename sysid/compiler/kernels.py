@@ -44,6 +44,7 @@ CACHE_LINE = 64
 """[byte]."""
 TABLEAUS: dict[str, Array] = {
     "euler": np.array([[0.0], [1.0]]),
+    "midpoint": np.array([[0.0, 0.5], [0.0, 1.0]]),
     "rk4": np.array([[0.0, 0.5, 0.5, 1.0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]]),
 }
 """Node and weight of each stage (Butcher): a stage starts from the slope of the one before it."""
@@ -79,7 +80,7 @@ class HeldCommands(NamedTuple):
         rows: (rows, 2) steer [rad] and speed [m/s].
         h: the grid's step [s].
         substeps: integration steps to a command.
-        integrator: `rk4` or `euler`.
+        integrator: of `TABLEAUS`.
     """
 
     rows: Array

@@ -201,6 +201,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         log_jitters=tuple(run.log_jitter for run in (*task.runs, *task.held_out) if run.log_jitter),
         selected_effects=selected,
         regimes=by_lateral_acceleration(traces[0], REGIME),
+        sections={} if taught is None else taught.sections,
     )
 
 

@@ -1,5 +1,6 @@
 """What an identification came to, whatever the method: for the screen, JSON and the report."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isfinite, isnan
 from typing import Any, NamedTuple
@@ -81,6 +82,7 @@ class Outcome:
         log_jitters: how late slow logs stored the steering, by drive.
         selected_effects: effects that the drives showed, in the order in which they were taken.
         regimes: prediction errors after 1 s by lateral acceleration.
+        sections: tables that were learnt with the car, for its file; empty where they were not.
     """
 
     method: str
@@ -104,6 +106,7 @@ class Outcome:
     log_jitters: tuple[LogJitter, ...] = ()
     selected_effects: tuple[Step, ...] = ()
     regimes: tuple[Regime, ...] = ()
+    sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def free_rows(self) -> dict[str, Row]:

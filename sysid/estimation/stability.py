@@ -9,8 +9,8 @@ from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.params import Car
 from steerd.car_model.rollout import stiffness_rate
 
-DECAY_MAX = 2.0
-"""Decay per RK4 step that is surely stable (its limit is 2.78)."""
+DECAY_MAX = {"rk4": 2.0, "midpoint": 1.4, "euler": 1.4}
+"""Decay per step that is surely stable (the limits are 2.78, 2 and 2)."""
 SUBSTEPS_MAX = 16
 
 
@@ -25,9 +25,11 @@ def decay_rate(car: Car[float], slowest: float, fastest: float) -> float:
     return float(np.max(share * tyres + (1.0 - share) * KINEMATIC_RATE))
 
 
-def stable_substeps(car: Car[float], slowest: float, fastest: float, h: float) -> int:
-    """RK4 steps that a step of `h` seconds needs for speeds in this range [m/s]."""
+def stable_substeps(
+    car: Car[float], slowest: float, fastest: float, h: float, integrator: str = "rk4"
+) -> int:
+    """Integration steps that a step of `h` seconds needs for speeds in this range [m/s]."""
     rate = decay_rate(car, slowest, fastest)
     if not math.isfinite(rate):
         return SUBSTEPS_MAX
-    return min(max(1, math.ceil(h * rate / DECAY_MAX)), SUBSTEPS_MAX)
+    return min(max(1, math.ceil(h * rate / DECAY_MAX[integrator])), SUBSTEPS_MAX)

@@ -7,7 +7,8 @@ upwards.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,10 +29,12 @@ class TaughtModel(NamedTuple):
     Attributes:
         model: the car with the effects that the drives show.
         sd: standard errors of what was free, by `parameter` or `effect.parameter`.
+        sections: tables for the car file beside its numbers, by name.
     """
 
     model: Model[float]
     sd: Mapping[str, float]
+    sections: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
 
 
 Teacher = Callable[[Model[float], Sequence[Run]], TaughtModel]
