@@ -43,6 +43,7 @@ from steerd.sim_gap.engine.space import make_space, nuisance_names, telling_effe
 from steerd.sim_gap.engine.superset import Superset, make_superset
 from steerd.sim_gap.verdict.candidates import blocks_of, gain_of, scored, singles
 from steerd.sim_gap.verdict.decide import bounded
+from steerd.sim_gap.verdict.screen import screen
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.estimation.chart import make_chart
@@ -171,7 +172,7 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
 def teach_with_limits(base: CarFile, runs: Sequence[Run]) -> Taught:
     """`teach`, once more with the limits and the play that the drives show, free like the rest."""
     taught = teach(base, runs)
-    own = _limits(taught, runs)
+    own = _shown(taught, runs)
     return _with_effects(taught, own, runs) if own else taught
 
 
@@ -291,19 +292,23 @@ def _with_secants(taught: Taught) -> Reduced:
     return engine.reduce_by(tangent, linear.error, fitted.x)._replace(limit=fitted.at.limit)
 
 
-def _limits(taught: Taught, runs: Sequence[Run]) -> dict[str, tuple[float, ...]]:
-    """Limits and play that healthy drives show: their gradient at the null is zero."""
+def _shown(taught: Taught, runs: Sequence[Run]) -> dict[str, tuple[float, ...]]:
+    """Further effects that healthy drives show: this car has them, so later they are no gap."""
     engine, null, nuisance = taught.engine, taught.fitted, taught.nuisance
     shown = telling_effects(taught.superset, runs)
+    free = {name.partition(".")[0] for name in nuisance if "." in name}
     only = [
         e.name
         for e in taught.superset.effects
-        if e.zero_gradient and e.name in shown and e.selectable_in_base is not BaseSelection.NEVER
+        if e.name in shown
+        and e.name not in free
+        and e.selectable_in_base is not BaseSelection.NEVER
     ]
     base, blocks = scored(engine, null), blocks_of(engine)
-    ranked = singles(engine, null, nuisance, only)
+    promises = [p for p in screen(engine, null, nuisance, only) if p.gain > c.BUILT_IN_GAIN]
+    ranked = singles(engine, null, nuisance, only, promises=promises)
     found: dict[str, tuple[float, ...]] = {}
-    for score in ranked:
+    for score in ranked[: c.BUILT_IN]:
         gain, se = gain_of(score, base, blocks)
         if gain > max(c.BUILT_IN_GAIN, c.BUILT_IN_SE * bounded(gain, se)):
             p = score.fitted.parameters

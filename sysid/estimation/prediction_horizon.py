@@ -10,9 +10,9 @@ that is off by more than instruments after 2 s is fitted over 2 s at most.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
-from scipy.signal import lfilter
 
 from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
@@ -85,9 +85,9 @@ def outpaced(model: Model[float], runs: Sequence[Run]) -> bool:
 
 def _fastest(run: Run, car: Car[float]) -> float:
     """Largest rate that a wheel with a lag alone would turn at [rad/s]."""
-    keeps = np.exp(-run.h / max(car.steer_lag, run.h))
-    steer = car.steer_gain * run.commands[:, 0]
-    wheel = lfilter([1.0 - keeps], [1.0, -keeps], steer, zi=[keeps * steer[0]])[0]
+    keeps = float(np.exp(-run.h / max(car.steer_lag, run.h)))
+    steer = (car.steer_gain * run.commands[:, 0]).tolist()
+    wheel = list(accumulate(steer, lambda angle, aim: aim + keeps * (angle - aim)))
     return float(np.abs(np.diff(wheel)).max()) / run.h
 
 
