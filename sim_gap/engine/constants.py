@@ -86,7 +86,6 @@ PAIR_SHARE = 0.005
 """A second cause also gains this share of what the first does: less is how the first is wrong."""
 BUILT_IN = 3
 """Effects that a healthy car may turn out to have, at most."""
-BUILT_IN_GAIN = 12.0
-"""And what each gains on held-out parts of the healthy drives, at least [nats] ..."""
-BUILT_IN_SE = 2.0
-"""... and in its standard errors: a manner too many costs less than one that passes for a gap."""
+BUILT_IN_GAIN = 4.0
+"""And what each gains on the healthy drives, at least [nats]. Little is enough: a base that is free
+in one direction too many costs some power, one too few accuses."""

@@ -164,12 +164,12 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     fitted, kept, words = _split(task, parts)
     selected: tuple[Step, ...] = ()
     if task.method == "ours":
-        task, selected = _shaped(task, fitted, rough)
-        found: Fit | None = _fit_ours(task, fitted)
+        task, selected, rough = _shaped(task, fitted, rough)
+        found: Fit | None = rough if _is_taught(task, rough) else _fit_ours(task, fitted)
         searches: tuple[SearchHistory, ...] = ()
     else:
         found, searches = None, _search(task)
-    taught = _taught(task, found, fitted)
+    taught = _taught(task, given, found, fitted)
     seconds = clock() - began
     car, rows = _rows(task, given, found, searches)
     after, effect_rows = task.model._replace(car=car), _effect_rows(task.model, found)
@@ -205,16 +205,27 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     )
 
 
-def _taught(task: Task, found: Fit | None, fitted: Sequence[Run]) -> TaughtModel | None:
+def _taught(
+    task: Task, given: Car[float], found: Fit | None, fitted: Sequence[Run]
+) -> TaughtModel | None:
     """The car by the teacher, where the fit leaves more than noise and nobody stated otherwise."""
-    if task.teach is None or found is None or task.stated or task.effects:
-        return None
-    if task.options.wheelbase is not None or max(found.misfit.values(), default=0.0) <= POOR:
+    if task.teach is None or found is None or not _is_taught(task, found):
         return None
     try:
-        return task.teach(start_of(task.model, found), fitted)
+        taught = task.teach(start_of(task.model, found), fitted)
     except (ValueError, FloatingPointError):
         return None
+    car = taught.model.car
+    if task.model.car.steer_max != given.steer_max:
+        car = reached(car, given, task.runs)
+    return taught._replace(model=taught.model._replace(car=car))
+
+
+def _is_taught(task: Task, found: Fit) -> bool:
+    """Whether the values shall come from the teacher: then windows need not grow any longer."""
+    stated = task.stated or task.effects or task.options.wheelbase is not None
+    poor = max(found.misfit.values(), default=0.0) > POOR
+    return task.teach is not None and not stated and poor
 
 
 def _split(task: Task, parts: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...], str]:
@@ -260,20 +271,25 @@ def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...], Fit
     return task, tuple(pulses), tuple(ramps), rough
 
 
-def _shaped(task: Task, runs: Sequence[Run], rough: Fit | None) -> tuple[Task, tuple[Step, ...]]:
-    """The task with the effects that the drives show, and windows as long as the car then holds."""
+def _shaped(
+    task: Task, runs: Sequence[Run], rough: Fit | None
+) -> tuple[Task, tuple[Step, ...], Fit]:
+    """The task with the effects that the drives show, and windows as long as the car then holds.
+
+    Last comes the rough fit that told them.
+    """
     short = replace(task.options, horizons=SHORT)
     if rough is None or task.effects:
         rough = fit(runs, task.model, options=replace(task.options, horizons=ROUGH))
     if not task.effects:
-        return replace(task, options=reaching(task.options, rough)), ()
+        return replace(task, options=reaching(task.options, rough)), (), rough
     selection = choose(runs, rough, short, task.effects)
     if not selection.steps:
-        return replace(task, options=reaching(task.options, rough)), ()
+        return replace(task, options=reaching(task.options, rough)), (), rough
     model, free = selection.nulled(task.model), (*(task.options.free or NAMES), *selection.free)
     better = fit(runs, model, options=replace(short, free=free), starts=[selection.model])
     options = replace(task.options if holds(better) else short, free=free)
-    return replace(task, model=model, options=options, first=better.model), selection.steps
+    return replace(task, model=model, options=options, first=better.model), selection.steps, better
 
 
 def _doubts(task: Task, pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...]:
@@ -361,7 +377,7 @@ def _rows(
     values = {name: each[0] for name, each in told.items() if name in Car._fields}
     car = task.model.car._replace(**values)
     if task.model.car.steer_max != given.steer_max:
-        car = reached(car, task.runs)
+        car = reached(car, given, task.runs)
     rows = {}
     for p in PARAMETERS:
         before, value = float(getattr(given, p.name)), float(getattr(car, p.name))

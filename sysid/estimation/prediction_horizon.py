@@ -91,12 +91,14 @@ def _fastest(run: Run, car: Car[float]) -> float:
     return float(np.abs(np.diff(wheel)).max()) / run.h
 
 
-def reached(car: Car[float], runs: Sequence[Run]) -> Car[float]:
-    """The car with end stops where the drives went: nothing is known beyond."""
+def reached(car: Car[float], given: Car[float], runs: Sequence[Run]) -> Car[float]:
+    """The car with the end stops it was given, moved out to where the drives went beyond them."""
     asked = np.concatenate([run.commands[:, 0] for run in runs])
     low, high = car.steer_gain * float(asked.min()), car.steer_gain * float(asked.max())
     side = max(-low, high) + abs(car.steer_bias)
-    return car._replace(steer_min=-side, steer_max=side)
+    return car._replace(
+        steer_min=min(given.steer_min, -side), steer_max=max(given.steer_max, side)
+    )
 
 
 def scale_inertia(model: Model[float], known: Model[float]) -> Model[float]:
