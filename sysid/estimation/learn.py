@@ -165,7 +165,8 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     selected: tuple[Step, ...] = ()
     if task.method == "ours":
         task, selected, rough = _shaped(task, fitted, rough)
-        found: Fit | None = rough if _is_taught(task, rough) else _fit_ours(task, fitted)
+        alone = _is_taught(task, rough) and not has_one_speed(fitted)
+        found: Fit | None = rough if alone else _fit_ours(task, fitted)
         searches: tuple[SearchHistory, ...] = ()
     else:
         found, searches = None, _search(task)
