@@ -22,6 +22,11 @@ SPEED_MIN = 0.4
 """Speed of a segment, at least [m/s]."""
 DURATION_MIN = 2.0
 """Shorter segments are left out [s]."""
+SHORT_TOLD = 0.5
+"""Shorter ones are starts and stops, and nobody misses them [s]."""
+PAUSE, PAUSE_STEPS = 0.3, 5.0
+"""Poses that stay away so long [s], and so many times longer than they usually do, are a pause of
+the log: no window reaches across one, where everything would hang on the start."""
 SMOOTH = 0.3
 """Width of the Hann window that smooths a prescribed speed [s]."""
 BLOCK = 5.4
@@ -89,8 +94,37 @@ def _spans(run: Run) -> list[tuple[float, float]]:
     slow = np.convolve(np.interp(grid, t, np.abs(speed)), np.ones(11) / 11.0, "same")
     moving = (np.abs(run.commands[:, 1]) > SPEED_MIN) & (slow > SPEED_MIN)
     moving &= (grid >= run.pose.t[0]) & (grid <= run.pose.t[-1])
+    for first, last in pauses(run):
+        moving &= (grid <= first) | (grid >= last)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(int)))
     return [(a * run.h, b * run.h) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def pauses(run: Run) -> list[tuple[float, float]]:
+    """Stretches without poses: last pose before and first after each [s]."""
+    steps = np.diff(run.pose.t)
+    least = max(PAUSE, PAUSE_STEPS * float(np.median(steps))) if len(steps) else np.inf
+    places = np.flatnonzero(steps > least)
+    return [(float(run.pose.t[i]), float(run.pose.t[i + 1])) for i in places]
+
+
+def tell_unused(runs: Sequence[Run]) -> tuple[str, ...]:
+    """What of the driving `moving_segments` leaves out without being asked to, in words."""
+    texts = []
+    lengths = [high - low for run in runs for low, high in _spans(run)]
+    short = [n for n in lengths if SHORT_TOLD < n < DURATION_MIN + HISTORY]
+    if short:
+        texts.append(
+            f"{len(short)} stretch{'es' * (len(short) > 1)} of driving shorter than "
+            f"{DURATION_MIN + HISTORY:g} s, {sum(short):.0f} s of {sum(lengths):.0f} s in all, "
+            "not used: what a car does then depends on how it began"
+        )
+    texts += [
+        f"{run.name}: no poses from {first:.2f} s to {last:.2f} s; the drive is cut there"
+        for run in runs
+        for first, last in pauses(run)
+    ]
+    return tuple(texts)
 
 
 def moving_segments(runs: Sequence[Run]) -> tuple[Run, ...]:
