@@ -35,6 +35,10 @@ FREE_STATES = 6
 """States of a start that the window itself must tell: what they take is no degree of freedom."""
 WILD = 1e3
 """Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s]."""
+WILD_SHARE = 0.1
+"""More such windows than this, and the whole simulation counts as diverged: a few are lost alone."""
+WILD_ERROR = 1.0
+"""What every reading of such a window is taken to be off by, whatever is changed [m, rad, ...]."""
 
 
 class Padded(NamedTuple):
@@ -178,12 +182,24 @@ class Engine:
             kernels, parameters, seeds, x, dfirst, held, layout.kernel_windows(self.substeps),
             self._stations(parameters, held.fine),
         )  # fmt: skip
-        error = layout.values - y
+        error, jy = self.pad(self._off(y)), self.pad(jy)
+        wild = ~((np.abs(error).max(axis=1) < WILD) & (np.abs(jy).max(axis=(1, 2)) < WILD**2))
+        jy[wild] = 0.0
+        error, finite = self._without(wild, error)
+        return Linear(error, jy[:, :, :n], jy[:, :, n:], finite)
+
+    def _off(self, y: Array) -> Array:
+        """(R,) measurements minus readings, angles the short way round."""
+        error = self.readings.layout.values - y
         turn = self.readings.channel == 2
-        error[turn] = (error[turn] + np.pi) % (2.0 * np.pi) - np.pi
-        finite = bool(np.abs(error).max() < WILD and np.abs(jy).max() < WILD**2)
-        jy = self.pad(jy)
-        return Linear(self.pad(error), jy[:, :, :n], jy[:, :, n:], finite)
+        with np.errstate(invalid="ignore"):  # a window that left the map
+            error[turn] = (error[turn] + np.pi) % (2.0 * np.pi) - np.pi
+        return error
+
+    def _without(self, wild: NDArray[np.bool_], error: Array) -> tuple[Array, bool]:
+        """Errors with those of windows that left the map at a fixed size, and whether all is well."""
+        error[wild] = WILD_ERROR * self.padded.there[wild]
+        return error, bool(wild.mean() <= WILD_SHARE)
 
     def _stations(self, parameters: Array, step: float) -> Stations:
         late = float(delays_of(self.superset.kernels, parameters)[2])
@@ -194,11 +210,8 @@ class Engine:
         y = predicted(
             self.superset.kernels, self.readings, space.chart.parameters(z), x, self.substeps
         )
-        error = self.readings.layout.values - y
-        turn = self.readings.channel == 2
-        error[turn] = (error[turn] + np.pi) % (2.0 * np.pi) - np.pi
-        finite = bool(np.abs(error).max() < WILD)
-        return self.pad(error), finite
+        error = self.pad(self._off(y))
+        return self._without(~(np.abs(error).max(axis=1) < WILD), error)
 
     def reduce(self, space: Space, z: Array, x: Array) -> Reduced:
         """Losses at coordinates `z`, with the starts eliminated about `x`."""

@@ -121,7 +121,7 @@ def readings_of(
         invalid="ignore"
     ):  # a car that spun away reads nothing; such a step is refused
         state: State[Any] = State(*(a + share * (b - a)).T)
-    shown = observe(NUMPY, active_model(kernels, parameters), state)
+        shown = observe(NUMPY, active_model(kernels, parameters), state)
     out = np.empty(len(readings.layout.values))
     pose = seen.kind == 0
     for channel in range(3):
