@@ -52,7 +52,7 @@ Array = NDArray[np.float64]
 
 ORDINARY: dict[str, float] = {
     "lf": 0.015, "lr": 0.1, "steer_gain": 0.33, "inertia_z": 0.4, "c_sf": 0.7, "c_sr": 0.7,
-    "marker_offset.forward": 0.25,
+    "marker_offset.forward": 0.25, "accel_max": 0.2, "decel_max": 0.2,
 }  # fmt: skip
 """Share of identification's weak priors that is left when a base is taught.
 

@@ -110,9 +110,7 @@ def knowledge_section(known: Knowledge) -> dict[str, Any]:
     }
 
 
-def about(
-    car: CarFile, sections: Mapping[str, Mapping[str, Any]]
-) -> dict[str, dict[str, Any]]:
+def about(car: CarFile, sections: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """A car file's learnt tables, `[knowledge]` marked as being about this file's numbers."""
     tables = {name: dict(table) for name, table in sections.items()}
     if "knowledge" in tables:

@@ -26,12 +26,14 @@ FLOORS = {
     "lf": 0.002, "lr": 0.002, "c_sf": 0.02, "c_sr": 0.02, "c_x": 0.1, "inertia_z": 0.03,
     "steer_gain": 0.004, "steer_bias": 5e-4, "steer_delay": 1e-3, "steer_lag": 2e-3,
     "steer_rate": 0.02, "speed_gain": 0.002, "speed_lag": 4e-3, "drive_delay": 2e-3,
-    "pose_delay": 5e-4,
+    "accel_max": 0.1, "decel_max": 0.1, "pose_delay": 5e-4,
 }  # fmt: skip
 """Least prior standard deviation: what an identified car is off by because every model is wrong.
 
 Relative for stiffnesses, inertia and gains, else in the parameter's unit.
 """
+LIMITS = ("steer_rate", "accel_max", "decel_max")
+"""What no data sheet of a servo, a motor or a tyre says of this car: drives that reach a limit do."""
 KNOWN_WIDER = 1.2
 """Prior standard deviations per those of a joint covariance from healthy drives."""
 SESSION = 0.3
@@ -93,15 +95,17 @@ def nuisance_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     slipping = bool(superset.kernels.chassis.drive)
     sources = {run.speed_source for run in runs}
     names = [name for name in FLOORS if name != "c_x" or slipping]
-    if superset.knowledge is None and superset.sd:
-        names.remove("steer_rate")  # an identification from before it was free
+    if superset.knowledge is None and superset.sd:  # an identification from before they were free
+        names = [name for name in names if name not in LIMITS]
     if superset.knowledge is not None:
         names = [name for name in superset.knowledge.names if "." in name or name in names]
         held = {e.name for e in superset.effects if e.follows_acceleration}
         if sources != {"command"}:
             names = [name for name in names if name.partition(".")[0] not in held]
     if sources != {"command"}:
-        gone = {"speed_lag", "drive_delay"} | ({"speed_gain"} if "wheel" not in sources else set())
+        gone = {"speed_lag", "drive_delay", *LIMITS[1:]} | (
+            {"speed_gain"} if "wheel" not in sources else set()
+        )
         names = [name for name in names if name not in gone]
     if (
         superset.knowledge is None

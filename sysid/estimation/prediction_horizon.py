@@ -96,9 +96,7 @@ def reached(car: Car[float], given: Car[float], runs: Sequence[Run]) -> Car[floa
     asked = np.concatenate([run.commands[:, 0] for run in runs])
     low, high = car.steer_gain * float(asked.min()), car.steer_gain * float(asked.max())
     side = max(-low, high) + abs(car.steer_bias)
-    return car._replace(
-        steer_min=min(given.steer_min, -side), steer_max=max(given.steer_max, side)
-    )
+    return car._replace(steer_min=min(given.steer_min, -side), steer_max=max(given.steer_max, side))
 
 
 def scale_inertia(model: Model[float], known: Model[float]) -> Model[float]:
