@@ -193,7 +193,7 @@ def is_flat(process: dict[str, Any]) -> bool:
     return same and process["rss_mib_per_h"] <= RSS_MIB_PER_H
 
 
-def tell(result: dict[str, Any]) -> None:
+def show(result: dict[str, Any]) -> None:
     """Print one run."""
     print("| process | descriptors | threads | memory MiB | MiB/h | waiting bytes |")
     print("|---|---|---|---|---|---|")
@@ -226,7 +226,7 @@ def main() -> int:
         "minutes": args.minutes, "driven_s": driven, "exit": code, "ticks": ticks,
         "processes": processes, "said": said.splitlines()[-6:],
     }  # fmt: skip
-    tell(result)
+    show(result)
     good = code == 0 and ticks["whole"] and all(map(is_flat, processes.values()))
     if not good:
         print("\n".join(result["said"]))

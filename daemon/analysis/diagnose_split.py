@@ -12,7 +12,7 @@ from steerd.daemon.analysis.held_out import EVERY, HeldOut
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.data.segments import make_segment, moving_segments, tell_unused
+from steerd.sysid.data.segments import make_segment, moving_segments, describe_unused
 
 BLOCK = 6.5
 """Least length of a block: it holds two separate predictions 3 s ahead [s]."""
@@ -131,9 +131,9 @@ def _in_blocks(drives: Sequence[Run], parts: tuple[Run, ...]) -> tuple[Run, ...]
 
 
 def _block_notes(drives: Sequence[Run]) -> list[str]:
-    unused = list(tell_unused(drives))
+    unused = list(describe_unused(drives))
     if len(drives) >= EVERY:
         return unused
     what = "one session" if len(drives) == 1 else f"{len(drives)} sessions"
-    told = f"{what}, cut into blocks of {BLOCK:g} s or more: they stand in for further drives"
-    return [told, *unused]
+    first = f"{what}, cut into blocks of {BLOCK:g} s or more: they stand in for further drives"
+    return [first, *unused]

@@ -22,7 +22,7 @@ SPEED_MIN = 0.4
 """Speed of a segment, at least [m/s]."""
 DURATION_MIN = 2.0
 """Shorter segments are left out [s]."""
-SHORT_TOLD = 0.5
+SHORT_REPORTED = 0.5
 """Shorter ones are starts and stops, and nobody misses them [s]."""
 PAUSE, PAUSE_STEPS = 0.3, 5.0
 """Poses that stay away so long [s], and so many times longer than they usually do, are a pause of
@@ -108,11 +108,11 @@ def pauses(run: Run) -> list[tuple[float, float]]:
     return [(float(run.pose.t[i]), float(run.pose.t[i + 1])) for i in places]
 
 
-def tell_unused(runs: Sequence[Run]) -> tuple[str, ...]:
+def describe_unused(runs: Sequence[Run]) -> tuple[str, ...]:
     """What of the driving `moving_segments` leaves out without being asked to, in words."""
     texts = []
     lengths = [high - low for run in runs for low, high in _spans(run)]
-    short = [n for n in lengths if SHORT_TOLD < n < DURATION_MIN + HISTORY]
+    short = [n for n in lengths if SHORT_REPORTED < n < DURATION_MIN + HISTORY]
     if short:
         texts.append(
             f"{len(short)} stretch{'es' * (len(short) > 1)} of driving shorter than "

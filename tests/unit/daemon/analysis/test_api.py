@@ -54,7 +54,8 @@ def test_the_identified_car_is_simulated_saved_and_read_again(fit, tmp_path):
     path = fit.save_car(tmp_path / "car.toml")
     assert load_car(path).car == fit.car.car
     assert "noise" in load_car(path).sections
-    assert fit.car.car.steer_delay == fit.parameters["steer_delay"].value
+    delay = fit.parameters["steer_delay"]  # the file has the digits that the error leaves
+    assert fit.car.car.steer_delay == pytest.approx(delay.value, abs=0.1 * delay.sd)
     session = steerd.simulate(fit, "circle:radius=2", duration=1.0)
     assert session.metadata["steerd.vehicle"]["steer_delay"] == repr(fit.car.car.steer_delay)
 
@@ -72,7 +73,7 @@ def test_a_cause_is_named_and_goes_into_the_car(gap):
     assert value == pytest.approx(DELAY, abs=0.01)
     assert math.isfinite(sd)
     assert [effect.name for effect in gap.car.effects] == ["steer_delay"]
-    assert gap.car.values[0][0] == value
+    assert gap.car.values[0][0] == pytest.approx(value, abs=0.1 * sd)
     data = gap.to_json()
     assert data["schema"] == "steerd.gap/1"
     assert data["residual"]["sessions"] == ["late.mcap"]

@@ -49,9 +49,9 @@ def test_end_stops_of_another_car_do_not_clip_a_log():
     assert unstopped(CAR, [_run(steer=0.1)], ()) == CAR
     assert unstopped(CAR, [run], ("steer_max",)) == CAR
     assert unstopped(CAR, [_run(servo_frame=0.02)], ()) == CAR
-    known = reached(wide._replace(steer_gain=1.4), CAR, [run])
+    known = reached(wide._replace(steer_gain=1.4), CAR.car, [run])
     assert known.steer_max == pytest.approx(1.4 * furthest([run]), rel=1e-3)
-    assert reached(wide, CAR, [run]).steer_max == CAR.steer_max
+    assert reached(wide, CAR.car, [run]).steer_max == CAR.car.steer_max
 
 
 def test_errors_are_told_by_lateral_acceleration():
