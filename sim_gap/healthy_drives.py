@@ -57,8 +57,9 @@ ORDINARY: dict[str, float] = {
 """Share of identification's weak priors that is left when a base is taught.
 
 A car comes with a wheelbase (the coordinate of `lf`) that somebody read off a ruler, 3 mm, a centre
-of gravity known to 2 cm, markers placed to 5 mm and a gain known to 0.1. Larger cars that steer more, slide more and have
-more inertia drive alike: what the model misses would decide about a scale that no drive tells.
+of gravity known to 2 cm, markers placed to 5 mm and a gain known to 0.1. Larger cars that steer
+more, slide more and have more inertia drive alike: what the model misses would decide about a scale
+that no drive identifies.
 """
 CLEAR = 2.0
 """An effect nearer to its null than so many standard deviations is left out of the car file."""

@@ -12,7 +12,7 @@ from steerd.daemon.analysis.held_out import EVERY, HeldOut
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.data.segments import make_segment, moving_segments, describe_unused
+from steerd.sysid.data.segments import describe_unused, make_segment, moving_segments
 
 BLOCK = 6.5
 """Least length of a block: it holds two separate predictions 3 s ahead [s]."""

@@ -36,7 +36,7 @@ FREE_STATES = 6
 WILD = 1e3
 """Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s]."""
 WILD_SHARE = 0.1
-"""More such windows than this, and the whole simulation counts as diverged: a few are lost alone."""
+"""Share of such windows above which the whole simulation counts as diverged."""
 WILD_ERROR = 1.0
 """What every reading of such a window is taken to be off by, whatever is changed [m, rad, ...]."""
 
@@ -197,7 +197,7 @@ class Engine:
         return error
 
     def _without(self, wild: NDArray[np.bool_], error: Array) -> tuple[Array, bool]:
-        """Errors with those of windows that left the map at a fixed size, and whether all is well."""
+        """Errors, of a fixed size in windows that left the map, and whether these are few."""
         error[wild] = WILD_ERROR * self.padded.there[wild]
         return error, bool(wild.mean() <= WILD_SHARE)
 

@@ -33,7 +33,7 @@ FLOORS = {
 Relative for stiffnesses, inertia and gains, else in the parameter's unit.
 """
 LIMITS = ("steer_rate", "accel_max", "decel_max")
-"""What no data sheet of a servo, a motor or a tyre says of this car: drives that reach a limit do."""
+"""Limits, which a data sheet gives for another car; drives that reach them identify this one's."""
 KNOWN_WIDER = 1.2
 """Prior standard deviations per those of a joint covariance from healthy drives."""
 SESSION = 0.3

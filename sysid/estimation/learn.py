@@ -13,7 +13,7 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import PARAMETERS, Car, wheelbase
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
-from steerd.sysid.data.segments import hold_out, make_blocks, moving_segments, describe_unused
+from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
 from steerd.sysid.estimation.chart import SPREAD_RELATIVE
 from steerd.sysid.estimation.effect_selection import Step, choose
 from steerd.sysid.estimation.fit import Fit, Options, default_free, fit

@@ -55,10 +55,7 @@ def test_the_longest_known_prediction_decides(positions, better):
 def test_parameters_of_effects_stand_beside_the_cars():
     row = Row(0.02, 1.0, 0.99, "1", True, False, "ramp to the limit")
     said = describe(replace(outcome((0.1, 0.4)), effect_rows={"tyre_saturation.q": row}))
-    assert (
-        "tyre_saturation.q     (0.02)     0.99           1 1  not identifiable"
-        in said
-    )
+    assert "tyre_saturation.q     (0.02)     0.99           1 1  not identifiable" in said
     assert "   tyre_saturation.q: ramp to the limit" in said
     assert "lf                       0.2     0.01        0.16 m" in said
 
