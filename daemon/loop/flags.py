@@ -60,7 +60,7 @@ def make_reported_findings(flags: int) -> Iterator[Finding]:
 
 
 def blame(late: Finding, flags: int) -> Finding:
-    """The finding of a late tick with who made it late, as far as the runner could tell."""
+    """The finding of a late tick with who made it late, as far as the runner knows."""
     if flags & Flag.STALLED:
         return blame_machine(late)
     if flags & Flag.ALL_LATE:
