@@ -250,7 +250,7 @@ def test_a_page_that_goes_stops_the_car_within_the_lease(undisturbed, end):
                 holding.set()
                 keeper.join()
             if end == "closed":  # it waits for the page's answer while the car is stopping
-                threading.Thread(target=socket.close).start()
+                threading.Thread(target=socket.close, daemon=True).start()
             if end == "killed":
                 page = run.child("steerd.daemon.process.page")
                 os.kill(page, signal.SIGKILL)
