@@ -127,9 +127,14 @@ def car():
     return FakeCar()
 
 
+UNREAD = {"max_queue": None, "ping_interval": None, "close_timeout": 0.2}
+"""Pictures that a test does not read must not stop the socket, nor its closing the test."""
+
+
 def live(url, **options):
     """The page's WebSocket, as its own script opens it."""
-    return connect(url.replace("http", "ws") + "live", origin=url[: url.index("/", 8)], **options)
+    address, origin = url.replace("http", "ws") + "live", url[: url.index("/", 8)]
+    return connect(address, origin=origin, **{**UNREAD, **options})
 
 
 def until(socket, done):
@@ -249,8 +254,8 @@ def test_a_page_that_goes_stops_the_car_within_the_lease(undisturbed, end):
             finally:
                 holding.set()
                 keeper.join()
-            if end == "closed":  # it waits for the page's answer while the car is stopping
-                threading.Thread(target=socket.close, daemon=True).start()
+            if end == "closed":
+                socket.close()
             if end == "killed":
                 page = run.child("steerd.daemon.process.page")
                 os.kill(page, signal.SIGKILL)
