@@ -282,7 +282,7 @@ def test_the_result_is_on_the_screen_before_the_noise_and_the_noise_before_any_f
     def shown(label, total):
         yield lambda done, step="": steps.append((label, done / max(total, 1.0), step))
 
-    def interrupted(car, runs):
+    def interrupted(car, runs, learnt):
         assert "steer_gain " in capsys.readouterr().out
         raise KeyboardInterrupt
 
