@@ -166,7 +166,7 @@ def find_base(
         return load_base(named), str(named), []
     texts = [text for text in map(_embedded, sessions) if text is not None]
     if not texts:
-        note = "no session holds its car file, and no --base is given: the default car is assumed"
+        note = "no --base, no car file in the sessions: the default car is assumed"
         return load_base(default_car_path()), "the default car (F1TENTH's figures)", [note]
     notes = []
     if any(text != texts[0] for text in texts) or len(texts) < len(sessions):

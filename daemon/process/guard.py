@@ -6,7 +6,13 @@ import sys
 import time
 from typing import Protocol
 
-from steerd.daemon.process.guardian import STALE_NS, STALE_NS_NO_RT, HeartbeatPage, make_page_fd
+from steerd.daemon.process.guardian import (
+    PAGE_BYTES,
+    PAUSE_NS,
+    STALE_NS,
+    STALE_NS_NO_RT,
+    HeartbeatPage,
+)
 from steerd.daemon.process.lifeline import Lifeline
 from steerd.daemon.settings.thresholds import Thresholds
 
@@ -15,6 +21,23 @@ START_NS = 1_000_000_000
 STALE_NS_SIMULATED = 300_000_000
 """Age of the core's heartbeat at which the guardian brakes a simulated car."""
 SILENT_S = Thresholds().guardian
+
+
+def make_page_fd() -> int:
+    """Return the fd of a fresh page, inheritable, to be mapped by core and guardian."""
+    fd = os.memfd_create("steerd-heartbeat", 0)
+    os.truncate(fd, PAGE_BYTES)
+    return fd
+
+
+def find_pause(page: HeartbeatPage, now_ns: int) -> tuple[int, int] | None:
+    """The guardian's last pause, which may go on; (0, 0): none; None: it never lived."""
+    alive_ns = page.guardian_ns
+    if not alive_ns:
+        return None
+    if now_ns - alive_ns > PAUSE_NS:
+        return alive_ns, now_ns
+    return page.last_pause_ns
 
 
 class Guard(Protocol):
@@ -125,7 +148,7 @@ class ProcessGuard:
 
     def pause(self, now_ns: int) -> tuple[int, int] | None:
         """When the guardian itself stood still last, as its page says."""
-        return None if self._page is None else self._page.pause(now_ns)
+        return None if self._page is None else find_pause(self._page, now_ns)
 
     def mark_clean(self) -> None:
         """The wheels stand: the guardian ends with the core and does not brake."""

@@ -28,12 +28,11 @@ _HEARTBEAT, _ENGAGED, _TRIPPED, _GUARDIAN, _CLEAN, _PAUSE_BEGIN, _PAUSE_END = ra
 class HeartbeatPage:
     """Seven 8-byte integers in shared memory; each store is aligned, so no lock is needed.
 
-    The core writes heartbeat and ``clean``, the guardian its trip, its own heartbeat and its last
-    pause. All times are CLOCK_MONOTONIC [ns], 0 for never.
+    Core: heartbeat and ``clean``; guardian: the rest. Times: CLOCK_MONOTONIC [ns], 0 for never.
     """
 
     def __init__(self, fd: int) -> None:
-        """Map ``fd`` (a memfd of ``PAGE_BYTES``, see ``make_page_fd``)."""
+        """Map ``fd`` (a memfd of ``PAGE_BYTES``, see ``guard.make_page_fd``)."""
         # A memoryview of native 'Q' copies 8 aligned bytes at once; struct.pack_into does not.
         self._words = memoryview(mmap.mmap(fd, PAGE_BYTES)).cast("Q")
 
@@ -52,10 +51,9 @@ class HeartbeatPage:
 
     def watch(self, t_ns: int) -> None:
         """Guardian: alive at ``t_ns``."""
-        before = self._words[_GUARDIAN]
-        if before and t_ns - before > PAUSE_NS:
+        before, self._words[_GUARDIAN] = self._words[_GUARDIAN], t_ns
+        if 0 < before < t_ns - PAUSE_NS:
             self._words[_PAUSE_BEGIN], self._words[_PAUSE_END] = before, t_ns
-        self._words[_GUARDIAN] = t_ns
 
     def trip(self, t_ns: int) -> None:
         """Guardian: from now on the core must not move the car."""
@@ -81,26 +79,15 @@ class HeartbeatPage:
         """When the guardian was last alive (W16)."""
         return self._words[_GUARDIAN]
 
-    def pause(self, now_ns: int) -> tuple[int, int] | None:
-        """Core: the guardian's last pause, which may go on; (0, 0): none; None: it never lived."""
-        alive_ns = self.guardian_ns
-        if not alive_ns:
-            return None
-        if now_ns - alive_ns > PAUSE_NS:
-            return alive_ns, now_ns
+    @property
+    def last_pause_ns(self) -> tuple[int, int]:
+        """The guardian's last pause, from and to; (0, 0) for none yet."""
         return self._words[_PAUSE_BEGIN], self._words[_PAUSE_END]
 
     @property
     def clean(self) -> bool:
         """Whether the core left in good order."""
         return bool(self._words[_CLEAN])
-
-
-def make_page_fd() -> int:
-    """Return the fd of a fresh page, inheritable, to be mapped by core and guardian."""
-    fd = os.memfd_create("steerd-heartbeat", 0)
-    os.truncate(fd, PAGE_BYTES)
-    return fd
 
 
 def wait_for_fault(

@@ -100,7 +100,7 @@ def test_the_screen_names_the_cause_on_one_screen(diagnosed):
     assert len(lines) <= LINES
     assert max(map(len, lines[:-1])) <= COLUMNS
     assert "steer_delay: delay = " in screen
-    assert "base: the default car" in screen
+    assert "the default car is assumed" in screen
     assert "cut into blocks of 6.5 s or more" in screen
     assert lines[-1].startswith("next ")
     assert "steerd run --sim --fast --duration 20 --car" in lines[-1]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from steerd.daemon.process import lifeline
-from steerd.daemon.process.guardian import make_page_fd
+from steerd.daemon.process.guard import make_page_fd
 from steerd.daemon.process.lifeline import Lifeline
 
 HOLDER = """
