@@ -23,7 +23,7 @@ RELATIVE = INVERSE | LOGARITHM | {"inertia_z", "steer_gain"}
 """What is judged by its relative error.
 
 Inertia and steering gain are coordinates as they are: a car that is longer, slides more, has more
-inertia and steers more, all by one factor, hardly differs from the first (only its slip angle
+inertia and steers more, all by one factor, barely differs from the first (only its slip angle
 does), and that long valley is straight in (L, lr, 1/C, I, gain).
 """
 SPREAD = {

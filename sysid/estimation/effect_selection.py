@@ -1,4 +1,4 @@
-"""A car's own manners: which effects of the library its drives show, decided by their likelihood.
+"""A car's own effects: which of the library its drives show, decided by their likelihood.
 
 Real cars are no straight lines: tyres level off, linkages bend, have play and turn further to one
 side, a mocap body is mounted askew. Which of these a car has is found step by step: each candidate
@@ -31,7 +31,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import Layout, make_layout, speed_range
 from steerd.sysid.estimation.chart import make_chart
 from steerd.sysid.estimation.fit import Fit, Options, residual_noise
-from steerd.sysid.estimation.levenberg_marquardt import Effort, descend
+from steerd.sysid.estimation.levenberg_marquardt import Effort, minimise
 from steerd.sysid.estimation.objective import (
     Problem,
     cost_of,
@@ -53,13 +53,13 @@ HORIZON = 1.0
 SECONDS = 240.0
 """Windows of this much driving are enough to choose by [s]."""
 READINGS = 20.0
-"""So many of a window's readings count: errors of a model hang together."""
+"""So many of a window's readings count: errors of a model are correlated."""
 GAIN = 8.0
 """An effect that gains less log-likelihood is not taken."""
 GAIN_SE = 2.0
 """Nor one whose gain is not so many times its standard error over the windows."""
 _LEFT = 0.02
-"""An effect nearer to its null than this share of its ordinary size was not needed."""
+"""An effect within this share of its ordinary size from its null was not needed."""
 _ESCAPES = 6
 """So often a search may begin a round again from a better point."""
 _TRIAL = Effort(8, 0.5, 1e-3, 1e-3, patient=True)
@@ -81,7 +81,7 @@ class Step(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Manners:
+class Selection:
     """What was chosen.
 
     Attributes:
@@ -150,7 +150,7 @@ class _Search:
         chart = problem.chart
         low, high = chart.bounds()
         z = np.clip(chart.coordinates(start.parameters), low, high)
-        found = descend(problem, z, start.x, effort)
+        found = minimise(problem, z, start.x, effort)
         losses, noise = self.losses(found.at.error), residual_noise(problem, found)
         return _Point(taken, chart.parameters(found.z), found.x, losses, noise)
 
@@ -191,7 +191,7 @@ class _Search:
 
 def choose(
     runs: Sequence[Run], rough: Fit, options: Options, names: Sequence[str] = CANDIDATES
-) -> Manners:
+) -> Selection:
     """Which effects the drives show, with start values for them and the car.
 
     Args:
@@ -209,9 +209,9 @@ def choose(
         search = replace(search, sigma=point.noise)
         point = search.settled(point.taken, point, _SETTLE)
         tried = _tried(search, point, [n for n in names if n not in point.taken])
-        freed = _freed(search, point, tried) if escapes else None
-        if freed is not None:
-            point, escapes = freed, escapes - 1
+        better = _escape(search, point, tried) if escapes else None
+        if better is not None:
+            point, escapes = better, escapes - 1
             continue
         best = _best(search, point, tried)
         if best is None:
@@ -269,8 +269,8 @@ def _tried(search: _Search, point: _Point, names: Sequence[str]) -> list[_Point]
     return found
 
 
-def _freed(search: _Search, point: _Point, tried: Sequence[_Point]) -> _Point | None:
-    """A better point without any candidate: where a descent had stuck, at a kink of play say.
+def _escape(search: _Search, point: _Point, tried: Sequence[_Point]) -> _Point | None:
+    """A better point without any candidate: where the fit had stuck, at a kink of play say.
 
     A candidate that ends at its null and yet gains has only moved the others.
     """
@@ -301,7 +301,7 @@ def _behind(tried: _Point, best: _Point) -> bool:
     return gap <= se
 
 
-def _closed(search: _Search, rough: Fit, point: _Point, steps: Sequence[Step]) -> Manners:
+def _closed(search: _Search, rough: Fit, point: _Point, steps: Sequence[Step]) -> Selection:
     """The car with the taken effects alone."""
     full = model_of(search.kernels, point.parameters)
     own = {e.name for e in rough.model.effects}
@@ -312,4 +312,4 @@ def _closed(search: _Search, rough: Fit, point: _Point, steps: Sequence[Step]) -
     ]
     model = Model(full.car, tuple(e for e, _ in kept), tuple(v for _, v in kept), full.chassis)
     free = tuple(name for effect in point.taken for name in search.names(effect))
-    return Manners(model, free, tuple(steps))
+    return Selection(model, free, tuple(steps))

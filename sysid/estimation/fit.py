@@ -42,7 +42,7 @@ from steerd.sysid.estimation.identifiability import (
     estimates,
     silent_estimates,
 )
-from steerd.sysid.estimation.levenberg_marquardt import Descent, Effort, descend
+from steerd.sysid.estimation.levenberg_marquardt import Effort, Solution, minimise
 from steerd.sysid.estimation.objective import Evaluation, Problem, information
 from steerd.sysid.estimation.robust_covariance import doubted, score_spread, widened
 
@@ -118,7 +118,7 @@ class Fit:
         model: the car with its effects at the estimates.
         parameters: (P,) the same as a vector, in the order of `names`.
         names: of all parameters.
-        estimates: every free parameter with standard error and whether the data tell it.
+        estimates: every free parameter with standard error and whether the data identify it.
         correlation: (n, n) of the coordinates.
         covariance: (n, n) of the coordinates.
         chart: the coordinates.
@@ -165,7 +165,7 @@ class Fit:
 
     @property
     def unidentified(self) -> tuple[str, ...]:
-        """Free parameters that the data do not tell."""
+        """Free parameters that the data do not identify."""
         return tuple(name for name, e in self.estimates.items() if not e.identifiable)
 
 
@@ -221,11 +221,11 @@ class _Work:
             self.options.integrator, self.options.substeps,
         )  # fmt: skip
 
-    def descend(
+    def minimise(
         self, problem: Problem, z: Array, x: Array, effort: Effort, at: Evaluation | None = None
-    ) -> Descent:
-        """One descent, counted."""
-        found = descend(problem, z, x, effort, at)
+    ) -> Solution:
+        """One minimisation, counted."""
+        found = minimise(problem, z, x, effort, at)
         self.evaluations += problem.evaluations
         problem.evaluations = 0
         self.costs.append(found.costs)
@@ -292,7 +292,7 @@ def fit(
 
 def _prepare(
     work: _Work, starts: Sequence[Array], rough: Sequence[float]
-) -> tuple[Descent, Problem]:
+) -> tuple[Solution, Problem]:
     """The stages that a part of the drives is enough for, from the best of some parameters."""
     low, high = work.chart.bounds()
     places = [np.clip(work.chart.coordinates(p), low, high) for p in starts]
@@ -303,16 +303,16 @@ def _prepare(
 
 
 def _widen(
-    work: _Work, found: Descent, problem: Problem, stage: tuple[float, bool], effort: Effort
-) -> tuple[Descent, Problem]:
+    work: _Work, found: Solution, problem: Problem, stage: tuple[float, bool], effort: Effort
+) -> tuple[Solution, Problem]:
     """The next stage, from where the last one ended."""
     wider = work.problem(stage[0], found.z, stage[1])
     x = _carry(problem, found.x, wider)
     effort = effort._replace(damping=min(found.damping, effort.damping))
-    return work.descend(wider, found.z, x, effort), wider
+    return work.minimise(wider, found.z, x, effort), wider
 
 
-def _misses(found: Descent) -> float:
+def _misses(found: Solution) -> float:
     """Root mean square of the errors in units of the noise, outliers bounded."""
     return float(np.sqrt(np.mean(np.minimum(np.abs(found.at.error), found.limit) ** 2)))
 
@@ -342,15 +342,15 @@ def _later_stages(runs: Sequence[Run], options: Options) -> list[tuple[float, bo
     return [*((h, True) for h in kept), *[(last, True)] * few_first, (last, False)]
 
 
-def _first_stage(work: _Work, starts: Sequence[Array]) -> tuple[Descent, Problem]:
+def _first_stage(work: _Work, starts: Sequence[Array]) -> tuple[Solution, Problem]:
     """Short windows from every start; the lowest cost goes on."""
-    best: tuple[float, Descent, Problem] | None = None
+    best: tuple[float, Solution, Problem] | None = None
     for z in starts:
         alone = len(work.options.horizons) == 1
         problem = work.problem(work.options.horizons[0], z, rough=not alone)
         effort = _FINE if alone else _FIRST
         try:
-            found = work.descend(problem, z, problem.layout.guess.copy(), effort)
+            found = work.minimise(problem, z, problem.layout.guess.copy(), effort)
         except FloatingPointError:
             continue
         cost = found.costs[-1] / len(problem.layout.values)
@@ -375,7 +375,7 @@ def _carry(old: Problem, x: Array, new: Problem) -> Array:
     return carried
 
 
-def residual_noise(problem: Problem, found: Descent) -> Array:
+def residual_noise(problem: Problem, found: Solution) -> Array:
     """Standard deviation of the residuals by group, outliers bounded (4,)."""
     noise = problem.sigma.copy()
     size = np.minimum(np.abs(found.at.error), found.limit)
@@ -387,11 +387,11 @@ def residual_noise(problem: Problem, found: Descent) -> Array:
     return floored
 
 
-def _settle_noise(work: _Work, problem: Problem, found: Descent) -> Descent:
+def _settle_noise(work: _Work, problem: Problem, found: Solution) -> Solution:
     """Weigh the groups by their residuals until both stay.
 
     Where the model does not explain everything, residuals are many times the instruments' noise;
-    weighed by the latter, most of them would count as outliers and the descent would crawl.
+    weighed by the latter, most of them would count as outliers and the steps would be tiny.
     """
     for number in range(_NOISE_ROUNDS):
         noise = residual_noise(problem, found)
@@ -400,38 +400,38 @@ def _settle_noise(work: _Work, problem: Problem, found: Descent) -> Descent:
             return found
         at = problem.rescaled(found.at, noise)
         effort = _FINE._replace(damping=min(found.damping, _ROUGH.damping))
-        found = work.descend(problem, found.z, found.x, effort, at)
+        found = work.minimise(problem, found.z, found.x, effort, at)
         if change < _NOISE_SETTLED:
             return found
     return found._replace(converged=False)
 
 
-def _report(work: _Work, problem: Problem, found: Descent, signal: Array) -> Fit:
+def _report(work: _Work, problem: Problem, found: Solution, signal: Array) -> Fit:
     chart = work.chart
-    told = information(found.normal)
+    known = information(found.normal)
     parameters = chart.parameters(found.z)
     spread = score_spread(problem, found.at, found.normal, found.limit)
-    inverse: Array = np.linalg.inv(told).astype(float)
+    inverse: Array = np.linalg.inv(known).astype(float)
     covariance = widened(inverse, spread)
     covariance += doubted(problem, found.x, parameters, found.limit, work.options.doubts)
     sd = np.sqrt(np.diag(covariance))
     pace = float(np.median(np.abs(np.concatenate([run.commands[:, 1] for run in work.runs]))))
     pace *= model_of(work.kernels, parameters).car.speed_gain
-    told_of = estimates(chart, found.z, covariance)
+    estimated = estimates(chart, found.z, covariance)
     free = work.options.free or default_free(work.kernels.chassis)
-    told_of |= silent_estimates(chart, _silent_names(work.runs, free))
+    estimated |= silent_estimates(chart, _silent_names(work.runs, free))
     return Fit(
         model=model_of(work.kernels, parameters),
         parameters=parameters,
         names=work.kernels.names,
-        estimates=told_of,
+        estimates=estimated,
         correlation=covariance / np.outer(sd, sd),
         covariance=covariance,
         chart=chart,
         z=found.z,
         states=found.x,
         combinations=combinations(chart, found.z, covariance, pace),
-        directions=directions(chart, found.z, told),
+        directions=directions(chart, found.z, known),
         costs=tuple(work.costs),
         iterations=sum(len(costs) - 1 for costs in work.costs),
         evaluations=work.evaluations,

@@ -1,4 +1,4 @@
-"""What the data tell, and the manoeuvre that would tell the rest."""
+"""What the data identify, and the manoeuvre that would identify the rest."""
 
 # Why: docs/decisions/identification.md#d58
 
@@ -18,14 +18,14 @@ RELATIVE_MAX = 0.05
 SPREAD_MAX = 0.2
 """Anything else is known when its standard error is below this share of its prior's."""
 GAIN_MIN = 8.0
-"""A direction is told when the data shrink its prior standard deviation by more than this.
+"""A direction is identifiable when the data shrink its prior standard deviation by more than this.
 
 Less can be an artefact: noise that free initial states take for transients looks informative.
 """
 DOUBT = 0.2
 """No tyre is so stiff that its compliance is known better than this before any data [rad].
 
-Priors lie about the start: circles from a start with large stiffness would seem to tell lengths.
+Priors lie about the start: circles from a start with large stiffness would seem to show lengths.
 """
 EXTREME = 2.0
 """A stiffness within this factor of a bound is no tyre's."""
@@ -56,9 +56,9 @@ MANOEUVRES: Mapping[str, str] = {
     "accel_max": "a large step up in speed", "decel_max": "a large step down in speed",
     "pose_delay": "changes of direction, with a gyro recorded",
 }  # fmt: skip
-"""What would tell each parameter of the car."""
+"""What would identify each parameter of the car."""
 ANOTHER_END = f"another car explains these drives as well: {_TWO_SPEEDS}"
-"""What would tell one that two fits, as good as each other, place differently."""
+"""What would identify one that two fits, as good as each other, place differently."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,10 @@ class Estimate:
 
     Attributes:
         value: the estimate.
-        sd: its standard error (with the weak prior); of what is not told, with all doubts.
+        sd: its standard error (with the weak prior); of what is not identifiable, with all doubts.
         prior_sd: what was known before.
-        identifiable: whether the data tell it; if not, the value is largely the prior's.
-        manoeuvre: what would tell it; empty when it is told.
+        identifiable: whether the data identify it; if not, the value is largely the prior's.
+        manoeuvre: what would identify it; empty when it is identifiable.
     """
 
     value: float
@@ -106,13 +106,13 @@ class Direction:
         parts: weight of each coordinate.
         gain: prior standard deviation over the posterior one; about 1 says that the data are
             silent.
-        told: whether the data say more than the prior.
+        identifiable: whether the data say more than the prior.
     """
 
     text: str
     parts: Array
     gain: float
-    told: bool
+    identifiable: bool
 
 
 def standard_errors(chart: Chart, z: Array, covariance: Array) -> Array:
@@ -138,7 +138,7 @@ def _scale(chart: Chart, z: Array) -> Array:
     """By how much each coordinate could be off before any data (n,).
 
     For a compliance no more than lets a gain of `GAIN_MIN` mean that it is known: what noise passes
-    for tells it to a share of itself (a sixth, on circles), and against the wide prior of a start
+    for fixes it to a share of itself (a sixth, on circles), and against the wide prior of a start
     with soft tyres that would look like knowledge.
     """
     stiff = np.array([name in INVERSE for name in chart.free])
@@ -146,8 +146,8 @@ def _scale(chart: Chart, z: Array) -> Array:
     return np.where(stiff, np.minimum(chart.spread, own), chart.spread)
 
 
-def _without_untold(chart: Chart, z: Array, covariance: Array) -> Array:
-    """The covariance with untold directions left as their priors have them, or doubt does."""
+def _without_unidentifiable(chart: Chart, z: Array, covariance: Array) -> Array:
+    """The covariance, unidentifiable directions left as their priors have them, or doubt does."""
     scale = _scale(chart, z)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     stiff = [name in INVERSE for name in chart.free]
@@ -157,19 +157,24 @@ def _without_untold(chart: Chart, z: Array, covariance: Array) -> Array:
     return left
 
 
-def _doubted(chart: Chart, z: Array, covariance: Array) -> Array:
+def _inflate_at_bounds(chart: Chart, z: Array, covariance: Array) -> Array:
     """The covariance with stiffnesses near their bounds in doubt, and what hangs on them.
 
     A fit that ends there has slid along a valley as far as it goes; how sharp the valley is at its
     end says nothing about the place along it.
     """
-    doubted = covariance.copy()
+    inflated = covariance.copy()
     low, high = chart.bounds()
     for i, name in enumerate(chart.free):
         if name in INVERSE and not EXTREME * low[i] < z[i] < high[i] / EXTREME:
             along = covariance[:, i] / covariance[i, i]
-            doubted += DOUBT**2 * np.outer(along, along)
-    return doubted
+            inflated += DOUBT**2 * np.outer(along, along)
+    return inflated
+
+
+def _careful(chart: Chart, z: Array, covariance: Array) -> Array:
+    """The covariance with both doubts: about directions that no data show, and at bounds."""
+    return _inflate_at_bounds(chart, z, _without_unidentifiable(chart, z, covariance))
 
 
 def _at_bound(chart: Chart, parameters: Array, moving: Sequence[str]) -> str:
@@ -186,10 +191,10 @@ def _at_bound(chart: Chart, parameters: Array, moving: Sequence[str]) -> str:
 
 
 def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
-    """Every free parameter with its standard error and whether the data tell it."""
+    """Every free parameter with its standard error and whether the data identify it."""
     parameters = chart.parameters(z)
     sds = standard_errors(chart, z, covariance)
-    careful = standard_errors(chart, z, _doubted(chart, z, _without_untold(chart, z, covariance)))
+    careful = standard_errors(chart, z, _careful(chart, z, covariance))
     priors = standard_errors(chart, z, np.diag(chart.spread**2))
     moving = [i for i, name in enumerate(chart.names) if priors[i] > 0.0]
     stuck = _at_bound(chart, parameters, [chart.names[i] for i in moving])
@@ -252,7 +257,7 @@ def combinations(
         WHEELBASE: p["lf"] + p["lr"], "lr": p["lr"],
         "1/c_sf": 1.0 / p["c_sf"], "1/c_sr": 1.0 / p["c_sr"],
     }  # fmt: skip
-    careful = _doubted(chart, z, _without_untold(chart, z, covariance))
+    careful = _careful(chart, z, covariance)
     out = []
     for text, parts in weights.items():
         row = np.array([parts.get(label, 0.0) for label in chart.labels])

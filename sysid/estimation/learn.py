@@ -1,30 +1,35 @@
-"""From drives to an outcome: fit by one of the methods, validate on what was kept back."""
+"""From drives to an outcome: fit by one of the methods, validate on what was held out."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from math import isnan
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.model import Model
-from steerd.car_model.params import PARAMETERS, Car, wheelbase
+from steerd.car_model.params import Car, wheelbase
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
 from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
 from steerd.sysid.estimation.chart import SPREAD_RELATIVE
 from steerd.sysid.estimation.effect_selection import Step, choose
 from steerd.sysid.estimation.fit import Fit, Options, default_free, fit
-from steerd.sysid.estimation.identifiability import MANOEUVRES, RELATIVE_MAX
-from steerd.sysid.estimation.multistart import COMPARABLE, has_one_speed, log_cost, opened, rivals
+from steerd.sysid.estimation.multistart import (
+    COMPARABLE,
+    candidate_starts,
+    has_one_speed,
+    log_cost,
+    mark_ambiguous,
+)
 from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row
+from steerd.sysid.estimation.outcome_rows import make_effect_rows, make_rows
 from steerd.sysid.estimation.prediction_horizon import (
     ROUGH,
     SHORT,
+    exceeds_slew_rate,
     holds,
-    outpaced,
     reached,
     reaching,
     remembering,
@@ -59,7 +64,7 @@ POOR = 2.0
 OBEYED = 0.5
 """A car that obeys its speed command for less of the time is better taken at its measured speed."""
 REGIME = 1.0
-"""Errors are told by lateral acceleration so far ahead [s]."""
+"""Errors are split by lateral acceleration so far ahead [s]."""
 AGREE = 5e-4
 """Lengths that agree to this are the same measurement [m]."""
 START_SPREAD = 0.3
@@ -72,8 +77,8 @@ class Task:
 
     Attributes:
         runs: drives to fit.
-        held_out: drives to validate with; empty keeps blocks of `runs` back.
-        every: every k-th block of 5 s is kept back.
+        held_out: drives to validate with; empty holds out blocks of `runs`.
+        every: every k-th block of 5 s is held out.
         model: the car as believed so far.
         options: of our fit.
         method: one of `METHODS`.
@@ -123,8 +128,8 @@ def fit_wheelbase(
         other = length - getattr(car, kept[0])
         name = "lr" if kept[0] == "lf" else "lf"
         if other <= 0.0 or (len(kept) > 1 and abs(other - getattr(car, name)) > AGREE):
-            told = " and ".join(f"{n} = {getattr(car, n):g}" for n in kept)
-            raise ValueError(f"{told} do not make a wheelbase of {length:g} m")
+            lengths = " and ".join(f"{n} = {getattr(car, n):g}" for n in kept)
+            raise ValueError(f"{lengths} do not make a wheelbase of {length:g} m")
         return model if len(kept) > 1 else model._replace(car=car._replace(**{name: other}))
     scale = length / wheelbase(model.car)
     return model._replace(car=model.car._replace(lf=model.car.lf * scale, lr=model.car.lr * scale))
@@ -157,56 +162,101 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     """
     check_sources((*task.runs, *task.held_out))
     began, given = clock(), task.model.car
-    task = _opened(task)
-    task, pulses, ramps, rough = _settled(task)
-    task = replace(task, options=replace(task.options, doubts=_doubts(task, pulses)))
-    parts = moving_segments(task.runs)
-    fitted, kept, words = _split(task, parts)
-    selected: tuple[Step, ...] = ()
-    if task.method == "ours":
-        task, selected, rough = _shaped(task, fitted, rough)
-        alone = _is_taught(task, rough) and not has_one_speed(fitted)
-        found: Fit | None = rough if alone else _fit_ours(task, fitted)
-        searches: tuple[SearchHistory, ...] = ()
-    else:
-        found, searches = None, _search(task)
-    taught = _taught(task, given, found, fitted)
+    task, drives, rough = _prepare(task)
+    task, found = _estimate(task, given, drives, rough)
     seconds = clock() - began
-    car, rows = _rows(task, given, found, searches)
-    after, effect_rows = task.model._replace(car=car), _effect_rows(task.model, found)
-    if found is not None:
-        after = after._replace(values=found.model.values)
-    if taught is not None:
-        after, (rows, effect_rows) = taught.model, taught_rows(given, taught)
-    traces = [trace_windows(model, kept, max(HORIZONS)) for model in (after, task.model)]
+    after, rows, effect_rows = _fill_rows(task, given, found)
+    traces = [trace_windows(each, drives.held_out, max(HORIZONS)) for each in (after, task.model)]
     errors = [errors_at(each, HORIZONS) for each in traces]
     return Outcome(
         method=task.method,
         sessions=tuple(dict.fromkeys(run.name for run in task.runs)),
-        held_out_of=words,
+        held_out_of=drives.held_out_of,
         before=task.model.car,
         after=after.car,
         rows=rows,
-        combinations=found.combinations if found and taught is None else (),
+        combinations=found.fit.combinations if found.fit and found.taught is None else (),
         held_out=tuple(HeldOut(a, b) for a, b in zip(*errors, strict=True)),
-        excitation=measure_excitation(parts),
+        excitation=measure_excitation(drives.moving),
         traces=(traces[0], traces[1]),
-        fit=found,
-        searches=searches,
+        fit=found.fit,
+        searches=found.searches,
         seconds=seconds,
-        notes=(
-            *describe_unused(task.runs),
-            *_notes(found, speed_tracking_share(parts), task.options, taught is not None),
-        ),
+        notes=(*describe_unused(task.runs), *_notes(task, drives, found)),
         truth=task.truth,
-        pulses=pulses,
-        ramps=ramps,
+        pulses=drives.pulses,
+        ramps=drives.ramps,
         effect_rows=effect_rows,
         log_jitters=tuple(run.log_jitter for run in (*task.runs, *task.held_out) if run.log_jitter),
-        selected_effects=selected,
+        selected_effects=found.selected,
         regimes=by_lateral_acceleration(traces[0], REGIME),
-        sections={} if taught is None else taught.sections,
+        sections={} if found.taught is None else found.taught.sections,
     )
+
+
+class _Drives(NamedTuple):
+    """The drives as they are used.
+
+    Attributes:
+        moving: their segments in motion.
+        fitted, held_out: what is fitted, and what validates; `held_out_of` says in words which.
+        pulses, ramps: what was found out of the servo's and the motor controller's timing.
+    """
+
+    moving: tuple[Run, ...]
+    fitted: tuple[Run, ...]
+    held_out: tuple[Run, ...]
+    held_out_of: str
+    pulses: tuple[Pulse, ...]
+    ramps: tuple[Ramp, ...]
+
+
+class _Found(NamedTuple):
+    """What the method found: a fit, or searches of the paper's methods.
+
+    Attributes:
+        selected: effects that were taken from the candidates.
+        taught: the car by the teacher, where its values are taken.
+    """
+
+    fit: Fit | None
+    searches: tuple[SearchHistory, ...] = ()
+    selected: tuple[Step, ...] = ()
+    taught: TaughtModel | None = None
+
+
+def _prepare(task: Task) -> tuple[Task, _Drives, Fit | None]:
+    """The task with drives as the car felt them, and the rough fit that this needed, if any."""
+    task, pulses, ramps, rough = _settled(_with_history(task))
+    task = replace(task, options=replace(task.options, doubts=_doubts(task, pulses)))
+    moving = tuple(moving_segments(task.runs))
+    return task, _Drives(moving, *_split(task, moving), pulses, ramps), rough
+
+
+def _estimate(
+    task: Task, given: Car[float], drives: _Drives, rough: Fit | None
+) -> tuple[Task, _Found]:
+    """The estimates by the task's method, and the task with the effects that were selected."""
+    if task.method != "ours":
+        return task, _Found(None, _search(task))
+    task, selected, rough = _shaped(task, drives.fitted, rough)
+    alone = _is_taught(task, rough) and not has_one_speed(drives.fitted)
+    found = rough if alone else _fit_ours(task, drives.fitted)
+    taught = _taught(task, given, found, drives.fitted)
+    return task, _Found(found, selected=selected, taught=taught)
+
+
+def _fill_rows(
+    task: Task, given: Car[float], found: _Found
+) -> tuple[Model[float], dict[str, Row], dict[str, Row]]:
+    """The car after, and rows for its parameters and for those of its effects."""
+    if found.taught is not None:
+        return found.taught.model, *taught_rows(given, found.taught)
+    car, rows = make_rows(task.model.car, given, task.runs, found.fit, found.searches)
+    after = task.model._replace(car=car)
+    if found.fit is not None:
+        after = after._replace(values=found.fit.model.values)
+    return after, rows, make_effect_rows(task.model, found.fit)
 
 
 def _taught(
@@ -233,14 +283,14 @@ def _is_taught(task: Task, found: Fit) -> bool:
 
 
 def _split(task: Task, parts: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...], str]:
-    """What is fitted, what is kept back, and the latter in words."""
+    """What is fitted, what is held out, and the latter in words."""
     if task.held_out:
         words = ", ".join(run.name for run in task.held_out)
         return make_blocks(parts), moving_segments(task.held_out), words
     return *hold_out(parts, task.every), f"every {task.every}th block of 5 s, not fitted"
 
 
-def _opened(task: Task) -> Task:
+def _with_history(task: Task) -> Task:
     """The task with a past as long, and end stops as wide, as the drives need."""
     if task.method != "ours":
         return task
@@ -255,7 +305,7 @@ def _opened(task: Task) -> Task:
 def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...], Fit | None]:
     """The task with commands as servos and motor controllers let them through.
 
-    And the rough car that told them, if one was needed. The paper's methods take commands as they
+    And the rough car that showed how, if one was needed. The paper's methods take commands as they
     are.
     """
     known = any(run.servo_frame or run.speed_ramp for run in task.runs)
@@ -280,7 +330,7 @@ def _shaped(
 ) -> tuple[Task, tuple[Step, ...], Fit]:
     """The task with the effects that the drives show, and windows as long as the car then holds.
 
-    Last comes the rough fit that told them.
+    Last comes the rough fit that showed them.
     """
     short = replace(task.options, horizons=SHORT)
     if rough is None or task.effects:
@@ -297,11 +347,11 @@ def _shaped(
 
 
 def _doubts(task: Task, pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...]:
-    """What no log tells about times, and the slew limit where it is felt and nobody measured it."""
+    """What no log says about times, and the slew limit where it is felt and nobody measured it."""
     wait = max((pulse.blur for pulse in pulses), default=0.0)
     doubts = {**TIMES, "steer_delay": float(np.hypot(TIMES["steer_delay"], wait))}
     free = task.options.free or NAMES
-    if "steer_rate" not in (*free, *task.stated) and outpaced(task.model, task.runs):
+    if "steer_rate" not in (*free, *task.stated) and exceeds_slew_rate(task.model, task.runs):
         doubts["steer_rate"] = SPREAD_RELATIVE
     return (*task.options.doubts, *doubts.items())
 
@@ -333,9 +383,11 @@ def _fit_one_speed(task: Task, runs: Sequence[Run]) -> Fit:
     alike: there is a valley with more than one bottom, and errors at one know nothing of the other.
     """
     work = partial(_fit_one, runs=runs, prior=task.model, options=task.options)
-    models = rivals(task.first or task.model, task.options.free or default_free(task.model.chassis))
+    free = task.options.free or default_free(task.model.chassis)
+    models = candidate_starts(task.first or task.model, free)
     fits = sorted(map_jobs(work, models, task.jobs, task.dask), key=log_cost)
-    return opened(fits[0], [f for f in fits[1:] if log_cost(f) - log_cost(fits[0]) < COMPARABLE])
+    best, *others = fits
+    return mark_ambiguous(best, [f for f in others if log_cost(f) - log_cost(best) < COMPARABLE])
 
 
 def _course(
@@ -368,90 +420,31 @@ def _search(task: Task) -> tuple[SearchHistory, ...]:
     return tuple(searches)
 
 
-def _best(searches: Sequence[SearchHistory]) -> SearchHistory:
-    sound = [search for search in searches if not search.diverged]
-    return min(sound, key=lambda search: float(search.losses[-20:].mean()))
-
-
-def _rows(
-    task: Task, given: Car[float], found: Fit | None, searches: Sequence[SearchHistory]
-) -> tuple[Car[float], dict[str, Row]]:
-    """The learnt car and a row for each of its parameters."""
-    told = _told(found, searches)
-    values = {name: each[0] for name, each in told.items() if name in Car._fields}
-    car = task.model.car._replace(**values)
-    if task.model.car.steer_max != given.steer_max:
-        car = reached(car, given, task.runs)
-    rows = {}
-    for p in PARAMETERS:
-        before, value = float(getattr(given, p.name)), float(getattr(car, p.name))
-        sd, known, hint = told[p.name][1:] if p.name in told else (None, False, "")
-        rows[p.name] = Row(value, before, sd, p.unit, p.name in told, known, hint)
-    return car, rows
-
-
-def _effect_rows(model: Model[float], found: Fit | None) -> dict[str, Row]:
-    """A row for each free parameter of the car file's effects."""
-    pairs = ((e, p) for e in model.effects for p in e.parameters)
-    before = [value for values in model.values for value in values]
-    rows = {}
-    for (effect, p), start in zip(pairs, before, strict=True):
-        name = f"{effect.name}.{p.name}"
-        if found is not None and name in found.estimates:
-            told = found.estimates[name]
-            rows[name] = Row(
-                told.value, start, told.sd, p.unit, True, told.identifiable, told.manoeuvre
-            )
-    return rows
-
-
-def _told(
-    found: Fit | None, searches: Sequence[SearchHistory]
-) -> dict[str, tuple[float, float | None, bool, str]]:
-    """Value, standard error, identifiable and manoeuvre of every free parameter.
-
-    A search has no standard error; the spread over its starts stands for it.
-    """
-    if found is not None:
-        return {
-            name: (e.value, e.sd, e.identifiable, e.manoeuvre)
-            for name, e in found.estimates.items()
-        }
-    best = _best(searches).final
-    finals = np.array([search.final for search in searches if not search.diverged])
-    spread = finals.std(axis=0, ddof=1) if len(finals) > 1 else np.full(len(NAMES), np.nan)
-    out: dict[str, tuple[float, float | None, bool, str]] = {}
-    for name, value, sd in zip(NAMES, best.tolist(), spread.tolist(), strict=True):
-        known = sd < RELATIVE_MAX * value
-        out[name] = (value, None if isnan(sd) else sd, known, "" if known else MANOEUVRES[name])
-    return out
-
-
-def _notes(found: Fit | None, share: float, options: Options, taught: bool) -> tuple[str, ...]:
-    notes = []
+def _notes(task: Task, drives: _Drives, found: _Found) -> tuple[str, ...]:
+    notes, share = [], speed_tracking_share(drives.moving)
     if share < OBEYED:
         notes.append(
             f"the car went about as fast as it was asked in {share:.0%} of the time only: "
             "`--speed wheel` takes the measured speed instead"
         )
-    if found is None:
+    if found.fit is None:
         return (*notes, "sd is the spread over the starts: this method has no error bars")
-    if not found.converged:
+    if not found.fit.converged:
         notes.append("the last stage did not converge")
-    if options.horizons == SHORT:
+    if task.options.horizons == SHORT:
         notes.append(
             f"this model does not hold for longer: fitted over windows of {SHORT[-1]:g} s at most"
         )
-    poor = {group: ratio for group, ratio in found.misfit.items() if ratio > POOR}
+    poor = {group: ratio for group, ratio in found.fit.misfit.items() if ratio > POOR}
     if poor:
         worst = max(poor, key=lambda group: poor[group])
         size = f"{poor[worst]:.{1 if poor[worst] < 10.0 else 0}f}"
         notes.append(
             f"residuals of {worst} are {size} times its noise: something is not in the "
-            f"model; {_remedy(found)}"
+            f"model; {_remedy(found.fit)}"
             + (
                 "; the values come from windows of 1 s, weighed by the disturbances that show"
-                if taught
+                if found.taught is not None
                 else ", and values may be off by more than their sd"
             )
         )

@@ -24,7 +24,7 @@ DAMPED = 1.0
 """Steps damped by more are short wherever the minimum is."""
 GROWTH = 10.0
 DROP_MIN = 0.01
-"""A step that lowers the cost by less changes nothing that the data could tell."""
+"""A step that lowers the cost by less changes nothing that the data could show."""
 
 
 class Effort(NamedTuple):
@@ -45,8 +45,8 @@ class Effort(NamedTuple):
     patient: bool = False
 
 
-class Descent(NamedTuple):
-    """Where the descent ended.
+class Solution(NamedTuple):
+    """Where the iterations ended.
 
     Attributes:
         z: coordinates (n,); x: initial states (W, 7).
@@ -55,7 +55,7 @@ class Descent(NamedTuple):
         normal: Gauss-Newton equations there.
         costs: cost after each accepted step, the start's first.
         converged: whether the last step was short enough.
-        damping: for a descent that goes on from here.
+        damping: for iterations that go on from here.
     """
 
     z: Array
@@ -84,9 +84,9 @@ def _trial(
     return np.clip(z + dz, low, high), x + dx
 
 
-def descend(
+def minimise(
     problem: Problem, z: Array, x: Array, effort: Effort, at: Evaluation | None = None
-) -> Descent:
+) -> Solution:
     """Minimise from a start; `at` is the evaluation there, if it is known.
 
     Raises:
@@ -116,7 +116,7 @@ def descend(
         if short and not (effort.patient and damping >= DAMPED):
             converged = True
             break
-    return Descent(z, x, at, limit, normal, tuple(costs), converged, damping)
+    return Solution(z, x, at, limit, normal, tuple(costs), converged, damping)
 
 
 def _length(normal: Normal, step: Array) -> float:

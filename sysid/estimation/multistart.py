@@ -16,13 +16,13 @@ from steerd.sysid.estimation.identifiability import ANOTHER_END, Estimate
 COMPARABLE = 12.5
 """Ends whose log-likelihoods differ by less (5 standard deviations) explain drives as well."""
 _REARWARD = 0.7
-"""One rival's centre of gravity lies nearer to the rear axle by this factor."""
+"""One candidate's centre of gravity lies closer to the rear axle by this factor."""
 _LATER, _QUICKER = 0.02, 0.6
 """Another's servo waits so much longer [s], and then follows faster by this factor."""
 
 
 def has_one_speed(runs: Sequence[Run]) -> bool:
-    """Whether the drives have hardly more than one speed."""
+    """Whether the drives have barely more than one speed."""
     driven = measure_excitation(runs)
     return driven.speed_high - driven.speed_low < SPEED_SPAN
 
@@ -33,7 +33,7 @@ def log_cost(found: Fit) -> float:
     return float(counts @ np.log(found.noise))
 
 
-def rivals(model: Model[float], free: Sequence[str]) -> list[Model[float]]:
+def candidate_starts(model: Model[float], free: Sequence[str]) -> list[Model[float]]:
     """The start, and others along what one speed leaves open; what is not free stays."""
     car = model.car
     lr = _REARWARD * car.lr
@@ -46,16 +46,16 @@ def rivals(model: Model[float], free: Sequence[str]) -> list[Model[float]]:
     return [model, *(model._replace(car=other) for other in others)]
 
 
-def opened(found: Fit, others: Sequence[Fit]) -> Fit:
-    """The fit with everything open that other fits, as good as it, place elsewhere."""
+def mark_ambiguous(found: Fit, others: Sequence[Fit]) -> Fit:
+    """The fit, with what other fits, as good as it, place elsewhere marked as not identifiable."""
     return replace(
         found,
-        estimates={name: _open(name, e, others) for name, e in found.estimates.items()},
+        estimates={name: _mark(name, e, others) for name, e in found.estimates.items()},
     )
 
 
-def _open(name: str, told: Estimate, others: Sequence[Fit]) -> Estimate:
-    moved = max((abs(o.estimates[name].value - told.value) for o in others), default=0.0)
-    if moved <= told.sd:
-        return told
-    return replace(told, sd=moved, identifiable=False, manoeuvre=told.manoeuvre or ANOTHER_END)
+def _mark(name: str, found: Estimate, others: Sequence[Fit]) -> Estimate:
+    moved = max((abs(o.estimates[name].value - found.value) for o in others), default=0.0)
+    if moved <= found.sd:
+        return found
+    return replace(found, sd=moved, identifiable=False, manoeuvre=found.manoeuvre or ANOTHER_END)

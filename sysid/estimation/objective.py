@@ -29,7 +29,7 @@ STATES = 7
 COLUMN_STATES = (3, 4, 5, 6, 0, 1, 2)
 """Which state each of the last seven columns of slopes belongs to: the place and heading last."""
 STATE_SPREAD = np.array([0.1, 0.1, 0.2, 0.5, 2.0, 0.2, 0.01])
-"""Prior standard deviation of an initial state about its first guess (poses tell it far better).
+"""Prior standard deviation of an initial state about its first guess (poses show it far better).
 
 The last is the steering angle's deviation from where the known commands bring it.
 """

@@ -1,6 +1,6 @@
 """How far a model holds, and a start that does not stand in its way.
 
-Where a model is right, long windows tell most: errors of a start fade, those of a parameter grow.
+Where a model is right, long windows show most: errors of a start fade, those of a parameter grow.
 Where it is not, what long windows show are the model's own errors, heaped up; a fit to them bends
 every parameter to pass for what is missing, and long windows have more minima than one. So a car
 that is off by more than instruments after 2 s is fitted over 2 s at most.
@@ -32,7 +32,7 @@ OFF: dict[str, float] = {"position": 0.005, "yaw": 0.01}
 HISTORY = 4.0
 """Commands before a window that a linkage with play may remember [s]."""
 _BARELY = 1.05
-"""A slew limit that is passed by less is hardly felt."""
+"""A slew limit that is passed by less makes no difference."""
 _ROOM = 1.5
 """A gain that is not known yet may be so much larger."""
 
@@ -66,17 +66,17 @@ def unstopped(model: Model[float], runs: Sequence[Run], free: Sequence[str]) -> 
     A log that steerd did not drive may be of any car, and steer in any unit of its own: the end
     stops of the start values would clip what no servo clipped.
     """
-    reach = _ROOM * furthest(runs)
+    widest = _ROOM * furthest(runs)
     known = any(run.servo_frame for run in runs) or {"steer_min", "steer_max"} & set(free)
-    if known or reach <= min(-model.car.steer_min, model.car.steer_max):
+    if known or widest <= min(-model.car.steer_min, model.car.steer_max):
         return model
-    return model._replace(car=model.car._replace(steer_min=-reach, steer_max=reach))
+    return model._replace(car=model.car._replace(steer_min=-widest, steer_max=widest))
 
 
-def outpaced(model: Model[float], runs: Sequence[Run]) -> bool:
+def exceeds_slew_rate(model: Model[float], runs: Sequence[Run]) -> bool:
     """Whether commands ask the wheel to turn faster than its slew limit lets it.
 
-    How fast it really turns then decides what follows, and the file's limit is hardly ever this
+    How fast it really turns then decides what follows, and the file's limit is seldom this
     servo's. Drives of steerd's own keep below the limit of their car.
     """
     car = model.car

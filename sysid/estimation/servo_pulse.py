@@ -38,9 +38,9 @@ Array = NDArray[np.float64]
 PHASES = 8
 """Phases that are tried, evenly over a frame (2.5 ms apart)."""
 SURE = 3.0
-"""A log-likelihood smaller by less than this does not tell two phases apart."""
+"""A log-likelihood smaller by less than this does not distinguish two phases."""
 SECONDS = 20.0
-"""This much of a drive is enough to tell its phase [s]."""
+"""This much of a drive is enough to determine its phase [s]."""
 _HORIZONS = (0.5, 2.0)
 
 
@@ -50,7 +50,7 @@ class Pulse(NamedTuple):
     Attributes:
         run: the drive's name.
         phase: of the pulses after the drive's first command [s].
-        sure: by how much the log-likelihood falls at the best phase that is told apart from it.
+        sure: by how much the log-likelihood falls at the best phase that does not look alike.
         blur: by how much it may be off: phases between the same two commands look alike, but for a
             dead time (standard deviation) [s].
     """
@@ -92,7 +92,7 @@ def settle_servo(
 
 
 def rough_fit(runs: Sequence[Run], model: Model[float], options: Options) -> Fit:
-    """A car good enough to tell phases with: short windows, commands as if each was seen.
+    """A car good enough to determine phases with: short windows, commands as if each was seen.
 
     Raises:
         DataError: no drive moves, or the steering never changes.

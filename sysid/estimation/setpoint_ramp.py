@@ -3,7 +3,7 @@
 Since firmware 5.03 the setpoint of `SET_RPM` moves by at most 25000 ERPM/s (`s_pid_ramp_erpms_s`,
 5.4 m/s^2 on an F1TENTH car). A loop's limit of 2.5 m/s^2 comes in steps of 25 mm/s, and each takes
 the setpoint half of the 10 ms until the next: ignored, that is 2 ms of speed lag, and residuals
-that hang together for half a second. The setting is in no log; whether a drive had the firmware's
+that are correlated over half a second. The setting is in no log; whether a drive had the firmware's
 own is found by likelihood.
 """
 

@@ -31,10 +31,10 @@ Array = NDArray[np.float64]
 HORIZONS: tuple[float, ...] = (0.5, 1.0, 2.0)
 """[s]."""
 PAST = 0.4
-"""Measurements that tell the state at which a prediction starts [s]."""
+"""Measurements that show the state at which a prediction starts [s]."""
 _ROUNDS = 8
 _FLOORS = np.array([3e-3, 5e-3, 0.02, 0.05])
-"""A start is not told better than this [m, rad, m/s, rad/s]: no model is that good."""
+"""A start is not known better than this [m, rad, m/s, rad/s]: no model is that good."""
 _ROOM = 1.15
 """Windows are cut this much longer: drives do not divide evenly."""
 _NEAR = 0.05
@@ -126,14 +126,14 @@ def _angles(error: Array) -> Array:
 
 
 def _past(layout: Layout) -> NDArray[np.bool_]:
-    """(R,) rows that tell the start."""
-    told = np.zeros(len(layout.values), bool)
+    """(R,) rows that show the start."""
+    early_rows = np.zeros(len(layout.values), bool)
     seen = layout.seen
     early = seen.t <= PAST
     for offset in range(3):
         rows = seen.row[early & ((offset == 0) | (seen.kind == 0))] + offset
-        told[rows] = True
-    return told
+        early_rows[rows] = True
+    return early_rows
 
 
 def _correct(layout: Layout, sigma: Array, x: Array, y: Array, jy: Array) -> tuple[Array, Array]:

@@ -1,11 +1,11 @@
-"""Errors that follow each other are no news: in a spread of scores, and in a manner's gain."""
+"""Errors that follow each other are no news: in a spread of scores, and in an effect's gain."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from steerd.sysid.estimation import effect_selection as manners
+from steerd.sysid.estimation import effect_selection
 from steerd.sysid.estimation import robust_covariance as honest
 from steerd.sysid.estimation.objective import STATES
 
@@ -38,6 +38,6 @@ def test_scores_of_different_windows_are_strangers(monkeypatch):
 
 
 @pytest.mark.parametrize(("gains", "taken"), [([50.0] + [0.0] * 11, False), ([4.0] * 12, True)])
-def test_one_window_takes_no_manner(gains, taken):
+def test_one_window_takes_no_effect(gains, taken):
     point = SimpleNamespace(losses=np.array(gains))
-    assert manners._gains(point, SimpleNamespace(losses=np.zeros(12))) == taken
+    assert effect_selection._gains(point, SimpleNamespace(losses=np.zeros(12))) == taken

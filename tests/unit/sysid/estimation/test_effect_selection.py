@@ -34,17 +34,17 @@ def _chosen(run, truth):
 
 
 def test_an_effect_that_is_there_is_found_alone(bent, truth):
-    manners = _chosen(bent, truth)
-    assert [step.effect for step in manners.steps] == ["steer_asymmetry"]
-    assert manners.free == ("steer_asymmetry.asymmetry",)
-    assert manners.model.values[0][0] == pytest.approx(0.08, abs=0.01)
-    assert manners.nulled(truth).values == ((0.0,),)
+    selection = _chosen(bent, truth)
+    assert [step.effect for step in selection.steps] == ["steer_asymmetry"]
+    assert selection.free == ("steer_asymmetry.asymmetry",)
+    assert selection.model.values[0][0] == pytest.approx(0.08, abs=0.01)
+    assert selection.nulled(truth).values == ((0.0,),)
 
 
 def test_a_car_without_effects_gets_none(make_drive, truth):
-    manners = _chosen(make_drive(truth, 30.0, 6), truth)
-    assert manners.steps == ()
-    assert manners.model.effects == ()
+    selection = _chosen(make_drive(truth, 30.0, 6), truth)
+    assert selection.steps == ()
+    assert selection.model.effects == ()
 
 
 def test_the_outcome_holds_the_effect_and_predicts_with_it(bent, truth):

@@ -73,7 +73,7 @@ def test_circles_fix_two_sums_and_no_parameter(make_circles):
     )
     assert [c.value for c in found.combinations] == pytest.approx(wanted, rel=1e-3)
     assert {"c_sf", "c_sr"} <= set(found.unidentified)
-    assert sum(d.told for d in found.directions) == 2
+    assert sum(d.identifiable for d in found.directions) == 2
     assert all(found.estimates[name].manoeuvre for name in found.unidentified)
 
 
@@ -208,8 +208,8 @@ def test_noise_that_passes_for_transients_tells_no_compliance():
     chart = make_chart((), p, TYRES)
     z = chart.coordinates(parameter_vector(Model(DEFAULT_CAR._replace(c_sf=9.0))))
     sd = np.array([1e-5, 1e-5, 0.3 * z[2], 1e-3])
-    told = {d.text: d.told for d in directions(chart, z, np.diag(sd**-2))}
-    assert sum(told.values()) == 3
+    identifiable = {d.text: d.identifiable for d in directions(chart, z, np.diag(sd**-2))}
+    assert sum(identifiable.values()) == 3
     assert not estimates(chart, z, np.diag(sd**2))["c_sf"].identifiable
 
 

@@ -7,9 +7,9 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.dataset import Signal, make_run
 from steerd.sysid.estimation.prediction_horizon import (
+    exceeds_slew_rate,
     furthest,
     level_loads,
-    outpaced,
     reached,
     scale_inertia,
     unstopped,
@@ -78,6 +78,6 @@ def test_only_steps_that_the_file_s_servo_cannot_follow_outpace_it():
 
     steps = asked(0.2 * np.sign(np.sin(t)))
     ramps = asked(np.clip(3.0 * (np.abs(t % 4.0 - 2.0) - 1.0), -0.3, 0.3))
-    assert outpaced(CAR, steps)
-    assert not outpaced(CAR, ramps)
-    assert not outpaced(CAR._replace(car=DEFAULT_CAR._replace(steer_rate=12.0)), steps)
+    assert exceeds_slew_rate(CAR, steps)
+    assert not exceeds_slew_rate(CAR, ramps)
+    assert not exceeds_slew_rate(CAR._replace(car=DEFAULT_CAR._replace(steer_rate=12.0)), steps)
