@@ -1,6 +1,7 @@
 """Gathers what the watchdogs look at in one tick."""
 
 from math import nan
+from typing import NamedTuple
 
 from steerd.controller.lane_controller import ControlReport
 from steerd.daemon.loop.findings import Finding
@@ -9,7 +10,10 @@ from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.perception import Perception, estimated_state
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogInput
+from steerd.daemon.settings.config import BrakeSettings
 from steerd.estimator.state_filter import StateEstimate
+from steerd.vesc_link.events import Telemetry
+from steerd.vesc_link.telemetry import Values
 
 
 def make_watchdog_input(
@@ -44,12 +48,10 @@ def make_watchdog_input(
         reported: findings from elsewhere.
     """
     settings = setup.settings
-    values = seen.telemetry.values if seen.telemetry else None
     s, health = estimated_state(estimate), estimate.health if estimate else None
     limits = settings.limits
     side = limits.steer_left_max if steer > 0.0 else limits.steer_right_max
     lane = None if setup.ignores_lane else report
-    known = values.tachometer_abs if values else None
     return WatchdogInput(
         t_ns=t_ns,
         state=state,
@@ -70,16 +72,38 @@ def make_watchdog_input(
         lateral_error=lane.e1 if lane else (0.0 if setup.ignores_lane else nan),
         heading_error=lane.e2 if lane else (0.0 if setup.ignores_lane else nan),
         steer_share=abs(steer) / side,
-        status=(values.status or 0) if values else 0,
-        fault_code=(values.fault or 0) if values else 0,
-        tachometer=-1 if known is None else known,
-        cell_voltage=_nan_if_none(values.input_voltage if values else None) / settings.brakes.cells,
-        fet_temperature=_nan_if_none(values.temp_fet_c if values else None),
-        motor_temperature=_nan_if_none(values.temp_motor_c if values else None),
-        current_share=abs(_nan_if_none(values.motor_current if values else None))
-        / settings.brakes.current_max_a,
+        **_read_vesc(seen.telemetry, settings.brakes)._asdict(),
         followed=followed,
         reported=reported,
+    )
+
+
+class _VescValues(NamedTuple):
+    """What the watchdogs look at in telemetry; fields as in `WatchdogInput`."""
+
+    status: int
+    fault_code: int
+    tachometer: int
+    cell_voltage: float
+    fet_temperature: float
+    motor_temperature: float
+    current_share: float
+
+
+_SILENT = Values()
+"""Of a VESC that has not replied yet."""
+
+
+def _read_vesc(telemetry: Telemetry | None, brakes: BrakeSettings) -> _VescValues:
+    values = telemetry.values if telemetry else _SILENT
+    return _VescValues(
+        status=values.status or 0,
+        fault_code=values.fault or 0,
+        tachometer=-1 if values.tachometer_abs is None else values.tachometer_abs,
+        cell_voltage=_nan_if_none(values.input_voltage) / brakes.cells,
+        fet_temperature=_nan_if_none(values.temp_fet_c),
+        motor_temperature=_nan_if_none(values.temp_motor_c),
+        current_share=abs(_nan_if_none(values.motor_current)) / brakes.current_max_a,
     )
 
 

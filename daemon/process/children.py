@@ -192,12 +192,6 @@ def start_processes(
     terminal_end, terminal_core_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     fds = {name: pipes[name][1] for name in pipes}
     fds |= {"parent": terminal_core_end.fileno(), "gateway_requests": gateway_core_end.fileno()}
-    job = {
-        "options": encode_options(plan.options),
-        "boot_id": boot_id,
-        "epoch_ns": epoch_ns,
-        "leased": leased,
-    }
     started: list[Child] = []
     recording = False
     try:
@@ -206,7 +200,7 @@ def start_processes(
         meta = make_metadata(plan, boot_id, epoch_ns, leased=leased)
         started.append(_start_recorder(plan, session, meta, epoch_ns, pipes["recorder"][0]))
         started.append(_start_gateway(plan, pipes["gateway"][0], gateway_end.fileno()))
-        started.append(spawn("steerd.daemon.process.core_process", fds, job, named=True))
+        started.append(_start_core(plan, boot_id, epoch_ns, leased, fds))
         if viewed:
             started.append(
                 spawn("steerd.daemon.process.view", {"pipe": pipes["view"][0]}, make_view_job(plan))
@@ -214,10 +208,7 @@ def start_processes(
         recorder, gateway, core, *others = started
         _expect_ready(recorder, "recorder", ExitCode.UNREADABLE)
         recording = True
-        core_report = json.loads(core.wait_ready("control core"))
-        if "what" in core_report:
-            code = ExitCode(core_report["code"])
-            raise SteerdError(core_report["what"], core_report["hint"], code)
+        core_report = _read_core_report(core)
         _expect_ready(gateway, "gateway", ExitCode.UNREACHABLE)
         for other in others:
             _expect_ready(other, "viewer", ExitCode.UNREADABLE)
@@ -239,6 +230,30 @@ def start_processes(
         core, recorder, gateway, viewer, terminal_end, pipes["status"][0], session, core_report,
         page,
     )  # fmt: skip
+
+
+def _start_core(
+    plan: RunPlan, boot_id: int, epoch_ns: int, leased: bool, fds: Mapping[str, int]
+) -> Child:
+    job = {
+        "options": encode_options(plan.options),
+        "boot_id": boot_id,
+        "epoch_ns": epoch_ns,
+        "leased": leased,
+    }
+    return spawn("steerd.daemon.process.core_process", fds, job, named=True)
+
+
+def _read_core_report(core: Child) -> dict[str, Any]:
+    """What a core reports that is ready.
+
+    Raises:
+        SteerdError: it is not, with its own text.
+    """
+    report: dict[str, Any] = json.loads(core.wait_ready("control core"))
+    if "what" in report:
+        raise SteerdError(report["what"], report["hint"], ExitCode(report["code"]))
+    return report
 
 
 def _expect_ready(child: Child, name: str, code: ExitCode) -> None:

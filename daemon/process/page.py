@@ -28,6 +28,7 @@ from steerd.daemon.process.page_link import CarView, PageOperator
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
+from steerd.sysid.report.page import render_page
 
 HOST = "127.0.0.1"
 SHOW_S = 0.05
@@ -46,18 +47,12 @@ _POLICY = (
 
 def make_page(job: Mapping[str, Any]) -> str:
     """The page: its style, its script and what it draws the car on."""
-    text = (_FILES / "live.html").read_text(encoding="utf-8")
-    shown = json.dumps(
-        {name: job[name] for name in ("car", "lane", "closed", "half_width", "body")}
+    return render_page(
+        _FILES / "live.html",
+        job={name: job[name] for name in ("car", "lane", "closed", "half_width", "body")},
+        style=(_FILES / "live.css").read_text(encoding="utf-8"),
+        script=(_FILES / "live.js").read_text(encoding="utf-8"),
     )
-    parts = {
-        "/*STYLE*/": (_FILES / "live.css").read_text(encoding="utf-8"),
-        "/*JOB*/": shown.replace("<", "\\u003c"),
-        "/*SCRIPT*/": (_FILES / "live.js").read_text(encoding="utf-8"),
-    }
-    for place, part in parts.items():
-        text = text.replace(place, part, 1)
-    return text
 
 
 class PageServer:

@@ -9,6 +9,7 @@ import pytest
 
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.session_read import open_session
+from tests.csv_logs import write_log
 
 SIM = ("--sim", "--fast", "--duration", "4", "--record")
 HINT = "free some space"
@@ -86,22 +87,10 @@ def test_a_recovery_and_a_page_without_room(tmp_path, full, capsys):
     ]  # fmt: skip
 
 
-LOG = "t,x,y,yaw,steer,speed\n" + "".join(f"{k / 100},{k / 99},1,0.1,0,1\n" for k in range(3000))
-MAP = """[columns]
-t = "t"
-x = "x"
-y = "y"
-yaw = "yaw"
-steer_cmd = "steer"
-speed_cmd = "speed"
-"""
-
-
 @pytest.mark.parametrize("size", [0, 2_000, 20_000])
 def test_an_import_leaves_nothing_and_promises_nothing(size, tmp_path, full, capsys):
-    log, the_map, out = (tmp_path / name for name in ("log.csv", "map.toml", "log.mcap"))
-    log.write_text(LOG)
-    the_map.write_text(MAP)
+    rows = [(k / 100, k / 99, 1.0, 0.1, 0.0, 1.0) for k in range(3000)]
+    (log, the_map), out = write_log(tmp_path, rows, "log"), tmp_path / "log.mcap"
     full(size)
     code, said = said_of(["import", "csv", log, "--map", the_map, "-o", out], capsys)
     full()

@@ -7,47 +7,19 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.cli.main import run_cli as main
-from steerd.sysid.compiler.kernels import (
-    HeldCommands,
-    make_kernels,
-    make_window_blocks,
-    march,
-    view_by_window,
-)
+from tests.csv_logs import STEP, import_log, make_rows
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
-MAP = """[columns]
-t = "t"
-x = "x"
-y = "y"
-yaw = "yaw"
-steer_cmd = "steer"
-speed_cmd = "speed"
-[session]
-car = "lab"
-"""
 SEARCH = ("--method", "paper", "--starts", "2", "--iterations", "2", "--held-out", "3")
 
 
 @pytest.fixture
 def session(tmp_path):
     """A drive of 20 s as an imported log."""
-    t = 0.01 * np.arange(2000)
-    commands = np.column_stack([0.2 * np.sin(1.3 * t + 0.1 * t * t), np.ones_like(t)])
-    blocks = make_window_blocks(np.array([[0, len(t), 0]]), np.zeros(1))
-    first = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
-    path = march(
-        make_kernels(), np.array(DEFAULT_CAR), first, HeldCommands(commands, 0.01), blocks, len(t)
-    )
-    rows = np.column_stack([t, view_by_window(path, 1)[0, :-1, :3], commands])
-    np.savetxt(
-        tmp_path / "run.csv", rows, delimiter=",", header="t,x,y,yaw,steer,speed", comments=""
-    )
-    (tmp_path / "map.toml").write_text(MAP)
-    out = tmp_path / "run.mcap"
-    files = [str(tmp_path / "run.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(out)]
-    assert main(["import", "csv", *files]) == 0
-    return out
+    t = STEP * np.arange(2000)
+    steer = 0.2 * np.sin(1.3 * t + 0.1 * t * t)
+    first = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    return import_log(tmp_path, make_rows(DEFAULT_CAR, steer, np.ones_like(t), first))
 
 
 def _answer(session, *more):

@@ -54,6 +54,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="lane",
         help="zenoh: apply the commands of `steerd control`",
     )
+    _add_network_arguments(run)
+
+
+def _add_network_arguments(run: argparse._ArgumentGroup) -> None:
+    """The bus, and who else may see the car."""
     run.add_argument("--listen", metavar="ENDPOINT", help="of zenoh (default tcp/127.0.0.1:7447)")
     run.add_argument(
         "--lab", type=Path, metavar="DIR", help="the car's folder of `steerd keys`: mutual TLS"

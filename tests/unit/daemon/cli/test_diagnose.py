@@ -6,11 +6,9 @@ import hashlib
 import io
 import itertools
 import json
-import math
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from steerd.car_model.car_file import load_car
@@ -22,66 +20,23 @@ from steerd.daemon.analysis.held_out import HeldOut, parse_held_out
 from steerd.daemon.cli.commands.analysis import diagnose as command
 from steerd.daemon.cli.main import run_cli as main
 from steerd.daemon.common.errors import SteerdError
+from tests.csv_logs import STEP, import_log, make_noisy_rows
 
 pytestmark = pytest.mark.slow
 
 TRUE = DEFAULT_CAR._replace(steer_delay=DEFAULT_CAR.steer_delay + 0.05)
-MAP = """[columns]
-t = "t"
-x = "x"
-y = "y"
-yaw = "yaw"
-steer_cmd = "steer"
-speed_cmd = "speed"
-[session]
-car = "lab"
-"""
-STEP = 0.01
-
-
-def _drive(seconds):
-    """Rows t, x, y, yaw, steer, speed of a drive of the true car with mocap noise."""
-    from steerd.sysid.compiler.kernels import (
-        HeldCommands,
-        make_kernels,
-        make_window_blocks,
-        march,
-        view_by_window,
-    )
-
-    t = np.arange(round(seconds / STEP)) * STEP
-    steer = 0.12 * np.sign(np.sin(2.1 * t)) + 0.08 * np.sin(2 * np.pi * (0.4 + 0.05 * t) * t)
-    speed = 1.2 + 0.6 * np.sign(np.sin(0.37 * t))
-    commands, count = np.column_stack([steer, speed]), len(t)
-    blocks = make_window_blocks(np.array([[0, count, 0]]), np.zeros(1))
-    first = np.array([[0.0, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0]])
-    path = march(make_kernels(), np.array(TRUE), first, HeldCommands(commands, STEP), blocks, count)
-    pose = view_by_window(path, 1)[0, :-1, :3]
-    noise = np.random.default_rng(4).normal(size=pose.shape) * [1e-3, 1e-3, 2e-3]
-    return np.column_stack([t, pose + noise, commands])
-
-
-def _import(folder, rows, name):
-    table = folder / f"{name}.csv"
-    lines = [",".join("" if math.isnan(v) else repr(float(v)) for v in row) for row in rows]
-    table.write_text("t,x,y,yaw,steer,speed\n" + "\n".join(lines) + "\n")
-    (folder / "map.toml").write_text(MAP)
-    out = folder / f"{name}.mcap"
-    args = ["import", "csv", str(table), "--map", str(folder / "map.toml"), "-o", str(out)]
-    assert main(args) == 0
-    return out
 
 
 @pytest.fixture(scope="module")
 def rows():
-    return _drive(26.0)
+    return make_noisy_rows(TRUE, 26.0, 2.1)
 
 
 @pytest.fixture(scope="module")
 def diagnosed(rows, tmp_path_factory):
     """One diagnosis with every output, shared by the tests."""
     folder = tmp_path_factory.mktemp("diagnose")
-    session = _import(folder, rows, "run")
+    session = import_log(folder, rows, "run")
     names = {
         "--json": "gap.json", "--report": "gap.html", "-o": "car.toml",
         "--prediction": "prediction.json",
@@ -212,7 +167,7 @@ def test_bad_content_is_one_line_with_a_code_and_leaves_nothing(kind, rows, tmp_
     spoil, words = BROKEN[kind]
     spoilt = rows.copy()
     spoil(spoilt)
-    session = _import(tmp_path, spoilt, "bad")
+    session = import_log(tmp_path, spoilt, "bad")
     before = set(tmp_path.iterdir())
     capsys.readouterr()
     out = ["--json", str(tmp_path / "o.json"), "-o", str(tmp_path / "o.toml")]
@@ -225,7 +180,7 @@ def test_bad_content_is_one_line_with_a_code_and_leaves_nothing(kind, rows, tmp_
 
 @pytest.mark.parametrize(("seconds", "words"), [(0.6, "of driving"), (4.0, "of driving")])
 def test_too_short_a_drive_is_refused(seconds, words, rows, tmp_path, capsys):
-    session = _import(tmp_path, rows[: round(seconds / STEP)], "short")
+    session = import_log(tmp_path, rows[: round(seconds / STEP)], "short")
     assert main(["diagnose", str(session)]) == 4
     assert words in capsys.readouterr().err
 
@@ -315,7 +270,7 @@ def case_of(*words):
 @pytest.fixture(scope="module")
 def four(rows, tmp_path_factory):
     folder = tmp_path_factory.mktemp("four")
-    return [_import(folder, rows[i * 650 : (i + 1) * 650], f"run{i}") for i in range(4)]
+    return [import_log(folder, rows[i * 650 : (i + 1) * 650], f"run{i}") for i in range(4)]
 
 
 def test_of_many_sessions_every_fourth_is_held_out_whole(four):

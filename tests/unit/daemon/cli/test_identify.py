@@ -2,8 +2,8 @@
 
 import contextlib
 import json
-import math
 import resource
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,63 +11,21 @@ import pytest
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.cli.main import run_cli as main
+from tests.csv_logs import import_log, make_noisy_rows
 
 pytestmark = pytest.mark.slow
 
 TRUE = DEFAULT_CAR._replace(steer_gain=0.93, speed_lag=0.14, c_sf=4.3)
-MAP = """[columns]
-t = "t"
-x = "x"
-y = "y"
-yaw = "yaw"
-steer_cmd = "steer"
-speed_cmd = "speed"
-[session]
-car = "lab"
-"""
-STEP = 0.01
-
-
-def _drive(seconds=26.0):
-    """Rows t, x, y, yaw, steer, speed of a drive of the true car with mocap noise."""
-    from steerd.sysid.compiler.kernels import (
-        HeldCommands,
-        make_kernels,
-        make_window_blocks,
-        march,
-        view_by_window,
-    )
-
-    t = np.arange(round(seconds / STEP)) * STEP
-    steer = 0.12 * np.sign(np.sin(0.9 * t)) + 0.08 * np.sin(2 * np.pi * (0.4 + 0.05 * t) * t)
-    speed = 1.2 + 0.6 * np.sign(np.sin(0.37 * t))
-    commands, count = np.column_stack([steer, speed]), len(t)
-    blocks = make_window_blocks(np.array([[0, count, 0]]), np.zeros(1))
-    first = np.array([[0.0, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0]])
-    path = march(make_kernels(), np.array(TRUE), first, HeldCommands(commands, STEP), blocks, count)
-    pose = view_by_window(path, 1)[0, :-1, :3]
-    noise = np.random.default_rng(4).normal(size=pose.shape) * [1e-3, 1e-3, 2e-3]
-    return np.column_stack([t, pose + noise, commands])
 
 
 @pytest.fixture(scope="module")
 def rows():
-    return _drive()
+    return make_noisy_rows(TRUE, 26.0, 0.9)
 
 
 @pytest.fixture
 def importer(tmp_path):
-    def write(rows, name="run"):
-        table = tmp_path / f"{name}.csv"
-        lines = [",".join("" if math.isnan(v) else repr(float(v)) for v in row) for row in rows]
-        table.write_text("t,x,y,yaw,steer,speed\n" + "\n".join(lines) + "\n")
-        (tmp_path / "map.toml").write_text(MAP)
-        out = tmp_path / f"{name}.mcap"
-        args = ["import", "csv", str(table), "--map", str(tmp_path / "map.toml"), "-o", str(out)]
-        assert main(args) == 0
-        return out
-
-    return write
+    return partial(import_log, tmp_path)
 
 
 def _outputs(folder):

@@ -1,65 +1,23 @@
 """Each watchdog exactly at its boundary, with numbers that floats represent exactly."""
 
-from dataclasses import replace
-from math import cos, inf, nan, nextafter, pi
+from math import inf, nan
 
 import pytest
 
-from steerd.daemon.loop.findings import WATCHDOGS, Severity, make_finding, summarise
+from steerd.daemon.loop.findings import WATCHDOGS, make_finding, summarise
 from steerd.daemon.loop.follow_model import Band
 from steerd.daemon.loop.following import Followed
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.loop.watchdogs import (
     COMMANDED_S,
     WatchdogState,
-    is_inside,
-    is_slowing,
     mocap_timeout,
     step_watchdogs,
 )
 from steerd.daemon.loop.watchdogs_pose import PoseWatch
 from steerd.daemon.settings.thresholds import Thresholds
 from tests.unit.daemon.loop.calm import CALM
-
-# Binary fractions, so that "exactly at the threshold" is exact.
-TH = Thresholds(
-    mocap_warn=0.03125, mocap_blind=0.25, mocap_shortest=0.046875, mocap_longest=0.125,
-    sigma_position=0.125, sigma_yaw=0.125, telemetry_warn=0.0625, telemetry=0.09375,
-    cell_warn=3.5, cell=3.25, cell_hold=0.5, fet_warn=75.0, fet=85.0, motor_warn=80.0, motor=95.0,
-    lateral_warn=0.1875, lateral=0.3125, lateral_hold=0.125, lateral_max=0.5,
-    heading_warn=0.5, heading=0.75, fence_warn=0.5, fence_delay=0.125, fence_margin=0.125,
-    overspeed_ratio=1.125, overspeed_margin=0.125, overspeed_hold=0.0625,
-    mismatch_speed=0.5, mismatch_share=0.25, mismatch_hold=0.1875,
-    blocked_current=0.5, blocked_speed=0.0625, blocked_hold=1.0,
-    saturated=0.984375, saturated_warn=0.5, saturated_hold=1.0,
-    brake_decel=4.0, stop_share=0.5, stop_lag=0.125, stop_window=0.25, stop_speed=0.125,
-    lease_warn=0.125, lease=0.25, follow_hold=0.0625, follow_distance=0.125,
-)  # fmt: skip
-S = 10**9
-WARN, SOFT, HARD, KILL = Severity
-
-
-def up(value):
-    return nextafter(value, inf)
-
-
-def down(value):
-    return nextafter(value, -inf)
-
-
-def look(th=TH, memory=None, **changes):
-    return step_watchdogs(th, memory or WatchdogState(), CALM._replace(**changes))[1]
-
-
-def brief(findings):
-    return [(f.id, f.severity) for f in findings]
-
-
-def hold(seconds, th=TH, **changes):
-    """Findings of the first and of the last of two ticks so many seconds apart."""
-    memory, first = step_watchdogs(th, WatchdogState(), CALM._replace(**changes))
-    end = CALM.t_ns + round(seconds * S)
-    return brief(first), brief(look(th, memory, **{**changes, "t_ns": end}))
+from tests.unit.daemon.loop.watching import HARD, SOFT, TH, WARN, S, brief, down, hold, look, up
 
 
 def test_calm_driving_has_no_findings():
@@ -185,19 +143,6 @@ def test_covariance_that_is_not_valid():
     assert "positive definite" in found[0].text
 
 
-@pytest.mark.parametrize(
-    ("status", "fault", "expected"),
-    [
-        (2, 0, [("W10", KILL)]),
-        (0, 1, [("W11", HARD)]),
-        (0, 10, [("W12", HARD)]),
-        (3, 9, [("W10", KILL), ("W11", HARD)]),
-    ],
-)
-def test_vesc_status_and_fault_codes(status, fault, expected):
-    assert brief(look(status=status, fault_code=fault)) == expected
-
-
 TINY = 5e-324
 FAST = {"speed_erpm": 4.0, "speed_mocap": 4.0, "speed_limit": 6.0}
 STUCK = {"current_share": up(0.5), "speed_erpm": 0.0, "speed_mocap": 0.0, "speed": 2.0}
@@ -303,83 +248,6 @@ def test_lease_matters_while_armed_or_driving(state):
     assert brief(look(state=state, lease_age=inf)) == ([("W25", SOFT)] if matters else [])
 
 
-def test_starved_at_once_after_commands_were_seen_to_arrive():
-    state, _ = step_watchdogs(TH, WatchdogState(), CALM._replace(state=SupervisorState.ARMED))
-    assert state.commanded
-    still, found = step_watchdogs(TH, state, CALM._replace(state=SupervisorState.ARMED, status=1))
-    assert (still.commanded, found) == (True, ())
-    assert brief(look(memory=still, status=1)) == [("W9", HARD)]
-    assert "while driving" in look(memory=still, status=1)[0].text
-
-
-def test_timeout_bit_left_from_the_self_test_is_no_starvation():
-    assert look(status=1) == ()
-    quiet, _ = step_watchdogs(
-        TH, WatchdogState(commanded=True), CALM._replace(state=SupervisorState.READY)
-    )
-    assert not quiet.commanded
-    state, found = step_watchdogs(TH, quiet, CALM._replace(state=SupervisorState.ARMED, status=1))
-    assert (state.commanded, found) == (False, ())
-    assert (
-        step_watchdogs(TH, WatchdogState(), CALM._replace(state=SupervisorState.STOPPING))[
-            0
-        ].commanded
-        is False
-    )
-
-
-def test_reboot_shows_in_the_tachometer():
-    state, found = step_watchdogs(TH, WatchdogState(), CALM._replace(tachometer=100))
-    assert (state.tachometer, found) == (100, ())
-    state, found = step_watchdogs(TH, state, CALM._replace(tachometer=100))
-    assert found == ()
-    state, found = step_watchdogs(TH, state, CALM)  # unknown in this tick
-    assert (state.tachometer, found) == (100, ())
-    after, found = step_watchdogs(TH, state, CALM._replace(tachometer=99))
-    assert brief(found) == [("W12", HARD)]
-    assert after.tachometer == 99
-    assert brief(look(memory=state, tachometer=0)) == [("W12", HARD)]
-
-
-SQUARE = ((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0))
-ELL = ((0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (2.0, 2.0), (2.0, 4.0), (0.0, 4.0))
-
-
-def test_inside_a_polygon():
-    assert is_inside(SQUARE, 0.0, 0.0)
-    assert is_inside(SQUARE, down(2.0), 0.0)
-    assert not is_inside(SQUARE, 2.0, 0.0)
-    assert not is_inside(SQUARE, up(2.0), 0.0)
-    assert is_inside(ELL, 1.0, 3.0)
-    assert is_inside(ELL, 3.0, 1.0)
-    assert not is_inside(ELL, 3.0, 3.0)
-    assert not is_inside(SQUARE, nan, 0.0)
-    assert not is_inside(SQUARE, 0.0, nan)
-    for turned in (SQUARE[::-1], SQUARE[2:] + SQUARE[:2]):
-        assert is_inside(turned, 1.9, -1.9)
-        assert not is_inside(turned, 1.9, -2.1)
-
-
-def test_fence_counts_the_stopping_distance():
-    th = replace(TH, fence=SQUARE)
-    reach = 0.25 + 0.5 + 0.125  # v 2: 2*0.125 + 4/8 + margin
-    for course, sign in ((0.0, 1.0), (pi, -1.0)):
-        for speed in (2.0, -2.0):
-            edge = 2.0 - reach
-            changes = {"course": course, "speed": speed}
-            assert brief(look(th, x=sign * (edge - 0.51), **changes)) == []
-            assert brief(look(th, x=sign * (edge - 0.49), **changes)) == [("W19", WARN)]
-            assert brief(look(th, x=sign * (edge - 0.001), **changes)) == [("W19", WARN)]
-            assert brief(look(th, x=sign * (edge + 0.001), **changes)) == [("W19", HARD)]
-    assert brief(look(th, y=2.0 - reach + 0.001, course=pi / 2, speed=2.0)) == [("W19", HARD)]
-    assert brief(look(th, x=nan)) == [("W19", HARD)]
-    assert brief(look(th, x=1.0, speed=0.0, state=SupervisorState.DISARMED)) == []
-    assert cos(0.0) == 1.0
-    assert brief(look(th, x=2.0 - 0.125, speed=0.0, state=SupervisorState.DISARMED)) == [
-        ("W19", HARD)
-    ]
-
-
 def saturate(seconds, first=0.0, last=0.1, share=0.99):
     changes = {"steer_share": share, "lateral_error": first}
     state, found = step_watchdogs(TH, WatchdogState(), CALM._replace(**changes))
@@ -410,68 +278,6 @@ def test_saturation_that_ends_is_forgotten():
     )
 
 
-def stop(kind, speeds, dt=S // 16):
-    """Watch a stop; return per tick the W24 findings and whether it is slowing."""
-    state, out = WatchdogState(), []
-    for k, speed in enumerate(speeds):
-        tick = CALM._replace(t_ns=S + k * dt, state=kind, speed=speed, speed_erpm=0.0)
-        state, found = step_watchdogs(TH, state, tick._replace(speed_mocap=0.0))
-        words = [f.text for f in found if f.id == "W24"]
-        out.append((words, is_slowing(state)))
-    return out
-
-
-def test_a_stop_that_works_has_no_findings():
-    for decel, kind in (
-        (0.75, SupervisorState.STOPPING),
-        (2.0, SupervisorState.FAULT_STOP),
-        (2.0, SupervisorState.ESTOP),
-    ):
-        found = stop(kind, [2.0 - decel * max(0.0, k / 16 - 0.125) for k in range(12)])
-        assert all(words == [] and slowing for words, slowing in found)
-
-
-def test_a_stop_that_is_too_weak_is_found_after_lag_and_window():
-    for decel, kind in (
-        (0.74, SupervisorState.STOPPING),
-        (1.99, SupervisorState.FAULT_STOP),
-        (1.99, SupervisorState.ESTOP),
-    ):
-        found = stop(kind, [2.0 - decel * max(0.0, k / 16 - 0.125) for k in range(11)])
-        assert [slowing for _, slowing in found] == [True] * 6 + [False] * 5
-        assert "W24" in found[6][0][0]
-        assert "CUT POWER:" not in found[9][0][0]
-        assert "CUT POWER:" in found[10][0][0]
-
-
-def test_a_stop_that_does_nothing_alarms_and_stays_found_even_if_it_starts_to_work():
-    speeds = [2.0] * 11 + [2.0 - 0.25 * k for k in range(6)]
-    found = stop(SupervisorState.FAULT_STOP, speeds)
-    assert not any(slowing for _, slowing in found[6:])
-
-
-def test_slow_or_unknown_speeds_are_not_judged():
-    for speeds in ([0.125] * 12, [nan] * 12, [-0.125] * 12):
-        assert all(words == [] for words, _ in stop(SupervisorState.FAULT_STOP, speeds))
-    assert stop(SupervisorState.FAULT_STOP, [up(0.125)] * 12)[6][0]
-    assert stop(SupervisorState.FAULT_STOP, [-1.0] * 12)[6][0]
-
-
-def test_each_kind_of_stop_is_judged_anew():
-    state = WatchdogState()
-    for k in range(7):
-        state, _ = step_watchdogs(
-            TH, state, CALM._replace(t_ns=S + k * S // 16, state=SupervisorState.STOPPING)
-        )
-    assert not is_slowing(state)
-    state, found = step_watchdogs(
-        TH, state, CALM._replace(t_ns=2 * S, state=SupervisorState.FAULT_STOP)
-    )
-    assert (is_slowing(state), found) == (True, ())
-    state, _ = step_watchdogs(TH, state, CALM._replace(t_ns=2 * S, state=SupervisorState.DISARMED))
-    assert state.stop is None
-
-
 def test_what_the_runner_reports_comes_first_and_counts():
     late = make_finding("W15", "a tick 31 ms late")
     found = look(reported=(late,), telemetry_age=1.0)
@@ -480,37 +286,3 @@ def test_what_the_runner_reports_comes_first_and_counts():
     assert bits == Fact.HARD
     assert text == late.text
     assert text.startswith("W15 loop late: a tick 31 ms late; run steerd rtcheck")
-
-
-def test_slanted_fences_and_diagonal_travel():
-    kite = ((0.0, -2.0), (3.0, 1.0), (0.0, 2.0), (-1.0, 1.0))
-    assert is_inside(kite, 1.0, 0.0)
-    assert not is_inside(kite, 2.0, -0.5)
-    assert is_inside(kite, 1.9, 0.0)
-    assert not is_inside(kite, 2.1, 0.0)
-    assert is_inside(kite, -0.3, 0.0)
-    assert not is_inside(kite, -0.7, 0.0)
-    th = replace(TH, fence=SQUARE)
-    for course, x, y in ((0.6, 1.0, 0.0), (0.6 + pi, -1.0, 0.0), (0.9, 0.0, 1.0)):
-        out = look(th, x=x, y=y, course=course, speed=2.0)  # needs 0.875 m: stays just inside
-        assert brief(out) == [("W19", WARN)]
-        out = look(th, x=1.5 * x, y=1.5 * y, course=course, speed=2.0)
-        assert brief(out) == [("W19", HARD)]
-    assert look(th, x=-1.0, course=0.6, speed=2.0) == ()
-
-
-def test_only_their_own_status_bits_count():
-    armed, _ = step_watchdogs(TH, WatchdogState(), CALM)
-    assert brief(look(memory=armed, status=2)) == [("W10", KILL)]
-    assert hold(1.0, status=2) == ([("W10", KILL)], [("W10", KILL)])
-    assert COMMANDED_S == 0.2
-
-
-def test_nothing_is_weak_before_and_after_a_stop():
-    assert is_slowing(WatchdogState())
-    weak = WatchdogState(stop=SupervisorState.STOPPING, weak=3)
-    assert is_slowing(step_watchdogs(TH, weak, CALM)[0])
-
-
-def test_a_tachometer_of_zero_is_known():
-    assert step_watchdogs(TH, WatchdogState(), CALM._replace(tachometer=0))[0].tachometer == 0

@@ -1,0 +1,70 @@
+"""A lab's log of a simulated car as CSV with its map, and the session that it becomes."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from steerd.car_model.params import Car
+from steerd.daemon.cli.main import run_cli
+from steerd.sysid.compiler.kernels import (
+    HeldCommands,
+    make_kernels,
+    make_window_blocks,
+    march,
+    view_by_window,
+)
+
+STEP = 0.01
+"""Time between two rows [s]."""
+NAMES = ("t", "x", "y", "yaw", "steer", "speed")
+MAP = """[columns]
+t = "t"
+x = "x"
+y = "y"
+yaw = "yaw"
+steer_cmd = "steer"
+speed_cmd = "speed"
+[session]
+car = "lab"
+"""
+FIRST = (0.0, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0)
+"""The car's state at the first row."""
+
+
+def make_rows(
+    car: Car[float], steer: np.ndarray, speed: np.ndarray, first: tuple[float, ...] = FIRST
+) -> np.ndarray:
+    """Rows of `NAMES` of a car under these commands, without noise."""
+    count = len(steer)
+    commands = np.column_stack([steer, speed])
+    blocks = make_window_blocks(np.array([[0, count, 0]]), np.zeros(1))
+    held = HeldCommands(commands, STEP)
+    path = march(make_kernels(), np.array(car), np.array([first]), held, blocks, count)
+    return np.column_stack([STEP * np.arange(count), view_by_window(path, 1)[0, :-1, :3], commands])
+
+
+def make_noisy_rows(car: Car[float], seconds: float, flips: float) -> np.ndarray:
+    """A drive that excites the car, steps of steering at `flips` [rad/s], with mocap noise."""
+    t = np.arange(round(seconds / STEP)) * STEP
+    steer = 0.12 * np.sign(np.sin(flips * t)) + 0.08 * np.sin(2 * np.pi * (0.4 + 0.05 * t) * t)
+    rows = make_rows(car, steer, 1.2 + 0.6 * np.sign(np.sin(0.37 * t)))
+    rows[:, 1:4] += np.random.default_rng(4).normal(size=(len(t), 3)) * [1e-3, 1e-3, 2e-3]
+    return rows
+
+
+def write_log(folder: Path, rows: np.ndarray, name: str = "run") -> tuple[Path, Path]:
+    """The rows as a table, NaN as an empty cell, and its map."""
+    table, the_map = folder / f"{name}.csv", folder / "map.toml"
+    lines = [",".join("" if math.isnan(v) else repr(float(v)) for v in row) for row in rows]
+    table.write_text("\n".join([",".join(NAMES), *lines]) + "\n")
+    the_map.write_text(MAP)
+    return table, the_map
+
+
+def import_log(folder: Path, rows: np.ndarray, name: str = "run") -> Path:
+    """The session of such a log."""
+    table, the_map = write_log(folder, rows, name)
+    out = folder / f"{name}.mcap"
+    assert run_cli(["import", "csv", str(table), "--map", str(the_map), "-o", str(out)]) == 0
+    return out

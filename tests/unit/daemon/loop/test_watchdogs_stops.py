@@ -1,0 +1,76 @@
+"""Whether a stop slows the car: judged over lag and window, by each kind of stop (W24)."""
+
+from math import nan
+
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.watchdogs import WatchdogState, is_slowing, step_watchdogs
+from tests.unit.daemon.loop.calm import CALM
+from tests.unit.daemon.loop.watching import TH, S, up
+
+
+def stop(kind, speeds, dt=S // 16):
+    """Watch a stop; return per tick the W24 findings and whether it is slowing."""
+    state, out = WatchdogState(), []
+    for k, speed in enumerate(speeds):
+        tick = CALM._replace(t_ns=S + k * dt, state=kind, speed=speed, speed_erpm=0.0)
+        state, found = step_watchdogs(TH, state, tick._replace(speed_mocap=0.0))
+        words = [f.text for f in found if f.id == "W24"]
+        out.append((words, is_slowing(state)))
+    return out
+
+
+def test_a_stop_that_works_has_no_findings():
+    for decel, kind in (
+        (0.75, SupervisorState.STOPPING),
+        (2.0, SupervisorState.FAULT_STOP),
+        (2.0, SupervisorState.ESTOP),
+    ):
+        found = stop(kind, [2.0 - decel * max(0.0, k / 16 - 0.125) for k in range(12)])
+        assert all(words == [] and slowing for words, slowing in found)
+
+
+def test_a_stop_that_is_too_weak_is_found_after_lag_and_window():
+    for decel, kind in (
+        (0.74, SupervisorState.STOPPING),
+        (1.99, SupervisorState.FAULT_STOP),
+        (1.99, SupervisorState.ESTOP),
+    ):
+        found = stop(kind, [2.0 - decel * max(0.0, k / 16 - 0.125) for k in range(11)])
+        assert [slowing for _, slowing in found] == [True] * 6 + [False] * 5
+        assert "W24" in found[6][0][0]
+        assert "CUT POWER:" not in found[9][0][0]
+        assert "CUT POWER:" in found[10][0][0]
+
+
+def test_a_stop_that_does_nothing_alarms_and_stays_found_even_if_it_starts_to_work():
+    speeds = [2.0] * 11 + [2.0 - 0.25 * k for k in range(6)]
+    found = stop(SupervisorState.FAULT_STOP, speeds)
+    assert not any(slowing for _, slowing in found[6:])
+
+
+def test_slow_or_unknown_speeds_are_not_judged():
+    for speeds in ([0.125] * 12, [nan] * 12, [-0.125] * 12):
+        assert all(words == [] for words, _ in stop(SupervisorState.FAULT_STOP, speeds))
+    assert stop(SupervisorState.FAULT_STOP, [up(0.125)] * 12)[6][0]
+    assert stop(SupervisorState.FAULT_STOP, [-1.0] * 12)[6][0]
+
+
+def test_each_kind_of_stop_is_judged_anew():
+    state = WatchdogState()
+    for k in range(7):
+        state, _ = step_watchdogs(
+            TH, state, CALM._replace(t_ns=S + k * S // 16, state=SupervisorState.STOPPING)
+        )
+    assert not is_slowing(state)
+    state, found = step_watchdogs(
+        TH, state, CALM._replace(t_ns=2 * S, state=SupervisorState.FAULT_STOP)
+    )
+    assert (is_slowing(state), found) == (True, ())
+    state, _ = step_watchdogs(TH, state, CALM._replace(t_ns=2 * S, state=SupervisorState.DISARMED))
+    assert state.stop is None
+
+
+def test_nothing_is_weak_before_and_after_a_stop():
+    assert is_slowing(WatchdogState())
+    weak = WatchdogState(stop=SupervisorState.STOPPING, weak=3)
+    assert is_slowing(step_watchdogs(TH, weak, CALM)[0])
