@@ -67,7 +67,7 @@ class Options:
     Attributes:
         held_out: drives that are only opened after the prediction is written; or how to get them,
             which is then called after it.
-        healthy: drives of the base car without the gap; they tell how large noise is, and
+        healthy: drives of the base car without the gap; they show how large noise is, and
             refine a base that is a car file (see `healthy.refine`).
         noise: how large noise is, if it is known (also read from the car file's `[noise]`).
         only: effects to look at; None takes the library.
@@ -99,8 +99,8 @@ class Cause:
         effect: its name; `stage` and `family` of it.
         parameters: (value, standard error, unit) by name.
         confidence: that this name is right (0 to 1).
-        ambiguous_with: effects that these drives cannot tell from it.
-        alias: what can never be told from it, in words; empty if nothing.
+        ambiguous_with: effects that these drives do not distinguish from it.
+        alias: what no drive distinguishes from it, in words; empty if nothing.
     """
 
     effect: str
@@ -123,7 +123,7 @@ class Diagnosis:
         causes: named effects, the verdict's first.
         candidates: (effects, gain [nats], standard error) of every refitted hypothesis.
         shrinkage: predicted and, with reserved drives, measured.
-        next_manoeuvre: what to drive to tell rivals apart, if there are any.
+        next_manoeuvre: what to drive to distinguish ambiguous causes, if there are any.
         shape: what is left.
         splits: the constancy test of the first cause.
         moved: z-scores of base parameters that moved within their uncertainty.
@@ -196,8 +196,8 @@ def diagnose(
         base = refine(base, options.healthy)
     superset = make_superset(base, runs)
     names = [e.name for e in superset.effects]
-    telling = telling_effects(superset, runs)
-    only = tuple(n for n in (options.only or telling) if n not in options.without)
+    informative = telling_effects(superset, runs)
+    only = tuple(n for n in (options.only or informative) if n not in options.without)
     unknown = [n for n in (*only, *options.without) if n not in names]
     if unknown:
         raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
@@ -214,17 +214,17 @@ def diagnose(
     options.progress("decide", 0.6)
     blocks = blocks_of(engine)
     choice = choose(engine, scored(engine, null), ranked, nuisance, blocks, options.pairs, only)
-    told = _told(case, engine, choice, noise, known is not None, [run.name for run in runs])
+    found = _conclude(case, engine, choice, noise, known is not None, [run.name for run in runs])
     if not options.horizons:
-        return told
+        return found
     base_fit = settled(engine, make_space(superset, ()), make_space(superset, ()).centre)
-    best = choice.best.fitted if told.causes else choice.null.fitted
-    found, before, after = cross_check(
-        engine, runs, base_fit, best, noise, (told.before, told.after)
+    best = choice.best.fitted if found.causes else choice.null.fitted
+    horizons, before, after = cross_check(
+        engine, runs, base_fit, best, noise, (found.before, found.after)
     )
-    verdict = judged(told.verdict, before)
-    whole = replace(told, verdict=verdict, horizons=found, before=before, after=after)
-    return _without_overclaim(whole, strained(choice.best.fitted) if told.causes else 0.0)
+    verdict = judged(found.verdict, before)
+    whole = replace(found, verdict=verdict, horizons=horizons, before=before, after=after)
+    return _without_overclaim(whole, strained(choice.best.fitted) if found.causes else 0.0)
 
 
 def strained(fitted: Fitted) -> float:
@@ -290,7 +290,7 @@ def _search(
     return engine, null, ranked, noise, untested
 
 
-def _told(
+def _conclude(
     case: _Case, engine: Engine, choice: Choice, noise: Noise, known: bool, names: Sequence[str]
 ) -> Diagnosis:
     """Everything that follows from the choice."""
@@ -315,10 +315,10 @@ def _told(
     causes = _causes(engine, choice, verdict) if found and verdict != "unexplained" else ()
     case.options.progress("shrinkage", 0.85)
     shrinkage = _shrinkage(case, engine, before, chosen, choice, noise)
-    rivals = [cause for cause in causes if cause.ambiguous_with]
+    ambiguous = [cause for cause in causes if cause.ambiguous_with]
     following = None
-    if rivals:
-        pair = (rivals[0].effect, rivals[0].ambiguous_with[0])
+    if ambiguous:
+        pair = (ambiguous[0].effect, ambiguous[0].ambiguous_with[0])
         following = next_manoeuvre(engine, choice.best.fitted, case.nuisance, noise, pair)
     base = choice.null
     table = [(s.name, *gain_of(s, base, choice.blocks)) for s in choice.ranked if s.effects]
@@ -429,7 +429,8 @@ def _causes(engine: Engine, choice: Choice, verdict: str) -> tuple[Cause, ...]:
     p, names = fitted.parameters, engine.superset.kernels.names
     effects = {e.name: e for e in engine.superset.effects}
     causes = []
-    for name, rivals, doubt in zip(choice.best.effects, choice.rivals, choice.doubts, strict=True):
+    named = zip(choice.best.effects, choice.ambiguous_with, choice.doubts, strict=True)
+    for name, others, doubt in named:
         effect = effects[name]
         places = engine.superset.places(name)
         parameters = {
@@ -439,7 +440,7 @@ def _causes(engine: Engine, choice: Choice, verdict: str) -> tuple[Cause, ...]:
         sure = confidence_of(doubt, broken, partial)
         alias = effect.confounded_with.note if effect.confounded_with else ""
         causes.append(
-            Cause(name, effect.stage.value, effect.family, parameters, sure, rivals, alias)
+            Cause(name, effect.stage.value, effect.family, parameters, sure, others, alias)
         )
     return tuple(causes)
 

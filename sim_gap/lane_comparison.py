@@ -2,7 +2,7 @@
 
 A profile is what a lane keeper leaves: lateral offset e1 and heading error e2 over the way along
 the lane. Laps are averaged, so noise falls out and what the car's dynamics make of each bend stays.
-The spectrum of the steering command tells what the loop does in time.
+The spectrum of the steering command shows what the loop does in time.
 """
 
 from dataclasses import asdict, dataclass
@@ -102,16 +102,16 @@ class LaneComparison:
         return first, second
 
     @property
-    def nearer(self) -> bool | None:
-        """Whether the effect brings the simulation nearer to the drive in most of three measures.
+    def is_closer(self) -> bool | None:
+        """Whether the effect brings the simulation closer to the drive in most of three measures.
 
-        None where that cannot be told.
+        None without a comparison.
         """
         return sum(self.votes) >= 2 if self.votes else None
 
     @property
     def votes(self) -> tuple[bool, ...]:
-        """Whether each of three measures is nearer with the effect; empty if it cannot be told."""
+        """Whether each of three measures is closer with the effect; empty without a comparison."""
         before, after = self.distances
         if before is None or after is None:
             return ()
@@ -200,6 +200,6 @@ def encode_lane(lane: LaneComparison) -> dict[str, Any]:
             "without": None if before is None else asdict(before),
             "with_effect": None if after is None else asdict(after),
         },
-        "nearer": lane.nearer,
+        "nearer": lane.is_closer,
         "remarks": list(lane.remarks),
     }

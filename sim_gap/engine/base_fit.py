@@ -14,7 +14,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise, speed_range
 
 _ROUGH_NOISE = np.array([5e-3, 0.01, 0.05, 0.05])
-"""Instrument noise of the first descent, before noise is learnt: [m], [rad], [m/s], [rad/s]."""
+"""Instrument noise of the first fit, before noise is learnt: [m], [rad], [m/s], [rad/s]."""
 
 
 def open_engine(superset: Superset, runs: Sequence[Run]) -> Engine:
@@ -36,7 +36,7 @@ def null_fit(
         engine: the windows.
         nuisance: base parameters that are free.
         start: a fit of the same coordinates to go on from.
-        effects: manners of the base that are free as well.
+        effects: built-in effects of the base that are free as well.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.

@@ -56,9 +56,9 @@ REFITS_ROUGH = 4
 """The same while noise is not known yet."""
 CONFIDENCE_SLOPE = 0.8
 CONFIDENCE_NATS = 4.0
-"""A rival counts exp(-slope (best - gain) / (paired standard error + nats))."""
+"""A candidate counts exp(-slope (best - gain) / (paired standard error + nats))."""
 DOUBT_LEAST = 0.01
-"""Rivals further behind than this count as so far."""
+"""Candidates further behind than this count as so far."""
 CONFIDENCE_AT_ONE = 0.6
 CONFIDENCE_PER_SURETY = 0.6
 CONFIDENCE_BROKEN = -0.9

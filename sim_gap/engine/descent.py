@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 STEPS = 12
 ENOUGH = 0.2
-"""A step that promises less than this many nats ends the descent."""
+"""A step that promises less than this many nats ends the search."""
 _DAMPING_MAX = 1e6
 _TRUST = 0.4
 """Derivatives are taken anew when a step gains this much more or less than it promised."""
@@ -22,8 +22,8 @@ _STALE, _STALE_LAST = 100.0, 2.0
 _STALE_KNOWN = 1e-9
 """Derivatives of a point near the start count as such, until a step fails."""
 _BEHIND = 60.0
-"""A hypothesis that costs so much more than another is no rival of it [nats]."""
-_REACH = 4.0
+"""A hypothesis that costs so much more than another does not compete with it [nats]."""
+_AHEAD = 4.0
 """What is still to be gained, at most, per what the last step did: steps shrink."""
 _LOST = 5.0
 """A window that leaves more than this of its whitened error may sit in a wrong start ..."""
@@ -121,7 +121,7 @@ def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Ar
 
 
 def _shortened(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
-    """Steepest descent of what is not at a bound, cut where the first coordinate meets one."""
+    """A step along the scaled gradient of what is not at a bound, cut where one is met."""
     dz = np.asarray(slope / np.diag(h), dtype=np.float64)
     dz[((z <= low) & (dz < 0.0)) | ((z >= high) & (dz > 0.0))] = 0.0
     moving = dz != 0.0
@@ -135,7 +135,7 @@ def _shortened(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Arr
 
 @dataclass
 class _Search:
-    """Where a descent stands; derivatives may be those of an earlier point."""
+    """Where a search stands; derivatives may be those of an earlier point."""
 
     engine: Engine
     space: Space
@@ -265,9 +265,9 @@ def lost_from(at: Reduced) -> float:
     return max(LOST_LEAST, LOST_RATIO * float(np.median(at.square / at.dof)))
 
 
-def behind(cost: float, beat: float, within_reach: float = 0.0) -> bool:
+def behind(cost: float, beat: float, ahead: float = 0.0) -> bool:
     """Whether a hypothesis is worse than another beyond doubt, whatever it may still gain."""
-    return cost - within_reach > beat + _BEHIND
+    return cost - ahead > beat + _BEHIND
 
 
 def _walk(now: _Search, steps: int, enough: float, beat: float) -> None:
@@ -276,7 +276,7 @@ def _walk(now: _Search, steps: int, enough: float, beat: float) -> None:
         promised, gained = now.step()
         if max(gained, promised) < enough:
             break
-        if behind(now.cost, beat, _REACH * max(gained, promised)):
+        if behind(now.cost, beat, _AHEAD * max(gained, promised)):
             break
         if abs(gained - promised) > _TRUST * promised or now.stale > _STALE:
             now.fresh()

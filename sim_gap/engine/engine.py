@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 STEER_SPREAD = 0.003
 """How far the steering may be from where the known commands bring it [rad]."""
 FREE_STATES = 6
-"""States of a start that the window itself must tell: what they take is no degree of freedom."""
+"""States of a start that the window itself determines: what they take is no degree of freedom."""
 WILD = 1e3
 """Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s]."""
 WILD_SHARE = 0.1
@@ -90,7 +90,7 @@ class Reduced(NamedTuple):
     Attributes:
         square: (W,) whitened squared error, the start's prior included, at its best start.
         dof: (W,) measurements of each window.
-        g: (W, n) Gauss-Newton gradient of half the square (minus: direction of descent).
+        g: (W, n) Gauss-Newton gradient of half the square (minus: where the square falls).
         h: (W, n, n) its curvature.
         dx: (W, 7) step of the start; minus `kx` (W, 7, n) per step of the coordinates.
         kx: see `dx`.

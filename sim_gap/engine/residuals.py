@@ -14,7 +14,7 @@ from steerd.sim_gap.engine.space import Space
 Array = NDArray[np.float64]
 
 LEADS: tuple[float, ...] = (0.1, 0.5, 1.0)
-"""Times after a window's start at which errors are told [s]."""
+"""Times after a window's start at which errors are reported [s]."""
 _SETTLE_ROUNDS = 4
 _SETTLED = 0.5
 """Starts are at their best when a step takes no more than this off the squares."""
@@ -39,7 +39,7 @@ class Gap:
     intervals: tuple[tuple[tuple[float, float], ...], ...]
 
     def position(self, lead: float) -> float:
-        """Root mean square of the position error after `lead` seconds [m], NaN if not told."""
+        """Root mean square of the position error after `lead` seconds [m], NaN if not reported."""
         return next((row[1] for row in self.errors if row[0] == lead), float("nan"))
 
 

@@ -1,7 +1,7 @@
 """Readings without derivatives: sixteen windows side by side, many times faster than with them.
 
 The same car, commands and reading places as `engine.linear`; what a hypothesis' trial values cost
-is told from these, derivatives are taken only where the search stands.
+is computed from these, derivatives are taken only where the search stands.
 """
 
 from typing import Any

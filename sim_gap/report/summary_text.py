@@ -154,7 +154,7 @@ def lane_words(lane: LaneComparison) -> str:
     votes = lane.votes
     count = f"in {sum(votes)} of {len(votes)} measures" if any(votes) else "in no measure"
     return (
-        f"with the effect the re-run loop is nearer to {lane.session} {count}: e1 profile off by "
+        f"with the effect the re-run loop is closer to {lane.session} {count}: e1 profile off by "
         f"{1e3 * before.e1:.2g} → {1e3 * after.e1:.2g} mm, e2 by {1e3 * before.e2:.2g} → "
         f"{1e3 * after.e2:.2g} mrad, steering spectrum by {before.steer_db:.2g} → "
         f"{after.steer_db:.2g} dB"

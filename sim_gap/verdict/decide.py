@@ -42,7 +42,7 @@ class Choice:
         ranked: single effects, best first.
         best: the chosen hypothesis (one effect, or two).
         blocks: (W,) windows that follow each other.
-        rivals: for each effect of the best, what it cannot be told from.
+        ambiguous_with: for each effect of the best, what is not distinguishable from it.
         splits: the constancy test of the first effect.
         doubts: what counts against each effect's name.
         gain: held-out gain of the best over the base [nats]; `se` its standard error.
@@ -53,7 +53,7 @@ class Choice:
     ranked: tuple[Score, ...]
     best: Score
     blocks: NDArray[np.int64]
-    rivals: tuple[tuple[str, ...], ...]
+    ambiguous_with: tuple[tuple[str, ...], ...]
     splits: tuple[Split, ...]
     doubts: tuple[float, ...]
     gain: float
@@ -67,7 +67,7 @@ def significant(gain: float, se: float) -> bool:
 
 
 def bounded(gain: float, se: float) -> float:
-    """A gain's standard error; blocks that differ for good reasons hardly make it larger.
+    """A gain's standard error; blocks that differ for good reasons barely make it larger.
 
     A gain of one block alone has a standard error of its own size, of k alike ones its size over
     the root of k: a part of the blocks' error always counts, so that no block decides alone.
@@ -101,7 +101,7 @@ def promising_pair(
     """The best two causes.
 
     The rest of the library is looked at again from the best single, and from the second where it is
-    hardly worse, so that a swap of the first cause is tried too.
+    barely worse, so that a swap of the first cause is tried too.
     """
     best = None
     for first in ranked[: 1 + near(ranked, blocks)]:
@@ -139,7 +139,7 @@ def at_bound(engine: Engine, score: Score) -> tuple[str, ...]:
 
 
 def near(ranked: Sequence[Score], blocks: NDArray[np.int64]) -> int:
-    """1 if the second single is hardly worse than the first, else 0."""
+    """1 if the second single is barely worse than the first, else 0."""
     if len(ranked) < 2:
         return 0
     lead, se = gain_of(ranked[0], ranked[1], blocks)
@@ -153,7 +153,7 @@ def needless(pair: Score, kept: Score, blocks: NDArray[np.int64]) -> bool:
 
 
 def dropped(engine: Engine, pair: Score, nuisance: Sequence[str]) -> list[tuple[str, Score]]:
-    """The pair without each of its effects, refitted as far as it is a rival."""
+    """The pair without each of its effects, refitted as far as it competes."""
     out = []
     for name in pair.effects:
         kept = [e for e in pair.effects if e != name]
@@ -249,10 +249,10 @@ def look_alikes(engine: Engine, fitted: Fitted, nuisance: Sequence[str]) -> dict
     return signature_cosines(engine, fitted, nuisance, others)
 
 
-def rivals_of(
+def indistinguishable_from(
     best: Score, others: Sequence[Score], cosines: dict[str, float], blocks: NDArray[np.int64]
 ) -> tuple[str, ...]:
-    """What cannot be told from the best: nearly its gain, or nearly its signature."""
+    """What is not distinguishable from the best: nearly its gain, or nearly its signature."""
     names = []
     for other in others:
         if other.effects == best.effects:
@@ -280,7 +280,7 @@ def se_of_lead(lead: float, se: float) -> float:
 
 
 def doubt_of(best: Score, others: Sequence[Score], blocks: NDArray[np.int64]) -> float:
-    """How much all rivals together count against a name, the less the further they fall behind."""
+    """How much all candidates together count against a name, less the further they fall behind."""
     doubt = 0.0
     for other in others:
         if other.effects == best.effects:
@@ -318,7 +318,7 @@ def choose(
     pairs: bool = True,
     only: Sequence[str] | None = None,
 ) -> Choice:
-    """The explanation, its rivals and how sure it is."""
+    """The explanation, what else it could be and how sure it is."""
     best = ranked[0]
     pair = best_pair(engine, null, ranked, nuisance, blocks, only) if pairs else None
     gain, se = gain_of(pair or best, null, blocks)
@@ -333,12 +333,12 @@ def choose(
     gain, se = gain_of(best, null, blocks)
     found = significant(gain, se)
     splits = constancy(engine, best.fitted) if found else ()
-    rivals: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
     if found:
         cosines = look_alikes(engine, best.fitted, nuisance)
-        rivals = rivals_of(best, ranked, cosines, blocks)
+        others = indistinguishable_from(best, ranked, cosines, blocks)
     doubt = doubt_of(best, ranked, blocks)
-    return Choice(null, tuple(ranked), best, blocks, (rivals,), splits, (doubt,), gain, se, found)
+    return Choice(null, tuple(ranked), best, blocks, (others,), splits, (doubt,), gain, se, found)
 
 
 def _two(
@@ -352,7 +352,7 @@ def _two(
     rest: Mapping[str, Score],
     swapped: int = 0,
 ) -> Choice:
-    """Two causes: the one whose absence costs more comes first; rivals from swaps.
+    """Two causes: the one whose absence costs more comes first; what else it could be from swaps.
 
     A swap that predicts better takes the pair's place.
     """
@@ -368,13 +368,14 @@ def _two(
     if swapped < c.SWAPS and gain_of(better, pair, blocks)[0] > c.AMBIGUOUS_NATS:
         rest = dict(dropped(engine, better, nuisance))
         return _two(engine, null, ranked, better, nuisance, blocks, only, rest, swapped + 1)
-    rivals = [
-        tuple(n for n in rivals_of(pair, swaps[name], {}, blocks) if n != name) for name in order
+    others = [
+        tuple(n for n in indistinguishable_from(pair, swaps[name], {}, blocks) if n != name)
+        for name in order
     ]
     doubts = tuple(doubt_of(pair, swaps[name], blocks) for name in order)
     ordered = Score(tuple(order), pair.fitted, pair.losses, pair.prior)
     gain, se = gain_of(pair, null, blocks)
-    return Choice(null, tuple(ranked), ordered, blocks, tuple(rivals), (), doubts, gain, se, True)
+    return Choice(null, tuple(ranked), ordered, blocks, tuple(others), (), doubts, gain, se, True)
 
 
 def _all_large(engine: Engine, score: Score) -> bool:

@@ -1,6 +1,6 @@
 """The gap over other horizons than the diagnosis' own second: a cross-check.
 
-Over a quarter of a second delays and gains hardly show and noise rules; over three seconds small
+Over a quarter of a second delays and gains barely show and noise rules; over three seconds small
 errors have added up. A cause that is right makes the error smaller on both.
 """
 
@@ -63,10 +63,10 @@ def cross_check(
         except (FloatingPointError, ValueError, np.linalg.LinAlgError):
             continue
         lead = seconds if seconds > 1.0 else 0.25
-        told = [gap_of(other, fit, blocks_of(other), (lead,)) for fit in fits]
-        found.append(Horizon(seconds, told[0].whitened, told[1].whitened))
+        there = [gap_of(other, fit, blocks_of(other), (lead,)) for fit in fits]
+        found.append(Horizon(seconds, there[0].whitened, there[1].whitened))
         if seconds > 1.0:
-            gaps = (_longer(gaps[0], told[0]), _longer(gaps[1], told[1]))
+            gaps = (_longer(gaps[0], there[0]), _longer(gaps[1], there[1]))
     return tuple(found), *gaps
 
 

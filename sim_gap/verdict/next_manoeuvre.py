@@ -1,4 +1,4 @@
-"""What to drive next: of a menu, the manoeuvre that best tells two suspects apart."""
+"""What to drive next: of a menu, the manoeuvre that best distinguishes two suspects."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -101,8 +101,8 @@ def margin(engine: Engine, fitted: Fitted, nuisance: Sequence[str], pair: tuple[
     s = h[n:, n:] - h[n:, :n] @ np.linalg.solve(h[:n, :n], h[:n, n:])
     size = fitted.own - np.concatenate([engine.superset.nulls[e] for e in space.effects])
     mine = slice(0, len(engine.superset.places(pair[0])))
-    told = float(size[mine] @ s[mine, mine] @ size[mine])
-    return 0.5 * told * (1.0 - cosines.get(pair[1], 1.0) ** 2)
+    square = float(size[mine] @ s[mine, mine] @ size[mine])
+    return 0.5 * square * (1.0 - cosines.get(pair[1], 1.0) ** 2)
 
 
 def next_manoeuvre(

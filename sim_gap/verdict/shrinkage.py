@@ -1,4 +1,4 @@
-"""How far the gap shrinks: told before the reserved drives are opened, then measured there."""
+"""How far the gap shrinks: predicted before the reserved drives are opened, then measured there."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -22,7 +22,7 @@ _SIGMAS = 2.0
 """How far noise alone may be from what it leaves on average, and an excess from nothing, in
 standard errors."""
 _WIDE = 0.5
-"""A share whose 90 % interval is wider than this tells nothing of the drives it was taken from."""
+"""A share whose 90 % interval is wider than this says nothing of the drives it was taken from."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Shrinkage:
     Attributes:
         predicted: on windows left out of the fit; `low` and `high` its 90 % interval.
         measured: on the reserved drives, None without them or where they hold too little of the gap
-            to tell (then `before` says how little).
+            for it (then `before` says how little).
         digest: SHA-256 of `text`, the prediction as it was written.
         before: the gap on the reserved drives; `after` with the explanation.
     """
@@ -53,7 +53,7 @@ def explained_share(before: float, after: float, floor: float) -> float:
     return float(np.clip((before - after) / excess, 0.0, 1.0))
 
 
-def reach_of(draws: Array, floor: float, blocks: int) -> float:
+def noise_margin(draws: Array, floor: float, blocks: int) -> float:
     """How far noise alone may be from what it leaves on average, on drives of so many blocks.
 
     Args:
@@ -66,28 +66,28 @@ def reach_of(draws: Array, floor: float, blocks: int) -> float:
     return _SIGMAS * min(float(draws.std()), float(own))
 
 
-def floor_of(best: float, reach: float, floor: float) -> float:
+def floor_of(best: float, margin: float, floor: float) -> float:
     """What noise leaves on just these drives.
 
     On average it is `floor`; on few windows it is more or less than that, by the same amount with
-    and without an effect. What the effect leaves at its best tells by how much, as long as noise
+    and without an effect. What the effect leaves at its best shows by how much, as long as noise
     alone may be so far off; what is left beyond counts as excess.
 
     Args:
         best: whitened error that the effect leaves when it is fitted to these drives.
-        reach: see `reach_of`.
+        margin: see `noise_margin`.
         floor: what noise leaves on average.
     """
-    return float(np.clip(best, floor - reach, floor + reach))
+    return float(np.clip(best, floor - margin, floor + margin))
 
 
 class _Shares(NamedTuple):
-    """A share of the excess with its interval, and whether there is an excess to speak of."""
+    """A share of the excess with its interval, and whether the drives determine it."""
 
     share: float
     low: float
     high: float
-    told: bool
+    identifiable: bool
 
 
 def _shares(
@@ -95,21 +95,21 @@ def _shares(
 ) -> _Shares:
     """The share that is gone, of windows' whitened errors before, after and at best."""
     drawn = [interval_of(values, blocks) for values in (before, after, best)]
-    reach = reach_of(drawn[2], floor, len(np.unique(blocks)))
-    level = floor_of(robust_mean(best), reach, floor)
+    margin = noise_margin(drawn[2], floor, len(np.unique(blocks)))
+    level = floor_of(robust_mean(best), margin, floor)
     share = explained_share(robust_mean(before), robust_mean(after), level)
     # Windows drawn anew carry their own noise: the floor moves with what the best leaves of them,
     # as far as that is noise.
-    moved = level + np.clip(drawn[2] - robust_mean(best), -reach, reach)
+    moved = level + np.clip(drawn[2] - robust_mean(best), -margin, margin)
     draws = [
         explained_share(float(b), float(a), float(f))
         for b, a, f in zip(*drawn[:2], moved, strict=True)
     ]
     low, high = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
     excess = robust_mean(before) - level
-    told = excess > max(_EXCESS_LEAST, _SIGMAS * float((drawn[0] - moved).std()))
-    told = told and high - low <= _WIDE
-    return _Shares(share, low, high, told)
+    shown = excess > max(_EXCESS_LEAST, _SIGMAS * float((drawn[0] - moved).std()))
+    shown = shown and high - low <= _WIDE
+    return _Shares(share, low, high, shown)
 
 
 def predict(
@@ -149,5 +149,5 @@ def measure(
     blocks = blocks_of(engine)
     gaps = gap_of(engine, before, blocks), gap_of(engine, after, blocks)
     found = _shares(ratios(before), ratios(after), _at_best(after), floor, blocks)
-    share = found.share if found.told else None
+    share = found.share if found.identifiable else None
     return Shrinkage(predicted[0], share, predicted[1], predicted[2], digest, text, *gaps)

@@ -1,4 +1,4 @@
-"""Where the gap lies: which equation, channel, stretch of time and manner of driving."""
+"""Where the gap lies: which equation, channel, stretch of time and kind of driving."""
 
 import math
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ _VARIES = {"speed": 0.2, "lateral_acceleration": 0.5, "steering_rate": 0.1,
            "longitudinal_acceleration": 0.3, "x": 0.5, "y": 0.5, "heading": 0.5,
            "run_time": 5.0}  # fmt: skip
 """What a variable must spread over (5th to 95th percentile) before anything is said of its bins."""
-_WORTH_TELLING = 1.5
+_WORTH_NAMING = 1.5
 """Lower end of a regime's ratio before the sentence names it."""
 BIN_LEAST = 8
 _BINS = 3
@@ -57,7 +57,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Regime:
-    """A manner of driving.
+    """A kind of driving.
 
     Attributes:
         variable: what is binned; `unit` of it.
@@ -248,7 +248,7 @@ def stretches(
 
 
 def range_words(regime: Regime) -> str:
-    """From where to where, with the digits that tell the two apart: "1.98 to 2.02 m/s"."""
+    """From where to where, with the digits that distinguish the two: "1.98 to 2.02 m/s"."""
     span = regime.high - regime.low
     places = min(max(1 - math.floor(math.log10(span)), 0), 4) if span > 0.0 else 2
     places = 0 if span >= 10.0 else places
@@ -264,7 +264,7 @@ def sentence_of(equation: Sequence[Share], found: Sequence[Regime]) -> str:
     }  # fmt: skip
     text = f"The error lies in {words[equation[0].name]} ({equation[0].share:.0%} of what hidden"
     text += " inputs would remove)"
-    if not found or found[0].ratio_low <= _WORTH_TELLING:
+    if not found or found[0].ratio_low <= _WORTH_NAMING:
         return f"{text}; it is much the same at every speed, place and time."
     r = found[0]
     name = r.variable.replace("_", " ")

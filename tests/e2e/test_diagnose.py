@@ -75,7 +75,7 @@ def test_the_lane_driven_again_resembles_the_recording_more_with_the_effect(late
     assert after["e2"] < before["e2"]
     recorded, again = loop["drives"]["recorded"], loop["drives"]["with_effect"]
     assert again["e1_rms"] == pytest.approx(recorded["e1_rms"], rel=0.3)
-    assert "nearer to late.mcap in" in " ".join(screen.split())
+    assert "closer to late.mcap in" in " ".join(screen.split())
 
 
 def test_the_last_line_can_be_typed(late, tmp_path):

@@ -1,4 +1,4 @@
-"""Likeness of lane drives: nearer is nearer, laps and noise do not matter."""
+"""Likeness of lane drives: closer is closer, laps and noise do not matter."""
 
 import numpy as np
 import pytest
@@ -49,17 +49,17 @@ def test_distance_grows_with_what_differs():
     assert likeness(lane(), lane(wobble=0.02)).steer_db > 1.0
 
 
-def test_the_effect_counts_where_it_brings_the_loop_nearer():
+def test_the_effect_counts_where_it_brings_the_loop_closer():
     good = LaneComparison(lane(late=0.3, wobble=0.01), lane(), lane(late=0.28, wobble=0.01), "a")
     bad = LaneComparison(lane(), lane(late=0.05), lane(late=0.4, wobble=0.03), "a")
-    assert good.nearer is True
-    assert bad.nearer is False
+    assert good.is_closer is True
+    assert bad.is_closer is False
     assert "in no measure" in lane_words(bad)
 
 
 def test_without_an_effect_nothing_is_judged():
     told = LaneComparison(lane(), lane(late=0.1), None, "drive.mcap")
-    assert told.nearer is None
+    assert told.is_closer is None
     assert "drive.mcap" in lane_words(told)
     assert encode_lane(told)["drives"]["with_effect"] is None
     assert all(cells[2] == "–" for _, cells in lane_rows(told))

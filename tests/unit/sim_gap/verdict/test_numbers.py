@@ -18,13 +18,13 @@ from steerd.sim_gap.verdict.decide import (
     confidence_of,
     constancy,
     doubt_of,
+    indistinguishable_from,
     needless,
     needs_both,
-    rivals_of,
     se_of_lead,
     significant,
 )
-from steerd.sim_gap.verdict.shrinkage import _shares, explained_share, floor_of, reach_of
+from steerd.sim_gap.verdict.shrinkage import _shares, explained_share, floor_of, noise_margin
 from steerd.sim_gap.verdict.where import Regime, Share, range_words, sentence_of
 
 BLOCKS = np.repeat(np.arange(4), 3)
@@ -90,10 +90,13 @@ def test_a_gain_of_a_few_blocks_is_one():
     assert significant(*gain_of(score("x", np.zeros(24)), score("base", lost), blocks))
 
 
-def test_a_near_equal_is_a_rival_and_lowers_confidence():
+def test_a_near_equal_is_ambiguous_and_lowers_confidence():
     best = score("steer_lag", np.zeros(12))
     near, far = score("b", np.full(12, 0.2)), score("c", np.full(12, 20.0))
-    assert rivals_of(best, [best, near, far], {"d": 0.97, "e": 0.5}, BLOCKS) == ("b", "d")
+    assert indistinguishable_from(best, [best, near, far], {"d": 0.97, "e": 0.5}, BLOCKS) == (
+        "b",
+        "d",
+    )
     alone = confidence_of(doubt_of(best, [best, far], BLOCKS))
     assert alone > 0.9
     assert confidence_of(doubt_of(best, [best, near, far], BLOCKS)) < 0.8 * alone
@@ -184,7 +187,7 @@ def test_a_value_at_its_bound_is_told():
 
 def test_mass_is_never_named_alone():
     best = score("mass", np.zeros(12))
-    assert rivals_of(best, [best], {}, BLOCKS) == ("yaw_inertia",)
+    assert indistinguishable_from(best, [best], {}, BLOCKS) == ("yaw_inertia",)
 
 
 def test_robust_mean_keeps_one_and_bounds_the_rest():
@@ -206,16 +209,16 @@ def test_share_of_the_excess(before, after, share):
 
 
 def test_noise_leaves_on_few_drives_what_the_best_fit_shows_within_two_errors():
-    reach = reach_of(np.array([-0.1, 0.1] * 50), 1.0, 4)
-    assert floor_of(1.05, reach, 1.0) == 1.05
-    assert floor_of(1.5, reach, 1.0) == pytest.approx(1.2)
-    assert floor_of(0.5, reach, 1.0) == pytest.approx(0.8)
+    margin = noise_margin(np.array([-0.1, 0.1] * 50), 1.0, 4)
+    assert floor_of(1.05, margin, 1.0) == 1.05
+    assert floor_of(1.5, margin, 1.0) == pytest.approx(1.2)
+    assert floor_of(0.5, margin, 1.0) == pytest.approx(0.8)
 
 
 def test_windows_left_unexplained_are_no_noise():
     wild = np.array([-3.0, 3.0] * 50)
-    assert reach_of(wild, 1.0, 16) == pytest.approx(0.5 * c.NOISE_SPREAD)
-    assert reach_of(wild, 0.8, 64) == pytest.approx(0.2 * c.NOISE_SPREAD)
+    assert noise_margin(wild, 1.0, 16) == pytest.approx(0.5 * c.NOISE_SPREAD)
+    assert noise_margin(wild, 0.8, 64) == pytest.approx(0.2 * c.NOISE_SPREAD)
 
 
 def test_no_whole_share_while_a_third_of_the_windows_stays_off():
@@ -234,7 +237,7 @@ def test_a_fit_to_the_noise_leaves_a_whole_share():
     found = _shares(3.0 * noise, noise, noise, 1.0, blocks)
     assert found.share > 0.97
     assert found.low > 0.9
-    assert found.told
+    assert found.identifiable
 
 
 def test_the_shape_of_an_effect_may_lie_at_its_bound():
@@ -322,8 +325,8 @@ def test_an_interval_of_more_than_half_tells_no_share():
     after = np.where(blocks < 2, 1.0, 6.0)
     found = _shares(before, after, np.full(12, 1.0), 1.0, blocks)
     assert found.high - found.low > 0.5
-    assert not found.told
-    assert _shares(before, np.full(12, 1.0), np.full(12, 1.0), 1.0, blocks).told
+    assert not found.identifiable
+    assert _shares(before, np.full(12, 1.0), np.full(12, 1.0), 1.0, blocks).identifiable
 
 
 def test_a_lead_is_no_surer_than_a_likelihood_allows():
