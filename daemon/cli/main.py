@@ -14,6 +14,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 
+from steerd.daemon.cli.inputs import check_inputs
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 # OpenBLAS's threads slow small matrices down: a controller design took 3 s instead of 0.05 s.
@@ -116,6 +117,7 @@ def dispatch(argv: Sequence[str]) -> int:
     args, unknown = parser.parse_known_args(rest)
     if unknown:
         raise _refuse(name, parser, unknown)
+    check_inputs(parser, args)
     code: int = module.run(args)
     return code
 

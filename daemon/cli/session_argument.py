@@ -4,19 +4,21 @@ import argparse
 import sys
 from pathlib import Path
 
-from steerd.daemon.sessions.catalogue import find_session
+from steerd.daemon.cli.inputs import reads_session
 
 HELP = "a session file (.mcap), @last or @-2 (default: @last)"
 
 
 def add_session(parser: argparse.ArgumentParser) -> None:
     """One session, or the last one."""
-    parser.add_argument("session", nargs="?", default="@last", metavar="SESSION", help=HELP)
+    reads_session(
+        parser.add_argument("session", nargs="?", default="@last", metavar="SESSION", help=HELP)
+    )
 
 
 def add_sessions(parser: argparse.ArgumentParser) -> None:
     """Any number of sessions; none means the last one."""
-    parser.add_argument("sessions", nargs="*", metavar="SESSION.mcap", help=HELP)
+    reads_session(parser.add_argument("sessions", nargs="*", metavar="SESSION.mcap", help=HELP))
 
 
 def pick_session(text: str) -> Path:
@@ -25,6 +27,8 @@ def pick_session(text: str) -> Path:
     Raises:
         SteerdError: there is none.
     """
+    from steerd.daemon.sessions.catalogue import find_session
+
     path = find_session(text)
     if str(path) != text:
         print(f"session: {path}", file=sys.stderr)

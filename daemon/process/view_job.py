@@ -3,10 +3,12 @@
 import ipaddress
 import tomllib
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.common.errors import ExitCode, SteerdError
+
+if TYPE_CHECKING:
+    from steerd.daemon.assembly.build import RunPlan
 
 DEFAULT_PORT = 8765
 """Foxglove's own."""
@@ -48,7 +50,7 @@ def check_view(text: str, insecure_lan: bool) -> None:
         raise SteerdError("--view needs the package foxglove-sdk", hint, ExitCode.UNREADABLE)
 
 
-def make_view_job(plan: RunPlan) -> dict[str, Any]:
+def make_view_job(plan: "RunPlan") -> dict[str, Any]:
     """The viewer's job as JSON values.
 
     Raises:

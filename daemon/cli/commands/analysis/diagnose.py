@@ -17,6 +17,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from steerd.daemon.cli.inputs import reads_car, reads_session
 from steerd.daemon.cli.session_argument import add_sessions, pick_sessions
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
@@ -28,15 +29,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd diagnose`."""
     add_sessions(parser)
     what = parser.add_argument_group("what is compared")
-    what.add_argument(
+    reads_car(what.add_argument(
         "--base", type=Path, metavar="CAR.toml",
         help="the car as identified (default: the car file inside the session)",
-    )  # fmt: skip
+    ))  # fmt: skip
     what.add_argument("--car", dest="base", type=Path, help=argparse.SUPPRESS)
-    what.add_argument(
+    reads_session(what.add_argument(
         "--healthy", action="append", default=[], metavar="FILE,…",
         help="drives of the same car without the gap: they determine how large noise is",
-    )  # fmt: skip
+    ))  # fmt: skip
     what.add_argument(
         "--only", action="append", default=[], metavar="EFFECT", help="look at this one (repeat)"
     )
@@ -50,10 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="command",
         help="wheel: the speed command was not obeyed, take the measured speed instead",
     )
-    what.add_argument(
+    reads_session(what.add_argument(
         "--held-out", action="append", default=[], metavar="K|FILE,…",
         help="measure the shrinkage on every K-th drive (default 4; 0: none), or on these files",
-    )  # fmt: skip
+    ))  # fmt: skip
     what.add_argument(
         "--runs-held-out", dest="held_out", action="append", help=argparse.SUPPRESS
     )  # until 0.1

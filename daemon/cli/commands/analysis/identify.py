@@ -16,6 +16,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from steerd.daemon.cli.inputs import reads_car, reads_session
 from steerd.daemon.cli.session_argument import add_sessions, pick_sessions
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
@@ -30,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd identify`."""
     add_sessions(parser)
     what = parser.add_argument_group("what is learnt")
-    what.add_argument("--car", type=Path, metavar="FILE.toml", help="start values (F1TENTH's)")
+    reads_car(
+        what.add_argument("--car", type=Path, metavar="FILE.toml", help="start values (F1TENTH's)")
+    )
     what.add_argument("--base", dest="car", type=Path, help=argparse.SUPPRESS)
     what.add_argument("--free", metavar="A,B,…", help="free parameters (default: all eleven)")
     what.add_argument("--fix", default="", metavar="A,B=VALUE,…", help="keep these as they are")
@@ -52,13 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--starts", type=int, metavar="N", help="starts (ours: 1, others: 5)")
     what.add_argument("--iterations", type=int, metavar="N", help="of the paper's methods")
     what.add_argument("--seed", type=int, default=0, help="of random starts")
-    what.add_argument(
-        "--held-out",
-        action="append",
-        default=[],
-        metavar="K|FILE,…",
+    reads_session(what.add_argument(
+        "--held-out", action="append", default=[], metavar="K|FILE,…",
         help="validate on every K-th block of 5 s (default 4), or on these sessions",
-    )
+    ))  # fmt: skip
     out = parser.add_argument_group("output")
     out.add_argument("-o", "--output", type=Path, metavar="CAR.toml", help="car file to write")
     out.add_argument(

@@ -10,12 +10,15 @@ Supervisor, watchdogs and limits are those of `steerd run`; a box is a fence.
 
 import argparse
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from steerd.daemon.assembly.build import RunPlan, make_plan
 from steerd.daemon.cli.commands.driving import run as driving
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.loop.plans import NAMES, PlanError, make_closed_path, parse_box
 from steerd.daemon.settings.run_options import RunOptions
+
+if TYPE_CHECKING:
+    from steerd.daemon.assembly.build import RunPlan
 
 SPEED = 2.5
 """Highest speed of a plan unless said otherwise [m/s]."""
@@ -67,12 +70,14 @@ def _path(args: argparse.Namespace) -> str:
         raise SteerdError(str(error), "", _USAGE) from None
 
 
-def plan_drive(options: RunOptions, *, design: bool = True) -> RunPlan:
+def plan_drive(options: RunOptions, *, design: bool = True) -> "RunPlan":
     """The run of these options, as long as its plan unless they say how long.
 
     Raises:
         SteerdError: plan, path or car file are refused.
     """
+    from steerd.daemon.assembly.build import make_plan
+
     plan = make_plan(options, design=design)
     if plan.drill is None or options.duration_s is not None:
         return plan

@@ -32,7 +32,10 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: no daemon answers, or the port is taken.
     """
-    from steerd.daemon.ipc.operator import connect
+    from steerd.daemon.ipc.operator import connect, read_lab
+
+    if args.lab is not None:
+        read_lab(args.lab)  # a folder that is none is refused before anything heavy is loaded
     from steerd.daemon.process.page import make_page, run_page
     from steerd.daemon.process.page_job import make_lane_job
     from steerd.daemon.process.page_link import CarView

@@ -10,12 +10,15 @@ import signal
 import sys
 from math import inf
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from steerd.daemon.assembly.build import RunPlan, make_plan
+from steerd.daemon.cli.inputs import reads_car, reads_lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.process.view_job import DEFAULT_PORT, check_view, parse_view
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
-from steerd.steer_bus.ros_keys import DOMAIN_MAX
+
+if TYPE_CHECKING:
+    from steerd.daemon.assembly.build import RunPlan
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,11 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     where.add_argument("--sim", action="store_true", help="simulated hardware on a pty and sockets")
     where.add_argument("--fast", action="store_true", help="with --sim: virtual time, repeatable")
-    where.add_argument(
-        "--sim-car",
-        metavar="FILE.toml|hidden:SEED",
+    reads_car(where.add_argument(
+        "--sim-car", metavar="FILE.toml|hidden:SEED",
         help="the simulated car, where it is not --car's: a file, or one that the seed hides",
-    )
+    ))  # fmt: skip
     add_drive_arguments(parser)
     run = parser.add_argument_group("run")
     run.add_argument(
@@ -92,13 +94,14 @@ def _add_network_arguments(run: argparse._ArgumentGroup) -> None:
 def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     """What to drive; shared with `steerd control`."""
     drive = parser.add_argument_group("drive")
-    drive.add_argument("--car", metavar="FILE.toml", help="car file (default: F1TENTH's figures)")
+    reads_car(drive.add_argument(
+        "--car", metavar="FILE.toml", help="car file (default: F1TENTH's figures)"
+    ))  # fmt: skip
     drive.add_argument("--name", default="car1", help="the car's name on the bus and in files")
-    drive.add_argument(
-        "--path",
-        default="figure8",
+    reads_lane(drive.add_argument(
+        "--path", default="figure8",
         help="line, circle:radius=2, figure8[:radius=…], csv:FILE (TUM or F1TENTH centreline)",
-    )
+    ))  # fmt: skip
     drive.add_argument("--speed", type=float, default=1.0, metavar="M/S", help="on straights")
     drive.add_argument("--duration", type=float, metavar="S", help="end after this drive time")
     drive.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of the loop")
@@ -179,6 +182,8 @@ def _choose_endpoint(args: argparse.Namespace) -> str:
 
 
 def _check_domain(args: argparse.Namespace) -> None:
+    from steerd.steer_bus.ros_keys import DOMAIN_MAX
+
     if not 0 <= args.ros_domain <= DOMAIN_MAX:
         what = f"--ros-domain {args.ros_domain}: 0 to {DOMAIN_MAX}"
         raise SteerdError(what, "", ExitCode.USAGE)
@@ -206,10 +211,13 @@ def _check_page(args: argparse.Namespace) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
-    return drive(make_plan(make_options(args), design=args.fast), fast=args.fast)
+    options = make_options(args)
+    from steerd.daemon.assembly.build import make_plan
+
+    return drive(make_plan(options, design=args.fast), fast=args.fast)
 
 
-def drive(plan: RunPlan, *, fast: bool) -> int:
+def drive(plan: "RunPlan", *, fast: bool) -> int:
     """Drive a plan: in virtual time, on simulated hardware or on a car."""
     if fast:
         from steerd.daemon.offline.fast import run_fast
@@ -220,7 +228,7 @@ def drive(plan: RunPlan, *, fast: bool) -> int:
     return _run_live(plan)[0]
 
 
-def _run_simulated(plan: RunPlan) -> int:
+def _run_simulated(plan: "RunPlan") -> int:
     from dataclasses import replace
 
     from steerd.daemon.assembly.build import make_world_config
@@ -239,14 +247,14 @@ _BUSY = ("W1 ", "W7 ", "W8 ", "W9 ", "W15 ", "W16 ")
 """Watchdogs that a machine without time for simulated hardware trips."""
 
 
-def _was_busy(plan: RunPlan, reason: str) -> bool:
+def _was_busy(plan: "RunPlan", reason: str) -> bool:
     """Whether a drive by itself was ended by its machine, and may be driven in virtual time."""
     options = plan.options
     alone = options.auto_arm and options.duration_s is not None and not options.effects
     return alone and reason.startswith(_BUSY)
 
 
-def _fall_back(plan: RunPlan) -> int:
+def _fall_back(plan: "RunPlan") -> int:
     """Drive the plan again in virtual time, into a session of its own."""
     from dataclasses import replace
 
@@ -258,7 +266,7 @@ def _fall_back(plan: RunPlan) -> int:
     return run_fast(replace(plan, options=replace(plan.options, record=named)))
 
 
-def _run_live(plan: RunPlan) -> tuple[int, str]:
+def _run_live(plan: "RunPlan") -> tuple[int, str]:
     """Drive in real time; the exit code, and why the car was stopped."""
     from steerd.daemon.assembly.session_meta import default_session_path
     from steerd.daemon.ipc.operator import Operator

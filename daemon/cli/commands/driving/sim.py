@@ -7,18 +7,16 @@ Ctrl-C ends it.
 import argparse
 from pathlib import Path
 
-from steerd.daemon.assembly.build import make_plan, make_world_config
+from steerd.daemon.cli.inputs import reads_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.settings.run_options import RunOptions
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd sim`."""
-    parser.add_argument(
-        "--car",
-        metavar="FILE.toml|hidden:SEED",
+    reads_car(parser.add_argument(
+        "--car", metavar="FILE.toml|hidden:SEED",
         help="the simulated car (default: F1TENTH's figures; hidden: one that the seed hides)",
-    )
+    ))  # fmt: skip
     parser.add_argument("--mocap", choices=("natnet", "vrpn"), default="natnet")
     parser.add_argument("--effect", action="append", default=[], metavar="NAME=VALUE,…")
     parser.add_argument(
@@ -34,6 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
+    from steerd.daemon.assembly.build import make_plan, make_world_config
+    from steerd.daemon.settings.run_options import RunOptions
     from steerd.sim_hw.real_time.links import (
         SimHardware,
         SimOptions,
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         path="line",
         sim_car=args.car or "",
     )
-    world = make_world_config(make_plan(options), args.mocap)
+    world = make_world_config(make_plan(options, design=False), args.mocap)
     try:
         faults = fault_windows(args.fault)
     except ValueError as error:

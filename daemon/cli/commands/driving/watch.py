@@ -5,14 +5,15 @@ steerd watch --lab screen
 """
 
 import argparse
+from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.bus_options import add_bus_arguments
 from steerd.daemon.common.errors import ExitCode
-from steerd.daemon.ipc.operator import connect
-from steerd.daemon.terminal.watch import DEPTH, SECOND, Watch, find_car
-from steerd.steer_bus.bus import Subscription
-from steerd.steer_bus.clock import Clock, MonotonicClock
-from steerd.steer_bus.topics import make_key
+
+if TYPE_CHECKING:
+    from steerd.daemon.terminal.watch import Watch
+    from steerd.steer_bus.bus import Subscription
+    from steerd.steer_bus.clock import Clock
 
 REFRESH_NS = 100_000_000
 """Time between two refreshes [ns]."""
@@ -31,10 +32,17 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: no daemon or no such car is there.
     """
+    from steerd.daemon.ipc.operator import connect, read_lab
+
+    if args.lab is not None:
+        read_lab(args.lab)  # a folder that is none is refused before anything heavy is loaded
     from rich.console import Console
     from rich.live import Live
 
     from steerd.daemon.terminal.dashboard import Dashboard
+    from steerd.daemon.terminal.watch import DEPTH, SECOND, Watch, find_car
+    from steerd.steer_bus.clock import MonotonicClock
+    from steerd.steer_bus.topics import make_key
 
     clock = MonotonicClock()
     with connect(args.connect, args.lab) as bus:
@@ -58,8 +66,10 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.OK
 
 
-def _print_lines(watch: Watch, received: Subscription, clock: Clock, end: int | None) -> None:
+def _print_lines(watch: "Watch", received: "Subscription", clock: "Clock", end: int | None) -> None:
     """For pipes: transitions at once, one line per second."""
+    from steerd.daemon.terminal.watch import SECOND
+
     due = clock.now_ns() + SECOND
     while end is None or clock.now_ns() < end:
         for sample in received.poll():

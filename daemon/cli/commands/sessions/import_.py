@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from steerd.daemon.cli.inputs import reads_file
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 
@@ -37,9 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ask", action="store_true", help="propose a map, show what it means, then write"
     )
-    parser.add_argument(
+    reads_file(parser.add_argument(
         "--map", type=Path, help=f"which column or topic is what (TOML; {EXAMPLE_MAP} is one)"
-    )
+    ))  # fmt: skip
     parser.add_argument(
         "--erpm-gain",
         type=float,

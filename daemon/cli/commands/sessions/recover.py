@@ -8,13 +8,16 @@ Reads SESSION.mcap.partial where the session never got its name.
 import argparse
 from pathlib import Path
 
+from steerd.daemon.cli.inputs import reads_partial
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.translate import make_session_error
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The broken file and the name of the new one."""
-    parser.add_argument("session", type=Path, metavar="SESSION", help="an unfinished session file")
+    reads_partial(parser.add_argument(
+        "session", type=Path, metavar="SESSION", help="an unfinished session file"
+    ))  # fmt: skip
     parser.add_argument(
         "-o", "--output", type=Path, metavar="OUT.mcap", help="default: NAME.recovered.mcap"
     )

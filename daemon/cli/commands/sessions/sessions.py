@@ -14,6 +14,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from steerd.daemon.cli.inputs import reads_session
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 SHOWN = 40
@@ -30,10 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     kinds = parser.add_subparsers(dest="kind", metavar="tag|untag|note")
     for kind, text in (("tag", "add tags to a drive"), ("untag", "take tags away")):
         child = kinds.add_parser(kind, help=text)
-        child.add_argument("session", metavar="SESSION", help="a file, @last or @-N")
+        reads_session(child.add_argument("session", metavar="SESSION", help="a file, @last or @-N"))
         child.add_argument("tags", nargs="+", metavar="TAG")
     note = kinds.add_parser("note", help="write a sentence about a drive; an empty one removes it")
-    note.add_argument("session", metavar="SESSION", help="a file, @last or @-N")
+    reads_session(note.add_argument("session", metavar="SESSION", help="a file, @last or @-N"))
     note.add_argument("text", nargs="+", metavar="TEXT")
 
 

@@ -13,6 +13,7 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from steerd.daemon.cli.inputs import reads_car, reads_session
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
@@ -24,9 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to calibrate, and from what."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="servo")
     servo = kinds.add_parser("servo", help="centre, gain and limits of the steering")
-    servo.add_argument("session", nargs="?", type=Path, metavar="SESSION")
+    reads_session(servo.add_argument("session", nargs="?", type=Path, metavar="SESSION"))
     servo.add_argument("--port", metavar="DEV", help="move the servo of this VESC by the keys")
-    servo.add_argument("--car", type=Path, metavar="FILE.toml", help="car file to start from")
+    reads_car(
+        servo.add_argument("--car", type=Path, metavar="FILE.toml", help="car file to start from")
+    )
     servo.add_argument("-o", "--output", type=Path, metavar="CAR.toml", help="car file to make")
 
 

@@ -11,6 +11,7 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from steerd.daemon.cli.inputs import reads_car, reads_file
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
@@ -19,10 +20,12 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to do with the car file."""
-    parser.add_argument("--check", type=Path, metavar="FILE.toml", help="check this car file")
-    parser.add_argument(
-        "--from-vesc-yaml", type=Path, metavar="FILE", help="print a car file with its gains"
+    reads_car(
+        parser.add_argument("--check", type=Path, metavar="FILE.toml", help="check this car file")
     )
+    reads_file(parser.add_argument(
+        "--from-vesc-yaml", type=Path, metavar="FILE", help="print a car file with its gains"
+    ))  # fmt: skip
     parser.add_argument(
         "--to-vesc-yaml", type=Path, metavar="FILE", help="write the gains there, or make the file"
     )

@@ -13,6 +13,7 @@ from math import degrees, hypot
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from steerd.daemon.cli.inputs import reads_car, reads_session
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
@@ -25,16 +26,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Check or calibrate."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="check|calibrate")
     check = kinds.add_parser("check", help="units, axes and heading, from a short push or a drive")
-    check.add_argument("session", nargs="?", type=Path, metavar="SESSION")
+    reads_session(check.add_argument("session", nargs="?", type=Path, metavar="SESSION"))
     check.add_argument("--mocap", metavar="URL", help="watch this source instead of a session")
-    check.add_argument("--car", metavar="FILE.toml", help="with --mocap: car file")
+    reads_car(check.add_argument("--car", metavar="FILE.toml", help="with --mocap: car file"))
     check.add_argument("--seconds", type=float, default=10.0, metavar="S", help="with --mocap")
     calibrate = kinds.add_parser("calibrate", help="heading, place, wheel gain and delay")
-    calibrate.add_argument("session", type=Path, metavar="SESSION")
+    reads_session(calibrate.add_argument("session", type=Path, metavar="SESSION"))
     calibrate.add_argument("-o", "--output", type=Path, metavar="CAR.toml", help="car file to make")
-    calibrate.add_argument(
+    reads_car(calibrate.add_argument(
         "--car", type=Path, metavar="FILE.toml", help="car file to start from (the session's own)"
-    )
+    ))  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:

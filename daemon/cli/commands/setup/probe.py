@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from steerd.daemon.cli.inputs import reads_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.setup.probe import VESC_USB, Advice, MocapSeen, SerialFound
 
@@ -24,7 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Where to look."""
     parser.add_argument("--port", metavar="DEV", help="query this port only, whatever its USB id")
     parser.add_argument("--mocap", metavar="URL", help="listen to this source, as `steerd run`")
-    parser.add_argument("--car", metavar="FILE.toml", help="car file: units, axes, cells, timeout")
+    reads_car(parser.add_argument(
+        "--car", metavar="FILE.toml", help="car file: units, axes, cells, timeout"
+    ))  # fmt: skip
     parser.add_argument(
         "--seconds", type=float, default=3.0, metavar="S", help="to listen to a mocap source"
     )

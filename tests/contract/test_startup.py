@@ -1,0 +1,120 @@
+"""A command looks at its arguments before it loads what it needs for the work.
+
+Loading torch, SciPy, Matplotlib, Numba or python-control takes seconds on a cold machine. Nobody
+should wait for them to read that a file does not exist.
+"""
+
+import argparse
+import importlib
+import subprocess
+import sys
+
+import pytest
+
+from steerd.daemon.cli.inputs import is_input, list_actions
+from steerd.daemon.cli.main import COMMANDS
+
+HEAVY = ("torch", "scipy", "matplotlib", "numba", "control", "filterpy", "joblib", "pyarrow")
+HEAVY += ("jinja2", "rich", "distributed", "zenoh")
+SIM = "run --sim --fast --duration 1"
+MISSING = {
+    "run": (f"{SIM} --car none.toml", f"{SIM} --sim-car none.toml", f"{SIM} --path csv:none.csv"),
+    "collect": ("collect --sim --car none.toml", "collect --sim --sim-car none.toml",
+                "collect --sim --path csv:none.csv"),
+    "control": ("control --car none.toml", "control --path csv:none.csv"),
+    "sim": ("sim --car none.toml",),
+    "service": ("service print --car none.toml", "service print --sim-car none.toml",
+                "service print --path csv:none.csv"),
+    "probe": ("probe --car none.toml",),
+    "config": ("config --check none.toml", "config --from-vesc-yaml none.yaml"),
+    "mocap": ("mocap check none.mcap", "mocap check --car none.toml",
+              "mocap calibrate none.mcap", "mocap calibrate {here} --car none.toml"),
+    "calibrate": ("calibrate servo none.mcap", "calibrate servo --car none.toml"),
+    "identify": ("identify none.mcap", "identify {here} --car none.toml",
+                 "identify {here} --held-out none.mcap"),
+    "diagnose": ("diagnose none.mcap", "diagnose {here} --base none.toml",
+                 "diagnose {here} --held-out 4,none.mcap", "diagnose {here} --healthy none.mcap"),
+    "replay": ("replay none.mcap",),
+    "sessions": ("sessions tag none.mcap wet", "sessions note none.mcap good"),
+    "info": ("info none.mcap",),
+    "plot": ("plot {here} none.mcap",),
+    "recover": ("recover none.mcap",),
+    "import": ("import {here} --map none.toml",),
+}  # fmt: skip
+"""A line for every argument that names a file, by command; `{here}` is a file that exists."""
+WRITTEN = ("output", "json", "report", "record", "prediction", "to_vesc_yaml", "page")
+"""Arguments that name files, but those that a command writes."""
+FILE_MARKS = (".toml", ".mcap", ".html", ".parquet", "FILE", "SESSION")
+
+
+def make_parser(name: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=f"steerd {name}")
+    module = importlib.import_module(f"steerd.daemon.cli.commands.{COMMANDS[name][0]}")
+    module.add_arguments(parser)
+    return parser
+
+
+def load(line: str, folder: object) -> tuple[int, str, set[str]]:
+    """A command's exit code, what it said, and which heavy modules it loaded."""
+    code = (
+        "import sys\n"
+        "from steerd.daemon.cli.main import run_cli\n"
+        "try:\n    code = run_cli(sys.argv[1:])\n"
+        "except SystemExit as end:\n    code = int(end.code or 0)\n"
+        f"print('loaded', *({set(HEAVY)!r} & set(sys.modules)), file=sys.stderr)\n"
+        "sys.exit(code)\n"
+    )
+    argv = [sys.executable, "-c", code, *line.split()]
+    done = subprocess.run(argv, capture_output=True, text=True, check=False, cwd=str(folder))
+    said, _, loaded = done.stderr.rpartition("loaded")
+    return done.returncode, said, set(loaded.split())
+
+
+@pytest.mark.parametrize("line", [line for lines in MISSING.values() for line in lines])
+def test_a_file_that_is_not_there_is_reported_before_anything_heavy_is_loaded(line, tmp_path):
+    (tmp_path / "here.mcap").write_bytes(b"a file")
+    code, said, loaded = load(line.format(here="here.mcap"), tmp_path)
+    assert code == (2 if "csv:" in line else 3), said
+    assert "none." in said.splitlines()[0]
+    assert loaded == set()
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_loads_nothing_heavy(name, tmp_path):
+    code, said, loaded = load(f"{name} --help", tmp_path)
+    assert code == 0, said
+    assert loaded <= {"zenoh"}  # arm, stop and the like: nothing of them works without it
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_argument_that_names_a_file_is_looked_for(name):
+    lines = " ".join(MISSING.get(name, ()))
+    for action in list_actions(make_parser(name)):
+        metavar = str(action.metavar or "")
+        if action.dest in WRITTEN or action.help == argparse.SUPPRESS:
+            continue
+        if any(mark in metavar for mark in FILE_MARKS):
+            assert is_input(action) or name == "import", f"{name}: {action.dest}"
+        if is_input(action) and action.option_strings:
+            assert action.option_strings[0] in lines, f"{name}: {action.dest} has no line above"
+        elif is_input(action):
+            assert lines, f"{name}: {action.dest} has no line above"
+
+
+@pytest.mark.parametrize(
+    ("line", "hint"),
+    [
+        ("info cut.mcap", "steerd recover cut.mcap"),
+        ("identify a.mcap --car hidden.toml", "`steerd config` prints a complete car file"),
+    ],
+)
+def test_what_is_missing_comes_with_what_to_try(line, hint, tmp_path):
+    (tmp_path / "cut.mcap.partial").write_bytes(b"")
+    (tmp_path / "a.mcap").write_bytes(b"")
+    assert hint in load(line, tmp_path)[1]
+
+
+def test_words_that_are_no_files_pass(tmp_path):
+    """`@last` without a session is the list's to report, `hidden:x` the simulator's."""
+    assert "no sessions in" in load("info @last", tmp_path)[1]
+    assert "the seed is a whole number" in load(f"{SIM} --sim-car hidden:x", tmp_path)[1]
