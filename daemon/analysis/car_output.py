@@ -181,9 +181,9 @@ def with_knowledge(
 def _learnt(car: CarFile, runs: "tuple[Run, ...]") -> "dict[str, dict[str, Any]]":
     from steerd.sim_gap.healthy_drives import learn_sections
     from steerd.sysid.data.segments import moving_segments
-    from steerd.sysid.estimation.prediction_horizon import remembering
+    from steerd.sysid.estimation.prediction_horizon import add_command_history
 
-    return learn_sections(car, moving_segments(remembering(runs, car.model, ())))
+    return learn_sections(car, moving_segments(add_command_history(runs, car.model, ())))
 
 
 def diagnosed_values(causes: "Sequence[Cause]", sessions: "Sequence[Path]") -> dict[str, Learned]:

@@ -21,7 +21,7 @@ from steerd.daemon.assembly.sim_car import compare_truths
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import SessionError, open_session
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.estimation.prediction_horizon import remembering
+from steerd.sysid.estimation.prediction_horizon import add_command_history
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,9 +116,9 @@ def make_case(request: DiagnoseRequest, warn: Warn, advance: Callable[[float], N
     warn(compare_truths({path.name: open_session(path).info().metadata for path in sessions}))
     base, source, notes = find_base(request.base, sessions)
     jitters = tuple(" ".join(drive.log_jitter.describe()) for drive in drives if drive.log_jitter)
-    drives = remembering(drives, base.model, ())
+    drives = add_command_history(drives, base.model, ())
     healthy = [load_drive(path, speed, warn) for path in request.healthy]
-    healthy = remembering(healthy, base.model, ())
+    healthy = add_command_history(healthy, base.model, ())
     runs, later, held_out_of, more = split_drives(drives, request.held_out, speed, warn)
     return Case(
         sessions, runs, later, held_out_of, find_moving(healthy) if healthy else (), base, source,

@@ -94,7 +94,7 @@ class Selection:
     free: tuple[str, ...]
     steps: tuple[Step, ...]
 
-    def nulled(self, model: Model[float]) -> Model[float]:
+    def with_nulls(self, model: Model[float]) -> Model[float]:
         """Another car with the same effects, the new ones at their nulls."""
         own = dict(zip((e.name for e in model.effects), model.values, strict=True))
         effects = self.model.effects
@@ -144,7 +144,7 @@ class _Search:
         loss: Array = 0.5 * READINGS * np.log1p(square)
         return loss
 
-    def settled(self, taken: tuple[str, ...], start: _Point, effort: Effort) -> _Point:
+    def fit(self, taken: tuple[str, ...], start: _Point, effort: Effort) -> _Point:
         """The best parameters for these effects from a start."""
         problem = self.problem(taken)
         chart = problem.chart
@@ -154,7 +154,7 @@ class _Search:
         losses, noise = self.losses(found.at.error), residual_noise(problem, found)
         return _Point(taken, chart.parameters(found.z), found.x, losses, noise)
 
-    def begun(self, effect: Effect, start: _Point) -> _Point:
+    def switch_on(self, effect: Effect, start: _Point) -> _Point:
         """The start with the effect switched on where its null has no slope, or is a bound.
 
         The best of the scan values, or the ordinary size of what cannot be negative.
@@ -170,7 +170,7 @@ class _Search:
             tries.sort(key=lambda p: self._rough(problem, p, start))
         return start._replace(parameters=tries[0]) if tries else start
 
-    def left(self, effect: Effect, point: _Point) -> bool:
+    def is_used(self, effect: Effect, point: _Point) -> bool:
         """Whether an effect ended away from its null."""
         values = (point.parameters[self.kernels.names.index(n)] for n in self.names(effect.name))
         return any(
@@ -189,7 +189,7 @@ class _Search:
         return cost_of(moved.evaluate(z, start.x + dx), limit)
 
 
-def choose(
+def select_effects(
     runs: Sequence[Run], rough: Fit, options: Options, names: Sequence[str] = CANDIDATES
 ) -> Selection:
     """Which effects the drives show, with start values for them and the car.
@@ -200,15 +200,15 @@ def choose(
         options: of the fit; `free` names the base's free parameters.
         names: candidates.
     """
-    search, point = _open(runs, rough, options, names)
+    search, point = _start_search(runs, rough, options, names)
     steps: list[Step] = []
     escapes = _ESCAPES
     while True:
-        point = search.settled(point.taken, point, _SETTLE)
+        point = search.fit(point.taken, point, _SETTLE)
         # Errors in units of what is left of them: of those at the start, none would be seen later.
         search = replace(search, sigma=point.noise)
-        point = search.settled(point.taken, point, _SETTLE)
-        tried = _tried(search, point, [n for n in names if n not in point.taken])
+        point = search.fit(point.taken, point, _SETTLE)
+        tried = _try_each(search, point, [n for n in names if n not in point.taken])
         better = _escape(search, point, tried) if escapes else None
         if better is not None:
             point, escapes = better, escapes - 1
@@ -218,12 +218,12 @@ def choose(
             break
         steps.append(Step(best.taken[-1], *_gain(point.losses - best.losses)))
         point = best
-    point = _pruned(search, point)
+    point = _drop_idle(search, point)
     kept = tuple(step for step in steps if step.effect in point.taken)
-    return _closed(search, rough, point, kept)
+    return _make_selection(search, rough, point, kept)
 
 
-def _pruned(search: _Search, point: _Point) -> _Point:
+def _drop_idle(search: _Search, point: _Point) -> _Point:
     """The point without effects that later ones have made idle."""
     for name in point.taken:
         effect = find_effect(name)
@@ -231,13 +231,13 @@ def _pruned(search: _Search, point: _Point) -> _Point:
         bare[[search.kernels.names.index(n) for n in search.names(name)]] = effect.nulls
         left = tuple(each for each in point.taken if each != name)
         with suppress(FloatingPointError):
-            without = search.settled(left, point._replace(parameters=bare), _TRIAL)
+            without = search.fit(left, point._replace(parameters=bare), _TRIAL)
             if float((without.losses - point.losses).sum()) < GAIN:
                 point = without
     return point
 
 
-def _open(
+def _start_search(
     runs: Sequence[Run], rough: Fit, options: Options, names: Sequence[str]
 ) -> tuple[_Search, _Point]:
     own = rough.model.effects
@@ -259,13 +259,13 @@ def _gain(gained: Array) -> tuple[float, float]:
     return float(gained.sum()), float(np.sqrt(len(gained)) * gained.std())
 
 
-def _tried(search: _Search, point: _Point, names: Sequence[str]) -> list[_Point]:
+def _try_each(search: _Search, point: _Point, names: Sequence[str]) -> list[_Point]:
     """Every candidate on top of a point; one that sends the simulation off is left out."""
     found: list[_Point] = []
     for name in names:
-        start = search.begun(find_effect(name), point)
+        start = search.switch_on(find_effect(name), point)
         with suppress(FloatingPointError):
-            found.append(search.settled((*point.taken, name), start, _TRIAL))
+            found.append(search.fit((*point.taken, name), start, _TRIAL))
     return found
 
 
@@ -274,7 +274,9 @@ def _escape(search: _Search, point: _Point, tried: Sequence[_Point]) -> _Point |
 
     A candidate that ends at its null and yet gains has only moved the others.
     """
-    idle = [t for t in tried if not search.left(find_effect(t.taken[-1]), t) and _gains(point, t)]
+    idle = [
+        t for t in tried if not search.is_used(find_effect(t.taken[-1]), t) and _gains(point, t)
+    ]
     if not idle:
         return None
     return min(idle, key=lambda t: float(t.losses.sum()))._replace(taken=point.taken)
@@ -287,7 +289,7 @@ def _gains(point: _Point, tried: _Point) -> bool:
 
 def _best(search: _Search, point: _Point, tried: Sequence[_Point]) -> _Point | None:
     """The candidate that gains most, if it gains enough; of equals, the one that says least."""
-    found = [t for t in tried if search.left(find_effect(t.taken[-1]), t) and _gains(point, t)]
+    found = [t for t in tried if search.is_used(find_effect(t.taken[-1]), t) and _gains(point, t)]
     if not found:
         return None
     best = min(found, key=lambda tried: float(tried.losses.sum()))
@@ -301,7 +303,7 @@ def _behind(tried: _Point, best: _Point) -> bool:
     return gap <= se
 
 
-def _closed(search: _Search, rough: Fit, point: _Point, steps: Sequence[Step]) -> Selection:
+def _make_selection(search: _Search, rough: Fit, point: _Point, steps: Sequence[Step]) -> Selection:
     """The car with the taken effects alone."""
     full = model_of(search.kernels, point.parameters)
     own = {e.name for e in rough.model.effects}

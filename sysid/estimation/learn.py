@@ -14,7 +14,7 @@ from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
 from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
 from steerd.sysid.estimation.chart import SPREAD_RELATIVE
-from steerd.sysid.estimation.effect_selection import Step, choose
+from steerd.sysid.estimation.effect_selection import Step, select_effects
 from steerd.sysid.estimation.fit import Fit, Options, default_free, fit
 from steerd.sysid.estimation.multistart import (
     COMPARABLE,
@@ -28,12 +28,12 @@ from steerd.sysid.estimation.outcome_rows import make_effect_rows, make_rows
 from steerd.sysid.estimation.prediction_horizon import (
     ROUGH,
     SHORT,
+    add_command_history,
+    choose_horizons,
     exceeds_slew_rate,
-    holds,
-    reached,
-    reaching,
-    remembering,
-    unstopped,
+    is_adequate,
+    restore_end_stops,
+    widen_end_stops,
 )
 from steerd.sysid.estimation.servo_pulse import Pulse, rough_fit, settle_servo
 from steerd.sysid.estimation.setpoint_ramp import Ramp, settle_ramp
@@ -227,7 +227,7 @@ class _Found(NamedTuple):
 
 def _prepare(task: Task) -> tuple[Task, _Drives, Fit | None]:
     """The task with drives as the car felt them, and the rough fit that this needed, if any."""
-    task, pulses, ramps, rough = _settled(_with_history(task))
+    task, pulses, ramps, rough = _apply_timing(_with_history(task))
     task = replace(task, options=replace(task.options, doubts=_doubts(task, pulses)))
     moving = tuple(moving_segments(task.runs))
     return task, _Drives(moving, *_split(task, moving), pulses, ramps), rough
@@ -239,10 +239,10 @@ def _estimate(
     """The estimates by the task's method, and the task with the effects that were selected."""
     if task.method != "ours":
         return task, _Found(None, _search(task))
-    task, selected, rough = _shaped(task, drives.fitted, rough)
-    alone = _is_taught(task, rough) and not has_one_speed(drives.fitted)
+    task, selected, rough = _select(task, drives.fitted, rough)
+    alone = _needs_teacher(task, rough) and not has_one_speed(drives.fitted)
     found = rough if alone else _fit_ours(task, drives.fitted)
-    taught = _taught(task, given, found, drives.fitted)
+    taught = _ask_teacher(task, given, found, drives.fitted)
     return task, _Found(found, selected=selected, taught=taught)
 
 
@@ -259,11 +259,11 @@ def _fill_rows(
     return after, rows, make_effect_rows(task.model, found.fit)
 
 
-def _taught(
+def _ask_teacher(
     task: Task, given: Car[float], found: Fit | None, fitted: Sequence[Run]
 ) -> TaughtModel | None:
     """The car by the teacher, where the fit leaves more than noise and nobody stated otherwise."""
-    if task.teach is None or found is None or not _is_taught(task, found):
+    if task.teach is None or found is None or not _needs_teacher(task, found):
         return None
     try:
         taught = task.teach(start_of(task.model, found), fitted)
@@ -271,11 +271,11 @@ def _taught(
         return None
     car = taught.model.car
     if task.model.car.steer_max != given.steer_max:
-        car = reached(car, given, task.runs)
+        car = restore_end_stops(car, given, task.runs)
     return taught._replace(model=taught.model._replace(car=car))
 
 
-def _is_taught(task: Task, found: Fit) -> bool:
+def _needs_teacher(task: Task, found: Fit) -> bool:
     """Whether the values shall come from the teacher: then windows need not grow any longer."""
     stated = task.stated or task.effects or task.options.wheelbase is not None
     poor = max(found.misfit.values(), default=0.0) > POOR
@@ -295,14 +295,14 @@ def _with_history(task: Task) -> Task:
     if task.method != "ours":
         return task
     runs, held_out = (
-        tuple(remembering(drives, task.model, task.effects))
+        tuple(add_command_history(drives, task.model, task.effects))
         for drives in (task.runs, task.held_out)
     )
-    model = unstopped(task.model, runs, task.options.free or ())
+    model = widen_end_stops(task.model, runs, task.options.free or ())
     return replace(task, runs=runs, held_out=held_out, model=model)
 
 
-def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...], Fit | None]:
+def _apply_timing(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...], Fit | None]:
     """The task with commands as servos and motor controllers let them through.
 
     And the rough car that showed how, if one was needed. The paper's methods take commands as they
@@ -325,7 +325,7 @@ def _settled(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...], Fit
     return task, tuple(pulses), tuple(ramps), rough
 
 
-def _shaped(
+def _select(
     task: Task, runs: Sequence[Run], rough: Fit | None
 ) -> tuple[Task, tuple[Step, ...], Fit]:
     """The task with the effects that the drives show, and windows as long as the car then holds.
@@ -336,13 +336,13 @@ def _shaped(
     if rough is None or task.effects:
         rough = fit(runs, task.model, options=replace(task.options, horizons=ROUGH))
     if not task.effects:
-        return replace(task, options=reaching(task.options, rough)), (), rough
-    selection = choose(runs, rough, short, task.effects)
+        return replace(task, options=choose_horizons(task.options, rough)), (), rough
+    selection = select_effects(runs, rough, short, task.effects)
     if not selection.steps:
-        return replace(task, options=reaching(task.options, rough)), (), rough
-    model, free = selection.nulled(task.model), (*(task.options.free or NAMES), *selection.free)
+        return replace(task, options=choose_horizons(task.options, rough)), (), rough
+    model, free = selection.with_nulls(task.model), (*(task.options.free or NAMES), *selection.free)
     better = fit(runs, model, options=replace(short, free=free), starts=[selection.model])
-    options = replace(task.options if holds(better) else short, free=free)
+    options = replace(task.options if is_adequate(better) else short, free=free)
     return replace(task, model=model, options=options, first=better.model), selection.steps, better
 
 
@@ -390,7 +390,7 @@ def _fit_one_speed(task: Task, runs: Sequence[Run]) -> Fit:
     return mark_ambiguous(best, [f for f in others if log_cost(f) - log_cost(best) < COMPARABLE])
 
 
-def _course(
+def _search_from(
     item: tuple[int, Array], runs: "tuple[PaperRun, ...]", method: str, iterations: int | None
 ) -> SearchHistory:
     """One start. The problem is made where the work is done: compiled code does not travel."""
@@ -413,7 +413,7 @@ def _search(task: Task) -> tuple[SearchHistory, ...]:
 
     runs = paper_runs(task.runs)
     starts = draw_starts(np.random.default_rng(task.seed), max(task.starts, 1))
-    work = partial(_course, runs=runs, method=task.method, iterations=task.iterations)
+    work = partial(_search_from, runs=runs, method=task.method, iterations=task.iterations)
     searches = map_jobs(work, list(enumerate(starts)), task.jobs, task.dask)
     if all(search.diverged for search in searches):
         raise FloatingPointError("the simulation diverges from every start")

@@ -11,7 +11,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.estimation.fit import Fit
 from steerd.sysid.estimation.identifiability import MANOEUVRES, RELATIVE_MAX
 from steerd.sysid.estimation.outcome import Row
-from steerd.sysid.estimation.prediction_horizon import reached
+from steerd.sysid.estimation.prediction_horizon import restore_end_stops
 from steerd.sysid.paper.search_history import NAMES, SearchHistory
 
 
@@ -35,7 +35,7 @@ def make_rows(
     values = {name: each[0] for name, each in known.items() if name in Car._fields}
     car = start._replace(**values)
     if start.steer_max != given.steer_max:
-        car = reached(car, given, runs)
+        car = restore_end_stops(car, given, runs)
     rows = {}
     for p in PARAMETERS:
         before, value = float(getattr(given, p.name)), float(getattr(car, p.name))

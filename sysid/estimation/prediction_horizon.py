@@ -37,36 +37,38 @@ _ROOM = 1.5
 """A gain that is not known yet may be so much larger."""
 
 
-def holds(found: Fit) -> bool:
+def is_adequate(found: Fit) -> bool:
     """Whether the model explains the fit's windows but for noise."""
     left = {name: float(found.noise[GROUPS.index(name)]) for name in OFF}
     return all(found.misfit[name] <= MISFIT or left[name] <= OFF[name] for name in OFF)
 
 
-def reaching(options: Options, rough: Fit) -> Options:
+def choose_horizons(options: Options, rough: Fit) -> Options:
     """The options, with windows as long as the model holds."""
-    return options if holds(rough) else replace(options, horizons=SHORT)
+    return options if is_adequate(rough) else replace(options, horizons=SHORT)
 
 
-def remembering(runs: Sequence[Run], model: Model[float], candidates: Sequence[str]) -> list[Run]:
+def add_command_history(
+    runs: Sequence[Run], model: Model[float], candidates: Sequence[str]
+) -> list[Run]:
     """The drives, with more of the commands before a window where a linkage may remember them."""
     effects = (*model.effects, *map(find_effect, candidates))
     plays = any(effect.remembers_commands for effect in effects)
     return [replace(run, history=HISTORY) if plays else run for run in runs]
 
 
-def furthest(runs: Sequence[Run]) -> float:
+def largest_steering(runs: Sequence[Run]) -> float:
     """Largest commanded steering angle [rad]."""
     return max(float(np.abs(run.commands[:, 0]).max()) for run in runs)
 
 
-def unstopped(model: Model[float], runs: Sequence[Run], free: Sequence[str]) -> Model[float]:
+def widen_end_stops(model: Model[float], runs: Sequence[Run], free: Sequence[str]) -> Model[float]:
     """The car with end stops beyond what was asked for, where they are another car's.
 
     A log that steerd did not drive may be of any car, and steer in any unit of its own: the end
     stops of the start values would clip what no servo clipped.
     """
-    widest = _ROOM * furthest(runs)
+    widest = _ROOM * largest_steering(runs)
     known = any(run.servo_frame for run in runs) or {"steer_min", "steer_max"} & set(free)
     if known or widest <= min(-model.car.steer_min, model.car.steer_max):
         return model
@@ -91,7 +93,7 @@ def _fastest(run: Run, car: Car[float]) -> float:
     return float(np.abs(np.diff(wheel)).max()) / run.h
 
 
-def reached(car: Car[float], given: Car[float], runs: Sequence[Run]) -> Car[float]:
+def restore_end_stops(car: Car[float], given: Car[float], runs: Sequence[Run]) -> Car[float]:
     """The car with the end stops it was given, moved out to where the drives went beyond them."""
     asked = np.concatenate([run.commands[:, 0] for run in runs])
     low, high = car.steer_gain * float(asked.min()), car.steer_gain * float(asked.max())

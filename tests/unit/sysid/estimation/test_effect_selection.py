@@ -8,11 +8,16 @@ from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.segments import make_blocks, moving_segments
-from steerd.sysid.estimation.effect_selection import choose
+from steerd.sysid.estimation.effect_selection import select_effects
 from steerd.sysid.estimation.fit import Options, fit
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import encode_outcome
-from steerd.sysid.estimation.prediction_horizon import ROUGH, SHORT, holds, remembering
+from steerd.sysid.estimation.prediction_horizon import (
+    ROUGH,
+    SHORT,
+    add_command_history,
+    is_adequate,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -28,9 +33,9 @@ def bent(make_drive, truth):
 
 
 def _chosen(run, truth):
-    parts = make_blocks(moving_segments(remembering([run], truth, CANDIDATES)))
+    parts = make_blocks(moving_segments(add_command_history([run], truth, CANDIDATES)))
     rough = fit(parts, truth, options=replace(OPTIONS, horizons=ROUGH))
-    return choose(parts, rough, replace(OPTIONS, horizons=SHORT), CANDIDATES)
+    return select_effects(parts, rough, replace(OPTIONS, horizons=SHORT), CANDIDATES)
 
 
 def test_an_effect_that_is_there_is_found_alone(bent, truth):
@@ -38,7 +43,7 @@ def test_an_effect_that_is_there_is_found_alone(bent, truth):
     assert [step.effect for step in selection.steps] == ["steer_asymmetry"]
     assert selection.free == ("steer_asymmetry.asymmetry",)
     assert selection.model.values[0][0] == pytest.approx(0.08, abs=0.01)
-    assert selection.nulled(truth).values == ((0.0,),)
+    assert selection.with_nulls(truth).values == ((0.0,),)
 
 
 def test_a_car_without_effects_gets_none(make_drive, truth):
@@ -62,7 +67,7 @@ def test_the_outcome_holds_the_effect_and_predicts_with_it(bent, truth):
 def test_a_model_that_misses_much_is_fitted_over_short_windows(make_drive, truth):
     run = make_drive(truth._replace(effects=(BENT,), values=((0.45,),)), 20.0, 5)
     parts = make_blocks(moving_segments([run]))
-    assert not holds(fit(parts, truth, options=replace(OPTIONS, horizons=ROUGH)))
+    assert not is_adequate(fit(parts, truth, options=replace(OPTIONS, horizons=ROUGH)))
     outcome = learn(Task((run,), truth, options=OPTIONS), lambda: 0.0)
     assert any("does not hold for longer" in note for note in outcome.notes)
     assert any("--effects auto" in note for note in outcome.notes)
@@ -70,5 +75,7 @@ def test_a_model_that_misses_much_is_fitted_over_short_windows(make_drive, truth
 
 def test_only_play_needs_a_long_past(bent):
     played = Model(DEFAULT_CAR, (find_effect("steer_backlash"),), ((0.02,),))
-    assert remembering([bent], played, ())[0].history > bent.history
-    assert remembering([bent], Model(DEFAULT_CAR), ("mocap_yaw",))[0].history == bent.history
+    assert add_command_history([bent], played, ())[0].history > bent.history
+    assert (
+        add_command_history([bent], Model(DEFAULT_CAR), ("mocap_yaw",))[0].history == bent.history
+    )

@@ -8,11 +8,11 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.dataset import Signal, make_run
 from steerd.sysid.estimation.prediction_horizon import (
     exceeds_slew_rate,
-    furthest,
+    largest_steering,
     level_loads,
-    reached,
+    restore_end_stops,
     scale_inertia,
-    unstopped,
+    widen_end_stops,
 )
 from steerd.sysid.estimation.validation import Trace, by_lateral_acceleration
 
@@ -44,14 +44,14 @@ def test_loads_do_not_follow_a_measured_speed():
 
 def test_end_stops_of_another_car_do_not_clip_a_log():
     run = _run(steer=0.3)
-    wide = unstopped(CAR, [run], ()).car
+    wide = widen_end_stops(CAR, [run], ()).car
     assert wide.steer_max == -wide.steer_min == pytest.approx(0.45, abs=1e-3)
-    assert unstopped(CAR, [_run(steer=0.1)], ()) == CAR
-    assert unstopped(CAR, [run], ("steer_max",)) == CAR
-    assert unstopped(CAR, [_run(servo_frame=0.02)], ()) == CAR
-    known = reached(wide._replace(steer_gain=1.4), CAR.car, [run])
-    assert known.steer_max == pytest.approx(1.4 * furthest([run]), rel=1e-3)
-    assert reached(wide, CAR.car, [run]).steer_max == CAR.car.steer_max
+    assert widen_end_stops(CAR, [_run(steer=0.1)], ()) == CAR
+    assert widen_end_stops(CAR, [run], ("steer_max",)) == CAR
+    assert widen_end_stops(CAR, [_run(servo_frame=0.02)], ()) == CAR
+    known = restore_end_stops(wide._replace(steer_gain=1.4), CAR.car, [run])
+    assert known.steer_max == pytest.approx(1.4 * largest_steering([run]), rel=1e-3)
+    assert restore_end_stops(wide, CAR.car, [run]).steer_max == CAR.car.steer_max
 
 
 def test_errors_are_told_by_lateral_acceleration():
