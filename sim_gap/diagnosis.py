@@ -37,7 +37,7 @@ from steerd.sim_gap.verdict.decide import (
     at_bound,
     choose,
     confidence_of,
-    large,
+    is_large,
 )
 from steerd.sim_gap.verdict.horizons import Horizon, cross_check
 from steerd.sim_gap.verdict.next_manoeuvre import Manoeuvre, next_manoeuvre
@@ -222,12 +222,12 @@ def diagnose(
     horizons, before, after = cross_check(
         engine, runs, base_fit, best, noise, (found.before, found.after)
     )
-    verdict = judged(found.verdict, before)
+    verdict = limit_verdict(found.verdict, before)
     whole = replace(found, verdict=verdict, horizons=horizons, before=before, after=after)
-    return _without_overclaim(whole, strained(choice.best.fitted) if found.causes else 0.0)
+    return _without_overclaim(whole, base_strain(choice.best.fitted) if found.causes else 0.0)
 
 
-def strained(fitted: Fitted) -> float:
+def base_strain(fitted: Fitted) -> float:
     """How far the base moved beside the effects, against what its uncertainty lets it.
 
     Its squared Mahalanobis distance less its mean, in standard deviations of chi-square.
@@ -237,7 +237,7 @@ def strained(fitted: Fitted) -> float:
     return (square - n) / np.sqrt(2.0 * n) if n else 0.0
 
 
-def grown(before: Gap, after: Gap) -> tuple[float, ...]:
+def grown_leads(before: Gap, after: Gap) -> tuple[float, ...]:
     """Times after which the explanation leaves a larger position error than the base [s]."""
     return tuple(
         row[0] for row in before.errors if after.position(row[0]) > c.GROWN * row[1] + c.GROWN_LEAST
@@ -247,8 +247,8 @@ def grown(before: Gap, after: Gap) -> tuple[float, ...]:
 def _without_overclaim(found: Diagnosis, strain: float) -> Diagnosis:
     """Nothing is `explained` whose errors grow in millimetres, or whose base is not the base."""
     notes = []
-    if found.causes and grown(found.before, found.after):
-        leads = ", ".join(f"{lead:g} s" for lead in grown(found.before, found.after))
+    if found.causes and grown_leads(found.before, found.after):
+        leads = ", ".join(f"{lead:g} s" for lead in grown_leads(found.before, found.after))
         notes.append(f"position errors grow with the explanation after {leads}")
     if strain > c.STRAINED:
         notes.append("beside the cause the base moved further than its own uncertainty lets it")
@@ -301,15 +301,15 @@ def _conclude(
     gap_best = gap_of(engine, best, choice.blocks)
     gap_null = gap_of(engine, choice.null.fitted, choice.blocks)
     level = case.floor if known else np.inf
-    sizes = (large(engine, choice.best, name) for name in choice.best.effects)
-    matters = practical(choice, gap_before, gap_best, gap_null, level)
+    sizes = (is_large(engine, choice.best, name) for name in choice.best.effects)
+    matters = is_practical(choice, gap_before, gap_best, gap_null, level)
     found = choice.found and all(sizes) and matters
     chosen, gap_after = (choice.best, gap_best) if found else (choice.null, gap_null)
     mostly = share_of_most(before, chosen.fitted, case.floor)
     typical = typical_ratio(chosen.fitted)
     verdict = verdict_of(choice, found, known, gap_before, gap_after, case.floor, mostly, typical)
     extreme = at_bound(engine, choice.best)
-    verdict = judged(verdict, gap_before, extreme)
+    verdict = limit_verdict(verdict, gap_before, extreme)
     case.options.progress("where", 0.75)
     where = locate(engine, before, chosen.fitted, noise, choice.blocks, names)
     causes = _causes(engine, choice, verdict) if found and verdict != "unexplained" else ()
@@ -333,7 +333,7 @@ def _conclude(
     )  # fmt: skip
 
 
-def practical(choice: Choice, before: Gap, after: Gap, null: Gap, floor: float) -> bool:
+def is_practical(choice: Choice, before: Gap, after: Gap, null: Gap, floor: float) -> bool:
     """Whether adding the effect matters: a share, millimetres, or overwhelming odds.
 
     Beside the base with its parameters free in their uncertainty stands the base as it is: where
@@ -405,7 +405,7 @@ def verdict_of(
     return "partial" if any(split.broken for split in choice.splits) else "explained"
 
 
-def judged(verdict: str, before: Gap, extreme: Sequence[str] = ()) -> str:
+def limit_verdict(verdict: str, before: Gap, extreme: Sequence[str] = ()) -> str:
     """The verdict, with what forbids to believe it.
 
     Noise learnt from drives that are far off holds all of it, so `none` becomes `unjudged`; an

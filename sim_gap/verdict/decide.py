@@ -61,12 +61,12 @@ class Choice:
     found: bool
 
 
-def significant(gain: float, se: float) -> bool:
+def is_significant(gain: float, se: float) -> bool:
     """Whether a held-out gain is no accident; a likelihood's own spread bounds its error."""
-    return gain > c.GAIN_MIN and gain > c.GAIN_SE * bounded(gain, se)
+    return gain > c.GAIN_MIN and gain > c.GAIN_SE * bounded_se(gain, se)
 
 
-def bounded(gain: float, se: float) -> float:
+def bounded_se(gain: float, se: float) -> float:
     """A gain's standard error; blocks that differ for good reasons barely make it larger.
 
     A gain of one block alone has a standard error of its own size, of k alike ones its size over
@@ -86,7 +86,7 @@ def best_pair(
 ) -> Score | None:
     """Two causes together, if they predict unseen windows clearly better than the best alone."""
     best = promising_pair(engine, ranked, nuisance, blocks, only)
-    if best is None or not _all_large(engine, best):
+    if best is None or not _are_all_large(engine, best):
         return None
     return best if needs_both(best, ranked[0], null, blocks) else None
 
@@ -104,7 +104,7 @@ def promising_pair(
     barely worse, so that a swap of the first cause is tried too.
     """
     best = None
-    for first in ranked[: 1 + near(ranked, blocks)]:
+    for first in ranked[: 1 + count_near(ranked, blocks)]:
         promises = screen(engine, first.fitted, nuisance, only)
         for promise in [p for p in promises[:3] if p.gain > c.PAIR_PROMISE]:
             beat = np.inf if best is None else best.fitted.cost
@@ -118,10 +118,10 @@ def needs_both(pair: Score, single: Score, null: Score, blocks: NDArray[np.int64
     """Whether a second cause gains enough beyond the best alone."""
     gain, se = gain_of(pair, single, blocks)
     alone, _ = gain_of(single, null, blocks)
-    return gain > max(c.PAIR_MIN, c.PAIR_SHARE * alone, c.PAIR_SE * bounded(gain, se))
+    return gain > max(c.PAIR_MIN, c.PAIR_SHARE * alone, c.PAIR_SE * bounded_se(gain, se))
 
 
-def large(engine: Engine, score: Score, name: str) -> bool:
+def is_large(engine: Engine, score: Score, name: str) -> bool:
     """Whether a hypothesis' effect differs from the base's by an amount that matters."""
     effect = find_effect(name)
     values = score.fitted.parameters[engine.superset.places(name)].tolist()
@@ -138,7 +138,7 @@ def at_bound(engine: Engine, score: Score) -> tuple[str, ...]:
     )
 
 
-def near(ranked: Sequence[Score], blocks: NDArray[np.int64]) -> int:
+def count_near(ranked: Sequence[Score], blocks: NDArray[np.int64]) -> int:
     """1 if the second single is barely worse than the first, else 0."""
     if len(ranked) < 2:
         return 0
@@ -146,13 +146,15 @@ def near(ranked: Sequence[Score], blocks: NDArray[np.int64]) -> int:
     return int(lead < c.AMBIGUOUS_SE * se_of_lead(lead, se) + c.AMBIGUOUS_NATS)
 
 
-def needless(pair: Score, kept: Score, blocks: NDArray[np.int64]) -> bool:
+def is_needless(pair: Score, kept: Score, blocks: NDArray[np.int64]) -> bool:
     """Whether a pair without one of its effects predicts as well: then that one is no cause."""
     lead, se = gain_of(pair, kept, blocks)
-    return lead < max(c.PAIR_MIN, c.PAIR_SE * bounded(lead, se))
+    return lead < max(c.PAIR_MIN, c.PAIR_SE * bounded_se(lead, se))
 
 
-def dropped(engine: Engine, pair: Score, nuisance: Sequence[str]) -> list[tuple[str, Score]]:
+def refit_without_each(
+    engine: Engine, pair: Score, nuisance: Sequence[str]
+) -> list[tuple[str, Score]]:
     """The pair without each of its effects, refitted as far as it competes."""
     out = []
     for name in pair.effects:
@@ -322,16 +324,16 @@ def choose(
     best = ranked[0]
     pair = best_pair(engine, null, ranked, nuisance, blocks, only) if pairs else None
     gain, se = gain_of(pair or best, null, blocks)
-    found = significant(gain, se)
+    found = is_significant(gain, se)
     if pair is not None and found:
-        drops = dropped(engine, pair, nuisance)
-        alone = [kept for _, kept in drops if needless(pair, kept, blocks)]
+        drops = refit_without_each(engine, pair, nuisance)
+        alone = [kept for _, kept in drops if is_needless(pair, kept, blocks)]
         if not alone:
             return _two(engine, null, ranked, pair, nuisance, blocks, only, dict(drops))
         best = max(alone, key=lambda kept: gain_of(kept, null, blocks)[0])
         ranked = [best, *(s for s in ranked if s.effects != best.effects)]
     gain, se = gain_of(best, null, blocks)
-    found = significant(gain, se)
+    found = is_significant(gain, se)
     splits = constancy(engine, best.fitted) if found else ()
     others: tuple[str, ...] = ()
     if found:
@@ -362,11 +364,11 @@ def _two(
         name: _swaps(engine, rest[name], name, nuisance, only, pair.fitted.cost) for name in order
     }
     better = max(
-        (s for found in swaps.values() for s in found if _all_large(engine, s)),
+        (s for found in swaps.values() for s in found if _are_all_large(engine, s)),
         key=lambda s: gain_of(s, pair, blocks)[0], default=pair,
     )  # fmt: skip
     if swapped < c.SWAPS and gain_of(better, pair, blocks)[0] > c.AMBIGUOUS_NATS:
-        rest = dict(dropped(engine, better, nuisance))
+        rest = dict(refit_without_each(engine, better, nuisance))
         return _two(engine, null, ranked, better, nuisance, blocks, only, rest, swapped + 1)
     others = [
         tuple(n for n in indistinguishable_from(pair, swaps[name], {}, blocks) if n != name)
@@ -378,8 +380,8 @@ def _two(
     return Choice(null, tuple(ranked), ordered, blocks, tuple(others), (), doubts, gain, se, True)
 
 
-def _all_large(engine: Engine, score: Score) -> bool:
-    return all(large(engine, score, name) for name in score.effects)
+def _are_all_large(engine: Engine, score: Score) -> bool:
+    return all(is_large(engine, score, name) for name in score.effects)
 
 
 def _swaps(

@@ -79,12 +79,12 @@ def test_where_all_is_far_off_nothing_is_lost() -> None:
 
 
 def test_strain_is_a_distance_in_the_bases_own_uncertainty() -> None:
-    from steerd.sim_gap.diagnosis import strained
+    from steerd.sim_gap.diagnosis import base_strain
 
     costs = iter([0.5 * 20.0, 0.5 * 20.0 + 40.0, 0.0])
     space = SimpleNamespace(nuisance=20, base_cost=lambda z: next(costs))
     fitted = SimpleNamespace(space=space, z=np.zeros(20))
-    assert strained(fitted) == pytest.approx(0.0)
-    assert strained(fitted) == pytest.approx(80.0 / np.sqrt(40.0))
+    assert base_strain(fitted) == pytest.approx(0.0)
+    assert base_strain(fitted) == pytest.approx(80.0 / np.sqrt(40.0))
     space.nuisance = 0
-    assert strained(fitted) == 0.0
+    assert base_strain(fitted) == 0.0

@@ -6,23 +6,23 @@ import numpy as np
 import pytest
 
 from steerd.car_model.effects import find_effect
-from steerd.sim_gap.diagnosis import judged, practical, share_of_most, verdict_of
+from steerd.sim_gap.diagnosis import is_practical, limit_verdict, share_of_most, verdict_of
 from steerd.sim_gap.engine import constants as c
 from steerd.sim_gap.engine.constants import PARTIAL_MOST
 from steerd.sim_gap.engine.residuals import Gap, interval_of, robust_mean
 from steerd.sim_gap.report.summary_text import headline, manoeuvre_words, share_words
 from steerd.sim_gap.verdict.candidates import Score, gain_of, held_out
 from steerd.sim_gap.verdict.decide import (
-    _all_large,
+    _are_all_large,
     at_bound,
     confidence_of,
     constancy,
     doubt_of,
     indistinguishable_from,
-    needless,
+    is_needless,
+    is_significant,
     needs_both,
     se_of_lead,
-    significant,
 )
 from steerd.sim_gap.verdict.shrinkage import _shares, explained_share, floor_of, noise_margin
 from steerd.sim_gap.verdict.where import Regime, Share, range_words, sentence_of
@@ -70,7 +70,7 @@ def test_standard_error_is_that_of_block_sums():
     ],
 )
 def test_a_gain_is_judged_by_its_error_and_by_a_likelihoods_own(gain, se, expected):
-    assert significant(gain, se) is expected
+    assert is_significant(gain, se) is expected
 
 
 @pytest.mark.parametrize(("spun", "expected"), [([3], False), ([3, 4], False), ([3, 4, 9], False)])
@@ -80,14 +80,14 @@ def test_spun_windows_of_one_or_two_blocks_decide_nothing(spun, expected):
     lost[spun] = 1e7
     gain, se = gain_of(score("x", np.zeros(24)), score("base", lost), blocks)
     assert gain >= c.WINSOR
-    assert significant(gain, se) is expected
+    assert is_significant(gain, se) is expected
 
 
 def test_a_gain_of_a_few_blocks_is_one():
     blocks = np.repeat(np.arange(8), 3)
     lost = np.zeros(24)
     lost[:9] = 40.0
-    assert significant(*gain_of(score("x", np.zeros(24)), score("base", lost), blocks))
+    assert is_significant(*gain_of(score("x", np.zeros(24)), score("base", lost), blocks))
 
 
 def test_a_near_equal_is_ambiguous_and_lowers_confidence():
@@ -107,8 +107,8 @@ def test_a_near_equal_is_ambiguous_and_lowers_confidence():
 
 def test_a_pair_needs_both():
     pair = score("a", np.zeros(12))
-    assert needless(pair, score("b", np.full(12, 0.5)), BLOCKS)
-    assert not needless(pair, score("b", np.full(12, 10.0)), BLOCKS)
+    assert is_needless(pair, score("b", np.full(12, 0.5)), BLOCKS)
+    assert not is_needless(pair, score("b", np.full(12, 10.0)), BLOCKS)
 
 
 @pytest.mark.parametrize(
@@ -142,9 +142,9 @@ def test_what_the_base_leaves_as_it_is_matters_in_practice():
 
     choice = SimpleNamespace(gain=20.0, blocks=BLOCKS)
     after, null = gap(0.98), gap(1.0)
-    assert practical(choice, gap(1.7, 1.4), after, null, 0.97)
-    assert not practical(choice, gap(1.1, 1.0), after, null, 0.97)
-    assert not practical(choice, gap(1.7, 1.4), after, null, np.inf)
+    assert is_practical(choice, gap(1.7, 1.4), after, null, 0.97)
+    assert not is_practical(choice, gap(1.1, 1.0), after, null, 0.97)
+    assert not is_practical(choice, gap(1.7, 1.4), after, null, np.inf)
 
 
 @pytest.mark.parametrize(
@@ -163,8 +163,8 @@ def test_a_gap_without_a_name_matters_in_millimetres(millimetres, verdict):
 )
 def test_a_base_that_is_far_off_is_no_base_without_a_gap(second, three, verdict):
     before = Gap(0.9, (0.8, 1.0), ((1.0, second, 0.0, 0.0), (3.0, three, 0.2, 0.0)), ())
-    assert judged("none", before) == verdict
-    assert judged("partial", before) == "partial"
+    assert limit_verdict("none", before) == verdict
+    assert limit_verdict("partial", before) == "partial"
     told = SimpleNamespace(verdict="unjudged", before=before, causes=(), next_manoeuvre=None)
     assert f"cannot be judged: the simulation is {1e3 * three:.0f} mm off after 3 s" in headline(
         told
@@ -352,7 +352,7 @@ def test_a_gap_that_stays_in_a_few_windows_is_partly_explained(mostly, verdict):
 )
 def test_an_effect_at_its_bound_explains_a_part_at_most(verdict, extreme, told):
     near = Gap(1.0, (0.9, 1.1), ((1.0, 0.01, 0.0, 0.0),), ())
-    assert judged(verdict, near, extreme) == told
+    assert limit_verdict(verdict, near, extreme) == told
 
 
 def test_halves_that_disagree_break_an_effect(monkeypatch):
@@ -379,7 +379,7 @@ def test_every_effect_of_a_hypothesis_must_be_large():
     for values, told in (((0.03, 1.5), True), ((0.03, 1.01), False), ((0.0005, 1.5), False)):
         fitted = SimpleNamespace(parameters=np.array(values))
         pair = Score(("steer_delay", "mass"), fitted, np.zeros(1), 0.0)
-        assert _all_large(engine, pair) is told
+        assert _are_all_large(engine, pair) is told
 
 
 def test_draws_of_lost_windows_do_not_lift_the_floor():
