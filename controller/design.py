@@ -121,14 +121,17 @@ def stability_at(car: Car[float], table: GainTable, speed: float, timing: Timing
     return stability(closed, speed, timing.period_s)
 
 
-def assess(car: Car[float], table: GainTable, timing: Timing) -> tuple[Stability, ...]:
-    """Stability at each design speed, between them, and below the lowest."""
+def assessed_speeds(table: GainTable) -> list[float]:
+    """Each design speed, those between them, and some below the lowest [m/s]."""
     grid = table.speeds
     between = [0.5 * (low + high) for low, high in pairwise(grid)]
     below = [share * grid[0] for share in SPEEDS_BELOW]
-    return tuple(
-        stability_at(car, table, speed, timing) for speed in sorted([*below, *grid, *between])
-    )
+    return sorted([*below, *grid, *between])
+
+
+def assess(car: Car[float], table: GainTable, timing: Timing) -> tuple[Stability, ...]:
+    """Stability at `assessed_speeds`."""
+    return tuple(stability_at(car, table, speed, timing) for speed in assessed_speeds(table))
 
 
 def delay_margin(car: Car[float], table: GainTable, timing: Timing) -> float:

@@ -11,7 +11,8 @@ from steerd.controller.config import ControllerConfig
 from steerd.controller.design import DesignReport
 from steerd.controller.gain_table import GainTable, look_up
 from steerd.controller.lane_keeper import LaneKeeper, SteeringReference, lane_errors
-from steerd.controller.speed import SpeedProfile, profile_speed, step_speed
+from steerd.controller.live import AS_DESIGNED, LiveValues, limit_target, shift_lane
+from steerd.controller.speed import SpeedProfile, preview_place, profile_speed, step_speed
 
 STEP_MAX_S = 0.1
 """Longest time that one tick's speed ramp is granted for [s]: a pause is no leap."""
@@ -48,7 +49,7 @@ class ControlReport(NamedTuple):
     """What a tick saw and decided."""
 
     e1: float
-    """Lateral offset [m]."""
+    """Lateral offset from the lane that is followed [m]."""
     e1_rate: float
     """[m/s]."""
     e2: float
@@ -91,6 +92,7 @@ def control(
     *,
     issued: Command[float] | None = None,
     stop: bool = False,
+    live: LiveValues = AS_DESIGNED,
 ) -> tuple[Command[float], ControlReport, ControllerState]:
     """One tick.
 
@@ -102,6 +104,7 @@ def control(
         issued: the last tick's command after the output limiter; without it the design assumes
             that the command left unchanged.
         stop: ramps the speed reference down to rest, lane keeping on.
+        live: what was changed since the start.
 
     Raises:
         ValueError: the estimate is not finite.
@@ -109,12 +112,17 @@ def control(
     if not math.isfinite(sum(estimate)):
         raise ValueError(f"the estimate is not finite: {estimate}")
     past = state.past if issued is None else _correct_newest(controller.car, state, issued)
-    at = project(controller.keeper.path, estimate.x, estimate.y, state.hint)
+    path = controller.keeper.path
+    at = shift_lane(project(path, estimate.x, estimate.y, state.hint), live.offset)
     errors = lane_errors(estimate, at)
     row = look_up(controller.table, estimate.speed)
-    steering = lane_keeper.step(controller.keeper, row, errors, at, estimate, past)
-    target = profile_speed(controller.profile, at.s, estimate.speed)
+    steering = lane_keeper.step(controller.keeper, row, errors, at, estimate, past, live)
     dt = min(max((t_ns - state.t_ns) * 1e-9, 0.0), STEP_MAX_S)
+    ahead = preview_place(controller.profile, at.s, estimate.speed)
+    ramp = state.speed - controller.config.stop_ramp * dt  # a lower speed is no emergency
+    cap = live._replace(speed=max(live.speed, ramp))
+    target = profile_speed(controller.profile, at.s, estimate.speed)
+    target = limit_target(target, path, ahead, cap, controller.config)
     speed = step_speed(state.speed, target, dt, controller.config, stop)
     command = to_command(controller.car, steering.wheel, speed)
     report = _report(errors, at, steering, speed, target)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from steerd.car_model.path.path import Path, Projection, interpolate, wrap_angle
 from steerd.car_model.state import State
 from steerd.controller.gain_table import N_LANE, N_TURNING
+from steerd.controller.live import AS_DESIGNED, LiveValues, shift_curvature
 
 SQUEEZE_MIN = 0.1
 """Least 1 - curvature e1: the errors' rates mean nothing at the turn's centre."""
@@ -79,6 +80,7 @@ def step(
     at: Projection,
     estimate: State[float],
     past: Sequence[float],
+    live: LiveValues = AS_DESIGNED,
 ) -> SteeringReference:
     """One tick of the steering law.
 
@@ -89,12 +91,15 @@ def step(
         at: its projection.
         estimate: its state; speed and wheel angle are used.
         past: references within the dead time less their feed-forward [rad], newest first.
+        live: the lane's offset, by which errors and projection are shifted already, and the share
+            of the feedback.
     """
     wheel, wheel_change, heading, heading_change = row[-N_TURNING:]
     speed = max(estimate.speed, 0.0)
     preview = speed * keeper.preview_s
     span = max(preview, SLOPE_SPAN_MIN)
-    slope = (interpolate(keeper.path, keeper.path.curvature, at.s + span) - at.curvature) / span
+    ahead = interpolate(keeper.path, keeper.path.curvature, at.s + span)
+    slope = (shift_curvature(ahead, live.offset) - at.curvature) / span
     change = speed * slope
     turn_wheel = wheel * at.curvature + wheel_change * change
     feedforward = turn_wheel + wheel * slope * preview
@@ -107,5 +112,5 @@ def step(
     )
     for gain, deviation in zip(row[N_LANE:-N_TURNING], past, strict=True):
         feedback += gain * deviation
-    reference = max(keeper.wheel_min, min(keeper.wheel_max, feedforward - feedback))
+    reference = max(keeper.wheel_min, min(keeper.wheel_max, feedforward - live.gain * feedback))
     return SteeringReference(reference, feedforward)

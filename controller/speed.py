@@ -58,10 +58,14 @@ def _limit_growth(caps: list[float], accel: float, step: float, closed: bool) ->
     return speeds
 
 
+def preview_place(profile: SpeedProfile, s: float, speed: float) -> float:
+    """Where a car at `s` [m] that drives `speed` [m/s] is when its drive has followed [m]."""
+    return s + max(speed, 0.0) * profile.preview_s
+
+
 def profile_speed(profile: SpeedProfile, s: float, speed: float) -> float:
     """The profile's speed for a car at `s` [m] that drives `speed` [m/s]."""
-    ahead = s + max(speed, 0.0) * profile.preview_s
-    return interpolate(profile.path, profile.speed, ahead)
+    return interpolate(profile.path, profile.speed, preview_place(profile, s, speed))
 
 
 def step_speed(

@@ -35,9 +35,9 @@ from steerd.steer_bus.standard import Header, make_header, make_time, stamp_ns
 
 __all__ = [
     "BODY", "OWN_MESSAGES", "WORLD", "Actuation", "ActuationMode", "ClockSample", "DriveCommand",
-    "Header", "MocapPose", "OperatorRequest", "RequestKind", "StateMessage", "Throttle", "Tick",
-    "Transition", "VescIdentity", "VescImu", "VescTelemetry", "WheelSpeed", "make_header",
-    "make_time", "stamp_ns",
+    "Header", "MocapPose", "OperatorRequest", "ParameterRequest", "Parameters", "RequestKind",
+    "StateMessage", "Throttle", "Tick", "Transition", "VescIdentity", "VescImu", "VescTelemetry",
+    "WheelSpeed", "make_header", "make_time", "stamp_ns",
 ]  # fmt: skip
 
 WORLD = "map"
@@ -202,7 +202,8 @@ class StateMessage:
     """The tick's aggregate: estimate with standard deviations, lane errors, references.
 
     ``mode`` is the supervisor's state; ``slip_angle`` is the CoG's; ``e1`` is the CoG's lateral
-    offset from the path (left positive), ``e2`` the heading error in (-pi, pi]; ``nis_pose`` is the
+    offset from the lane that it follows (left positive), which is the path unless live parameters
+    shift it, ``e2`` the heading error in (-pi, pi]; ``nis_pose`` is the
     normalised innovation squared of the last pose (3 degrees of freedom).
     """
 
@@ -264,6 +265,48 @@ class OperatorRequest:
     operator: String
 
 
+@message("steerd_msgs/msg/ParameterRequest")
+class ParameterRequest:
+    """A person's request for other live parameters, under a lease; NaN leaves one as it is.
+
+    ``speed`` is the highest along the lane, ``offset`` shifts the lane to the left of the path,
+    ``gain`` is a share of the designed feedback.
+    """
+
+    header: Header
+    boot_id: UInt64
+    lease_id: UInt64
+    seq: UInt32
+    speed: MetrePerSecond
+    offset: Metre
+    gain: Unitless
+    operator: String
+
+
+@message("steerd_msgs/msg/Parameters")
+class Parameters:
+    """Live parameters that were accepted last, their bounds, and the answer to the last request.
+
+    ``lease_id`` and ``seq`` are those of that request, zero before the first; ``accepted`` is 0 for
+    one that was refused, and ``text`` says why.
+    """
+
+    header: Header
+    lease_id: UInt64
+    seq: UInt32
+    accepted: UInt8
+    speed: MetrePerSecond
+    speed_min: MetrePerSecond
+    speed_max: MetrePerSecond
+    offset: Metre
+    offset_min: Metre
+    offset_max: Metre
+    gain: Unitless
+    gain_min: Unitless
+    gain_max: Unitless
+    text: String
+
+
 @message("steerd_msgs/msg/Transition")
 class Transition:
     """A change of the supervisor's state: a stable ``code`` and a sentence for people."""
@@ -305,5 +348,5 @@ class Throttle:
 
 OWN_MESSAGES = (
     Tick, MocapPose, VescTelemetry, VescIdentity, VescImu, Actuation, StateMessage, DriveCommand,
-    OperatorRequest, Transition, ClockSample, WheelSpeed, Throttle,
+    OperatorRequest, Transition, ClockSample, WheelSpeed, Throttle, ParameterRequest, Parameters,
 )  # fmt: skip

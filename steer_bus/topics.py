@@ -17,6 +17,8 @@ from steerd.steer_bus.messages import (
     DriveCommand,
     MocapPose,
     OperatorRequest,
+    ParameterRequest,
+    Parameters,
     StateMessage,
     Throttle,
     Tick,
@@ -88,11 +90,14 @@ VESC_STATE = Topic("vesc_state", VescStateStamped, logged=False, rate_hz=50.0)
 DIAGNOSTICS = Topic("diagnostics", DiagnosticArray, priority=Priority.DATA_LOW, rate_hz=1.0)
 WHEEL = Topic("wheel", WheelSpeed, on_bus=False, rate_hz=100.0)
 THROTTLE = Topic("throttle", Throttle, on_bus=False, rate_hz=100.0)
+SET_PARAMETERS = Topic("cmd/parameters", ParameterRequest, Direction.IN, Priority.REAL_TIME)
+PARAMETERS = Topic("parameters", Parameters, priority=Priority.DATA_LOW, rate_hz=2.0)
 LOG = Topic("rosout", Log, priority=Priority.DATA_LOW)
 
 TOPICS = (
     TICK, MOCAP, VESC, IDENTITY, IMU, ACTUATION, STATE, TRANSITION, CLOCK, DRIVE, OPERATOR, ODOM,
     POSE, EXTERNAL_POSE, VESC_STATE, DIAGNOSTICS, LOG, WHEEL, THROTTLE,
+    SET_PARAMETERS, PARAMETERS,
 )  # fmt: skip
 
 

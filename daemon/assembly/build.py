@@ -28,6 +28,7 @@ from steerd.steer_bus.topics import check_car_name
 # process, which needs them anyway; its terminal and its children start without.
 if TYPE_CHECKING:
     from steerd.controller.lane_controller import LaneController
+    from steerd.controller.live import LiveBounds
     from steerd.daemon.loop.core import Core
     from steerd.daemon.loop.loop_setup import LoopSetup
 
@@ -38,6 +39,10 @@ FASTEST_HZ = 1000.0
 SLOWEST_HZ, SLOWEST_SIMULATED_HZ = 50.0, 20.0
 """Lowest control rates [Hz]: the guardian brakes a car whose core has not ticked for 30 ms, and a
 simulated one for 300 ms."""
+
+
+OFFSET_SHARE = 0.5
+"""The lane may be shifted by this share of the lateral error that stops the car (W17)."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,22 @@ class RunPlan:
         except ValueError as error:
             what = f"--path {self.options.path}: {error}"
             raise SteerdError(what, "", ExitCode.INVALID) from None
+
+    @cached_property
+    def live(self) -> LiveBounds | None:
+        """Bounds of what may be changed during the drive.
+
+        None where the lane keeper does not drive alone, and in virtual time, where nobody could.
+        """
+        from steerd.controller.live import make_live_bounds
+
+        options, made = self.options, self.controller
+        alone = options.controller is ControllerKind.LANE and self.drill is None
+        if options.port is None or not alone:
+            return None
+        most = OFFSET_SHARE * self.settings.thresholds.lateral
+        car, timing = made.car, made.report.timing
+        return make_live_bounds(car, self.path, made.config, made.table, timing, most)
 
     @cached_property
     def sim(self) -> Settings:
@@ -178,6 +199,7 @@ def make_loop_setup(plan: RunPlan, boot_id: int, leased: bool) -> LoopSetup:
         duration_ns=None if duration is None else round(duration * NS),
         simulated=plan.options.simulated,
         drill=plan.drill,
+        live=plan.live,
     )
 
 

@@ -8,6 +8,7 @@ from steerd.daemon.ipc.outbox import Outbox
 from steerd.daemon.loop.checks import VescInfo, check_vesc
 from steerd.daemon.loop.failed_loop import describe_error, make_failed_tick
 from steerd.daemon.loop.flags import CAUSES, Flag
+from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import Loop, TickResult
 from steerd.daemon.loop.outgoing import (
     make_actuation,
@@ -194,6 +195,12 @@ class Core:
                 self.loop.on_drive(command, t_ns)
                 self.outbox.post(topics.DRIVE, command, t_ns)
                 return True
+            if name == topics.SET_PARAMETERS.name:
+                wanted = decode(m.ParameterRequest, data)
+                self.loop.on_parameters(wanted, t_ns)
+                self.outbox.post(topics.SET_PARAMETERS, wanted, t_ns)
+                self._post_parameters(t_ns)
+                return True
         except CodecError:
             return False
         return False
@@ -287,6 +294,12 @@ class Core:
                 stamp_ns,
             )
             self.outbox.post(topics.DIAGNOSTICS, diagnostics, now_ns)
+            self._post_parameters(now_ns)
+
+    def _post_parameters(self, now_ns: int) -> None:
+        message = make_parameters(self.loop.live, now_ns + self.outbox.epoch_ns)
+        if message is not None:
+            self.outbox.post(topics.PARAMETERS, message, now_ns)
 
     def _log(self, level: int, text: str, now_ns: int) -> None:
         log = Log(make_time(now_ns + self.outbox.epoch_ns), level, "steerd", text, "", "", 0)

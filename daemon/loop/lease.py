@@ -6,7 +6,12 @@ from dataclasses import dataclass, replace
 from math import inf
 
 from steerd.daemon.loop.transitions import Request
-from steerd.steer_bus.messages import DriveCommand, OperatorRequest, RequestKind
+from steerd.steer_bus.messages import (
+    DriveCommand,
+    OperatorRequest,
+    ParameterRequest,
+    RequestKind,
+)
 
 VALID_MAX_MS = 300
 """Longest validity of an external command [ms]."""
@@ -77,18 +82,24 @@ def accept_request(
         kind = RequestKind(request.kind)
     except ValueError:
         return replace(lease, refused=lease.refused + 1), Request.UNKNOWN
+    lease, admitted = admit(lease, request, t_ns, idle)
+    return lease, _REQUESTS[kind] if admitted or kind in _FROM_ANYBODY else Request.NONE
+
+
+def admit(
+    lease: Lease, request: OperatorRequest | ParameterRequest, t_ns: int, idle: bool
+) -> tuple[Lease, bool]:
+    """Whether the sender of a request holds the lease, or takes one that is free now."""
     own = request.lease_id == lease.holder != 0 and request.seq > lease.seq
     takes = (
         idle
         and request.lease_id not in (0, lease.holder)
         and _is_new(lease.former, request.lease_id, request.seq)
     )
-    if request.boot_id == lease.boot_id and (own or takes):
-        former = _remember(lease.former, lease.holder, lease.seq) if takes else lease.former
-        taken = Lease(lease.boot_id, request.lease_id, request.seq, t_ns, lease.refused, former)
-        return taken, _REQUESTS[kind]
-    refused = replace(lease, refused=lease.refused + 1)
-    return refused, _REQUESTS[kind] if kind in _FROM_ANYBODY else Request.NONE
+    if request.boot_id != lease.boot_id or not (own or takes):
+        return replace(lease, refused=lease.refused + 1), False
+    former = _remember(lease.former, lease.holder, lease.seq) if takes else lease.former
+    return Lease(lease.boot_id, request.lease_id, request.seq, t_ns, lease.refused, former), True
 
 
 def lease_age(lease: Lease, t_ns: int) -> float:

@@ -20,6 +20,7 @@ from steerd.controller.lane_controller import (
     start_controller,
 )
 from steerd.controller.limits import Verdict, make_limiter_state
+from steerd.controller.live import AS_DESIGNED
 from steerd.daemon.loop.checks import (
     STANDING_SPEED,
     LaneStatus,
@@ -53,11 +54,13 @@ from steerd.daemon.loop.lease import (
     Lease,
     Remote,
     accept_request,
+    admit,
     command_age,
     lease_age,
     take_command,
     valid_command,
 )
+from steerd.daemon.loop.live import judge_both_lanes, make_live, relax, step_live, take_request
 from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.orders import Order, make_order
 from steerd.daemon.loop.perception import Perception, best_speed
@@ -76,7 +79,7 @@ from steerd.daemon.loop.watchdogs import WatchdogState, is_slowing, step_watchdo
 from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 from steerd.estimator.state_filter import StateEstimate
 from steerd.mocap_link.source import PoseSample
-from steerd.steer_bus.messages import DriveCommand, OperatorRequest
+from steerd.steer_bus.messages import DriveCommand, OperatorRequest, ParameterRequest
 from steerd.vesc_link.events import ImuSample, Telemetry
 
 _DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
@@ -133,6 +136,7 @@ class Loop:
         perception: measurements and the state estimate.
         supervisor: memory of the state machine.
         lease, remote: the operator and the external controller.
+        live: what may be changed while the car drives.
         vesc: what the VESC reported about itself, or None.
         faulted: a fault stop or an emergency stop has happened in this run.
         ran: a drive has ended in this run.
@@ -146,6 +150,7 @@ class Loop:
         self.supervisor = make_supervisor_memory(0)
         self.lease = Lease(setup.boot_id)
         self.remote = Remote()
+        self.live = make_live(setup.live)
         self.vesc: VescInfo | None = None
         self.faulted = False
         self.ran = False
@@ -183,11 +188,28 @@ class Loop:
 
     def on_operator(self, message: OperatorRequest, t_ns: int) -> None:
         """An operator's request arrived."""
+        before = self.lease.holder
+        self.lease, request = accept_request(self.lease, message, t_ns, self._is_idle(t_ns))
+        self._requests_pending |= request
+        self._pass_on(before)
+
+    def on_parameters(self, message: ParameterRequest, t_ns: int) -> None:
+        """A request for other live parameters arrived."""
+        before = self.lease.holder
+        self.lease, admitted = admit(self.lease, message, t_ns, self._is_idle(t_ns))
+        self._pass_on(before)
+        self.live = take_request(self.live, message, admitted)
+
+    def _is_idle(self, t_ns: int) -> bool:
+        """Whether the operator has been silent for so long that another may take over."""
         parked = self.supervisor.state in _PARKED
         patience_s = self.setup.settings.thresholds.lease if parked else _LEASE_KEPT_S
-        idle = lease_age(self.lease, t_ns) > patience_s
-        self.lease, request = accept_request(self.lease, message, t_ns, idle)
-        self._requests_pending |= request
+        return lease_age(self.lease, t_ns) > patience_s
+
+    def _pass_on(self, before: int) -> None:
+        """An operator does not inherit what another tuned; without a deadman there is no holder."""
+        if self.setup.leased and before not in (0, self.lease.holder):
+            self.live = relax(self.live, "another operator: path and gains as designed")
 
     def on_drive(self, command: DriveCommand, t_ns: int) -> None:
         """An external controller's command arrived."""
@@ -239,6 +261,7 @@ class Loop:
             self._control = None
             return None, None
         self._ticks += 1
+        self.live = step_live(self.live, now_ns, self.supervisor.state in _PARKED)
         lost = self.supervisor.state in _PARKED and self._ticks % _RELOCATE_TICKS == 0
         if self._control is None or lost:
             self._control = start_controller(self.setup.controller, estimate.state, now_ns)
@@ -250,6 +273,7 @@ class Loop:
             now_ns,
             issued=self._issued,
             stop=stop,
+            live=self.live.now if self.setup.live else AS_DESIGNED,
         )
         if self.setup.remote:
             return self._make_remote_wish(now_ns), report
@@ -294,7 +318,7 @@ class Loop:
             self.setup,
             self.perception,
             estimate,
-            report,
+            None if report is None else judge_both_lanes(report, self.live.now),
             state=self.supervisor.state,
             t_ns=now_ns,
             lease_age=lease_age(self.lease, now_ns) if self.setup.leased else 0.0,
@@ -359,7 +383,8 @@ class Loop:
             failed.append("no estimate yet: mocap must see the car for a moment, standing")
         failed += check_findings(findings)
         if report is not None and (self.setup.remote or not self.setup.ignores_lane):
-            lane = LaneStatus(report.e1, report.e2, self.setup.remote, alive)
+            e1 = judge_both_lanes(report, self.live.now).e1
+            lane = LaneStatus(e1, report.e2, self.setup.remote, alive)
             failed += check_lane(lane, settings.thresholds)
         if self.supervisor.state is not SupervisorState.RUNNING:
             failed += check_motion(speed)
@@ -416,7 +441,9 @@ class Loop:
                 self._control = start_controller(self.setup.controller, estimate.state, now_ns)
         if old in _DRIVING and new not in _DRIVING:
             self.ran, self._launch = True, None
-        self.faulted = self.faulted or new in (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
+        if new in (SupervisorState.FAULT_STOP, SupervisorState.ESTOP):
+            self.faulted = True
+            self.live = relax(self.live, "a fault: path and gains as designed")
         rolling = abs(self.perception.wheel_speed) > STANDING_SPEED
         self.perception.may_rebase = new in _PARKED and not rolling
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from steerd.controller.lane_controller import LaneController
+from steerd.controller.live import LiveBounds
 from steerd.daemon.loop.plans import Drill
 from steerd.daemon.settings.config import Settings
 
@@ -22,6 +23,7 @@ class LoopSetup:
         duration_ns: length of the drive, None without end.
         simulated: the hardware is simulated: limits of lateness are loose.
         drill: excitation plan, in place of the lane keeper or added to it.
+        live: bounds of the live parameters; None where there are none.
     """
 
     settings: Settings
@@ -34,6 +36,7 @@ class LoopSetup:
     duration_ns: int | None = None
     simulated: bool = False
     drill: Drill | None = None
+    live: LiveBounds | None = None
 
     @property
     def ignores_lane(self) -> bool:

@@ -168,6 +168,8 @@ class Replay:
                 self.loop.on_operator(request, t_ns)
             case m.DriveCommand() as command:
                 self.loop.on_drive(command, t_ns)
+            case m.ParameterRequest() as wanted:
+                self.loop.on_parameters(wanted, t_ns)
             case m.Tick() as tick:
                 self._tick(tick)
             case m.Actuation() as actuation:

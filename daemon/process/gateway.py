@@ -44,7 +44,7 @@ class Gateway:
         self._views = Views()
         self._requests: list[tuple[str, Subscription]] = [
             (topic.name, bus.subscribe(make_key(car, topic), _DEPTH))
-            for topic in (topics.OPERATOR, topics.DRIVE)
+            for topic in (topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS)
         ]
         if pose_key is not None:
             self._requests.append((topics.EXTERNAL_POSE.name, bus.subscribe(pose_key, _DEPTH)))

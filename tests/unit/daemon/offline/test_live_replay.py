@@ -1,0 +1,121 @@
+"""Live parameters of a drive: what the car does with them, and the same again in a replay."""
+
+from math import nan
+
+import numpy as np
+import pytest
+
+from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.offline.fast import make_recording
+from steerd.daemon.offline.replay import replay
+from steerd.daemon.offline.virtual import make_virtual_run
+from steerd.daemon.settings.run_options import RunOptions
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.session_read import open_session
+
+pytestmark = pytest.mark.slow
+OPTIONS = RunOptions(
+    car_file="", path="figure8", speed=1.5, simulated=True, auto_arm=True, duration_s=25.0,
+    port="virtual",
+)  # fmt: skip
+CHANGES = [
+    (6.0, {"speed": 0.75}),
+    (10.0, {"offset": 0.1, "gain": 1.3}),
+    (11.0, {"speed": 3.0}),
+    (11.0, {"speed": 3.0, "offset": -0.1}),
+    (18.0, {"speed": 1.25, "offset": -0.05}),
+]
+"""Seconds of the run, and what is requested then."""
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    """A drive in virtual time with an operator's changes."""
+    plan = make_plan(OPTIONS)
+    recording = make_recording(plan, tmp_path_factory.mktemp("live") / "drive.mcap")
+
+    def sink(records, _t_ns):
+        for record in records:
+            recording.add(record)
+
+    run = make_virtual_run(plan, (sink,))
+    for seq, (t_s, values) in enumerate(CHANGES):
+        while run.t_ns < t_s * 1e9:
+            run.step()
+        wanted = {"speed": nan, "offset": nan, "gain": nan, **values}
+        request = m.ParameterRequest(
+            m.make_header(run.t_ns, m.BODY), run.core.loop.setup.boot_id, 7, seq, *wanted.values(),
+            "desk",
+        )  # fmt: skip
+        assert run.core.on_request(topics.SET_PARAMETERS.name, encode(request), run.t_ns)
+    while not (run.core.loop.ran and run.core.loop.parked):
+        run.step()
+    recording.writer.finish({"reason": "test", "written": str(recording.written)})
+    return open_session(recording.writer.path)
+
+
+def test_every_change_is_recorded_with_its_answer(session):
+    said = [r.decode() for r in session.messages("/steerd/car1/parameters")]
+    answers = {p.seq: p for p in said if p.lease_id}
+    assert [answers[i].accepted for i in range(len(CHANGES))] == [1, 1, 0, 0, 1]
+    assert "speed 3 m/s, allowed 0.3 to 1.5 m/s" in answers[2].text
+    assert (answers[3].speed, answers[3].offset) == (0.75, 0.1), "all or nothing"
+    requests = [r.decode() for r in session.messages("/steerd/car1/cmd/parameters")]
+    assert [r.seq for r in requests] == list(range(len(CHANGES)))
+
+
+def test_the_car_does_as_asked_and_is_never_stopped_for_it(session):
+    table = session.columns(m.StateMessage)
+    modes = set(table["mode"])
+    assert SupervisorState.RUNNING in modes
+    assert SupervisorState.FAULT_STOP not in modes
+    t = (table["mono_ns"] - table["mono_ns"][0]) * 1e-9
+    running = table["mode"] == SupervisorState.RUNNING
+
+    def between(name, start, end):
+        return table[name][running & (t > start) & (t < end)]
+
+    assert between("speed", 8.0, 10.0) == pytest.approx(0.75, abs=0.02)
+    assert between("speed", 4.0, 5.9).max() > 1.4
+    assert between("speed", 20.0, 24.0).max() == pytest.approx(1.25, abs=0.03)
+    assert between("speed_ref", 6.0, 24.0).max() <= 1.5
+    assert np.abs(between("e1", 14.0, 18.0)).max() < 0.01, "of the shifted lane"
+
+
+def true_offsets(session, plan, start, end):
+    """Distance of the estimated positions to the path, left positive, by its samples [m]."""
+    table = session.columns(m.StateMessage)
+    t = (table["mono_ns"] - table["mono_ns"][0]) * 1e-9
+    kept = (table["mode"] == SupervisorState.RUNNING) & (t > start) & (t < end)
+    points = np.column_stack([table["x"], table["y"]])[kept]
+    path = np.column_stack([plan.path.x, plan.path.y])
+    found = []
+    for point in points[::10]:
+        i = int(np.argmin(np.hypot(*(path - point).T)))
+        dx, dy = point - path[i]
+        yaw = plan.path.yaw[i]
+        found.append(-np.sin(yaw) * dx + np.cos(yaw) * dy)
+    return np.array(found)
+
+
+def test_the_lane_lies_beside_the_path(session):
+    plan = make_plan(OPTIONS)
+    assert true_offsets(session, plan, 14.0, 18.0) == pytest.approx(0.1, abs=0.02)
+    assert true_offsets(session, plan, 21.5, 24.0) == pytest.approx(-0.05, abs=0.02)
+
+
+def test_a_replay_gives_every_order_again_and_without_the_requests_others(session):
+    run, differences = replay(session, "drive.mcap")
+    assert list(differences) == []
+    assert run.ticks > 2000
+    deaf, _ = replay(session, "drive.mcap")
+    missed = [
+        difference
+        for record in session.messages()
+        if not record.topic.endswith("cmd/parameters")
+        and (difference := deaf.take(record)) is not None
+    ]
+    assert len(missed) > 1000
