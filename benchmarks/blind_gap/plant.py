@@ -327,6 +327,8 @@ def _pursue(
 @njit(cache=True, nogil=True)
 def _simulate(
     car: PlantCar,
+    later: PlantCar,
+    change: int,
     start: Array,
     lead: int,
     steer: Array,
@@ -348,6 +350,8 @@ def _simulate(
     place = _nearest(route, s[0], s[1], 0, len(route)) if len(route) else 0
     for step in range(len(states)):
         t = (step - lead) * STEP
+        if step == change:
+            car = later
         for i in range(10):
             states[step, i] = s[i]
         if step % TICK == 0:
@@ -373,7 +377,14 @@ def _simulate(
         _remember(car, states[step], s, m, angle)
 
 
-def simulate(car: PlantCar, start: Array, lead: int, orders: Orders, noise: Noise) -> Trace:
+def simulate(
+    car: PlantCar,
+    start: Array,
+    lead: int,
+    orders: Orders,
+    noise: Noise,
+    change: tuple[int, PlantCar] | None = None,
+) -> Trace:
     """Drive the car.
 
     Args:
@@ -382,15 +393,17 @@ def simulate(car: PlantCar, start: Array, lead: int, orders: Orders, noise: Nois
         lead: steps before the recording starts; time zero is its end.
         orders: commands, or a route, over lead-in and recording.
         noise: disturbances and pose errors of the same length.
+        change: step from which on it is another car, and which.
     """
     n = len(noise.process)
+    step, later = change or (n, car)
     s = np.zeros(10)
     s[:4] = start
     s[6:] = start[3]
     states, ticks = np.empty((n, 10)), n // TICK
     commands, poses = np.empty((ticks, 2)), np.empty((ticks, 3))
     _simulate(
-        car, s, lead, orders.steer, orders.speed, orders.route, orders.route_accel,
+        car, later, step, s, lead, orders.steer, orders.speed, orders.route, orders.route_accel,
         orders.held, orders.cut, noise.process, noise.pose, states, commands, poses,
     )  # fmt: skip
     return Trace(states, commands, poses)

@@ -1,0 +1,1 @@
+"""Learning while driving: a car's parameters and its gap, window by window, with bounded memory."""

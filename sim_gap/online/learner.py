@@ -1,0 +1,287 @@
+"""The learner: `fold(learner, state, sample)` gives the next state and, once a second, a report.
+
+Pure: no clock, no file, no randomness, so a recording gives what the drive gave, to the byte. At
+first it learns the car as it is (`reference`), then it follows it (`tracking`) and watches for a
+change (`changes`); after one it says what changed (`naming`), and learns the car anew.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sim_gap.engine.noise import Noise
+from steerd.sim_gap.engine.residuals import robust_mean
+from steerd.sim_gap.engine.superset import Superset
+from steerd.sim_gap.online.changes import (
+    SPANS,
+    Usual,
+    faded,
+    ratios,
+    suspects,
+    usual_of,
+    with_ratios,
+)
+from steerd.sim_gap.online.looking import Anchor, Look, look
+from steerd.sim_gap.online.naming import Finding, Point, look_closer, name, rank
+from steerd.sim_gap.online.reference import learn_reference
+from steerd.sim_gap.online.samples import (
+    LATE,
+    WINDOW,
+    PoseSeen,
+    Recent,
+    Sample,
+    first_start,
+    make_window,
+    take,
+)
+from steerd.sim_gap.online.tracking import Track, follow
+from steerd.sysid.data.dataset import Run
+
+Array = NDArray[np.float64]
+
+REFERENCE = 50
+"""Windows that the car is learnt from: 25 s, two laps of an ordinary figure-eight."""
+ALARM = 20.0
+"""A change is called at this ratio per what is usual [nats]."""
+DOUBT = 5.0
+"""Windows at which a ratio is larger are not followed, and not usual [nats]."""
+PATIENCE = 6
+"""A change that so many windows after it does not hold is taken back."""
+DELAY = 8
+"""What a window shows counts as usual only so many windows later."""
+FADING = 1.0 / 1200.0
+"""Share of what is usual that is forgotten with a window: ten minutes."""
+PERIOD = 1.0
+"""Time between reports [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Learner:
+    """What does not change while a car is learnt.
+
+    Attributes:
+        superset: the car file's base, with every effect of the library.
+        noise: as the car file knows it.
+        ramp: limit of the motor controller's setpoint [m/s^2], 0 for none.
+    """
+
+    superset: Superset
+    noise: Noise | None = None
+    ramp: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """The car as learnt, and what was seen since.
+
+    Attributes:
+        anchor: the car, and its noise.
+        effects: what is looked for.
+        track: what is known of the base now.
+        usual: what ratios the car shows while nothing is the matter; `usual_ratio` what error.
+        looks: the last windows, oldest first; `tracks` what was known before each.
+        shown: ratios of windows that may yet turn out to be a change's.
+        peak: the largest ratio per what is usual so far that called no change [nats].
+    """
+
+    anchor: Anchor
+    effects: tuple[str, ...]
+    track: Track
+    usual: Usual
+    usual_ratio: float
+    looks: tuple[Look, ...] = ()
+    tracks: tuple[Track, ...] = ()
+    shown: tuple[Array, ...] = ()
+    peak: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """A change that is being looked into.
+
+    Attributes:
+        since: when it began [s]; `noticed` when it was called [s].
+        before: what was known of the base before it.
+        looks: the windows since; `windows` the same as drives, with their times.
+        points: likely effects' windows, looked at again.
+        finding: what is said of it.
+    """
+
+    since: float
+    noticed: float
+    before: Track
+    looks: tuple[Look, ...]
+    windows: tuple[tuple[float, Run], ...]
+    points: Mapping[str, Point]
+    finding: Finding
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything that the learner remembers.
+
+    Attributes:
+        recent: samples of the last seconds.
+        start: when the next window begins [s].
+        windows: drives that the car is learnt from, with their times.
+        known: the car as learnt; None before.
+        change: what is being looked into; None while nothing is the matter.
+        past: changes that the car was learnt anew after, oldest first.
+        taken_back: changes that did not hold.
+        seen: windows so far; `due` when the next report is due [s].
+    """
+
+    recent: Recent = field(default_factory=Recent)
+    start: float = -np.inf
+    windows: tuple[tuple[float, Run], ...] = ()
+    known: Known | None = None
+    change: Change | None = None
+    past: tuple[Change, ...] = ()
+    taken_back: int = 0
+    seen: int = 0
+    due: float = -np.inf
+
+
+def fold(learner: Learner, state: State, sample: Sample) -> tuple[State, bool]:
+    """Take in one sample; whether a report of the state is due."""
+    state = replace(state, recent=take(state.recent, sample))
+    if not isinstance(sample, PoseSeen):
+        return state, False
+    state = _close_window(learner, state)
+    if sample.t < state.due:
+        return state, False
+    first = not np.isfinite(state.due)
+    behind = sample.t - state.due > PERIOD
+    due = sample.t + PERIOD if first or behind else state.due + PERIOD
+    return replace(state, due=due), not first
+
+
+def _close_window(learner: Learner, state: State) -> State:
+    """Take in the window that the newest pose completes, if there is one."""
+    earliest = first_start(state.recent)
+    start = max(state.start, earliest)
+    if not np.isfinite(start) or state.recent.newest < start + WINDOW + LATE:
+        return replace(state, start=state.start if state.start > earliest else -np.inf)
+    run = make_window(state.recent, start, learner.ramp)
+    state = replace(state, start=start + WINDOW)
+    return state if run is None else take_window(learner, state, start, run)
+
+
+def take_window(learner: Learner, state: State, t: float, run: Run) -> State:
+    """The state after one more window that began at `t` [s]."""
+    state = replace(state, seen=state.seen + 1)
+    if state.known is None:
+        return _learn(learner, replace(state, windows=(*state.windows, (t, run))))
+    seen = look(state.known.anchor, run, t)
+    if seen is None:
+        return state
+    if state.change is not None:
+        return _look_into(learner, state, state.known, state.change, seen, run)
+    windows = (*state.windows, (t, run))[-SPANS[-1] :]
+    return _watch(replace(state, windows=windows), state.known, seen)
+
+
+def _learn(learner: Learner, state: State) -> State:
+    """Learn the car once there are windows enough."""
+    if len(state.windows) < REFERENCE:
+        return state
+    known = learn(learner, state.windows)
+    kept = state.windows[-SPANS[-1] :] if known else state.windows[REFERENCE // 2 :]
+    return replace(state, windows=kept, known=known)
+
+
+def learn(learner: Learner, windows: tuple[tuple[float, Run], ...]) -> Known | None:
+    """The car as it is in these windows; None where its base's simulation leaves the map."""
+    times, runs = [t for t, _ in windows], [run for _, run in windows]
+    found = learn_reference(learner.superset, runs, times, learner.noise)
+    if found is None:
+        return None
+    effects = found.anchor.space.effects
+    usual = usual_of(found.anchor, effects, found.track, found.looks)
+    level = robust_mean(np.array([seen.ratio for seen in found.looks]))
+    looks, tracks = found.looks[-SPANS[-1] :], (found.track,) * SPANS[-1]
+    return Known(found.anchor, effects, found.track, usual, level, looks, tracks[: len(looks)])
+
+
+def _watch(state: State, known: Known, seen: Look) -> State:
+    """A window while nothing is the matter; a change is called where it does not fit."""
+    looks = (*known.looks, seen)[-SPANS[-1] :]
+    tracks = (*known.tracks, known.track)[-SPANS[-1] :]
+    found = suspects(known.anchor, known.effects, tracks, looks)
+    table = ratios(found, len(known.effects))
+    judged = table / known.usual.level()
+    worst = float(np.nanmax(judged))
+    if worst >= ALARM:
+        span = SPANS[int(np.nanargmax(np.nanmax(judged, axis=0)))]
+        return _call(state, replace(known, looks=looks, tracks=tracks), span)
+    n = known.anchor.space.nuisance
+    track, shown = known.track, known.shown
+    if worst < DOUBT:
+        track = follow(track, seen.weight * seen.g[:n], seen.weight * seen.h[:n, :n])
+    shown, usual = (*shown, table), known.usual
+    if len(shown) > DELAY:
+        usual = with_ratios(faded(usual, FADING), shown[0])
+        shown = shown[1:]
+    known = replace(
+        known, track=track, usual=usual, looks=looks, tracks=tracks, shown=shown,
+        peak=max(known.peak, worst),
+    )  # fmt: skip
+    return replace(state, known=known)
+
+
+def _call(state: State, known: Known, span: int) -> State:
+    """Call a change that began `span` windows ago."""
+    looks, before = known.looks[-span:], known.tracks[-span]
+    noticed = looks[-1].t + WINDOW + LATE
+    change = judge(known, before, looks, {}, noticed, state.windows[-span:])
+    # What was followed since the change is taken back.
+    known = replace(known, track=before, shown=())
+    return replace(state, known=known, change=change)
+
+
+def judge(
+    known: Known,
+    before: Track,
+    looks: tuple[Look, ...],
+    points: Mapping[str, Point],
+    noticed: float,
+    windows: tuple[tuple[float, Run], ...],
+) -> Change:
+    """A change with what its windows say.
+
+    Args:
+        known: the car.
+        before: what was known of it before the change.
+        looks: the windows since.
+        points: what of them was looked at again so far.
+        noticed: when it was called [s].
+        windows: the windows as drives.
+    """
+    anchor = known.anchor
+    short = {e: p for e, p in points.items() if len(p.looks) == len(looks)}
+    _, fits = rank(anchor, known.effects, before, looks, short)
+    points = look_closer(anchor, fits, looks, points)
+    null, fits = rank(anchor, known.effects, before, looks, points)
+    finding = name(anchor, null, fits, known.usual_ratio)
+    return Change(looks[0].t, noticed, before, looks, windows, points, finding)
+
+
+def _look_into(
+    learner: Learner, state: State, known: Known, change: Change, seen: Look, run: Run
+) -> State:
+    """One more window after a change."""
+    looks, windows = (*change.looks, seen), (*change.windows, (seen.t, run))
+    change = judge(known, change.before, looks, change.points, change.noticed, windows)
+    if len(looks) >= PATIENCE and change.finding.gain < DOUBT:
+        kept = replace(known, looks=(), tracks=())
+        return replace(state, known=kept, change=None, taken_back=state.taken_back + 1, windows=())
+    if len(windows) < REFERENCE + 1:
+        return replace(state, change=change)
+    # The first window may hold the change itself.
+    again = learn(learner, windows[1:])
+    if again is None:
+        return replace(state, change=replace(change, windows=windows[REFERENCE // 2 :]))
+    past = (*state.past, replace(change, looks=(), windows=(), points={}))
+    return replace(state, known=again, change=None, past=past, windows=windows[-SPANS[-1] :])

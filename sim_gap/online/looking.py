@@ -1,0 +1,190 @@
+"""One window seen from an anchor: how its loss changes with every parameter that may have changed.
+
+The anchor is the car as it was learnt. About it each window is a quadratic form in the base's own
+coordinates and those of all effects (`engine`), so a window is evaluated once and never again.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.effect import BaseSelection
+from steerd.sim_gap.engine.engine import Engine, Reduced, make_engine
+from steerd.sim_gap.engine.noise import Noise, whitened
+from steerd.sim_gap.engine.readings import make_readings
+from steerd.sim_gap.engine.residuals import settled
+from steerd.sim_gap.engine.space import Space, make_space, telling_effects
+from steerd.sim_gap.engine.superset import Superset
+from steerd.sim_gap.online.samples import WINDOW
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.windows import speed_range
+
+Array = NDArray[np.float64]
+
+ROUGH = np.array([5e-3, 0.01, 0.05, 0.05])
+"""Instrument noise before it is learnt: [m], [rad], [m/s], [rad/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """The car about which windows are seen.
+
+    Attributes:
+        superset: base and library, the base's values those learnt.
+        space: the base's coordinates first, then those of every effect that may have changed.
+        noise: what is random.
+    """
+
+    superset: Superset
+    space: Space
+    noise: Noise
+
+    @property
+    def late(self) -> float:
+        """How late poses are [s]."""
+        return float(self.superset.base[self.superset.kernels.names.index("pose_delay")])
+
+    def places(self, effect: str) -> list[int]:
+        """Coordinates of an effect."""
+        free = self.space.chart.free
+        return [i for i, name in enumerate(free) if name.startswith(f"{effect}.")]
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A window seen.
+
+    Attributes:
+        t: when it began [s].
+        square: whitened squared error about the anchor, at its best start.
+        dof: its degrees of freedom.
+        g: (n,) pull on the coordinates (direction of descent).
+        h: (n, n) information about them.
+        engine: the window with its whitening, to look at it again.
+        x: (1, 7) its start.
+    """
+
+    t: float
+    square: float
+    dof: int
+    g: Array
+    h: Array
+    engine: Engine | None = None
+    x: Array | None = None
+
+    @property
+    def ratio(self) -> float:
+        """Whitened squared error per degree of freedom; 1 is noise."""
+        return self.square / self.dof
+
+    @property
+    def weight(self) -> float:
+        """What it counts: less where nothing explains it (Student's t)."""
+        return 2.0 / (1.0 + self.ratio)
+
+
+def may_change(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Effects that can come about while a car drives and show at once.
+
+    Those with a gradient at their null that could be part of a car: what is a matter of a place or
+    of the time of day is none that a window can tell.
+    """
+    effects = {e.name: e for e in superset.effects}
+    return tuple(
+        name
+        for name in telling_effects(superset, runs)
+        if not effects[name].zero_gradient
+        and effects[name].selectable_in_base is not BaseSelection.NEVER
+    )
+
+
+def anchored(superset: Superset, base: Array) -> Superset:
+    """The superset about other values (P,) of its base."""
+    nulls = {e.name: tuple(base[superset.places(e.name)].tolist()) for e in superset.effects}
+    return replace(superset, base=base, nulls=nulls)
+
+
+def make_anchor(
+    superset: Superset, nuisance: Sequence[str], effects: Sequence[str], noise: Noise
+) -> Anchor:
+    """An anchor at a superset's base.
+
+    Raises:
+        ValueError: a name is unknown.
+    """
+    return Anchor(superset, make_space(superset, nuisance, effects), noise)
+
+
+def open_windows(superset: Superset, runs: Sequence[Run], late: float) -> Engine:
+    """Windows with rough noise; each run is one.
+
+    Raises:
+        ValueError: no window sees enough poses.
+    """
+    return make_engine(superset, make_readings(runs, late, speed_range(runs), WINDOW), ROUGH)
+
+
+def look(anchor: Anchor, run: Run, t: float) -> Look | None:
+    """See one window; None where the anchor's simulation leaves the map.
+
+    Args:
+        anchor: the car.
+        run: the window.
+        t: when it began [s].
+    """
+    try:
+        engine = open_windows(anchor.superset, [run], anchor.late)
+        fixed = make_space(anchor.superset, ())
+        found = settled(engine, fixed, fixed.centre)
+        engine = whitened(engine, found, anchor.noise)
+        found = settled(engine, fixed, fixed.centre, found.x)
+    except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+        return None
+    at = engine.reduce(anchor.space, anchor.space.centre, found.x)
+    return replace(looks_of(at, [t])[0], engine=engine, x=found.x) if at.finite else None
+
+
+def looks_of(at: Reduced, times: Sequence[float]) -> list[Look]:
+    """Windows from their losses.
+
+    Args:
+        at: the losses.
+        times: when each window began [s].
+    """
+    return [
+        Look(t, float(at.square[w]), int(at.dof[w]), at.g[w], at.h[w]) for w, t in enumerate(times)
+    ]
+
+
+def look_again(anchor: Anchor, seen: Look, effect: str, z: Array) -> Look:
+    """The same window linearised where an effect is suspected, as a form about the anchor.
+
+    Args:
+        anchor: the car.
+        seen: the window as seen from the anchor.
+        effect: of the library.
+        z: (n_base + k,) deviations from the anchor, the effect's last.
+
+    Returns:
+        The window in the base's coordinates and the effect's alone; as it was seen where its engine
+        is gone or the simulation leaves the map.
+    """
+    n = anchor.space.nuisance
+    old = cut(seen, [*range(n), *anchor.places(effect)])
+    if seen.engine is None or seen.x is None:
+        return old
+    space = make_space(anchor.superset, anchor.space.chart.free[:n], [effect])
+    at = seen.engine.reduce(space, space.centre + z, seen.x)
+    if not at.finite:
+        return old
+    g, h = at.g[0], at.h[0]
+    square = float(at.square[0] + 2.0 * g @ z + z @ h @ z)
+    return Look(seen.t, square, seen.dof, g + h @ z, h)
+
+
+def cut(seen: Look, places: Sequence[int]) -> Look:
+    """A window as a form in some of the coordinates, the others at the anchor."""
+    at = np.asarray(places)
+    return Look(seen.t, seen.square, seen.dof, seen.g[at], seen.h[np.ix_(at, at)])

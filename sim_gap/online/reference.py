@@ -1,0 +1,69 @@
+"""The car as it is at first: base and noise at their best on the first windows of a drive."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from steerd.sim_gap.engine.base_fit import null_fit
+from steerd.sim_gap.engine.noise import Noise, learn_noise, whitened
+from steerd.sim_gap.engine.space import nuisance_names
+from steerd.sim_gap.engine.superset import Superset
+from steerd.sim_gap.online.looking import (
+    Anchor,
+    Look,
+    anchored,
+    looks_of,
+    make_anchor,
+    may_change,
+    open_windows,
+)
+from steerd.sim_gap.online.tracking import Track
+from steerd.sysid.data.dataset import Run
+
+
+class Reference(NamedTuple):
+    """A car learnt from windows: the anchor, what is known about it, and the windows seen."""
+
+    anchor: Anchor
+    track: Track
+    looks: tuple[Look, ...]
+
+
+def learn_reference(
+    superset: Superset, runs: Sequence[Run], times: Sequence[float], noise: Noise | None
+) -> Reference | None:
+    """Learn base and noise from windows.
+
+    Args:
+        superset: the car file's base.
+        runs: the windows.
+        times: when each began [s].
+        noise: as the car file knows it.
+
+    Returns:
+        None where the base's simulation leaves the map.
+    """
+    nuisance = nuisance_names(superset, runs)
+    known = {name.partition(".")[0] for name in nuisance if "." in name}
+    manners = tuple(e.name for e in superset.effects if e.on_every_car and e.name not in known)
+    late = float(superset.base[superset.kernels.names.index("pose_delay")])
+    try:
+        engine = open_windows(superset, runs, late)
+        fitted = null_fit(engine, nuisance, effects=manners)
+        noise = learn_noise(engine, fitted, noise)
+        engine = whitened(engine, fitted, noise)
+        fitted = null_fit(engine, nuisance, fitted, effects=manners)
+    except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+        return None
+    learnt = anchored(superset, fitted.parameters)
+    anchor = make_anchor(learnt, nuisance, may_change(learnt, runs), noise)
+    at = engine.reduce(anchor.space, anchor.space.centre, fitted.x)
+    if not at.finite:
+        return None
+    looks = looks_of(at, times)
+    n = anchor.space.nuisance
+    prior = np.linalg.inv(anchor.space.covariance[:n, :n])
+    told = sum((seen.weight * seen.h[:n, :n] for seen in looks), np.zeros((n, n)))
+    # The windows made the anchor: about it they pull nowhere.
+    return Reference(anchor, Track(prior + told, np.zeros(n), prior), tuple(looks))

@@ -1,0 +1,138 @@
+"""What a car sends while it drives, kept for as long as a window needs it."""
+
+from dataclasses import dataclass, replace
+from itertools import dropwhile
+from math import hypot, isfinite
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from steerd.sysid.data.data_checks import DataError
+from steerd.sysid.data.dataset import HISTORY, SERVO_FRAME, Run, Signal, make_run
+from steerd.sysid.data.segments import SPEED_MIN
+
+WINDOW = 0.5
+"""Length of a window [s]: some ten of the car's time constants, and a change shows soon."""
+LEAD = HISTORY + 0.1
+"""Commands known before a window [s]; on the grid some of it is lost."""
+LATE = 0.06
+"""A window is closed when a pose this much younger has come: telemetry may lag behind [s]."""
+KEPT = LEAD + WINDOW + 1.0
+"""How long samples are kept [s]."""
+
+
+class PoseSeen(NamedTuple):
+    """A pose that the mocap checks let pass: time of validity [s], place [m], yaw [rad]."""
+
+    t: float
+    x: float
+    y: float
+    yaw: float
+
+
+class Ordered(NamedTuple):
+    """A command as sent: time [s], wheel angle [rad], speed [m/s]."""
+
+    t: float
+    steer: float
+    speed: float
+
+
+class Rolled(NamedTuple):
+    """A wheel speed: time [s], speed under the nominal gain [m/s]."""
+
+    t: float
+    speed: float
+
+
+class Paused(NamedTuple):
+    """The car is not driven at this time [s]: no window reaches across it."""
+
+    t: float
+
+
+Sample = PoseSeen | Ordered | Rolled | Paused
+S = TypeVar("S", PoseSeen, Ordered, Rolled)
+
+
+@dataclass(frozen=True)
+class Recent:
+    """Samples of the last seconds, each kind in the order of time."""
+
+    poses: tuple[PoseSeen, ...] = ()
+    orders: tuple[Ordered, ...] = ()
+    wheel: tuple[Rolled, ...] = ()
+
+    @property
+    def newest(self) -> float:
+        """Time of the last pose [s]."""
+        return self.poses[-1].t if self.poses else -np.inf
+
+
+def _added(kept: tuple[S, ...], sample: S) -> tuple[S, ...]:
+    """With one more; a sample that is no number or not newer than the last is left out."""
+    if not all(map(isfinite, sample)) or (kept and sample.t <= kept[-1].t):
+        return kept
+    oldest = sample.t - KEPT
+    if kept and kept[0].t < oldest:
+        kept = tuple(dropwhile(lambda each: each.t < oldest, kept))
+    return (*kept, sample)
+
+
+def take(recent: Recent, sample: Sample) -> Recent:
+    """The samples with one more."""
+    match sample:
+        case PoseSeen():
+            return replace(recent, poses=_added(recent.poses, sample))
+        case Ordered():
+            return replace(recent, orders=_added(recent.orders, sample))
+        case Rolled():
+            return replace(recent, wheel=_added(recent.wheel, sample))
+        case Paused():
+            return Recent()
+
+
+def first_start(recent: Recent) -> float:
+    """Earliest time at which a window may begin [s]; infinite without poses or commands."""
+    if not recent.poses or not recent.orders:
+        return np.inf
+    return max(recent.poses[0].t, recent.orders[0].t + LEAD)
+
+
+def make_window(recent: Recent, start: float, ramp: float) -> Run | None:
+    """The window that begins at `start` [s], None where the car did not drive through it.
+
+    Args:
+        recent: the samples.
+        start: first time [s].
+        ramp: limit of the motor controller's setpoint [m/s^2], 0 for none.
+    """
+    end = start + WINDOW
+    poses = [p for p in recent.poses if start <= p.t < end]
+    orders = [o for o in recent.orders if start - LEAD <= o.t < end + LATE]
+    wheel = [w for w in recent.wheel if start <= w.t < end]
+    if len(poses) < 2 or not orders or not _driven(poses, orders):
+        return None
+    seen, asked = np.array(poses), np.array(orders)
+    rolled = np.array(wheel).reshape(-1, 2)
+    try:
+        return make_run(
+            f"{start:.2f} s",
+            Signal(asked[:, 0], asked[:, 1]),
+            Signal(asked[:, 0], asked[:, 2]),
+            Signal(seen[:, 0], seen[:, 1:]),
+            wheel=Signal(rolled[:, 0], rolled[:, 1]),
+            servo_frame=SERVO_FRAME,
+            speed_ramp=ramp,
+        )
+    except DataError:
+        return None
+
+
+def _driven(poses: list[PoseSeen], orders: list[Ordered]) -> bool:
+    """Whether commands and poses both say that the car moves throughout."""
+    first, last = poses[0], poses[-1]
+    span = last.t - first.t
+    if span < 0.8 * WINDOW or min(abs(o.speed) for o in orders) < SPEED_MIN:
+        return False
+    return hypot(last.x - first.x, last.y - first.y) > SPEED_MIN * span

@@ -1,0 +1,73 @@
+"""A learner about the default car, windows as quadratic forms, and drives of the hidden plant."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from benchmarks.blind_gap.car import make_car
+from benchmarks.live_changes.plant import Change, changed, drive
+from steerd.car_model.car_file import default_car_path, load_car
+from steerd.sim_gap.engine.noise import Noise
+from steerd.sim_gap.online.base import make_learner
+from steerd.sim_gap.online.learner import Learner
+from steerd.sim_gap.online.looking import Anchor, Look, make_anchor
+from steerd.sim_gap.online.samples import Sample
+from steerd.sim_gap.online.tracking import Track
+
+NUISANCE = ("lf", "c_sf", "steer_lag")
+EFFECTS = ("steer_bias", "steer_gain", "marker_offset", "tyre_friction")
+DOF = 30
+
+
+@pytest.fixture(scope="session")
+def learner() -> Learner:
+    return make_learner(load_car(default_car_path()))
+
+
+@pytest.fixture(scope="session")
+def anchor(learner: Learner) -> Anchor:
+    noise = Noise((1e-3, 2e-3, 0.02, 0.05), (0.1, 0.1, 0.7))
+    return make_anchor(learner.superset, NUISANCE, EFFECTS, noise)
+
+
+@pytest.fixture
+def track(anchor: Anchor) -> Track:
+    """A base that many windows told."""
+    n = anchor.space.nuisance
+    prior = np.linalg.inv(anchor.space.covariance[:n, :n])
+    return Track(400.0 * prior, np.zeros(n), prior)
+
+
+@pytest.fixture
+def windows(anchor: Anchor) -> Callable[..., list[Look]]:
+    """Windows about a car of which some coordinates are off: `windows(12, steer_bias=0.02)`."""
+
+    def make(count: int, left: float = 1.0, seed: int = 3, **off: float) -> list[Look]:
+        rng = np.random.default_rng(seed)
+        truth, free = np.zeros(len(anchor.space.centre)), anchor.space.chart.free
+        for name, value in off.items():
+            first = next(i for i, each in enumerate(free) if each.startswith(f"{name}."))
+            truth[first] = value
+        looks = []
+        for number in range(count):
+            slopes = rng.standard_normal((DOF, len(truth))) / anchor.space.spread
+            h = 40.0 * slopes.T @ slopes
+            best = truth + np.linalg.solve(np.linalg.cholesky(h).T, rng.standard_normal(len(truth)))
+            square = left * DOF + float(best @ h @ best)
+            looks.append(Look(0.5 * number, square, DOF, h @ best, h))
+        return looks
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def drives() -> Callable[..., list[Sample]]:
+    """What a hidden car sends: `drives(seconds)`, or `drives(seconds, "steer_bias", at)`."""
+
+    def make(seconds: float, name: str = "", at: float = 0.0, seed: int = 5) -> list[Sample]:
+        car = make_car(np.random.default_rng(seed))
+        change = Change(name, at, changed(car, name)) if name else None
+        return list(drive(car, seconds, np.random.default_rng(seed + 1), change))
+
+    return make

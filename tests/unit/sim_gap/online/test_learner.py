@@ -1,0 +1,73 @@
+"""The learner on drives of the hidden four-wheel car."""
+
+import numpy as np
+import pytest
+
+from steerd.sim_gap.online.learner import REFERENCE, State, fold
+from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled
+from steerd.sim_gap.online.values import values_of
+
+pytestmark = pytest.mark.slow
+AT = 30.2
+
+
+def follow(learner, samples, state=None):
+    state, reports = state or State(), 0
+    for sample in samples:
+        state, due = fold(learner, state, sample)
+        reports += due
+    return state, reports
+
+
+@pytest.fixture(scope="module")
+def quiet(learner, drives):
+    return follow(learner, drives(32.0))
+
+
+def test_a_healthy_car_is_learnt_and_has_no_change(quiet):
+    state, reports = quiet
+    assert state.known is not None
+    assert state.seen >= REFERENCE
+    assert (state.change, state.past, state.taken_back) == (None, (), 0)
+    assert 29 <= reports <= 32
+    learnt = {value.name: value for value in values_of(state.known)}
+    for name, truth in (("speed_gain", 0.9788), ("steer_delay", 0.0158), ("speed_lag", 0.0909)):
+        assert learnt[name].value == pytest.approx(truth, abs=4.0 * learnt[name].sd), name
+        assert learnt[name].identifiable
+    assert learnt["speed_gain"].sd < 0.003
+
+
+def standing(state):
+    """The car stands for a minute, its commands at zero; then nobody drives it."""
+    pose, t = state.recent.poses[-1], state.recent.newest
+    for tick in range(1, 6000):
+        now = t + 0.01 * tick
+        yield PoseSeen(now, pose.x, pose.y, pose.yaw)
+        yield Ordered(now, 0.0, 0.0) if tick < 3000 else Paused(now)
+        yield Rolled(now, 0.0)
+
+
+def test_a_standstill_changes_nothing(learner, quiet):
+    state, _ = quiet
+    after, reports = follow(learner, standing(state), state)
+    assert after.known is state.known
+    assert after.seen == state.seen
+    assert reports >= 59
+
+
+def test_the_same_samples_give_the_same_state_to_the_bit(learner, drives, quiet):
+    again, _ = follow(learner, drives(32.0))
+    np.testing.assert_array_equal(again.known.track.information, quiet[0].known.track.information)
+    np.testing.assert_array_equal(again.known.track.pull, quiet[0].known.track.pull)
+    assert values_of(again.known) == values_of(quiet[0].known)
+
+
+@pytest.mark.parametrize(("name", "value"), [("mocap_yaw", 0.03), ("speed_scale", 0.95)])
+def test_a_change_is_noticed_and_named(learner, drives, name, value):
+    state, _ = follow(learner, drives(AT + 5.0, name, AT))
+    assert state.change is not None
+    assert state.change.finding.verdict == "named"
+    assert state.change.finding.cause.effect == name
+    assert state.change.noticed - AT < 3.0
+    told, sd, _ = next(iter(state.change.finding.cause.parameters.values()))
+    assert told == pytest.approx(value, abs=max(4.0 * sd, 0.004))
