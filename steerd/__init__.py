@@ -7,6 +7,7 @@
     drive.plot()                            # a matplotlib figure
     fit = steerd.identify(drive)            # parameters with standard errors
     gap = steerd.diagnose(drive)            # which unmodelled effect explains the rest
+    many = steerd.sweep({"car.mass": {"share": 0.1}}, seeds=200)   # and if the car were another?
 
 `steerd.load("drive.mcap")` opens a recorded session. Every failure is a `SteerdError` that says
 what happened and what to try. Importing the package loads nothing else: each name is fetched from
@@ -22,39 +23,42 @@ if TYPE_CHECKING:
     from steerd.daemon.analysis.recorded import Session, load
     from steerd.daemon.analysis.simulation import simulate
     from steerd.daemon.common.errors import SteerdError
+    from steerd.daemon.sweep.run import Sweep, sweep
 
 __all__ = [
     "Diagnosis",
     "Identification",
     "Session",
     "SteerdError",
+    "Sweep",
     "diagnose",
     "identify",
     "load",
     "simulate",
+    "sweep",
 ]
 
 _MODULES = {
-    "Diagnosis": "diagnosis",
-    "Identification": "identification",
-    "Session": "recorded",
-    "diagnose": "diagnosis",
-    "identify": "identification",
-    "load": "recorded",
-    "simulate": "simulation",
+    "Diagnosis": "analysis.diagnosis",
+    "Identification": "analysis.identification",
+    "Session": "analysis.recorded",
+    "SteerdError": "common.errors",
+    "Sweep": "sweep.run",
+    "diagnose": "analysis.diagnosis",
+    "identify": "analysis.identification",
+    "load": "analysis.recorded",
+    "simulate": "analysis.simulation",
+    "sweep": "sweep.run",
 }
 
 if not TYPE_CHECKING:  # type checkers read the imports above
 
     def __getattr__(name: str) -> Any:
         """Fetch a name of `__all__` from its module (PEP 562)."""
-        if name == "SteerdError":
-            module = "steerd.daemon.common.errors"
-        elif name in _MODULES:
-            module = f"steerd.daemon.analysis.{_MODULES[name]}"
-        else:
+        if name not in _MODULES:
             raise AttributeError(f"module 'steerd' has no attribute {name!r}")
-        value = globals()[name] = getattr(importlib.import_module(module), name)
+        module = importlib.import_module(f"steerd.daemon.{_MODULES[name]}")
+        value = globals()[name] = getattr(module, name)
         return value
 
 

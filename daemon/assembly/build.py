@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 from steerd.car_model.car_file import default_car_path
@@ -27,6 +27,7 @@ from steerd.steer_bus.topics import check_car_name
 # python-control and filterpy take a second to import. `steerd run` leaves both to the core's
 # process, which needs them anyway; its terminal and its children start without.
 if TYPE_CHECKING:
+    from steerd.controller.config import ControllerConfig
     from steerd.controller.lane_controller import LaneController
     from steerd.controller.live import LiveBounds
     from steerd.daemon.loop.core import Core
@@ -53,6 +54,8 @@ class RunPlan:
     settings: Settings
     path: Path
     drill: Drill | None = None
+    drawn: Settings | None = None
+    """Of the simulated car, where a sweep drew one."""
 
     @cached_property
     def controller(self) -> LaneController:
@@ -61,11 +64,10 @@ class RunPlan:
         Raises:
             SteerdError: the design is refused, with the reason.
         """
-        from steerd.controller.build import make_controller
         from steerd.controller.design import DesignRefused
 
         try:
-            return make_controller(
+            return _design(
                 make_design_car(self.settings),
                 self.path,
                 self.settings.controller,
@@ -100,12 +102,37 @@ class RunPlan:
         Raises:
             SteerdError: the simulated car's file is refused.
         """
+        if self.drawn is not None:
+            return self.drawn
         return load_sim_car(self.options.sim_car) if self.options.sim_car else self.settings
 
     @property
     def period_ns(self) -> int:
         """Period of the control loop [ns]."""
         return round(NS / self.options.rate_hz)
+
+
+_KEPT = 8
+"""Paths and designs that a process keeps: many drives in a row use few, in turn."""
+
+
+@lru_cache(_KEPT)
+def _parse_shape(spec: str) -> Path:
+    return parse_path(spec)
+
+
+def _parse_path(spec: str) -> Path:
+    """A path; shapes are the same value each time, so that their designs are too."""
+    return parse_path(spec) if spec.strip().startswith("csv:") else _parse_shape(spec)
+
+
+@lru_cache(_KEPT)
+def _design(
+    car: Car[float], path: Path, config: ControllerConfig, rate_hz: float
+) -> LaneController:
+    from steerd.controller.build import make_controller
+
+    return make_controller(car, path, config, rate_hz)
 
 
 def make_plan(
@@ -132,7 +159,7 @@ def make_plan(
     if settings is None:
         settings = load_settings(options.car_file or default_car_path(), options.speed)
     try:
-        path = parse_path(options.path)
+        path = _parse_path(options.path)
     except OSError as error:
         raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.UNREADABLE) from None
     except ValueError as error:

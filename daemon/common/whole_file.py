@@ -1,4 +1,4 @@
-"""Text files written whole or not at all, with errors that a person can act on."""
+"""Files written whole or not at all, with errors that a person can act on."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from steerd.steer_bus.atomic_file import is_full, write_atomically
 _ELSEWHERE = "choose another folder"
 
 
-def write_whole(path: Path, text: str) -> None:
+def write_whole(path: Path, text: str | bytes) -> None:
     """Write a file in one move, so that nobody ever sees half of it.
 
     Raises:

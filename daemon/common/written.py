@@ -26,7 +26,7 @@ _REMEMBERED = 10_000
 """Digests kept, the latest ones: 650 kB."""
 
 
-def write_output(path: Path, text: str) -> Path | None:
+def write_output(path: Path, text: str | bytes) -> Path | None:
     """Write a result, whole or not at all; keep what is there if steerd did not write it.
 
     Args:
@@ -47,11 +47,11 @@ def write_output(path: Path, text: str) -> Path | None:
         if kept is not None:
             kept.unlink()
         raise
-    _remember(text.encode())
+    _remember(_encode(text))
     return kept
 
 
-def write_outputs(texts: Mapping[Path | None, str | None]) -> None:
+def write_outputs(texts: Mapping[Path | None, str | bytes | None]) -> None:
     """Write every result, and name on standard error what was kept.
 
     Args:
@@ -81,7 +81,7 @@ def describe_kept(path: Path, kept: Path) -> str:
     return f"what {path} was before is kept as {kept}"
 
 
-def _keep(path: Path, text: str) -> Path | None:
+def _keep(path: Path, text: str | bytes) -> Path | None:
     """Give a car file, or a foreign or edited one, a second, dated name beside the first.
 
     Raises:
@@ -93,7 +93,7 @@ def _keep(path: Path, text: str) -> Path | None:
         return None
     except OSError as error:
         raise SteerdError(f"{path}: {error.strerror}", "choose another name") from None
-    if old == text.encode() or (path.suffix != ".toml" and _digest(old) in _written()):
+    if old == _encode(text) or (path.suffix != ".toml" and _digest(old) in _written()):
         return None
     kept = _dated_name(path)
     try:
@@ -118,6 +118,10 @@ def _dated_name(path: Path) -> Path:
         if not name.exists():
             return name
         count += 1
+
+
+def _encode(text: str | bytes) -> bytes:
+    return text.encode() if isinstance(text, str) else text
 
 
 def _digest(data: bytes) -> str:

@@ -56,6 +56,7 @@ def record_virtual(
     path: Path,
     go: Callable[[VirtualRun], None],
     see: Callable[[list[PipeRecord], int], None] = lambda records, t_ns: None,
+    world: World | None = None,
 ) -> VirtualRun:
     """Drive in virtual time into a session file; an interrupted drive is kept as far as it came.
 
@@ -64,11 +65,12 @@ def record_virtual(
         path: the session file.
         go: drives the run to its end.
         see: is handed what was recorded, and when [ns].
+        world: the simulated hardware; None for that of the plan.
 
     Raises:
         SteerdError: the disk does not take the file; what was written of it stays.
     """
-    world = World(make_world_config(plan))
+    world = world or World(make_world_config(plan))
     recording = make_recording(plan, path)
 
     def sink(records: list[PipeRecord], t_ns: int) -> None:

@@ -31,7 +31,7 @@ ROOMS += "|vesc_link|mocap_link|estimator|controller"
 HARDWARE = re.compile(r"/dev/tty|/dev/vesc|natnet://|vrpn://|zenoh:")
 OPERATOR = ("arm", "start", "stop", "disarm", "clear", "estop")
 OPERATOR += ("status", "control", "watch", "page")
-LONG = ("identify", "diagnose", "collect")
+LONG = ("identify", "diagnose", "collect", "sweep", "batch")
 """Held by tests of their own, minutes long; here they are read by their parsers."""
 
 

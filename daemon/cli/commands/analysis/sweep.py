@@ -1,0 +1,137 @@
+"""Drive the closed loop many times in virtual time, each time another draw.
+
+steerd sweep sweep.toml -o sweep.parquet --page sweep.html
+steerd sweep sweep.toml --again 17 --record worst.mcap
+
+The sweep file names seeds and what is varied: car parameters, effects, noise,
+paths, speeds; lists are crossed, distributions are drawn for every seed. An
+interrupted sweep goes on where it was when the same command is given again;
+the same file gives the same bytes. `steerd sweep --example` prints a sweep
+file. Exit code 3: a file cannot be read; 4: the sweep file says something
+impossible.
+"""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from steerd.daemon.cli.inputs import reads_file
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
+if TYPE_CHECKING:
+    from steerd.daemon.sweep.plan import SweepPlan
+
+EXAMPLE = """\
+# How often: every combination of the lists below, with each of these seeds.
+seeds = 200          # or a list: [1, 2, 5]
+duration = 20.0      # of a drive [s]
+path = "figure8"
+speed = 1.5          # [m/s]
+# car = "car.toml"   # what the controller is designed from (default: F1TENTH's)
+
+# What the simulated car and its drive are, instead of what the car file says.
+[vary]
+"car.mass" = { share = 0.05 }                  # normal, 5 % of the car file's
+"car.mu" = { mean = 0.9, sd = 0.1 }
+"car.c_sf" = { median = 4.7, factor = 1.2 }    # log-normal
+"effect.steer_delay" = { low = 0.0, high = 0.04 }
+"mocap.position_noise" = [0.0002, 0.002]       # a list is crossed
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `steerd sweep`."""
+    reads_file(parser.add_argument(
+        "file", type=Path, nargs="?", metavar="SWEEP.toml", help="what to drive"
+    ))  # fmt: skip
+    parser.add_argument("--example", action="store_true", help="print a sweep file and end")
+    out = parser.add_argument_group("output")
+    out.add_argument(
+        "-o", "--output", type=Path, metavar="FILE.parquet", help="a row for each drive"
+    )
+    out.add_argument("--page", type=Path, metavar="FILE.html", help="one page with figures")
+    where = parser.add_argument_group("work")
+    where.add_argument(
+        "--jobs", type=int, default=0, metavar="N", help="processes (default: one per core)"
+    )
+    again = parser.add_argument_group("one drive of it")
+    again.add_argument("--again", type=int, metavar="N", help="drive number N alone")
+    again.add_argument(
+        "--record", type=Path, metavar="FILE.mcap", help="session file of that drive"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Drive, print, write.
+
+    Raises:
+        SteerdError: the sweep file or an option cannot be used, or a file not be written.
+    """
+    if args.example:
+        print(EXAMPLE, end="")
+        return ExitCode.OK
+    _check(args)
+    plan = _read_plan(args.file)
+    return _run_all(plan, args) if args.again is None else _drive_again(plan, args)
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse what makes no sense before anything heavy is loaded."""
+    from steerd.daemon.common.outputs import check_outputs
+
+    if args.file is None:
+        hint = "steerd sweep --example > sweep.toml"
+        raise SteerdError("a sweep file is needed", hint, ExitCode.USAGE)
+    check_outputs({"-o": args.output, "--page": args.page})
+    if (args.again is None) != (args.record is None):
+        raise SteerdError("--again and --record go together", "name both", ExitCode.USAGE)
+
+
+def _read_plan(file: Path) -> "SweepPlan":
+    from steerd.daemon.analysis.sources import read_car
+    from steerd.daemon.sweep.plan import make_sweep_plan, read_sweep_file
+
+    given = read_sweep_file(file)
+    car = given.pop("car", None)
+    return make_sweep_plan(read_car(None if car is None else file.parent / str(car)), given)
+
+
+def _run_all(plan: "SweepPlan", args: argparse.Namespace) -> int:
+    from steerd.daemon.common.progress import show_progress
+    from steerd.daemon.common.written import write_outputs
+    from steerd.daemon.sweep.run import finish_sweep, run_sweep
+    from steerd.daemon.work.journal import going_on
+    from steerd.daemon.work.units import Where
+
+    where = Where(args.jobs)
+    with show_progress("driving", float(plan.count)) as advance, going_on(args.output):
+        found = run_sweep(plan, where, args.output, lambda done: advance(float(done)))
+    print(found, flush=True)
+    if args.page is not None:
+        write_outputs({args.page: found.render_report()})
+    if args.output is not None:
+        finish_sweep(found, args.output)
+    return ExitCode.OK
+
+
+def _drive_again(plan: "SweepPlan", args: argparse.Namespace) -> int:
+    """Drive one case of the sweep and record it."""
+    from steerd.daemon.offline.fast import check_driven, record_virtual
+    from steerd.daemon.offline.virtual import drive
+    from steerd.daemon.sweep.drive import prepare
+    from steerd.daemon.sweep.run import find_case
+    from steerd.sim_hw.world import World
+
+    case = find_case(plan, args.again).case
+    run_plan, config = prepare(plan, case)
+    drawn = ", ".join(
+        f"{name} {value if isinstance(value, str) else format(value, '.4g')}"
+        for name, value in case.values.items()
+    )
+    print(f"drive {case.number}: seed {case.seed}{', ' if drawn else ''}{drawn}")
+    run = record_virtual(run_plan, args.record, drive, world=World(config))
+    if run.core.loop.faulted:
+        print(f"stopped: {run.core.loop.supervisor.reason}")
+    check_driven(run)
+    print(f"written: {args.record}\n   next: steerd plot {args.record}")
+    return ExitCode.OK

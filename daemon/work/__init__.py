@@ -1,0 +1,1 @@
+"""Many independent work units: workers, a journal that lets them go on, the table at the end."""

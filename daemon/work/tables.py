@@ -1,0 +1,69 @@
+"""Rows as a Parquet file: the only file that knows PyArrow.
+
+Parquet is what pandas, polars, DuckDB, R and MATLAB read without a word about types or units; its
+columns are small and one can be read without the others.
+"""
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import pyarrow as pa  # noqa: TID251
+from pyarrow import parquet  # noqa: TID251
+
+Kind = Literal["number", "count", "text", "truth"]
+_TYPES = {"number": pa.float64(), "count": pa.int64(), "text": pa.string(), "truth": pa.bool_()}
+
+
+class Column(NamedTuple):
+    """A column of a table.
+
+    Attributes:
+        name: of the column.
+        kind: of its values; each may be missing.
+        unit: SI, `1` for none; empty where it is no number.
+        meaning: one line.
+    """
+
+    name: str
+    kind: Kind
+    unit: str
+    meaning: str
+
+
+def encode_table(
+    columns: Sequence[Column], rows: Sequence[Mapping[str, Any]], about: Mapping[str, str]
+) -> bytes:
+    """A Parquet file; the same rows give the same bytes.
+
+    Args:
+        columns: in the table's order, units and meanings go into the file.
+        rows: values by column's name; what is absent, None or NaN is missing.
+        about: texts that say where the table comes from.
+    """
+    fields, values = [], []
+    for column in columns:
+        kind = _TYPES[column.kind]
+        note = {"unit": column.unit, "meaning": column.meaning}
+        fields.append(pa.field(column.name, kind, metadata=note))
+        values.append(pa.array([_value(row.get(column.name)) for row in rows], kind))
+    schema = pa.schema(fields, metadata=dict(about))
+    out = io.BytesIO()
+    parquet.write_table(pa.table(values, schema=schema), out, compression="zstd")
+    return out.getvalue()
+
+
+def _value(value: Any) -> Any:
+    return None if isinstance(value, float) and value != value else value
+
+
+def read_table(path: Path) -> list[dict[str, Any]]:
+    """The rows of a table.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is no Parquet file.
+    """
+    rows: list[dict[str, Any]] = parquet.read_table(path).to_pylist()
+    return rows
