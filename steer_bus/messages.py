@@ -14,14 +14,17 @@ from steerd.steer_bus.fields import (
     Celsius,
     Int32,
     Int64,
+    KilogramMetre2,
     Metre,
     MetrePerSecond,
     MetrePerSecond2,
     Millisecond,
     Nanosecond,
     PerMetre,
+    PerRadian,
     Radian,
     RadianPerSecond,
+    Second,
     String,
     UInt8,
     UInt16,
@@ -35,9 +38,9 @@ from steerd.steer_bus.standard import Header, make_header, make_time, stamp_ns
 
 __all__ = [
     "BODY", "OWN_MESSAGES", "WORLD", "Actuation", "ActuationMode", "ClockSample", "DriveCommand",
-    "Header", "MocapPose", "OperatorRequest", "ParameterRequest", "Parameters", "RequestKind",
-    "StateMessage", "Throttle", "Tick", "Transition", "VescIdentity", "VescImu", "VescTelemetry",
-    "WheelSpeed", "make_header", "make_time", "stamp_ns",
+    "Header", "MocapPose", "Model", "OperatorRequest", "ParameterRequest", "Parameters",
+    "RequestKind", "StateMessage", "Throttle", "Tick", "Transition", "VescIdentity", "VescImu",
+    "VescTelemetry", "WheelSpeed", "make_header", "make_time", "stamp_ns",
 ]  # fmt: skip
 
 WORLD = "map"
@@ -346,7 +349,69 @@ class Throttle:
     throttle: Unitless
 
 
+@message("steerd_msgs/msg/Model")
+class Model:
+    """Once a second, with ``run --learn``: the car as learnt while it drives, and its changes.
+
+    ``verdict`` is ``learning`` while the car is not known yet, ``none``, or that of the newest
+    change: ``changed`` (too early to tell), ``named``, ``unexplained``. That change began at
+    ``since_ns`` and was called at ``noticed_ns`` (-1 without one); ``effect``, ``rivals`` (what the
+    drive cannot tell from it) and ``confidence`` are empty unless it is named. ``windows`` counts
+    the half seconds that were learnt from, ``dropped`` the records that the learner was too slow
+    for. A parameter that is not learnt is NaN; ``identifiable`` lists those that this drive tells,
+    and ``told`` holds every value and change as JSON (docs/reference/learning.md).
+    """
+
+    header: Header
+    mono_ns: Nanosecond
+    since_ns: Nanosecond
+    noticed_ns: Nanosecond
+    windows: UInt32
+    dropped: UInt32
+    confidence: Unitless
+    lf: Metre
+    lf_sd: Metre
+    lr: Metre
+    lr_sd: Metre
+    c_sf: PerRadian
+    c_sf_sd: PerRadian
+    c_sr: PerRadian
+    c_sr_sd: PerRadian
+    c_x: Unitless
+    c_x_sd: Unitless
+    inertia_z: KilogramMetre2
+    inertia_z_sd: KilogramMetre2
+    steer_gain: Unitless
+    steer_gain_sd: Unitless
+    steer_bias: Radian
+    steer_bias_sd: Radian
+    steer_delay: Second
+    steer_delay_sd: Second
+    steer_lag: Second
+    steer_lag_sd: Second
+    steer_rate: RadianPerSecond
+    steer_rate_sd: RadianPerSecond
+    speed_gain: Unitless
+    speed_gain_sd: Unitless
+    speed_lag: Second
+    speed_lag_sd: Second
+    drive_delay: Second
+    drive_delay_sd: Second
+    accel_max: MetrePerSecond2
+    accel_max_sd: MetrePerSecond2
+    decel_max: MetrePerSecond2
+    decel_max_sd: MetrePerSecond2
+    pose_delay: Second
+    pose_delay_sd: Second
+    verdict: String
+    effect: String
+    rivals: String
+    identifiable: String
+    told: String
+
+
 OWN_MESSAGES = (
     Tick, MocapPose, VescTelemetry, VescIdentity, VescImu, Actuation, StateMessage, DriveCommand,
     OperatorRequest, Transition, ClockSample, WheelSpeed, Throttle, ParameterRequest, Parameters,
+    Model,
 )  # fmt: skip

@@ -16,6 +16,7 @@ from steerd.steer_bus.messages import (
     ClockSample,
     DriveCommand,
     MocapPose,
+    Model,
     OperatorRequest,
     ParameterRequest,
     Parameters,
@@ -93,11 +94,12 @@ THROTTLE = Topic("throttle", Throttle, on_bus=False, rate_hz=100.0)
 SET_PARAMETERS = Topic("cmd/parameters", ParameterRequest, Direction.IN, Priority.REAL_TIME)
 PARAMETERS = Topic("parameters", Parameters, priority=Priority.DATA_LOW, rate_hz=2.0)
 LOG = Topic("rosout", Log, priority=Priority.DATA_LOW)
+MODEL = Topic("model", Model, priority=Priority.DATA_LOW, rate_hz=1.0)
 
 TOPICS = (
     TICK, MOCAP, VESC, IDENTITY, IMU, ACTUATION, STATE, TRANSITION, CLOCK, DRIVE, OPERATOR, ODOM,
     POSE, EXTERNAL_POSE, VESC_STATE, DIAGNOSTICS, LOG, WHEEL, THROTTLE,
-    SET_PARAMETERS, PARAMETERS,
+    SET_PARAMETERS, PARAMETERS, MODEL,
 )  # fmt: skip
 
 

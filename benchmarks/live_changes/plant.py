@@ -60,11 +60,12 @@ def drive(
         change: what happens to it on the way.
     """
     route = np.ascontiguousarray(make_route("eight", rng))
-    ticks = _LEAD_TICKS + round(seconds / (STEP * TICK))
+    driven = round(seconds / (STEP * TICK))
+    ticks = _LEAD_TICKS + driven
     speed = np.full(ticks, float(rng.uniform(1.5, 2.0)))
     none = np.zeros(ticks * TICK)
     orders = Orders(np.zeros(ticks), speed, route, ACCEL, none, none)
-    noise = make_noise(seconds, rng, process_scale=PUSH)
+    noise = make_noise(driven * STEP * TICK, rng, process_scale=PUSH)
     step = (LEAD + round(change.at / STEP), change.later) if change else None
     heading = np.arctan2(route[1, 1] - route[0, 1], route[1, 0] - route[0, 0])
     start = np.array([route[0, 0], route[0, 1], heading, speed[0]])

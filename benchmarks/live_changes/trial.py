@@ -63,7 +63,7 @@ def follow_drive(seed: int, name: str, seconds: float = 0.0) -> Said:
     """
     car = make_car(np.random.default_rng([seed, 1]))
     rng = np.random.default_rng([seed, 2])
-    at = float(rng.uniform(FIRST, LAST))
+    at = round(float(rng.uniform(FIRST, LAST)), 2)
     change = Change(name, at, changed(car, name)) if name else None
     length = at + AFTER if name else seconds
     samples = list(drive(car, length, rng, change))

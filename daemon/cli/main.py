@@ -58,6 +58,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "analysis.diagnose",
         "where simulation and car differ, why, and how far adding it helps",
     ),
+    "learn": ("analysis.learn", "what a drive teaches: parameters, and when the car changed"),
     "sweep": ("analysis.sweep", "many drives in virtual time, each another draw of the car"),
     "rtcheck": ("setup.rtcheck", "measure whether this machine can run a control loop on time"),
     "keys": ("setup.keys", "certificates of a lab: for the car, its operators, its viewers"),

@@ -1,0 +1,106 @@
+"""`steerd learn`: what the learner would have said of a recorded drive, and whether it did."""
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from steerd.daemon.analysis.diagnose_case import find_base
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.translate import make_session_error
+from steerd.daemon.learning.feed import learn_all, make_feed
+from steerd.daemon.learning.samples import NEEDED, Wiring
+from steerd.daemon.sessions.info import load_session
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import CodecError, encode
+from steerd.steer_bus.session_read import Session, SessionError
+from steerd.steer_bus.topics import Topic, find_topic
+from steerd.vesc_link.scaling import F1TENTH
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What a recorded drive teaches.
+
+    Attributes:
+        session: its file.
+        base: where the car came from, as text.
+        report: the last report.
+        reports: how many there were, and the SHA-256 of their bytes.
+        digest: see `reports`.
+        recorded: how many the session itself holds, `same` of which are equal to the byte.
+        same: see `recorded`.
+    """
+
+    session: Path
+    base: str
+    report: m.Model
+    reports: int
+    digest: str
+    recorded: int
+    same: int
+
+
+def learn_session(
+    path: Path, car: Path | None = None, see: Callable[[m.Model], None] = lambda report: None
+) -> Learnt:
+    """Feed a recorded drive to the learner.
+
+    Args:
+        path: the session.
+        car: a car file; None for that inside the session.
+        see: is handed every report as it comes.
+
+    Raises:
+        SteerdError: session or car file cannot be used, or too little was driven for a report.
+    """
+    session = load_session(path)
+    base, source, _ = find_base(car, (path,))
+    try:
+        feed = make_feed(base, wiring_of_session(session))
+    except ValueError as error:
+        raise SteerdError(str(error), "steerd identify writes it anew", ExitCode.INVALID) from None
+    recorded: list[bytes] = []
+    made, report = [], None
+    for report in learn_all(feed, _messages(session, recorded, path)):
+        see(report)
+        made.append(encode(report))
+    if report is None:
+        what = f"{path.name}: no second of driving with poses and commands"
+        raise SteerdError(what, "record mocap and actuation of a drive", ExitCode.INVALID)
+    digest = hashlib.sha256(b"".join(made)).hexdigest()
+    same = sum(one == other for one, other in zip(made, recorded, strict=False))
+    return Learnt(path, source, report, len(made), digest, len(recorded), same)
+
+
+def wiring_of_session(session: Session) -> Wiring:
+    """How a session's numbers are read: its own scaling, and its clocks."""
+    metadata = session.info().metadata
+    scaling = metadata.get("steerd.scaling", {})
+    gain = float(scaling.get("erpm_gain", F1TENTH.erpm_gain))
+    offset = float(scaling.get("erpm_offset", F1TENTH.erpm_offset))
+    epoch = metadata.get("steerd.session", {}).get("epoch_ns")
+    if epoch is not None:
+        return Wiring(int(epoch), gain, offset)
+    for record in session.messages():
+        if find_topic(record.topic) is topics.MOCAP:
+            pose = record.decode()
+            return Wiring(m.stamp_ns(pose.header) - pose.t_valid_ns, gain, offset)
+    return Wiring(0, gain, offset)
+
+
+def _messages(session: Session, recorded: list[bytes], path: Path) -> Iterator[tuple[Topic, Any]]:
+    """What the learner needs, in recorded order; reports of the drive itself go aside."""
+    try:
+        for record in session.messages():
+            topic = find_topic(record.topic)
+            if topic is topics.MODEL:
+                recorded.append(record.data)
+            elif topic in NEEDED:
+                yield topic, record.decode()
+    except SessionError as error:
+        raise make_session_error(error) from None
+    except CodecError as error:
+        raise SteerdError(f"{path.name}: {error}", "", ExitCode.INVALID) from None

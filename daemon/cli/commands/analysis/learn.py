@@ -1,0 +1,50 @@
+"""What a drive teaches of the car, half second by half second: parameters, changes.
+
+The learner of `steerd run --learn` on a recorded drive. It learns the car in
+the first 25 s of driving, follows it, and says when it changed, and how.
+
+steerd learn RUN.mcap
+steerd learn RUN.mcap --base car.toml --json
+"""
+
+import argparse
+from pathlib import Path
+
+from steerd.daemon.cli.inputs import reads_car
+from steerd.daemon.cli.session_argument import add_session, pick_session
+from steerd.daemon.common.errors import ExitCode
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The session, the car and the form of the output."""
+    add_session(parser)
+    base = "the car as believed (default: the session's)"
+    reads_car(parser.add_argument("--base", type=Path, metavar="FILE.toml", help=base))
+    parser.add_argument("--json", action="store_true", help="the same for programs")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what was learnt; changes are shown as they are called.
+
+    Raises:
+        SteerdError: the session or the car file cannot be used.
+    """
+    from steerd.daemon.analysis.learning import learn_session
+    from steerd.daemon.learning.text import encode_model, format_model
+
+    path = pick_session(args.session)
+    found = learn_session(path, args.base)
+    if args.json:
+        import json
+
+        reports = {"count": found.reports, "sha256": found.digest}
+        values = {"schema": "steerd.learn/1", **encode_model(found.report), "reports": reports}
+        print(json.dumps(values, indent=1, allow_nan=False))
+        return ExitCode.OK
+    half = found.report.windows
+    print(f"{path.name}: {half} half seconds of driving, about {found.base}")
+    print("\n".join(format_model(found.report)))
+    if found.recorded:
+        print(f"reports in the session: {found.same} of {found.recorded} the same to the byte")
+    print(f"{found.reports} reports, sha256 {found.digest[:16]}")
+    return ExitCode.OK

@@ -1,0 +1,1 @@
+"""Learning while driving: messages in, what was learnt out, beside the file of the car."""

@@ -1,0 +1,62 @@
+"""The learner fed by encoded records, as recorder and session hold them."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from steerd.car_model.car_file import CarFile
+from steerd.daemon.learning.report import NS, make_model
+from steerd.daemon.learning.samples import NEEDED, Wiring, make_sample
+from steerd.sim_gap.online.base import make_learner
+from steerd.sim_gap.online.learner import Learner, State, fold
+from steerd.steer_bus import messages as m
+from steerd.steer_bus.topics import Topic
+from steerd.sysid.data.dataset import RAMP_ERPM
+
+
+@dataclass
+class Feed:
+    """A learner and where it stands.
+
+    Attributes:
+        learner: the car.
+        wiring: how the session's numbers are read.
+        state: what is known so far.
+        dropped: records that were lost on the way here.
+    """
+
+    learner: Learner
+    wiring: Wiring
+    state: State
+    dropped: int = 0
+
+    def take(self, topic: Topic, message: Any) -> m.Model | None:
+        """Take in one message; the report, if one is due."""
+        if topic not in NEEDED:
+            return None
+        sample = make_sample(self.wiring, topic, message)
+        if sample is None:
+            return None
+        self.state, due = fold(self.learner, self.state, sample)
+        if not due:
+            return None
+        newest = round(self.state.recent.newest * NS)
+        return make_model(self.state, newest, self.wiring.epoch_ns, self.dropped)
+
+
+def make_feed(car: CarFile, wiring: Wiring) -> Feed:
+    """A feed at its start.
+
+    Raises:
+        ValueError: what identify wrote into the car file is not what it writes.
+    """
+    ramp = RAMP_ERPM / abs(wiring.erpm_gain)
+    return Feed(make_learner(car, ramp), wiring, State())
+
+
+def learn_all(feed: Feed, messages: Iterable[tuple[Topic, Any]]) -> Iterator[m.Model]:
+    """The reports of a whole drive."""
+    for topic, message in messages:
+        report = feed.take(topic, message)
+        if report is not None:
+            yield report

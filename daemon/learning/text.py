@@ -1,0 +1,133 @@
+"""What was learnt, as lines of a screen and as JSON values."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from math import isfinite
+from typing import Any
+
+from steerd.car_model.effects import find_effect
+from steerd.daemon.common.screen import join_words, wrap
+from steerd.daemon.learning.report import (
+    NS,
+    ToldChange,
+    ToldValue,
+    changes_told,
+    values_told,
+)
+from steerd.steer_bus import messages as m
+
+LABEL = 13
+"""Columns of a label."""
+_VERDICTS = {
+    "learning": "learning the car",
+    "none": "no change of the car",
+    "changed": "something changed, too early to tell what",
+    "unexplained": "something changed that no effect explains",
+}
+
+
+def clock_of(model: m.Model, mono_ns: int) -> str:
+    """Time of day (UTC) of a monotonic time."""
+    stamp = m.stamp_ns(model.header) - model.mono_ns + mono_ns
+    return datetime.fromtimestamp(stamp // NS, UTC).strftime("%H:%M:%S")
+
+
+def with_sd(parameter: ToldValue, sign: str = "") -> str:
+    """A number, its standard deviation to two digits and its unit, on one line."""
+    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+    if not isfinite(parameter.sd) or parameter.sd <= 0.0:
+        return join_words(f"{parameter.value:{sign}.4g}{unit}")
+    places = max(0, min(6, 1 - _exponent(parameter.sd)))
+    text = f"{parameter.value:{sign}.{places}f} ± {parameter.sd:.{places}f}{unit}"
+    return join_words(text)
+
+
+def _exponent(value: float) -> int:
+    return int(f"{value:.1e}".partition("e")[2])
+
+
+def describe_change(model: m.Model, change: ToldChange) -> str:
+    """One change in one sentence."""
+    since = f"since {clock_of(model, change.since_ns)}"
+    if change.verdict != "named":
+        return f"{since}: {_VERDICTS[change.verdict]}"
+    several = len(change.parameters) > 1
+    nulls = find_effect(change.effect).nulls
+    told = ", ".join(
+        f"{part.name} " * several + with_sd(part, "+" if null == 0.0 else "")
+        for part, null in zip(change.parameters, nulls, strict=True)
+    )
+    sure = join_words(f"{100.0 * change.confidence:.0f} %")
+    others = ", ".join(change.rivals)
+    alike = f"; this drive cannot tell it from {others}" if others else ""
+    return f"{since}: {change.effect} {told}, {sure}{alike}"
+
+
+def gap_text(model: m.Model) -> str:
+    """The newest change, or why there is none."""
+    changes = changes_told(model)
+    if changes:
+        return describe_change(model, changes[-1])
+    return _VERDICTS[model.verdict]
+
+
+def format_model(model: m.Model) -> list[str]:
+    """Everything that was learnt, in lines of at most 80 columns."""
+    lines = []
+    if model.verdict in ("learning", "none"):
+        lines += wrap(_VERDICTS[model.verdict], f"{'gap:':<{LABEL}}", " " * LABEL)
+    for change in changes_told(model):
+        lines += wrap(describe_change(model, change), f"{'gap:':<{LABEL}}", " " * LABEL)
+    values = values_told(model)
+    told = [p for p in values if p.identifiable]
+    width = max((len(p.name) for p in told), default=0) + 2
+    lines += [f"  {p.name:<{width}}{with_sd(p)}".replace("\u00a0", " ") for p in told]
+    dark = [p.name for p in values if not p.identifiable]
+    if dark:
+        lines += wrap(", ".join(dark), "not identifiable here: ", "  ")
+    return lines
+
+
+def encode_model(model: m.Model) -> dict[str, Any]:
+    """JSON values: `gap` and `model`."""
+    changes = [_encode_change(model, change) for change in changes_told(model)]
+    newest = changes[-1] if changes else None
+    return {
+        "gap": {
+            "verdict": model.verdict,
+            "since_s": newest["since_s"] if newest else None,
+            "causes": newest["causes"] if newest else [],
+            "changes": changes,
+        },
+        "model": {
+            p.name: {
+                "value": p.value, "sd": p.sd, "unit": p.unit, "identifiable": bool(p.identifiable)
+            }
+            for p in values_told(model)
+        },
+    }  # fmt: skip
+
+
+def _encode_change(model: m.Model, change: ToldChange) -> dict[str, Any]:
+    """One change; `since_s` is UNIX time."""
+    epoch_ns = m.stamp_ns(model.header) - model.mono_ns
+    return {
+        "verdict": change.verdict,
+        "since_s": (epoch_ns + change.since_ns) * 1e-9,
+        "noticed_s": (epoch_ns + change.noticed_ns) * 1e-9,
+        "causes": _causes(change),
+    }
+
+
+def _causes(change: ToldChange) -> Sequence[dict[str, Any]]:
+    if not change.effect:
+        return []
+    parameters = {p.name: {"value": p.value, "sd": p.sd, "unit": p.unit} for p in change.parameters}
+    return [
+        {
+            "effect": change.effect,
+            "parameters": parameters,
+            "confidence": change.confidence,
+            "rivals": list(change.rivals),
+        }
+    ]
