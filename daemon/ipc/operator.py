@@ -1,6 +1,9 @@
 """An operator's side of the lease: requests with rising numbers under one id."""
 
+import secrets
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import nan
 from pathlib import Path
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -10,9 +13,15 @@ from steerd.steer_bus.bus import Bus, BusError
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab, load_lab
-from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, make_header
+from steerd.steer_bus.messages import (
+    BODY,
+    OperatorRequest,
+    ParameterRequest,
+    RequestKind,
+    make_header,
+)
 from steerd.steer_bus.standard import DiagnosticArray
-from steerd.steer_bus.topics import make_key
+from steerd.steer_bus.topics import Topic, make_key
 from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
 
 DEFAULT_ENDPOINT = f"tcp/127.0.0.1:{DEFAULT_PORT}"
@@ -45,6 +54,59 @@ class Operator:
             header, self.boot_id, self.lease_id, self.seq, int(kind), self.name
         )
         return encode(request)
+
+    def make_parameters(self, wanted: Mapping[str, float], realtime_ns: int) -> bytes:
+        """The next request as one for other live parameters, encoded.
+
+        Args:
+            wanted: `speed` [m/s], `offset` [m], `gain`; what is not named stays.
+            realtime_ns: now.
+        """
+        self.seq += 1
+        values = {"speed": nan, "offset": nan, "gain": nan, **wanted}
+        header = make_header(realtime_ns, BODY)
+        who = (self.boot_id, self.lease_id, self.seq)
+        return encode(
+            ParameterRequest(
+                header, *who, values["speed"], values["offset"], values["gain"], self.name
+            )
+        )
+
+
+class BusOperator:
+    """An operator on the bus who begins a lease of their own with each run of the car."""
+
+    def __init__(self, bus: Bus, car: str, clock: Clock, name: str) -> None:
+        self._bus, self._car, self._clock, self._name = bus, car, clock, name
+        self._operator: Operator | None = None
+
+    @property
+    def lease(self) -> str:
+        """The lease, as the car's `holder` names it; empty before the first request."""
+        return str(self._operator.lease_id) if self._operator else ""
+
+    def ask(self, boot_id: int, kind: RequestKind) -> bool:
+        """Send a request; False before the car's run is known (`boot_id` 0)."""
+        return self._send(
+            boot_id, topics.OPERATOR, lambda op: op.make_request(kind, self._clock.realtime_ns())
+        )
+
+    def tune(self, boot_id: int, wanted: Mapping[str, float]) -> bool:
+        """Send a request for other live parameters; False before the car's run is known."""
+        return self._send(
+            boot_id,
+            topics.SET_PARAMETERS,
+            lambda op: op.make_parameters(wanted, self._clock.realtime_ns()),
+        )
+
+    def _send(self, boot_id: int, topic: Topic, make: Callable[[Operator], bytes]) -> bool:
+        if not boot_id:
+            return False
+        if self._operator is None or self._operator.boot_id != boot_id:
+            self._operator = Operator(boot_id, secrets.randbits(62) + 1, self._name)
+            self._operator.seq = self._clock.realtime_ns() // 1_000_000 % 2_000_000_000
+        self._bus.publish(make_key(self._car, topic), make(self._operator))
+        return True
 
 
 def connect(given_endpoint: str | None, folder: Path | None) -> ZenohBus:

@@ -56,11 +56,16 @@ class Child:
 
 
 def spawn(
-    module: str, fds: Mapping[str, int], job: Mapping[str, Any], named: bool = False
+    module: str,
+    fds: Mapping[str, int],
+    job: Mapping[str, Any],
+    named: bool = False,
+    keep: socket.socket | None = None,
 ) -> Child:
     """Start `python -m module` with these descriptors and the job as JSON on standard input.
 
-    It gets a process group of its own: Ctrl-C reaches this terminal alone.
+    It gets a process group of its own: Ctrl-C reaches this terminal alone. `keep` stays open there
+    too; the job names its descriptor.
     """
     ready_fd, child_fd = os.pipe()
     every = {**fds, "ready": child_fd}
@@ -68,7 +73,7 @@ def spawn(
     process = subprocess.Popen(
         [sys.executable, "-m", module, *arguments],
         stdin=subprocess.PIPE,
-        pass_fds=tuple(every.values()),
+        pass_fds=(*every.values(), *(() if keep is None else (keep.fileno(),))),
         process_group=0,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
     )
@@ -131,6 +136,7 @@ class RunProcesses:
         core, recorder, gateway: the processes.
         viewer: the process of `--view`, or None.
         page: of `--page`, or None.
+        viewer_requests: what the viewer asks of this terminal, with `--view-sets`.
         requests: this terminal's end of the socket for requests to the core.
         status_fd: records for this terminal.
         session: file of the recording.
@@ -146,6 +152,7 @@ class RunProcesses:
     session: Path
     core_report: dict[str, Any]
     page: Page | None = None
+    viewer_requests: socket.socket | None = None
 
     def end(self) -> int:
         """Wait for the core, then for the others, which end when its pipes close.
@@ -154,7 +161,9 @@ class RunProcesses:
             The core's exit code, or the recorder's where the session is not whole.
         """
         code = self.core.process.wait()
-        self.requests.close()
+        for end in (self.requests, self.viewer_requests):
+            if end is not None:
+                end.close()
         for child in (self.recorder, self.gateway):
             try:
                 child.process.wait(END_S)
@@ -201,10 +210,10 @@ def start_processes(
         started.append(_start_recorder(plan, session, meta, epoch_ns, pipes["recorder"][0]))
         started.append(_start_gateway(plan, pipes["gateway"][0], gateway_end.fileno()))
         started.append(_start_core(plan, boot_id, epoch_ns, leased, fds))
+        viewer_requests = None
         if viewed:
-            started.append(
-                spawn("steerd.daemon.process.view", {"pipe": pipes["view"][0]}, make_view_job(plan))
-            )
+            viewer, viewer_requests = _start_viewer(plan, pipes["view"][0])
+            started.append(viewer)
         recorder, gateway, core, *others = started
         _expect_ready(recorder, "recorder", ExitCode.UNREADABLE)
         recording = True
@@ -225,10 +234,9 @@ def start_processes(
             os.close(pipes[name][0])
     for end in (gateway_end, gateway_core_end, terminal_core_end):
         end.close()
-    viewer = others[0] if others else None
     return RunProcesses(
-        core, recorder, gateway, viewer, terminal_end, pipes["status"][0], session, core_report,
-        page,
+        core, recorder, gateway, others[0] if others else None, terminal_end, pipes["status"][0],
+        session, core_report, page, viewer_requests,
     )  # fmt: skip
 
 
@@ -300,6 +308,17 @@ def _start_recorder(
         "flush_ns": plan.settings.record.flush_ms * 1_000_000,
     }
     return spawn("steerd.daemon.process.recorder", {"pipe": pipe_fd}, job)
+
+
+def _start_viewer(plan: RunPlan, pipe_fd: int) -> tuple[Child, socket.socket | None]:
+    """The viewer, and this terminal's end of its requests where it may set live parameters."""
+    module, job = "steerd.daemon.process.view", make_view_job(plan)
+    if not plan.options.view_sets:
+        return spawn(module, {"pipe": pipe_fd}, job), None
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    child = spawn(module, {"pipe": pipe_fd}, {**job, "requests": theirs.fileno()}, keep=theirs)
+    theirs.close()
+    return child, ours
 
 
 def _start_gateway(plan: RunPlan, pipe_fd: int, requests_fd: int) -> Child:

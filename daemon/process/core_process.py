@@ -30,7 +30,8 @@ from steerd.vesc_link.transport import Port, PortError, open_port
 
 STATUS_PERIOD_NS = 100_000_000
 """Time between two records of the same kind for the terminal."""
-_SHOWN = (topics.STATE.name, topics.DIAGNOSTICS.name, topics.TRANSITION.name, topics.TICK.name)
+_RARE = (topics.DIAGNOSTICS.name, topics.TRANSITION.name, topics.PARAMETERS.name)
+_SHOWN = (topics.STATE.name, topics.TICK.name, *_RARE)
 
 
 def pipe_sink(pipe: PipeWriter, wanted: Callable[[PipeRecord], bool]) -> Sink:
@@ -50,8 +51,7 @@ def status_sink(pipe: PipeWriter) -> Sink:
         nonlocal due
         ticks = t_ns >= due
         due = t_ns + STATUS_PERIOD_NS if ticks else due
-        rare = (topics.DIAGNOSTICS.name, topics.TRANSITION.name)
-        chosen = [r for r in records if r.topic.name in (_SHOWN if ticks else rare)]
+        chosen = [r for r in records if r.topic.name in (_SHOWN if ticks else _RARE)]
         pipe.write([pack_record(record) for record in chosen], t_ns)
 
     return sink

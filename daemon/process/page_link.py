@@ -3,7 +3,6 @@
 The bus on one side, JSON values on the other; no socket of a browser here.
 """
 
-import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import isfinite
@@ -11,13 +10,20 @@ from typing import Any
 
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.diagnostics import read_diagnostics
-from steerd.daemon.ipc.operator import Operator
+from steerd.daemon.ipc.live_setting import LIVE, parse_setting
+from steerd.daemon.ipc.operator import BusOperator
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import decode
-from steerd.steer_bus.messages import RequestKind, StateMessage, Transition, VescTelemetry
+from steerd.steer_bus.messages import (
+    Parameters,
+    RequestKind,
+    StateMessage,
+    Transition,
+    VescTelemetry,
+)
 from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import make_key
 from steerd.vesc_link.ids import fault_name
@@ -41,7 +47,7 @@ class CarView:
 
     Attributes:
         values: of the supervisor's diagnostics.
-        state, vesc: the newest messages.
+        state, vesc, parameters: the newest messages.
         heard_ns: when the last message came; None before the first.
         events: the last state changes, as sentences.
     """
@@ -52,6 +58,7 @@ class CarView:
     values: dict[str, str] = field(default_factory=dict)
     state: StateMessage | None = None
     vesc: VescTelemetry | None = None
+    parameters: Parameters | None = None
     heard_ns: int | None = None
     events: list[str] = field(default_factory=list)
 
@@ -59,6 +66,7 @@ class CarView:
         wanted: tuple[tuple[Any, Callable[[Any], None]], ...] = (
             (topics.STATE, self._take_state), (topics.VESC, self._take_vesc),
             (topics.TRANSITION, self._take_change), (topics.DIAGNOSTICS, self._take_values),
+            (topics.PARAMETERS, self._take_parameters),
         )  # fmt: skip
         self._wanted = [
             (self.bus.subscribe(make_key(self.car, topic)), topic.message, take)
@@ -88,6 +96,9 @@ class CarView:
     def _take_values(self, message: DiagnosticArray) -> None:
         self.values = read_diagnostics(message)
 
+    def _take_parameters(self, message: Parameters) -> None:
+        self.parameters = message
+
     def snapshot(self) -> dict[str, Any]:
         """What the page shows, as JSON values; unknown numbers are None."""
         now = self.clock.now_ns()
@@ -101,8 +112,17 @@ class CarView:
                 _finite(self.vesc.v_in), _finite(self.vesc.current_motor),
             )  # fmt: skip
             shown["fault"] = fault_name(code) if code > 0 else ""
+        shown["live"] = {} if self.parameters is None else _show_live(self.parameters)
         silent = 0.0 if self.heard_ns is None else (now - self.heard_ns) * 1e-9
         return shown | {"silent": round(silent, 2), "events": self.events}
+
+
+def _show_live(p: Parameters) -> dict[str, Any]:
+    """Live parameters as value, least and most, and the answer to the last request."""
+    shown: dict[str, Any] = {
+        name: [_finite(getattr(p, name + end)) for end in ("", "_min", "_max")] for name in LIVE
+    }
+    return {**shown, "text": p.text, "refused": bool(p.seq) and not p.accepted}
 
 
 def _finite(value: float) -> float | None:
@@ -118,26 +138,22 @@ class PageOperator:
 
     def __init__(self, view: CarView) -> None:
         self._view = view
-        self._operator: Operator | None = None
+        self._operator = BusOperator(view.bus, view.car, view.clock, NAME)
 
     @property
     def lease(self) -> str:
         """This page's lease, as the car's `holder` names it."""
-        return str(self._operator.lease_id) if self._operator else ""
+        return self._operator.lease
 
     def ask(self, what: str) -> bool:
-        """Send a request of the page.
+        """Send a request of the page: one of its words, or `set NAME VALUE`.
 
         Returns:
             Whether it was sent; not for words that are no request, or before the car was heard.
         """
-        kind, view = _KINDS.get(what), self._view
-        boot_id = int(view.values.get("boot_id", "0") or 0)
-        if kind is None or not boot_id:
-            return False
-        if self._operator is None or self._operator.boot_id != boot_id:
-            self._operator = Operator(boot_id, secrets.randbits(62) + 1, NAME)
-            self._operator.seq = view.clock.realtime_ns() // 1_000_000 % 2_000_000_000
-        request = self._operator.make_request(kind, view.clock.realtime_ns())
-        view.bus.publish(make_key(view.car, topics.OPERATOR), request)
-        return True
+        boot_id = int(self._view.values.get("boot_id", "0") or 0)
+        wanted = parse_setting(what)
+        if wanted is not None:
+            return self._operator.tune(boot_id, wanted)
+        kind = _KINDS.get(what)
+        return kind is not None and self._operator.ask(boot_id, kind)

@@ -1,7 +1,8 @@
 """The viewer's process: the car's messages on Foxglove's WebSocket, with a scene and parameters.
 
-It only shows: records come through a pipe that drops when full, and a client cannot command the
-car. Its end is reported and changes nothing else.
+Records come through a pipe that drops when full. A client cannot command the car; with
+`--view-sets` it may ask the run's terminal for other live parameters. The viewer's end is reported
+and changes nothing else.
 """
 
 # Why: docs/decisions/messages-and-sessions.md#d26
@@ -9,14 +10,16 @@ car. Its end is reported and changes nothing else.
 import contextlib
 import json
 import os
+import socket
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import foxglove  # noqa: TID251
 from foxglove.channels import FrameTransformsChannel, SceneUpdateChannel  # noqa: TID251
 from foxglove.websocket import Capability, Client, Parameter, ServerListener  # noqa: TID251
 
+from steerd.daemon.ipc.live_setting import LIVE, format_setting
 from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.view_scene import (
@@ -25,13 +28,14 @@ from steerd.daemon.process.view_scene import (
     make_car_scene,
     make_lane,
     make_lane_scene,
+    make_live_parameters,
     make_parameters,
     make_transform,
 )
 from steerd.daemon.process.views import Views
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, schema_text, type_name
-from steerd.steer_bus.messages import StateMessage
+from steerd.steer_bus.messages import Parameters, StateMessage
 from steerd.steer_bus.topics import TOPICS, Topic, make_session_topic
 
 TRANSFORMS = "/tf"
@@ -46,10 +50,23 @@ _NICE = 10
 
 
 class ReadOnlyParameters(ServerListener):
-    """Parameters that can be read; setting one returns the old value."""
+    """Parameters that can be read; setting one returns the old value.
 
-    def __init__(self, values: Mapping[str, float | str]) -> None:
+    Where the run allows it (`--view-sets`), setting a live parameter asks the run's terminal for
+    it. Its new value comes back from the car, if it is accepted.
+    """
+
+    def __init__(
+        self, values: Mapping[str, float | str], ask: Callable[[str], object] | None = None
+    ) -> None:
         self._values = dict(values)
+        self._ask = ask
+
+    def take(self, live: Mapping[str, float | str]) -> list[Parameter]:
+        """Take in live parameters; those that are new or have changed."""
+        changed = {n: v for n, v in live.items() if self._values.get(n) != v}
+        self._values |= changed
+        return [Parameter(n, value=v) for n, v in changed.items()]
 
     def on_get_parameters(
         self, client: Client, param_names: list[str], request_id: str | None = None
@@ -61,7 +78,14 @@ class ReadOnlyParameters(ServerListener):
     def on_set_parameters(
         self, client: Client, parameters: list[Parameter], request_id: str | None = None
     ) -> list[Parameter]:
-        """Nothing is set: a car file does not change during a drive."""
+        """Ask for live parameters; a car file does not change during a drive."""
+        for parameter in parameters:
+            group, _, name = parameter.name.partition(".")
+            if self._ask is None or group != "live" or name not in LIVE:
+                continue
+            value = parameter.get_value()
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                self._ask(format_setting(name, float(value)))
         return self.on_get_parameters(client, [p.name for p in parameters])
 
 
@@ -83,6 +107,7 @@ class Viewer:
         self._seen: dict[str, int] = {}
         self._scene_due_ns = self._lane_due_ns = 0
         self.missed = 0
+        self.on_live: Callable[[Mapping[str, float | str]], object] = lambda _live: None
 
     def show(self, record: PipeRecord) -> None:
         """Pass one record on, with what is drawn of it."""
@@ -93,6 +118,8 @@ class Viewer:
             channel = self._channels.get(each.topic.name)
             if channel is not None:
                 channel.log(each.data, log_time=each.log_time_ns)
+        if name == topics.PARAMETERS.name:
+            self.on_live(make_live_parameters(decode(Parameters, record.data)))
         if name == topics.STATE.name and record.log_time_ns >= self._scene_due_ns:
             self._scene_due_ns = record.log_time_ns + SCENE_NS
             self._draw(decode(StateMessage, record.data), record.log_time_ns)
@@ -133,15 +160,31 @@ def start_viewer(job: Mapping[str, Any]) -> tuple[Viewer, Any]:
     """
     lane = make_lane(job["lane"], job["half_width"], closed=job["closed"])
     viewer = Viewer(job["car"], Body(**job["body"]), lane)
+    known = ReadOnlyParameters(make_parameters(job["parameters"]), _make_ask(job.get("requests")))
     server = foxglove.start_server(
         name=f"steerd {job['car']}",
         host=job["host"],
         port=job["port"],
         capabilities=[Capability.Parameters],
-        server_listener=ReadOnlyParameters(make_parameters(job["parameters"])),
+        server_listener=known,
         context=viewer.context,
     )
+    viewer.on_live = lambda live: server.publish_parameter_values(known.take(live))
     return viewer, server
+
+
+def _make_ask(fd: int | None) -> Callable[[str], object] | None:
+    """Sends a setting to the run's terminal; what does not fit is dropped."""
+    if fd is None:
+        return None
+    terminal = socket.socket(fileno=fd)
+    terminal.setblocking(False)
+
+    def ask(text: str) -> None:
+        with contextlib.suppress(OSError):
+            terminal.send(text.encode())
+
+    return ask
 
 
 def main() -> int:

@@ -28,23 +28,31 @@ def parse_view(text: str, insecure_lan: bool) -> tuple[str, int]:
     host = host.strip("[]") or "127.0.0.1"
     if not port.isdecimal() or not 0 < int(port) < 65536:
         raise SteerdError(f"--view {text}: [HOST:]PORT", "--view 8765", ExitCode.USAGE)
-    try:
-        private = host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        private = False
-    if not private and not insecure_lan:
+    if not _is_private(host) and not insecure_lan:
         what = f"--view {text} shows the car to anybody on the network"
         raise SteerdError(what, "--insecure-lan if you mean it", ExitCode.USAGE)
     return host, int(port)
 
 
-def check_view(text: str, insecure_lan: bool) -> None:
+def _is_private(host: str) -> bool:
+    """Whether only this machine reaches an address."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def check_view(text: str, insecure_lan: bool, *, sets: bool = False) -> None:
     """Check `--view` before anything starts.
 
     Raises:
-        SteerdError: the address is invalid, or foxglove-sdk is not installed.
+        SteerdError: the address is invalid, or others could reach a viewer that `sets` parameters,
+            or foxglove-sdk is not installed.
     """
-    parse_view(text, insecure_lan)
+    host, _ = parse_view(text, insecure_lan)
+    if sets and not _is_private(host):
+        what = f"--view-sets: anybody who reaches {host} could change live parameters"
+        raise SteerdError(what, "--view on loopback, or drop --view-sets", ExitCode.USAGE)
     if find_spec("foxglove") is None:
         hint = "pip install 'foxglove-sdk>=0.30' (or `pip install -e '.[view]'` in the checkout)"
         raise SteerdError("--view needs the package foxglove-sdk", hint, ExitCode.UNREADABLE)

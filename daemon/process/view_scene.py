@@ -21,7 +21,8 @@ from foxglove.messages import (  # noqa: TID251
     Vector3,
 )
 
-from steerd.steer_bus.messages import BODY, WORLD, StateMessage
+from steerd.daemon.ipc.live_setting import LIVE
+from steerd.steer_bus.messages import BODY, WORLD, Parameters, StateMessage
 from steerd.steer_bus.standard import stamp_ns
 
 _LANE = Color(r=0.25, g=0.55, b=0.95, a=0.9)
@@ -137,6 +138,14 @@ def make_parameters(values: Mapping[str, Any]) -> dict[str, float | str]:
         else:
             flat[name] = str(value)
     return flat
+
+
+def make_live_parameters(p: Parameters) -> dict[str, float | str]:
+    """Live parameters, their bounds and the answer to the last request as flat names."""
+    shown: dict[str, float | str] = {
+        f"live.{name}{end}": getattr(p, name + end) for name in LIVE for end in ("", "_min", "_max")
+    }
+    return shown | {"live.answer": p.text}
 
 
 def _line(

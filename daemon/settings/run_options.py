@@ -39,6 +39,7 @@ class RunOptions:
         page: port of the live page on loopback, 0 for a free one; None for no page.
         sim_car: car file of the simulated car, or `hidden:SEED`; "" for the car file's own car.
         ros_domain: ROS 2 domain in which rmw_zenoh sees the car, or None.
+        view_sets: whether the viewer may ask for other live parameters.
         view: ``[HOST:]PORT`` of the viewer's WebSocket, or "" for none.
     """
 
@@ -64,6 +65,7 @@ class RunOptions:
     ros_domain: int | None = None
     sim_car: str = ""
     page: int | None = None
+    view_sets: bool = False
 
 
 def encode_options(options: RunOptions) -> str:

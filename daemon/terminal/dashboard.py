@@ -83,6 +83,7 @@ class Dashboard:
         title: of the panel.
         state: latest estimate; None before the first.
         tick: latest timing; None before the first.
+        parameters: live parameters; None where there are none.
         status: latest diagnostics by name.
         events: latest transitions, one line each.
         tally: figures of the drive so far.
@@ -92,6 +93,7 @@ class Dashboard:
     title: str
     state: m.StateMessage | None = None
     tick: m.Tick | None = None
+    parameters: m.Parameters | None = None
     status: dict[str, str] = field(default_factory=dict)
     events: deque[str] = field(default_factory=lambda: deque(maxlen=6))
     tally: Tally = field(default_factory=Tally)
@@ -105,6 +107,8 @@ class Dashboard:
             self.tally.add(state)
         elif record.topic is topics.TICK:
             self.tick = read_message(record)
+        elif record.topic is topics.PARAMETERS:
+            self.parameters = read_message(record)
         elif record.topic is topics.DIAGNOSTICS:
             self.status = read_diagnostics(read_message(record))
         elif record.topic is topics.TRANSITION:
@@ -124,6 +128,8 @@ class Dashboard:
             parts.append(self._numbers(self.state))
         warnings = [w for w in self.status.get("warnings", "").splitlines() if w]
         parts += [Text(f"! {w}", style="yellow") for w in warnings[:3]]
+        if self.parameters is not None:
+            parts += _describe_live(self.parameters)
         parts += [Text(), *(Text(line, style="dim") for line in self.events)]
         if self.keys:
             parts += [Text(), Text(self.keys, style="bold")]
@@ -163,6 +169,16 @@ class Dashboard:
             f"work {work_ms:.2f} ms",
         )
         return table
+
+
+def _describe_live(p: m.Parameters) -> list[RenderableType]:
+    """Live parameters, and why the last request was refused."""
+    line = (
+        f"live   speed up to {show(p.speed, '.2f')} m/s   lane {show(100 * p.offset, '+.0f')} cm"
+        f"   gain {show(p.gain, '.2f')}"
+    )
+    refused = bool(p.seq) and not p.accepted
+    return [Text(line), *([Text(f"! {p.text}", style="yellow")] if refused else [])]
 
 
 def _format_command(name: str, value: float, digits: str, unit: str) -> str:

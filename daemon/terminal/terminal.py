@@ -4,58 +4,26 @@ import contextlib
 import os
 import select
 import signal
-import sys
-import termios
-import tty
-from collections.abc import Iterator
+import socket
+from collections.abc import Mapping
 
 from rich.console import Console
 from rich.live import Live
 
 from steerd.daemon.ipc.gateway_wire import pack_request
-from steerd.daemon.ipc.operator import KEEPALIVE_NS, Operator
+from steerd.daemon.ipc.live_setting import SETTING_MAX, parse_setting
+from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import unpack_records
 from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
-from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.children import RunProcesses
 from steerd.daemon.terminal.dashboard import Dashboard
+from steerd.daemon.terminal.key_desk import KEY_HELP, NUDGE_HELP, KeyDesk
+from steerd.daemon.terminal.keyboard import keys_one_by_one
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.messages import RequestKind
 
-KEYS = {
-    "a": RequestKind.ARM,
-    "s": RequestKind.START,
-    " ": RequestKind.STOP,
-    "d": RequestKind.DISARM,
-    "c": RequestKind.CLEAR,
-    "e": RequestKind.ESTOP,
-}
-KEY_HELP = "[a]rm  [s]tart  [space] stop  [d]isarm  [c]lear  [e]stop  [q]uit"
 _POLL_MS = 50
-_HELD = (
-    SupervisorState.SELF_TEST,
-    SupervisorState.ARMED,
-    SupervisorState.RUNNING,
-    SupervisorState.STOPPING,
-)
-_ANSWER_NS = 1_500_000_000
-"""A car that is not yet in a held state after this time refused to arm [ns]."""
-
-
-@contextlib.contextmanager
-def keys_one_by_one() -> Iterator[int | None]:
-    """Standard input as single keys, if it is a terminal."""
-    if not sys.stdin.isatty():
-        yield None
-        return
-    fd = sys.stdin.fileno()
-    before = termios.tcgetattr(fd)
-    tty.setcbreak(fd)
-    try:
-        yield fd
-    finally:
-        termios.tcsetattr(fd, termios.TCSADRAIN, before)
 
 
 class Terminal:
@@ -69,10 +37,8 @@ class Terminal:
         self._operator = operator
         self._clock = clock
         self._buffer = bytearray()
-        self._holding = False
-        self._requested_ns = 0
         self._waiting = ""
-        self._alive_ns = 0
+        self._desk = KeyDesk(board, clock, self._ask, self._tune)
 
     def run(self) -> None:
         """Show records and pass on keys and signals until the core has ended."""
@@ -80,7 +46,7 @@ class Terminal:
         block_stop_signals()
         signals = make_stop_signal_pipe()
         with keys_one_by_one() as keys:
-            self._board.keys = KEY_HELP if keys is not None else ""
+            self._board.keys = f"{KEY_HELP}  [q]uit\n{NUDGE_HELP}" if keys is not None else ""
             if not console.is_terminal:
                 self._loop(signals, keys, None, console)
                 return
@@ -91,7 +57,9 @@ class Terminal:
     def _loop(self, signals: int, keys: int | None, live: Live | None, console: Console) -> None:
         core = os.pidfd_open(self._processes.core.process.pid)
         poll = select.poll()
+        viewer = self._processes.viewer_requests
         fds = [core, signals, self._processes.status_fd, *([] if keys is None else [keys])]
+        fds += [] if viewer is None else [viewer.fileno()]
         for fd in fds:
             poll.register(fd, select.POLLIN | select.POLLHUP)
         while True:
@@ -101,6 +69,9 @@ class Terminal:
             if signals in ready:
                 for number in os.read(signals, 16):
                     self._pass_signal(number)
+            if viewer is not None and viewer.fileno() in ready and not self._pass_setting(viewer):
+                poll.unregister(viewer)
+                viewer = None
             if keys is not None and keys in ready:
                 self._on_key(os.read(keys, 1).decode("latin-1"))
             if core in ready:
@@ -130,30 +101,31 @@ class Terminal:
                 signal.SIGTERM if number == signal.SIGHUP else number
             )
 
+    def _pass_setting(self, viewer: socket.socket) -> bool:
+        """A setting of the viewer goes to the car under this terminal's lease; False at its end."""
+        packet = viewer.recv(SETTING_MAX)
+        wanted = parse_setting(packet.decode("ascii", "replace"))
+        if wanted is not None:
+            self._tune(wanted)
+        return bool(packet)
+
     def _on_key(self, key: str) -> None:
         if key == "q":
             self._pass_signal(signal.SIGTERM)
-        elif key in KEYS:
-            kind = KEYS[key]
-            if kind in (RequestKind.ARM, RequestKind.START):
-                self._holding, self._requested_ns = True, self._clock.now_ns()
-            elif kind is RequestKind.DISARM:
-                self._holding = False
-            self._send(kind)
+        else:
+            self._desk.on_key(key)
 
     def _keep_alive(self) -> None:
-        """Keep the lease of a car that was armed or started here, until it is parked again."""
-        now, state = self._clock.now_ns(), self._board.state
-        held = state is not None and state.mode in _HELD
-        if not held and now - self._requested_ns > _ANSWER_NS:
-            self._holding = False
-        if self._holding and now - self._alive_ns >= KEEPALIVE_NS:
-            self._send(RequestKind.KEEPALIVE)
+        self._desk.keep_alive()
 
-    def _send(self, kind: RequestKind) -> None:
-        self._alive_ns = self._clock.now_ns()
-        packet = pack_request(
-            topics.OPERATOR.name, self._operator.make_request(kind, self._clock.realtime_ns())
-        )
+    def _ask(self, kind: RequestKind) -> None:
+        request = self._operator.make_request(kind, self._clock.realtime_ns())
+        self._send(topics.OPERATOR, request)
+
+    def _tune(self, wanted: Mapping[str, float]) -> None:
+        request = self._operator.make_parameters(wanted, self._clock.realtime_ns())
+        self._send(topics.SET_PARAMETERS, request)
+
+    def _send(self, topic: topics.Topic, request: bytes) -> None:
         with contextlib.suppress(OSError):
-            self._processes.requests.send(packet)
+            self._processes.requests.send(pack_request(topic.name, request))

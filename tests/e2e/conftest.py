@@ -1,6 +1,7 @@
 """Whole drives: in virtual time within this process, in real time as processes of their own."""
 
 import argparse
+import codecs
 import contextlib
 import os
 import re
@@ -219,13 +220,14 @@ class Program:
         self._end = os.pidfd_open(self.process.pid)
         self.argv = argv
         self.text = ""
+        self._decoder = codecs.getincrementaldecoder("utf-8")()
 
     def pump(self, seconds: float) -> bool:
         """Wait for output or the end, take in what there is; False once it has ended."""
         ready = select.select([self.fd, self._end], [], [], seconds)[0]
         if self.fd in ready:
             data = os.read(self.fd, 65536)
-            self.text += data.decode()
+            self.text += self._decoder.decode(data)
             if data:
                 return True
         return self._end not in ready
@@ -245,7 +247,7 @@ class Program:
         while self.pump(0.5):
             assert time.monotonic() < end, f"{self.argv} does not end:\n{self.text}"
         while select.select([self.fd], [], [], 0.0)[0] and (data := os.read(self.fd, 65536)):
-            self.text += data.decode()
+            self.text += self._decoder.decode(data)
         return self.process.wait()
 
     def send(self, number: int) -> None:

@@ -15,6 +15,8 @@ from websockets.exceptions import InvalidStatus  # noqa: TID251
 from websockets.sync.client import connect  # noqa: TID251
 
 from steerd.car_model.path.path_spec import parse_path
+from steerd.controller.live import LiveBounds, LiveValues
+from steerd.daemon.loop.live import make_live, make_parameters, take_request
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.page import make_page, run_page
 from steerd.daemon.process.page_job import make_lane_job
@@ -31,6 +33,8 @@ from tests.e2e.test_live import Watcher, start_run
 from tests.local_bus import LocalBus, LocalHub
 
 HEADER = make_header(0, BODY)
+BOUNDS = LiveBounds(LiveValues(0.3, -0.15, 0.5), LiveValues(1.5, 0.15, 1.2), LiveValues(1.5, 0, 1))
+NOBODYS = m.ParameterRequest(HEADER, 77, 0, 0, math.nan, math.nan, math.nan, "")
 LANE = parse_path("figure8")
 
 
@@ -46,6 +50,9 @@ class FakeCar:
         hub = LocalHub()
         self.bus = LocalBus(hub)
         self._requests = self.bus.subscribe(make_key("car1", topics.OPERATOR), 4096)
+        self._settings = self.bus.subscribe(make_key("car1", topics.SET_PARAMETERS), 64)
+        self.live = take_request(make_live(BOUNDS), NOBODYS, admitted=True)
+        self.live_asked = []
         self.view = CarView(LocalBus(hub), "car1", MonotonicClock())
         self.state, self.holder, self.speaks, self.asked = SupervisorState.READY, 0, True, []
         self._step = 0
@@ -55,8 +62,13 @@ class FakeCar:
             request = decode(OperatorRequest, sample.data)
             self.asked.append(request)
             self._obey(request)
+        for sample in self._settings.poll():
+            wanted = decode(m.ParameterRequest, sample.data)
+            self.live_asked.append(wanted)
+            self.live = take_request(self.live, wanted, admitted=wanted.lease_id == self.holder)
         if not self.speaks:
             return
+        self._say(topics.PARAMETERS, make_parameters(self.live, 0))
         self._step += 3
         i = self._step % len(LANE.x)
         numbers = dict.fromkeys(m.StateMessage.__dataclass_fields__, 0.01)
@@ -182,6 +194,35 @@ def test_a_page_is_an_operator_like_any_other(car):
     assert start.seq == arm.seq + 1
 
 
+def test_live_parameters_are_set_by_who_holds_the_car(car):
+    with served(car) as url, live(url) as socket:
+        until(socket, lambda seen: seen["live"].get("speed") == [1.5, 0.3, 1.5])
+        socket.send("arm")
+        until(socket, lambda seen: seen["mine"])
+        for wrong in (
+            "set speed",
+            "set speed fast",
+            "set speed nan",
+            "set mass 1",
+            "set speed 1 2",
+        ):
+            socket.send(wrong)
+        socket.send("set speed 0.75")
+        seen = until(socket, lambda seen: seen["live"]["speed"][0] == 0.75)
+        assert not seen["live"]["refused"]
+        socket.send("set gain 2")
+        seen = until(socket, lambda seen: seen["live"]["refused"])
+        assert "gain 2, allowed 0.5 to 1.2" in seen["live"]["text"]
+        with live(url) as other:
+            other.send("set offset 0.1")
+            until(socket, lambda seen: "somebody else" in seen["live"]["text"])
+    assert len(car.live_asked) == 3
+    assert car.live.aim == LiveValues(0.75, 0, 1)
+    assert [request.seq for request in car.live_asked[:2]] == [
+        car.asked[0].seq + 1, car.asked[0].seq + 2
+    ], "one number for all of a page's requests"  # fmt: skip
+
+
 def test_nothing_is_sent_that_the_browser_did_not_send():
     """A silent browser is a silent operator: no timer of ours keeps a lease alive."""
     car = FakeCar()
@@ -210,6 +251,14 @@ def test_in_a_browser_it_is_whole_and_its_buttons_work(car, tmp_path):
                 browser.screenshot(tmp_path / f"live-{width}-{dark}.png")
         browser.ask("document.getElementById('arm').click()")
         browser.wait("!document.getElementById('start').disabled")
+        browser.ask(
+            "(() => { const box = document.getElementById('live-offset'); box.value = '5';"
+            " box.dispatchEvent(new Event('input'));"
+            " document.querySelector('#live button').click(); })()"
+        )
+        browser.wait("document.getElementById('live-answer').textContent === 'set by page'")
+        browser.wait("document.getElementById('live-offset').value === '5.0'")
+        assert car.live.aim == LiveValues(1.5, 0.05, 1)
         browser.ask("document.getElementById('start').click()")
         browser.wait("document.getElementById('state').textContent === 'running'")
         assert "You hold this car" in browser.ask("document.getElementById('hold').textContent")

@@ -26,6 +26,24 @@ $("clear").onclick = () => say("clear");
 $("arm").onclick = () => { hold(); say("arm"); };
 $("start").onclick = () => { hold(); say("start"); };
 
+// --- live parameters: what was edited goes to the car, which answers; the rest shows what is set
+const LIVE = { speed: [1, 2], offset: [100, 1], gain: [1, 2] }, edited = new Set();
+for (const name of Object.keys(LIVE)) $(`live-${name}`).addEventListener("input", () => edited.add(name));
+$("live").addEventListener("submit", e => {
+  e.preventDefault();
+  for (const name of edited) { const v = $(`live-${name}`).valueAsNumber; if (Number.isFinite(v)) say(`set ${name} ${+(v / LIVE[name][0]).toPrecision(9)}`); }
+  edited.clear(); document.activeElement.blur();
+});
+function takeLive(live) {
+  $("live").hidden = live.speed == null || live.speed[1] == null;
+  if ($("live").hidden) return;
+  for (const [name, [factor, digits]] of Object.entries(LIVE)) {
+    const box = $(`live-${name}`), [now, least, most] = live[name].map(v => (factor * v).toFixed(digits));
+    box.title = `${least} to ${most}`; if (!edited.has(name)) box.value = now;
+  }
+  $("live-answer").textContent = live.text; $("live-answer").className = live.refused ? "refused" : "";
+}
+
 // --- what is shown
 const show = (v, digits, unit) => v == null ? "–" : `${v.toFixed(digits)} ${unit}`;
 const cells = {};
@@ -55,6 +73,7 @@ function take(s) {
   if (s.x != null) { trail.push([s.x, s.y]); if (trail.length > TRAIL) trail.shift(); }
   errors.push([performance.now() / 1000, s.state === "RUNNING" ? s.e1 : null]);
   while (errors.length && errors[0][0] < errors[errors.length - 1][0] - SPAN_S) errors.shift();
+  takeLive(s.live);
   $("events").replaceChildren(...s.events.map(t => { const li = document.createElement("li"); li.textContent = t; return li; }).reverse());
 }
 let asked = 0;

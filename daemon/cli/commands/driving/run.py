@@ -82,6 +82,11 @@ def _add_network_arguments(run: argparse._ArgumentGroup) -> None:
         help=f"show it live in Foxglove or Lichtblick (ws://127.0.0.1:{DEFAULT_PORT})",
     )
     run.add_argument(
+        "--view-sets",
+        action="store_true",
+        help="with --view on loopback: live parameters may be set in Foxglove",
+    )
+    run.add_argument(
         "--page",
         nargs="?",
         type=int,
@@ -113,28 +118,14 @@ def make_options(args: argparse.Namespace) -> RunOptions:
     Raises:
         SteerdError: a combination makes no sense.
     """
-    if args.fast and not args.sim:
-        raise SteerdError(
-            "--fast drives in virtual time, on simulated hardware", "add --sim", ExitCode.USAGE
-        )
-    if args.sim and (args.port or args.mocap):
-        raise SteerdError(
-            "--sim has its own port and mocap", "drop --sim, or --port and --mocap", ExitCode.USAGE
-        )
-    if not args.sim and not (args.port and args.mocap):
-        hint = "steerd run --port /dev/ttyACM0 --mocap natnet://HOST/BODY, or steerd run --sim"
-        raise SteerdError("a car needs --port and --mocap", hint, ExitCode.USAGE)
-    if not args.sim and (args.auto_arm or args.effect):
-        raise SteerdError("--auto-arm and --effect are for --sim only", "", ExitCode.USAGE)
-    if not args.sim and args.sim_car:
-        raise SteerdError("--sim-car is the simulated car", "add --sim", ExitCode.USAGE)
+    _check_hardware(args)
     if args.duration is not None and not 0.0 < args.duration <= 86400.0:
         raise SteerdError(f"--duration {args.duration:g}: more than 0 s", "", ExitCode.USAGE)
     if args.speed is not None and not 0.0 < args.speed < inf:
         raise SteerdError(f"--speed {args.speed:g}: more than 0 m/s", "", ExitCode.USAGE)
     if args.seed < 0:
         raise SteerdError(f"--seed {args.seed}: 0 or more", "", ExitCode.USAGE)
-    if args.view:
+    if args.view or args.view_sets:
         _check_view(args)
     if args.page is not None:
         _check_page(args)
@@ -163,7 +154,26 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         ros_domain=args.ros_domain,
         sim_car=args.sim_car or "",
         page=args.page,
+        view_sets=args.view_sets,
     )
+
+
+def _check_hardware(args: argparse.Namespace) -> None:
+    if args.fast and not args.sim:
+        raise SteerdError(
+            "--fast drives in virtual time, on simulated hardware", "add --sim", ExitCode.USAGE
+        )
+    if args.sim and (args.port or args.mocap):
+        raise SteerdError(
+            "--sim has its own port and mocap", "drop --sim, or --port and --mocap", ExitCode.USAGE
+        )
+    if not args.sim and not (args.port and args.mocap):
+        hint = "steerd run --port /dev/ttyACM0 --mocap natnet://HOST/BODY, or steerd run --sim"
+        raise SteerdError("a car needs --port and --mocap", hint, ExitCode.USAGE)
+    if not args.sim and (args.auto_arm or args.effect):
+        raise SteerdError("--auto-arm and --effect are for --sim only", "", ExitCode.USAGE)
+    if not args.sim and args.sim_car:
+        raise SteerdError("--sim-car is the simulated car", "add --sim", ExitCode.USAGE)
 
 
 def _choose_endpoint(args: argparse.Namespace) -> str:
@@ -193,10 +203,12 @@ def _check_domain(args: argparse.Namespace) -> None:
 
 
 def _check_view(args: argparse.Namespace) -> None:
+    if not args.view:
+        raise SteerdError("--view-sets is about the viewer", "add --view", ExitCode.USAGE)
     if args.fast:
         hint = "drop --fast; open the session in Foxglove, or with `steerd plot`"
         raise SteerdError("--view shows a drive as it happens", hint, ExitCode.USAGE)
-    check_view(args.view, args.insecure_lan)
+    check_view(args.view, args.insecure_lan, sets=args.view_sets)
 
 
 def _check_page(args: argparse.Namespace) -> None:

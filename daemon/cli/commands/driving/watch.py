@@ -2,6 +2,10 @@
 
 steerd watch
 steerd watch --lab screen
+steerd watch --operate      # arm, start and stop here too: this terminal holds it
+
+Keys change live parameters: the highest speed, a lane beside the path, a share
+of the feedback. The car refuses those of anybody but the operator who holds it.
 """
 
 import argparse
@@ -23,6 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which car, and how long."""
     add_bus_arguments(parser)
     parser.add_argument("--name", help="the car's name (default: the only one on the bus)")
+    parser.add_argument(
+        "--operate", action="store_true", help="keys arm, start and stop: closing this stops it"
+    )
     parser.add_argument("--seconds", type=float, metavar="S", help="leave after this time")
 
 
@@ -32,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: no daemon or no such car is there.
     """
-    from steerd.daemon.ipc.operator import connect, read_lab
+    from steerd.daemon.ipc.operator import KEEPALIVE_NS, connect, read_lab
 
     if args.lab is not None:
         read_lab(args.lab)  # a folder that is none is refused before anything heavy is loaded
@@ -40,7 +47,9 @@ def run(args: argparse.Namespace) -> int:
     from rich.live import Live
 
     from steerd.daemon.terminal.dashboard import Dashboard
+    from steerd.daemon.terminal.keyboard import keys_one_by_one, wait_for_key
     from steerd.daemon.terminal.watch import DEPTH, SECOND, Watch, find_car
+    from steerd.daemon.terminal.watch_desk import desk_help, make_desk
     from steerd.steer_bus.clock import MonotonicClock
     from steerd.steer_bus.topics import make_key
 
@@ -55,12 +64,19 @@ def run(args: argparse.Namespace) -> int:
             if not console.is_terminal:
                 _print_lines(watch, received, clock, end)
                 return ExitCode.OK
-            with Live(console=console, auto_refresh=False, screen=False) as live:
+            desk = make_desk(watch.board, bus, car, clock, operate=args.operate)
+            with keys_one_by_one() as keys, Live(console=console, auto_refresh=False) as live:
+                watch.board.keys = "" if keys is None else desk_help(args.operate)
+                shown_ns = 0
                 while end is None or clock.now_ns() < end:
                     for sample in received.poll():
                         watch.take(sample, clock.now_ns())
-                    live.update(watch.render(clock.now_ns()), refresh=True)
-                    clock.sleep_until_ns(clock.now_ns() + REFRESH_NS)
+                    if (now := clock.now_ns()) - shown_ns >= REFRESH_NS:
+                        shown_ns = now
+                        live.update(watch.render(now), refresh=True)
+                    desk.keep_alive()
+                    for key in wait_for_key(keys, KEEPALIVE_NS, clock):
+                        desk.on_key(key)
         except KeyboardInterrupt:
             pass
     return ExitCode.OK

@@ -3,6 +3,7 @@
 import os
 from types import SimpleNamespace
 
+from steerd.daemon.ipc.live_setting import parse_setting
 from steerd.daemon.ipc.outbox import Outbox
 from steerd.daemon.ipc.pipe_records import PipeWriter, make_pipe, pack_record
 from steerd.daemon.process.view import ReadOnlyParameters, Viewer, make_channel, run_viewer
@@ -32,6 +33,35 @@ def test_parameters_are_flat_and_cannot_be_set():
     (kept,) = known.on_set_parameters(None, asked)
     assert (kept.name, kept.get_value()) == ("car.lf", 0.1)
     assert len(known.on_get_parameters(None, [])) == 3
+
+
+def parameter(name, value):
+    return SimpleNamespace(name=name, get_value=lambda: value)
+
+
+def test_a_live_parameter_is_asked_for_and_keeps_its_value_until_the_car_changes_it():
+    asked = []
+    known = ReadOnlyParameters({"live.speed": 1.5, "car.lf": 0.1}, asked.append)
+    (kept,) = known.on_set_parameters(None, [parameter("live.speed", 1.25)])
+    assert kept.get_value() == 1.5
+    known.on_set_parameters(
+        None,
+        [
+            parameter("car.lf", 9.0), parameter("live.mass", 9.0), parameter("live.gain", True),
+            parameter("live.gain", "2"), parameter("live.offset", -1),
+        ],
+    )  # fmt: skip
+    assert asked == ["set speed 1.25", "set offset -1.0"]
+    assert [parse_setting(text) for text in asked] == [{"speed": 1.25}, {"offset": -1.0}]
+    changed = known.take({"live.speed": 1.25, "live.gain": 1.0})
+    assert [(p.name, p.get_value()) for p in changed] == [("live.speed", 1.25), ("live.gain", 1.0)]
+    assert known.take({"live.speed": 1.25}) == []
+
+
+def test_without_leave_of_the_run_nothing_is_asked_for():
+    known = ReadOnlyParameters({"live.speed": 1.5})
+    (kept,) = known.on_set_parameters(None, [parameter("live.speed", 1.25)])
+    assert kept.get_value() == 1.5
 
 
 def test_a_viewer_counts_what_the_pipe_dropped():

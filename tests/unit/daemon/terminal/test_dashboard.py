@@ -9,7 +9,7 @@ from rich.console import Console
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.terminal.dashboard import SETTLE_NS, Dashboard, Tally
-from steerd.daemon.terminal.terminal import KEY_HELP
+from steerd.daemon.terminal.key_desk import KEY_HELP
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode

@@ -7,7 +7,8 @@ import pytest
 from steerd.daemon.ipc.gateway_wire import unpack_request
 from steerd.daemon.ipc.operator import KEEPALIVE_NS, Operator
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.terminal.terminal import KEYS, Terminal
+from steerd.daemon.terminal.key_desk import KEYS
+from steerd.daemon.terminal.terminal import Terminal
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.messages import OperatorRequest, RequestKind
 

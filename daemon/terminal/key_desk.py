@@ -1,0 +1,137 @@
+"""Keys of a terminal as an operator's requests: the hold on a car, and its live parameters."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Protocol
+
+from steerd.daemon.ipc.operator import KEEPALIVE_NS
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.steer_bus.clock import Clock
+from steerd.steer_bus.messages import Parameters, RequestKind, StateMessage
+
+KEYS = {
+    "a": RequestKind.ARM,
+    "s": RequestKind.START,
+    " ": RequestKind.STOP,
+    "d": RequestKind.DISARM,
+    "c": RequestKind.CLEAR,
+    "e": RequestKind.ESTOP,
+}
+KEY_HELP = "[a]rm  [s]tart  [space] stop  [d]isarm  [c]lear  [e]stop"
+NUDGES = {
+    "+": ("speed", 0.1), "=": ("speed", 0.1), "-": ("speed", -0.1),
+    "<": ("offset", 0.01), ",": ("offset", 0.01), ">": ("offset", -0.01), ".": ("offset", -0.01),
+    "]": ("gain", 0.1), "[": ("gain", -0.1),
+}  # fmt: skip
+"""Live parameters, and by how much a key changes them [m/s, m, -]."""
+BACK = "0"
+"""This key asks for the path and the designed feedback again."""
+NUDGE_HELP = "speed [-][+]  lane left [<] right [>]  gain [[][]]  path and gain back [0]"
+_HELD = (
+    SupervisorState.SELF_TEST,
+    SupervisorState.ARMED,
+    SupervisorState.RUNNING,
+    SupervisorState.STOPPING,
+)
+_ANSWER_NS = 1_500_000_000
+"""A car that is not yet in a held state after this time refused to arm [ns]."""
+
+
+class Board(Protocol):
+    """What is known of the car."""
+
+    @property
+    def state(self) -> StateMessage | None:
+        """Its newest state."""
+        ...
+
+    @property
+    def parameters(self) -> Parameters | None:
+        """Its live parameters."""
+        ...
+
+
+def nudge(parameters: Parameters, key: str) -> dict[str, float]:
+    """The values that a key asks for: a step on, or to the bound before it.
+
+    At the bound itself the step goes beyond it, so that the car says why it is refused.
+    """
+    if key == BACK:
+        return {"offset": 0.0, "gain": 1.0}
+    name, step = NUDGES[key]
+    now = getattr(parameters, name)
+    low, high = getattr(parameters, f"{name}_min"), getattr(parameters, f"{name}_max")
+    wanted = round((now + step) / abs(step)) * abs(step)
+    bound = high if step > 0.0 else low
+    beyond = wanted > high if step > 0.0 else wanted < low
+    return {name: round(bound if beyond and now != bound else wanted, 6)}
+
+
+class KeyDesk:
+    """One operator at the keys: whoever arms or starts a car there holds it.
+
+    Args:
+        board: what is known of the car.
+        clock: for the keepalives.
+        ask: sends a request.
+        tune: sends a request for other live parameters.
+        kinds: which keys are requests.
+    """
+
+    def __init__(
+        self,
+        board: Board,
+        clock: Clock,
+        ask: Callable[[RequestKind], object],
+        tune: Callable[[Mapping[str, float]], object],
+        kinds: Mapping[str, RequestKind] = KEYS,
+    ) -> None:
+        self._board, self._clock = board, clock
+        self._ask, self._tune, self._kinds = ask, tune, kinds
+        self._holding = False
+        self._requested_ns = self._alive_ns = 0
+        self._answered: Parameters | None = None
+        self._wanted: Parameters | None = None
+
+    @property
+    def holding(self) -> bool:
+        """Whether a car was armed or started here and still needs somebody."""
+        return self._holding
+
+    def on_key(self, key: str) -> None:
+        """A key was pressed; those without a meaning are ignored."""
+        if key in NUDGES or key == BACK:
+            self._nudge(key)
+            return
+        if key not in self._kinds:
+            return
+        kind = self._kinds[key]
+        if kind in (RequestKind.ARM, RequestKind.START):
+            self._holding, self._requested_ns = True, self._clock.now_ns()
+        elif kind is RequestKind.DISARM:
+            self._holding = False
+        self._send(kind)
+
+    def _nudge(self, key: str) -> None:
+        """Ask for a step; keys that come faster than the car's answer build upon each other."""
+        known = self._board.parameters
+        if known is None:
+            return
+        if known is not self._answered:
+            self._answered = self._wanted = known
+        values = nudge(self._wanted or known, key)
+        self._wanted = replace(self._wanted or known, **values)
+        self._tune(values)
+
+    def keep_alive(self) -> None:
+        """Keep the lease of a car that was armed or started here, until it is parked again."""
+        now, state = self._clock.now_ns(), self._board.state
+        held = state is not None and state.mode in _HELD
+        if not held and now - self._requested_ns > _ANSWER_NS:
+            self._holding = False
+        if self._holding and now - self._alive_ns >= KEEPALIVE_NS:
+            self._send(RequestKind.KEEPALIVE)
+
+    def _send(self, kind: RequestKind) -> None:
+        self._alive_ns = self._clock.now_ns()
+        self._ask(kind)

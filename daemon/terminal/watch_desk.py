@@ -1,0 +1,32 @@
+"""The keys of `steerd watch`: an operator on the bus like any other."""
+
+import getpass
+from collections.abc import Mapping
+
+from steerd.daemon.ipc.operator import BusOperator
+from steerd.daemon.terminal.dashboard import Dashboard
+from steerd.daemon.terminal.key_desk import KEY_HELP, KEYS, NUDGE_HELP, KeyDesk
+from steerd.steer_bus.bus import Bus
+from steerd.steer_bus.clock import Clock
+from steerd.steer_bus.messages import RequestKind
+
+
+def make_desk(board: Dashboard, bus: Bus, car: str, clock: Clock, *, operate: bool) -> KeyDesk:
+    """The keys of a car on the bus; without `operate` they change live parameters alone."""
+    operator = BusOperator(bus, car, clock, getpass.getuser())
+
+    def run_of_the_car() -> int:
+        return int(board.status.get("boot_id", "0") or 0)
+
+    def ask(kind: RequestKind) -> bool:
+        return operator.ask(run_of_the_car(), kind)
+
+    def tune(wanted: Mapping[str, float]) -> bool:
+        return operator.tune(run_of_the_car(), wanted)
+
+    return KeyDesk(board, clock, ask, tune, KEYS if operate else {})
+
+
+def desk_help(operate: bool) -> str:
+    """What the keys do."""
+    return f"{KEY_HELP}\n{NUDGE_HELP}" if operate else NUDGE_HELP

@@ -1,0 +1,107 @@
+"""Keys that change live parameters, in the terminal of a run and in `steerd watch`."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from steerd.daemon.ipc.gateway_wire import unpack_request
+from steerd.daemon.ipc.live_setting import format_setting, parse_setting
+from steerd.daemon.ipc.operator import Operator
+from steerd.daemon.terminal.dashboard import Dashboard
+from steerd.daemon.terminal.key_desk import KEYS, NUDGE_HELP, NUDGES, nudge
+from steerd.daemon.terminal.terminal import Terminal
+from steerd.daemon.terminal.watch_desk import desk_help, make_desk
+from steerd.steer_bus import topics
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.steer_bus.codec import decode
+from steerd.steer_bus.messages import (
+    BODY,
+    OperatorRequest,
+    ParameterRequest,
+    Parameters,
+    make_header,
+)
+from steerd.steer_bus.topics import make_key
+from tests.local_bus import LocalBus, LocalHub
+
+LIVE = Parameters(
+    make_header(0, BODY), 0, 0, 0, 1.0, 0.3, 1.45, 0.0, -0.15, 0.15, 1.0, 0.5, 1.2, ""
+)
+
+
+@pytest.mark.parametrize(
+    ("key", "wanted"),
+    [
+        ("+", {"speed": 1.1}), ("-", {"speed": 0.9}), ("<", {"offset": 0.01}),
+        (">", {"offset": -0.01}), ("]", {"gain": 1.1}), ("[", {"gain": 0.9}),
+        ("0", {"offset": 0.0, "gain": 1.0}),
+    ],
+)  # fmt: skip
+def test_a_key_is_a_step(key, wanted):
+    assert nudge(LIVE, key) == wanted
+
+
+def test_the_last_step_leads_to_the_bound_and_the_next_is_the_cars_to_refuse():
+    assert nudge(replace(LIVE, speed=1.4), "+") == {"speed": 1.45}
+    assert nudge(replace(LIVE, speed=1.45), "+")["speed"] > 1.45
+    assert nudge(replace(LIVE, speed=0.35), "-") == {"speed": 0.3}
+    assert nudge(replace(LIVE, speed=0.3), "-")["speed"] < 0.3
+
+
+def test_every_key_of_the_help_has_a_meaning_and_fits_the_screen():
+    assert len(NUDGE_HELP) <= 76
+    assert all(f"[{key}]" in NUDGE_HELP for key in "-+<>0")
+    assert "[[][]]" in NUDGE_HELP
+    assert not set(NUDGES) & set(KEYS)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "set", "set speed", "set speed x", "set speed inf", "speed 1"]
+)
+def test_what_is_no_setting_is_none(text):
+    assert parse_setting(text) is None
+
+
+def test_a_setting_comes_back_to_the_bit():
+    assert parse_setting(format_setting("offset", 0.1 + 0.2)) == {"offset": 0.1 + 0.2}
+
+
+def test_a_viewers_setting_goes_out_under_the_terminals_lease():
+    sent, board = [], SimpleNamespace(state=None, parameters=LIVE)
+    clock = SimpleNamespace(now_ns=lambda: 1, realtime_ns=lambda: 2)
+    processes = SimpleNamespace(requests=SimpleNamespace(send=sent.append))
+    terminal = Terminal(processes, board, Operator(1, 77, "desk"), clock)
+    packets = iter([b"set gain 1.1", b"set mass 9", b""])
+    viewer = SimpleNamespace(recv=lambda _most: next(packets))
+    assert [terminal._pass_setting(viewer) for _ in range(3)] == [True, True, False]
+    terminal._on_key("+")
+    out = [unpack_request(packet) for packet in sent]
+    assert {name for name, _ in out} == {topics.SET_PARAMETERS.name}
+    gain, speed = (decode(ParameterRequest, data) for _, data in out)
+    assert (gain.gain, speed.speed) == (1.1, 1.1)
+    assert [(r.boot_id, r.lease_id, r.seq) for r in (gain, speed)] == [(1, 77, 1), (1, 77, 2)]
+
+
+@pytest.mark.parametrize("operate", [False, True])
+def test_the_keys_of_a_watch(operate):
+    hub = LocalHub()
+    car = LocalBus(hub)
+    asked = car.subscribe(make_key("car1", topics.OPERATOR), 9)
+    tuned = car.subscribe(make_key("car1", topics.SET_PARAMETERS), 9)
+    board = Dashboard("watch", parameters=LIVE)
+    desk = make_desk(board, LocalBus(hub), "car1", MonotonicClock(), operate=operate)
+    desk.on_key("+")
+    assert tuned.poll() == [], "not before the car's run is known"
+    board.status["boot_id"] = "5"
+    for key in "+a+x ":
+        desk.on_key(key)
+    speeds = [decode(ParameterRequest, sample.data) for sample in tuned.poll()]
+    assert [(s.boot_id, s.speed) for s in speeds] == [(5, 1.2), (5, 1.3)], "faster than the answer"
+    board.parameters = replace(LIVE, speed=0.7)
+    desk.on_key("+")
+    assert [decode(ParameterRequest, sample.data).speed for sample in tuned.poll()] == [0.8]
+    kinds = [decode(OperatorRequest, sample.data).kind for sample in asked.poll()]
+    assert kinds == ([KEYS["a"], KEYS[" "]] if operate else [])
+    assert desk.holding is operate
+    assert ("[a]rm" in desk_help(operate)) is operate
