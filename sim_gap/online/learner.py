@@ -23,8 +23,9 @@ from steerd.sim_gap.online.changes import (
     usual_of,
     with_ratios,
 )
+from steerd.sim_gap.online.fitting import Point, look_closer, rank
 from steerd.sim_gap.online.looking import Anchor, Look, look
-from steerd.sim_gap.online.naming import Finding, Point, look_closer, name, rank
+from steerd.sim_gap.online.naming import Finding, name
 from steerd.sim_gap.online.reference import learn_reference
 from steerd.sim_gap.online.samples import (
     LATE,
@@ -264,7 +265,7 @@ def judge(
     _, fits = rank(anchor, known.effects, before, looks, short)
     points = look_closer(anchor, fits, looks, points)
     null, fits = rank(anchor, known.effects, before, looks, points)
-    finding = name(anchor, null, fits, known.usual_ratio)
+    finding = name(anchor, null, fits, known.usual_ratio, points)
     return Change(looks[0].t, noticed, before, looks, windows, points, finding)
 
 

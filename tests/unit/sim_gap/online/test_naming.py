@@ -4,15 +4,17 @@ import numpy as np
 import pytest
 
 from steerd.sim_gap.online.changes import SPANS, ratios, suspects, unknown, with_ratios
+from steerd.sim_gap.online.fitting import Point, fit_effect, rank
 from steerd.sim_gap.online.looking import cut
-from steerd.sim_gap.online.naming import fit_effect, name, rank
+from steerd.sim_gap.online.naming import name
 
 OFF = {"steer_bias": 0.02, "steer_gain": -0.12, "marker_offset": 0.03, "tyre_friction": -0.4}
 
 
 def finding(anchor, track, looks):
     null, fits = rank(anchor, anchor.space.effects, track, looks)
-    return name(anchor, null, fits, 1.0)
+    points = {fit.effect: Point(fit.z, ()) for fit in fits}
+    return name(anchor, null, fits, 1.0, points)
 
 
 @pytest.mark.parametrize(("effect", "size"), OFF.items())

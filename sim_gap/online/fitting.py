@@ -1,0 +1,179 @@
+"""Every effect fitted to the windows since a change.
+
+Each window is a quadratic form, its loss Student's t as in the diagnosis, so a window that nothing
+explains (in which the change happened) decides nothing. The base is free within what was known of
+it before; the effect pays for its prior (Laplace's evidence).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.effects import find_effect
+from steerd.sim_gap.online.looking import Anchor, Look, cut, look_again
+from steerd.sim_gap.online.tracking import Track
+
+Array = NDArray[np.float64]
+
+CANDIDATES = 8
+"""Effects whose windows are looked at again ..."""
+CLOSER = (3, 5, 8, 12, 18, 26)
+"""... when there are so many."""
+ROUNDS = 5
+"""Times that the windows' weights are taken anew."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """One hypothesis at its best on the windows since a change.
+
+    Attributes:
+        effect: its name, empty for the base alone.
+        z: (n_base + k,) deviations from the anchor, the effect's last.
+        sd: (k,) standard errors of the effect's coordinates.
+        losses: (W,) of each window [nats].
+        ratios: (W,) what it leaves per degree of freedom.
+        cost: of the priors and of the effect's freedom [nats].
+    """
+
+    effect: str
+    z: Array
+    sd: Array
+    losses: Array
+    ratios: Array
+    cost: float
+
+    @property
+    def total(self) -> float:
+        """Negative log-evidence but for a constant [nats]."""
+        return float(self.losses.sum()) + self.cost
+
+
+class _Windows:
+    """Windows as arrays."""
+
+    def __init__(self, looks: Sequence[Look]) -> None:
+        self.g = np.array([seen.g for seen in looks])
+        self.h = np.array([seen.h for seen in looks])
+        self.square = np.array([seen.square for seen in looks])
+        self.dof = np.array([seen.dof for seen in looks], float)
+
+    def ratios(self, z: Array) -> Array:
+        """(W,) what is left per degree of freedom at deviations `z`."""
+        bent = np.einsum("i,wij,j->w", z, self.h, z)
+        left = self.square - 2.0 * self.g @ z + bent
+        return np.asarray(np.maximum(left, 0.0) / self.dof)
+
+
+def fit_effect(anchor: Anchor, before: Track, looks: Sequence[Look], effect: str) -> Fit:
+    """One effect (or, without a name, the base alone) at its best.
+
+    Args:
+        anchor: the car.
+        before: what was known of the base before the windows.
+        looks: the windows, in the base's coordinates and the effect's.
+        effect: of the library; empty for none.
+    """
+    n = anchor.space.nuisance
+    own = anchor.places(effect) if effect else []
+    windows = _Windows(looks)
+    spread = anchor.space.spread[own]
+    prior = np.zeros((n + len(own),) * 2)
+    prior[:n, :n] = before.information
+    prior[range(n, n + len(own)), range(n, n + len(own))] = spread**-2.0
+    pull = np.concatenate([before.pull, np.zeros(len(own))])
+    z = np.linalg.solve(prior, pull)
+    best = z
+    information = prior
+    for _ in range(ROUNDS):
+        weight = 2.0 / (1.0 + windows.ratios(best))
+        information = prior + np.einsum("w,wij->ij", weight, windows.h)
+        best = np.linalg.solve(information, pull + weight @ windows.g)
+    ratios = windows.ratios(best)
+    covariance = np.linalg.inv(0.5 * (information + information.T))[n:, n:]
+    away = best - z
+    cost = 0.5 * float(away @ prior @ away)
+    if own:
+        _, volume = np.linalg.slogdet(covariance / np.outer(spread, spread))
+        cost -= 0.5 * float(volume)
+    sd = np.sqrt(np.diag(covariance))
+    return Fit(effect, best, sd, windows.dof * np.log1p(ratios), ratios, cost)
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where an effect's windows are linearised: deviations `z`, and the windows seen from there."""
+
+    z: Array
+    looks: tuple[Look, ...]
+
+
+Points = Mapping[str, Point]
+
+
+def rank(
+    anchor: Anchor,
+    effects: Sequence[str],
+    before: Track,
+    looks: Sequence[Look],
+    points: Points = MappingProxyType({}),
+) -> tuple[Fit, list[Fit]]:
+    """The base alone, and every effect whose values a car may have, the likeliest first.
+
+    Args:
+        anchor: the car.
+        effects: what may have come about.
+        before: what was known of the base before.
+        looks: the windows since.
+        points: effects whose windows were looked at again, elsewhere than at the anchor.
+    """
+
+    def seen(effect: str) -> Sequence[Look]:
+        if effect in points:
+            return points[effect].looks
+        own = anchor.places(effect) if effect else []
+        return [cut(each, [*range(anchor.space.nuisance), *own]) for each in looks]
+
+    null = fit_effect(anchor, before, seen(""), "")
+    fits = [fit_effect(anchor, before, seen(effect), effect) for effect in effects]
+    possible = [fit for fit in fits if is_possible(anchor, fit)] or fits
+    return null, sorted(possible, key=lambda fit: fit.total)
+
+
+def look_closer(
+    anchor: Anchor, fits: Sequence[Fit], looks: Sequence[Look], points: Points
+) -> dict[str, Point]:
+    """The likeliest effects' windows looked at again.
+
+    At the numbers `CLOSER` of windows all of them, about where the effect now is; between, the
+    newest about where it was.
+    """
+    if len(looks) not in CLOSER:
+        return {
+            effect: Point(point.z, (*point.looks, look_again(anchor, looks[-1], effect, point.z)))
+            for effect, point in points.items()
+        }
+    return {
+        fit.effect: Point(
+            fit.z, tuple(look_again(anchor, seen, fit.effect, fit.z) for seen in looks)
+        )
+        for place, fit in enumerate(fits)
+        if place < CANDIDATES or fit.effect in alike_to(fits[0].effect)
+    }
+
+
+def is_possible(anchor: Anchor, fit: Fit) -> bool:
+    """Whether the effect's values are any that a car may have."""
+    places = anchor.places(fit.effect)
+    value = anchor.space.centre[places] + fit.z[anchor.space.nuisance :]
+    low, high = anchor.space.low[places], anchor.space.high[places]
+    return bool(((value >= low) & (value <= high)).all())
+
+
+def alike_to(effect: str) -> tuple[str, ...]:
+    """Effects that the library calls nearly the same."""
+    known = find_effect(effect).confounded_with
+    return known.effects if known is not None else ()
