@@ -22,15 +22,18 @@ if TYPE_CHECKING:
     from steerd.daemon.analysis.identification import Identification, identify
     from steerd.daemon.analysis.recorded import Session, load
     from steerd.daemon.analysis.simulation import simulate
+    from steerd.daemon.batch.run import Batch, batch
     from steerd.daemon.common.errors import SteerdError
     from steerd.daemon.sweep.run import Sweep, sweep
 
 __all__ = [
+    "Batch",
     "Diagnosis",
     "Identification",
     "Session",
     "SteerdError",
     "Sweep",
+    "batch",
     "diagnose",
     "identify",
     "load",
@@ -39,11 +42,13 @@ __all__ = [
 ]
 
 _MODULES = {
+    "Batch": "batch.run",
     "Diagnosis": "analysis.diagnosis",
     "Identification": "analysis.identification",
     "Session": "analysis.recorded",
     "SteerdError": "common.errors",
     "Sweep": "sweep.run",
+    "batch": "batch.run",
     "diagnose": "analysis.diagnosis",
     "identify": "analysis.identification",
     "load": "analysis.recorded",

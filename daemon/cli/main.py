@@ -60,6 +60,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "learn": ("analysis.learn", "what a drive teaches: parameters, and when the car changed"),
     "sweep": ("analysis.sweep", "many drives in virtual time, each another draw of the car"),
+    "batch": ("analysis.batch", "hundreds of sessions: each a row; what changed, and since when"),
     "rtcheck": ("setup.rtcheck", "measure whether this machine can run a control loop on time"),
     "keys": ("setup.keys", "certificates of a lab: for the car, its operators, its viewers"),
     "service": ("setup.service", "a systemd unit that starts disarmed, and the udev file"),

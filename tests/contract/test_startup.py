@@ -39,6 +39,9 @@ MISSING = {
     "info": ("info none.mcap",),
     "plot": ("plot {here} none.mcap",),
     "recover": ("recover none.mcap",),
+    "learn": ("learn none.mcap", "learn {here} --base none.toml"),
+    "sweep": ("sweep none.toml",),
+    "batch": ("batch summarise none.mcap", "batch identify {here} --cars none.toml"),
     "import": ("import {here} --map none.toml",),
 }  # fmt: skip
 """A line for every argument that names a file, by command; `{here}` is a file that exists."""

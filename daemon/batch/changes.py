@@ -1,0 +1,170 @@
+"""What changed on a car, and on which day: a step in a series of estimates, each with its error.
+
+For every car and quantity the likelihood of one value is compared with that of two, before and
+after a day. The scatter between drives of a car that did not change is taken from neighbours in
+time, so that a step does not hide itself. Asking many cars, quantities and days finds steps by
+chance; the bound counts the questions.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import erfc, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.daemon.batch.unit import day_of
+
+Array = NDArray[np.float64]
+CHANCE = 1e-3
+"""Probability that a batch without any change reports one."""
+LEAST = 6
+"""Drives of a car below which nothing is said about a change."""
+_SIDE = 3
+"""Least drives on either side of a step: of one or two the scatter explains anything."""
+_ROBUST = 1.4826 / sqrt(2.0)
+"""Median size of differences of neighbours to the standard deviation of one."""
+_DROP = 3.84
+"""Loss of twice the log-likelihood within which a day still may be the one (95 %)."""
+WEEK = 7 * 86_400.0
+"""[s]."""
+_WIDE = 1.96
+
+
+@dataclass(frozen=True)
+class Series:
+    """Estimates of one quantity of one car, in the order of time.
+
+    Attributes:
+        car, quantity: their names.
+        start: of the drives [UNIX s], (n,).
+        value, sd: estimates and their standard errors, (n,); an unknown error is 0.
+    """
+
+    car: str
+    quantity: str
+    start: Array
+    value: Array
+    sd: Array
+
+
+@dataclass(frozen=True)
+class Change:
+    """A step in a quantity.
+
+    Attributes:
+        car, quantity: of the series.
+        day: the first day of the new value.
+        earliest, latest: days between which the first one lies (95 %).
+        before, after: means on both sides.
+        sd: standard error of their difference.
+        chance: probability of a step as clear anywhere in the batch, without any change.
+    """
+
+    car: str
+    quantity: str
+    day: str
+    earliest: str
+    latest: str
+    before: float
+    after: float
+    sd: float
+    chance: float
+
+    @property
+    def sigmas(self) -> float:
+        """Size of the step in its standard errors."""
+        return abs(self.after - self.before) / self.sd
+
+
+@dataclass(frozen=True)
+class Band:
+    """Weekly means of a series with 95 % bands.
+
+    Attributes:
+        start: middle of each week's drives [UNIX s].
+        mean, half: mean, and half the band's width.
+    """
+
+    start: Array
+    mean: Array
+    half: Array
+
+
+def list_series(rows: Sequence[Mapping[str, Any]], quantities: Sequence[str]) -> Iterator[Series]:
+    """The series of every car and quantity that have enough drives."""
+    for car in sorted({str(row["car"]) for row in rows if row.get("car") is not None}):
+        own = sorted(
+            (row for row in rows if row.get("car") == car and row.get("start") is not None),
+            key=lambda row: (row["start"], row["session"]),
+        )
+        for name in quantities:
+            known = [row for row in own if row.get(name) is not None]
+            if len(known) >= LEAST:
+                columns = ([row.get(key) or 0.0 for row in known] for key in ("start", name))
+                start, value = (np.array(column, dtype=float) for column in columns)
+                sd = np.array([row.get(f"{name}_sd") or 0.0 for row in known])
+                yield Series(car, name, start, value, sd)
+
+
+def find_changes(series: Sequence[Series]) -> list[Change]:
+    """Steps that chance does not explain, the clearest first."""
+    questions = sum(max(len(s.value) - 2 * _SIDE + 1, 0) for s in series)
+    found = [change for s in series if (change := _find_step(s, questions)) is not None]
+    return sorted(found, key=lambda change: (change.chance, -change.sigmas))
+
+
+def _find_step(s: Series, questions: int) -> Change | None:
+    """The clearest step of a series; None where chance explains it."""
+    weight = 1.0 / (s.sd**2 + scatter(s) ** 2)
+    count = len(s.value)
+    total, sums = np.cumsum(weight), np.cumsum(weight * s.value)
+    at = np.arange(_SIDE, count - _SIDE + 1)
+    if not at.size or not np.isfinite(total).all():
+        return None
+    w1, w2 = total[at - 1], total[-1] - total[at - 1]
+    before, after = sums[at - 1] / w1, (sums[-1] - sums[at - 1]) / w2
+    variance = 1.0 / w1 + 1.0 / w2
+    gain = (after - before) ** 2 / variance
+    best = int(np.argmax(gain))
+    chance = min(questions * erfc(sqrt(gain[best] / 2.0)), 1.0)
+    if chance > CHANCE:
+        return None
+    near = np.flatnonzero(gain > gain[best] - _DROP)
+    days = [day_of(s.start[i]) for i in at]
+    return Change(
+        s.car, s.quantity, days[best], days[near[0]], days[near[-1]],
+        float(before[best]), float(after[best]), float(sqrt(variance[best])), chance,
+    )  # fmt: skip
+
+
+def scatter(s: Series) -> float:
+    """Scatter between drives beyond the estimates' own errors; from neighbours in time."""
+    if len(s.value) < 2:
+        return 1e-9
+    steps = np.diff(s.value)
+    spread = _ROBUST * float(np.median(np.abs(steps)))
+    own = float(np.median(s.sd))
+    least = 1e-9 * max(float(np.abs(s.value).max()), 1e-9)
+    return max(sqrt(max(spread**2 - own**2, 0.0)), least)
+
+
+def split_series(s: Series, begin: float) -> list[Series]:
+    """The drives before a time [UNIX s] and those from it on: a mean mixes no two cars."""
+    kept = (s.start < begin, s.start >= begin)
+    return [replace(s, start=s.start[k], value=s.value[k], sd=s.sd[k]) for k in kept]
+
+
+def make_band(s: Series) -> Band:
+    """Weekly means, counted from the first drive."""
+    week = ((s.start - s.start[0]) // WEEK).astype(int)
+    weight = 1.0 / (s.sd**2 + scatter(s) ** 2)
+    rows = []
+    for number in np.unique(week):
+        mine = week == number
+        total = weight[mine].sum()
+        mean = (weight[mine] * s.value[mine]).sum() / total
+        rows.append((s.start[mine].mean(), mean, _WIDE / sqrt(total)))
+    start, mean, half = np.array(rows).T
+    return Band(start, mean, half)

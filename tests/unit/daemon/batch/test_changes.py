@@ -1,0 +1,112 @@
+"""Steps in series of estimates: found on their day, and not where there are none."""
+
+import numpy as np
+import pytest
+
+from steerd.daemon.batch.changes import (
+    CHANCE,
+    LEAST,
+    WEEK,
+    Series,
+    find_changes,
+    list_series,
+    make_band,
+    scatter,
+    split_series,
+)
+
+DAY, BEGIN = 86_400.0, 1_772_366_400.0
+
+
+def make_series(rng, count=30, at=None, step=0.0, sd=0.02, extra=0.0, car="a", name="x"):
+    value = 1.0 + rng.normal(0.0, np.hypot(sd, extra), count)
+    if at is not None:
+        value[at:] += step
+    return Series(car, name, BEGIN + DAY * np.arange(count), value, np.full(count, sd))
+
+
+def test_a_step_is_found_on_its_day():
+    rng, off = np.random.default_rng(1), []
+    for _ in range(50):
+        (found,) = find_changes([make_series(rng, at=12, step=0.12, extra=0.02)])
+        off.append(int(found.day[-2:]) - 13)
+        assert found.earliest <= found.day <= found.latest
+        assert found.after - found.before == pytest.approx(0.12, abs=0.05)
+        assert found.sigmas > 4.0
+    assert np.mean(np.abs(off) <= 1) > 0.95
+
+
+def test_quiet_series_are_left_alone():
+    rng, wrong = np.random.default_rng(2), 0
+    for _ in range(300):
+        wrong += bool(find_changes([make_series(rng, extra=0.03) for _ in range(5)]))
+    assert wrong <= 6, f"{wrong} of 300 batches, at a bound of {CHANCE}"
+
+
+def test_the_clearest_comes_first_and_carries_its_names():
+    rng = np.random.default_rng(3)
+    series = [
+        make_series(rng, at=10, step=0.1, car="a", name="x"),
+        make_series(rng, at=20, step=0.4, car="b", name="y"),
+        make_series(rng, car="c"),
+    ]
+    found = find_changes(series)
+    assert [(c.car, c.quantity) for c in found] == [("b", "y"), ("a", "x")]
+    assert found[0].day == "2026-03-21"
+
+
+def test_scatter_does_not_see_a_step():
+    rng = np.random.default_rng(4)
+    quiet = np.mean([scatter(make_series(rng, 200, sd=0.0, extra=0.05)) for _ in range(20)])
+    moved = make_series(rng, 200, at=100, step=5.0, sd=0.0, extra=0.05)
+    assert quiet == pytest.approx(0.05, rel=0.15)
+    assert scatter(moved) == pytest.approx(0.05, rel=0.35)
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0])
+def test_constant_estimates_change_nothing(value):
+    series = Series("a", "x", BEGIN + DAY * np.arange(10), np.full(10, value), np.zeros(10))
+    assert find_changes([series]) == []
+
+
+def test_few_drives_say_nothing():
+    rows = [
+        {"car": "a", "start": BEGIN + DAY * i, "session": str(i), "x": float(i > 2)}
+        for i in range(LEAST)
+    ]
+    assert list(list_series(rows[:-1], ("x",))) == []
+    assert len(list(list_series(rows, ("x", "y")))) == 1
+
+
+def test_series_are_a_cars_own_in_the_order_of_time():
+    rows = [
+        {"car": car, "start": BEGIN + DAY * day, "session": f"{car}{day}", "x": day, "x_sd": 0.1}
+        for day in (3, 1, 0, 2, 5, 4)
+        for car in ("b", "a")
+    ]
+    rows.append({"car": None, "start": None, "session": "broken"})
+    one, two = list_series(rows, ("x",))
+    assert (one.car, two.car) == ("a", "b")
+    np.testing.assert_array_equal(one.value, range(6))
+    np.testing.assert_array_equal(one.sd, [0.1] * 6)
+
+
+def test_a_band_mixes_no_drives_from_before_and_after_a_change():
+    series = make_series(np.random.default_rng(6), 14, at=9, step=3.0)
+    before, after = split_series(series, BEGIN + 9 * DAY)
+    assert (len(before.value), len(after.value)) == (9, 5)
+    assert make_band(before).mean.max() < 1.5
+    assert make_band(after).mean.min() > 3.5
+    (alone,) = split_series(series, BEGIN + DAY)[:1]
+    assert make_band(alone).mean == pytest.approx(alone.value)
+
+
+def test_bands_are_weekly_means():
+    rng = np.random.default_rng(5)
+    series = make_series(rng, 28, sd=0.02)
+    band = make_band(series)
+    assert len(band.mean) == 4
+    assert np.diff(band.start) == pytest.approx(WEEK)
+    first = series.value[:7]
+    assert band.mean[0] == pytest.approx(first.mean(), abs=1e-9)
+    assert 1.96 * 0.02 / np.sqrt(7) <= band.half[0] < 0.05
