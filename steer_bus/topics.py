@@ -96,6 +96,9 @@ PARAMETERS = Topic("parameters", Parameters, priority=Priority.DATA_LOW, rate_hz
 LOG = Topic("rosout", Log, priority=Priority.DATA_LOW)
 MODEL = Topic("model", Model, priority=Priority.DATA_LOW, rate_hz=1.0)
 
+LAST_MODEL = "param/model"
+"""Key under which a car answers with its newest `model` message."""
+
 TOPICS = (
     TICK, MOCAP, VESC, IDENTITY, IMU, ACTUATION, STATE, TRANSITION, CLOCK, DRIVE, OPERATOR, ODOM,
     POSE, EXTERNAL_POSE, VESC_STATE, DIAGNOSTICS, LOG, WHEEL, THROTTLE,

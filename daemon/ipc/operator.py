@@ -1,5 +1,6 @@
 """An operator's side of the lease: requests with rising numbers under one id."""
 
+import contextlib
 import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,21 +12,24 @@ from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError
 from steerd.steer_bus.clock import Clock
-from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab, load_lab
 from steerd.steer_bus.messages import (
     BODY,
+    Model,
     OperatorRequest,
     ParameterRequest,
     RequestKind,
     make_header,
 )
 from steerd.steer_bus.standard import DiagnosticArray
-from steerd.steer_bus.topics import Topic, make_key
+from steerd.steer_bus.topics import LAST_MODEL, Topic, make_key
 from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
 
 DEFAULT_ENDPOINT = f"tcp/127.0.0.1:{DEFAULT_PORT}"
 
+MODEL_WAIT_S = 0.5
+"""Longest wait for the learner's newest report [s]."""
 KEEPALIVE_NS = 50_000_000
 """Time between keepalives; the lease lasts 300 ms."""
 
@@ -156,3 +160,11 @@ def read_status(bus: Bus, car: str, clock: Clock, timeout_s: float = 2.0) -> dic
         clock.sleep_until_ns(clock.now_ns() + 10_000_000)
     hint = f"is the car called {car!r}? name it with --name"
     raise SteerdError(f"no car {car!r} on the bus", hint, ExitCode.UNREACHABLE)
+
+
+def read_model(bus: Bus, car: str) -> Model | None:
+    """The newest report of a car's learner; None without one, or one of another version."""
+    for data in bus.query(make_key(car, LAST_MODEL), MODEL_WAIT_S).values():
+        with contextlib.suppress(CodecError):
+            return decode(Model, data)
+    return None

@@ -5,11 +5,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from steerd.car_model.car_file import CarFile
+from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.learning.report import NS, make_model
 from steerd.daemon.learning.samples import NEEDED, Wiring, make_sample
 from steerd.sim_gap.online.base import make_learner
 from steerd.sim_gap.online.learner import Learner, State, fold
 from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import encode
 from steerd.steer_bus.topics import Topic
 from steerd.sysid.data.dataset import RAMP_ERPM
 
@@ -42,6 +45,12 @@ class Feed:
             return None
         newest = round(self.state.recent.newest * NS)
         return make_model(self.state, newest, self.wiring.epoch_ns, self.dropped)
+
+
+def make_record(report: m.Model, number: int, log_time_ns: int) -> PipeRecord:
+    """A report as recorder and gateway take it; `number` counts from 0."""
+    published, data = m.stamp_ns(report.header), encode(report)
+    return PipeRecord(topics.MODEL, number, log_time_ns, published, data, report)
 
 
 def make_feed(car: CarFile, wiring: Wiring) -> Feed:

@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 from typing import Any
 
+from steerd.daemon.ipc.learner_wire import LEARNT_FROM
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled, Sample
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.topics import Topic
 from steerd.vesc_link.scaling import F1TENTH, Scaling
 
-NEEDED = (topics.MOCAP, topics.ACTUATION, topics.VESC, topics.WHEEL)
+NEEDED = (*LEARNT_FROM, topics.WHEEL)
 """Topics that the learner is fed by."""
 
 

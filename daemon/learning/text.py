@@ -7,7 +7,7 @@ from typing import Any
 
 from steerd.car_model.effects import find_effect
 from steerd.daemon.common.screen import join_words, wrap
-from steerd.daemon.learning.report import (
+from steerd.daemon.learning.told import (
     NS,
     ToldChange,
     ToldValue,
@@ -18,6 +18,8 @@ from steerd.steer_bus import messages as m
 
 LABEL = 13
 """Columns of a label."""
+QUIET = ("learning", "none")
+"""Verdicts of a car that did not change."""
 _VERDICTS = {
     "learning": "learning the car",
     "none": "no change of the car",
@@ -74,7 +76,7 @@ def gap_text(model: m.Model) -> str:
 def format_model(model: m.Model) -> list[str]:
     """Everything that was learnt, in lines of at most 80 columns."""
     lines = []
-    if model.verdict in ("learning", "none"):
+    if model.verdict in QUIET:
         lines += wrap(_VERDICTS[model.verdict], f"{'gap:':<{LABEL}}", " " * LABEL)
     for change in changes_told(model):
         lines += wrap(describe_change(model, change), f"{'gap:':<{LABEL}}", " " * LABEL)

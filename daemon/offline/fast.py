@@ -15,6 +15,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.offline.learn_beside import LearnerBeside
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive, make_virtual_run
 from steerd.daemon.process.recorder import Recording
 from steerd.daemon.terminal.closing import closing_lines
@@ -72,11 +73,13 @@ def record_virtual(
     """
     world = world or World(make_world_config(plan))
     recording = make_recording(plan, path)
+    learner = LearnerBeside(plan)
 
     def sink(records: list[PipeRecord], t_ns: int) -> None:
         try:
-            for each in records:
-                recording.add(each)
+            for record in records:
+                for each in learner.take(record):
+                    recording.add(each)
             recording.writer.tick(t_ns)
         except SessionError as error:  # not for the core: it would stop the car for a bug (W29)
             run.failed = run.failed or make_session_error(error)

@@ -17,6 +17,13 @@ from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import make_pipe
+from steerd.daemon.process.learner_job import (
+    core_ends,
+    learner_fds,
+    learner_pipes,
+    make_learner_job,
+    reader_fds,
+)
 from steerd.daemon.process.page_job import make_page_job
 from steerd.daemon.process.view_job import make_view_job
 from steerd.daemon.settings.run_options import encode_options
@@ -136,6 +143,7 @@ class RunProcesses:
         core, recorder, gateway: the processes.
         viewer: the process of `--view`, or None.
         page: of `--page`, or None.
+        learner: of `--learn`, or None.
         viewer_requests: what the viewer asks of this terminal, with `--view-sets`.
         requests: this terminal's end of the socket for requests to the core.
         status_fd: records for this terminal.
@@ -153,6 +161,7 @@ class RunProcesses:
     core_report: dict[str, Any]
     page: Page | None = None
     viewer_requests: socket.socket | None = None
+    learner: Child | None = None
 
     def end(self) -> int:
         """Wait for the core, then for the others, which end when its pipes close.
@@ -169,22 +178,34 @@ class RunProcesses:
                 child.process.wait(END_S)
             except subprocess.TimeoutExpired:
                 child.process.kill()
-        self._end_viewer()
+        _end_guest(self.viewer, "viewer")
+        _end_guest(self.learner, "learner")
         if self.page is not None:
             self.page.end()
         return code or self.recorder.process.returncode or 0
 
-    def _end_viewer(self) -> None:
-        """A viewer that failed or hangs is reported; the exit code stays the core's."""
-        if self.viewer is None:
-            return
-        try:
-            code = self.viewer.process.wait(VIEWER_END_S)
-        except subprocess.TimeoutExpired:
-            self.viewer.process.kill()
-            code = self.viewer.process.wait()
-        if code:
-            print(f"note: the viewer ended with code {code}", file=sys.stderr)
+
+def _end_guest(child: Child | None, name: str) -> None:
+    """A viewer or learner that failed or hangs is reported; the exit code stays the core's."""
+    if child is None:
+        return
+    try:
+        code = child.process.wait(VIEWER_END_S)
+    except subprocess.TimeoutExpired:
+        child.process.kill()
+        code = child.process.wait()
+    if code:
+        print(f"note: the {name} ended with code {code}", file=sys.stderr)
+
+
+def start_learner(
+    plan: RunPlan, pipes: Mapping[str, tuple[int, int]], epoch_ns: int
+) -> Child | None:
+    """Start the learner of `--learn`; nobody waits for it."""
+    if not plan.options.learn:
+        return None
+    job = make_learner_job(plan, epoch_ns)
+    return spawn("steerd.daemon.process.learner", learner_fds(pipes), job)
 
 
 def start_processes(
@@ -196,19 +217,22 @@ def start_processes(
         SteerdError: one of them failed to start, with its own text.
     """
     viewed = ("view",) if plan.options.view else ()
-    pipes = {name: make_pipe() for name in ("recorder", "gateway", "status", *viewed)}
+    names = ("recorder", "gateway", "status", *viewed, *learner_pipes(plan))
+    pipes = {name: make_pipe() for name in names}
     gateway_end, gateway_core_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     terminal_end, terminal_core_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    fds = {name: pipes[name][1] for name in pipes}
-    fds |= {"parent": terminal_core_end.fileno(), "gateway_requests": gateway_core_end.fileno()}
+    fds = core_ends(pipes) | {
+        "parent": terminal_core_end.fileno(),
+        "gateway_requests": gateway_core_end.fileno(),
+    }
     started: list[Child] = []
     recording = False
     try:
         # All at once: each takes a second for its imports. What the core writes before the others
         # are ready waits in its pipes.
         meta = make_metadata(plan, boot_id, epoch_ns, leased=leased)
-        started.append(_start_recorder(plan, session, meta, epoch_ns, pipes["recorder"][0]))
-        started.append(_start_gateway(plan, pipes["gateway"][0], gateway_end.fileno()))
+        started.append(_start_recorder(plan, session, meta, epoch_ns, pipes))
+        started.append(_start_gateway(plan, pipes, gateway_end.fileno()))
         started.append(_start_core(plan, boot_id, epoch_ns, leased, fds))
         viewer_requests = None
         if viewed:
@@ -228,6 +252,7 @@ def start_processes(
         if recording:
             session.unlink(missing_ok=True)
         raise
+    learner = start_learner(plan, pipes, epoch_ns)
     for name in pipes:
         os.close(pipes[name][1])
         if name != "status":
@@ -236,7 +261,7 @@ def start_processes(
         end.close()
     return RunProcesses(
         core, recorder, gateway, others[0] if others else None, terminal_end, pipes["status"][0],
-        session, core_report, page, viewer_requests,
+        session, core_report, page, viewer_requests, learner,
     )  # fmt: skip
 
 
@@ -289,7 +314,11 @@ def _end_started(
 
 
 def _start_recorder(
-    plan: RunPlan, session: Path, meta: dict[str, dict[str, str]], epoch_ns: int, pipe_fd: int
+    plan: RunPlan,
+    session: Path,
+    meta: dict[str, dict[str, str]],
+    epoch_ns: int,
+    pipes: Mapping[str, tuple[int, int]],
 ) -> Child:
     try:
         session.parent.mkdir(parents=True, exist_ok=True)
@@ -307,7 +336,8 @@ def _start_recorder(
         "disk_free_min": plan.settings.record.disk_free_min_mb * 1_000_000,
         "flush_ns": plan.settings.record.flush_ms * 1_000_000,
     }
-    return spawn("steerd.daemon.process.recorder", {"pipe": pipe_fd}, job)
+    fds = {"pipe": pipes["recorder"][0]} | reader_fds(pipes, "recorder")
+    return spawn("steerd.daemon.process.recorder", fds, job)
 
 
 def _start_viewer(plan: RunPlan, pipe_fd: int) -> tuple[Child, socket.socket | None]:
@@ -321,7 +351,7 @@ def _start_viewer(plan: RunPlan, pipe_fd: int) -> tuple[Child, socket.socket | N
     return child, ours
 
 
-def _start_gateway(plan: RunPlan, pipe_fd: int, requests_fd: int) -> Child:
+def _start_gateway(plan: RunPlan, pipes: Mapping[str, tuple[int, int]], requests_fd: int) -> Child:
     mocap = plan.options.mocap or ""
     pose_key = parse_mocap_url(mocap).key if mocap.startswith("zenoh:") else None
     job = {
@@ -332,4 +362,5 @@ def _start_gateway(plan: RunPlan, pipe_fd: int, requests_fd: int) -> Child:
         "pose_key": pose_key,
         "ros_domain": plan.options.ros_domain,
     }
-    return spawn("steerd.daemon.process.gateway", {"pipe": pipe_fd, "requests": requests_fd}, job)
+    fds = {"pipe": pipes["gateway"][0], "requests": requests_fd} | reader_fds(pipes, "gateway")
+    return spawn("steerd.daemon.process.gateway", fds, job)

@@ -12,6 +12,7 @@ from typing import Any
 
 from steerd.daemon.assembly.build import RunPlan, make_core, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.learner_wire import is_learnt_from
 from steerd.daemon.ipc.outbox import Sink
 from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, pack_record
 from steerd.daemon.ipc.sd_notify import make_notify
@@ -101,13 +102,15 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
     plan = make_plan(decode_options(job["options"]))
     port = open_first_port(plan.options.port or "")
     mocap = make_mocap(plan)
-    names = ("recorder", "gateway", "status", "view")
+    names = ("recorder", "gateway", "status", "view", "learner")
     pipes = {name: PipeWriter(fds[name]) for name in names if name in fds}
     sinks = [
         pipe_sink(pipes["recorder"], lambda r: r.topic.logged),
         pipe_sink(pipes["gateway"], lambda r: r.topic.on_bus),
         status_sink(pipes["status"]),
     ]
+    if "learner" in pipes:  # no link of the runner either: a drive goes on without it
+        sinks.append(pipe_sink(pipes["learner"], is_learnt_from))
     if "view" in pipes:  # not a link of the runner: a lost viewer does not stop the car
         sinks.append(pipe_sink(pipes["view"], lambda r: r.topic.on_bus))
     clock = MonotonicClock()

@@ -10,19 +10,20 @@ import os
 import select
 import socket
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, pack_request
-from steerd.daemon.ipc.pipe_records import unpack_records
+from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
+from steerd.daemon.ipc.report_pipe import ReportPipe
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.ros_bridge import RosBridge
 from steerd.daemon.process.views import Views
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError, Subscription
 from steerd.steer_bus.lab import load_lab
-from steerd.steer_bus.topics import alive_key, make_key, schema_replies
+from steerd.steer_bus.topics import LAST_MODEL, alive_key, make_key, schema_replies
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
 
 _POLL_MS = 4
@@ -51,11 +52,19 @@ class Gateway:
         self._tokens = [bus.declare_alive(alive_key(car))]
         schemas = schema_replies(car)
         self._tokens.append(bus.serve(make_key(car, "schema/**"), schemas.get))
+        self._model: bytes | None = None
+        self._tokens.append(bus.serve(make_key(car, LAST_MODEL), lambda _: self._model))
 
     def publish(self, buffer: bytearray) -> None:
         """Publish every whole record, with its standard ROS message."""
-        for record in unpack_records(buffer):
+        self.publish_records(unpack_records(buffer))
+
+    def publish_records(self, records: Iterable[PipeRecord]) -> None:
+        """Publish records, each with its standard ROS message."""
+        for record in records:
             for each in (record, *self._views.convert(record)):
+                if each.topic is topics.MODEL:
+                    self._model = each.data
                 if each.topic.direction is topics.Direction.OUT:
                     with contextlib.suppress(BusError):
                         self._bus.publish(make_key(self._car, each.topic), each.data)
@@ -71,8 +80,11 @@ class Gateway:
                         core.send(pack_request(name, sample.data))
 
 
-def run_gateway(gateway: Gateway, pipe_fd: int, core: socket.socket) -> None:
-    """Publish and pass on until the pipe closes."""
+def run_gateway(
+    gateway: Gateway, pipe_fd: int, core: socket.socket, reports: ReportPipe | None = None
+) -> None:
+    """Publish and pass on until the core's pipe closes."""
+    reports = reports or ReportPipe(None)
     buffer = bytearray()
     poll = select.poll()
     poll.register(pipe_fd, select.POLLIN | select.POLLHUP)
@@ -83,6 +95,7 @@ def run_gateway(gateway: Gateway, pipe_fd: int, core: socket.socket) -> None:
                 return
             buffer += data
             gateway.publish(buffer)
+        gateway.publish_records(reports.take())
         try:
             gateway.forward_requests(core)
         except OSError:
@@ -92,7 +105,7 @@ def run_gateway(gateway: Gateway, pipe_fd: int, core: socket.socket) -> None:
 def main() -> int:
     """Process entry: options as JSON on standard input, descriptors as arguments."""
     ignore_terminal_signals()
-    pipe_fd, core_fd, ready_fd = (int(text) for text in sys.argv[1:4])
+    pipe_fd, core_fd, *reported, ready_fd = (int(text) for text in sys.argv[1:])
     options = json.loads(sys.stdin.read())
     core = socket.socket(fileno=core_fd)
     core.setblocking(False)
@@ -103,7 +116,7 @@ def main() -> int:
             gateway = Gateway(bus, options["car"], options["pose_key"], ros)
             os.write(ready_fd, b"ready\n")
             os.close(ready_fd)
-            run_gateway(gateway, pipe_fd, core)
+            run_gateway(gateway, pipe_fd, core, ReportPipe(next(iter(reported), None)))
     except BusError as error:
         with contextlib.suppress(OSError):
             os.write(ready_fd, f"{error}\n".encode())

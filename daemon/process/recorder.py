@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
+from steerd.daemon.ipc.report_pipe import ReportPipe
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.views import Views
 from steerd.steer_bus.clock import MonotonicClock
@@ -25,6 +26,8 @@ from steerd.steer_bus.topics import TOPICS, make_session_topic
 _POLL_MS = 50
 """Longest wait for records before the file and the disk are looked after [ms]."""
 _READ_BYTES = 1 << 20
+_REPORTS_MS = 2000
+"""Longest pause after which the learner's last reports are not waited for [ms]."""
 _DISK_CHECK_NS = 1_000_000_000
 _NEARLY_FULL = "disk nearly full"
 _UNREADABLE = 3
@@ -80,8 +83,14 @@ def check_space(path: Path, disk_free_min: int) -> None:
         raise SessionError("disk", what, "free some space, or --record on another disk")
 
 
-def record_pipe(recording: Recording, fd: int, disk_free_min: int) -> str:
-    """Write until the pipe closes or the disk is nearly full; return the reason."""
+def record_pipe(
+    recording: Recording, fd: int, disk_free_min: int, reports: ReportPipe | None = None
+) -> str:
+    """Write until the pipe closes or the disk is nearly full; return the reason.
+
+    The learner's reports are written as they come; it may end before the drive.
+    """
+    reports = reports or ReportPipe(None)
     clock, buffer = MonotonicClock(), bytearray()
     poll = select.poll()
     poll.register(fd, select.POLLIN | select.POLLHUP)
@@ -90,10 +99,13 @@ def record_pipe(recording: Recording, fd: int, disk_free_min: int) -> str:
         if poll.poll(_POLL_MS):
             data = os.read(fd, _READ_BYTES)
             if not data:
+                for record in reports.rest(_REPORTS_MS):
+                    recording.add(record)
                 return "end of the run"
             buffer += data
             for record in unpack_records(buffer):
                 recording.add(record)
+        _take_reports(recording, reports)
         now = clock.now_ns()
         if recording.writer.tick(now):
             # In a thread: the disk may be slow, the pipe must be read.
@@ -104,6 +116,15 @@ def record_pipe(recording: Recording, fd: int, disk_free_min: int) -> str:
                 return _NEARLY_FULL
 
 
+def _take_reports(recording: Recording, reports: ReportPipe) -> None:
+    """Write what the learner reported; say when it has ended while the drive goes on."""
+    there = reports.fd is not None
+    for record in reports.take():
+        recording.add(record)
+    if there and reports.fd is None:
+        print("steerd recorder: the learner ended; the drive goes on without it", file=sys.stderr)
+
+
 def _sync(writer: SessionWriter) -> None:
     try:
         writer.sync()
@@ -112,9 +133,9 @@ def _sync(writer: SessionWriter) -> None:
 
 
 def main() -> int:
-    """Process entry: META_JSON on standard input, pipe and ready descriptors as arguments."""
+    """Process entry: META_JSON on standard input; pipe, perhaps reports, and ready as arguments."""
     ignore_terminal_signals()
-    fd, ready_fd = int(sys.argv[1]), int(sys.argv[2])
+    fd, *reported, ready_fd = (int(text) for text in sys.argv[1:])
     meta = json.loads(sys.stdin.read())
     disk_free_min = int(meta["disk_free_min"])
     try:
@@ -126,7 +147,7 @@ def main() -> int:
     os.write(ready_fd, b"ready\n")
     os.close(ready_fd)
     try:
-        reason = record_pipe(recording, fd, disk_free_min)
+        reason = record_pipe(recording, fd, disk_free_min, ReportPipe(next(iter(reported), None)))
         os.close(fd)
         recording.writer.finish({"reason": reason, "written": str(recording.written)})
     except SessionError as error:

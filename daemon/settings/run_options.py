@@ -40,6 +40,7 @@ class RunOptions:
         sim_car: car file of the simulated car, or `hidden:SEED`; "" for the car file's own car.
         ros_domain: ROS 2 domain in which rmw_zenoh sees the car, or None.
         view_sets: whether the viewer may ask for other live parameters.
+        learn: whether a learner runs beside recorder and gateway.
         view: ``[HOST:]PORT`` of the viewer's WebSocket, or "" for none.
     """
 
@@ -66,6 +67,7 @@ class RunOptions:
     sim_car: str = ""
     page: int | None = None
     view_sets: bool = False
+    learn: bool = False
 
 
 def encode_options(options: RunOptions) -> str:

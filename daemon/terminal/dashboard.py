@@ -9,9 +9,10 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from steerd.daemon.common.screen import show
+from steerd.daemon.common.screen import NBSP, show
 from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
+from steerd.daemon.learning.text import QUIET, gap_text
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -84,6 +85,7 @@ class Dashboard:
         state: latest estimate; None before the first.
         tick: latest timing; None before the first.
         parameters: live parameters; None where there are none.
+        model: what the learner reported last; None without one.
         status: latest diagnostics by name.
         events: latest transitions, one line each.
         tally: figures of the drive so far.
@@ -94,6 +96,7 @@ class Dashboard:
     state: m.StateMessage | None = None
     tick: m.Tick | None = None
     parameters: m.Parameters | None = None
+    model: m.Model | None = None
     status: dict[str, str] = field(default_factory=dict)
     events: deque[str] = field(default_factory=lambda: deque(maxlen=6))
     tally: Tally = field(default_factory=Tally)
@@ -109,6 +112,8 @@ class Dashboard:
             self.tick = read_message(record)
         elif record.topic is topics.PARAMETERS:
             self.parameters = read_message(record)
+        elif record.topic is topics.MODEL:
+            return self._take_model(read_message(record))
         elif record.topic is topics.DIAGNOSTICS:
             self.status = read_diagnostics(read_message(record))
         elif record.topic is topics.TRANSITION:
@@ -117,6 +122,16 @@ class Dashboard:
             self.events.append(line)
             return line
         return None
+
+    def _take_model(self, model: m.Model) -> str | None:
+        """A line where the learner says something new of a change."""
+        before, self.model = self.model, model
+        told = [(each.verdict, each.effect) for each in (before, model) if each is not None]
+        if model.verdict in QUIET or (told[0] == told[-1] and len(told) > 1):
+            return None
+        line = f"{'GAP':<14}{gap_text(model)}".replace(NBSP, " ")
+        self.events.append(line)
+        return line
 
     def render(self) -> RenderableType:
         """The panel."""
@@ -130,6 +145,9 @@ class Dashboard:
         parts += [Text(f"! {w}", style="yellow") for w in warnings[:3]]
         if self.parameters is not None:
             parts += _describe_live(self.parameters)
+        if self.model is not None:
+            style = "" if self.model.verdict in QUIET else "bold yellow"
+            parts.append(Text(f"gap    {gap_text(self.model)}", style=style))
         parts += [Text(), *(Text(line, style="dim") for line in self.events)]
         if self.keys:
             parts += [Text(), Text(self.keys, style="bold")]

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 def driven(tmp_path_factory):
     """A figure-eight of 34 s in virtual time; the simulated servo horn is bumped from the start."""
     path = tmp_path_factory.mktemp("learn") / "eight.mcap"
-    line = f"run --sim --fast --duration 34 --speed 1.7 --seed 3 --record {path}"
+    line = f"run --sim --fast --learn --duration 34 --speed 1.7 --seed 3 --record {path}"
     assert dispatch([*line.split(), "--effect", "steer_bias=0.02"]) == 0
     return path
 
@@ -26,6 +26,9 @@ def test_a_drive_teaches_the_car(driven, capsys):
     bias = re.search(r"steer_bias +([-+.\d]+) ± ([.\d]+) rad", out)
     assert float(bias[1]) == pytest.approx(0.02, abs=max(4.0 * float(bias[2]), 0.001))
     assert max(map(len, out.splitlines())) <= 80
+    told, count = re.search(r"in the session: (\d+) of (\d+) the same to the byte", out).groups()
+    assert told == count
+    assert int(count) >= 30
 
 
 def test_a_drive_teaches_the_same_again_to_the_byte(driven, capsys):

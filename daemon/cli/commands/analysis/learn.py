@@ -1,4 +1,4 @@
-"""What a drive teaches of the car, half second by half second: parameters, changes.
+"""What a drive teaches of the car, half second by half second, and when it changed.
 
 The learner of `steerd run --learn` on a recorded drive. It learns the car in
 the first 25 s of driving, follows it, and says when it changed, and how.

@@ -75,6 +75,11 @@ def _add_network_arguments(run: argparse._ArgumentGroup) -> None:
         help="show the car to ROS 2 nodes of this domain that use rmw_zenoh",
     )
     run.add_argument(
+        "--learn",
+        action="store_true",
+        help="learn the car while it drives, and say when it changed",
+    )
+    run.add_argument(
         "--view",
         nargs="?",
         const=str(DEFAULT_PORT),
@@ -155,6 +160,7 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         sim_car=args.sim_car or "",
         page=args.page,
         view_sets=args.view_sets,
+        learn=args.learn,
     )
 
 

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from steerd.daemon.cli.commands.driving.operate import add_car_arguments
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.common.screen import wrap
-from steerd.daemon.ipc.operator import connect, read_status
+from steerd.daemon.ipc.operator import connect, read_model, read_status
+from steerd.daemon.learning.text import encode_model, format_model
 from steerd.steer_bus.clock import MonotonicClock
 
 LABEL = 13
@@ -24,10 +25,13 @@ def run(args: argparse.Namespace) -> int:
     """Run the command."""
     with connect(args.connect, args.lab) as bus:
         status = read_status(bus, args.name, MonotonicClock())
+        model = read_model(bus, args.name)
     if args.json:
-        print(json.dumps(status, indent=2))
+        print(json.dumps({**status, **(encode_model(model) if model else {})}, indent=2))
         return ExitCode.OK
     print("\n".join(format_status(args.name, status)))
+    if model is not None:
+        print("\n".join(format_model(model)))
     return ExitCode.OK
 
 

@@ -6,7 +6,8 @@ from math import nan
 
 import pytest
 
-from steerd.daemon.learning.report import ToldChange, ToldValue, _pack, make_model
+from steerd.daemon.learning.report import make_model
+from steerd.daemon.learning.told import ToldChange, ToldValue, pack
 from steerd.sim_gap.online.learner import State
 from steerd.steer_bus import messages as m
 
@@ -39,6 +40,6 @@ def make_report() -> Callable[..., m.Model]:
             ToldValue("inertia_z", 0.046, 0.0093, "kg m^2", False),
         ]
         model = make_model(State(seen=120), MONO, NOON - MONO, 3)
-        return replace(model, verdict=verdict, told=_pack(values, list(changes)))
+        return replace(model, verdict=verdict, told=pack(values, list(changes)))
 
     return make

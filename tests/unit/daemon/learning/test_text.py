@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from steerd.daemon.learning.report import ToldValue, changes_told, values_told
 from steerd.daemon.learning.text import encode_model, format_model, gap_text, with_sd
+from steerd.daemon.learning.told import ToldValue, changes_told, values_told
 from steerd.steer_bus import messages as m
 
 

@@ -1,0 +1,43 @@
+"""The learner of `run --sim --fast --learn`: in the same process, in virtual time."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.ipc.learner_wire import is_learnt_from
+from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
+from steerd.daemon.offline.virtual import EPOCH_NS
+
+if TYPE_CHECKING:
+    from steerd.daemon.learning.feed import Feed
+
+
+class LearnerBeside:
+    """Records of a drive in, reports out; without `--learn` nothing comes out."""
+
+    def __init__(self, plan: RunPlan) -> None:
+        """Load the car.
+
+        Raises:
+            ValueError: the car file holds what identify does not write.
+        """
+        settings = plan.settings
+        self._feed: Feed | None = None
+        if plan.options.learn:  # a drive without it loads no compiler
+            from steerd.daemon.learning.feed import make_feed
+            from steerd.daemon.learning.samples import wiring_of
+
+            self._feed = make_feed(settings.file, wiring_of(EPOCH_NS, settings.scaling))
+        self._reports = 0
+
+    def take(self, record: PipeRecord) -> Iterator[PipeRecord]:
+        """The record, and the report that it completes."""
+        yield record
+        if self._feed is None or not is_learnt_from(record):
+            return
+        from steerd.daemon.learning.feed import make_record
+
+        report = self._feed.take(record.topic, read_message(record))
+        if report is not None:
+            yield make_record(report, self._reports, record.log_time_ns)
+            self._reports += 1

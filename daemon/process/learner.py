@@ -1,0 +1,90 @@
+"""The learner process: what the core sends in, a report a second out to recorder and gateway.
+
+It ends when the core's pipe closes. Nobody waits for it: both its pipes drop when full, and a drive
+without it goes on.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from steerd.car_model.car_file import parse_car
+from steerd.daemon.ipc.learner_wire import Gaps
+from steerd.daemon.ipc.pipe_records import PipeWriter, pack_record, unpack_records
+from steerd.daemon.ipc.signals import ignore_terminal_signals
+from steerd.daemon.learning.feed import Feed, make_feed, make_record
+from steerd.daemon.learning.samples import Wiring
+from steerd.steer_bus import messages as m
+from steerd.steer_bus.codec import CodecError, decode
+
+_READ_BYTES = 1 << 16
+
+
+class LearnerLoop:
+    """Records in, reports out.
+
+    Attributes:
+        feed: the learner.
+        outputs: where reports go.
+        reports: how many there were.
+    """
+
+    def __init__(self, feed: Feed, outputs: Sequence[PipeWriter]) -> None:
+        self.feed = feed
+        self.outputs = outputs
+        self.reports = 0
+        self._gaps = Gaps()
+
+    def take(self, buffer: bytearray) -> None:
+        """Take in every whole record; one that does not decode is as good as dropped."""
+        for record in unpack_records(buffer):
+            self._gaps.take(record)
+            self.feed.dropped = self._gaps.missed
+            try:
+                message = decode(record.topic.message, record.data)
+            except CodecError:
+                continue
+            report = self.feed.take(record.topic, message)
+            if report is not None:
+                self._send(report, record.log_time_ns)
+
+    def _send(self, report: m.Model, log_time_ns: int) -> None:
+        packed = pack_record(make_record(report, self.reports, log_time_ns))
+        self.reports += 1
+        for output in self.outputs:
+            output.write([packed], report.mono_ns)
+
+
+def make_learner_feed(job: Mapping[str, Any]) -> Feed:
+    """The feed of a job, see `steerd.daemon.process.learner_job`.
+
+    Raises:
+        ValueError: the car file holds what identify does not write.
+    """
+    wiring = Wiring(int(job["epoch_ns"]), float(job["erpm_gain"]), float(job["erpm_offset"]))
+    return make_feed(parse_car(job["car"], Path(job["path"])), wiring)
+
+
+def main() -> int:
+    """Process entry: the job as JSON on standard input, descriptors as arguments."""
+    ignore_terminal_signals()
+    pipe_fd, *out_fds, ready_fd = (int(text) for text in sys.argv[1:])
+    try:
+        feed = make_learner_feed(json.loads(sys.stdin.read()))
+    except ValueError as error:
+        print(f"steerd learner: {error}", file=sys.stderr)
+        return 4
+    os.write(ready_fd, b"ready\n")
+    os.close(ready_fd)
+    loop, buffer = LearnerLoop(feed, [PipeWriter(fd) for fd in out_fds]), bytearray()
+    while data := os.read(pipe_fd, _READ_BYTES):
+        buffer += data
+        loop.take(buffer)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
