@@ -8,6 +8,7 @@ it before; the effect pays for its prior (Laplace's evidence).
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,32 @@ class _Windows:
         return np.asarray(np.maximum(left, 0.0) / self.dof)
 
 
+class _System(NamedTuple):
+    """Windows with the prior of the coordinates: information (n, n) and pull (n,)."""
+
+    windows: _Windows
+    prior: Array
+    pull: Array
+
+    def solve(self, z: Array, free: NDArray[np.int64]) -> tuple[Array, Array]:
+        """The best values of some coordinates, the others held; and the information there."""
+        information = self.prior
+        for _ in range(ROUNDS):
+            weight = 2.0 / (1.0 + self.windows.ratios(z))
+            information = self.prior + np.einsum("w,wij->ij", weight, self.windows.h)
+            slope = self.pull + weight @ self.windows.g - information @ z
+            z = z.copy()
+            z[free] += np.linalg.solve(information[np.ix_(free, free)], slope[free])
+        return z, information
+
+
+def _inside(anchor: Anchor, places: Sequence[int], away: Array) -> Array:
+    """An effect's deviations, moved to where a car may be."""
+    centre, at = anchor.space.centre[list(places)], list(places)
+    low, high = anchor.space.low[at] - centre, anchor.space.high[at] - centre
+    return np.asarray(np.clip(away, low, high))
+
+
 def fit_effect(anchor: Anchor, before: Track, looks: Sequence[Look], effect: str) -> Fit:
     """One effect (or, without a name, the base alone) at its best.
 
@@ -86,12 +113,11 @@ def fit_effect(anchor: Anchor, before: Track, looks: Sequence[Look], effect: str
     prior[range(n, n + len(own)), range(n, n + len(own))] = spread**-2.0
     pull = np.concatenate([before.pull, np.zeros(len(own))])
     z = np.linalg.solve(prior, pull)
-    best = z
-    information = prior
-    for _ in range(ROUNDS):
-        weight = 2.0 / (1.0 + windows.ratios(best))
-        information = prior + np.einsum("w,wij->ij", weight, windows.h)
-        best = np.linalg.solve(information, pull + weight @ windows.g)
+    system = _System(windows, prior, pull)
+    best, information = system.solve(z, np.arange(len(z)))
+    held = _inside(anchor, own, best[n:])
+    if (held != best[n:]).any():
+        best, _ = system.solve(np.concatenate([best[:n], held]), np.arange(n))
     ratios = windows.ratios(best)
     covariance = np.linalg.inv(0.5 * (information + information.T))[n:, n:]
     away = best - z
@@ -121,7 +147,7 @@ def rank(
     looks: Sequence[Look],
     points: Points = MappingProxyType({}),
 ) -> tuple[Fit, list[Fit]]:
-    """The base alone, and every effect whose values a car may have, the likeliest first.
+    """The base alone, and every effect within what a car may have, the likeliest first.
 
     Args:
         anchor: the car.
@@ -139,8 +165,7 @@ def rank(
 
     null = fit_effect(anchor, before, seen(""), "")
     fits = [fit_effect(anchor, before, seen(effect), effect) for effect in effects]
-    possible = [fit for fit in fits if is_possible(anchor, fit)] or fits
-    return null, sorted(possible, key=lambda fit: fit.total)
+    return null, sorted(fits, key=lambda fit: fit.total)
 
 
 def look_closer(
@@ -165,12 +190,11 @@ def look_closer(
     }
 
 
-def is_possible(anchor: Anchor, fit: Fit) -> bool:
-    """Whether the effect's values are any that a car may have."""
-    places = anchor.places(fit.effect)
-    value = anchor.space.centre[places] + fit.z[anchor.space.nuisance :]
-    low, high = anchor.space.low[places], anchor.space.high[places]
-    return bool(((value >= low) & (value <= high)).all())
+def is_at_bound(anchor: Anchor, fit: Fit) -> bool:
+    """Whether the effect would have to be larger than on any car: it makes up for another."""
+    away = fit.z[anchor.space.nuisance :]
+    reach = 1.0 + 1e-9
+    return bool((_inside(anchor, anchor.places(fit.effect), reach * away) != reach * away).any())
 
 
 def alike_to(effect: str) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from steerd.car_model.effects import find_effect
 from steerd.sim_gap.engine import constants as c
 from steerd.sim_gap.engine.residuals import robust_mean
-from steerd.sim_gap.online.fitting import Fit, Points, alike_to
+from steerd.sim_gap.online.fitting import Fit, Points, alike_to, is_at_bound
 from steerd.sim_gap.online.looking import Anchor
 from steerd.sim_gap.verdict.decide import confidence_of, se_of_lead
 
@@ -138,7 +138,8 @@ def name(
     cause = Cause(best.effect, _values(anchor, best), sure, rivals)
     alone = not rivals and windows >= SURE_WINDOWS and sure >= SURE
     together = 0 < len(rivals) < SET_MOST and windows >= SET_WINDOWS and sure >= SET_SURE
-    if gain < c.GAIN_MIN or explained < SHARE or not (alone or together):
+    extreme = is_at_bound(anchor, best)
+    if gain < c.GAIN_MIN or explained < SHARE or extreme or not (alone or together):
         return Finding("unexplained" if windows >= SET_WINDOWS else "changed", cause, gain)
     return Finding("named", cause, gain)
 

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from steerd.sim_gap.online.changes import SPANS, ratios, suspects, unknown, with_ratios
-from steerd.sim_gap.online.fitting import Point, fit_effect, rank
+from steerd.sim_gap.online.fitting import Point, fit_effect, is_at_bound, rank
 from steerd.sim_gap.online.looking import cut
 from steerd.sim_gap.online.naming import name
 
+EFFECTS = ("steer_bias", "steer_gain", "marker_offset", "tyre_friction")
 OFF = {"steer_bias": 0.02, "steer_gain": -0.12, "marker_offset": 0.03, "tyre_friction": -0.4}
 
 
@@ -52,8 +53,11 @@ def test_a_window_that_nothing_explains_does_not_decide(anchor, track, windows):
 
 
 def test_a_value_that_no_car_has_names_nothing(anchor, track, windows):
-    fits = rank(anchor, anchor.space.effects, track, windows(8, steer_bias=0.9))[1]
-    assert all(fit.effect != "steer_bias" for fit in fits)
+    looks = windows(8, steer_bias=0.9)
+    fit = next(f for f in rank(anchor, EFFECTS, track, looks)[1] if f.effect == "steer_bias")
+    assert is_at_bound(anchor, fit)
+    assert fit.z[-1] == anchor.space.high[anchor.places("steer_bias")[0]]
+    assert finding(anchor, track, looks).verdict == "unexplained"
 
 
 def test_the_base_moves_only_within_what_is_known_of_it(anchor, track, windows):
