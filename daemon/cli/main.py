@@ -31,6 +31,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("driving.run", "drive: the control loop on a car or on simulated hardware"),
     "sim": ("driving.sim", "simulated hardware alone: a VESC on a pty, a mocap server"),
     "control": ("driving.control", "the lane keeper as a process of its own, over zenoh"),
+    "teleop": ("driving.teleop", "drive by gamepad, with a deadman's button"),
     "arm": ("driving.operate", "arm a running daemon"),
     "start": (
         "driving.operate",

@@ -1,7 +1,6 @@
 """Keys of a terminal as an operator's requests: the hold on a car, and its live parameters."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Protocol
 
 from steerd.daemon.ipc.operator import KEEPALIVE_NS
@@ -51,20 +50,25 @@ class Board(Protocol):
         ...
 
 
-def nudge(parameters: Parameters, key: str) -> dict[str, float]:
+def nudge(parameters: Parameters, wanted: Mapping[str, float], key: str) -> dict[str, float]:
     """The values that a key asks for: a step on, or to the bound before it.
 
     At the bound itself the step goes beyond it, so that the car says why it is refused.
+
+    Args:
+        parameters: as the car answered last.
+        wanted: what was asked for since.
+        key: of `NUDGES`, or `BACK`.
     """
     if key == BACK:
         return {"offset": 0.0, "gain": 1.0}
     name, step = NUDGES[key]
-    now = getattr(parameters, name)
+    now = wanted.get(name, getattr(parameters, name))
     low, high = getattr(parameters, f"{name}_min"), getattr(parameters, f"{name}_max")
-    wanted = round((now + step) / abs(step)) * abs(step)
+    aim = round((now + step) / abs(step)) * abs(step)
     bound = high if step > 0.0 else low
-    beyond = wanted > high if step > 0.0 else wanted < low
-    return {name: round(bound if beyond and now != bound else wanted, 6)}
+    beyond = aim > high if step > 0.0 else aim < low
+    return {name: round(bound if beyond and now != bound else aim, 6)}
 
 
 class KeyDesk:
@@ -91,7 +95,7 @@ class KeyDesk:
         self._holding = False
         self._requested_ns = self._alive_ns = 0
         self._answered: Parameters | None = None
-        self._wanted: Parameters | None = None
+        self._wanted: dict[str, float] = {}
 
     @property
     def holding(self) -> bool:
@@ -118,9 +122,9 @@ class KeyDesk:
         if known is None:
             return
         if known is not self._answered:
-            self._answered = self._wanted = known
-        values = nudge(self._wanted or known, key)
-        self._wanted = replace(self._wanted or known, **values)
+            self._answered, self._wanted = known, {}
+        values = nudge(known, self._wanted, key)
+        self._wanted |= values
         self._tune(values)
 
     def keep_alive(self) -> None:

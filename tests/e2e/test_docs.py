@@ -30,7 +30,7 @@ ROOMS = "daemon|tests|sysid|sim_gap|sim_hw|car_model|steer_bus"
 ROOMS += "|vesc_link|mocap_link|estimator|controller"
 HARDWARE = re.compile(r"/dev/tty|/dev/vesc|natnet://|vrpn://|zenoh:")
 OPERATOR = ("arm", "start", "stop", "disarm", "clear", "estop")
-OPERATOR += ("status", "control", "watch", "page")
+OPERATOR += ("status", "control", "watch", "page", "teleop")
 LONG = ("identify", "diagnose", "collect", "sweep", "batch")
 """Held by tests of their own, minutes long; here they are read by their parsers."""
 

@@ -2,7 +2,7 @@
 
 steerd watch
 steerd watch --lab screen
-steerd watch --operate      # arm, start and stop here too: this terminal holds it
+steerd watch --operate      # arm, start and stop here too; it holds the car
 
 Keys change live parameters: the highest speed, a lane beside the path, a share
 of the feedback. The car refuses those of anybody but the operator who holds it.

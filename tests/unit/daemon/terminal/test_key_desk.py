@@ -39,14 +39,14 @@ LIVE = Parameters(
     ],
 )  # fmt: skip
 def test_a_key_is_a_step(key, wanted):
-    assert nudge(LIVE, key) == wanted
+    assert nudge(LIVE, {}, key) == wanted
 
 
 def test_the_last_step_leads_to_the_bound_and_the_next_is_the_cars_to_refuse():
-    assert nudge(replace(LIVE, speed=1.4), "+") == {"speed": 1.45}
-    assert nudge(replace(LIVE, speed=1.45), "+")["speed"] > 1.45
-    assert nudge(replace(LIVE, speed=0.35), "-") == {"speed": 0.3}
-    assert nudge(replace(LIVE, speed=0.3), "-")["speed"] < 0.3
+    assert nudge(replace(LIVE, speed=1.4), {}, "+") == {"speed": 1.45}
+    assert nudge(replace(LIVE, speed=1.45), {}, "+")["speed"] > 1.45
+    assert nudge(replace(LIVE, speed=0.35), {}, "-") == {"speed": 0.3}
+    assert nudge(replace(LIVE, speed=0.3), {}, "-")["speed"] < 0.3
 
 
 def test_every_key_of_the_help_has_a_meaning_and_fits_the_screen():

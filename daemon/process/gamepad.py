@@ -1,0 +1,187 @@
+"""Gamepads as a stream of the kernel's input events. `evdev` lives here.
+
+A device node is read with its axes' ranges and its end; a pipe carries the same events as bytes,
+from another computer (`ssh pad cat /dev/input/event5`) or from a recording.
+"""
+
+import os
+import stat
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
+FOLDER = Path("/dev/input")
+EVENT = struct.Struct("llHHi")
+"""`struct input_event` of a 64-bit kernel: seconds, microseconds, type, code, value."""
+KEY, ABS, SYN = 1, 3, 0
+"""Event types: a button, an axis, the end of a report."""
+SYN_DROPPED = 3
+"""Code of SYN: the kernel's buffer ran over."""
+_READ_BYTES = 64 * EVENT.size
+
+
+class PadGoneError(Exception):
+    """The gamepad was unplugged, or its stream has ended."""
+
+
+class PadEvent(NamedTuple):
+    """One input event."""
+
+    type: int
+    code: int
+    value: int
+
+
+class AxisRange(NamedTuple):
+    """What an axis can report, and where it counts as at rest."""
+
+    low: int
+    high: int
+    flat: int = 0
+
+
+class Pad(Protocol):
+    """A source of input events.
+
+    Attributes:
+        name: for people.
+        fd: readable when events are there.
+        axes: ranges by the axis's code.
+    """
+
+    name: str
+    fd: int
+    axes: Mapping[int, AxisRange]
+
+    def read(self) -> list[PadEvent]:
+        """The events that are there.
+
+        Raises:
+            PadGoneError: no more will come.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let it go."""
+        ...
+
+
+STICK, TRIGGER = AxisRange(-32768, 32767, 1500), AxisRange(0, 1023)
+XBOX_AXES: Mapping[int, AxisRange] = {
+    0: STICK, 1: STICK, 2: TRIGGER, 3: STICK, 4: STICK, 5: TRIGGER,
+}  # fmt: skip
+"""Ranges of the pads that the kernel's `xpad` drives, for streams, which have no others."""
+
+
+@dataclass
+class StreamPad:
+    """Events as bytes from a pipe."""
+
+    name: str
+    fd: int
+    axes: Mapping[int, AxisRange] = field(default_factory=lambda: XBOX_AXES)
+    _rest: bytes = b""
+
+    def read(self) -> list[PadEvent]:
+        """See `Pad`."""
+        data = os.read(self.fd, _READ_BYTES)
+        if not data:
+            raise PadGoneError(self.name)
+        data = self._rest + data
+        whole = len(data) - len(data) % EVENT.size
+        self._rest = data[whole:]
+        return [PadEvent(*event[2:]) for event in EVENT.iter_unpack(data[:whole])]
+
+    def close(self) -> None:
+        """See `Pad`."""
+        os.close(self.fd)
+
+
+class DevicePad:
+    """A device node of the kernel."""
+
+    def __init__(self, path: Path) -> None:
+        import evdev  # noqa: TID251
+
+        self._device = evdev.InputDevice(str(path))
+        self.name, self.fd = str(self._device.name), int(self._device.fd)
+        axes: list[Any] = list(self._device.capabilities().get(ABS, []))
+        self.axes: Mapping[int, AxisRange] = {
+            code: AxisRange(info.min, info.max, info.flat) for code, info in axes
+        }
+
+    def read(self) -> list[PadEvent]:
+        """See `Pad`."""
+        try:
+            return [PadEvent(e.type, e.code, e.value) for e in self._device.read()]
+        except BlockingIOError:
+            return []
+        except OSError:
+            raise PadGoneError(self.name) from None
+
+    def close(self) -> None:
+        """See `Pad`."""
+        self._device.close()
+
+
+def open_pad(path: Path | None, deadman: int) -> Pad:
+    """The named gamepad or pipe, or the only gamepad.
+
+    Args:
+        path: a device node or a pipe; None to look for one.
+        deadman: the button that a gamepad must have.
+
+    Raises:
+        SteerdError: there is none, there are several, or it cannot be read.
+    """
+    if path is not None and path.exists() and stat.S_ISFIFO(path.stat().st_mode):
+        return StreamPad(str(path), os.open(path, os.O_RDONLY))
+    _require_evdev()
+    return _open_device(path if path is not None else find_pad(deadman))
+
+
+def _open_device(path: Path) -> Pad:
+    try:
+        return DevicePad(path)
+    except PermissionError:
+        hint = "sudo usermod -aG input $USER, and log in anew"
+        raise SteerdError(f"{path}: no permission to read it", hint, ExitCode.UNREADABLE) from None
+    except OSError as error:
+        hint = "is it plugged in? `ls /dev/input/by-id` shows gamepads that are"
+        what = f"{path}: {error.strerror or error}"
+        raise SteerdError(what, hint, ExitCode.UNREADABLE) from None
+
+
+def find_pad(deadman: int) -> Path:
+    """The only device that has the deadman's button.
+
+    Raises:
+        SteerdError: none, or several.
+    """
+    import evdev  # noqa: TID251
+
+    found = []
+    for name in sorted(evdev.list_devices(str(FOLDER))):
+        device = evdev.InputDevice(name)
+        if deadman in device.capabilities().get(KEY, []):
+            found.append(Path(name))
+        device.close()
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        hint = "plug one in, or name it with --device; reading one needs the group `input`"
+        raise SteerdError("there is no gamepad", hint, ExitCode.UNREADABLE)
+    listed = ", ".join(map(str, found))
+    raise SteerdError("there are several gamepads", f"--device, one of {listed}", ExitCode.USAGE)
+
+
+def _require_evdev() -> None:
+    from importlib.util import find_spec
+
+    if find_spec("evdev") is None:
+        hint = "pip install 'evdev-binary>=2' (or `pip install -e '.[gamepad]'` in the checkout)"
+        raise SteerdError("a gamepad needs the package evdev", hint, ExitCode.UNREADABLE)
