@@ -19,11 +19,19 @@ from steerd.sim_gap.online.tracking import Track
 
 Array = NDArray[np.float64]
 
-CANDIDATES = 8
+CANDIDATES = 6
 """Effects whose windows are looked at again ..."""
-CLOSER = (3, 5, 8, 12, 18, 26)
+CLOSER = (3, 5, 8, 14, 24)
 """... when there are so many."""
-ROUNDS = 5
+FIRST = (
+    "steer_bias", "steer_gain", "steer_delay", "tyre_friction", "speed_scale", "mocap_yaw",
+    "marker_offset",
+)  # fmt: skip
+"""Effects that are ordinary on a bad day: they are looked at again although others lead by far. A
+steering that was at its end stop has no derivative by a gain that takes it off."""
+HOPELESS = 0.2
+"""Unless they explain less than this of what the leading one does."""
+ROUNDS = 6
 """Times that the windows' weights are taken anew."""
 
 
@@ -76,11 +84,26 @@ class _System(NamedTuple):
     prior: Array
     pull: Array
 
+    def cost(self, z: Array, centre: Array) -> float:
+        """Losses and half the prior's square [nats]."""
+        losses = self.windows.dof * np.log1p(self.windows.ratios(z))
+        return float(losses.sum()) + 0.5 * float((z - centre) @ self.prior @ (z - centre))
+
     def solve(self, z: Array, free: NDArray[np.int64]) -> tuple[Array, Array]:
-        """The best values of some coordinates, the others held; and the information there."""
+        """The best values of some coordinates, the others held; and the information there.
+
+        Windows that the start explains badly hardly pull, so a large effect that explains them all
+        is looked for from equal weights too.
+        """
+        ends = [self._descend(z, free, even) for even in (False, True)]
+        return min(ends, key=lambda end: self.cost(end[0], z))
+
+    def _descend(self, z: Array, free: NDArray[np.int64], even: bool) -> tuple[Array, Array]:
         information = self.prior
-        for _ in range(ROUNDS):
+        for turn in range(ROUNDS):
             weight = 2.0 / (1.0 + self.windows.ratios(z))
+            if even and turn == 0:
+                weight = np.ones_like(weight)
             information = self.prior + np.einsum("w,wij->ij", weight, self.windows.h)
             slope = self.pull + weight @ self.windows.g - information @ z
             z = z.copy()
@@ -169,7 +192,7 @@ def rank(
 
 
 def look_closer(
-    anchor: Anchor, fits: Sequence[Fit], looks: Sequence[Look], points: Points
+    anchor: Anchor, null: Fit, fits: Sequence[Fit], looks: Sequence[Look], points: Points
 ) -> dict[str, Point]:
     """The likeliest effects' windows looked at again.
 
@@ -185,9 +208,20 @@ def look_closer(
         fit.effect: Point(
             fit.z, tuple(look_again(anchor, seen, fit.effect, fit.z) for seen in looks)
         )
-        for place, fit in enumerate(fits)
-        if place < CANDIDATES or fit.effect in alike_to(fits[0].effect)
+        for fit in worth_a_look(null, fits)
     }
+
+
+def worth_a_look(null: Fit, fits: Sequence[Fit]) -> list[Fit]:
+    """Effects that lead, that are nearly the same as the first, or that are ordinary."""
+    most = null.total - fits[0].total
+    alike = alike_to(fits[0].effect)
+    ordinary = [f for f in fits if f.effect in FIRST and null.total - f.total > HOPELESS * most]
+    return [
+        fit
+        for place, fit in enumerate(fits)
+        if place < CANDIDATES or fit.effect in alike or fit in ordinary
+    ]
 
 
 def is_at_bound(anchor: Anchor, fit: Fit) -> bool:

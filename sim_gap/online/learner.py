@@ -262,8 +262,8 @@ def judge(
     """
     anchor = known.anchor
     short = {e: p for e, p in points.items() if len(p.looks) == len(looks)}
-    _, fits = rank(anchor, known.effects, before, looks, short)
-    points = look_closer(anchor, fits, looks, points)
+    null, fits = rank(anchor, known.effects, before, looks, short)
+    points = look_closer(anchor, null, fits, looks, points)
     null, fits = rank(anchor, known.effects, before, looks, points)
     finding = name(anchor, null, fits, known.usual_ratio, points)
     return Change(looks[0].t, noticed, before, looks, windows, points, finding)

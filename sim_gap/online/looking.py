@@ -4,6 +4,8 @@ The anchor is the car as it was learnt. About it each window is a quadratic form
 coordinates and those of all effects (`engine`), so a window is evaluated once and never again.
 """
 
+# Why: docs/decisions/diagnosis.md#d78
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
