@@ -37,7 +37,7 @@ class DiagnoseRequest:
         pairs: whether two causes together are tried.
         closed_loop: whether a lane drive is driven again in simulation.
         speed: `wheel` takes the measured speed in place of the command.
-        jobs, dask: where to work.
+        jobs: candidates side by side.
     """
 
     sessions: tuple[Path, ...]
@@ -50,7 +50,6 @@ class DiagnoseRequest:
     closed_loop: bool = True
     speed: Speed = "command"
     jobs: int = 1
-    dask: str | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -147,7 +147,6 @@ def diagnose(
     closed_loop: bool = True,
     speed: Speed = "command",
     jobs: int = 1,
-    dask: str | None = None,
 ) -> Diagnosis:
     """Find where the simulation of a car differs from its drives, and which effect causes it.
 
@@ -164,7 +163,6 @@ def diagnose(
         closed_loop: whether a lane drive is driven again in simulation, with and without.
         speed: `wheel` takes the measured wheel speed for the command, where a car did not obey it.
         jobs: threads for the candidates.
-        dask: address of a Dask scheduler instead.
 
     Returns:
         Verdict, causes with standard errors, predicted and measured shrinkage.
@@ -183,7 +181,6 @@ def diagnose(
         closed_loop=closed_loop,
         speed=speed,
         jobs=jobs,
-        dask=dask,
     )
     return run_diagnosis(request)
 
@@ -236,7 +233,6 @@ def _find_causes(
 
     from steerd.sim_gap import diagnosis as engine
     from steerd.sysid.data.data_checks import DataError
-    from steerd.sysid.parallel import DaskMissingError, on_cluster
 
     options = engine.Options(
         held_out=case.held_out or (),
@@ -249,12 +245,9 @@ def _find_causes(
         written=written,
     )
     try:
-        with on_cluster(request.dask):
-            return engine.diagnose(case.runs, case.base, options)
+        return engine.diagnose(case.runs, case.base, options)
     except DataError as error:
         raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
-    except DaskMissingError as error:
-        raise SteerdError(str(error), "", ExitCode.USAGE) from None
     except FloatingPointError as error:
         raise SteerdError(str(error), _IDENTIFY, ExitCode.STOPPED) from None
     except LinAlgError:

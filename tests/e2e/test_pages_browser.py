@@ -4,7 +4,9 @@ Wide and narrow, light and dark, in the language that containers give: nothing o
 text over text, none cut off, beyond the edge, or too pale to read.
 """
 
+import os
 import re
+import shutil
 
 import pytest
 
@@ -18,7 +20,15 @@ WINDOWS = [
     for width in (1280, 420)
     for dark in (False, True)
 ]
-PAGES = ("drive", "compare", "identify", "gap")
+PAGES = ("drive", "compare", "identify", "gap", "sweep", "batch")
+SWEEP = """
+seeds = 4
+duration = 3.5
+[vary]
+path = ["figure8", "circle:radius=2,dir=cw"]
+"effect.steer_delay" = { low = 0.0, high = 0.05 }
+"mocap.position_noise" = { median = 0.001, factor = 2.0 }
+"""
 DRAWN = "document.documentElement.dataset.ready || !document.getElementById('panels')"
 
 
@@ -43,7 +53,25 @@ def pages(tmp_path_factory):
         f"diagnose {session} --report {folder}/gap.html",
     ):
         assert run_cli(line.split()) == 0, line
+    draw_many(folder, session)
     return folder
+
+
+def draw_many(folder, session):
+    """The pages of many drives: a short sweep, and a drive copied to eight days."""
+    (folder / "sweep.toml").write_text(SWEEP)
+    days = folder / "days"
+    days.mkdir()
+    for day in range(8):
+        copy = days / f"a drive with a long name on the day {day}.mcap"
+        shutil.copyfile(session, copy)
+        os.utime(copy, (0, 1_772_366_400 + 86_400 * day))
+    (days / "junk.mcap").write_text("no session")
+    for argv in (
+        ["sweep", str(folder / "sweep.toml"), "--page", str(folder / "sweep.html")],
+        ["batch", "summarise", str(days), "--page", str(folder / "batch.html")],
+    ):
+        assert run_cli([*argv, "--jobs", "1"]) == 0, argv
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -74,15 +74,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     where = parser.add_argument_group("where")
     where.add_argument("--jobs", type=int, default=1, metavar="N", help="candidates side by side")
-    where.add_argument("--dask", metavar="ADDRESS", help="a Dask scheduler instead")
+    where.add_argument(
+        "--dask", metavar="ADDRESS", help="gone: `steerd batch` shares whole sessions"
+    )
 
 
 def make_request(args: argparse.Namespace) -> "DiagnoseRequest":
     """Typed values of the command line.
 
     Raises:
-        SteerdError: what is held out makes no sense.
+        SteerdError: what is held out makes no sense, or an option is gone.
     """
+    if args.dask is not None:
+        what = "--dask: the candidates of one diagnosis share nothing worth sending"
+        hint = "steerd batch diagnose SESSIONS --dask ADDRESS shares whole sessions"
+        raise SteerdError(what, hint, ExitCode.USAGE)
     from steerd.daemon.analysis.diagnose_case import DiagnoseRequest
     from steerd.daemon.analysis.held_out import parse_held_out, split_list
 
@@ -97,7 +103,6 @@ def make_request(args: argparse.Namespace) -> "DiagnoseRequest":
         closed_loop=not args.no_closed_loop,
         speed=args.speed,
         jobs=args.jobs,
-        dask=args.dask,
     )
 
 

@@ -8,6 +8,8 @@ import argparse
 import secrets
 import signal
 import sys
+import threading
+from importlib import import_module
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -253,6 +255,8 @@ def _run_simulated(plan: "RunPlan") -> int:
     from steerd.sim_hw.real_time.links import spawn_sim
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    # While the simulated hardware starts, this process loads what it needs next.
+    threading.Thread(target=import_module, args=(_LIVE,), daemon=True).start()
     with spawn_sim(make_world_config(plan)) as sim:
         options = replace(plan.options, port=sim.port, mocap=sim.mocap_url)
         code, reason = _run_live(replace(plan, options=options))
@@ -261,6 +265,8 @@ def _run_simulated(plan: "RunPlan") -> int:
     return code
 
 
+_LIVE = "steerd.daemon.terminal.terminal"
+"""What a drive in real time loads first."""
 _BUSY = ("W1 ", "W7 ", "W8 ", "W9 ", "W15 ", "W16 ")
 """Watchdogs that a machine without time for simulated hardware trips."""
 

@@ -19,7 +19,7 @@ from steerd.daemon.analysis.diagnose_text import COLUMNS, LINES
 from steerd.daemon.analysis.held_out import HeldOut, parse_held_out
 from steerd.daemon.cli.commands.analysis import diagnose as command
 from steerd.daemon.cli.main import run_cli as main
-from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from tests.csv_logs import STEP, import_log, make_noisy_rows
 
 pytestmark = pytest.mark.slow
@@ -133,6 +133,13 @@ def test_help_says_what_it_does(capsys):
     for option in ("--held-out", "--base", "--only", "--without", "--report", "--dask"):
         assert option in text
     assert "--runs-held-out" not in text
+
+
+def test_an_option_that_is_gone_says_what_replaced_it(tmp_path, capsys):
+    (tmp_path / "a.mcap").write_bytes(b"")
+    argv = ["diagnose", str(tmp_path / "a.mcap"), "--dask", "tcp://127.0.0.1:1"]
+    assert main(argv) == ExitCode.USAGE
+    assert "steerd batch diagnose" in capsys.readouterr().err
 
 
 # --- what is refused
