@@ -1,7 +1,8 @@
-"""Completion scripts of the commands' own parsers, by shtab."""
+"""Completion scripts and the manual page, of the commands' own parsers."""
 
 import argparse
 import importlib
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -22,11 +23,30 @@ def make_script(shell: str, commands: Mapping[str, tuple[str, str]]) -> str:
     return str(shtab.complete(make_full_parser(commands), shell))
 
 
+def make_manual(commands: Mapping[str, tuple[str, str]], version: str) -> str:
+    """The manual page in roff; the same text for the same commands and version.
+
+    Args:
+        commands: as for `make_script`.
+        version: of steerd.
+    """
+    from argparse_manpage.manpage import Manpage
+
+    parser = make_full_parser(commands)
+    parser.description = "Control, identification and sim-to-real diagnosis for Ackermann cars."
+    page = str(Manpage(parser, _data={"version": version, "project_name": "steerd"}))
+    # The day on which it was printed is nobody's business.
+    return _HEAD.sub(f'.TH STEERD "1" "" "steerd {version}" "steerd"', page, count=1)
+
+
+_HEAD = re.compile(r"^\.TH .*$", re.MULTILINE)
+
+
 def make_full_parser(commands: Mapping[str, tuple[str, str]]) -> argparse.ArgumentParser:
     """One parser that knows every command's options; running a command needs only its own."""
     parser = argparse.ArgumentParser(prog="steerd")
     parser.add_argument("--version", action="store_true", help="print the version")
-    children = parser.add_subparsers(dest="command")
+    children = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, (module, text) in commands.items():
         child = children.add_parser(name, help=text)
         importlib.import_module(f"steerd.daemon.cli.commands.{module}").add_arguments(child)

@@ -1,9 +1,10 @@
-"""A run as a systemd service: the unit's text and its path. Pure."""
+"""A run as a systemd service or a ROS 2 launch file: their texts, and the unit's path. Pure."""
 
 import os
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.setup.probe import UDEV_NAME, UDEV_RULE
@@ -67,6 +68,28 @@ def make_unit(command: Sequence[str], car: str, *, user: bool) -> str:
         stop=STOP_S,
         wanted="default.target" if user else "multi-user.target",
     )
+
+
+_LAUNCH = """\
+<!-- Made by `steerd service launch`. ros2 launch steerd.launch.xml; it starts disarmed.
+     On shutdown it gets SIGINT, which brings the car to rest, and {stop} s for it. -->
+<launch>
+  <executable cmd={command} output="screen" sigterm_timeout="{stop}" sigkill_timeout="{stop}"/>
+</launch>
+"""
+
+
+def make_launch(command: Sequence[str]) -> str:
+    """A ROS 2 launch file for the same command line.
+
+    Raises:
+        SteerdError: an argument holds what a launch file would substitute.
+    """
+    for text in command:
+        if "$(" in text or any(c in text for c in "\n\r\0"):
+            what = f"{text!r} cannot be written in a launch file"
+            raise SteerdError(what, "", ExitCode.USAGE)
+    return _LAUNCH.format(command=quoteattr(shlex.join(command)), stop=STOP_S)
 
 
 def _quote(part: str) -> str:

@@ -1,7 +1,8 @@
-"""Run steerd as a systemd service that starts disarmed: its unit and udev file.
+"""Run steerd as a service that starts disarmed: systemd's unit, ROS 2, udev.
 
 steerd service install --user --port /dev/vesc --mocap natnet://HOST/car
 steerd service print --port /dev/vesc --mocap natnet://HOST/car
+steerd service launch --port /dev/vesc --mocap natnet://HOST/car
 steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules
 
 All options of `steerd run` are accepted and checked before anything is written.
@@ -17,7 +18,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to do, for whom, and what to run."""
-    parser.add_argument("action", choices=("install", "uninstall", "print", "udev"))
+    parser.add_argument("action", choices=("install", "uninstall", "print", "launch", "udev"))
     whose = parser.add_mutually_exclusive_group()
     whose.add_argument("--user", action="store_true", help="your own service manager (default)")
     whose.add_argument("--system", action="store_true", help="the machine's; needs root")
@@ -31,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: the options are wrong, a unit exists already, or a file cannot be written.
     """
-    from steerd.daemon.cli.service import udev_text, unit_path
+    from steerd.daemon.cli.service import make_launch, make_unit, udev_text, unit_path
 
     user = not args.system
     path = unit_path(user)
@@ -40,23 +41,30 @@ def run(args: argparse.Namespace) -> int:
         return ExitCode.OK
     if args.action == "uninstall":
         return _uninstall(path, user)
-    text = _unit(args, user)
+    command = _make_command(args)
+    if args.action == "launch":
+        print(make_launch(command), end="")
+        return ExitCode.OK
+    text = make_unit(command, args.name, user=user)
     if args.action == "print":
         print(text, end="")
         return ExitCode.OK
     return _install(path, text, user, force=args.force)
 
 
-def _unit(args: argparse.Namespace, user: bool) -> str:
+def _make_command(args: argparse.Namespace) -> list[str]:
+    """The command line of the run, checked.
+
+    Raises:
+        SteerdError: the options are wrong, or not those of a service.
+    """
     from steerd.daemon.assembly.build import make_plan
-    from steerd.daemon.cli.service import make_unit
 
     if args.fast or args.auto_arm:
         what = "a service starts disarmed and runs in real time"
         raise SteerdError(what, "leave out --fast and --auto-arm", ExitCode.USAGE)
     make_plan(run_command.make_options(args))
-    command = [sys.executable, "-m", "steerd", "run", *make_run_arguments(args)]
-    return make_unit(command, args.name, user=user)
+    return [sys.executable, "-m", "steerd", "run", *make_run_arguments(args)]
 
 
 def make_run_arguments(args: argparse.Namespace) -> list[str]:
