@@ -61,6 +61,13 @@ class BodyAbsent:
 Event = Connected | EchoMeasured | RateKnown | BodyAbsent | RawPose
 
 
+UNANSWERED = (
+    "no answer for 3 s: is the host right and on this network, does it stream NatNet "
+    "(Motive: Settings > Streaming), does a firewall stop UDP port 1510?"
+)
+"""What to check when a server has never answered."""
+
+
 class NatNetClient:
     """One session with one server for one body.
 
@@ -77,6 +84,7 @@ class NatNetClient:
     retry_first_ns = SECOND // 2
     retry_last_ns = 5 * SECOND
     silence_ns = SECOND
+    unanswered_ns = 3 * SECOND
     burst_echoes = 20
     burst_period_ns = 5 * MS
     echo_period_ns = SECOND // 2
@@ -104,6 +112,7 @@ class NatNetClient:
         self._burst_left = 0
         self._echoes: dict[int, None] = {}
         self._frame_seen_ns: int | None = None
+        self._called_ns: int | None = None
         self._malformed_run = 0
 
     @property
@@ -281,11 +290,14 @@ class NatNetClient:
             self._silence = self._explain_silence()
             self._reconnect(self._silence)
         if self._connecting and t_ns >= self._connect_due:
+            self._called_ns = t_ns if self._called_ns is None else self._called_ns
             out.append(natnet.encode(natnet.Connect()))
             self._connect_due = t_ns + self._retry_ns
             self._retry_ns = min(2 * self._retry_ns, self.retry_last_ns)
         if self.info is not None:
             self._maintain(self.info, t_ns, out)
+        elif self._called_ns is not None and t_ns - self._called_ns >= self.unanswered_ns:
+            self._note = UNANSWERED
         return out
 
     def _maintain(self, info: natnet.ServerInfo, t_ns: int, out: list[bytes]) -> None:

@@ -5,7 +5,13 @@ from typing import Any
 import pytest
 
 from steerd.mocap_link import natnet
-from steerd.mocap_link.natnet_client import Connected, EchoMeasured, NatNetClient, RateKnown
+from steerd.mocap_link.natnet_client import (
+    UNANSWERED,
+    Connected,
+    EchoMeasured,
+    NatNetClient,
+    RateKnown,
+)
 from steerd.mocap_link.natnet_frame import BITSTREAM_CHANGED, Frame, RigidBody
 from steerd.mocap_link.natnet_model import ModelDef, RigidBodyDesc
 from steerd.mocap_link.source import RawPose
@@ -29,6 +35,26 @@ def make_connected(make_server: Any, **fields: Any) -> tuple[NatNetClient, Any]:
 def make_frame(server: Any, **fields: Any) -> bytes:
     body = RigidBody(1, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3, 0.9))
     return natnet.encode(Frame(9, (body,), **fields), server.version)
+
+
+def test_a_host_that_never_answers_is_reported_after_three_seconds_with_what_to_check() -> None:
+    client = NatNetClient("car")
+    for t_ns in range(5 * SECOND, 8 * SECOND, 100 * MS):
+        client.on_timer(t_ns)
+        assert client.detail == "waiting for the server to answer"
+    client.on_timer(8 * SECOND)
+    assert client.detail == UNANSWERED
+    assert not client.refused
+
+
+def test_a_host_that_answers_at_last_is_followed(make_server: Any) -> None:
+    server, client = make_server(), NatNetClient("car")
+    (connect, *_) = client.on_timer(0)
+    client.on_timer(4 * SECOND)
+    assert client.detail == UNANSWERED
+    for reply in server.answer(connect, 4 * SECOND):
+        client.on_datagram(reply, 4 * SECOND)
+    assert client.detail.startswith("connected to ")
 
 
 def test_raw_pose_has_w_first_and_the_servers_ticks(make_server: Any) -> None:

@@ -7,6 +7,7 @@ steerd config --check car.toml --to-vesc-yaml vesc.yaml
 """
 
 import argparse
+import re
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _check(path: Path) -> int:
     from steerd.daemon.assembly.build import make_plan
+    from steerd.daemon.common.screen import NBSP, wrap
     from steerd.daemon.settings.config import load_settings
     from steerd.daemon.settings.run_options import RunOptions
 
@@ -68,7 +70,9 @@ def _check(path: Path) -> int:
         RunOptions(str(path), path="circle:radius=3", speed=settings.controller.speed), settings
     )
     print("\n".join(describe(settings)))
-    print(f"  controller  {plan.controller.report.describe()}")
+    label = "  controller  "
+    about = re.sub(r"(?<=\d) (?=[mH])", NBSP, plan.controller.report.describe())  # with its unit
+    print("\n".join(wrap(about, label, " " * len(label))))
     return ExitCode.OK
 
 

@@ -22,6 +22,8 @@ def test_what_is_printed_is_the_commented_default_and_passes_the_check(tmp_path,
     assert "wheelbase 0.3302 m" in shown
     assert "4614 ERPM per m/s" in shown
     assert "the servo reaches 18.0° and 15.1°" in shown
+    assert "tolerates 175 ms more delay" in " ".join(shown.split())
+    assert max(len(line) for line in shown.replace(str(path), "car.toml").splitlines()) <= 80
 
 
 @pytest.mark.parametrize(
