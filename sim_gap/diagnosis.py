@@ -16,8 +16,8 @@ from steerd.car_model.car_file import CarFile
 from steerd.car_model.model import Model
 from steerd.sim_gap.engine import constants as c
 from steerd.sim_gap.engine.base_fit import null_fit, open_engine
-from steerd.sim_gap.engine.descent import Fitted
 from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.levenberg_marquardt import Fitted
 from steerd.sim_gap.engine.noise import (
     Noise,
     learn_noise,

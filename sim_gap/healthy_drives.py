@@ -22,7 +22,6 @@ from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
 from steerd.sim_gap.engine import constants as c
 from steerd.sim_gap.engine.base_fit import null_fit, open_engine
-from steerd.sim_gap.engine.descent import Fitted, curvature, descend
 from steerd.sim_gap.engine.engine import Engine, Reduced
 from steerd.sim_gap.engine.knowledge import (
     Knowledge,
@@ -30,6 +29,7 @@ from steerd.sim_gap.engine.knowledge import (
     knowledge_section,
     numbers_of,
 )
+from steerd.sim_gap.engine.levenberg_marquardt import Fitted, curvature, minimise
 from steerd.sim_gap.engine.noise import (
     Noise,
     calibrated,
@@ -46,7 +46,7 @@ from steerd.sim_gap.verdict.screen import screen
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.estimation.chart import make_chart
-from steerd.sysid.estimation.robust_covariance import Spread, widened
+from steerd.sysid.estimation.robust_covariance import Spread, inflate
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ more, slide more and have more inertia drive alike: what the model misses would 
 that no drive identifies.
 """
 CLEAR = 2.0
-"""An effect nearer to its null than so many standard deviations is left out of the car file."""
+"""An effect within so many standard deviations of its null is left out of the car file."""
 _ROUNDS = 2
 """How often noise and base are learnt in turn."""
 
@@ -170,8 +170,8 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
         ValueError: no window sees enough poses.
     """
     taught = teach_with_limits(base, runs)
-    told = with_sections(base, base, knowledge_of(taught), taught.noise).sections
-    return {name: dict(told[name]) for name in ("noise", "knowledge")}
+    sections = with_sections(base, base, knowledge_of(taught), taught.noise).sections
+    return {name: dict(sections[name]) for name in ("noise", "knowledge")}
 
 
 def teach_with_limits(base: CarFile, runs: Sequence[Run]) -> Taught:
@@ -266,7 +266,7 @@ def knowledge_of(taught: Taught) -> Knowledge:
     sums = np.zeros((int(blocks.max()) + 1, pulls.shape[1]))
     np.add.at(sums, blocks, pulls)
     sums -= sums.mean(axis=0)
-    covariance = widened(inverse, Spread(sums.T @ sums, float(len(sums))))
+    covariance = inflate(inverse, Spread(sums.T @ sums, float(len(sums))))
     should = robust_mean(ratios(fitted))
     excess = excess_by_regime(ratios(fitted) / should, engine.lateral)
     p, names = fitted.parameters, taught.superset.kernels.names
@@ -333,5 +333,5 @@ def _with_effects(
     superset = replace(superset, knowledge=_weak(superset, nuisance))
     engine, space = replace(taught.engine, superset=superset), make_space(superset, nuisance)
     z = np.clip(space.chart.coordinates(start), space.low, space.high)
-    fitted = descend(engine, space, z, before.x.copy())
+    fitted = minimise(engine, space, z, before.x.copy())
     return _in_turn(engine, fitted, taught.noise, nuisance, runs)

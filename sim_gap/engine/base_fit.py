@@ -5,8 +5,8 @@ from contextlib import suppress
 
 import numpy as np
 
-from steerd.sim_gap.engine.descent import Fitted, descend
 from steerd.sim_gap.engine.engine import Engine, make_engine
+from steerd.sim_gap.engine.levenberg_marquardt import Fitted, minimise
 from steerd.sim_gap.engine.readings import make_readings
 from steerd.sim_gap.engine.space import make_space
 from steerd.sim_gap.engine.superset import Superset
@@ -46,7 +46,7 @@ def null_fit(
         # A linear step may have left a start where a real car never was; then the poses' own.
         same = start.space.chart.free == space.chart.free
         with suppress(FloatingPointError):
-            return descend(
+            return minimise(
                 engine, space, start.z.copy(), start.x.copy(), known=start.linear if same else None
             )
-    return descend(engine, space, space.centre.copy(), engine.readings.layout.guess.copy())
+    return minimise(engine, space, space.centre.copy(), engine.readings.layout.guess.copy())

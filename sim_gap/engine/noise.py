@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from steerd.sim_gap.engine.constants import NOISE_KEPT
-from steerd.sim_gap.engine.descent import Fitted
 from steerd.sim_gap.engine.disturbance_response import INPUTS, Responses, responses
 from steerd.sim_gap.engine.engine import FREE_STATES, Engine, Linear
 from steerd.sim_gap.engine.knowledge import EDGES
+from steerd.sim_gap.engine.levenberg_marquardt import Fitted
 
 Array = NDArray[np.float64]
 
@@ -271,8 +271,8 @@ def noise_of_section(table: Mapping[str, Any]) -> Noise | None:
     """
     if not table:
         return None
-    told = {_KEYS[-1]: WHEEL_SLIP, **table}
-    missing = [key for key in _KEYS if not float(told.get(key, 0.0)) > 0.0]
+    sizes = {_KEYS[-1]: WHEEL_SLIP, **table}
+    missing = [key for key in _KEYS if not float(sizes.get(key, 0.0)) > 0.0]
     if missing:
         raise ValueError(f"[noise] {missing[0]} must be a positive number")
-    return noise_of_sizes(np.array([float(told[key]) for key in _KEYS]))
+    return noise_of_sizes(np.array([float(sizes[key]) for key in _KEYS]))

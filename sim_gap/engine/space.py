@@ -21,7 +21,7 @@ WIDER = 2.0
 BOX = 3.0
 """Base parameters stay within this many prior standard deviations."""
 EFFECT_WIDER = 3.0
-"""Prior standard deviation of an effect's parameter per its scale: hardly a prior at all."""
+"""Prior standard deviation of an effect's parameter per its scale: barely a prior."""
 FLOORS = {
     "lf": 0.002, "lr": 0.002, "c_sf": 0.02, "c_sr": 0.02, "c_x": 0.1, "inertia_z": 0.03,
     "steer_gain": 0.004, "steer_bias": 5e-4, "steer_delay": 1e-3, "steer_lag": 2e-3,

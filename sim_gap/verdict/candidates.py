@@ -12,8 +12,14 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from steerd.sim_gap.engine.constants import REFITS, WINSOR
-from steerd.sim_gap.engine.descent import Fitted, behind, curvature, descend, step_within
 from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.levenberg_marquardt import (
+    Fitted,
+    behind,
+    curvature,
+    minimise,
+    step_within,
+)
 from steerd.sim_gap.verdict.screen import Promise, extended, screen
 
 Array = NDArray[np.float64]
@@ -132,7 +138,7 @@ def refit(
     starts = [tried, 0.5 * (z + tried)] if len(promises) == 1 else [tried]
     for first in starts:
         try:
-            found = descend(engine, space, first, start.x.copy(), beat=beat)
+            found = minimise(engine, space, first, start.x.copy(), beat=beat)
         except FloatingPointError:
             continue
         if best is None or found.cost < best.cost:

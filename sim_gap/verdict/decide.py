@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effects import find_effect
 from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.descent import Fitted, curvature, descend, step_within
 from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.levenberg_marquardt import Fitted, curvature, minimise, step_within
 from steerd.sim_gap.engine.space import make_space
 from steerd.sim_gap.verdict.candidates import Score, gain_of, refit, scored
 from steerd.sim_gap.verdict.screen import Promise, extended, screen
@@ -163,7 +163,7 @@ def refit_without_each(
         names = pair.fitted.space.chart.free
         z = np.array([pair.fitted.z[names.index(n)] for n in space.chart.free])
         z = np.clip(z, space.low, space.high)
-        fitted = descend(engine, space, z, pair.fitted.x.copy(), beat=pair.fitted.cost)
+        fitted = minimise(engine, space, z, pair.fitted.x.copy(), beat=pair.fitted.cost)
         out.append((name, scored(engine, fitted)))
     return out
 

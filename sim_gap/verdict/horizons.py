@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from steerd.sim_gap.engine.descent import Fitted
 from steerd.sim_gap.engine.engine import Engine, make_engine
+from steerd.sim_gap.engine.levenberg_marquardt import Fitted
 from steerd.sim_gap.engine.noise import Noise, whitened
 from steerd.sim_gap.engine.readings import make_readings
 from steerd.sim_gap.engine.residuals import Gap, gap_of, settled

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import Command, State
-from steerd.sim_gap.engine.descent import Fitted, curvature
 from steerd.sim_gap.engine.engine import Engine, make_engine
+from steerd.sim_gap.engine.levenberg_marquardt import Fitted, curvature
 from steerd.sim_gap.engine.noise import Noise, whitened
 from steerd.sim_gap.engine.readings import make_readings
 from steerd.sim_gap.engine.residuals import settled

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
-from steerd.sim_gap.engine.descent import Fitted, curvature, step_within, total
 from steerd.sim_gap.engine.engine import Engine, Reduced
+from steerd.sim_gap.engine.levenberg_marquardt import Fitted, curvature, step_within, total
 from steerd.sim_gap.engine.space import Space, make_space
 from steerd.sysid.compiler.codegen import SENSITIVITIES
 from steerd.sysid.estimation.objective import STATES

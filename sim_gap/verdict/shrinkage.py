@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.descent import Fitted, curvature, step_within
 from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.levenberg_marquardt import Fitted, curvature, step_within
 from steerd.sim_gap.engine.noise import Noise, whitened
 from steerd.sim_gap.engine.residuals import Gap, gap_of, interval_of, ratios, robust_mean, settled
 from steerd.sim_gap.engine.space import make_space

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.engine.descent import Fitted
 from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.levenberg_marquardt import Fitted
 from steerd.sim_gap.engine.residuals import ratios
 
 Array = NDArray[np.float64]

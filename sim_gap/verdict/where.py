@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from steerd.sim_gap.engine.descent import Fitted
 from steerd.sim_gap.engine.disturbance_response import INPUTS, responses
 from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.levenberg_marquardt import Fitted
 from steerd.sim_gap.engine.noise import Noise, covariance, shapes, slip_shape
 from steerd.sim_gap.engine.residuals import interval_of, ratios, robust_mean
 

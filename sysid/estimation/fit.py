@@ -44,7 +44,7 @@ from steerd.sysid.estimation.identifiability import (
 )
 from steerd.sysid.estimation.levenberg_marquardt import Effort, Solution, minimise
 from steerd.sysid.estimation.objective import Evaluation, Problem, information
-from steerd.sysid.estimation.robust_covariance import doubted, score_spread, widened
+from steerd.sysid.estimation.robust_covariance import inflate, nuisance_covariance, score_spread
 
 Array = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ class Options:
         integrator: `rk4` or `euler`.
         substeps: integration steps to a command; None chooses stable ones.
         noise: (4,) known noise levels, see `windows.GROUPS`; None estimates them.
-        doubts: parameters that may be off by so much whatever the data say (see `honest`).
+        doubts: parameters that may be off by so much whatever the data say (nuisance).
     """
 
     free: tuple[str, ...] | None = None
@@ -412,8 +412,9 @@ def _report(work: _Work, problem: Problem, found: Solution, signal: Array) -> Fi
     parameters = chart.parameters(found.z)
     spread = score_spread(problem, found.at, found.normal, found.limit)
     inverse: Array = np.linalg.inv(known).astype(float)
-    covariance = widened(inverse, spread)
-    covariance += doubted(problem, found.x, parameters, found.limit, work.options.doubts)
+    covariance = inflate(inverse, spread)
+    doubts = work.options.doubts
+    covariance += nuisance_covariance(problem, found.x, parameters, found.limit, doubts)
     sd = np.sqrt(np.diag(covariance))
     pace = float(np.median(np.abs(np.concatenate([run.commands[:, 1] for run in work.runs]))))
     pace *= model_of(work.kernels, parameters).car.speed_gain

@@ -32,8 +32,8 @@ class Row(NamedTuple):
         sd: standard error; None where it was not free.
         unit: of value and sd.
         free: whether it was fitted.
-        identifiable: whether the data tell it.
-        manoeuvre: what would tell it; empty when told or fixed.
+        identifiable: whether the data identify it.
+        manoeuvre: what would identify it; empty when identifiable or fixed.
     """
 
     value: float
@@ -115,7 +115,7 @@ class Outcome:
 
     @property
     def unidentified(self) -> dict[str, str]:
-        """Free parameters that the data leave open, and what would tell them."""
+        """Free parameters that the data leave open, and what would identify them."""
         return {n: r.manoeuvre for n, r in self.free_rows.items() if not r.identifiable}
 
 

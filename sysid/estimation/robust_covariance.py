@@ -1,11 +1,11 @@
 """Standard errors that stay true where the model, or a log's times, are not.
 
-Two things make the errors of a fit larger than the noise alone would: residuals that hang together
-(what the model leaves out), and times that no log tells (the wire, a controller's own tick). The
+Two things make the errors of a fit larger than the noise alone would: residuals that are correlated
+(what the model leaves out), and times that are in no log (the wire, a controller's own tick). The
 first show in the fit's scores: their spread, neighbours included, is compared with what independent
 noise would give (the heteroskedasticity and autocorrelation consistent estimate of Newey and West,
-1987), and errors are widened where chance does not explain it, never narrowed. The second are not
-estimated; their effect on the estimates is linear (the considered parameters of Schmidt, 1966).
+1987), and errors are inflated where chance does not explain it, never narrowed. The second are not
+estimated; their effect on the estimates is linear (the "consider" parameters of Schmidt, 1966).
 """
 
 # Why: docs/decisions/identification.md#d39
@@ -34,8 +34,8 @@ Doubts = Sequence[tuple[str, float]]
 
 BIN = 0.05
 """Scores are gathered over this time [s]."""
-REACH = 1.0
-"""Residuals hang together for no longer [s]."""
+CORRELATED = 1.0
+"""Residuals are correlated for no longer [s]."""
 
 
 def row_times(layout: Layout) -> Array:
@@ -71,7 +71,7 @@ class Spread(NamedTuple):
     """How much the scores really vary.
 
     Attributes:
-        scores: their covariance (n, n), neighbours up to `REACH` apart included.
+        scores: their covariance (n, n), neighbours up to `CORRELATED` apart included.
         pieces: about how many independent pieces of driving stand behind it.
     """
 
@@ -82,7 +82,7 @@ class Spread(NamedTuple):
 def score_spread(problem: Problem, at: Evaluation, normal: Normal, limit: float) -> Spread:
     """Covariance of the scores, with Bartlett's weights for neighbours."""
     windows = _scores(problem, at, normal, limit)
-    most = round(REACH / BIN)
+    most = round(CORRELATED / BIN)
     total = np.zeros((len(at.prior_z),) * 2)
     for scores in windows:
         total += scores.T @ scores
@@ -96,7 +96,7 @@ def score_spread(problem: Problem, at: Evaluation, normal: Normal, limit: float)
     return Spread(total * rows / max(freedom, 1), pieces)
 
 
-def widened(covariance: Array, spread: Spread) -> Array:
+def inflate(covariance: Array, spread: Spread) -> Array:
     """The covariance, wider in the directions in which the scores vary more than noise makes them.
 
     Among n directions, p pieces of mere noise would show one by a factor of (1 + sqrt(n / p))^2
@@ -111,10 +111,12 @@ def widened(covariance: Array, spread: Spread) -> Array:
     return wider
 
 
-def doubted(problem: Problem, x: Array, parameters: Array, limit: float, doubts: Doubts) -> Array:
+def nuisance_covariance(
+    problem: Problem, x: Array, parameters: Array, limit: float, doubts: Doubts
+) -> Array:
     """What doubts about other parameters add to the coordinates' covariance (n, n).
 
-    A doubt about a free parameter stands for itself: no data tell it better.
+    A doubt about a free parameter stands for itself: no data reduce it.
 
     Args:
         problem: of the last stage.
@@ -140,8 +142,8 @@ def doubted(problem: Problem, x: Array, parameters: Array, limit: float, doubts:
         problem.integrator, problem.substeps,
     )  # fmt: skip
     at = wider.evaluate(wide.coordinates(parameters), x)
-    told = information(normal_equations(wider, at, limit))
-    inner = told[:n, :n] + np.diag(chart.spread**-2 - wide.spread[:n] ** -2)
-    carried = np.linalg.solve(inner, told[:n, n:]) * [sd for _, sd in others]
+    known = information(normal_equations(wider, at, limit))
+    inner = known[:n, :n] + np.diag(chart.spread**-2 - wide.spread[:n] ** -2)
+    carried = np.linalg.solve(inner, known[:n, n:]) * [sd for _, sd in others]
     total: Array = added + carried @ carried.T
     return total

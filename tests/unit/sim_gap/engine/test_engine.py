@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from steerd.sim_gap.engine.constants import NOISE_KEPT
-from steerd.sim_gap.engine.descent import descend, step_within
 from steerd.sim_gap.engine.disturbance_response import INPUTS, responses
 from steerd.sim_gap.engine.engine import make_engine, take_windows
+from steerd.sim_gap.engine.levenberg_marquardt import minimise, step_within
 from steerd.sim_gap.engine.noise import (
     Noise,
     calibrated,
@@ -40,7 +40,7 @@ def healthy(drive, base):
 @pytest.fixture(scope="module")
 def fitted(healthy, drive):
     space = make_space(healthy.superset, nuisance_names(healthy.superset, drive("", 1, 4.0)))
-    return descend(healthy, space, space.centre, healthy.readings.layout.guess.copy())
+    return minimise(healthy, space, space.centre, healthy.readings.layout.guess.copy())
 
 
 def test_readings_are_thinned_to_one_each_fifty_milliseconds(healthy):
@@ -115,7 +115,7 @@ def test_noise_is_learnt_within_a_factor(healthy, fitted):
     assert 0.2 < noise.pushes[0] < 0.8
     assert 1.2 < noise.pushes[2] < 5.0
     engine = whitened(healthy, fitted, noise)
-    best = descend(engine, fitted.space, fitted.z, fitted.x)
+    best = minimise(engine, fitted.space, fitted.z, fitted.x)
     assert 0.6 < robust_mean(best.at.square / best.at.dof) < 1.4
 
 
@@ -217,7 +217,7 @@ def test_starts_at_their_best_lower_the_error(healthy):
 def test_a_lost_window_is_taken_up_anew_from_the_poses(healthy, fitted):
     spun = fitted.x.copy()
     spun[3] += [2.0, -2.0, 3.0, -2.0, 40.0, 2.0, 0.0]
-    again = descend(healthy, fitted.space, fitted.z.copy(), spun)
+    again = minimise(healthy, fitted.space, fitted.z.copy(), spun)
     assert again.cost == pytest.approx(fitted.cost, rel=1e-3)
     assert again.at.square[3] == pytest.approx(fitted.at.square[3], rel=0.1)
 

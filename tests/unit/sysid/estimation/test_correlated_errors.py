@@ -5,18 +5,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from steerd.sysid.estimation import effect_selection
-from steerd.sysid.estimation import robust_covariance as honest
+from steerd.sysid.estimation import effect_selection, robust_covariance
 from steerd.sysid.estimation.objective import STATES
 
-MOST = round(honest.REACH / honest.BIN)
+MOST = round(robust_covariance.CORRELATED / robust_covariance.BIN)
 ROWS = 400
 
 
 def _spread(monkeypatch, windows):
-    monkeypatch.setattr(honest, "_scores", lambda *given: windows)
+    monkeypatch.setattr(robust_covariance, "_scores", lambda *given: windows)
     at = SimpleNamespace(error=np.zeros(ROWS), prior_z=np.zeros(1))
-    return honest.score_spread(None, at, None, 1.0)
+    return robust_covariance.score_spread(None, at, None, 1.0)
 
 
 def _lost(count):

@@ -1,4 +1,4 @@
-"""Standard errors: widened where residuals hang together, and by what no log tells."""
+"""Standard errors: inflated where residuals are correlated, and by what is in no log."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
 from steerd.sysid.data.dataset import Signal
 from steerd.sysid.data.windows import make_layout
 from steerd.sysid.estimation.fit import DEFAULT_FREE, TYRES, Options, fit
-from steerd.sysid.estimation.robust_covariance import Spread, row_times, widened
+from steerd.sysid.estimation.robust_covariance import Spread, inflate, row_times
 
 NAMES = (*TYRES, "steer_delay", "speed_lag")
 
@@ -28,7 +28,7 @@ def _matrix(rng, n):
 def test_errors_are_never_narrowed(seed, n, pieces):
     rng = np.random.default_rng(seed)
     covariance = _matrix(rng, n)
-    wider = widened(covariance, Spread(_matrix(rng, n), pieces))
+    wider = inflate(covariance, Spread(_matrix(rng, n), pieces))
     scale = np.sqrt(np.diag(wider))
     left = (wider - covariance) / np.outer(scale, scale)
     assert np.linalg.eigvalsh(left).min() > -1e-6
@@ -36,11 +36,13 @@ def test_errors_are_never_narrowed(seed, n, pieces):
 
 def test_scores_of_mere_noise_widen_nothing_and_others_by_as_much_as_they_vary():
     rng = np.random.default_rng(1)
-    told = _matrix(rng, 4)
-    covariance = np.linalg.inv(told)
-    np.testing.assert_allclose(widened(covariance, Spread(1.2 * told, 80.0)), covariance, rtol=1e-6)
+    known = _matrix(rng, 4)
+    covariance = np.linalg.inv(known)
     np.testing.assert_allclose(
-        widened(covariance, Spread(9.0 * told, 80.0)), 9.0 * covariance, rtol=1e-6
+        inflate(covariance, Spread(1.2 * known, 80.0)), covariance, rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        inflate(covariance, Spread(9.0 * known, 80.0)), 9.0 * covariance, rtol=1e-6
     )
 
 

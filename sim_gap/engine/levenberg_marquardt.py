@@ -214,7 +214,7 @@ class _Search:
         return 0.0, 0.0
 
 
-def descend(
+def minimise(
     engine: Engine,
     space: Space,
     z: Array,
