@@ -354,12 +354,13 @@ class Model:
     """Once a second, with ``run --learn``: the car as learnt while it drives, and its changes.
 
     ``verdict`` is ``learning`` while the car is not known yet, ``none``, or that of the newest
-    change: ``changed`` (too early to tell), ``named``, ``unexplained``. That change began at
-    ``since_ns`` and was called at ``noticed_ns`` (-1 without one); ``effect``, ``rivals`` (what the
-    drive cannot tell from it) and ``confidence`` are empty unless it is named. ``windows`` counts
-    the half seconds that were learnt from, ``dropped`` the records that the learner was too slow
-    for. A parameter that is not learnt is NaN; ``identifiable`` lists those that this drive tells,
-    and ``told`` holds every value and change as JSON (docs/reference/learning.md).
+    change: ``changed`` (too early to say), ``named``, ``unexplained``. That change began at
+    ``since_ns`` and was called at ``noticed_ns`` (-1 without one); ``effect``, ``alternatives``
+    (what the drive cannot distinguish from it) and ``confidence`` are empty unless it is named.
+    ``windows`` counts the half seconds that were learnt from, ``dropped`` the records that the
+    learner was too slow for. A parameter that is not learnt is NaN; ``identifiable`` lists those
+    that this drive identifies, and ``details`` holds every value and change as JSON
+    (docs/how-to/learn-while-driving.md).
     """
 
     header: Header
@@ -405,9 +406,9 @@ class Model:
     pose_delay_sd: Second
     verdict: String
     effect: String
-    rivals: String
+    alternatives: String
     identifiable: String
-    told: String
+    details: String
 
 
 OWN_MESSAGES = (

@@ -34,8 +34,8 @@ def _line(name: str, rows: Sequence[Row]) -> str:
     noticed = np.array([row["noticed"] for row in rows], float)
     right = np.array([row["right"] for row in rows], float)
     final = [row["final"] for row in rows]
-    wrong = sum(bool(told) and name not in told for told in final)
-    alone = sum(told == [name] for told in final)
+    wrong = sum(bool(said) and name not in said for said in final)
+    alone = sum(said == [name] for said in final)
     in_time = int((right <= NAMED_WITHIN).sum())
     return (
         f"| {name} | {len(rows)} | {int(np.isfinite(noticed).sum())} | {_middle(noticed)} |"

@@ -25,9 +25,9 @@ class Said:
 
     Attributes:
         noticed: when a change was called.
-        named: when a name or set was first told, `first` which.
-        final: what was told at the end; empty for nothing.
-        right: when a right name or set was told that stayed until the end.
+        named: when a name or set was first said, `first` which.
+        final: what was said at the end; empty for nothing.
+        right: when a right name or set was said that stayed until the end.
         false: changes called before the change (or at all, where there is none).
         value: of the effect's first parameter at the end, `sd` its standard error.
         cpu: processor time per second of driving, the drive's simulation left out.
@@ -47,10 +47,10 @@ class Said:
 
 
 def names_of(finding: Finding | None) -> tuple[str, ...]:
-    """The name told, and what it cannot be told from; empty where none is."""
+    """The name said, and what it cannot be distinguished from; empty where none is."""
     if finding is None or finding.verdict != "named":
         return ()
-    return (finding.cause.effect, *finding.cause.rivals)
+    return (finding.cause.effect, *finding.cause.alternatives)
 
 
 def follow_drive(seed: int, name: str, seconds: float = 0.0) -> Said:
@@ -68,7 +68,7 @@ def follow_drive(seed: int, name: str, seconds: float = 0.0) -> Said:
     length = at + AFTER if name else seconds
     samples = list(drive(car, length, rng, change))
     learner, state = make_learner(load_car(default_car_path())), State()
-    told: list[tuple[float, tuple[str, ...]]] = []
+    said: list[tuple[float, tuple[str, ...]]] = []
     noticed, false = np.nan, 0
     began = process_time()
     calls: list[float] = []
@@ -80,26 +80,26 @@ def follow_drive(seed: int, name: str, seconds: float = 0.0) -> Said:
         now = sample.t
         if state.change is not None and before.change is None:
             calls.append(now)
-        told.append((now, names_of(state.change.finding if state.change else None)))
+        said.append((now, names_of(state.change.finding if state.change else None)))
     cpu = (process_time() - began) / length
     if name:
         false = sum(call < at for call in calls)
         noticed = next((call - at for call in calls if call >= at), np.nan)
     else:
         false = len(calls)
-    named, first = next(((t - at, n) for t, n in told if n and t >= at), (np.nan, ()))
-    final = told[-1][1] if told else ()
+    named, first = next(((t - at, n) for t, n in said if n and t >= at), (np.nan, ()))
+    final = said[-1][1] if said else ()
     cause = state.change.finding.cause if state.change else None
     value, sd, _ = next(iter(cause.parameters.values())) if cause else (np.nan, np.nan, "")
     peak = state.known.peak if state.known else np.nan
-    right = _right_since(told, name, at)
+    right = _right_since(said, name, at)
     return Said(noticed, named, first, final, right, false, value, sd, cpu, peak)
 
 
-def _right_since(told: list[tuple[float, tuple[str, ...]]], name: str, at: float) -> float:
-    """From when on what was told held the right name until the end [s after the change]."""
+def _right_since(said: list[tuple[float, tuple[str, ...]]], name: str, at: float) -> float:
+    """From when on what was said held the right name until the end [s after the change]."""
     since = np.nan
-    for t, names in told:
+    for t, names in said:
         if name not in names or not name:
             since = np.nan
         elif np.isnan(since):

@@ -3,7 +3,7 @@
 from dataclasses import fields
 from math import nan
 
-from steerd.daemon.learning.told import NS, ToldChange, ToldValue, pack
+from steerd.daemon.learning.reported import NS, ReportedChange, ReportedValue, pack
 from steerd.sim_gap.online.learner import Change, State
 from steerd.sim_gap.online.values import Value, values_of
 from steerd.steer_bus import messages as m
@@ -40,7 +40,7 @@ def make_model(state: State, mono_ns: int, epoch_ns: int, dropped: int) -> m.Mod
     """
     values = values_of(state.known) if state.known else ()
     by_name = {value.name: value for value in values}
-    changes = [_told_change(change) for change in changes_of(state)]
+    changes = [_reported_change(change) for change in changes_of(state)]
     newest = changes[-1] if changes else None
     numbers = {
         key: number
@@ -58,9 +58,9 @@ def make_model(state: State, mono_ns: int, epoch_ns: int, dropped: int) -> m.Mod
         **numbers,
         verdict=verdict_of(state),
         effect=newest.effect if newest else "",
-        rivals=",".join(newest.rivals) if newest else "",
+        alternatives=",".join(newest.alternatives) if newest else "",
         identifiable=",".join(value.name for value in values if value.identifiable),
-        told=pack([ToldValue(*value) for value in values], changes),
+        details=pack([ReportedValue(*value) for value in values], changes),
     )
 
 
@@ -68,14 +68,20 @@ def _number(value: Value | None) -> tuple[float, float]:
     return (nan, nan) if value is None else (value.value, value.sd)
 
 
-def _told_change(change: Change) -> ToldChange:
+def _reported_change(change: Change) -> ReportedChange:
     finding, cause = change.finding, change.finding.cause
     since, noticed = round(change.since * NS), round(change.noticed * NS)
     if finding.verdict != "named":
-        return ToldChange(since, noticed, finding.verdict, "", nan, (), ())
-    told = tuple(
-        ToldValue(name, value, sd, unit) for name, (value, sd, unit) in cause.parameters.items()
+        return ReportedChange(since, noticed, finding.verdict, "", nan, (), ())
+    reported = tuple(
+        ReportedValue(name, value, sd, unit) for name, (value, sd, unit) in cause.parameters.items()
     )
-    return ToldChange(
-        since, noticed, finding.verdict, cause.effect, cause.confidence, cause.rivals, told
+    return ReportedChange(
+        since,
+        noticed,
+        finding.verdict,
+        cause.effect,
+        cause.confidence,
+        cause.alternatives,
+        reported,
     )

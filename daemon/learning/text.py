@@ -7,12 +7,12 @@ from typing import Any
 
 from steerd.car_model.effects import find_effect
 from steerd.daemon.common.screen import join_words, wrap
-from steerd.daemon.learning.told import (
+from steerd.daemon.learning.reported import (
     NS,
-    ToldChange,
-    ToldValue,
-    changes_told,
-    values_told,
+    ReportedChange,
+    ReportedValue,
+    reported_changes,
+    reported_values,
 )
 from steerd.steer_bus import messages as m
 
@@ -23,7 +23,7 @@ QUIET = ("learning", "none")
 _VERDICTS = {
     "learning": "learning the car",
     "none": "no change of the car",
-    "changed": "something changed, too early to tell what",
+    "changed": "something changed, too early to say what",
     "unexplained": "something changed that no effect explains",
 }
 
@@ -34,7 +34,7 @@ def clock_of(model: m.Model, mono_ns: int) -> str:
     return datetime.fromtimestamp(stamp // NS, UTC).strftime("%H:%M:%S")
 
 
-def with_sd(parameter: ToldValue, sign: str = "") -> str:
+def with_sd(parameter: ReportedValue, sign: str = "") -> str:
     """A number, its standard deviation to two digits and its unit, on one line."""
     unit = "" if parameter.unit == "1" else f" {parameter.unit}"
     if not isfinite(parameter.sd) or parameter.sd <= 0.0:
@@ -48,26 +48,26 @@ def _exponent(value: float) -> int:
     return int(f"{value:.1e}".partition("e")[2])
 
 
-def describe_change(model: m.Model, change: ToldChange) -> str:
+def describe_change(model: m.Model, change: ReportedChange) -> str:
     """One change in one sentence."""
     since = f"since {clock_of(model, change.since_ns)}"
     if change.verdict != "named":
         return f"{since}: {_VERDICTS[change.verdict]}"
     several = len(change.parameters) > 1
     nulls = find_effect(change.effect).nulls
-    told = ", ".join(
+    reported = ", ".join(
         f"{part.name} " * several + with_sd(part, "+" if null == 0.0 else "")
         for part, null in zip(change.parameters, nulls, strict=True)
     )
     sure = join_words(f"{100.0 * change.confidence:.0f} %")
-    others = ", ".join(change.rivals)
-    alike = f"; this drive cannot tell it from {others}" if others else ""
-    return f"{since}: {change.effect} {told}, {sure}{alike}"
+    others = ", ".join(change.alternatives)
+    alike = f"; this drive cannot distinguish it from {others}" if others else ""
+    return f"{since}: {change.effect} {reported}, {sure}{alike}"
 
 
 def gap_text(model: m.Model) -> str:
     """The newest change, or why there is none."""
-    changes = changes_told(model)
+    changes = reported_changes(model)
     if changes:
         return describe_change(model, changes[-1])
     return _VERDICTS[model.verdict]
@@ -78,12 +78,12 @@ def format_model(model: m.Model) -> list[str]:
     lines = []
     if model.verdict in QUIET:
         lines += wrap(_VERDICTS[model.verdict], f"{'gap:':<{LABEL}}", " " * LABEL)
-    for change in changes_told(model):
+    for change in reported_changes(model):
         lines += wrap(describe_change(model, change), f"{'gap:':<{LABEL}}", " " * LABEL)
-    values = values_told(model)
-    told = [p for p in values if p.identifiable]
-    width = max((len(p.name) for p in told), default=0) + 2
-    lines += [f"  {p.name:<{width}}{with_sd(p)}".replace("\u00a0", " ") for p in told]
+    values = reported_values(model)
+    reported = [p for p in values if p.identifiable]
+    width = max((len(p.name) for p in reported), default=0) + 2
+    lines += [f"  {p.name:<{width}}{with_sd(p)}".replace("\u00a0", " ") for p in reported]
     dark = [p.name for p in values if not p.identifiable]
     if dark:
         lines += wrap(", ".join(dark), "not identifiable here: ", "  ")
@@ -92,7 +92,7 @@ def format_model(model: m.Model) -> list[str]:
 
 def encode_model(model: m.Model) -> dict[str, Any]:
     """JSON values: `gap` and `model`."""
-    changes = [_encode_change(model, change) for change in changes_told(model)]
+    changes = [_encode_change(model, change) for change in reported_changes(model)]
     newest = changes[-1] if changes else None
     return {
         "gap": {
@@ -105,12 +105,12 @@ def encode_model(model: m.Model) -> dict[str, Any]:
             p.name: {
                 "value": p.value, "sd": p.sd, "unit": p.unit, "identifiable": bool(p.identifiable)
             }
-            for p in values_told(model)
+            for p in reported_values(model)
         },
     }  # fmt: skip
 
 
-def _encode_change(model: m.Model, change: ToldChange) -> dict[str, Any]:
+def _encode_change(model: m.Model, change: ReportedChange) -> dict[str, Any]:
     """One change; `since_s` is UNIX time."""
     epoch_ns = m.stamp_ns(model.header) - model.mono_ns
     return {
@@ -121,7 +121,7 @@ def _encode_change(model: m.Model, change: ToldChange) -> dict[str, Any]:
     }
 
 
-def _causes(change: ToldChange) -> Sequence[dict[str, Any]]:
+def _causes(change: ReportedChange) -> Sequence[dict[str, Any]]:
     if not change.effect:
         return []
     parameters = {p.name: {"value": p.value, "sd": p.sd, "unit": p.unit} for p in change.parameters}
@@ -130,6 +130,6 @@ def _causes(change: ToldChange) -> Sequence[dict[str, Any]]:
             "effect": change.effect,
             "parameters": parameters,
             "confidence": change.confidence,
-            "rivals": list(change.rivals),
+            "alternatives": list(change.alternatives),
         }
     ]

@@ -4,6 +4,8 @@ It ends when the core's pipe closes. Nobody waits for it: both its pipes drop wh
 without it goes on.
 """
 
+# Why: docs/decisions/processes-and-time.md#d79
+
 import json
 import os
 import sys

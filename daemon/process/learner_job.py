@@ -1,4 +1,4 @@
-"""The learner's process, as the terminal starts it: what it is told, and its pipes."""
+"""The learner's process, as the terminal starts it: what it is given, and its pipes."""
 
 from collections.abc import Mapping
 from typing import Any

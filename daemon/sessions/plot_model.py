@@ -1,4 +1,4 @@
-"""What the learner told during a drive, as panels of the plot page."""
+"""What the learner reported during a drive, as panels of the plot page."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -79,11 +79,11 @@ def _banded(table: Columns, t: Array, field: str, role: str, scale: float) -> li
     known = np.isfinite(value)
     if not known.any():
         return []
-    t, value, reach = t[known], scale * value[known], scale * BAND * sd[known]
+    t, value, width = t[known], scale * value[known], scale * BAND * sd[known]
     return [
         Curve(field, role, t, value),
-        Curve(f"{field}, 95 %", "bound", t, value + reach),
-        Curve(f"{field}, 95 %", "bound", t, value - reach),
+        Curve(f"{field}, 95 %", "bound", t, value + width),
+        Curve(f"{field}, 95 %", "bound", t, value - width),
     ]
 
 

@@ -126,8 +126,8 @@ class Dashboard:
     def _take_model(self, model: m.Model) -> str | None:
         """A line where the learner says something new of a change."""
         before, self.model = self.model, model
-        told = [(each.verdict, each.effect) for each in (before, model) if each is not None]
-        if model.verdict in QUIET or (told[0] == told[-1] and len(told) > 1):
+        reported = [(each.verdict, each.effect) for each in (before, model) if each is not None]
+        if model.verdict in QUIET or (reported[0] == reported[-1] and len(reported) > 1):
             return None
         line = f"{'GAP':<14}{gap_text(model)}".replace(NBSP, " ")
         self.events.append(line)

@@ -11,9 +11,9 @@ from steerd.sysid.estimation.chart import RELATIVE
 
 NOT_IDENTIFIED = 20.0
 """Standard errors of a car file that gives none, per the least that any car's are: a tenth of a
-stiffness, 0.01 rad of a bias. The first half minute of a drive tells most of them."""
+stiffness, 0.01 rad of a bias. The first half minute of a drive identifies most of them."""
 MEASURED = {"lf": 2.5, "lr": 2.5, "steer_gain": 8.0, "c_x": 2.0}
-"""The same for what a ruler, a protractor or the class of the car tells better: along the valley of
+"""The same for what a ruler, a protractor or the class of the car gives better: along the valley of
 a longer car that steers more (see `chart`) a lane would pull them to where no car is."""
 
 

@@ -154,7 +154,7 @@ def suspects(
 
 
 def ratios(found: Sequence[Sequence[Suspect]], effects: int) -> Array:
-    """(effects, spans) gains, NaN for spans longer than the windows reach back."""
+    """(effects, spans) gains, NaN for spans longer than the windows width back."""
     table = np.full((effects, len(SPANS)), np.nan)
     for column, row in enumerate(found):
         table[:, column] = [each.gain for each in row]

@@ -92,13 +92,13 @@ class _System(NamedTuple):
     def solve(self, z: Array, free: NDArray[np.int64]) -> tuple[Array, Array]:
         """The best values of some coordinates, the others held; and the information there.
 
-        Windows that the start explains badly hardly pull, so a large effect that explains them all
+        Windows that the start explains badly barely pull, so a large effect that explains them all
         is looked for from equal weights too.
         """
-        ends = [self._descend(z, free, even) for even in (False, True)]
+        ends = [self._iterate(z, free, even) for even in (False, True)]
         return min(ends, key=lambda end: self.cost(end[0], z))
 
-    def _descend(self, z: Array, free: NDArray[np.int64], even: bool) -> tuple[Array, Array]:
+    def _iterate(self, z: Array, free: NDArray[np.int64], even: bool) -> tuple[Array, Array]:
         information = self.prior
         for turn in range(ROUNDS):
             weight = 2.0 / (1.0 + self.windows.ratios(z))
@@ -227,8 +227,8 @@ def worth_a_look(null: Fit, fits: Sequence[Fit]) -> list[Fit]:
 def is_at_bound(anchor: Anchor, fit: Fit) -> bool:
     """Whether the effect would have to be larger than on any car: it makes up for another."""
     away = fit.z[anchor.space.nuisance :]
-    reach = 1.0 + 1e-9
-    return bool((_inside(anchor, anchor.places(fit.effect), reach * away) != reach * away).any())
+    width = 1.0 + 1e-9
+    return bool((_inside(anchor, anchor.places(fit.effect), width * away) != width * away).any())
 
 
 def alike_to(effect: str) -> tuple[str, ...]:

@@ -62,7 +62,7 @@ class Look:
         t: when it began [s].
         square: whitened squared error about the anchor, at its best start.
         dof: its degrees of freedom.
-        g: (n,) pull on the coordinates (direction of descent).
+        g: (n,) pull on the coordinates (direction of steepest improvement).
         h: (n, n) information about them.
         engine: the window with its whitening, to look at it again.
         x: (1, 7) its start.
@@ -91,7 +91,7 @@ def may_change(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     """Effects that can come about while a car drives and show at once.
 
     Those with a gradient at their null that could be part of a car: what is a matter of a place or
-    of the time of day is none that a window can tell.
+    of the time of day is none that a window can show.
     """
     effects = {e.name: e for e in superset.effects}
     return tuple(

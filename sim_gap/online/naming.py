@@ -1,4 +1,4 @@
-"""What changed: the fitted effects told apart as in the offline diagnosis."""
+"""What changed: the fitted effects distinguished as in the offline diagnosis."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,19 +17,19 @@ from steerd.sim_gap.verdict.decide import confidence_of, se_of_lead
 Array = NDArray[np.float64]
 
 ALIKE = 0.5
-"""Share of the excess from which what the library calls nearly the same stays a rival."""
+"""Share of the excess from which what the library calls nearly the same stays an alternative."""
 UNSEEN = 0.5
-"""Share of the best effect's gain from which one that was not looked at again stays a rival."""
+"""Share of the best effect's gain from which one not looked at again stays an alternative."""
 SURE, SURE_WINDOWS = 0.8, 3
-"""A name alone is told from this confidence and so many windows on."""
+"""A name alone is reported from this confidence and so many windows on."""
 SET_WINDOWS, SET_MOST = 8, 4
-"""A set of names is told from so many windows on, and if it is no larger."""
+"""A set of names is reported from so many windows on, and if it is no larger."""
 SHARE = 0.6
 """A name explains at least this share of the excess error, else the change is unexplained."""
 PARTLY = 0.75
 """A name that explains less is said to explain a part, and is no surer than a part can be."""
 SET_SURE = 0.6
-"""Confidence below which no set of names is told."""
+"""Confidence below which no set of names is reported."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,14 @@ class Cause:
     Attributes:
         effect: of the library.
         parameters: (value, standard error, unit) of each parameter by name.
-        confidence: that this name, or one of `rivals`, is right (0 to 1).
-        rivals: effects that these windows cannot tell from it.
+        confidence: that this name, or one of `alternatives`, is right (0 to 1).
+        alternatives: effects that these windows cannot distinguish from it.
     """
 
     effect: str
     parameters: dict[str, tuple[float, float, str]]
     confidence: float
-    rivals: tuple[str, ...]
+    alternatives: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class Finding:
     """What is said of a change.
 
     Attributes:
-        verdict: `changed` (too early to tell), `named` or `unexplained`.
-        cause: the likeliest effect; it is told only where it is `named`.
+        verdict: `changed` (too early to say), `named` or `unexplained`.
+        cause: the likeliest effect; it is reported only where it is `named`.
         gain: what it explains, over the base alone [nats].
     """
 
@@ -73,8 +73,10 @@ def _lead(best: Fit, other: Fit) -> tuple[float, float]:
     return lead, se_of_lead(lead, se)
 
 
-def rivals_of(null: Fit, fits: Sequence[Fit], points: Points, enough: float) -> tuple[str, ...]:
-    """Effects that the windows cannot tell from the first.
+def alternatives_of(
+    null: Fit, fits: Sequence[Fit], points: Points, enough: float
+) -> tuple[str, ...]:
+    """Effects that the windows cannot distinguish from the first.
 
     What the library calls nearly the same counts as long as it explains enough: between a plateau
     and a slope decides the form of an equation, not what a lane shows.
@@ -133,11 +135,11 @@ def name(
     gain = null.total - best.total
     left, had = robust_mean(best.ratios), robust_mean(null.ratios)
     explained = (had - left) / max(had - usual_ratio, 1e-3)
-    rivals = rivals_of(null, fits, points, had - ALIKE * (had - usual_ratio))
-    sure = confidence_of(doubt_of(fits, rivals), partial=explained < PARTLY)
-    cause = Cause(best.effect, _values(anchor, best), sure, rivals)
-    alone = not rivals and windows >= SURE_WINDOWS and sure >= SURE
-    together = 0 < len(rivals) < SET_MOST and windows >= SET_WINDOWS and sure >= SET_SURE
+    alternatives = alternatives_of(null, fits, points, had - ALIKE * (had - usual_ratio))
+    sure = confidence_of(doubt_of(fits, alternatives), partial=explained < PARTLY)
+    cause = Cause(best.effect, _values(anchor, best), sure, alternatives)
+    alone = not alternatives and windows >= SURE_WINDOWS and sure >= SURE
+    together = 0 < len(alternatives) < SET_MOST and windows >= SET_WINDOWS and sure >= SET_SURE
     extreme = is_at_bound(anchor, best)
     if gain < c.GAIN_MIN or explained < SHARE or extreme or not (alone or together):
         return Finding("unexplained" if windows >= SET_WINDOWS else "changed", cause, gain)

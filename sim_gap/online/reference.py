@@ -46,14 +46,14 @@ def learn_reference(
     """
     nuisance = nuisance_names(superset, runs)
     known = {name.partition(".")[0] for name in nuisance if "." in name}
-    manners = tuple(e.name for e in superset.effects if e.on_every_car and e.name not in known)
+    built_in = tuple(e.name for e in superset.effects if e.on_every_car and e.name not in known)
     late = float(superset.base[superset.kernels.names.index("pose_delay")])
     try:
         engine = open_windows(superset, runs, late)
-        fitted = null_fit(engine, nuisance, effects=manners)
+        fitted = null_fit(engine, nuisance, effects=built_in)
         noise = learn_noise(engine, fitted, noise)
         engine = whitened(engine, fitted, noise)
-        fitted = null_fit(engine, nuisance, fitted, effects=manners)
+        fitted = null_fit(engine, nuisance, fitted, effects=built_in)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None
     learnt = anchored(superset, fitted.parameters)
@@ -64,6 +64,6 @@ def learn_reference(
     looks = looks_of(at, times)
     n = anchor.space.nuisance
     prior = np.linalg.inv(anchor.space.covariance[:n, :n])
-    told = sum((seen.weight * seen.h[:n, :n] for seen in looks), np.zeros((n, n)))
+    informed = sum((seen.weight * seen.h[:n, :n] for seen in looks), np.zeros((n, n)))
     # The windows made the anchor: about it they pull nowhere.
-    return Reference(anchor, Track(prior + told, np.zeros(n), prior), tuple(looks))
+    return Reference(anchor, Track(prior + informed, np.zeros(n), prior), tuple(looks))

@@ -1,8 +1,8 @@
 """The base's coordinates followed window by window; only what data replace is forgotten.
 
 An information filter about a fixed anchor. Before a window's information is added, what is known in
-just the directions that the window tells is faded (Cao and Schwartz, 2000): on a straight or at a
-standstill no direction is told, and nothing fades.
+just the directions that the window informs is faded (Cao and Schwartz, 2000): on a straight or at a
+standstill no direction is informed, and nothing fades.
 """
 
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 MEMORY = 240.0
-"""Windows after which what they told has faded to 1/e, where others tell the same: two minutes."""
-TOLD = 0.05
-"""A direction counts as told by a window from this share of what it tells best."""
+"""Windows after which information has faded to 1/e, where others bring the same: two minutes."""
+INFORMED = 0.05
+"""A direction counts as informed by a window from this share of its most informed one."""
 DISCREPANCY = 16.0
 """Variances are this much larger than a likelihood says: what a model misses is alike from lap to
 lap, and does not average out as noise does."""
@@ -47,15 +47,15 @@ class Track:
         return np.asarray(np.linalg.inv(0.5 * (data + data.T)))
 
 
-def told_directions(h: Array, prior: Array) -> Array:
-    """(n, k) directions in which a window tells something, none for a window without information.
+def informed_directions(h: Array, prior: Array) -> Array:
+    """(n, k) directions in which a window holds information, none for a window without information.
 
     Measured against the prior, so that units do not matter.
     """
     lower = np.linalg.cholesky(prior)
     scaled = np.linalg.solve(lower, np.linalg.solve(lower, h).T)
     values, axes = np.linalg.eigh(0.5 * (scaled + scaled.T))
-    chosen = axes[:, values > max(TOLD * float(values[-1]), 1e-6)]
+    chosen = axes[:, values > max(INFORMED * float(values[-1]), 1e-6)]
     return np.asarray(np.linalg.solve(lower.T, chosen))
 
 
@@ -69,7 +69,7 @@ def follow(track: Track, g: Array, h: Array, memory: float = MEMORY) -> Track:
         memory: windows after which information has faded to 1/e.
     """
     mean, old = track.mean, track.information - track.prior
-    directions = told_directions(h, track.prior)
+    directions = informed_directions(h, track.prior)
     faded = old
     if directions.shape[1]:
         wide = old @ directions

@@ -1,4 +1,4 @@
-"""The car's numbers as learnt: values, standard deviations, and which of them the drive tells."""
+"""The car's numbers as learnt: values, standard deviations, and which the drive identifies."""
 
 from typing import NamedTuple
 
@@ -8,8 +8,8 @@ from steerd.car_model.effects import find_effect
 from steerd.car_model.params import PARAMETERS
 from steerd.sim_gap.online.learner import Known
 
-TOLD = 0.5
-"""A number is told by a drive that makes its standard deviation so many times smaller."""
+INFORMED = 0.5
+"""A number is identified by a drive that makes its standard deviation so many times smaller."""
 SHARP = 0.03
 """Or that is known to this share of its bounds' half width, from before."""
 _UNITS = {parameter.name: parameter.unit for parameter in PARAMETERS}
@@ -19,10 +19,10 @@ class Value(NamedTuple):
     """One number of the base.
 
     Attributes:
-        name: `name`, or `effect.name` of a manner that the base has.
+        name: `name`, or `effect.name` of an effect that the base has.
         value: the estimate, with its standard deviation `sd`; SI units.
         unit: of both.
-        identifiable: whether the drive tells it.
+        identifiable: whether the drive identifies it.
     """
 
     name: str
@@ -46,8 +46,8 @@ def values_of(known: Known) -> tuple[Value, ...]:
     for name in space.chart.free[:n]:
         place = space.chart.names.index(name)
         sd, width = float(spread[place]), space.chart.high[place] - space.chart.low[place]
-        told = sd < TOLD * before[place] or sd < SHARP * 0.5 * width
-        found.append(Value(name, float(parameters[place]), sd, unit_of(name), bool(told)))
+        informed = sd < INFORMED * before[place] or sd < SHARP * 0.5 * width
+        found.append(Value(name, float(parameters[place]), sd, unit_of(name), bool(informed)))
     return tuple(found)
 
 

@@ -23,6 +23,7 @@ from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
 from steerd.daemon.cli.commands.driving import run as run_command
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import make_recording
+from steerd.daemon.offline.learn_beside import LearnerBeside
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.world import World
@@ -105,10 +106,12 @@ def drive_fast(tmp_path: Path) -> Drive:
         count += 1
         driven = Driven(make_drive_plan(line), tmp_path / f"drive{count}.mcap")
         recording = make_recording(driven.plan, driven.session)
+        learner = LearnerBeside(driven.plan)
 
         def sink(records: list, t_ns: int) -> None:
             for record in records:
-                recording.add(record)
+                for each in learner.take(record):
+                    recording.add(each)
 
         def note(run: VirtualRun) -> None:
             if run.core.loop.supervisor.state is SupervisorState.RUNNING:

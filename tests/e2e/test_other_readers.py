@@ -19,6 +19,7 @@ DRIVEN = {
     "odom": "nav_msgs/msg/Odometry",
     "pose": "geometry_msgs/msg/PoseStamped",
     "vesc_state": "vesc_msgs/msg/VescStateStamped",
+    "model": "steerd_msgs/msg/Model",
     "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     "rosout": "rcl_interfaces/msg/Log",
 }
@@ -27,7 +28,7 @@ DRIVEN = {
 
 @pytest.fixture
 def driven(drive_fast):
-    return drive_fast("--path circle:radius=2 --speed 1 --duration 2")
+    return drive_fast("--path circle:radius=2 --speed 1 --duration 2 --learn")
 
 
 def same(theirs, ours):

@@ -46,10 +46,10 @@ def test_a_change_is_an_event_once(make_report, make_change):
     assert "something changed" in line
     assert board.take(record(make_report("changed", make_change("changed")))) is None
     named = make_report("named", make_change())
-    told = board.take(record(named))
-    assert told is not None
-    assert "steer_bias +0.0213 ± 0.0021 rad, 97 %" in told
-    assert list(board.events) == [line, told]
+    reported = board.take(record(named))
+    assert reported is not None
+    assert "steer_bias +0.0213 ± 0.0021 rad, 97 %" in reported
+    assert list(board.events) == [line, reported]
 
 
 def test_a_change_that_was_there_before_the_watch_is_told(make_report, make_change):

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from steerd.daemon.learning.reported import ReportedValue, reported_changes, reported_values
 from steerd.daemon.learning.text import encode_model, format_model, gap_text, with_sd
-from steerd.daemon.learning.told import ToldValue, changes_told, values_told
 from steerd.steer_bus import messages as m
 
 
@@ -15,14 +15,14 @@ def test_a_named_change_says_when_what_and_how_sure(make_report, make_change):
 
 
 def test_what_a_drive_cannot_tell_apart_is_a_set(make_report, make_change):
-    text = gap_text(make_report("named", make_change(rivals=("steer_gain", "mocap_yaw"))))
-    assert text.endswith("; this drive cannot tell it from steer_gain, mocap_yaw")
+    text = gap_text(make_report("named", make_change(alternatives=("steer_gain", "mocap_yaw"))))
+    assert text.endswith("; this drive cannot distinguish it from steer_gain, mocap_yaw")
 
 
 @pytest.mark.parametrize(
     ("verdict", "words"),
     [
-        ("changed", "since 11:59:20: something changed, too early to tell what"),
+        ("changed", "since 11:59:20: something changed, too early to say what"),
         ("unexplained", "since 11:59:20: something changed that no effect explains"),
     ],
 )
@@ -38,7 +38,7 @@ def test_nothing_is_said_of_a_car_that_did_not_change(make_report, verdict, word
 
 
 def test_the_screen_fits_80_columns_and_hides_what_is_not_identifiable(make_report, make_change):
-    change = make_change(rivals=("steer_gain", "mocap_yaw", "cornering_stiffness"))
+    change = make_change(alternatives=("steer_gain", "mocap_yaw", "cornering_stiffness"))
     lines = format_model(make_report("named", change))
     assert max(map(len, lines)) <= 80
     assert "  steer_gain  0.980 ± 0.012" in lines
@@ -46,14 +46,14 @@ def test_the_screen_fits_80_columns_and_hides_what_is_not_identifiable(make_repo
 
 
 def test_json_has_the_gap_and_the_model(make_report, make_change):
-    report = make_report("named", make_change(rivals=("mocap_yaw",)))
+    report = make_report("named", make_change(alternatives=("mocap_yaw",)))
     values = json.loads(json.dumps(encode_model(report), allow_nan=False))
     gap = values["gap"]
     assert gap["verdict"] == "named"
     assert gap["since_s"] == pytest.approx(m.stamp_ns(report.header) * 1e-9 - 40.0)
     (cause,) = gap["causes"]
     assert cause["effect"] == "steer_bias"
-    assert cause["rivals"] == ["mocap_yaw"]
+    assert cause["alternatives"] == ["mocap_yaw"]
     assert cause["parameters"]["bias"]["value"] == pytest.approx(0.0213)
     gain = values["model"]["steer_gain"]
     assert gain == {"value": 0.98, "sd": 0.012, "unit": "1", "identifiable": True}
@@ -76,17 +76,17 @@ def test_json_of_a_change_without_a_name_holds_no_nan(make_report, make_change):
     ],
 )
 def test_numbers_have_the_digits_of_their_error(value, sd, shown):
-    text = with_sd(ToldValue("bias", value, sd, "rad"))
+    text = with_sd(ReportedValue("bias", value, sd, "rad"))
     assert text.replace("\u00a0", " ") == shown
 
 
 def test_a_report_gives_back_what_it_was_made_of(make_report, make_change):
-    change = make_change(rivals=("mocap_yaw",))
+    change = make_change(alternatives=("mocap_yaw",))
     report = make_report("named", make_change("unexplained"), change)
-    first, second = changes_told(report)
+    first, second = reported_changes(report)
     assert second == change
     assert (first.verdict, first.effect, first.parameters) == ("unexplained", "", ())
-    assert [(v.name, v.identifiable) for v in values_told(report)] == [
+    assert [(v.name, v.identifiable) for v in reported_values(report)] == [
         ("steer_gain", True),
         ("inertia_z", False),
     ]

@@ -33,7 +33,7 @@ def anchor(learner: Learner) -> Anchor:
 
 @pytest.fixture
 def track(anchor: Anchor) -> Track:
-    """A base that many windows told."""
+    """A base that many windows informed."""
     n = anchor.space.nuisance
     prior = np.linalg.inv(anchor.space.covariance[:n, :n])
     return Track(400.0 * prior, np.zeros(n), prior)

@@ -69,5 +69,5 @@ def test_a_change_is_noticed_and_named(learner, drives, name, value):
     assert state.change.finding.verdict == "named"
     assert state.change.finding.cause.effect == name
     assert state.change.noticed - AT < 3.0
-    told, sd, _ = next(iter(state.change.finding.cause.parameters.values()))
-    assert told == pytest.approx(value, abs=max(4.0 * sd, 0.004))
+    informed, sd, _ = next(iter(state.change.finding.cause.parameters.values()))
+    assert informed == pytest.approx(value, abs=max(4.0 * sd, 0.004))

@@ -1,4 +1,4 @@
-"""Changes: noticed, named, told as a set, or left without a name."""
+"""Changes: noticed, named, informed as a set, or left without a name."""
 
 import numpy as np
 import pytest

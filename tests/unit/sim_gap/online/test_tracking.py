@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from steerd.sim_gap.online.tracking import Track, follow, told_directions
+from steerd.sim_gap.online.tracking import Track, follow, informed_directions
 
 PRIOR = np.diag([1.0, 4.0, 0.25])
 
@@ -52,6 +52,6 @@ def test_standard_deviations_never_exceed_the_prior():
 
 def test_directions_do_not_depend_on_units():
     h, scale = np.diag([1.0, 1e-4, 0.3]), np.diag([1e3, 1e-2, 1.0])
-    plain = told_directions(h, PRIOR)
-    turned = told_directions(scale @ h @ scale, scale @ PRIOR @ scale)
+    plain = informed_directions(h, PRIOR)
+    turned = informed_directions(scale @ h @ scale, scale @ PRIOR @ scale)
     assert plain.shape == turned.shape == (3, 2)

@@ -1,4 +1,4 @@
-"""What a report of the learner tells, for those who only read it; no numerics are loaded here."""
+"""What a report of the learner says, for those who only read it; no numerics are loaded here."""
 
 import json
 from math import nan
@@ -9,8 +9,8 @@ from steerd.steer_bus import messages as m
 NS = 1_000_000_000
 
 
-class ToldValue(NamedTuple):
-    """One number, with its standard deviation and unit; `identifiable` where the drive tells it."""
+class ReportedValue(NamedTuple):
+    """One number, its standard deviation and unit, and whether the drive identifies it."""
 
     name: str
     value: float
@@ -19,7 +19,7 @@ class ToldValue(NamedTuple):
     identifiable: bool = True
 
 
-class ToldChange(NamedTuple):
+class ReportedChange(NamedTuple):
     """A change of the car; times are monotonic [ns].
 
     Attributes:
@@ -27,7 +27,7 @@ class ToldChange(NamedTuple):
         verdict: `changed`, `named` or `unexplained`.
         effect: its name, empty unless it is named.
         confidence: NaN unless it is named.
-        rivals: effects that the drive cannot tell from it.
+        alternatives: effects that the drive cannot distinguish from it.
         parameters: of the effect, as they are since then.
     """
 
@@ -36,11 +36,11 @@ class ToldChange(NamedTuple):
     verdict: str
     effect: str
     confidence: float
-    rivals: tuple[str, ...]
-    parameters: tuple[ToldValue, ...]
+    alternatives: tuple[str, ...]
+    parameters: tuple[ReportedValue, ...]
 
 
-def pack(values: list[ToldValue], changes: list[ToldChange]) -> str:
+def pack(values: list[ReportedValue], changes: list[ReportedChange]) -> str:
     """JSON of values and changes; what is no number is null."""
     data = {"values": values, "changes": changes}
     return json.dumps(_finite(data), separators=(",", ":"), allow_nan=False)
@@ -54,24 +54,32 @@ def _finite(value: Any) -> Any:
     return [_finite(each) for each in value] if isinstance(value, list | tuple) else value
 
 
-def values_told(model: m.Model) -> list[ToldValue]:
+def reported_values(model: m.Model) -> list[ReportedValue]:
     """The car's numbers in a report."""
-    return [_value(each) for each in json.loads(model.told)["values"]]
+    return [_value(each) for each in json.loads(model.details)["values"]]
 
 
-def changes_told(model: m.Model) -> list[ToldChange]:
+def reported_changes(model: m.Model) -> list[ReportedChange]:
     """The changes in a report, oldest first."""
     return [
-        ToldChange(
-            since, noticed, verdict, effect, _or_nan(sure), tuple(rivals), tuple(map(_value, told))
+        ReportedChange(
+            since,
+            noticed,
+            verdict,
+            effect,
+            _or_nan(sure),
+            tuple(alternatives),
+            tuple(map(_value, reported)),
         )
-        for since, noticed, verdict, effect, sure, rivals, told in json.loads(model.told)["changes"]
+        for since, noticed, verdict, effect, sure, alternatives, reported in json.loads(
+            model.details
+        )["changes"]
     ]
 
 
-def _value(row: list[Any]) -> ToldValue:
+def _value(row: list[Any]) -> ReportedValue:
     name, value, sd, unit, identifiable = row
-    return ToldValue(name, _or_nan(value), _or_nan(sd), unit, identifiable)
+    return ReportedValue(name, _or_nan(value), _or_nan(sd), unit, identifiable)
 
 
 def _or_nan(value: float | None) -> float:
