@@ -26,8 +26,10 @@ def test_a_drive_teaches_the_car(driven, capsys):
     bias = re.search(r"steer_bias +([-+.\d]+) ± ([.\d]+) rad", out)
     assert float(bias[1]) == pytest.approx(0.02, abs=max(4.0 * float(bias[2]), 0.001))
     assert max(map(len, out.splitlines())) <= 80
-    told, count = re.search(r"in the session: (\d+) of (\d+) the same to the byte", out).groups()
-    assert told == count
+    reported, count = re.search(
+        r"in the session: (\d+) of (\d+) the same to the byte", out
+    ).groups()
+    assert reported == count
     assert int(count) >= 30
 
 
