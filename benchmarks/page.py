@@ -157,6 +157,14 @@ def virtual(said: dict[str, Any]) -> str:
     rows = [row(f"loop at {hz} Hz", v) for hz, v in said["loop_hz"].items()]
     rows += [row("100 Hz, recorded and watched", said["recorded"])]
     rows += [row(f"100 Hz, physics every {ms} ms", v) for ms, v in said["physics_ms"].items()]
+    units = ""
+    if "units" in said:
+        u = said["units"]
+        units = (
+            f"\nA simulated second at 100 Hz, recorded, costs {spread(u)} times a fixed piece of "
+            f"pure Python (`benchmarks/timing.py`, {number(u['unit_ms'])} ms here), timed turn by "
+            "turn in the same run: machines and hours differ less in this figure.\n"
+        )
     each_us = 1e4 / sorted(said["loop_hz"]["100"])[1] / said["calls"]
     seeds = [[s["seeds"], s["workers"], number(s["wall_s"]), f"{number(s['times_real'])} ×"]
              for s in said["seeds"]]  # fmt: skip
@@ -164,6 +172,7 @@ def virtual(said: dict[str, Any]) -> str:
         "Simulated seconds per CPU second: the whole loop, every byte of both protocols encoded, "
         "framed, parsed and decoded on both sides. Default physics step: 2 ms.\n\n"
         + table(["", "of real time", "µs per 10 ms"], rows)
+        + units
         + "\n"
         + table(["seeds of 2 s", "processes", "wall s", "of real time, together"], seeds)
         + f"\n**Limit:** the interpreter. A tick of 10 ms is {number(said['calls'])} calls of "
@@ -206,8 +215,29 @@ def startup(said: dict[str, Any]) -> str:
     rows = [[name, spread(found), times(found["median"], bare)] for name, found in said.items()]
     return (
         table(["wall s", "median (least to most)", "of an empty interpreter"], rows)
-        + "\n**Limit:** imports (python-control brings SciPy's signal and Matplotlib), and the "
-        "wait of a second in which filter and VESC show themselves before a car may move.\n"
+        + "\n**Limit:** imports (filterpy brings SciPy's statistics), and waits that are part of "
+        "the start: a second in which the checks must hold, and the test of the VESC's own "
+        "timeout, 0.4 s, before a car may move.\n"
+    )
+
+
+def batch(said: dict[str, Any]) -> str:
+    rows = []
+    for each in said["hidden"]:
+        off = "not found" if each["days_off"] is None else f"{each['days_off']:+d}"
+        rows.append([each["car"], each["parameter"], each["day"], each["found"] or "—", off,
+                     number(each["sigma"]) if each["sigma"] else "—"])  # fmt: skip
+    wrong = ", ".join(said["wrongly"]) or "none"
+    return (
+        f"`steerd batch identify` over {said['sessions']} imported drives of 20 s, {said['cars']} "
+        "cars, one drive of each on each day; on three a parameter changes on a day. A worker is "
+        f"killed on the way. Sessions that failed: {said['failed']}; cars named wrongly: {wrong}."
+        "\n\n"
+        + table(["car", "hidden", "since", "named", "days off", "sigma"], rows)
+        + f"\nAll of it in {number(said['identified_s'])} s. A part of it by one process and by "
+        f"two: {number(said['one_s'])} and {number(said['two_s'])} s, {number(said['ratio'])} ×, "
+        f"at a load average of {said['load']:g} when it began: above the number of cores, two "
+        "processes share what the neighbours leave.\n"
     )
 
 
@@ -220,6 +250,7 @@ PARTS = {
     "virtual": ("Virtual time", virtual),
     "wire": ("Wire and file", wire),
     "startup": ("Start-up", startup),
+    "batch": ("Batches", batch),
 }
 
 

@@ -16,7 +16,8 @@ from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 
-from benchmarks.batch_drives import DAY, FIRST, Hidden, make_fleet
+from batch_drives import DAY, FIRST, Hidden, make_fleet
+
 from steerd.daemon.batch.run import Batch, run_batch
 from steerd.daemon.batch.sources import Question
 from steerd.daemon.batch.unit import day_of
@@ -81,6 +82,7 @@ def main() -> int:
     parser.add_argument("--days", type=int, default=30)
     parser.add_argument("--part", type=int, default=24, help="sessions by one and by two")
     args = parser.parse_args()
+    load = round(os.getloadavg()[0], 1)
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
         paths = make_fleet(Path(folder), args.cars, args.days, HIDDEN)
@@ -92,7 +94,7 @@ def main() -> int:
         "sessions": len(paths), "cars": args.cars, "made_s": round(made, 1),
         "identified_s": round(took, 1), **judge(found),
         "one_s": round(alone, 2), "two_s": round(together, 2),
-        "ratio": round(alone / together, 2),
+        "load": load, "ratio": round(alone / together, 2),
     }))  # fmt: skip
     return 0
 

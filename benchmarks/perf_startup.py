@@ -17,8 +17,16 @@ from pathlib import Path
 
 STEERD = str(Path(sys.executable).with_name("steerd"))
 STARTS = 5
-DONE = (0, 5)
-"""Of `identify`: 5 says no better than the start, and the simulated car starts as the true one."""
+DONE = (0, 3, 5)
+"""3: a file that is not there. Of `identify`, 5 says no better than the start, and the simulated
+car starts as the true one."""
+MISSING = {
+    "identify": ("identify", "none.mcap"),
+    "diagnose": ("diagnose", "none.mcap"),
+    "run": ("run", "--sim", "--car", "none.toml"),
+    "plot": ("plot", "none.mcap"),
+}
+"""A command line of each that names a file which is not there."""
 
 
 def seconds(command: Sequence[str]) -> float:
@@ -73,6 +81,10 @@ def main() -> int:
             ],
             "import torch": [seconds([sys.executable, "-c", "import torch"]) for _ in range(3)],
             "steerd --help": [seconds([STEERD, "--help"]) for _ in range(STARTS)],
+            **{
+                f"{name}, no such file": [seconds([STEERD, *argv]) for _ in range(STARTS)]
+                for name, argv in MISSING.items()
+            },
             "run --sim to first command": [until_said(live(), [b"RUNNING"]) for _ in range(3)],
         }
         seconds(identify)  # kernels compiled

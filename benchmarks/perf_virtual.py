@@ -15,6 +15,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from timing import python_unit, timed
+
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
 from steerd.daemon.ipc.outbox import Sink
 from steerd.daemon.offline.fast import make_recording
@@ -106,12 +108,29 @@ def many_seeds(workers: int, count: int) -> dict[str, float]:
             "times_real": round(driven / wall, 1)}  # fmt: skip
 
 
+def in_units() -> dict[str, float]:
+    """A simulated second, recorded, in units of a fixed piece of pure Python: turn by turn."""
+    units, seconds = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        run = make_run(100, 2, Path(folder) / "drive.mcap")
+        until(run, BEGIN_NS)
+        for part in range(1, 9):
+            units.append(timed(python_unit, repeats=3).median)
+            began = time.process_time()
+            until(run, BEGIN_NS + part * 1e9)
+            seconds.append(time.process_time() - began)
+    ratios = sorted(s / u for s, u in zip(seconds, units, strict=True))
+    return {"median": ratios[4], "low": ratios[0], "high": ratios[-1],
+            "unit_ms": 1e3 * sorted(units)[4]}  # fmt: skip
+
+
 def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         recorded = speed(100, 2, Path(folder) / "drive.mcap")
     cores = os.cpu_count() or 1
     found = {
         "calls": calls_per_tick(),
+        "units": in_units(),
         "loop_hz": {str(rate): speed(rate, 2) for rate in RATES},
         "recorded": recorded,
         "physics_ms": {str(step): speed(100, step) for step in STEPS_MS},

@@ -35,6 +35,7 @@ PIECES: dict[str, tuple[str, ...]] = {
     "virtual": ("perf_virtual.py",),
     "wire": ("perf_wire.py",),
     "startup": ("perf_startup.py",),
+    "batch": ("perf_batch.py",),
 }
 
 

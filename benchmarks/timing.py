@@ -37,6 +37,29 @@ def timed(
     return Timed(median, low, high)
 
 
+class Point(NamedTuple):
+    """A small value, as the programs here make many."""
+
+    x: float
+    y: float
+
+    def moved(self, by: float) -> "Point":
+        return self._replace(x=self.x + by, y=self.y - by)
+
+
+def python_unit() -> float:
+    """A fixed piece of pure Python: small values, calls, a dictionary. No library.
+
+    Machines and hours differ in how fast Python is; a cost in these units differs less.
+    """
+    seen: dict[int, float] = {}
+    point = Point(0.0, 1.0)
+    for i in range(10_000):
+        point = point.moved(0.5 if i & 1 else -0.25)
+        seen[i & 63] = seen.get(i & 63, 0.0) + point.x * point.y
+    return sum(seen.values())
+
+
 def _took(call: Callable[[], object], count: int, clock: Callable[[], float]) -> float:
     began = clock()
     for _ in range(count):
