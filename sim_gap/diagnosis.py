@@ -27,7 +27,7 @@ from steerd.sim_gap.engine.noise import (
     whitened,
 )
 from steerd.sim_gap.engine.residuals import Gap, gap_of, ratios, robust_mean, settled
-from steerd.sim_gap.engine.space import make_space, nuisance_names, telling_effects
+from steerd.sim_gap.engine.space import informative_effects, make_space, nuisance_names
 from steerd.sim_gap.engine.superset import Superset, make_superset
 from steerd.sim_gap.healthy_drives import learn_healthy, refine
 from steerd.sim_gap.verdict.candidates import Score, blocks_of, gain_of, scored, singles
@@ -196,7 +196,7 @@ def diagnose(
         base = refine(base, options.healthy)
     superset = make_superset(base, runs)
     names = [e.name for e in superset.effects]
-    informative = telling_effects(superset, runs)
+    informative = informative_effects(superset, runs)
     only = tuple(n for n in (options.only or informative) if n not in options.without)
     unknown = [n for n in (*only, *options.without) if n not in names]
     if unknown:

@@ -39,7 +39,7 @@ from steerd.sim_gap.engine.noise import (
     whitened,
 )
 from steerd.sim_gap.engine.residuals import ratios, robust_mean
-from steerd.sim_gap.engine.space import make_space, nuisance_names, telling_effects
+from steerd.sim_gap.engine.space import informative_effects, make_space, nuisance_names
 from steerd.sim_gap.engine.superset import Superset, make_superset
 from steerd.sim_gap.verdict.candidates import blocks_of, refit_all
 from steerd.sim_gap.verdict.screen import screen
@@ -121,7 +121,7 @@ def _in_turn(
 
 def structure_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     """Parameters of the effects that no real car is without, as far as such drives show them."""
-    shown = telling_effects(superset, runs)
+    shown = informative_effects(superset, runs)
     return tuple(
         f"{effect.name}.{parameter.name}"
         for effect in superset.effects
@@ -300,7 +300,7 @@ def _with_secants(taught: Taught) -> Reduced:
 def _shown(taught: Taught, runs: Sequence[Run]) -> dict[str, tuple[float, ...]]:
     """Further effects that healthy drives show: this car has them, so later they are no gap."""
     engine, null, nuisance = taught.engine, taught.fitted, taught.nuisance
-    shown = telling_effects(taught.superset, runs)
+    shown = informative_effects(taught.superset, runs)
     free = {name.partition(".")[0] for name in nuisance if "." in name}
     only = [
         e.name

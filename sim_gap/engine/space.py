@@ -117,7 +117,7 @@ def nuisance_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def telling_effects(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
+def informative_effects(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     """Effects that such drives can show: where the measured speed is prescribed, none of the drive.
 
     What the motor does is then no prediction, a limit on it would only hold the car back from the

@@ -17,7 +17,7 @@ from steerd.sim_gap.engine.engine import Engine, Reduced, make_engine
 from steerd.sim_gap.engine.noise import Noise, whitened
 from steerd.sim_gap.engine.readings import make_readings
 from steerd.sim_gap.engine.residuals import settled
-from steerd.sim_gap.engine.space import Space, make_space, telling_effects
+from steerd.sim_gap.engine.space import Space, informative_effects, make_space
 from steerd.sim_gap.engine.superset import Superset
 from steerd.sim_gap.online.samples import WINDOW
 from steerd.sysid.data.dataset import Run
@@ -96,7 +96,7 @@ def may_change(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     effects = {e.name: e for e in superset.effects}
     return tuple(
         name
-        for name in telling_effects(superset, runs)
+        for name in informative_effects(superset, runs)
         if not effects[name].zero_gradient
         and effects[name].selectable_in_base is not BaseSelection.NEVER
     )

@@ -22,7 +22,7 @@ from steerd.sim_gap.engine.noise import (
 )
 from steerd.sim_gap.engine.readings import SPACING, make_readings
 from steerd.sim_gap.engine.residuals import robust_mean, settled
-from steerd.sim_gap.engine.space import BOX, make_space, nuisance_names, telling_effects
+from steerd.sim_gap.engine.space import BOX, informative_effects, make_space, nuisance_names
 from steerd.sim_gap.engine.superset import make_superset
 from steerd.sim_gap.verdict.candidates import blocks_of, folds_of, held_out
 from steerd.sysid.data.windows import speed_range
@@ -176,9 +176,9 @@ def test_a_wheel_that_is_trusted_little_leaves_little(healthy):
 
 def test_prescribed_speed_tells_nothing_of_the_drive(healthy, drive):
     runs = drive("", 1, 4.0)
-    assert "accel_limit" in telling_effects(healthy.superset, runs)
+    assert "accel_limit" in informative_effects(healthy.superset, runs)
     measured = [replace(run, speed_source="wheel") for run in runs]
-    left = telling_effects(healthy.superset, measured)
+    left = informative_effects(healthy.superset, measured)
     assert not {"accel_limit", "rolling_drag", "drive_delay"} & set(left)
     assert "tyre_friction" in left
 
