@@ -1,4 +1,4 @@
-"""Logs of a fleet over weeks, some cars of which change on a day that nobody is told.
+"""Logs of a fleet over weeks, some cars of which change on a day that no one knows beforehand.
 
 Drives of 20 s come from the compiled simulator with mocap noise and are imported like a lab's own
 logs, with the time of day of their recording; the cars differ from each other as real ones do.
