@@ -99,7 +99,7 @@ def say(rows: np.ndarray, truth: dict[str, float]) -> None:
 def saturate(drives: ModuleType, seeds: range, seconds: float) -> None:
     """What the linear tyre makes of a saturating one: errors by lateral acceleration."""
     effect = find_effect("tyre_saturation")
-    plant = Model(drives.TRUTH, (effect,), ((1.0,) * len(effect.parameters),))
+    plant = Model(drives.TRUTH, (effect,), ((1.0, *effect.nulls[1:]),))
     names = (*TYRES, "inertia_z", "steer_gain")
     base = drives.TRUTH.lf + drives.TRUTH.lr
     print("wheelbase given; medians over the drives")

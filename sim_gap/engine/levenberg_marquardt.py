@@ -108,7 +108,10 @@ def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Ar
     if ((z + dz >= low) & (z + dz <= high)).all():
         return dz
     scale = 1.0 / np.sqrt(np.diag(h))
-    lower = np.linalg.cholesky(0.5 * (h + h.T) * np.outer(scale, scale))
+    try:
+        lower = np.linalg.cholesky(0.5 * (h + h.T) * np.outer(scale, scale))
+    except np.linalg.LinAlgError:  # two coordinates do the same to the last digit
+        return _shortened(h, slope, z, low, high)
     room = np.where(high - low <= 0.0, _HAIR, np.maximum(high - z, 0.0))
     found = lsq_linear(
         lower.T, np.linalg.solve(lower, slope * scale),

@@ -20,8 +20,8 @@ def _forces(
 ) -> Axles[T]:
     """Both axles' forces, levelled off."""
     return Axles(
-        saturated(ops, forces.front, car.c_sf * slips.front, p[0]),
-        saturated(ops, forces.rear, car.c_sr * slips.rear, p[0]),
+        saturated(ops, forces.front, car.c_sf * slips.front, p[0], p[1]),
+        saturated(ops, forces.rear, car.c_sr * slips.rear, p[0], p[1]),
     )
 
 
@@ -30,10 +30,13 @@ EFFECT = Effect(
     stage=Stage.FORCES,
     family="tyre",
     summary="tyre forces level off at large slip",
-    equation="F = mu Fz z / sqrt(1 + q z^2), z = C_S slip",
+    equation="F = mu Fz z / sqrt(1 + early |z| + q z^2), z = C_S slip",
     parameters=(
         EffectParameter(
             "q", 0.0, 0.0, 12.0, "1", 1.0, "1: plateau at mu Fz; 4: at half of it; 0: never"
+        ),
+        EffectParameter(
+            "early", 0.0, -1.0, 3.0, "1", 0.5, "1.1: brushes that slide at 0.6 mu Fz; 0: none"
         ),
     ),
     least_size=0.2,

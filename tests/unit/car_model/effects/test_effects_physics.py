@@ -2,14 +2,16 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from steerd.car_model.chassis import Axles, Rates, lateral_forces
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.linear import steady_turn
-from steerd.car_model.model import Model, Moment, observe
+from steerd.car_model.model import Model, Moment, model_rates, observe
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, GRAVITY
+from steerd.car_model.planar import make_planar
 from steerd.car_model.rollout import glide, simulate, start
 from steerd.car_model.single_track import loads_at
 from steerd.car_model.state import ORIGIN, Command, State
@@ -75,11 +77,44 @@ def test_relaxation_leaves_the_steady_turn_alone() -> None:
 @pytest.mark.parametrize("q", [1.0, 4.0])
 def test_saturation_levels_off_at_the_friction_limit(q: float) -> None:
     limit = CAR.mu * loads_at(CAR, 0.0).front
-    small, large = tyres("tyre_saturation", (q,), Axles(1e-3, 0.0)), Axles(100.0, 0.0)
+    small, large = tyres("tyre_saturation", (q, 0.0), Axles(1e-3, 0.0)), Axles(100.0, 0.0)
     assert small.front == pytest.approx(limit * CAR.c_sf * 1e-3, rel=1e-4)
-    assert tyres("tyre_saturation", (q,), large).front == pytest.approx(
+    assert tyres("tyre_saturation", (q, 0.0), large).front == pytest.approx(
         limit / math.sqrt(q), rel=1e-3
     )
+
+
+def test_saturation_that_begins_early_is_a_brush_tyre() -> None:
+    """Fiala's tyre (Pacejka, section 3.2) that slides as a whole at 0.6 mu Fz, to 4 %."""
+    limit, slides = CAR.mu * loads_at(CAR, 0.0).front, 0.6
+    for z in (0.02, 0.1, 0.3, 0.6, 1.0, 1.5):
+        s = z / (3.0 * slides)
+        brush = limit * z * (1.0 - s + s * s / 3.0)
+        ours = tyres("tyre_saturation", (1.656, 0.822), Axles(z / CAR.c_sf, 0.0)).front
+        assert ours == pytest.approx(brush, rel=0.04)
+    small = tyres("tyre_saturation", (1.656, 0.822), Axles(1e-4, 0.0)).front
+    assert small == pytest.approx(limit * CAR.c_sf * 1e-4, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("speed", "yaw_rate", "slip_angle", "wheel", "accel"),
+    [(2.0, 1.5, -0.03, 0.2, 0.0), (1.5, 1.2, 0.02, 0.3, -1.0), (3.0, -1.0, 0.05, -0.15, 1.0)],
+)
+def test_a_drive_split_of_minus_a_half_makes_four_driven_wheels_two(
+    speed: float, yaw_rate: float, slip_angle: float, wheel: float, accel: float
+) -> None:
+    """But for the slip of rear wheels that carry twice the force, small with stiff tyres."""
+    stiff = CAR._replace(c_x=1e4)
+    state = ORIGIN._replace(speed=speed, yaw_rate=yaw_rate, slip_angle=slip_angle)
+    split = EFFECTS["drive_split"]
+    halves = Model(stiff, (split,), ((-0.5,),), make_planar("all"))
+    all_four, rear = (Model(stiff, chassis=make_planar(drive)) for drive in ("all", "rear"))
+    got, four, two = (
+        np.array(model_rates(FLOAT, model, stiff, (), state, wheel, accel))
+        for model in (halves, all_four, rear)
+    )
+    off, apart = np.abs(got - two), np.abs(four - two)
+    assert (off <= 0.25 * apart + 1e-3).all(), (got, four, two)
 
 
 def test_friction_is_stiffness_when_gentle_and_a_plateau_at_the_limit() -> None:

@@ -56,6 +56,16 @@ def test_it_is_the_best_step_within_the_bounds(seed: int) -> None:
     assert slope @ dz - 0.5 * dz @ h @ dz == pytest.approx(-best.fun, rel=1e-5)
 
 
+def test_two_coordinates_that_do_the_same_still_give_a_step() -> None:
+    """A curvature that is singular to the last digit, with a bound in Newton's way."""
+    h = np.array([[1.0, 1.0, 0.0], [1.0, 1.0 - 1e-15, 0.0], [0.0, 0.0, 1.0]])
+    slope, edge = np.array([1.0, 1.0, 1.0]), np.full(3, 0.1)
+    dz = step_within(h, slope, np.zeros(3), -edge, edge)
+    assert np.isfinite(dz).all()
+    assert (np.abs(dz) <= 0.1).all()
+    assert slope @ dz - 0.5 * dz @ h @ dz > 0.0
+
+
 def _windows(ratio: list[float], limit: float) -> Reduced:
     count = len(ratio)
     nothing = np.zeros((count, 7))

@@ -13,7 +13,12 @@ from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
 from steerd.sysid.data.dataset import Signal
 from steerd.sysid.data.windows import make_layout
 from steerd.sysid.estimation.fit import DEFAULT_FREE, TYRES, Options, fit
-from steerd.sysid.estimation.robust_covariance import Spread, inflate, row_times
+from steerd.sysid.estimation.robust_covariance import (
+    Spread,
+    inflate,
+    inflate_each,
+    row_times,
+)
 
 NAMES = (*TYRES, "steer_delay", "speed_lag")
 
@@ -43,6 +48,30 @@ def test_scores_of_mere_noise_widen_nothing_and_others_by_as_much_as_they_vary()
     )
     np.testing.assert_allclose(
         inflate(covariance, Spread(9.0 * known, 80.0)), 9.0 * covariance, rtol=1e-6
+    )
+
+
+def test_each_standard_error_is_as_wide_as_its_own_scores_and_correlations_stay():
+    """The spread of estimates over many draws, where the noise is not what the fit believes."""
+    rng = np.random.default_rng(2)
+    design = rng.standard_normal((24, 40, 3))
+    loud = np.array([1.0, 1.0, 3.0])[rng.integers(0, 3, 24)]
+    information = np.einsum("bri,brj->ij", design, design)
+    covariance = np.linalg.inv(information)
+    found, wide = [], []
+    for _ in range(2000):
+        noise = rng.standard_normal((24, 40)) * loud[:, None]
+        pulls = np.einsum("bri,br->bi", design, noise)
+        found.append(covariance @ pulls.sum(axis=0))
+        left = noise - design @ found[-1]
+        pulls = np.einsum("bri,br->bi", design, left)
+        each = inflate_each(covariance, Spread(pulls.T @ pulls, 24.0))
+        wide.append(np.sqrt(np.diag(each)))
+    np.testing.assert_allclose(np.median(wide, axis=0), np.std(found, axis=0), rtol=0.15)
+    scale = np.sqrt(np.diag(each))
+    before = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(
+        each / np.outer(scale, scale), covariance / np.outer(before, before), rtol=1e-9
     )
 
 

@@ -9,7 +9,7 @@ from steerd.car_model.planar import make_planar
 from steerd.sysid.estimation.taught import TaughtModel, taught_rows
 
 CAR = DEFAULT_CAR._replace(lf=0.16, steer_gain=0.95)
-MODEL = Model(CAR, (EFFECTS["tyre_saturation"],), ((0.8,),), make_planar("rear"))
+MODEL = Model(CAR, (EFFECTS["tyre_saturation"],), ((0.8, 0.0),), make_planar("rear"))
 SD = {"lf": 0.002, "lr": 0.1, "steer_gain": 0.01, "steer_delay": 0.001, "tyre_saturation.q": 0.1}
 
 
