@@ -7,6 +7,7 @@ import numpy as np
 
 from benchmarks.blind_gap.car import PlantCar
 from benchmarks.blind_gap.drives import LEAD, make_noise, make_route
+from benchmarks.blind_gap.effects import EFFECTS, Values
 from benchmarks.blind_gap.plant import STEP, TICK, Orders, motor_speed, simulate
 from steerd.sim_gap.online.samples import Ordered, PoseSeen, Rolled, Sample
 
@@ -27,25 +28,21 @@ class Change:
     later: PlantCar
 
 
-CHANGES = {
-    "steer_gain": {"steer_gain": ("times", 0.88)},
-    "steer_bias": {"steer_bias": ("plus", 0.02)},
-    "steer_delay": {"steer_delay": ("plus", 0.04)},
-    "tyre_friction": {"mu": ("times", 0.6)},
-    "speed_scale": {"wheel_scale": ("times", 0.95)},
-    "mocap_yaw": {"marker_yaw": ("plus", 0.03)},
-    "marker_offset": {"marker_x": ("plus", 0.03)},
+CHANGES: dict[str, Values] = {
+    "steer_gain": {"gain": 0.88},
+    "steer_bias": {"bias": 0.02},
+    "steer_delay": {"delay": 0.04},
+    "tyre_friction": {"ratio": 0.6},
+    "speed_scale": {"scale": 0.95},
+    "mocap_yaw": {"offset": 0.03},
+    "marker_offset": {"forward": 0.03, "left": 0.0},
 }
-"""The seven changes: which number of the plant, and how."""
+"""The seven changes, as the blind test defines its effects on the plant."""
 
 
 def changed(car: PlantCar, name: str) -> PlantCar:
     """The car after one of `CHANGES`."""
-    values = {}
-    for field, (how, amount) in CHANGES[name].items():
-        old = getattr(car, field)
-        values[field] = old * amount if how == "times" else old + amount
-    return car._replace(**values)
+    return EFFECTS[name].apply(car, CHANGES[name])
 
 
 def drive(

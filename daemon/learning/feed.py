@@ -6,7 +6,8 @@ from typing import Any
 
 from steerd.car_model.car_file import CarFile
 from steerd.daemon.ipc.pipe_records import PipeRecord
-from steerd.daemon.learning.report import NS, make_model
+from steerd.daemon.learning.report import make_model
+from steerd.daemon.learning.reported import NS
 from steerd.daemon.learning.samples import NEEDED, Wiring, make_sample
 from steerd.sim_gap.online.base import make_learner
 from steerd.sim_gap.online.learner import Learner, State, fold

@@ -204,12 +204,14 @@ def look_closer(
             effect: Point(point.z, (*point.looks, look_again(anchor, looks[-1], effect, point.z)))
             for effect, point in points.items()
         }
-    return {
-        fit.effect: Point(
-            fit.z, tuple(look_again(anchor, seen, fit.effect, fit.z) for seen in looks)
-        )
-        for fit in worth_a_look(null, fits)
-    }
+    found = {}
+    for fit in worth_a_look(null, fits):
+        z = fit.z.copy()
+        if is_at_bound(anchor, fit):  # the form reaches too far; half of it is a car that drives
+            z[anchor.space.nuisance :] *= 0.5
+        again = tuple(look_again(anchor, seen, fit.effect, z) for seen in looks)
+        found[fit.effect] = Point(z, again)
+    return found
 
 
 def worth_a_look(null: Fit, fits: Sequence[Fit]) -> list[Fit]:

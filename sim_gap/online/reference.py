@@ -63,7 +63,7 @@ def learn_reference(
         return None
     looks = looks_of(at, times)
     n = anchor.space.nuisance
-    prior = np.linalg.inv(anchor.space.covariance[:n, :n])
+    prior = np.asarray(np.linalg.inv(anchor.space.covariance[:n, :n]), np.float64)
     informed = sum((seen.weight * seen.h[:n, :n] for seen in looks), np.zeros((n, n)))
     # The windows made the anchor: about it they pull nowhere.
     return Reference(anchor, Track(prior + informed, np.zeros(n), prior), tuple(looks))

@@ -76,7 +76,8 @@ def _added(kept: tuple[S, ...], sample: S) -> tuple[S, ...]:
     oldest = sample.t - KEPT
     if kept and kept[0].t < oldest:
         kept = tuple(dropwhile(lambda each: each.t < oldest, kept))
-    return (*kept, sample)
+    newest: tuple[S] = (sample,)
+    return kept + newest
 
 
 def take(recent: Recent, sample: Sample) -> Recent:
