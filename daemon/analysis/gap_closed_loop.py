@@ -61,6 +61,7 @@ def compare_lane(path: Path, base: CarFile, found: Values) -> LaneComparison:
     """
     session = open_session(path)
     with _planned(session) as plan:
+        _require_unchanged(session)
         rows = _recorded(session)
         recorded = _lane_drive(rows[:, :5], plan)
         x, y, yaw = (float(v) for v in rows[0, 5:])
@@ -115,6 +116,19 @@ def _options_of(session: Session) -> RunOptions:
         options, car_file="", port=None, mocap=None, simulated=True, auto_arm=True, effects=(),
         sim_car="",        duration_s=SECONDS, seed=options.seed + _SEED, record=None,
     )  # fmt: skip
+
+
+def _require_unchanged(session: Session) -> None:
+    """Refuse a drive whose live parameters were changed: simulated, it would be another drive.
+
+    Raises:
+        NotALaneDriveError: they were.
+    """
+    for topic in session.info().topics:
+        if (split_key(topic.name) or ("", ""))[1] == topics.PARAMETERS.name:
+            said = [record.decode() for record in session.messages(topic.name)]
+            if len({(p.speed, p.offset, p.gain) for p in said}) > 1:
+                raise NotALaneDriveError("its live parameters were changed while it drove")
 
 
 def _recorded(session: Session) -> Rows:

@@ -5,6 +5,8 @@ from math import nan
 import numpy as np
 import pytest
 
+from steerd.car_model.car_file import default_car_path, load_car
+from steerd.daemon.analysis.gap_closed_loop import NotALaneDriveError, compare_lane
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import make_recording
@@ -99,6 +101,11 @@ def true_offsets(session, plan, start, end):
         yaw = plan.path.yaw[i]
         found.append(-np.sin(yaw) * dx + np.cos(yaw) * dy)
     return np.array(found)
+
+
+def test_such_a_drive_is_no_measure_of_a_simulated_one(session):
+    with pytest.raises(NotALaneDriveError, match="live parameters were changed"):
+        compare_lane(session.info().path, load_car(default_car_path()), {})
 
 
 def test_the_lane_lies_beside_the_path(session):
