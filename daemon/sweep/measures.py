@@ -15,7 +15,7 @@ MEASURES = (
     Column("lane_margin", "number", "m", "what the largest error leaves to the watchdog's bound"),
     Column("steer_margin", "number", "1", "share of the wheel angle never used"),
     Column("damping", "number", "1", "least damping of the designed loop with the drawn car"),
-    Column("delay_margin", "number", "s", "dead time that the loop of the drawn car still tolerates"),
+    Column("delay_margin", "number", "s", "dead time that the drawn car's loop still tolerates"),
 )
 """Of a drive; missing where it was not driven beyond the approach."""
 _HEAD = (
