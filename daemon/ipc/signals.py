@@ -36,3 +36,13 @@ def ignore_terminal_signals() -> None:
     """For a process that ends when its pipe closes: Ctrl-C reaches the whole group."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+
+
+def raise_on_stop_signals() -> None:
+    """SIGINT and SIGTERM raise KeyboardInterrupt here, whatever this process inherited.
+
+    A shell without job control starts what is in the background with SIGINT ignored; a holder of
+    the lease that could not be interrupted would go on holding the car.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)

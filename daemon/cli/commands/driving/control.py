@@ -6,12 +6,12 @@ limits and stops the car when they are too old.
 
 import argparse
 import secrets
-import signal
 import sys
 
 from steerd.daemon.cli.bus_options import add_bus_arguments
 from steerd.daemon.cli.commands.driving.run import add_drive_arguments
 from steerd.daemon.common.errors import ExitCode
+from steerd.daemon.ipc.signals import raise_on_stop_signals
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.settings.run_options import RunOptions
     from steerd.steer_bus.clock import MonotonicClock
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    raise_on_stop_signals()
     options = RunOptions(
         args.car or "", args.name, path=args.path, speed=args.speed, rate_hz=args.rate
     )

@@ -13,7 +13,6 @@ it over: `--no-hold` is refused unless it is simulated or has no deadman.
 import argparse
 import getpass
 import secrets
-import signal
 import sys
 from collections.abc import Callable
 
@@ -26,6 +25,7 @@ from steerd.daemon.ipc.operator import (
     connect,
     read_status,
 )
+from steerd.daemon.ipc.signals import raise_on_stop_signals
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus
@@ -130,7 +130,7 @@ class _Link:
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
     # A closed terminal means that the operator has left: end at once, the deadman stops the car.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    raise_on_stop_signals()
     clock, name = MonotonicClock(), str(args.command)
     with connect(args.connect, args.lab) as bus:
         status = read_status(bus, args.name, clock)

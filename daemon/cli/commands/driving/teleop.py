@@ -12,12 +12,12 @@ steerd teleop --device /dev/input/event5 --speed-axis y
 """
 
 import argparse
-import signal
 import sys
 from pathlib import Path
 
 from steerd.daemon.cli.bus_options import add_bus_arguments
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.signals import raise_on_stop_signals
 from steerd.daemon.process.pad_map import AXES, BUTTONS, PadMap
 
 QUIET_MOST_S = 10.0
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.process.teleop_loop import serve_pad
     from steerd.steer_bus.clock import MonotonicClock
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    raise_on_stop_signals()
     pads = PadMap(
         deadman=BUTTONS[args.deadman],
         steer=args.steer_axis,

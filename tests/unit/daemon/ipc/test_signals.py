@@ -44,3 +44,31 @@ def test_a_child_lives_through_what_the_terminal_sends_to_its_group_but_can_be_e
     done = python(IGNORE)
     assert done.stdout == "alive\n"
     assert done.returncode == -signal.SIGTERM
+
+
+HOLDER = """
+import sys, time
+from steerd.daemon.ipc.signals import raise_on_stop_signals
+raise_on_stop_signals()
+print("holding", flush=True)
+try:
+    sys.stdin.read()
+except KeyboardInterrupt:
+    print("let go", flush=True)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_holder_started_in_the_background_can_be_interrupted(number):
+    """A shell without job control starts it with SIGINT ignored."""
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER], text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )  # fmt: skip
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "holding\n"
+    holder.send_signal(number)
+    out, _ = holder.communicate(timeout=60)
+    assert out == "let go\n"
+    assert holder.returncode == 0
