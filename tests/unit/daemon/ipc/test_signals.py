@@ -49,9 +49,9 @@ def test_a_child_lives_through_what_the_terminal_sends_to_its_group_but_can_be_e
 HOLDER = """
 import sys, time
 from steerd.daemon.ipc.signals import raise_on_stop_signals
-raise_on_stop_signals()
-print("holding", flush=True)
 try:
+    raise_on_stop_signals()
+    print("holding", flush=True)
     sys.stdin.read()
 except KeyboardInterrupt:
     print("let go", flush=True)
