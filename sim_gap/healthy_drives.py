@@ -150,7 +150,8 @@ def _unweighed(engine: Engine, fitted: Fitted) -> Array:
     """(W,) squared errors over noise, without what regimes are allowed beyond it."""
     known = engine.superset.knowledge
     assert known is not None  # noqa: S101 -- every teacher's superset has weak knowledge
-    return ratios(fitted) * np.array(known.excess)[np.digitize(engine.lateral, EDGES)]
+    allowed: Array = np.array(known.excess)[np.digitize(engine.lateral, EDGES)]
+    return ratios(fitted) * allowed
 
 
 def structure_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:

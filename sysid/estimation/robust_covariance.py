@@ -115,7 +115,7 @@ def inflate_each(covariance: Array, spread: Spread) -> Array:
     """The covariance with each coordinate as wide as its own scores make it, correlations kept.
 
     This is the sandwich of White (1982), coordinate by coordinate, never narrower than before.
-    With about as many coordinates as pieces, `inflate` distinguishes almost no direction from chance;
+    With about as many coordinates as pieces, `inflate` separates almost no direction from chance;
     a single coordinate's standard error is known from p pieces to one part in sqrt(2 p).
     """
     pieces = max(spread.pieces, 2.0)
