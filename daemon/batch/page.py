@@ -4,18 +4,14 @@ from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 
-from steerd.daemon.batch.changes import Change, Series, make_band, split_series
+from steerd.daemon.batch.changes import Change, Series, WorkedSessions, make_band, split_series
 from steerd.daemon.common.screen import clean
 from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_figure, to_svg
 from steerd.sysid.report.page import render_page
-
-if TYPE_CHECKING:
-    from steerd.daemon.batch.run import Batch
 
 TEMPLATE = Path(__file__).parent / "templates" / "batch.html"
 _COLUMNS, _DAY = 3, 86_400.0
@@ -24,7 +20,7 @@ _FIGURES = 30
 _FAILURES = 20
 
 
-def render_batch(found: "Batch") -> str:
+def render_batch(found: WorkedSessions) -> str:
     """The whole page."""
     first: dict[tuple[str, str], Change] = {(c.car, c.quantity): c for c in found.changes}
     ordered = sorted(found.series, key=lambda s: (s.car, s.quantity) not in first)
@@ -47,7 +43,7 @@ def render_batch(found: "Batch") -> str:
     )
 
 
-def _headline(found: "Batch") -> str:
+def _headline(found: WorkedSessions) -> str:
     """The result in a sentence."""
     clearest: dict[str, Change] = {}
     for change in found.changes:
@@ -58,7 +54,7 @@ def _headline(found: "Batch") -> str:
     return f"Changed: {', '.join(parts)}."
 
 
-def _count_cars(found: "Batch") -> list[tuple[str, int, int, str, str]]:
+def _count_cars(found: WorkedSessions) -> list[tuple[str, int, int, str, str]]:
     """Each car's sessions, failures and days."""
     counts = Counter(str(row.get("car") or "?") for row in found.rows)
     table = []

@@ -2,19 +2,15 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
-from steerd.daemon.batch.changes import Change
+from steerd.daemon.batch.changes import Change, WorkedSessions
 from steerd.daemon.common.screen import clean, wrap
-
-if TYPE_CHECKING:
-    from steerd.daemon.batch.run import Batch
 
 _FAILURES, _CHANGES = 5, 12
 """Lines of each that are shown."""
 
 
-def describe_batch(found: "Batch") -> str:
+def describe_batch(found: WorkedSessions) -> str:
     """The screen: how many, what failed, what changed."""
     rows = found.rows
     failed = [row for row in rows if row["outcome"] != "done"]
@@ -41,12 +37,12 @@ def _failure(session: str, why: str) -> str:
     return text if name in text else f"{clean(name, 40)}: {text}"
 
 
-def _verdicts(found: "Batch") -> str:
+def _verdicts(found: WorkedSessions) -> str:
     counts = Counter(clean(str(r["verdict"]), 40) for r in found.rows if r.get("verdict"))
     return ", ".join(f"{count} {text}" for text, count in counts.most_common(6))
 
 
-def _changes(found: "Batch") -> Iterator[str]:
+def _changes(found: WorkedSessions) -> Iterator[str]:
     changes = found.changes
     if not changes:
         yield f"no change that chance does not explain, in {len(found.series)} series"

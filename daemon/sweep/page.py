@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -12,13 +12,10 @@ from steerd.daemon.common.screen import clean
 from steerd.daemon.sweep.distributions import Distribution
 from steerd.daemon.sweep.measures import DRIVEN, MEASURES, STOPPED
 from steerd.daemon.sweep.plan import Choice
-from steerd.daemon.sweep.summary import STOPS, Sensitivity, Summary, column
+from steerd.daemon.sweep.summary import STOPS, Sensitivity, Summary, SweptDrives, column
 from steerd.daemon.sweep.text import SCALES, show_unit, show_value
 from steerd.sysid.report.drawing import AFTER, BEFORE, STYLE, make_figure, to_svg
 from steerd.sysid.report.page import render_page
-
-if TYPE_CHECKING:
-    from steerd.daemon.sweep.run import Sweep
 
 TEMPLATE = Path(__file__).parent / "templates" / "sweep.html"
 _COLUMNS = 3
@@ -33,7 +30,7 @@ _VALUES = 6
 _UNITS = {c.name: c.unit for c in MEASURES}
 
 
-def render_sweep(found: "Sweep") -> str:
+def render_sweep(found: SweptDrives) -> str:
     """The whole page."""
     plan, summary = found.plan, found.summary
     with rc_context({**STYLE, "axes.axisbelow": True}):
@@ -77,7 +74,7 @@ def _ends(summary: Summary) -> Iterator[list[str]]:
         yield [name, str(share.count), f"{share.value:.1%}", between]
 
 
-def _varied(found: "Sweep", name: str, choice: Choice) -> list[str]:
+def _varied(found: SweptDrives, name: str, choice: Choice) -> list[str]:
     quantity = next(q for q in found.plan.quantities if q.name == name)
     return [name, _describe(choice), quantity.unit, quantity.meaning]
 
@@ -121,7 +118,7 @@ def _label(name: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def _draw_histograms(found: "Sweep") -> str:
+def _draw_histograms(found: SweptDrives) -> str:
     """How often each measure takes which value."""
     names = [spread.name for spread in found.summary.spreads]
     if not names:
@@ -138,7 +135,7 @@ def _draw_histograms(found: "Sweep") -> str:
     return to_svg(figure, "How often each measure takes which value")
 
 
-def _draw_scatters(found: "Sweep") -> str:
+def _draw_scatters(found: SweptDrives) -> str:
     """The strongest dependences, a point for each drive."""
     varied = {q.name: q for q in found.plan.quantities}
     strong = [s for s in found.summary.sensitivities if s.shown and s.measure != STOPS]

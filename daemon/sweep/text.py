@@ -1,14 +1,10 @@
 """The screen of `steerd sweep`."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from steerd.daemon.common.screen import clean, wrap
 from steerd.daemon.sweep.measures import DRIVEN
-from steerd.daemon.sweep.summary import Spread, Summary
-
-if TYPE_CHECKING:
-    from steerd.daemon.sweep.run import Sweep
+from steerd.daemon.sweep.summary import Spread, Summary, SweptDrives
 
 SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (57.29577951308232, "deg")}
 """Unit that people read, by the SI unit: factor and name."""
@@ -26,7 +22,7 @@ def show_unit(unit: str) -> str:
     return SCALES.get(unit, (1.0, "" if unit == "1" else unit))[1]
 
 
-def describe_sweep(found: "Sweep") -> str:
+def describe_sweep(found: SweptDrives) -> str:
     """The screen: how it ended, what moved what."""
     plan, summary = found.plan, found.summary
     varied = ", ".join(plan.vary) or "nothing but the seeds"
