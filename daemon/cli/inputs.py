@@ -108,8 +108,12 @@ def _mark(action: argparse.Action, check: Check) -> None:
 
 
 def _texts(value: Any) -> Iterable[str]:
-    """The file names of an argument's value; numbers and `-` are none."""
+    """The file names of an argument's value; `-` is none, nor is anything beside a number.
+
+    A number is every K-th part, which no file may stand beside: that is for the command to refuse.
+    """
     values = value if isinstance(value, list) else [value]
     for each in values:
         parts = [str(each)] if isinstance(each, Path) else str(each or "").split(",")
-        yield from (part for part in parts if part and part != "-" and not part.isdigit())
+        if not any(part.isdigit() for part in parts):
+            yield from (part for part in parts if part and part != "-")
