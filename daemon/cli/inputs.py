@@ -48,12 +48,13 @@ def is_input(action: argparse.Action) -> bool:
 
 
 def check_inputs(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
-    """Refuse files that are not there.
+    """Refuse files that are not there, a car file first: one holds for all sessions.
 
     Raises:
         SteerdError: the first of them.
     """
-    for action in list_actions(parser):
+    actions = list_actions(parser)
+    for action in sorted(actions, key=lambda a: getattr(a, "find_missing", 0) != _find_missing_car):
         check: Check | None = getattr(action, "find_missing", None)
         for text in _texts(getattr(args, action.dest, None)) if check else ():
             error = check(text) if check else None
@@ -108,12 +109,15 @@ def _mark(action: argparse.Action, check: Check) -> None:
 
 
 def _texts(value: Any) -> Iterable[str]:
-    """The file names of an argument's value; `-` is none, nor is anything beside a number.
+    """The file names of an argument's values; `-` is none, nor is anything beside a number.
 
     A number is every K-th part, which no file may stand beside: that is for the command to refuse.
     """
     values = value if isinstance(value, list) else [value]
-    for each in values:
-        parts = [str(each)] if isinstance(each, Path) else str(each or "").split(",")
-        if not any(part.isdigit() for part in parts):
-            yield from (part for part in parts if part and part != "-")
+    parts = [
+        part
+        for each in values
+        for part in ([str(each)] if isinstance(each, Path) else str(each or "").split(","))
+    ]
+    numbered = any(part.removeprefix("-").isdigit() for part in parts)
+    return () if numbered else (part for part in parts if part and part != "-")

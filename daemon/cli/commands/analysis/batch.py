@@ -2,7 +2,7 @@
 
 steerd batch summarise drives/ -o drives.parquet --page drives.html
 steerd batch identify 'lab/*/2026-1*.mcap' --cars cars/ -o cars.parquet
-steerd batch diagnose drives/ --cars cars/ -o gaps.parquet --dask tcp://host:8786
+steerd batch diagnose drives/ --cars cars/ -o gap.parquet --dask tcp://host:8786
 
 Cars are distinguished by the names in their sessions; --cars names a folder
 with NAME.toml for each. The page shows each quantity over weeks, and since
