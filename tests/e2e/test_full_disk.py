@@ -147,6 +147,7 @@ def test_a_diagnosis_is_told_before_it_is_written(
         "-o": "better.toml",
     }  # fmt: skip
     session, out = tmp_path / "drive.mcap", tmp_path / "out"
+    session.touch()
     out.mkdir()
     options = [word for flag, name in names.items() for word in (flag, str(out / name))]
     full(size)

@@ -17,7 +17,7 @@ def _size(ops: Ops[T], z: T) -> T:
 
 
 def saturated(ops: Ops[T], force: T, z: T, q: T, early: T | float = 0.0) -> T:
-    """`force / sqrt(1 + early |z| + q z^2)`: the linear force levels off at `mu Fz / sqrt(q)`.
+    """`force / sqrt(1 + q (z^2 + early |z|))`: the linear force levels off at `mu Fz / sqrt(q)`.
 
     `z = C_S slip` is the linear force per friction limit. Like tanh(sqrt(q) z) / sqrt(q) it has one
     parameter, slope 1 at zero slip and a plateau, but it is analytic in `q` at 0, where it is the
@@ -25,8 +25,8 @@ def saturated(ops: Ops[T], force: T, z: T, q: T, early: T | float = 0.0) -> T:
 
     A brush tyre slides at the rear edge of its contact patch from the first slip on, so that the
     slope at zero is larger than any secant (Pacejka, Tire and Vehicle Dynamics, section 3.2): that
-    is `early`, 1.1 for brushes that slide as a whole at 0.6 mu Fz.
+    is `early`, 0.5 (with q 1.7) for brushes that slide as a whole at 0.6 mu Fz.
     """
-    bend = early * _size(ops, z) + q * z * z
+    bend = q * (z * z + early * _size(ops, z))
     level: T = force / ops.sqrt(ops.maximum(1.0 + bend, _FLOOR))
     return level

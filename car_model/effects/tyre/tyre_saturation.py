@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from steerd.car_model.chassis import Axles
-from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Stage
+from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Role, Stage
 from steerd.car_model.effects.tyre._saturation import saturated
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
@@ -30,13 +30,13 @@ EFFECT = Effect(
     stage=Stage.FORCES,
     family="tyre",
     summary="tyre forces level off at large slip",
-    equation="F = mu Fz z / sqrt(1 + early |z| + q z^2), z = C_S slip",
+    equation="F = mu Fz z / sqrt(1 + q (z^2 + early |z|)), z = C_S slip",
     parameters=(
         EffectParameter(
             "q", 0.0, 0.0, 12.0, "1", 1.0, "1: plateau at mu Fz; 4: at half of it; 0: never"
         ),
         EffectParameter(
-            "early", 0.0, -1.0, 3.0, "1", 0.5, "1.1: brushes that slide at 0.6 mu Fz; 0: none"
+            "early", 0.0, 0.0, 4.0, "1", 0.5, "0.5: brushes; 0: straight at first", role=Role.FORM
         ),
     ),
     least_size=0.2,

@@ -90,9 +90,9 @@ def test_saturation_that_begins_early_is_a_brush_tyre() -> None:
     for z in (0.02, 0.1, 0.3, 0.6, 1.0, 1.5):
         s = z / (3.0 * slides)
         brush = limit * z * (1.0 - s + s * s / 3.0)
-        ours = tyres("tyre_saturation", (1.656, 0.822), Axles(z / CAR.c_sf, 0.0)).front
+        ours = tyres("tyre_saturation", (1.656, 0.496), Axles(z / CAR.c_sf, 0.0)).front
         assert ours == pytest.approx(brush, rel=0.04)
-    small = tyres("tyre_saturation", (1.656, 0.822), Axles(1e-4, 0.0)).front
+    small = tyres("tyre_saturation", (1.656, 0.496), Axles(1e-4, 0.0)).front
     assert small == pytest.approx(limit * CAR.c_sf * 1e-4, rel=1e-3)
 
 

@@ -42,9 +42,11 @@ def test_a_session_is_never_written_over(argv, name, session, tmp_path, capsys):
     ("name", "code", "text"),
     [("", 3, "that is a folder"), ("none/car.toml", 3, "there is no folder")],
 )
-def test_what_cannot_be_written_is_reported_before_the_work(name, code, text, tmp_path, capsys):
-    argv = ["identify", str(tmp_path / "none.mcap"), "-o", str(tmp_path / name)]
-    assert run_cli(argv) == code, "only the work itself would find the session missing"
+def test_what_cannot_be_written_is_reported_before_the_work(
+    name, code, text, session, tmp_path, capsys
+):
+    argv = ["identify", str(session), "-o", str(tmp_path / name)]
+    assert run_cli(argv) == code, "only the work itself would find the session cut short"
     assert text in capsys.readouterr().err
 
 
