@@ -21,7 +21,7 @@ from batch_drives import DAY, FIRST, Hidden, make_fleet
 from steerd.daemon.batch.run import Batch, run_batch
 from steerd.daemon.batch.sources import Question
 from steerd.daemon.batch.unit import day_of
-from steerd.daemon.work.units import Where
+from steerd.daemon.jobs.units import Where
 
 HIDDEN = (
     Hidden("car3", "steer_bias", 11, 0.02),

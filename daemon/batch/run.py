@@ -18,12 +18,12 @@ from steerd.daemon.batch.sources import (
 from steerd.daemon.batch.unit import day_of, run_unit
 from steerd.daemon.common.outputs import check_outputs
 from steerd.daemon.common.written import write_outputs
-from steerd.daemon.work.journal import Row, journal_path, open_journal
-from steerd.daemon.work.units import Where, run_units
+from steerd.daemon.jobs.journal import Row, journal_path, open_journal
+from steerd.daemon.jobs.units import Where, run_units
 
 if TYPE_CHECKING:
     from steerd.daemon.batch.changes import Change, Series
-    from steerd.daemon.work.tables import Column
+    from steerd.daemon.jobs.tables import Column
 
 DONE, FAILED = "done", "failed"
 _HEAD = ("session", "car", "day", "start", "outcome", "failure", "tries")
@@ -59,7 +59,7 @@ class Batch:
     @property
     def columns(self) -> "Sequence[Column]":
         """The columns of the table."""
-        from steerd.daemon.work.tables import Column
+        from steerd.daemon.jobs.tables import Column
 
         names = [*_HEAD, *sorted({name for row in self.rows for name in row} - {*_HEAD})]
         return [
@@ -89,7 +89,7 @@ class Batch:
 
     def encode_table(self) -> bytes:
         """The rows as a Parquet file."""
-        from steerd.daemon.work.tables import encode_table
+        from steerd.daemon.jobs.tables import encode_table
 
         return encode_table(self.columns, self.rows, {"steerd.batch": self.kind})
 
@@ -99,10 +99,9 @@ class Batch:
         Raises:
             SteerdError: it cannot be written there.
         """
-        path = Path(path)
-        check_outputs({"save_table": path})
-        write_outputs({path: self.encode_table()})
-        return path
+        from steerd.daemon.jobs.tables import save_table
+
+        return save_table(Path(path), self.encode_table)
 
     def render_report(self) -> str:
         """The page: quantities over weeks with their bands, and the days of changes."""

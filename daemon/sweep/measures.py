@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
+from steerd.daemon.jobs.tables import Column
 from steerd.daemon.sweep.quantities import Quantity
-from steerd.daemon.work.tables import Column
 
 MEASURES = (
     Column("e1_rms", "number", "m", "lateral error as estimated, RMS after the approach"),

@@ -11,15 +11,15 @@ from steerd.daemon.analysis.sources import CarSource, read_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.outputs import check_outputs
 from steerd.daemon.common.written import write_outputs
+from steerd.daemon.jobs.journal import Row, journal_path, open_journal
+from steerd.daemon.jobs.units import Where, run_units
 from steerd.daemon.sweep.drive import Task, run_case
 from steerd.daemon.sweep.measures import FAILED, list_columns
 from steerd.daemon.sweep.plan import SweepPlan, list_cases, make_sweep_plan
-from steerd.daemon.work.journal import Row, journal_path, open_journal
-from steerd.daemon.work.units import Where, run_units
 
 if TYPE_CHECKING:
+    from steerd.daemon.jobs.tables import Column
     from steerd.daemon.sweep.summary import Summary
-    from steerd.daemon.work.tables import Column
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Sweep:
 
     def encode_table(self) -> bytes:
         """The rows as a Parquet file; the same sweep gives the same bytes."""
-        from steerd.daemon.work.tables import encode_table
+        from steerd.daemon.jobs.tables import encode_table
 
         return encode_table(self.columns, self.rows, {"steerd.sweep": self.plan.digest()})
 
@@ -64,10 +64,9 @@ class Sweep:
         Raises:
             SteerdError: it cannot be written there.
         """
-        path = Path(path)
-        check_outputs({"save_table": path})
-        write_outputs({path: self.encode_table()})
-        return path
+        from steerd.daemon.jobs.tables import save_table
+
+        return save_table(Path(path), self.encode_table)
 
     def render_report(self) -> str:
         """The page: distributions, stops, sensitivity of each to each."""

@@ -4,8 +4,6 @@ from steerd.car_model.ops import Ops, T
 
 _FLOOR = 0.25
 """Keeps the square root real where a fit tries tyres that stiffen: at most twice the force."""
-
-
 _ROUND = 0.05
 """Rounds off the corner of `|z|` at zero."""
 

@@ -49,8 +49,8 @@ def run(args: argparse.Namespace) -> int:
     """
     from steerd.daemon.batch.sources import Question, find_batch, read_cars
     from steerd.daemon.common.outputs import check_outputs
-    from steerd.daemon.work.journal import going_on
-    from steerd.daemon.work.units import Where
+    from steerd.daemon.jobs.journal import going_on
+    from steerd.daemon.jobs.units import Where
 
     check_outputs({"-o": args.output, "--page": args.page})
     paths, where = find_batch(args.sessions), Where(args.jobs, args.dask)

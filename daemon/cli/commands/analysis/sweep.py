@@ -99,9 +99,9 @@ def _read_plan(file: Path) -> "SweepPlan":
 def _run_all(plan: "SweepPlan", args: argparse.Namespace) -> int:
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.written import write_outputs
+    from steerd.daemon.jobs.journal import going_on
+    from steerd.daemon.jobs.units import Where
     from steerd.daemon.sweep.run import finish_sweep, run_sweep
-    from steerd.daemon.work.journal import going_on
-    from steerd.daemon.work.units import Where
 
     where = Where(args.jobs)
     with show_progress("driving", float(plan.count)) as advance, going_on(args.output):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.work.units import TRIES, Where, describe_failure, run_units
+from steerd.daemon.jobs.units import TRIES, Where, describe_failure, run_units
 
 
 def work(about):
@@ -102,7 +102,7 @@ def test_a_cluster_gives_the_same_results_and_survives_a_worker(cluster, tmp_pat
 @pytest.mark.filterwarnings("ignore")
 def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="the extra dask is not installed")
-    monkeypatch.setattr("steerd.daemon.work.units._ANSWER", "200ms")
+    monkeypatch.setattr("steerd.daemon.jobs.units._ANSWER", "200ms")
     with pytest.raises(SteerdError, match=r"--dask tcp://127\.0\.0\.1:9") as caught:
         run(tmp_path, Where(dask="tcp://127.0.0.1:9"), "good")
     assert caught.value.code is ExitCode.UNREACHABLE

@@ -4,7 +4,7 @@ import math
 
 import polars
 
-from steerd.daemon.work.tables import Column, encode_table, read_table
+from steerd.daemon.jobs.tables import Column, encode_table, read_table
 
 COLUMNS = (
     Column("speed", "number", "m/s", "how fast"),

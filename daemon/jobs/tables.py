@@ -5,12 +5,15 @@ columns are small and one can be read without the others.
 """
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import pyarrow as pa  # noqa: TID251
 from pyarrow import parquet  # noqa: TID251
+
+from steerd.daemon.common.outputs import check_outputs
+from steerd.daemon.common.written import write_outputs
 
 Kind = Literal["number", "count", "text", "truth"]
 _TYPES = {"number": pa.float64(), "count": pa.int64(), "text": pa.string(), "truth": pa.bool_()}
@@ -67,3 +70,14 @@ def read_table(path: Path) -> list[dict[str, Any]]:
     """
     rows: list[dict[str, Any]] = parquet.read_table(path).to_pylist()
     return rows
+
+
+def save_table(path: Path, encode: Callable[[], bytes]) -> Path:
+    """Write a table whole or not at all, looked at before it is encoded; its path.
+
+    Raises:
+        SteerdError: it cannot be written there.
+    """
+    check_outputs({"save_table": path})
+    write_outputs({path: encode()})
+    return path

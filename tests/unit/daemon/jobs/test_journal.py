@@ -5,7 +5,7 @@ import json
 import pytest
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.work.journal import going_on, journal_path, open_journal
+from steerd.daemon.jobs.journal import going_on, journal_path, open_journal
 
 ROWS = {"a": {"x": 0.1 + 0.2, "y": None}, "b": {"x": 1e-300, "y": "wörds"}}
 
