@@ -1,4 +1,4 @@
-"""Recorded equations as straight-line Python over floats, to print or to run.
+"""Recorded equations as straight-line Python over floats, to print or to run; or printed as C.
 
 Only what the results need is written, each operation once; what is used once is written where it
 is used, which spares the interpreter a variable. Choices become conditional expressions with the
@@ -8,7 +8,7 @@ be.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 from steerd.car_model.tape import Entry, Node, needed
@@ -28,6 +28,12 @@ _FORMS = {
     "select": "{1} if {0} > 0.0 else {2}",
     **{name: name + "({0})" for name in FUNCTIONS},
 }
+C_FORMS = _FORMS | {
+    "min": "{0} < {1} ? {0} : {1}",
+    "max": "{0} > {1} ? {0} : {1}",
+    "select": "{0} > 0.0 ? {1} : {2}",
+}
+"""The same operations in C, for `written`."""
 _DEEPEST = 12
 """Levels of parentheses: for readers, and the compiler has a limit of its own."""
 
@@ -39,7 +45,7 @@ class Text(NamedTuple):
     results: list[str]
 
 
-def written(outputs: Sequence[Node]) -> Text:
+def written(outputs: Sequence[Node], forms: Mapping[str, str] = _FORMS) -> Text:
     """The program for some outputs; inputs keep their names, others are called `v<number>`."""
     places = needed(outputs)
     entries = outputs[0].tape.entries if outputs else []
@@ -47,11 +53,11 @@ def written(outputs: Sequence[Node]) -> Text:
     for place in places:
         entry = entries[place]
         for at, argument in enumerate(entry.args):
-            uses[argument] += _FORMS[entry.op].count(f"{{{at}}}")
+            uses[argument] += forms[entry.op].count(f"{{{at}}}")
     statements: list[str] = []
     texts: dict[int, tuple[str, int]] = {}
     for place in places:
-        text, depth = _expression(entries[place], texts)
+        text, depth = _expression(entries[place], texts, forms)
         if depth and (uses[place] > 1 or depth > _DEEPEST):
             name = f"v{place}"
             statements.append(f"{name} = {text}")
@@ -60,12 +66,14 @@ def written(outputs: Sequence[Node]) -> Text:
     return Text(statements, [texts[node.place][0] for node in outputs])
 
 
-def _expression(entry: Entry, texts: dict[int, tuple[str, int]]) -> tuple[str, int]:
+def _expression(
+    entry: Entry, texts: dict[int, tuple[str, int]], forms: Mapping[str, str]
+) -> tuple[str, int]:
     """An operation with its operands written in, and how deeply it nests."""
     if not entry.args:
         return (f"({entry.name})" if entry.name.startswith("-") else entry.name), 0
     inner = [texts[argument] for argument in entry.args]
-    return _FORMS[entry.op].format(*(text for text, _ in inner)), 1 + max(d for _, d in inner)
+    return forms[entry.op].format(*(text for text, _ in inner)), 1 + max(d for _, d in inner)
 
 
 def compiled(inputs: Sequence[Node], outputs: Sequence[Node]) -> Callable[..., tuple[float, ...]]:

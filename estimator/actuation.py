@@ -14,7 +14,7 @@ from steerd.car_model.actuators import actuate, references
 from steerd.car_model.params import Car
 from steerd.car_model.state import Command, State
 from steerd.car_model.straight_line import compiled
-from steerd.car_model.tape import TAPE, Tape, gradient
+from steerd.car_model.tape import TAPE, Node, Tape, apply, gradient
 
 NS = 1_000_000_000
 SECONDS = 1e-9
@@ -90,34 +90,26 @@ def drive(
     steer_late, drive_late = dead_times(car)
     turn = bisect_right(times, start_ns - steer_late)
     push = bisect_right(times, start_ns - drive_late)
-    turned, gained, steered = 0.0, 0.0, False
-    now, by_steer, by_speed, turned_by_steer = steer, 1.0, 1.0, 0.0
-    begin = start_ns
+    so_far: tuple[float, ...] = (steer, 0.0, 0.0, 1.0, 1.0, 0.0)
+    begin, steered = start_ns, False
     while begin < end_ns:
         next_turn = times[turn] + steer_late if turn < known else _NEVER_NS
         next_push = times[push] + drive_late if push < known else _NEVER_NS
         end = min(next_turn, next_push, end_ns)
-        h = (end - begin) * SECONDS
         steering = history.commands[turn - 1] if turn else None
         driving = history.commands[push - 1] if push else None
-        after, accel, after_by_steer, accel_by_speed = piece(
-            steering.steer if steering else 0.0,
-            driving.speed if driving else 0.0,
-            now,
-            speed + gained,
-            h,
-        )
-        if steering is None:
-            after, after_by_steer = now, 1.0
-        if driving is None:
-            accel, accel_by_speed = 0.0, 0.0
-        turned += 0.5 * h * (now + after)
-        turned_by_steer += 0.5 * h * by_steer * (1.0 + after_by_steer)
-        gained += h * accel
-        by_speed *= 1.0 + h * accel_by_speed
-        now, by_steer = after, by_steer * after_by_steer
         steered = steering is not None
+        so_far = piece(
+            steering.steer if steering else 0.0,
+            float(steered),
+            driving.speed if driving else 0.0,
+            float(driving is not None),
+            speed,
+            (end - begin) * SECONDS,
+            *so_far,
+        )
         turn, push, begin = turn + (next_turn == end), push + (next_push == end), end
+    now, turned, gained, by_steer, by_speed, turned_by_steer = so_far
     span = (end_ns - start_ns) * SECONDS
     return ActuatorMotion(
         steer=now,
@@ -130,19 +122,46 @@ def drive(
     )
 
 
+GIVEN = ("steer_cmd", "steered", "speed_cmd", "driven", "speed", "h")
+"""What a piece of an interval is given: orders, 1 or 0 for whether they were given, the speed at
+the interval's beginning, and how long the piece is."""
+SO_FAR = ("steer", "turned", "gained", "by_steer", "by_speed", "turned_by_steer")
+"""What goes from piece to piece: angle, its integral, speed gained, and their derivatives."""
+
+
+def recorded_piece(tape: Tape, car: Car[Node]) -> tuple[list[Node], list[Node]]:
+    """`actuate` over a piece of an interval without a change of order, and its derivatives.
+
+    Returns:
+        The inputs, `GIVEN` and then `SO_FAR`, and the outputs: `SO_FAR` after the piece.
+    """
+    inputs = [tape.symbol(name) for name in (*GIVEN, *SO_FAR)]
+    steer_cmd, steered, speed_cmd, driven, speed, h = inputs[: len(GIVEN)]
+    steer, turned, gained, by_steer, by_speed, turned_by_steer = inputs[len(GIVEN) :]
+    fast = speed + gained
+    still: State[Any] = State(*map(tape.constant, [0.0] * 7))
+    now = still._replace(speed=fast, steer=steer)
+    ref = references(TAPE, car, Command(steer_cmd, speed_cmd))
+    out = actuate(TAPE, car, now, ref, cast("float", h))
+    (after_by_steer,) = gradient([(out.steer, 1.0)], [steer])
+    (accel_by_speed,) = gradient([(out.accel, 1.0)], [fast])
+    after = apply("select", steered, out.steer, steer)
+    after_by_steer = apply("select", steered, after_by_steer, 1.0)
+    accel = apply("select", driven, out.accel, 0.0)
+    accel_by_speed = apply("select", driven, accel_by_speed, 0.0)
+    half = 0.5 * h
+    return inputs, [
+        after,
+        turned + half * (steer + after),
+        gained + h * accel,
+        by_steer * after_by_steer,
+        by_speed * (1.0 + h * accel_by_speed),
+        turned_by_steer + half * by_steer * (1.0 + after_by_steer),
+    ]
+
+
 @lru_cache(maxsize=32)
 def _piece(car: Car[float]) -> Callable[..., tuple[float, ...]]:
-    """`actuate` of this car and its derivatives, recorded and compiled.
-
-    (commanded steer and speed, steer, speed, h) -> steer after, acceleration, their derivatives by
-    the steer and the speed before.
-    """
+    """A piece of an interval for this car, recorded and compiled."""
     tape = Tape()
-    inputs = [tape.symbol(name) for name in ("steer_cmd", "speed_cmd", "steer", "speed", "h")]
-    steer_cmd, speed_cmd, steer, speed, h = inputs
-    own: Car[Any] = Car(*map(tape.constant, car))
-    now: State[Any] = State(*map(tape.constant, [0.0] * 7))._replace(speed=speed, steer=steer)
-    command: Command[Any] = Command(steer_cmd, speed_cmd)
-    out = actuate(TAPE, own, now, references(TAPE, own, command), cast("float", h))
-    slopes = (*gradient([(out.steer, 1.0)], [steer]), *gradient([(out.accel, 1.0)], [speed]))
-    return compiled(inputs, [*out, *slopes])
+    return compiled(*recorded_piece(tape, Car(*map(tape.constant, car))))

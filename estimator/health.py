@@ -91,10 +91,12 @@ def count_measurement(tally: Tally, kind: Kind, t_ns: int, nis: float, believed:
 
 
 def make_health(
-    belief: Belief, t_ns: int, before: Tally, now: Tally, untimely: int
+    belief: Belief, sound: bool, t_ns: int, before: Tally, now: Tally, untimely: int
 ) -> FilterHealth:
-    """Health at `t_ns`, with the totals at the beginning of the window and now."""
-    sound = is_sound(belief)
+    """Health at `t_ns`, with the totals at the beginning of the window and now.
+
+    `sound` is what `is_sound` says of the belief.
+    """
     covariance = belief.covariance
     return FilterHealth(
         sound=sound,

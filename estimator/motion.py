@@ -17,11 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from steerd.car_model.chassis import SPEED_DYNAMIC, derivative
+from steerd.car_model.ops import FLOAT, Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import State
 from steerd.car_model.straight_line import compiled
-from steerd.car_model.tape import TAPE, Tape, jacobian
+from steerd.car_model.tape import TAPE, Node, Tape, jacobian
 from steerd.estimator.actuation import SECONDS, ActuatorMotion, History, drive
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.kalman import Array, Belief, Kalman
@@ -48,20 +49,29 @@ class Propagation(NamedTuple):
     """(7, 7): covariance that entered during it, `Q`."""
 
 
+def slip_density(ops: Ops[T], lateral: T, speed: T) -> T:
+    """Spectral density of the slip angle's unmodelled rate, from that of the lateral acceleration.
+
+    A lateral acceleration turns the velocity by `a / v`; below `SPEED_DYNAMIC` the tyres no longer
+    decide, and the divisor stays there.
+    """
+    slip = lateral / ops.maximum(ops.absolute(speed), SPEED_DYNAMIC)
+    density: T = slip * slip
+    return density
+
+
 def noise_density(config: FilterConfig, speed: float, *, steered: bool = True) -> list[float]:
     """Spectral densities of the states' unmodelled rates (7,), squared units per second.
 
-    A lateral acceleration turns the velocity by `a / v`; below `SPEED_DYNAMIC` the tyres no longer
-    decide, and the divisor stays there. A servo that nothing drives stays where it is.
+    A servo that nothing drives stays where it is.
     """
-    slip = config.lateral_accel_density / max(abs(speed), SPEED_DYNAMIC)
     return [
         config.position_density**2,
         config.position_density**2,
         config.yaw_density**2,
         config.longitudinal_accel_density**2,
         config.yaw_accel_density**2,
-        slip * slip,
+        slip_density(FLOAT, config.lateral_accel_density, speed),
         config.steer_rate_density**2 if steered else 0.0,
     ]
 
@@ -139,23 +149,27 @@ def process_noise(transition: Rows, density: Sequence[Any], h: Any) -> Rows:
     return [[entry(max(i, j), min(i, j)) for j in range(SIZE)] for i in range(SIZE)]
 
 
-@lru_cache(maxsize=32)
-def _program(car: Car[float]) -> Callable[..., tuple[float, ...]]:
-    """(state, driven, density, h) -> mean, transition and noise in rows, for this car."""
-    tape = Tape()
+def recorded_step(tape: Tape, car: Car[Node]) -> tuple[list[Node], list[Node]]:
+    """One step: (state, driven, density, h) -> mean, transition and noise, in rows."""
     sides = [f"driven_{name}" for name in ActuatorMotion._fields[:-1]]
     names = (*State._fields, *sides, *(f"density_{i}" for i in range(SIZE)), "h")
     inputs = [tape.symbol(name) for name in names]
     state: State[Any] = State(*inputs[:SIZE])
     driven: Any = ActuatorMotion._make([*inputs[SIZE : -SIZE - 1], None])
     density, h = inputs[-SIZE - 1 : -1], inputs[-1]
-    fixed: Car[Any] = Car(*map(tape.constant, car))
     along = (*state[:-1], driven.wheel, driven.accel)
-    rates = derivative(SINGLE_TRACK, TAPE, fixed, state, *along[-2:])
+    rates = derivative(SINGLE_TRACK, TAPE, car, state, *along[-2:])
     mean, transition = implicit_step(rates, jacobian(rates, along), state, driven, h)
     noise = process_noise(transition, density, h)
     rows = (number for matrix in (transition, noise) for row in matrix for number in row)
-    return compiled(inputs, [tape.node(number) for number in (*mean, *rows)])
+    return inputs, [tape.node(number) for number in (*mean, *rows)]
+
+
+@lru_cache(maxsize=32)
+def _program(car: Car[float]) -> Callable[..., tuple[float, ...]]:
+    """A step for this car, recorded and compiled."""
+    tape = Tape()
+    return compiled(*recorded_step(tape, Car(*map(tape.constant, car))))
 
 
 def propagate(

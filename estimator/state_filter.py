@@ -30,10 +30,19 @@ from steerd.estimator.actuation import (
     drop_older,
 )
 from steerd.estimator.config import HEALTH_WINDOW_S, FilterConfig
-from steerd.estimator.health import Count, FilterHealth, Tally, count_measurement, make_health
+from steerd.estimator.health import (
+    Count,
+    FilterHealth,
+    Tally,
+    count_measurement,
+    is_sound,
+    make_health,
+)
 from steerd.estimator.initial import LONGEST_S, initial_belief
-from steerd.estimator.kalman import Array, Belief, Kalman
+from steerd.estimator.kalman import Array, Belief, Fused, Kalman
 from steerd.estimator.motion import SIZE, predict_belief
+from steerd.estimator.native.choice import make_kernel
+from steerd.estimator.native.kernel import Kernel
 from steerd.estimator.sensors import Kind, Measurement, Sensor, make_sensors, residual
 
 FUTURE_NS = 2_000_000
@@ -74,6 +83,8 @@ class StateFilter:
     config: FilterConfig
     kalman: Kalman
     sensors: Mapping[Kind, Sensor]
+    kernel: Kernel | None = None
+    """The same in machine code, bit for bit; without it, Python computes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,13 +114,23 @@ motion over a time, and a lag of zero leaves it none.
 """
 
 
-def make_state_filter(car: Car[float], config: FilterConfig | None = None) -> StateFilter:
-    """A filter for a car; shorter lags than it can believe are taken for the shortest."""
+def make_state_filter(
+    car: Car[float], config: FilterConfig | None = None, *, native: bool = False
+) -> StateFilter:
+    """A filter for a car; shorter lags than it can believe are taken for the shortest.
+
+    Args:
+        car: the car's parameters.
+        config: noise and gates.
+        native: in machine code where there is any; the numbers are the same.
+    """
     config = config or FilterConfig()
     car = car._replace(
         steer_lag=max(car.steer_lag, STEER_LAG_MIN), speed_lag=max(car.speed_lag, SPEED_LAG_MIN)
     )
-    return StateFilter(car, config, Kalman(SIZE), make_sensors(car, config))
+    sensors = make_sensors(car, config)
+    kernel = make_kernel(car, config, sensors) if native else None
+    return StateFilter(car, config, Kalman(SIZE), sensors, kernel)
 
 
 def step(
@@ -173,9 +194,9 @@ def predict_to(flt: StateFilter, state: FilterState, t_ns: int) -> StateEstimate
     if last < 0:
         return None
     node = nodes[last]
-    belief = _predict(flt, state.history, node.belief, _time(node), t_ns)
+    belief, sound = _look_ahead(flt, state.history, node, t_ns)
     begin = max(bisect_right(nodes, t_ns - round(HEALTH_WINDOW_S * NS), key=_time) - 1, 0)
-    health = make_health(belief, t_ns, nodes[begin].tally, node.tally, state.untimely)
+    health = make_health(belief, sound, t_ns, nodes[begin].tally, node.tally, state.untimely)
     variance = np.diagonal(belief.covariance)
     sds = [math.sqrt(v) if v >= 0.0 else math.nan for v in variance.tolist()]
     return StateEstimate(t_ns, State(*belief.mean.tolist()), State(*sds), belief.covariance, health)
@@ -209,11 +230,45 @@ def _fuse(
     if fresh:
         keep = min(keep, bisect_left(nodes, fresh[0], key=_measurement))
     keep = max(keep, 1)
-    chain = list(nodes[:keep])
-    for measurement in sorted([*fresh, *(node.measurement for node in nodes[keep:])]):
-        if measurement != chain[-1].measurement:
-            chain.append(_next(flt, history, chain[-1], measurement))
-    return tuple(chain)
+    root, later = nodes[keep - 1], sorted([*fresh, *(node.measurement for node in nodes[keep:])])
+    before = [root.measurement, *later]
+    chain = [m for m, last in zip(later, before, strict=False) if m != last]
+    return (*nodes[:keep], *_follow(flt, history, root, chain))
+
+
+def _follow(
+    flt: StateFilter, history: History, node: Node, chain: Sequence[Measurement]
+) -> list[Node]:
+    """The nodes after `node` for a chain of measurements."""
+    if flt.kernel is not None and all(map(_plausible, chain)):
+        found = flt.kernel.fuse(history, node.belief, _time(node), chain)
+        if found is not None:
+            return _nodes(node.tally, chain, found)
+    nodes = [node]
+    for measurement in chain:
+        nodes.append(_next(flt, history, nodes[-1], measurement))
+    return nodes[1:]
+
+
+def _nodes(
+    tally: Tally, chain: Sequence[Measurement], found: Sequence[tuple[Fused, bool]]
+) -> list[Node]:
+    """Nodes of what the machine code found."""
+    nodes = []
+    for measurement, ((belief, innovation, nis), believed) in zip(chain, found, strict=True):
+        tally = count_measurement(tally, measurement.kind, measurement.t_ns, nis, believed)
+        nodes.append(Node(measurement, belief, innovation, nis, believed, tally))
+    return nodes
+
+
+def _look_ahead(flt: StateFilter, history: History, node: Node, t_ns: int) -> tuple[Belief, bool]:
+    """The belief at `t_ns`, and whether it is sound."""
+    if flt.kernel is not None:
+        found = flt.kernel.predict(history, node.belief, _time(node), t_ns)
+        if found is not None:
+            return found
+    belief = _predict(flt, history, node.belief, _time(node), t_ns)
+    return belief, is_sound(belief)
 
 
 def _next(flt: StateFilter, history: History, node: Node, measurement: Measurement) -> Node:

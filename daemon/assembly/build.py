@@ -19,6 +19,7 @@ from steerd.daemon.ipc.outbox import Outbox, Sink
 from steerd.daemon.loop.plans import Drill, PlanError, parse_drill
 from steerd.daemon.settings.config import Settings, load_settings
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
+from steerd.estimator.native.build import build_library
 from steerd.sim_hw.mocap.mocap_config import MocapConfig
 from steerd.sim_hw.vesc.vesc_config import VescConfig
 from steerd.sim_hw.world import WorldConfig
@@ -175,6 +176,7 @@ def make_plan(
         plan = RunPlan(options, add_drill_fence(settings, drill), path, drill)
     if design:
         _ = plan.controller
+    build_library()
     return plan
 
 

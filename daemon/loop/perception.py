@@ -50,7 +50,7 @@ class Perception:
     def __init__(
         self, car: Car[float], config: FilterConfig, thresholds: Thresholds, scaling: Scaling
     ) -> None:
-        self._filter = make_state_filter(car, config)
+        self._filter = make_state_filter(car, config, native=True)
         self._state = FilterState()
         self._thresholds = thresholds
         self._scaling = scaling
