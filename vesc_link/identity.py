@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from steerd.vesc_link.ids import CommandId, Firmware
-from steerd.vesc_link.wire import Field, device_numbers, pack_fields, unpack_fields
+from steerd.vesc_link.wire import Field, device_numbers, pack_fields, read_values, unpack_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,7 @@ def decode_appconf(payload: bytes) -> AppConf | None:
 
 def encode_appconf(reply: AppConf) -> bytes:
     """GET_APPCONF reply."""
-    numbers = {field.name: getattr(reply, field.name) for field in _APPCONF_FIELDS}
+    numbers = read_values(_APPCONF_FIELDS, reply)
     head = bytes((CommandId.GET_APPCONF,)) + pack_fields(_APPCONF_FIELDS, numbers, device_numbers)
     return head + reply.tail
 

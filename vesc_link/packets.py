@@ -21,6 +21,7 @@ from steerd.vesc_link.wire import (
     device_numbers,
     host_numbers,
     pack_fields,
+    read_values,
     unpack_fields,
 )
 
@@ -106,7 +107,7 @@ def encode_command(command: Command, firmware: Firmware = FW_7_01) -> bytes:
             know the command.
     """
     number, fields = _LAYOUTS[type(command)]
-    values = {field.name: getattr(command, field.name) for field in fields}
+    values = read_values(fields, command)
     payload = bytes((wire_id(number, firmware),)) + pack_fields(fields, values, host_numbers)
     if isinstance(command, c.TerminalCommand):
         if "\0" in command.text:
@@ -221,5 +222,4 @@ def encode_reply(reply: Reply, firmware: Firmware = FW_7_01) -> bytes:
 
 def _encode_small(reply: i.McConfTemp | i.BatteryCut | i.DecodedPpm | i.RotorPosition) -> bytes:
     number, fields = next((n, f) for n, (k, f) in i.SMALL_REPLIES.items() if isinstance(reply, k))
-    values = {field.name: getattr(reply, field.name) for field in fields}
-    return bytes((number,)) + pack_fields(fields, values, device_numbers)
+    return bytes((number,)) + pack_fields(fields, read_values(fields, reply), device_numbers)

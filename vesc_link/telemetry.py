@@ -11,7 +11,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from steerd.vesc_link.ids import FW_3_00, FW_6_05, CommandId, Firmware, fault_name
-from steerd.vesc_link.wire import Field, all_finite, device_numbers, pack_fields, unpack_fields
+from steerd.vesc_link.wire import (
+    Field,
+    all_finite,
+    device_numbers,
+    pack_fields,
+    read_values,
+    unpack_fields,
+)
 
 STANDARD_GRAVITY = 9.80665
 """[m/s^2], the firmware's g."""
@@ -344,9 +351,10 @@ def values_size(mask: int | None, firmware: Firmware) -> int:
 
 
 def _device_bytes(reply: Values | ValuesSetup | Imu | Stats, fields: tuple[Field, ...]) -> bytes:
-    numbers = {field.name: getattr(reply, field.name) or 0 for field in fields}
+    numbers = [value or 0 for value in read_values(fields, reply)]
     if isinstance(reply, Imu):
-        numbers = {name: value / _IMU_UNIT.get(name, 1.0) for name, value in numbers.items()}
+        units = (_IMU_UNIT.get(field.name, 1.0) for field in fields)
+        numbers = [value / unit for value, unit in zip(numbers, units, strict=True)]
     return pack_fields(fields, numbers, device_numbers)
 
 

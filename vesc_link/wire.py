@@ -10,7 +10,8 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from operator import attrgetter, mul
+from typing import Any, NamedTuple, cast
 
 from steerd.vesc_link.ids import ALWAYS, Firmware
 
@@ -129,43 +130,63 @@ def host_numbers(fields: Sequence[Field], values: Sequence[Number]) -> Sequence[
 
 def device_numbers(fields: Sequence[Field], values: Sequence[Number]) -> Sequence[Number]:
     """`device_number` of each field, all rounded at once."""
-    measured, scales, ranges = _device_layout(tuple(fields))
-    singles = _to_f32s([values[i] for i in measured])
-    products = _to_f32s([one * scale for one, scale in zip(singles, scales, strict=True)])
+    layout = _device_layout(tuple(fields))
+    singles = _singles(len(layout.measured))
+    try:
+        rounded = singles.unpack(singles.pack(*(values[i] for i in layout.measured)))
+    except OverflowError:
+        rounded = (math.inf,) * len(layout.measured)
+    products = _to_f32s(tuple(map(mul, rounded, layout.scales)))
     numbers = list(values)
-    for i, product in zip(measured, products, strict=True):
+    for i, product in zip(layout.measured, products, strict=True):
         numbers[i] = product
     return [
-        int(min(max(number, limits[0]), limits[1])) if limits else _flushed(number)
-        for limits, number in zip(ranges, numbers, strict=True)
+        int(number) if low <= number <= high else _saturated(code, number)
+        for number, (code, low, high) in zip(numbers, layout.ranges, strict=True)
     ]
 
 
-@lru_cache(maxsize=64)
-def _device_layout(
-    fields: tuple[Field, ...],
-) -> tuple[tuple[int, ...], tuple[float, ...], tuple[tuple[int, int] | None, ...]]:
+class _DeviceLayout(NamedTuple):
     """Which fields are measured in single precision, their scales, and what each field holds."""
+
+    measured: tuple[int, ...]
+    scales: tuple[float, ...]
+    ranges: tuple[tuple[str, float, float], ...]
+    """Code, least and most; a float has no number within its range, so that it stays one."""
+
+
+@lru_cache(maxsize=64)
+def _device_layout(fields: tuple[Field, ...]) -> _DeviceLayout:
     measured = tuple(i for i, f in enumerate(fields) if f.code == "f" or f.scale is not None)
-    scales = tuple(fields[i].scale or 1.0 for i in measured)
-    return measured, scales, tuple(None if f.code == "f" else _RANGES[f.code] for f in fields)
+    ranges = tuple((f.code, *_RANGES.get(f.code, (math.inf, -math.inf))) for f in fields)
+    return _DeviceLayout(measured, tuple(fields[i].scale or 1.0 for i in measured), ranges)
+
+
+def read_values(fields: tuple[Field, ...], record: object) -> tuple[Any, ...]:
+    """What a record holds for each field."""
+    return _reader(fields)(record)
+
+
+@lru_cache(maxsize=64)
+def _reader(fields: tuple[Field, ...]) -> Callable[[object], tuple[Any, ...]]:
+    names = [field.name for field in fields]
+    if len(names) > 1:
+        return attrgetter(*names)
+    return lambda record: tuple(getattr(record, name) for name in names)
 
 
 def pack_fields(
-    fields: tuple[Field, ...], values: Mapping[str, Number | None], rounder: Rounder
+    fields: tuple[Field, ...], values: Sequence[Number | None], rounder: Rounder
 ) -> bytes:
-    """Write fields in order.
+    """Write fields in order, one value for each.
 
     Raises:
         ValueError: a value is missing, not finite or does not fit.
     """
-    numbers: list[Number] = []
-    for field in fields:
-        value = values[field.name]
-        if value is None:
-            raise ValueError(f"{field.name} has no value; a packet is sent whole or not at all")
-        numbers.append(value)
-    return _struct(fields).pack(*rounder(fields, numbers))
+    if None in values:
+        missing = fields[values.index(None)].name
+        raise ValueError(f"{missing} has no value; a packet is sent whole or not at all")
+    return _struct(fields).pack(*rounder(fields, cast("Sequence[Number]", values)))
 
 
 @lru_cache(maxsize=64)
@@ -173,9 +194,16 @@ def _struct(fields: tuple[Field, ...]) -> struct.Struct:
     return struct.Struct(">" + "".join(f.code for f in fields))
 
 
+class _Layout(NamedTuple):
+    """Fields that lie whole within a payload: their bytes, names and scales."""
+
+    numbers: struct.Struct
+    names: tuple[str, ...]
+    scales: tuple[float | None, ...]
+
+
 @lru_cache(maxsize=64)
-def _layout(fields: tuple[Field, ...], size: int) -> tuple[struct.Struct, tuple[Field, ...]]:
-    """Compile the fields that lie whole within ``size`` bytes."""
+def _layout(fields: tuple[Field, ...], size: int) -> _Layout:
     present: list[Field] = []
     left = size
     for field in fields:
@@ -183,7 +211,8 @@ def _layout(fields: tuple[Field, ...], size: int) -> tuple[struct.Struct, tuple[
         if left < 0:
             break
         present.append(field)
-    return _struct(tuple(present)), tuple(present)
+    names = tuple(field.name for field in present)
+    return _Layout(_struct(tuple(present)), names, tuple(field.scale for field in present))
 
 
 def unpack_fields(
@@ -194,12 +223,11 @@ def unpack_fields(
     Returns:
         The values by name (fields beyond the end are absent) and the number of bytes left over.
     """
-    layout, present = _layout(fields, len(payload) - offset)
+    left = len(payload) - offset
+    layout, names, scales = _layout(fields, left)
     numbers = layout.unpack_from(payload, offset)
-    values = {
-        f.name: n if f.scale is None else n / f.scale for f, n in zip(present, numbers, strict=True)
-    }
-    return values, len(payload) - offset - layout.size
+    values = [n if s is None else n / s for n, s in zip(numbers, scales, strict=True)]
+    return dict(zip(names, values, strict=True)), left - layout.size
 
 
 def all_finite(values: Mapping[str, Number | None]) -> bool:

@@ -87,6 +87,31 @@ def test_host_parser_gives_the_same_packets_for_any_chunks(
     assert (parser.dropped_bytes, parser.crc_errors, parser.buffered) == (0, 0, 0)
 
 
+READS = st.lists(
+    st.tuples(
+        st.lists(PAYLOADS.map(encode_frame), max_size=3).map(b"".join) | SOUP,
+        st.sampled_from([1_000_000, 20_000_000, 2_000_000_000]),
+    ),
+    max_size=8,
+)
+
+
+@CHECKED
+@given(READS, st.booleans(), st.sampled_from([None, 1_000_000_000]), st.integers(100, 512))
+def test_reads_of_whole_frames_are_what_the_general_way_makes_of_them(
+    reads: list[tuple[bytes, int]], strict: bool, gap_ns: int | None, ceiling: int
+) -> None:
+    one, general = (FrameParser(strict=strict, gap_ns=gap_ns) for _ in range(2))
+    general._take_whole = lambda data, t_ns: []  # type: ignore[method-assign]
+    one.ceiling = general.ceiling = ceiling
+    t_ns = 0
+    for data, pause_ns in reads:
+        t_ns += pause_ns
+        assert one.feed_stamped(data, t_ns) == general.feed_stamped(data, t_ns)
+        for count in ("frames", "crc_errors", "dropped_bytes", "buffered"):
+            assert getattr(one, count) == getattr(general, count)
+
+
 @given(SOUP, CUTS, st.booleans(), st.lists(st.integers(0, 40_000_000), min_size=21, max_size=21))
 @CHECKED
 def test_soup_never_raises_nor_yields_a_bad_packet_nor_grows(
