@@ -151,7 +151,8 @@ def _next(
         yield f"next: steerd run --sim{sim_option} --car {written}"
         yield "      (on the car: --port and --mocap for --sim)"
         names = " ".join(outcome.sessions)
-        yield f"      steerd diagnose {names} --base {written}   (what this model still misses)"
+        yield f"      steerd diagnose {names} --base {written}"
+        yield "      (what this model still misses)"
     else:
         yield "next: repeat with -o car.toml, which writes a car file to drive with"
 

@@ -27,11 +27,12 @@ def pick_session(text: str) -> Path:
     Raises:
         SteerdError: there is none.
     """
+    from steerd.daemon.common.screen import below_home
     from steerd.daemon.sessions.catalogue import find_session
 
     path = find_session(text)
     if str(path) != text:
-        print(f"session: {path}", file=sys.stderr)
+        print(f"session: {below_home(path)}", file=sys.stderr)
     return path
 
 

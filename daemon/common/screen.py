@@ -1,8 +1,10 @@
 """Lines for a terminal: broken between words, never inside one, and free of control characters."""
 
+import re
 import shutil
 import textwrap
 from math import isfinite
+from pathlib import Path
 from typing import TextIO
 
 WIDTH = 80
@@ -44,6 +46,32 @@ def wrap(text: str, first: str = "", rest: str = "", width: int = WIDTH) -> list
         break_on_hyphens=False,
     )
     return [line.replace(NBSP, " ") for line in lines]
+
+
+def wrap_command(command: str, first: str = "", rest: str = "", width: int = WIDTH) -> list[str]:
+    """A command line to copy: broken before options, with the shell's continuation.
+
+    Args:
+        command: as it is typed.
+        first: the head of the first line.
+        rest: the indent of the others.
+        width: columns.
+    """
+    lines, line = [], ""
+    for part in re.split(r" (?=-)", command):
+        head = rest if lines else first
+        if line and len(head) + len(line) + 1 + len(part) + 2 > width:
+            lines.append(f"{head}{line} \\")
+            line = part
+        else:
+            line = f"{line} {part}" if line else part
+    return [*lines, f"{rest if lines else first}{line}"]
+
+
+def below_home(path: Path) -> str:
+    """A path as a shell takes it, from `~` on where it lies below the user's own folder."""
+    home = Path.home()
+    return f"~/{path.relative_to(home)}" if path.is_relative_to(home) else str(path)
 
 
 def join_words(text: str) -> str:

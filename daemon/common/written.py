@@ -52,7 +52,7 @@ def write_output(path: Path, text: str | bytes) -> Path | None:
 
 
 def write_outputs(texts: Mapping[Path | None, str | bytes | None]) -> None:
-    """Write every result, and name on standard error what was kept.
+    """Write every result; name on standard error what was kept, and a terminal what is written.
 
     Args:
         texts: content by file; an entry without a file or without a content is left out.
@@ -61,6 +61,7 @@ def write_outputs(texts: Mapping[Path | None, str | bytes | None]) -> None:
         SteerdError: every file that failed in one line, after the others were written.
     """
     failures: list[SteerdError] = []
+    written: list[str] = []
     for path, text in texts.items():
         if path is None or text is None:
             continue
@@ -69,8 +70,11 @@ def write_outputs(texts: Mapping[Path | None, str | bytes | None]) -> None:
         except SteerdError as error:
             failures.append(error)
             continue
+        written.append(str(path))
         if kept is not None:
             print_labelled("note: ", describe_kept(path, kept), sys.stderr)
+    if written and sys.stderr.isatty():  # after a bar that may have run for a minute
+        print_labelled("written: ", ", ".join(written), sys.stderr)
     if failures:
         what = "; ".join(failure.what for failure in failures)
         raise SteerdError(what, failures[0].hint, failures[0].code)

@@ -68,7 +68,7 @@ def make_watchdog_input(
         course=s.yaw + s.slip_angle,
         sigma_position=health.position_sd if health else nan,
         sigma_yaw=health.yaw_sd if health else nan,
-        covariance_ok=health.sound if health else False,
+        covariance_ok=health.sound if health else True,  # its sigmas are not known: W6 trips
         lateral_error=lane.e1 if lane else (0.0 if setup.ignores_lane else nan),
         heading_error=lane.e2 if lane else (0.0 if setup.ignores_lane else nan),
         steer_share=abs(steer) / side,

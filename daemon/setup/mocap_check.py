@@ -86,9 +86,14 @@ def _check_stream(m: Movement, refused: int) -> Check:
 
 def _check_distance(m: Movement, length: float) -> Check:
     extent = float(max(np.ptp(m.x), np.ptp(m.y))) if len(m.x) else 0.0
-    figure = f"distance {length:.2f} m, extent {extent:.2f} m"
-    if extent < EXTENT_MIN:
-        return Check("distance", False, figure, "push the car straight forward by about 1 m")
+    figure = f"{extent:.2f} m from end to end, {length:.2f} m of path"
+    if extent < EXTENT_MIN:  # the path of a car that stands is the noise of its poses
+        return Check(
+            "distance",
+            False,
+            f"moved by {extent:.2f} m",
+            "push the car straight forward by about 1 m",
+        )
     if extent > EXTENT_MAX or length > LAPS_MAX * (extent + 1.0):
         return Check("distance", False, figure, "millimetres taken for metres? set [mocap] units")
     return Check("distance", True, figure)

@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.assembly.session_meta import default_session_path
+from steerd.daemon.common.screen import below_home
 from steerd.daemon.terminal.dashboard import Tally
 
 
@@ -12,8 +14,11 @@ def closing_lines(plan: RunPlan, tally: Tally, session: Path) -> Iterator[str]:
     collected = plan.drill is not None
     followed = plan.drill is None or plan.drill.closed
     yield tally.describe(lane=followed)
-    yield f"session: {session}"
+    # Of a folder that nobody chose, commands find the last drive by themselves.
+    usual = session.parent == default_session_path("car", 0, 0).parent
+    name = "@last" if usual else str(session)
+    yield f"session: {below_home(session) if usual else session}"
     if collected:
-        yield f"   next: steerd identify {session} -o car.toml"
+        yield f"   next: steerd identify {name} -o car.toml"
     else:
-        yield f"   next: steerd plot {session}   (or steerd info)"
+        yield f"   next: steerd plot {name}   (or steerd info)"

@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
     from steerd.daemon.assembly.build import make_plan, make_world_config
+    from steerd.daemon.common.screen import wrap_command
     from steerd.daemon.settings.run_options import RunOptions
     from steerd.sim_hw.real_time.links import (
         SimHardware,
@@ -59,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
     with stop_on_signals() as stop, SimHardware(world, SimOptions(faults, args.link_dir)) as sim:
         print(f"VESC:  {sim.port}")
         print(f"mocap: {sim.mocap_url}")
-        print(f"\n   try: steerd run --port {sim.port} --mocap '{sim.mocap_url}'", flush=True)
+        command = f"steerd run --port {sim.port} --mocap '{sim.mocap_url}'"
+        print("", *wrap_command(command, "   try: ", " " * 10), sep="\n", flush=True)
         sim.run(stop)
     return ExitCode.OK

@@ -1,12 +1,13 @@
 """Lines for a terminal: whole words, no control characters."""
 
 import io
+import shlex
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerd.daemon.common.screen import clean, join_words, print_labelled, show, wrap
+from steerd.daemon.common.screen import clean, join_words, print_labelled, show, wrap, wrap_command
 
 
 class Terminal(io.StringIO):
@@ -21,6 +22,17 @@ def test_lines_fit_and_words_stay_whole(words, width):
     assert " ".join(lines).split() == ["head", *words]
     for line in lines:
         assert len(line) <= width or len(line.split()) <= 2
+
+
+def test_a_command_is_broken_where_a_shell_lets_it_be():
+    command = "steerd run --sim --fast --duration 20 --car late.toml --path figure8 --speed 1.8"
+    lines = wrap_command(command, "next        ", " " * 14)
+    assert all(len(line) <= 80 for line in lines)
+    assert all(line.endswith(" \\") for line in lines[:-1])
+    assert shlex.split("\n".join(lines).replace("\\\n", "")) == ["next", *shlex.split(command)], (
+        "as it was typed"
+    )
+    assert wrap_command("steerd info x.mcap", "  ") == ["  steerd info x.mcap"]
 
 
 def test_joined_words_stay_on_one_line():

@@ -1,6 +1,7 @@
 """A run with several starts: each drive passes its own launch checks."""
 
 from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.loop.findings import WATCHDOGS
 from steerd.daemon.loop.supervisor import LAUNCH_SPEED
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.offline.virtual import make_virtual_run
@@ -43,3 +44,12 @@ def test_a_second_start_is_as_slow_as_the_first():
         reach(SupervisorState.ARMED)
         run.step()
         assert not run.core.last.facts & Fact.LAUNCHED
+
+
+def test_nobody_is_advised_about_an_estimate_that_is_not_there_yet():
+    options = RunOptions(car_file="", path="line", speed=1.0, simulated=True, duration_s=1.0)
+    run = make_virtual_run(make_plan(options))
+    run.step()
+    (about,) = [finding for finding in run.core.last.findings if finding.id == "W6"]
+    assert about.text.endswith(": no estimate yet")
+    assert about.severity is WATCHDOGS["W6"].severity, "it trips all the same"

@@ -6,6 +6,7 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.assembly.session_meta import default_session_path
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.daemon.terminal.closing import closing_lines
 from steerd.daemon.terminal.dashboard import Tally
@@ -13,9 +14,9 @@ from steerd.daemon.terminal.dashboard import Tally
 TALLY = Tally(count=4, square=4e-4, worst=0.02, distance=12.0, driven_ns=6_000_000_000)
 
 
-def lines(drill):
+def lines(drill, session=Path("drive.mcap")):
     plan = make_plan(RunOptions(str(default_car_path()), drill=drill), design=False)
-    return list(closing_lines(plan, TALLY, Path("drive.mcap")))
+    return list(closing_lines(plan, TALLY, session))
 
 
 def test_a_lane_was_kept():
@@ -30,3 +31,13 @@ def test_a_plan_was_driven(drill, lane):
     summary, _, then = lines(drill)
     assert ("lateral error" in summary) is lane
     assert "steerd identify drive.mcap -o car.toml" in then
+
+
+def test_a_drive_in_the_usual_folder_is_named_in_few_words(monkeypatch):
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.delenv("XDG_DATA_HOME", raising=False)
+    monkeypatch.setenv("HOME", "/home/a_person")
+    _, where, then = lines("", default_session_path("car1", 1_700_000_000_000_000_000, 7))
+    assert where.startswith("session: ~/.local/share/steerd/sessions/2023-11-14T")
+    assert then.strip() == "next: steerd plot @last   (or steerd info)"
+    assert max(len(where), len(then)) <= 80
