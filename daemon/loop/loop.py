@@ -380,7 +380,7 @@ class Loop:
         alive = valid_command(self.remote, now_ns) is not None
         failed = [*check_vesc(self.vesc, settings.brakes), *check_flags(flags)]
         if report is None:
-            failed.append("no estimate yet: mocap must see the car for a moment, standing")
+            failed.append("an estimate: mocap must see the car for a moment, standing")
         failed += check_findings(findings)
         if report is not None and (self.setup.remote or not self.setup.ignores_lane):
             e1 = judge_both_lanes(report, self.live.now).e1
