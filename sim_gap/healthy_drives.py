@@ -22,6 +22,7 @@ from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
 from steerd.sim_gap.engine import constants as c
 from steerd.sim_gap.engine.base_fit import null_fit, open_engine
+from steerd.sim_gap.engine.dead_times import try_other_dead_times
 from steerd.sim_gap.engine.engine import Engine, Reduced
 from steerd.sim_gap.engine.knowledge import (
     EDGES,
@@ -48,6 +49,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.estimation.chart import make_chart
 from steerd.sysid.estimation.robust_covariance import Spread, inflate_each
+from steerd.sysid.estimation.taught import NOTHING, Stated
 
 Array = NDArray[np.float64]
 
@@ -67,15 +69,19 @@ Larger cars that steer more, slide more and have more inertia drive almost alike
 guess of the noise, what the model misses would decide about that scale, and the search would not
 come back: it ends 45 nats above the optimum on a car whose model is right.
 """
-MODEL_ERROR = 2.0
-"""Standard errors of `PHYSICAL` are so many times those of the fit.
+MEASURED = 5e-4
+"""The wheelbase's share where it was measured: it stays within 0.1 mm of what was stated."""
+MODEL_ERROR: dict[str, float] = {
+    "lf": 1.0, "lr": 1.0, "c_sf": 4.0, "c_sr": 2.3, "c_x": 2.0, "inertia_z": 4.5, "steer_gain": 2.0,
+}  # fmt: skip
+"""Standard errors are so many times those of the fit.
 
-What the model misses is the same in every drive, so no spread between drives shows it. On four cars
-each of three foreign simulators (seeds 9001 to 9004) errors in lengths, stiffnesses and inertia
-were 1.6 (four wheels), 1.8 (MuJoCo) and 2.5 (CommonRoad) times the fit's standard errors in the
-root mean square. `[knowledge]` keeps the fit's: a later drive of the same car misses the same.
+What the model misses is the same in every drive, so no spread between drives shows it: a servo of
+second order looks like inertia, a foreign tyre like a stiff one. Root mean square of the errors in
+the fit's standard errors on four cars each of three foreign simulators (seeds 9001 to 9004), the
+wheelbase measured; of what has no true value there, as for the others at first. `[knowledge]`
+keeps the fit's: a later drive of the same car misses the same.
 """
-PHYSICAL = ("lf", "lr", "c_sf", "c_sr", "c_x", "inertia_z", "steer_gain")
 CLEAR = 2.0
 """An effect within so many standard deviations of its null is left out of the car file."""
 _ROUNDS = 2
@@ -92,6 +98,7 @@ class Taught:
         fitted: the base there.
         noise: how large what is random is.
         nuisance: names of the base's free parameters.
+        shares: of identification's weak priors, by parameter (see `ORDINARY`).
     """
 
     superset: Superset
@@ -99,10 +106,16 @@ class Taught:
     fitted: Fitted
     noise: Noise
     nuisance: tuple[str, ...]
+    shares: Mapping[str, float]
 
 
-def teach(base: CarFile | Model[float], runs: Sequence[Run]) -> Taught:
+def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NOTHING) -> Taught:
     """Fit base and noise in turn, under weak priors about the base's values.
+
+    Args:
+        base: where it starts.
+        runs: drives without a gap.
+        stated: what keeps the base's value.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.
@@ -110,32 +123,38 @@ def teach(base: CarFile | Model[float], runs: Sequence[Run]) -> Taught:
     """
     base = replace(base, sd={}, sections={}) if isinstance(base, CarFile) else base
     superset = make_superset(base, runs)
-    nuisance = (*nuisance_names(superset, runs), *structure_names(superset, runs))
-    superset = replace(superset, knowledge=_weak(superset, nuisance, FIRST))
+    names = (*nuisance_names(superset, runs), *structure_names(superset, runs))
+    nuisance = tuple(name for name in names if not stated.holds(name))
+    length = {"lf": MEASURED} if stated.wheelbase else {}
+    superset = replace(superset, knowledge=_weak(superset, nuisance, {**FIRST, **length}))
     engine = open_engine(superset, runs)
-    return _in_turn(engine, null_fit(engine, nuisance), None, nuisance, runs)
+    shares = {**ORDINARY, **length}
+    return _in_turn(engine, null_fit(engine, nuisance), None, (nuisance, shares), runs)
 
 
 def _in_turn(
     engine: Engine,
     fitted: Fitted,
     noise: Noise | None,
-    nuisance: tuple[str, ...],
+    free: tuple[tuple[str, ...], Mapping[str, float]],
     runs: Sequence[Run],
 ) -> Taught:
-    """Noise and base, each given the other."""
+    """Noise and base, each given the other; `free` are names and their priors' shares."""
+    nuisance, shares = free
     for _ in range(_ROUNDS if noise is None else 1):
         noise = learn_noise(engine, fitted, noise)
         engine = whitened(engine, fitted, noise)
-        fitted = null_fit(engine, nuisance, fitted)
+        fitted = try_other_dead_times(engine, null_fit(engine, nuisance, fitted))
     noise = _calibrated(engine, fitted, learn_noise(engine, fitted, noise), runs)
     engine = whitened(engine, fitted, noise)
     fitted = null_fit(engine, nuisance, fitted)
     excess = _excess(engine, fitted)
-    known = replace(_weak(engine.superset, nuisance), excess=tuple(e / excess[0] for e in excess))
+    known = replace(
+        _weak(engine.superset, nuisance, shares), excess=tuple(e / excess[0] for e in excess)
+    )
     superset = replace(engine.superset, knowledge=known)
     engine = whitened(replace(engine, superset=superset), fitted, noise)
-    return Taught(superset, engine, null_fit(engine, nuisance, fitted), noise, nuisance)
+    return Taught(superset, engine, null_fit(engine, nuisance, fitted), noise, nuisance, shares)
 
 
 def _excess(engine: Engine, fitted: Fitted, should: float = 1.0) -> tuple[float, ...]:
@@ -165,9 +184,7 @@ def structure_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     )
 
 
-def _weak(
-    superset: Superset, names: Sequence[str], shares: Mapping[str, float] = ORDINARY
-) -> Knowledge:
+def _weak(superset: Superset, names: Sequence[str], shares: Mapping[str, float]) -> Knowledge:
     """Knowing next to nothing: ordinary spreads of cars of this class."""
     chart = make_chart(superset.effects, superset.base, names)
     own = [shares.get(name, 1.0) for name in chart.free]
@@ -185,18 +202,19 @@ def learn_healthy(base: CarFile | Model[float], runs: Sequence[Run]) -> Noise:
     return teach(base, runs).noise
 
 
-def refine(base: CarFile, runs: Sequence[Run]) -> CarFile:
+def refine(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHING) -> CarFile:
     """The base car as drives without a gap show it: values, errors, `[noise]` and `[knowledge]`.
 
     Args:
         base: as identified; only its values are a start.
         runs: drives without a gap.
+        stated: what keeps the base's value.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    return taught_car(base, teach_with_limits(base, runs))
+    return taught_car(base, teach_with_limits(base, runs, stated))
 
 
 def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
@@ -211,10 +229,10 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
     return {name: dict(sections[name]) for name in ("noise", "knowledge")}
 
 
-def teach_with_limits(base: CarFile, runs: Sequence[Run]) -> Taught:
+def teach_with_limits(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHING) -> Taught:
     """`teach`, once more with the limits and the play that the drives show, free like the rest."""
-    taught = teach(base, runs)
-    own = _shown(taught, runs)
+    taught = teach(base, runs, stated)
+    own = _shown(taught, runs, stated)
     return _with_effects(taught, own, runs) if own else taught
 
 
@@ -231,10 +249,7 @@ def taught_car(base: CarFile, taught: Taught) -> CarFile:
     own = {name: values for name, values in own.items() if name not in _structures(taught)}
     own |= {name: tuple(p[taught.superset.places(name)].tolist()) for name in kept}
     chosen = [e for e in taught.superset.effects if e.name in own]
-    sd = {
-        name: float(spread[i]) * (MODEL_ERROR if name in PHYSICAL else 1.0)
-        for name, i in free.items()
-    }
+    sd = {name: float(spread[i]) * MODEL_ERROR.get(name, 1.0) for name, i in free.items()}
     moved = replace(
         base,
         car=base.car._replace(**car),
@@ -336,7 +351,7 @@ def _with_secants(taught: Taught) -> Reduced:
     return engine.reduce_by(tangent, linear.error, fitted.x)._replace(limit=fitted.at.limit)
 
 
-def _shown(taught: Taught, runs: Sequence[Run]) -> dict[str, tuple[float, ...]]:
+def _shown(taught: Taught, runs: Sequence[Run], stated: Stated) -> dict[str, tuple[float, ...]]:
     """Further effects that healthy drives show: this car has them, so later they are no gap."""
     engine, null, nuisance = taught.engine, taught.fitted, taught.nuisance
     shown = informative_effects(taught.superset, runs)
@@ -346,6 +361,7 @@ def _shown(taught: Taught, runs: Sequence[Run]) -> dict[str, tuple[float, ...]]:
         for e in taught.superset.effects
         if e.name in shown
         and e.name not in free
+        and not stated.holds(e.name)
         and e.selectable_in_base is not BaseSelection.NEVER
     ]
     promises = [p for p in screen(engine, null, nuisance, only) if p.gain > c.BUILT_IN_GAIN]
@@ -369,8 +385,8 @@ def _with_effects(
     own = tuple(name for name in old.kernels.names if name.partition(".")[0] in more)
     nuisance = (*taught.nuisance, *own)
     superset = replace(old, base=centre, nulls={**old.nulls, **more})
-    superset = replace(superset, knowledge=_weak(superset, nuisance))
+    superset = replace(superset, knowledge=_weak(superset, nuisance, taught.shares))
     engine, space = replace(taught.engine, superset=superset), make_space(superset, nuisance)
     z = np.clip(space.chart.coordinates(start), space.low, space.high)
     fitted = minimise(engine, space, z, before.x.copy())
-    return _in_turn(engine, fitted, taught.noise, nuisance, runs)
+    return _in_turn(engine, fitted, taught.noise, (nuisance, taught.shares), runs)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from steerd.sim_gap.diagnosis import Cause
     from steerd.sysid.data.dataset import Run
     from steerd.sysid.estimation.outcome import Outcome
-    from steerd.sysid.estimation.taught import TaughtModel
+    from steerd.sysid.estimation.taught import Stated, TaughtModel
 
 
 def make_car(base: CarFile, updates: "Mapping[str, Learned]", path: Path) -> CarFile:
@@ -134,7 +134,7 @@ def _servo_wait(outcome: "Outcome") -> str:
     return "; it contains the wait for the servo's next pulse"
 
 
-def teach_car(model: Model[float], runs: "Sequence[Run]") -> "TaughtModel":
+def teach_car(model: Model[float], runs: "Sequence[Run]", stated: "Stated") -> "TaughtModel":
     """A car taught by drives, disturbances known: see `sysid.estimation.taught`.
 
     Raises:
@@ -148,7 +148,7 @@ def teach_car(model: Model[float], runs: "Sequence[Run]") -> "TaughtModel":
         Path("taught.toml"), "taught", model.car, model.effects, model.values,
         chassis=model.chassis,
     )  # fmt: skip
-    found = refine(file, runs)
+    found = refine(file, runs, stated)
     return TaughtModel(found.model, found.sd, found.sections)
 
 

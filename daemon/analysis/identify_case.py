@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from steerd.car_model.car_file import CarFile, CarFileError, Learned, parse_car, updated_text
-from steerd.car_model.effects import find_effect
+from steerd.car_model.effects import EFFECTS, find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
 from steerd.daemon.analysis.car_output import teach_car
@@ -119,8 +119,15 @@ def make_task(request: IdentifyRequest, warn: Warn) -> Task:
         dask=request.dask,
         truth=_truth(sessions, files, warn),
         effects=candidates,
-        stated=tuple(fixed),
+        held=_held(fixed, free, axles_known=length is not None),
     )
+
+
+def _held(fixed: Sequence[str], free: Sequence[str], *, axles_known: bool) -> tuple[str, ...]:
+    """What keeps its value: what is fixed, and all else where `--free` names what does not."""
+    axles = ("lf", "lr") if axles_known and {"lf", "lr"} & set(fixed) else ()
+    others = [name for name in (*Car._fields, *EFFECTS) if name not in free] if free else []
+    return tuple(dict.fromkeys((*fixed, *axles, *others)))
 
 
 def _candidates(given: tuple[str, ...] | Literal["auto"]) -> tuple[str, ...]:

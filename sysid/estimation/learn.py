@@ -37,7 +37,7 @@ from steerd.sysid.estimation.prediction_horizon import (
 )
 from steerd.sysid.estimation.servo_pulse import Pulse, rough_fit, settle_servo
 from steerd.sysid.estimation.setpoint_ramp import Ramp, settle_ramp
-from steerd.sysid.estimation.taught import TaughtModel, Teacher, start_of, taught_rows
+from steerd.sysid.estimation.taught import Stated, TaughtModel, Teacher, start_of, taught_rows
 from steerd.sysid.estimation.validation import (
     HORIZONS,
     by_lateral_acceleration,
@@ -89,7 +89,7 @@ class Task:
         truth: the simulated car, if it is known.
         effects: candidates; those that the drives show are fitted with the car.
         first: where the fit starts, if not at `model`.
-        stated: parameters that whoever asks vouches for.
+        held: parameters and effects that keep the model's values.
         teach: gives the values where residuals are many times the noise, see `taught`.
     """
 
@@ -107,7 +107,7 @@ class Task:
     truth: Car[float] | None = None
     effects: tuple[str, ...] = ()
     first: Model[float] | None = None
-    stated: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
     teach: Teacher | None = None
 
 
@@ -262,11 +262,12 @@ def _fill_rows(
 def _ask_teacher(
     task: Task, given: Car[float], found: Fit | None, fitted: Sequence[Run]
 ) -> TaughtModel | None:
-    """The car by the teacher, where the fit leaves more than noise and nobody stated otherwise."""
+    """The car by the teacher, where the fit leaves more than noise."""
     if task.teach is None or found is None or not _needs_teacher(task, found):
         return None
     try:
-        taught = task.teach(start_of(task.model, found), fitted)
+        stated = Stated(task.options.wheelbase is not None, task.held)
+        taught = task.teach(start_of(task.model, found), fitted, stated)
     except (ValueError, FloatingPointError):
         return None
     car = taught.model.car
@@ -277,9 +278,8 @@ def _ask_teacher(
 
 def _needs_teacher(task: Task, found: Fit) -> bool:
     """Whether the values shall come from the teacher: then windows need not grow any longer."""
-    stated = task.stated or task.effects or task.options.wheelbase is not None
     poor = max(found.misfit.values(), default=0.0) > POOR
-    return task.teach is not None and not stated and poor
+    return task.teach is not None and not task.effects and poor
 
 
 def _split(task: Task, parts: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...], str]:
@@ -351,7 +351,7 @@ def _doubts(task: Task, pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...
     wait = max((pulse.blur for pulse in pulses), default=0.0)
     doubts = {**TIMES, "steer_delay": float(np.hypot(TIMES["steer_delay"], wait))}
     free = task.options.free or NAMES
-    if "steer_rate" not in (*free, *task.stated) and exceeds_slew_rate(task.model, task.runs):
+    if "steer_rate" not in (*free, *task.held) and exceeds_slew_rate(task.model, task.runs):
         doubts["steer_rate"] = SPREAD_RELATIVE
     return (*task.options.doubts, *doubts.items())
 

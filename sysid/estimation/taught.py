@@ -37,8 +37,26 @@ class TaughtModel(NamedTuple):
     sections: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
 
 
-Teacher = Callable[[Model[float], Sequence[Run]], TaughtModel]
-"""Teaches a car from parts of drives, starting at a model.
+class Stated(NamedTuple):
+    """What whoever asks vouches for.
+
+    Attributes:
+        wheelbase: whether the model's axles stand at a measured distance.
+        held: parameters and effects that keep the model's values.
+    """
+
+    wheelbase: bool = False
+    held: tuple[str, ...] = ()
+
+    def holds(self, name: str) -> bool:
+        """Whether a parameter (`name` or `effect.name`) keeps its value."""
+        return name in self.held or name.partition(".")[0] in self.held
+
+
+NOTHING = Stated()
+
+Teacher = Callable[[Model[float], Sequence[Run], Stated], TaughtModel]
+"""Teaches a car from parts of drives, starting at a model, within what is stated.
 
 Raises ValueError or FloatingPointError where the drives are not fit for it."""
 

@@ -6,6 +6,7 @@ import pytest
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sim_gap.diagnosis import Options, diagnose
 from steerd.sim_gap.healthy_drives import refine
+from steerd.sysid.estimation.taught import Stated
 
 pytestmark = pytest.mark.slow
 
@@ -36,6 +37,19 @@ def test_what_is_learnt_lies_within_its_errors(refined):
 def test_a_manner_of_the_car_is_no_gap(refined, drive):
     again = drive("wheel_slip=0.006,steer_nonlinearity=-0.6", runs=4, seed=9)
     assert diagnose(again, refined, Options(pairs=False)).verdict == "none"
+
+
+def test_a_stated_wheelbase_and_what_is_held_stay(drive, base, refined):
+    runs = drive("wheel_slip=0.006,steer_nonlinearity=-0.6", runs=6, seed=5)
+    stated = Stated(wheelbase=True, held=("steer_gain", "tyre_saturation", "c_sr"))
+    found = refine(base, runs, stated)
+    length = base.car.lf + base.car.lr
+    assert found.car.lf + found.car.lr == pytest.approx(length, abs=3e-4)
+    assert found.car.steer_gain == base.car.steer_gain
+    assert found.car.c_sr == base.car.c_sr
+    assert "tyre_saturation" not in {e.name for e in found.effects}
+    assert found.sd["c_sr"] == base.sd["c_sr"]
+    assert found.sd["lf"] < 0.8 * refined.sd["lf"], "a known distance helps to find the rest"
 
 
 @pytest.fixture(scope="module")

@@ -216,5 +216,5 @@ def test_a_slew_limit_that_nobody_measured_is_doubted_where_it_is_felt(simulated
     for name, row in found.free_rows.items():
         if row.identifiable:
             assert abs(row.value - getattr(truth.car, name)) < 4.0 * row.sd, name
-    sure = learn(replace(task, stated=("steer_rate",)), lambda: 0.0)
+    sure = learn(replace(task, held=("steer_rate",)), lambda: 0.0)
     assert sure.rows["steer_lag"].sd < 0.3 * found.rows["steer_lag"].sd
