@@ -37,7 +37,7 @@ def _draw(args: argparse.Namespace) -> str:
 
 def _judge(args: argparse.Namespace) -> str:
     cases = load_cases(args.cases, args.key)
-    return _both(judge(cases[: args.limit], args.output, args.tool, args.jobs))
+    return _both(judge(cases[: args.limit], args.output, args.tool, args.jobs, args.tape))
 
 
 def _both(rows: list[dict[str, object]]) -> str:
@@ -73,6 +73,8 @@ def make_parser() -> argparse.ArgumentParser:
     ask.add_argument("--limit", type=int)
     ask.add_argument("--tool", default=TOOL, help="command that starts the tool")
     ask.add_argument("--jobs", type=int, default=1)
+    tape = "state the wheelbase to a millimetre, as the README advises (default: yes)"
+    ask.add_argument("--tape", action=argparse.BooleanOptionalAction, default=True, help=tape)
     ask.set_defaults(act=_judge)
     show = commands.add_parser("table", help="print the table of judged lists again")
     show.add_argument("output", type=Path, nargs="+", help="folders of `judge -o`")

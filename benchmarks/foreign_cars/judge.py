@@ -60,13 +60,14 @@ def _imported(tool: str, tables: Iterable[Path]) -> list[str]:
     return sessions
 
 
-def identify_car(case: Case, out: Path, tool: str = TOOL) -> Path:
+def identify_car(case: Case, out: Path, tool: str = TOOL, taped: bool = True) -> Path:
     """Identify a case's car from its healthy drives; kept if done before.
 
     Args:
         case: any case of the car.
         out: folder of all work.
         tool: command that starts the tool.
+        taped: the wheelbase is measured with a tape and stated, as the README advises.
 
     Returns:
         The car's folder: `car.toml`, `identify.json` and `identify.cpu`, or `identify.error`.
@@ -79,10 +80,18 @@ def identify_car(case: Case, out: Path, tool: str = TOOL) -> Path:
     try:
         sessions = _imported(tool, tables)
         words = ("-o", str(folder / "car.toml"), "--json", str(folder / "identify.json"))
+        if taped:
+            words = (*words, "--wheelbase", f"{_tape(case):.3f}")
         clock.write_text(f"{_run(tool, 'identify', *sessions, *words):.2f}\n")
     except ToolError as error:
         failed.write_text(f"{error}\n")
     return folder
+
+
+def _tape(case: Case) -> float:
+    """The distance of a car's axles to a millimetre [m]."""
+    truth = make_plant(case.plant, case.seed).truth
+    return round(truth["lf"] + truth["lr"], 3)
 
 
 def _diagnosed(case: Case, out: Path, tool: str, row: Json, base: Path) -> None:
@@ -129,7 +138,9 @@ def read_rows(path: Path) -> list[Json]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def judge(cases: Sequence[Case], out: Path, tool: str = TOOL, jobs: int = 1) -> list[Json]:
+def judge(
+    cases: Sequence[Case], out: Path, tool: str = TOOL, jobs: int = 1, taped: bool = True
+) -> list[Json]:
     """Judge cases that have no row yet; a broken run is taken up again.
 
     Args:
@@ -137,6 +148,7 @@ def judge(cases: Sequence[Case], out: Path, tool: str = TOOL, jobs: int = 1) -> 
         out: folder of all work; `rows.jsonl` in it has a row a case.
         tool: command that starts the tool.
         jobs: processes.
+        taped: see `identify_car`.
 
     Returns:
         The rows of these cases.
@@ -145,7 +157,7 @@ def judge(cases: Sequence[Case], out: Path, tool: str = TOOL, jobs: int = 1) -> 
     done = {row["name"] for row in read_rows(out / ROWS)}
     left = [case for case in cases if case.name not in done]
     cars = {case.car: case for case in left}
-    tasks = [delayed(identify_car)(case, out, tool) for case in cars.values()]
+    tasks = [delayed(identify_car)(case, out, tool, taped) for case in cars.values()]
     for _ in _side_by_side(tasks, "identify", jobs):
         pass
     with (out / ROWS).open("a") as file:
