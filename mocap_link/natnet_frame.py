@@ -15,6 +15,7 @@ from typing import NamedTuple, TypeVar
 from steerd.mocap_link.natnet_wire import (
     F32,
     I32,
+    MAX_COUNT,
     NatNetError,
     Point,
     Quaternion,
@@ -41,6 +42,10 @@ _LABELED = Struct("<i3ffhf")
 _LABELED2 = Struct("<i3ffh")
 _TIMECODE = Struct("<IId")
 _TICKS = Struct("<3Q")
+_STAMPS = Struct("<IId3Q")
+"""Time code and ticks of a modern frame."""
+_SECTION = Struct("<ii")
+"""Head of a section that says its size: count, bytes."""
 _SUFFIX = Struct("<hi")
 _SUFFIX_PTP = Struct("<IIhi")
 
@@ -134,19 +139,28 @@ class Frame:
 _Read = Callable[[bytes, int, int], tuple[tuple[T, ...], int]]
 
 
-def _section(
-    data: bytes, at: int, sized: bool, read: _Read[T], detail: bool = True
-) -> tuple[tuple[T, ...], int]:
+def _section(data: bytes, at: int, sized: bool, read: _Read[T]) -> tuple[tuple[T, ...], int]:
     n, at = read_count(data, at)
     if not sized:
         return read(data, at, n) if n else ((), at)
     at, end = read_size(data, at)
-    if not n or not detail:
+    if not n:
         return (), end
     items, at = read(data, at, n)
     if at > end:
         raise NatNetError(f"section runs {at - end} bytes over its size")
     return items, end
+
+
+def _jump_sections(data: bytes, at: int, count: int) -> int:
+    """Offset behind sections that say their size and are not read."""
+    for _ in range(count):
+        n, size = _SECTION.unpack_from(data, at)
+        end = at + _SECTION.size + size
+        if not 0 <= n <= MAX_COUNT or size < 0 or end > len(data):
+            read_size(data, read_count(data, at)[1])  # which says what is wrong
+        at = end
+    return at
 
 
 def _read_marker_sets(data: bytes, at: int, n: int) -> tuple[tuple[MarkerSet, ...], int]:
@@ -256,24 +270,24 @@ def read_frame(data: bytes, at: int, version: Version, *, detail: bool = True) -
         struct.error: the datagram ends early (`natnet.decode` turns it into `NatNetError`).
     """
     modern, sized = version >= (3, 0), version >= (4, 1)
+    if sized and not detail:
+        return _read_bare_frame(data, at)
     read_bodies = _read_bodies if modern else _read_bodies2
     number, at = read_i32(data, at)
-    marker_sets, at = _section(data, at, sized, _read_marker_sets, detail)
-    other, at = _section(data, at, sized, read_points, detail)
+    marker_sets, at = _section(data, at, sized, _read_marker_sets)
+    other, at = _section(data, at, sized, read_points)
     bodies, at = _read_rigid_bodies(data, at, sized, read_bodies)
-    skeletons, at = _section(
-        data, at, sized, lambda d, a, n: _read_skeletons(d, a, n, read_bodies), detail
-    )
+    skeletons, at = _section(data, at, sized, lambda d, a, n: _read_skeletons(d, a, n, read_bodies))
     assets: tuple[Asset, ...] = ()
     if sized:
-        assets, at = _section(data, at, sized, _read_assets, detail)
-    labeled, at = _section(data, at, sized, _read_labeled if modern else _read_labeled2, detail)
-    plates, at = _section(data, at, sized, _read_analog, detail)
+        assets, at = _section(data, at, sized, _read_assets)
+    labeled, at = _section(data, at, sized, _read_labeled if modern else _read_labeled2)
+    plates, at = _section(data, at, sized, _read_analog)
     devices: tuple[Analog, ...] = ()
     latency = 0.0
     mid = received = transmit = 0
     if modern:
-        devices, at = _section(data, at, sized, _read_analog, detail)
+        devices, at = _section(data, at, sized, _read_analog)
     else:
         (latency,) = F32.unpack_from(data, at)
         at += 4
@@ -287,6 +301,17 @@ def read_frame(data: bytes, at: int, version: Version, *, detail: bool = True) -
         number, bodies, marker_sets, other, skeletons, assets, labeled, plates, devices,
         latency, timecode, timecode_sub, timestamp, mid, received, transmit, secs, frac, params,
     )  # fmt: skip
+
+
+def _read_bare_frame(data: bytes, at: int) -> Frame:
+    """Number, rigid bodies and stamps of a frame whose sections say their sizes (4.1+)."""
+    number, at = read_i32(data, at)
+    at = _jump_sections(data, at, 2)  # marker sets, other markers
+    bodies, at = _read_rigid_bodies(data, at, True, _read_bodies)
+    at = _jump_sections(data, at, 5)  # skeletons, assets, labelled markers, plates, devices
+    stamps = _STAMPS.unpack_from(data, at)
+    suffix = _read_suffix(data, at + _STAMPS.size)
+    return Frame(number, bodies, (), (), (), (), (), (), (), 0.0, *stamps, *suffix)
 
 
 def _read_suffix(data: bytes, at: int) -> tuple[int, int, int]:
@@ -318,7 +343,7 @@ def write_frame(frame: Frame, version: Version) -> bytes:
     bodies = _write_bodies if modern else _write_bodies2
 
     def section(n: int, body: bytes) -> bytes:
-        return I32.pack(n) + (I32.pack(len(body)) if sized else b"") + body
+        return (_SECTION.pack(n, len(body)) if sized else I32.pack(n)) + body
 
     f = frame
     parts = [
@@ -338,9 +363,9 @@ def write_frame(frame: Frame, version: Version) -> bytes:
         parts.append(section(len(f.devices), b"".join(map(_write_analog, f.devices))))
     else:
         parts.append(F32.pack(f.software_latency))
-    parts.append(_TIMECODE.pack(f.timecode, f.timecode_sub, f.timestamp))
-    if modern:
-        parts.append(_TICKS.pack(f.mid_exposure_ticks, f.data_received_ticks, f.transmit_ticks))
+    code = (f.timecode, f.timecode_sub, f.timestamp)
+    ticks = (f.mid_exposure_ticks, f.data_received_ticks, f.transmit_ticks)
+    parts.append(_STAMPS.pack(*code, *ticks) if modern else _TIMECODE.pack(*code))
     if sized:
         parts.append(_SUFFIX_PTP.pack(f.precision_secs, f.precision_frac, f.params, 0))
     else:

@@ -169,10 +169,10 @@ def read_values(fields: tuple[Field, ...], record: object) -> tuple[Any, ...]:
 
 @lru_cache(maxsize=64)
 def _reader(fields: tuple[Field, ...]) -> Callable[[object], tuple[Any, ...]]:
-    names = [field.name for field in fields]
-    if len(names) > 1:
-        return attrgetter(*names)
-    return lambda record: tuple(getattr(record, name) for name in names)
+    if not fields:
+        return lambda record: ()
+    read = attrgetter(*(field.name for field in fields))
+    return read if len(fields) > 1 else lambda record: (read(record),)
 
 
 def pack_fields(
@@ -195,11 +195,10 @@ def _struct(fields: tuple[Field, ...]) -> struct.Struct:
 
 
 class _Layout(NamedTuple):
-    """Fields that lie whole within a payload: their bytes, names and scales."""
+    """Fields that lie whole within a payload: their bytes; names and scales."""
 
     numbers: struct.Struct
-    names: tuple[str, ...]
-    scales: tuple[float | None, ...]
+    fields: tuple[tuple[str, float | None], ...]
 
 
 @lru_cache(maxsize=64)
@@ -211,8 +210,7 @@ def _layout(fields: tuple[Field, ...], size: int) -> _Layout:
         if left < 0:
             break
         present.append(field)
-    names = tuple(field.name for field in present)
-    return _Layout(_struct(tuple(present)), names, tuple(field.scale for field in present))
+    return _Layout(_struct(tuple(present)), tuple((f.name, f.scale) for f in present))
 
 
 def unpack_fields(
@@ -224,10 +222,10 @@ def unpack_fields(
         The values by name (fields beyond the end are absent) and the number of bytes left over.
     """
     left = len(payload) - offset
-    layout, names, scales = _layout(fields, left)
-    numbers = layout.unpack_from(payload, offset)
-    values = [n if s is None else n / s for n, s in zip(numbers, scales, strict=True)]
-    return dict(zip(names, values, strict=True)), left - layout.size
+    layout, present = _layout(fields, left)
+    numbers = zip(present, layout.unpack_from(payload, offset), strict=True)
+    values = {name: n if scale is None else n / scale for (name, scale), n in numbers}
+    return values, left - layout.size
 
 
 def all_finite(values: Mapping[str, Number | None]) -> bool:
