@@ -37,10 +37,10 @@ from steerd.steer_bus.fields import (
 from steerd.steer_bus.standard import Header, make_header, make_time, stamp_ns
 
 __all__ = [
-    "BODY", "OWN_MESSAGES", "WORLD", "Actuation", "ActuationMode", "ClockSample", "DriveCommand",
-    "Header", "MocapPose", "Model", "OperatorRequest", "ParameterRequest", "Parameters",
-    "RequestKind", "StateMessage", "Throttle", "Tick", "Transition", "VescIdentity", "VescImu",
-    "VescTelemetry", "WheelSpeed", "make_header", "make_time", "stamp_ns",
+    "BODY", "OWN_MESSAGES", "WORLD", "Actuation", "ActuationMode", "ClockSample", "Design",
+    "DriveCommand", "Header", "MocapPose", "Model", "OperatorRequest", "ParameterRequest",
+    "Parameters", "RequestKind", "StateMessage", "Throttle", "Tick", "Transition", "VescIdentity",
+    "VescImu", "VescTelemetry", "WheelSpeed", "make_header", "make_time", "stamp_ns",
 ]  # fmt: skip
 
 WORLD = "map"
@@ -411,8 +411,39 @@ class Model:
     details: String
 
 
+@message("steerd_msgs/msg/Design")
+class Design:
+    """With ``run --adapt``: the design that the core took, and for which numbers of the car.
+
+    ``number`` is 0 for the car file's own design, which ``text`` says why; the numbers are then NaN
+    and there are no gains. Else ``gains`` holds rows of ``columns`` float64 (little-endian) at
+    speeds from ``speed_min`` on, ``spacing`` apart, as docs/explanation/controller.md says; the
+    ``body_*`` are where the mocap body is on the car. The learner proposes in the same form, with
+    the time of its newest pose in ``mono_ns``.
+    """
+
+    header: Header
+    mono_ns: Nanosecond
+    number: UInt32
+    columns: UInt32
+    steer_gain: Unitless
+    steer_bias: Radian
+    steer_delay: Second
+    steer_lag: Second
+    speed_gain: Unitless
+    c_sf: PerRadian
+    c_sr: PerRadian
+    body_yaw: Radian
+    body_forward: Metre
+    body_left: Metre
+    speed_min: MetrePerSecond
+    spacing: MetrePerSecond
+    text: String
+    gains: Bytes
+
+
 OWN_MESSAGES = (
     Tick, MocapPose, VescTelemetry, VescIdentity, VescImu, Actuation, StateMessage, DriveCommand,
     OperatorRequest, Transition, ClockSample, WheelSpeed, Throttle, ParameterRequest, Parameters,
-    Model,
+    Model, Design,
 )  # fmt: skip

@@ -14,6 +14,7 @@ from steerd.steer_bus.codec import schema_text, type_name
 from steerd.steer_bus.messages import (
     Actuation,
     ClockSample,
+    Design,
     DriveCommand,
     MocapPose,
     Model,
@@ -95,6 +96,7 @@ SET_PARAMETERS = Topic("cmd/parameters", ParameterRequest, Direction.IN, Priorit
 PARAMETERS = Topic("parameters", Parameters, priority=Priority.DATA_LOW, rate_hz=2.0)
 LOG = Topic("rosout", Log, priority=Priority.DATA_LOW)
 MODEL = Topic("model", Model, priority=Priority.DATA_LOW, rate_hz=1.0)
+DESIGN = Topic("design", Design, priority=Priority.DATA_LOW, rate_hz=1.0)
 
 LAST_MODEL = "param/model"
 """Key under which a car answers with its newest `model` message."""
@@ -102,7 +104,7 @@ LAST_MODEL = "param/model"
 TOPICS = (
     TICK, MOCAP, VESC, IDENTITY, IMU, ACTUATION, STATE, TRANSITION, CLOCK, DRIVE, OPERATOR, ODOM,
     POSE, EXTERNAL_POSE, VESC_STATE, DIAGNOSTICS, LOG, WHEEL, THROTTLE,
-    SET_PARAMETERS, PARAMETERS, MODEL,
+    SET_PARAMETERS, PARAMETERS, MODEL, DESIGN,
 )  # fmt: skip
 
 

@@ -28,6 +28,7 @@ from steerd.steer_bus.topics import check_car_name
 # python-control and filterpy take a second to import. `steerd run` leaves both to the core's
 # process, which needs them anyway; its terminal and its children start without.
 if TYPE_CHECKING:
+    from steerd.controller.acceptance import Acceptance
     from steerd.controller.config import ControllerConfig
     from steerd.controller.lane_controller import LaneController
     from steerd.controller.live import LiveBounds
@@ -95,6 +96,13 @@ class RunPlan:
         most = OFFSET_SHARE * self.settings.thresholds.lateral
         car, timing = made.car, made.report.timing
         return make_live_bounds(car, self.path, made.config, made.table, timing, most)
+
+    @cached_property
+    def learnt(self) -> Acceptance | None:
+        """What designs of the learner are held against; None without `--adapt`."""
+        from steerd.controller.acceptance import make_acceptance
+
+        return make_acceptance(self.controller) if self.options.adapt else None
 
     @cached_property
     def sim(self) -> Settings:
@@ -230,6 +238,7 @@ def make_loop_setup(plan: RunPlan, boot_id: int, leased: bool) -> LoopSetup:
         simulated=plan.options.simulated,
         drill=plan.drill,
         live=plan.live,
+        learnt=plan.learnt,
     )
 
 

@@ -10,8 +10,8 @@ LEARNT_FROM = (topics.MOCAP, topics.ACTUATION, topics.VESC)
 
 
 def is_learnt_from(record: PipeRecord) -> bool:
-    """Whether the learner wants a record."""
-    return record.topic in LEARNT_FROM
+    """Whether the learner wants a record: of the drive, or what became of its proposals."""
+    return record.topic in LEARNT_FROM or record.topic is topics.DESIGN
 
 
 @dataclass

@@ -6,6 +6,7 @@ same object.
 
 from steerd.daemon.ipc.outbox import Outbox
 from steerd.daemon.loop.checks import VescInfo, check_vesc
+from steerd.daemon.loop.design_desk import DesignDesk
 from steerd.daemon.loop.failed_loop import describe_error, make_failed_tick
 from steerd.daemon.loop.flags import CAUSES, Flag
 from steerd.daemon.loop.live import make_parameters
@@ -56,6 +57,7 @@ class Core:
         flags: bits of `Flag` from the runner; they stay until the runner clears them.
         last: the latest tick's result, or None.
         source: the latest status of the mocap source, for people.
+        designs: where the learner's proposals are looked at.
         error: the first unexpected exception, or None.
     """
 
@@ -66,6 +68,7 @@ class Core:
         self.flags = 0
         self.last: TickResult | None = None
         self.source: SourceStatus | None = None
+        self.designs = DesignDesk()
         self.error: BaseException | None = None
         self._uptime_ms = -1
         self._seq = 0
@@ -205,6 +208,10 @@ class Core:
             return False
         return False
 
+    def on_proposal(self, data: bytes, t_ns: int) -> None:
+        """The learner proposes a design; it is looked at after the next ticks."""
+        self.designs.offer(self.loop.adapting, data, t_ns)
+
     # --- the tick
 
     def tick(self, due_ns: int, now_ns: int, work_ns: int = 0) -> bytes:
@@ -248,7 +255,15 @@ class Core:
         )
         self.outbox.post(topics.STATE, state, now_ns)
         self._post_changes(result, now_ns)
+        self._take_design(now_ns)
         self.outbox.flush(now_ns)
+
+    def _take_design(self, now_ns: int) -> None:
+        """Look at the learner's proposal a little more; a design that passed is the next tick's."""
+        taken = self.designs.step(self.loop.adapting, now_ns, self.outbox.epoch_ns)
+        if taken is not None:
+            self.loop.on_design(taken, now_ns)
+            self.outbox.post(topics.DESIGN, taken, now_ns)
 
     def _decide(self, due_ns: int, now_ns: int, flags: int) -> TickResult:
         """The loop's decision; if it raises, the car brakes in this very tick and latches."""
@@ -325,6 +340,10 @@ class Core:
         values = {"boot_id": str(self.loop.setup.boot_id), "holder": str(self.loop.lease.holder)}
         values["leased"] = str(int(self.loop.setup.leased))
         values["controller"] = "remote" if self.loop.setup.remote else "lane"
+        adapting = self.loop.adapting
+        if adapting.held is not None:
+            values["design"] = f"learnt {adapting.number}" if adapting.follows else "car file"
+            values["design_why"] = adapting.why
         if vesc is not None:
             values["uuid"] = vesc.uuid
             values["firmware"] = f"{vesc.firmware[0]}.{vesc.firmware[1]:02d}"

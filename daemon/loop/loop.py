@@ -13,14 +13,16 @@ from steerd.car_model.actuators import references
 from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.state import Command
-from steerd.controller.lane_controller import (
-    ControllerState,
-    ControlReport,
-    control,
-    start_controller,
-)
+from steerd.controller.lane_controller import ControllerState, ControlReport, start_controller
 from steerd.controller.limits import Verdict, make_limiter_state
 from steerd.controller.live import AS_DESIGNED
+from steerd.daemon.loop.adapting import (
+    lose_estimate,
+    make_adapting,
+    remember_order,
+    steer,
+    take_design,
+)
 from steerd.daemon.loop.checks import (
     STANDING_SPEED,
     LaneStatus,
@@ -31,6 +33,7 @@ from steerd.daemon.loop.checks import (
     check_motion,
     check_vesc,
 )
+from steerd.daemon.loop.design_message import read_design
 from steerd.daemon.loop.findings import (
     Finding,
     advise_simulation,
@@ -79,7 +82,7 @@ from steerd.daemon.loop.watchdogs import WatchdogState, is_slowing, step_watchdo
 from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 from steerd.estimator.state_filter import StateEstimate
 from steerd.mocap_link.source import PoseSample
-from steerd.steer_bus.messages import DriveCommand, OperatorRequest, ParameterRequest
+from steerd.steer_bus.messages import Design, DriveCommand, OperatorRequest, ParameterRequest
 from steerd.vesc_link.events import ImuSample, Telemetry
 
 _DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
@@ -137,6 +140,7 @@ class Loop:
         supervisor: memory of the state machine.
         lease, remote: the operator and the external controller.
         live: what may be changed while the car drives.
+        adapting: which design steers.
         vesc: what the VESC reported about itself, or None.
         faulted: a fault stop or an emergency stop has happened in this run.
         ran: a drive has ended in this run.
@@ -151,6 +155,7 @@ class Loop:
         self.lease = Lease(setup.boot_id)
         self.remote = Remote()
         self.live = make_live(setup.live)
+        self.adapting = make_adapting(setup.controller, setup.learnt, s.thresholds.lateral)
         self.vesc: VescInfo | None = None
         self.faulted = False
         self.ran = False
@@ -215,6 +220,11 @@ class Loop:
         """An external controller's command arrived."""
         self.remote = take_command(self.remote, self.setup.boot_id, command, t_ns)
 
+    def on_design(self, message: Design, t_ns: int) -> None:
+        """A design was taken; who hands it over has checked it, or reads what was recorded."""
+        design = read_design(message)
+        self.adapting = take_design(self.adapting, message.number, design, message.text, t_ns)
+
     # --- the tick
 
     def tick(self, due_ns: int, now_ns: int, flags: int) -> TickResult:
@@ -259,20 +269,23 @@ class Loop:
         """The controller's command and its report on the lane errors."""
         if estimate is None or not estimate.health.sound:
             self._control = None
+            self.adapting = lose_estimate(self.adapting)
             return None, None
         self._ticks += 1
         self.live = step_live(self.live, now_ns, self.supervisor.state in _PARKED)
         lost = self.supervisor.state in _PARKED and self._ticks % _RELOCATE_TICKS == 0
         if self._control is None or lost:
-            self._control = start_controller(self.setup.controller, estimate.state, now_ns)
-        stop = self.supervisor.state is not SupervisorState.RUNNING
-        wish, report, self._control = control(
-            self.setup.controller,
+            design = self.adapting.controller
+            self._control = start_controller(design, estimate.state, now_ns)
+        state = self.supervisor.state
+        wish, report, self._control, self.adapting = steer(
+            self.adapting,
             self._control,
             estimate.state,
             now_ns,
             issued=self._issued,
-            stop=stop,
+            driving=state in _DRIVING,
+            stop=state is not SupervisorState.RUNNING,
             live=self.live.now if self.setup.live else AS_DESIGNED,
         )
         if self.setup.remote:
@@ -438,7 +451,7 @@ class Loop:
         if new is SupervisorState.RUNNING and old is not SupervisorState.RUNNING:
             self._started_ns, self._launch = now_ns, None
             if estimate is not None:
-                self._control = start_controller(self.setup.controller, estimate.state, now_ns)
+                self._control = start_controller(self.adapting.controller, estimate.state, now_ns)
         if old in _DRIVING and new not in _DRIVING:
             self.ran, self._launch = True, None
         if new in (SupervisorState.FAULT_STOP, SupervisorState.ESTOP):
@@ -461,6 +474,7 @@ class Loop:
             order.command,
             rolling if isfinite(rolling) else 0.0,
         )
+        self.adapting = remember_order(self.adapting, now_ns, order.command)
         self._issued = order.command
 
     @property

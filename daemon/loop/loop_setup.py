@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from steerd.controller.acceptance import Acceptance
 from steerd.controller.lane_controller import LaneController
 from steerd.controller.live import LiveBounds
 from steerd.daemon.loop.plans import Drill
@@ -24,6 +25,7 @@ class LoopSetup:
         simulated: the hardware is simulated: limits of lateness are loose.
         drill: excitation plan, in place of the lane keeper or added to it.
         live: bounds of the live parameters; None where there are none.
+        learnt: what designs of the learner are held against; None where none is followed.
     """
 
     settings: Settings
@@ -37,6 +39,7 @@ class LoopSetup:
     simulated: bool = False
     drill: Drill | None = None
     live: LiveBounds | None = None
+    learnt: Acceptance | None = None
 
     @property
     def ignores_lane(self) -> bool:

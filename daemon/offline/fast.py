@@ -86,6 +86,7 @@ def record_virtual(
         see(records, t_ns)
 
     run = make_virtual_run(plan, (sink,), world)
+    learner.propose_to = run.core.on_proposal
     reason = "interrupted"
     try:
         go(run)

@@ -1,19 +1,25 @@
 """The learner of `run --sim --fast --learn`: in the same process, in virtual time."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.ipc.learner_wire import is_learnt_from
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.offline.virtual import EPOCH_NS
+from steerd.steer_bus import topics
 
 if TYPE_CHECKING:
     from steerd.daemon.learning.feed import Feed
+    from steerd.daemon.learning.proposing import Proposals
 
 
 class LearnerBeside:
-    """Records of a drive in, reports out; without `--learn` nothing comes out."""
+    """Records of a drive in, reports out; without `--learn` nothing comes out.
+
+    Attributes:
+        propose_to: takes the proposals of `--adapt`, and when they were made [ns].
+    """
 
     def __init__(self, plan: RunPlan) -> None:
         """Load the car.
@@ -29,6 +35,16 @@ class LearnerBeside:
 
             self._feed = make_feed(settings.file, wiring_of(EPOCH_NS, settings.scaling))
         self._reports = 0
+        self._proposals: Proposals | None = None
+        if plan.learnt is not None:
+            from steerd.controller.build import compute_table
+            from steerd.daemon.learning import proposing
+
+            proposer = proposing.make_proposer(plan.learnt, compute_table)
+            self._proposals = proposing.Proposals(
+                proposer, lambda data, t_ns: self.propose_to(data, t_ns)
+            )
+        self.propose_to: Callable[[bytes, int], None] = lambda data, t_ns: None
 
     def take(self, record: PipeRecord) -> Iterator[PipeRecord]:
         """The record, and the report that it completes."""
@@ -37,7 +53,14 @@ class LearnerBeside:
             return
         from steerd.daemon.learning.feed import make_record
 
-        report = self._feed.take(record.topic, read_message(record))
+        message = read_message(record)
+        if record.topic is topics.DESIGN:
+            if self._proposals is not None:
+                self._proposals.hear(message)
+            return
+        report = self._feed.take(record.topic, message)
         if report is not None:
+            if self._proposals is not None:
+                self._proposals.propose(self._feed, report.mono_ns)
             yield make_record(report, self._reports, record.log_time_ns)
             self._reports += 1

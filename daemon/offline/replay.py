@@ -170,6 +170,8 @@ class Replay:
                 self.loop.on_drive(command, t_ns)
             case m.ParameterRequest() as wanted:
                 self.loop.on_parameters(wanted, t_ns)
+            case m.Design() as design:
+                self.loop.on_design(design, t_ns)
             case m.Tick() as tick:
                 self._tick(tick)
             case m.Actuation() as actuation:

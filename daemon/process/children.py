@@ -21,6 +21,7 @@ from steerd.daemon.process.learner_job import (
     core_ends,
     learner_fds,
     learner_pipes,
+    make_design_ends,
     make_learner_job,
     reader_fds,
 )
@@ -199,13 +200,16 @@ def _end_guest(child: Child | None, name: str) -> None:
 
 
 def start_learner(
-    plan: RunPlan, pipes: Mapping[str, tuple[int, int]], epoch_ns: int
+    plan: RunPlan,
+    pipes: Mapping[str, tuple[int, int]],
+    epoch_ns: int,
+    designs: tuple[socket.socket, ...] = (),
 ) -> Child | None:
     """Start the learner of `--learn`; nobody waits for it."""
     if not plan.options.learn:
         return None
     job = make_learner_job(plan, epoch_ns)
-    return spawn("steerd.daemon.process.learner", learner_fds(pipes), job)
+    return spawn("steerd.daemon.process.learner", learner_fds(pipes, designs), job)
 
 
 def start_processes(
@@ -221,7 +225,8 @@ def start_processes(
     pipes = {name: make_pipe() for name in names}
     gateway_end, gateway_core_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     terminal_end, terminal_core_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    fds = core_ends(pipes) | {
+    designs = make_design_ends(plan)
+    fds = core_ends(pipes, designs) | {
         "parent": terminal_core_end.fileno(),
         "gateway_requests": gateway_core_end.fileno(),
     }
@@ -247,17 +252,17 @@ def start_processes(
             _expect_ready(other, "viewer", ExitCode.UNREADABLE)
         page = None if plan.options.page is None else start_page(plan)
     except SteerdError:
-        ends = (gateway_end, gateway_core_end, terminal_end, terminal_core_end)
+        ends = (gateway_end, gateway_core_end, terminal_end, terminal_core_end, *designs)
         _end_started(started, pipes, ends)
         if recording:
             session.unlink(missing_ok=True)
         raise
-    learner = start_learner(plan, pipes, epoch_ns)
+    learner = start_learner(plan, pipes, epoch_ns, designs)
     for name in pipes:
         os.close(pipes[name][1])
         if name != "status":
             os.close(pipes[name][0])
-    for end in (gateway_end, gateway_core_end, terminal_core_end):
+    for end in (gateway_end, gateway_core_end, terminal_core_end, *designs):
         end.close()
     return RunProcesses(
         core, recorder, gateway, others[0] if others else None, terminal_end, pipes["status"][0],

@@ -123,9 +123,12 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
     )
     latch_stray_exceptions(core)
     requests = tuple(socket.socket(fileno=fds[name]) for name in ("parent", "gateway_requests"))
-    for sock in requests:
+    designs = socket.socket(fileno=fds["designs"]) if "designs" in fds else None
+    for sock in (*requests, *((designs,) if designs else ())):
         sock.setblocking(False)
-    links = CoreLinks(pipes["recorder"], pipes["gateway"], requests, make_stop_signal_pipe())
+    links = CoreLinks(
+        pipes["recorder"], pipes["gateway"], requests, make_stop_signal_pipe(), designs
+    )
     report = enter_realtime()
     _report(fds["ready"], {"realtime": report.refused, "design": plan.controller.report.describe()})
     runner = Runner(

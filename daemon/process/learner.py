@@ -6,20 +6,27 @@ without it goes on.
 
 # Why: docs/decisions/processes-and-time.md#d79
 
+import contextlib
 import json
 import os
+import socket
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from steerd.car_model.car_file import parse_car
+from steerd.controller.build import compute_table
+from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.ipc.learner_wire import Gaps
 from steerd.daemon.ipc.pipe_records import PipeWriter, pack_record, unpack_records
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.learning.feed import Feed, make_feed, make_record
+from steerd.daemon.learning.proposing import Proposals, make_proposer
 from steerd.daemon.learning.samples import Wiring
+from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode
 
 _READ_BYTES = 1 << 16
@@ -31,12 +38,16 @@ class LearnerLoop:
     Attributes:
         feed: the learner.
         outputs: where reports go.
+        proposals: what is proposed to the core, or None.
         reports: how many there were.
     """
 
-    def __init__(self, feed: Feed, outputs: Sequence[PipeWriter]) -> None:
+    def __init__(
+        self, feed: Feed, outputs: Sequence[PipeWriter], proposals: Proposals | None = None
+    ) -> None:
         self.feed = feed
         self.outputs = outputs
+        self.proposals = proposals
         self.reports = 0
         self._gaps = Gaps()
 
@@ -49,9 +60,13 @@ class LearnerLoop:
                 message = decode(record.topic.message, record.data)
             except CodecError:
                 continue
+            if record.topic is topics.DESIGN and self.proposals is not None:
+                self.proposals.hear(message)
             report = self.feed.take(record.topic, message)
             if report is not None:
                 self._send(report, record.log_time_ns)
+                if self.proposals is not None:
+                    self.proposals.propose(self.feed, report.mono_ns)
 
     def _send(self, report: m.Model, log_time_ns: int) -> None:
         packed = pack_record(make_record(report, self.reports, log_time_ns))
@@ -70,18 +85,38 @@ def make_learner_feed(job: Mapping[str, Any]) -> Feed:
     return make_feed(parse_car(job["car"], Path(job["path"])), wiring)
 
 
+def _make_proposals(options: str, fd: int) -> Proposals:
+    """Proposals to the core's end of a socket; one that does not fit is dropped.
+
+    Raises:
+        SteerdError: the plan cannot be made again, as the core could.
+    """
+    core = socket.socket(fileno=fd)
+    core.setblocking(False)
+
+    def send(data: bytes, _t_ns: int) -> None:
+        with contextlib.suppress(OSError):
+            core.send(data)
+
+    held = make_plan(decode_options(options)).learnt
+    return Proposals(make_proposer(held, compute_table), send)
+
+
 def main() -> int:
     """Process entry: the job as JSON on standard input, descriptors as arguments."""
     ignore_terminal_signals()
     pipe_fd, *out_fds, ready_fd = (int(text) for text in sys.argv[1:])
+    job, proposals = json.loads(sys.stdin.read()), None
     try:
-        feed = make_learner_feed(json.loads(sys.stdin.read()))
+        feed = make_learner_feed(job)
+        if job["adapt"]:
+            proposals = _make_proposals(job["adapt"], out_fds.pop())
     except ValueError as error:
         print(f"steerd learner: {error}", file=sys.stderr)
         return 4
     os.write(ready_fd, b"ready\n")
     os.close(ready_fd)
-    loop, buffer = LearnerLoop(feed, [PipeWriter(fd) for fd in out_fds]), bytearray()
+    loop, buffer = LearnerLoop(feed, [PipeWriter(fd) for fd in out_fds], proposals), bytearray()
     while data := os.read(pipe_fd, _READ_BYTES):
         buffer += data
         loop.take(buffer)

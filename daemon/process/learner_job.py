@@ -1,9 +1,11 @@
 """The learner's process, as the terminal starts it: what it is given, and its pipes."""
 
+import socket
 from collections.abc import Mapping
 from typing import Any
 
 from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.settings.run_options import encode_options
 
 REPORTS = ("report_recorder", "report_gateway")
 """Pipes from the learner, each to the process that its name ends with."""
@@ -14,9 +16,19 @@ def learner_pipes(plan: RunPlan) -> tuple[str, ...]:
     return ("learner", *REPORTS) if plan.options.learn else ()
 
 
-def core_ends(pipes: Mapping[str, tuple[int, int]]) -> dict[str, int]:
-    """The ends that the core writes to."""
-    return {name: ends[1] for name, ends in pipes.items() if name not in REPORTS}
+def make_design_ends(plan: RunPlan) -> tuple[socket.socket, ...]:
+    """Where the learner proposes designs and where the core reads them; none without `--adapt`."""
+    if not plan.options.adapt:
+        return ()
+    return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+
+
+def core_ends(
+    pipes: Mapping[str, tuple[int, int]], designs: tuple[socket.socket, ...] = ()
+) -> dict[str, int]:
+    """The ends that the core writes to, and where it reads designs."""
+    written = {name: ends[1] for name, ends in pipes.items() if name not in REPORTS}
+    return written | ({"designs": designs[1].fileno()} if designs else {})
 
 
 def reader_fds(pipes: Mapping[str, tuple[int, int]], reader: str) -> dict[str, int]:
@@ -25,9 +37,12 @@ def reader_fds(pipes: Mapping[str, tuple[int, int]], reader: str) -> dict[str, i
     return {name: pipes[name][0]} if name in pipes else {}
 
 
-def learner_fds(pipes: Mapping[str, tuple[int, int]]) -> dict[str, int]:
+def learner_fds(
+    pipes: Mapping[str, tuple[int, int]], designs: tuple[socket.socket, ...] = ()
+) -> dict[str, int]:
     """What the learner reads and writes."""
-    return {"pipe": pipes["learner"][0]} | {name: pipes[name][1] for name in REPORTS}
+    fds = {"pipe": pipes["learner"][0]} | {name: pipes[name][1] for name in REPORTS}
+    return fds | ({"designs": designs[0].fileno()} if designs else {})
 
 
 def make_learner_job(plan: RunPlan, epoch_ns: int) -> dict[str, Any]:
@@ -38,4 +53,5 @@ def make_learner_job(plan: RunPlan, epoch_ns: int) -> dict[str, Any]:
         "path": str(plan.settings.file.path),
         "erpm_gain": plan.settings.scaling.erpm_gain,
         "erpm_offset": plan.settings.scaling.erpm_offset,
+        "adapt": encode_options(plan.options) if plan.options.adapt else "",
     }

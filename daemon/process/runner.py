@@ -10,12 +10,13 @@ import os
 import select
 import socket
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, unpack_request
 from steerd.daemon.ipc.pipe_records import PipeWriter
 from steerd.daemon.ipc.sd_notify import ALIVE, READY, STOPPING, Notify, notify_nobody
 from steerd.daemon.loop.core import Core
+from steerd.daemon.loop.design_message import DESIGN_BYTES
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.transitions import is_engaged
 from steerd.daemon.process.guard import Guard, sleep_lag_ns
@@ -38,6 +39,8 @@ CLOCK_NS = 1_000_000_000
 """Time between two clock messages."""
 _PACKETS_MAX = 32
 """Requests read from a socket at once: a flood of them must not delay the tick."""
+_DESIGNS_MAX = 4
+"""Proposals of the learner read after a tick."""
 _KEY_BYTES = 64
 """Room for the topic name in a request."""
 LEAVE_SIGNALS = 3
@@ -56,12 +59,14 @@ class CoreLinks:
         gateway: pipe to the gateway, or None.
         requests: sockets on which requests arrive, the parent's first.
         stop_fd: gives a byte for each stop signal.
+        designs: on which the learner's proposals arrive, or None.
     """
 
     recorder: PipeWriter | None
     gateway: PipeWriter | None
     requests: tuple[socket.socket, ...]
     stop_fd: int
+    designs: socket.socket | None = None
 
 
 class Runner:
@@ -203,9 +208,25 @@ class Runner:
         else:
             self._core.flags |= Flag.GATEWAY_LOST
         end.close()
-        self._links = CoreLinks(
-            self._links.recorder, self._links.gateway, rest, self._links.stop_fd
-        )
+        self._links = replace(self._links, requests=rest)
+
+    def _read_designs(self, now_ns: int) -> None:
+        """The newest of a few proposals a tick: a flood of them waits in the socket."""
+        end, newest = self._links.designs, b""
+        if end is None:
+            return
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(_DESIGNS_MAX):
+                try:
+                    newest = end.recv(DESIGN_BYTES + 1)
+                except ConnectionResetError:
+                    newest = b""
+                if not newest:  # the learner has ended, which the loop sees by its silence
+                    end.close()
+                    self._links = replace(self._links, designs=None)
+                    return
+        if newest:
+            self._core.on_proposal(newest, now_ns)
 
     # --- what is not an arrival
 
@@ -235,6 +256,7 @@ class Runner:
             self._clock_ns = now_ns + CLOCK_NS
             self._post_clock(now_ns)
             self._stolen_ns = read_steal_ns()
+        self._try(self._read_designs, now_ns)
         self._watch_processes(now_ns)
 
     def _step_mocap(self, now_ns: int) -> None:

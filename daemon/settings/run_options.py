@@ -41,6 +41,7 @@ class RunOptions:
         ros_domain: ROS 2 domain in which rmw_zenoh sees the car, or None.
         view_sets: whether the viewer may ask for other live parameters.
         learn: whether a learner runs beside recorder and gateway.
+        adapt: whether the lane keeper follows what was learnt.
         view: ``[HOST:]PORT`` of the viewer's WebSocket, or "" for none.
     """
 
@@ -68,6 +69,7 @@ class RunOptions:
     page: int | None = None
     view_sets: bool = False
     learn: bool = False
+    adapt: bool = False
 
 
 def encode_options(options: RunOptions) -> str:

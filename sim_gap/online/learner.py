@@ -108,6 +108,7 @@ class Change:
         looks: the windows since; `windows` the same as drives, with their times.
         points: likely effects' windows, looked at again.
         finding: what is said of it.
+        was: what the named effect's parameters were before it.
     """
 
     since: float
@@ -117,6 +118,7 @@ class Change:
     windows: tuple[tuple[float, Run], ...]
     points: Mapping[str, Point]
     finding: Finding
+    was: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +268,8 @@ def judge(
     points = look_closer(anchor, null, fits, looks, points)
     null, fits = rank(anchor, known.effects, before, looks, points)
     finding = name(anchor, null, fits, known.usual_ratio, points)
-    return Change(looks[0].t, noticed, before, looks, windows, points, finding)
+    was = anchor.superset.nulls[finding.cause.effect]
+    return Change(looks[0].t, noticed, before, looks, windows, points, finding, was)
 
 
 def _look_into(

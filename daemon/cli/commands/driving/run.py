@@ -82,6 +82,11 @@ def _add_network_arguments(run: argparse._ArgumentGroup) -> None:
         help="learn the car while it drives, and say when it changed",
     )
     run.add_argument(
+        "--adapt",
+        action="store_true",
+        help="with --learn: the lane keeper follows the learnt car, checked at each step",
+    )
+    run.add_argument(
         "--view",
         nargs="?",
         const=str(DEFAULT_PORT),
@@ -138,6 +143,8 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         _check_page(args)
     if args.ros_domain is not None:
         _check_domain(args)
+    if args.adapt:
+        _check_adapt(args)
     listen = _choose_endpoint(args)
     return RunOptions(
         car_file=args.car or "",
@@ -163,6 +170,7 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         page=args.page,
         view_sets=args.view_sets,
         learn=args.learn,
+        adapt=args.adapt,
     )
 
 
@@ -182,6 +190,14 @@ def _check_hardware(args: argparse.Namespace) -> None:
         raise SteerdError("--auto-arm and --effect are for --sim only", "", ExitCode.USAGE)
     if not args.sim and args.sim_car:
         raise SteerdError("--sim-car is the simulated car", "add --sim", ExitCode.USAGE)
+
+
+def _check_adapt(args: argparse.Namespace) -> None:
+    if not args.learn:
+        raise SteerdError("--adapt follows what is learnt", "add --learn", ExitCode.USAGE)
+    if args.controller != ControllerKind.LANE:
+        what = "--adapt is about the lane keeper, and another program drives"
+        raise SteerdError(what, "drop --adapt or --controller", ExitCode.USAGE)
 
 
 def _choose_endpoint(args: argparse.Namespace) -> str:

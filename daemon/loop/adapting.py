@@ -1,0 +1,228 @@
+"""Which design steers: that of the car file, or one for the car as learnt. Pure.
+
+A design is taken between ticks, after its check, and comes into force in the next tick. The file's
+comes back by itself: when the learner is silent, the drive ends, the estimate is lost, feedback is
+tuned by hand, or the car is far off its lane. A change of designs moves no wheel: the difference
+of the two orders fades. Limits, watchdogs and the gate know nothing of this; lane errors stay those
+of the poses as they come.
+"""
+
+# Why: docs/decisions/filter-and-controller.md#d85
+
+from dataclasses import dataclass, field, replace
+from math import cos, exp, inf, sin
+
+from steerd.car_model.path.path import project
+from steerd.car_model.state import Command, State
+from steerd.controller.acceptance import Acceptance, file_numbers
+from steerd.controller.lane_controller import (
+    ControllerState,
+    ControlReport,
+    LaneController,
+    control,
+)
+from steerd.controller.lane_keeper import lane_errors
+from steerd.controller.learnt import Design, Learnt, follow_learnt
+from steerd.controller.live import AS_DESIGNED, LiveValues, shift_lane
+from steerd.controller.servo import Servo, order_servo, step_servo
+
+SILENT_NS = 4_000_000_000
+"""A learner that proposes nothing for so long is not followed any more."""
+FADING_S = 0.7
+"""Time in which the difference of two designs' orders fades to 1/e [s]."""
+FAR_SHARE = 0.5
+"""Share of the lateral error that stops the car (W17) at which the file's design comes back."""
+LEARNING, DRIVE_ENDED, SILENT, TUNED, FAR, LOST = (
+    "the learner has proposed nothing yet", "no drive", "the learner is silent",
+    "the feedback is tuned by hand", "far off the lane", "no estimate",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Adapting:
+    """Which design steers.
+
+    Attributes:
+        held: what designs are held against; None where none is followed.
+        file: the car file's controller.
+        controller: the one in force, for the numbers `car`.
+        number: of the design in force, 0 for the file's.
+        why: why the file's is in force.
+        coming: the design that was taken last, with its number; None for the file's.
+        heard_ns: when a proposal was taken or renewed last.
+        far_e1: lateral error at which the file's design comes back [m]; `far` whether it was there.
+        given_up: the car was far off its lane under a learnt design in this drive.
+        offset: order still to fade [rad]; `t_ns` of the last tick.
+        servo: where the wheels of the learnt car are.
+    """
+
+    held: Acceptance | None
+    file: LaneController
+    controller: LaneController
+    car: Learnt | None = None
+    number: int = 0
+    why: str = LEARNING
+    coming: tuple[int, Design] | None = None
+    heard_ns: int = 0
+    far_e1: float = inf
+    far: bool = False
+    given_up: bool = False
+    offset: float = 0.0
+    t_ns: int = 0
+    servo: Servo = field(default_factory=Servo)
+
+    @property
+    def follows(self) -> bool:
+        """Whether a learnt design is in force."""
+        return self.controller is not self.file
+
+
+def make_adapting(
+    file: LaneController, held: Acceptance | None = None, lateral: float = inf
+) -> Adapting:
+    """At the start: the file's design; `lateral` is the lateral error that stops the car [m]."""
+    car = file_numbers(held) if held else None
+    return Adapting(held, file, file, car, far_e1=FAR_SHARE * lateral)
+
+
+def take_design(now: Adapting, number: int, design: Design | None, why: str, t_ns: int) -> Adapting:
+    """A design that passed its check, for the next tick; None, with a reason, for the file's."""
+    if now.held is None:
+        return now
+    coming = None if design is None else (number, design)
+    return replace(now, coming=coming, heard_ns=t_ns, why=why if design is None else now.why)
+
+
+def step_adapting(now: Adapting, t_ns: int, *, driving: bool, tuned: bool) -> Adapting:
+    """The design of this tick.
+
+    Args:
+        now: that of the last one.
+        t_ns: now.
+        driving: whether a drive goes on, without a fault.
+        tuned: whether the share of the feedback is not as designed.
+    """
+    given_up = driving and (now.given_up or (now.far and now.follows))
+    doubts = (
+        (not driving, DRIVE_ENDED),
+        (given_up, FAR),
+        (tuned, TUNED),
+        (now.coming is not None and t_ns - now.heard_ns > SILENT_NS, SILENT),
+    )
+    why = next((text for holds, text in doubts if holds), "")
+    now = replace(now, given_up=given_up)
+    if why or now.coming is None:
+        return to_file(now, why or now.why)
+    number, design = now.coming
+    if number == now.number:
+        return now
+    controller = follow_learnt(now.file, design)
+    return replace(now, controller=controller, car=design.car, number=number, why="")
+
+
+def to_file(now: Adapting, why: str) -> Adapting:
+    """Back to the car file's design."""
+    if not now.follows:
+        return replace(now, why=why, coming=None)
+    car = file_numbers(now.held) if now.held else None
+    return replace(now, controller=now.file, car=car, number=0, why=why, coming=None)
+
+
+def lose_estimate(now: Adapting) -> Adapting:
+    """Without an estimate there is nothing to fade."""
+    return replace(to_file(now, LOST), offset=0.0) if now.held else now
+
+
+def remember_order(now: Adapting, t_ns: int, order: Command[float] | None) -> Adapting:
+    """What left for the servo."""
+    if now.held is None:
+        return now
+    return replace(now, servo=order_servo(now.servo, t_ns, order))
+
+
+def see_as_learnt(now: Adapting, state: State[float]) -> State[float]:
+    """The estimate as the controller in force is to see it: its servo, its mocap body."""
+    if not now.follows or now.car is None:
+        return state
+    car = now.car
+    yaw = state.yaw - car.body_yaw
+    c, s = cos(yaw), sin(yaw)
+    return state._replace(
+        x=state.x - (c * car.body_forward - s * car.body_left),
+        y=state.y - (s * car.body_forward + c * car.body_left),
+        yaw=yaw,
+        slip_angle=state.slip_angle + car.body_yaw,
+        steer=now.servo.wheel,
+    )
+
+
+def steer(
+    before: Adapting,
+    memory: ControllerState,
+    estimate: State[float],
+    t_ns: int,
+    *,
+    issued: Command[float] | None,
+    driving: bool,
+    stop: bool,
+    live: LiveValues = AS_DESIGNED,
+) -> tuple[Command[float], ControlReport, ControllerState, Adapting]:
+    """One tick of the design in force; where it is another than before, no wheel moves for that.
+
+    Args:
+        before: the last tick's.
+        memory: the controller's, see `control`; the rest too.
+        estimate: of the car's state.
+        t_ns: now.
+        issued: the last order.
+        driving: whether a drive goes on, without a fault.
+        stop: whether to come to rest.
+        live: live parameters.
+    """
+    if before.held is None:
+        command, report, memory = control(
+            before.controller, memory, estimate, t_ns, issued=issued, stop=stop, live=live
+        )
+        return command, report, memory, before
+    tuned = live.gain != AS_DESIGNED.gain
+    now = _step_servo(step_adapting(before, t_ns, driving=driving, tuned=tuned), t_ns)
+    offset = now.offset * exp(-max(t_ns - now.t_ns, 0) * 1e-9 / FADING_S)
+    old = None
+    if now.controller is not before.controller:
+        seen = see_as_learnt(replace(before, servo=_step_servo(before, t_ns).servo), estimate)
+        old, _, _ = control(
+            before.controller, memory, seen, t_ns, issued=issued, stop=stop, live=live
+        )
+        memory = hand_over(memory, now.controller.table.pasts)
+    hint = memory.hint
+    command, report, memory = control(
+        now.controller, memory, see_as_learnt(now, estimate), t_ns,
+        issued=issued, stop=stop, live=live,
+    )  # fmt: skip
+    if old is not None:
+        offset = old.steer + offset - command.steer
+    if now.follows:
+        report = _as_posed(now, report, estimate, hint, live)
+    command = command._replace(steer=command.steer + offset)
+    far = abs(report.e1) > now.far_e1
+    return command, report, memory, replace(now, offset=offset, far=far, t_ns=t_ns)
+
+
+def hand_over(memory: ControllerState, pasts: int) -> ControllerState:
+    """The controller's memory for a design with another number of past references."""
+    known = memory.past[:pasts]
+    oldest = known[-1] if known else 0.0
+    return memory._replace(past=known + (oldest,) * (pasts - len(known)))
+
+
+def _step_servo(now: Adapting, t_ns: int) -> Adapting:
+    delay_s = now.controller.report.timing.delay_s
+    return replace(now, servo=step_servo(now.servo, now.controller.car, delay_s, t_ns))
+
+
+def _as_posed(
+    now: Adapting, report: ControlReport, estimate: State[float], hint: int, live: LiveValues
+) -> ControlReport:
+    """The report with the lane errors of the estimate as it is: what watchdogs judge."""
+    at = project(now.controller.keeper.path, estimate.x, estimate.y, hint)
+    return report._replace(**lane_errors(estimate, shift_lane(at, live.offset))._asdict())

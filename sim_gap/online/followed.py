@@ -1,0 +1,107 @@
+"""What of the learnt car a controller is to follow, and when it is not to.
+
+Changes that were named beyond doubt, as the effects that they are: their windows before and after
+say far more about them than any number of the base is known by. Beside them those numbers of the
+base that a lane identifies by themselves. Whatever is in doubt is the car file's business.
+"""
+
+# Why: docs/decisions/filter-and-controller.md#d86
+
+from collections.abc import Iterator
+
+from steerd.car_model.effects import find_effect
+from steerd.car_model.model import Model
+from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.params import Car
+from steerd.controller.learnt import Learnt, learnt_of
+from steerd.sim_gap.engine.superset import Superset
+from steerd.sim_gap.online.learner import Change, Learner, State
+from steerd.sim_gap.online.naming import SURE
+from steerd.sim_gap.online.values import values_of
+
+BY_ITSELF = ("steer_bias", "speed_gain")
+"""Numbers of the base that a lane identifies whatever else the model misses."""
+BEYOND_DOUBT = 3.0
+"""Standard deviations by which a number must differ from the file's to be followed."""
+SETTLED = 16
+"""Windows after which the name of a change counts: eight seconds, a lap of a small eight."""
+_BODY = (("mocap_yaw", "body_yaw"), ("marker_offset", "body_forward", "body_left"))
+
+
+def find_aim(learner: Learner, state: State) -> Learnt | str:
+    """The numbers to follow, or why none are."""
+    if state.known is None:
+        return "the car is being learnt"
+    current = () if state.change is None else (state.change,)
+    problem = next(filter(None, map(_doubt, (*state.past, *current))), "")
+    if problem:
+        return problem
+    if state.change is not None and len(state.change.looks) < SETTLED:
+        return "a change is being looked into"
+    past = _numbers(learner.superset, state.past)
+    own = _by_itself(learner, state)
+    now = _numbers(learner.superset, (*state.past, *current))
+    # What the base was learnt with holds the past; a change that is looked into comes on top.
+    return now._replace(**{
+        name: value + getattr(now, name) - getattr(past, name) for name, value in own.items()
+    })  # fmt: skip
+
+
+def _doubt(change: Change) -> str:
+    """Why a change is not to be followed."""
+    finding = change.finding
+    if finding.verdict == "changed":
+        return "a change is being looked into"
+    if finding.verdict == "unexplained":
+        return "a change is unexplained"
+    cause = finding.cause
+    if cause.alternatives:
+        return f"a change is {cause.effect} or {' or '.join(cause.alternatives)}"
+    return "" if cause.confidence >= SURE else "the name of a change is not sure"
+
+
+def _by_itself(learner: Learner, state: State) -> dict[str, float]:
+    """Numbers of the base that the drive identifies and that are not the file's."""
+    if state.known is None:
+        return {}
+    file, names = learner.superset.base, learner.superset.kernels.names
+    return {
+        v.name: v.value
+        for v in values_of(state.known)
+        if v.name in BY_ITSELF
+        and v.identifiable
+        and abs(v.value - float(file[names.index(v.name)])) > BEYOND_DOUBT * v.sd
+    }
+
+
+def _numbers(superset: Superset, changes: tuple[Change, ...]) -> Learnt:
+    """The file's car with these changes, as the numbers of a controller."""
+    nulls = dict(superset.nulls)
+    for change in changes:
+        effect = change.finding.cause.effect
+        nulls[effect] = tuple(_shifted(change, nulls[effect]))
+    own = Car(*(float(value) for value in superset.base[: len(Car._fields)]))
+    values = tuple(nulls[e.name] for e in superset.effects)
+    car = believed_car(Model(own, superset.effects, values, superset.kernels.chassis))
+    found = learnt_of(
+        car._replace(c_sf=car.c_sf * car.mu / own.mu, c_sr=car.c_sr * car.mu / own.mu)
+    )
+    moved = {change.finding.cause.effect for change in changes}
+    body = {
+        name: value
+        for effect, *names in _BODY
+        if effect in moved
+        for name, value in zip(names, nulls[effect], strict=True)
+    }
+    return found._replace(**body)
+
+
+def _shifted(change: Change, values: tuple[float, ...]) -> Iterator[float]:
+    """An effect's parameters after a change: offsets add up, ratios multiply."""
+    cause = change.finding.cause
+    rows = zip(
+        values, cause.parameters.values(), change.was, find_effect(cause.effect).nulls, strict=True
+    )
+    for value, (after, _, _), before, null in rows:
+        ratio = null == 1.0 and before > 0.0
+        yield value * after / before if ratio else value + after - before

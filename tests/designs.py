@@ -1,0 +1,48 @@
+"""Designs for cars near that of the car file, for all tests of what follows the learner."""
+
+from functools import lru_cache
+
+from steerd.controller.acceptance import Acceptance, file_numbers, make_acceptance
+from steerd.controller.build import compute_table
+from steerd.controller.learnt import Design, Learnt, learnt_car, learnt_timing
+from steerd.daemon.assembly.build import RunPlan, make_plan
+from steerd.daemon.settings.run_options import RunOptions
+
+
+def make_adapt_plan(**options) -> RunPlan:
+    """A simulated figure-eight with `--learn --adapt`."""
+    given = {
+        "car_file": "", "path": "figure8", "speed": 1.5, "simulated": True, "auto_arm": True,
+        "learn": True, "adapt": True,
+    }  # fmt: skip
+    return make_plan(RunOptions(**(given | options)))
+
+
+@lru_cache(1)
+def standard() -> Acceptance:
+    """What designs beside the standard car's are held against."""
+    plan = make_adapt_plan()
+    return make_acceptance(plan.controller)
+
+
+def numbers(held: Acceptance, **changed: float) -> Learnt:
+    """The file's numbers with some changed."""
+    return file_numbers(held)._replace(**changed)
+
+
+def design_for(held: Acceptance, **changed: float) -> Design:
+    """The lane keeper's own design for these numbers."""
+    file, car = held.file, numbers(held, **changed)
+    table = compute_table(
+        learnt_car(file, car), file.config, learnt_timing(file, car), file.profile.fastest
+    )
+    return Design(car, table)
+
+
+def scaled(design: Design, factor: float, first: int = 0, last: int = 5) -> Design:
+    """With some of the feedback gains in all rows multiplied."""
+    rows = tuple(
+        (*row[:first], *(factor * gain for gain in row[first:last]), *row[last:])
+        for row in design.table.rows
+    )
+    return design._replace(table=design.table._replace(rows=rows))

@@ -1,0 +1,107 @@
+"""Which designs of the learner may be taken, and which never."""
+
+from math import inf, nan
+
+import pytest
+
+from steerd.controller.acceptance import accept, check_design
+from steerd.controller.design import assess
+from steerd.controller.lane_controller import LaneController
+from steerd.controller.learnt import learnt_car, learnt_timing
+from tests.designs import design_for, numbers, scaled, standard
+
+NEAR = {"steer_gain": 0.98, "steer_bias": 0.004, "steer_delay": 0.016}
+
+
+@pytest.fixture(scope="module")
+def held():
+    return standard()
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [NEAR, {"steer_lag": 0.058}, {"speed_gain": 0.985}, {"c_sf": 4.4, "c_sr": 5.7},
+     {"body_yaw": 0.006, "body_forward": -0.007}],
+)  # fmt: skip
+def test_a_design_for_a_car_nearby_is_taken(held, changed):
+    taken = accept(held, numbers(held), design_for(held, **changed))
+    assert isinstance(taken, LaneController), taken
+    assert taken.table == design_for(held, **changed).table
+    assert (taken.keeper.wheel_min, taken.keeper.wheel_max) == (
+        held.file.keeper.wheel_min, held.file.keeper.wheel_max,
+    )  # fmt: skip
+    assert taken.profile == held.file.profile, "no speed is the learner's"
+
+
+def test_the_far_end_of_each_bound_is_reached_by_steps(held):
+    far = {"steer_gain": 0.8, "steer_bias": -0.05, "steer_delay": 0.09, "steer_lag": 0.1}
+    at = numbers(held, **far)
+    assert isinstance(accept(held, at, design_for(held, **far)), LaneController)
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({"steer_gain": 0.9}, "too far"),
+        ({"steer_bias": 0.02}, "too far"),
+        ({"steer_gain": nan}, "not within"),
+        ({"speed_gain": inf}, "not within"),
+        ({"steer_delay": -0.01}, "not within"),
+        ({"body_left": -0.2}, "not within"),
+    ],
+)
+def test_numbers_out_of_reach_are_refused(held, changed, why):
+    design = design_for(held)._replace(car=numbers(held, **changed))
+    refused = accept(held, numbers(held), design)
+    assert isinstance(refused, str)
+    assert why in refused
+    assert next(iter(changed)) in refused
+
+
+def test_a_table_of_another_form_is_refused(held):
+    good = design_for(held, **NEAR)
+    rows = good.table.rows
+    bad = {
+        "speeds": good.table._replace(speed_min=0.2),
+        "as many": good.table._replace(rows=tuple(row[1:] for row in rows)),
+        "no number": good.table._replace(rows=((nan, *rows[0][1:]), *rows[1:])),
+        "absurd": good.table._replace(rows=((1e6, *rows[0][1:]), *rows[1:])),
+        "another car": good.table._replace(rows=tuple((*row[:-4], 2.0, *row[-3:]) for row in rows)),
+    }
+    for why, table in bad.items():
+        refused = accept(held, numbers(held), good._replace(table=table))
+        assert isinstance(refused, str), why
+        assert why in refused
+
+
+@pytest.mark.parametrize("factor", [-1.0, 0.0, 30.0])
+def test_an_unstable_or_undamped_loop_is_refused(held, factor):
+    refused = accept(held, numbers(held), scaled(design_for(held, **NEAR), factor))
+    assert isinstance(refused, str)
+    assert "unstable" in refused or "margin" in refused
+
+
+def test_a_loop_that_is_stable_with_little_to_spare_is_refused(held):
+    design = scaled(design_for(held), 5.0, 0, 4)
+    car, timing = learnt_car(held.file, design.car), learnt_timing(held.file, design.car)
+    assert all(at.radius < 1.0 for at in assess(car, design.table, timing))
+    refused = accept(held, numbers(held), design)
+    assert isinstance(refused, str)
+    assert "margin" in refused or "damped" in refused
+
+
+def test_a_loop_that_the_files_car_would_not_survive_is_refused(held):
+    """For the car as proposed it is fine; whoever proposes may be wrong about that."""
+    claimed = {"steer_delay": 0.11, "steer_lag": 0.13, "c_sf": 7.5, "c_sr": 2.2}
+    design = scaled(design_for(held, **claimed), -1.0, 5, -4)
+    refused = accept(held, design.car, design)
+    assert isinstance(refused, str)
+
+
+def test_the_check_comes_in_pieces_and_ends_with_the_reason(held):
+    pieces = list(check_design(held, numbers(held), design_for(held, **NEAR)))
+    assert len(pieces) > 3 * len(held.file.table.rows)
+    assert not any(pieces)
+    refused = list(check_design(held, numbers(held), scaled(design_for(held, **NEAR), -1.0)))
+    assert refused[-1]
+    assert not any(refused[:-1])
