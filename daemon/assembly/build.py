@@ -12,6 +12,7 @@ from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import Car
 from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path
+from steerd.daemon.assembly.machine_code import build_all
 from steerd.daemon.assembly.sim_car import load_sim_car, make_true_model
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.near import find_near
@@ -19,7 +20,6 @@ from steerd.daemon.ipc.outbox import Outbox, Sink
 from steerd.daemon.loop.plans import Drill, PlanError, parse_drill
 from steerd.daemon.settings.config import Settings, load_settings
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
-from steerd.estimator.native.build import build_library
 from steerd.sim_hw.mocap.mocap_config import MocapConfig
 from steerd.sim_hw.vesc.vesc_config import VescConfig
 from steerd.sim_hw.world import WorldConfig
@@ -184,7 +184,7 @@ def make_plan(
         plan = RunPlan(options, add_drill_fence(settings, drill), path, drill)
     if design:
         _ = plan.controller
-    build_library()
+    build_all()
     return plan
 
 

@@ -1,25 +1,23 @@
 """Whether the filter runs in machine code: where it gives the bits that Python gives."""
 
 import ctypes
-import math
 from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
 import numpy as np
 
+from steerd.car_model.machine_code import load_library
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.kalman import Kalman
 from steerd.estimator.motion import SIZE
-from steerd.estimator.native.build import library_path
 from steerd.estimator.native.kernel import WIDEST, Kernel, pack_sensor, read_belief
-from steerd.estimator.native.library import load_library
+from steerd.estimator.native.library import attach
+from steerd.estimator.native.source import FILTER
 from steerd.estimator.sensors import Kind, Sensor, make_sensors, residual
 
 _CHECKS = 20
-_FUNCTIONS = (math.sin, math.cos, math.tan, math.atan, math.exp)
-"""What the equations call, in the order of `try_functions`."""
 
 
 def make_kernel(
@@ -32,31 +30,18 @@ def make_kernel(
 
 @cache
 def _checked_library() -> ctypes.CDLL | None:
-    try:
-        library = load_library(library_path())
-        return library if gives_same_bits(library) else None
-    except (OSError, AttributeError, KeyError):
-        return None
+    return load_library(FILTER, gives_same_bits)
 
 
 def gives_same_bits(library: Any) -> bool:
-    """Whether algebra and elementary functions agree with Python's to the last bit.
+    """Whether its algebra agrees with Python's to the last bit.
 
-    BLAS chooses by processor how it sums, NumPy and SciPy may bring one each, and Python may have
-    been built with a C library of its own.
+    BLAS chooses by processor how it sums, and NumPy and SciPy may bring one each.
     """
+    attach(library)
     rng = np.random.default_rng(0)
     sensors = make_sensors(DEFAULT_CAR._replace(speed_gain=1.07), FilterConfig())
-    angles = rng.uniform(-3.0, 3.0, _CHECKS).tolist()
-    return all(_same_functions(library, a) for a in angles) and all(
-        _same_algebra(library, rng, sensors[kind]) for _ in range(_CHECKS) for kind in Kind
-    )
-
-
-def _same_functions(library: Any, a: float) -> bool:
-    out = (ctypes.c_double * len(_FUNCTIONS))()
-    library.try_functions(ctypes.c_double(a), out)
-    return list(out) == [function(a) for function in _FUNCTIONS]
+    return all(_same_algebra(library, rng, sensors[kind]) for _ in range(_CHECKS) for kind in Kind)
 
 
 def _same_algebra(library: Any, rng: np.random.Generator, sensor: Sensor) -> bool:

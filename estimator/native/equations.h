@@ -5,6 +5,19 @@
  */
 #include <math.h>
 
+/* The functions that the equations call: whether they round as Python's is looked at on loading. */
+void try_functions(double a, double *out)
+{
+    out[0] = atan(a);
+    out[1] = cos(a);
+    out[2] = exp(a);
+    out[3] = fabs(a);
+    out[4] = sin(a);
+    out[5] = sqrt(a);
+    out[6] = tan(a);
+    out[7] = tanh(a);
+}
+
 enum {
     SIZE = 7,
     CAR = 22,

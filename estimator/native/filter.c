@@ -303,13 +303,3 @@ int try_algebra(const sensor_t *sensor, belief_t *belief, const double *F, const
     carry(belief->P, F, Q);
     return update(sensor, belief, measured, y, nis);
 }
-
-/* And the functions of the C library that the equations call. */
-void try_functions(double a, double *out)
-{
-    out[0] = sin(a);
-    out[1] = cos(a);
-    out[2] = tan(a);
-    out[3] = atan(a);
-    out[4] = exp(a);
-}

@@ -1,7 +1,6 @@
-"""Loads the filter's machine code, with the BLAS and LAPACK that it works with."""
+"""The filter's machine code, and the BLAS and LAPACK that it works with."""
 
 import ctypes
-from pathlib import Path
 
 from scipy.linalg import cython_blas, cython_lapack
 
@@ -14,17 +13,10 @@ _FUNCTIONS = (
 )
 
 
-def load_library(path: Path) -> ctypes.CDLL:
-    """The machine code with the BLAS and LAPACK that it works with.
-
-    Raises:
-        OSError: the file is none that can be loaded.
-        AttributeError: it is another library.
-    """
-    library = ctypes.CDLL(str(path))
+def attach(library: ctypes.CDLL) -> None:
+    """Give the machine code the BLAS and LAPACK that it works with."""
     functions = (ctypes.c_void_p * len(_FUNCTIONS))(*map(_address, *zip(*_FUNCTIONS, strict=True)))
     library.attach(functions)
-    return library
 
 
 def _address(module: object, name: str) -> int | None:

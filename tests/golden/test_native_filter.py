@@ -6,10 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerd.car_model import machine_code
 from steerd.daemon.loop import perception
 from steerd.daemon.offline.replay import replay
 from steerd.estimator import state_filter
-from steerd.estimator.native import build, choice
+from steerd.estimator.native import choice
+from steerd.estimator.native.source import FILTER
 from steerd.steer_bus.session_read import open_session
 
 SESSIONS = sorted(Path(__file__).parent.glob("*.mcap"))
@@ -35,10 +37,10 @@ def estimates(path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, 
     return np.array(seen), native
 
 
-@pytest.mark.skipif(not build.find_compiler(), reason="no C compiler")
+@pytest.mark.skipif(not machine_code.find_compiler(), reason="no C compiler")
 @pytest.mark.parametrize("path", SESSIONS, ids=lambda path: path.stem)
 def test_both_give_the_same_estimates(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    build.build_library()
+    machine_code.build_library(FILTER)
     choice._checked_library.cache_clear()
     native = estimates(path, monkeypatch)
     monkeypatch.setattr(state_filter, "make_kernel", lambda *args: None)

@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steerd.car_model import machine_code
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
 from steerd.car_model.state import Command
 from steerd.estimator.actuation import History
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.kalman import Belief
-from steerd.estimator.native import build, choice, generate
-from steerd.estimator.native.library import load_library
+from steerd.estimator.native import choice, generate
+from steerd.estimator.native.source import FILTER
 from steerd.estimator.sensors import make_gyro, make_pose, make_wheel_speed
 from steerd.estimator.state_filter import (
     FilterState,
@@ -33,13 +34,13 @@ ODD_CAR = PAPER_CAR._replace(
     speed_gain=1.07, steer_gain=0.9, steer_bias=0.02, steer_delay=0.012, drive_delay=0.004,
     pose_delay=0.003,
 )  # fmt: skip
-pytestmark = pytest.mark.skipif(not build.find_compiler(), reason="no C compiler")
+pytestmark = pytest.mark.skipif(not machine_code.find_compiler(), reason="no C compiler")
 
 
 @pytest.fixture(scope="module")
 def both() -> Any:
     """Filters of a car, in Python and in machine code."""
-    assert build.build_library() is not None
+    assert machine_code.build_library(FILTER) is not None
     choice._checked_library.cache_clear()
 
     def make(car: Car[float], config: FilterConfig | None = None) -> tuple[StateFilter, ...]:
@@ -174,21 +175,18 @@ class Altered:
 
 @pytest.mark.parametrize("name", ["try_functions", "try_algebra"])
 def test_machine_code_with_other_bits_is_not_used(both: Any, name: str) -> None:
-    library = load_library(build.library_path())
-    assert choice.gives_same_bits(library)
-    assert not choice.gives_same_bits(Altered(library, name))
+    library = machine_code.load_library(FILTER, choice.gives_same_bits)
+    assert library is not None
+    altered = Altered(library, name)
+    assert not (machine_code.same_functions(altered) and choice.gives_same_bits(altered))
 
 
-def test_without_a_compiler_python_computes(
-    both: Any, monkeypatch: Any, tmp_path: Any, capsys: Any
-) -> None:
+def test_without_a_compiler_python_computes(both: Any, monkeypatch: Any, tmp_path: Any) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     choice._checked_library.cache_clear()
-    assert build.build_library() is None
-    build.main()
-    assert "Python" in capsys.readouterr().out
+    assert machine_code.build_library(FILTER) is None
     flt = make_state_filter(DEFAULT_CAR, native=True)
     choice._checked_library.cache_clear()
     assert flt.kernel is None
@@ -200,13 +198,13 @@ def test_a_compiler_that_makes_nothing_leaves_nothing(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("CC", compiler)
-    assert build.build_library() is None
+    assert machine_code.build_library(FILTER) is None
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
 def test_a_damaged_library_is_not_used(both: Any, monkeypatch: Any, tmp_path: Any) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    path = build.library_path()
+    path = machine_code.library_path(FILTER)
     path.parent.mkdir(parents=True)
     path.write_bytes(b"no library")
     choice._checked_library.cache_clear()

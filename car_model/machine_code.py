@@ -1,0 +1,136 @@
+"""Recorded equations as C: printed once, compiled once per machine, loaded in milliseconds.
+
+Whether the code is there never changes a number, only the time that it takes: products and sums are
+not contracted, and it is used where the C library's functions give the bits that Python's give.
+Where no compiler is found, or the code cannot be loaded, Python computes.
+"""
+
+# Why: docs/decisions/kernels.md#d84
+
+import contextlib
+import ctypes
+import hashlib
+import math
+import os
+import platform
+import re
+import shlex
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import platformdirs
+
+from steerd.car_model.params import Car
+from steerd.car_model.straight_line import C_FORMS, FUNCTIONS, written
+from steerd.car_model.tape import Node
+
+FLAGS = (
+    "-O2", "-std=c11", "-fPIC", "-shared", "-ffp-contract=off",
+    "-fno-builtin-sin", "-fno-builtin-cos",  # together they would become another function
+)  # fmt: skip
+_COMPILE_S = 60.0
+"""Longest time that compiling is given [s]; it takes one."""
+_ANGLES = tuple(0.37 * k + 0.01 for k in range(17))
+
+_TRIED = "".join(f"    out[{i}] = {name}(a);\n" for i, name in enumerate(FUNCTIONS))
+PRELUDE = f"""#include <math.h>
+
+/* The functions that the equations call: whether they round as Python's is looked at on loading. */
+void try_functions(double a, double *out)
+{{
+{_TRIED}}}
+"""
+"""What printed C begins with."""
+
+
+class Source(NamedTuple):
+    """C sources of one library, the first of them compiled."""
+
+    name: str
+    folder: Path
+    files: tuple[str, ...]
+
+
+def printed_function(
+    head: str, inputs: Sequence[Node], outputs: Sequence[Node], kind: str = "static void"
+) -> str:
+    """A C function `head(car, in, out)`; the car's parameters are recorded under their names."""
+    statements, results = written(outputs, C_FORMS)
+    words = set(re.findall(r"[a-z_0-9]+", " ".join([*statements, *results])))
+    given = [(node.entry.name, f"in[{i}]") for i, node in enumerate(inputs)]
+    given += [(field, f"car[{i}]") for i, field in enumerate(Car._fields)]
+    lines = [
+        "(void)car;",
+        *(f"const double {field} = {source};" for field, source in given if field in words),
+        *(f"const double {statement};" for statement in statements),
+        *(f"out[{i}] = {result};" for i, result in enumerate(results)),
+    ]
+    arguments = "const double *car, const double *in, double *out"
+    return f"\n{kind} {head}({arguments})\n{{\n" + "".join(f"    {e}\n" for e in lines) + "}\n"
+
+
+def library_path(source: Source) -> Path:
+    """Where the machine code lies, named after all that it is made from."""
+    found = hashlib.sha256(" ".join((platform.machine(), *platform.libc_ver(), *FLAGS)).encode())
+    for name in source.files:
+        found.update((source.folder / name).read_bytes())
+    folder = platformdirs.user_cache_path("steerd") / "machine-code"
+    return folder / f"{source.name}_{found.hexdigest()[:24]}.so"
+
+
+def find_compiler() -> list[str]:
+    """The C compiler's command: `CC`, else the machine's; empty where there is none."""
+    named = shlex.split(os.environ.get("CC", ""))
+    found = shutil.which(named[0]) if named else None
+    if found:
+        return [found, *named[1:]]
+    others = (shutil.which(name) for name in ("cc", "gcc", "clang"))
+    return [other for other in others if other][:1]
+
+
+def build_library(source: Source) -> Path | None:
+    """The machine code, compiled unless it is there; None where that is not possible.
+
+    Several processes may do so at once: each moves a whole file into place.
+    """
+    path, compiler = library_path(source), find_compiler()
+    if path.exists() or not compiler:
+        return path if path.exists() else None
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix="build-", dir=path.parent) as folder:
+            made = Path(folder) / path.name
+            text = str(source.folder / source.files[0])
+            command = [*compiler, *FLAGS, "-o", str(made), text, "-lm"]
+            subprocess.run(command, check=True, capture_output=True, timeout=_COMPILE_S)
+            made.replace(path)
+        return path
+    return None
+
+
+def load_library(source: Source, check: Callable[[Any], bool]) -> ctypes.CDLL | None:
+    """The machine code where there is any, and it agrees with Python to the last bit.
+
+    Args:
+        source: of which library.
+        check: whether what else it computes agrees.
+    """
+    try:
+        library = ctypes.CDLL(str(library_path(source)))
+        return library if same_functions(library) and check(library) else None
+    except (OSError, AttributeError, KeyError):
+        return None
+
+
+def same_functions(library: Any) -> bool:
+    """Whether its elementary functions round as Python's: Python may bring a C library."""
+    out = (ctypes.c_double * len(FUNCTIONS))()
+    for angle in _ANGLES:
+        library.try_functions(ctypes.c_double(angle), out)
+        if list(out) != [getattr(math, name)(angle) for name in FUNCTIONS]:
+            return False
+    return True
