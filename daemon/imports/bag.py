@@ -173,9 +173,7 @@ def propose_bag(source: Path) -> dict[str, dict[str, Any]]:
         if found:
             roles[role] = find_best(role, found)[0]
     if not roles:
-        raise SteerdError(
-            f"{source.name} has no topic of a type that steerd reads", _list_topics(types)
-        )
+        raise _make_useless(source, types)
     return {"topics": roles}
 
 
@@ -239,9 +237,7 @@ def _choose_topics(
         what = f"{source.name} has several topics for {'; '.join(several)}"
         raise SteerdError(what, "choose each with --topic TOPIC", ExitCode.USAGE)
     if not chosen:
-        raise SteerdError(
-            f"{source.name} has no topic of a type that steerd reads", _list_topics(types)
-        )
+        raise _make_useless(source, types)
     return chosen
 
 
@@ -276,6 +272,13 @@ def _refuse(source: Path, types: Mapping[str, str], topic: str) -> str:
     if topic in types:
         raise SteerdError(f"{source.name}: {topic} is a {types[topic]}, which steerd cannot use")
     raise SteerdError(f"{source.name} has no messages on {topic}", _list_topics(types))
+
+
+def _make_useless(source: Path, types: Mapping[str, str]) -> SteerdError:
+    """The error of a bag without a drive, with what a drive is made of."""
+    kinds = dict.fromkeys(kind.rpartition("/")[2] for role in ROLES for kind in _TYPES[role])
+    hint = f"steerd reads {', '.join(kinds)}; {_list_topics(types)}"
+    return SteerdError(f"{source.name} has no topic of a type that steerd reads", hint)
 
 
 def _list_topics(types: Mapping[str, str]) -> str:
