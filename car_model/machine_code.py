@@ -112,15 +112,20 @@ def build_library(source: Source) -> Path | None:
     return None
 
 
-def load_library(source: Source, check: Callable[[Any], bool]) -> ctypes.CDLL | None:
+def load_library(
+    source: Source, check: Callable[[Any], bool] = lambda library: True
+) -> ctypes.PyDLL | None:
     """The machine code where there is any, and it agrees with Python to the last bit.
+
+    Its calls are short and keep the interpreter's lock, which another thread would not give back
+    before some milliseconds.
 
     Args:
         source: of which library.
         check: whether what else it computes agrees.
     """
     try:
-        library = ctypes.CDLL(str(library_path(source)))
+        library = ctypes.PyDLL(str(library_path(source)))
         return library if same_functions(library) and check(library) else None
     except (OSError, AttributeError, KeyError):
         return None

@@ -7,8 +7,9 @@ import sys
 
 from steerd.car_model.machine_code import build_library
 from steerd.estimator.native.source import FILTER
+from steerd.sim_hw.plant.native.follow import PLANT
 
-SOURCES = (FILTER,)
+SOURCES = (FILTER, PLANT)
 
 
 def build_all() -> bool:

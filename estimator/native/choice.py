@@ -29,7 +29,7 @@ def make_kernel(
 
 
 @cache
-def _checked_library() -> ctypes.CDLL | None:
+def _checked_library() -> ctypes.PyDLL | None:
     return load_library(FILTER, gives_same_bits)
 
 

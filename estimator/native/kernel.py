@@ -38,7 +38,7 @@ class Kernel:
 
     def __init__(
         self,
-        library: ctypes.CDLL,
+        library: ctypes.PyDLL,
         car: Car[float],
         config: FilterConfig,
         sensors: Mapping[Kind, Sensor],

@@ -13,7 +13,7 @@ _FUNCTIONS = (
 )
 
 
-def attach(library: ctypes.CDLL) -> None:
+def attach(library: ctypes.PyDLL) -> None:
     """Give the machine code the BLAS and LAPACK that it works with."""
     functions = (ctypes.c_void_p * len(_FUNCTIONS))(*map(_address, *zip(*_FUNCTIONS, strict=True)))
     library.attach(functions)

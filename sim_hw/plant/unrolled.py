@@ -3,11 +3,12 @@
 `car_model` is generic over the number type. Here it runs once over numbers that write down each
 operation, and the record is compiled: the same operations on the same floats in the same order
 (equal bit for bit, tested), without the tuples and calls between them. A step costs a third.
-A model that a record cannot hold (one that branches on a value) runs as it is.
+A model that a record cannot hold (one that branches on a value) runs as it is. Without effects, the
+step under a speed demand, nearly all of them, is machine code where there is a compiler.
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 from steerd.car_model.model import Model, Moment, aim, car_now, drive_actuators, memory_size
@@ -16,7 +17,8 @@ from steerd.car_model.params import Car
 from steerd.car_model.rollout import glide
 from steerd.car_model.state import Command, State
 from steerd.car_model.straight_line import compiled
-from steerd.car_model.tape import TAPE, Tape
+from steerd.car_model.tape import TAPE, Node, Tape
+from steerd.sim_hw.plant.native.follow import make_native_follow
 
 Numbers = tuple[float, ...]
 _Half = Callable[[Ops[Any], Model[Any], Sequence[Any]], Sequence[Any]]
@@ -43,10 +45,10 @@ def make_steps(model: Model[float]) -> Steps:
 
     Kept: a second car of the same make (the next seed, the next fault) costs nothing.
     """
+    in_python = cache(lambda: _unroll(model, _follow))
+    follow = make_native_follow(model, lambda *numbers: in_python()(*numbers))
     try:
-        return Steps(
-            _unroll(model, _actuate), _unroll(model, _glide), _unroll(model, _follow), True
-        )
+        return Steps(_unroll(model, _actuate), _unroll(model, _glide), follow or in_python(), True)
     except TypeError:
         return Steps(_plain(model, _actuate), _plain(model, _glide), _plain(model, _follow), False)
 
@@ -87,8 +89,17 @@ def _unroll(model: Model[float], half: _Half) -> Callable[..., Numbers]:
         TypeError: it needs a number's value.
     """
     tape = Tape(exact=True)
-    memory = (f"memory_{i}" for i in range(memory_size(model.effects)))
-    inputs = [tape.symbol(name) for name in (*_STATE, *memory, "first", "second", "t", "h")]
     values = tuple(tuple(map(tape.constant, own)) for own in model.values)
     fixed = Model(Car(*map(tape.constant, model.car)), model.effects, values, model.chassis)
-    return compiled(inputs, [tape.node(result) for result in half(TAPE, fixed, inputs)])
+    return compiled(*_record(tape, fixed, half))
+
+
+def record_follow(tape: Tape, model: Model[Node]) -> tuple[list[Node], list[Node]]:
+    """Inputs and outputs of `Steps.follow`, of a model whose numbers are on the tape."""
+    return _record(tape, model, _follow)
+
+
+def _record(tape: Tape, model: Model[Node], half: _Half) -> tuple[list[Node], list[Node]]:
+    memory = (f"memory_{i}" for i in range(memory_size(model.effects)))
+    inputs = [tape.symbol(name) for name in (*_STATE, *memory, "first", "second", "t", "h")]
+    return inputs, [tape.node(result) for result in half(TAPE, model, inputs)]

@@ -1,18 +1,25 @@
 """The unrolled step is the model's own step, bit for bit, with every effect of the library."""
 
+import math
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
+from steerd.car_model import machine_code
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import BaseSelection, Effect, Stage
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
-from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
 from steerd.car_model.rollout import start, step
 from steerd.car_model.state import ORIGIN, Command
+from steerd.sim_hw.plant.native import follow, generate
 from steerd.sim_hw.plant.unrolled import make_steps
 
 H = 0.002
+needs_compiler = pytest.mark.skipif(not machine_code.find_compiler(), reason="no C compiler")
 
 
 def drive(model: Model[float], seed: int, steps: int = 150) -> None:
@@ -30,10 +37,49 @@ def drive(model: Model[float], seed: int, steps: int = 150) -> None:
         assert repr(numbers) == repr((*moment.state, *moment.memory))  # -0.0 is not 0.0
 
 
-def test_plain_car_is_unrolled_and_equal() -> None:
+@pytest.fixture
+def compiled() -> Iterator[None]:
+    """The machine code is there; steps are made anew."""
+    assert machine_code.build_library(follow.PLANT) is not None
+    follow._library.cache_clear()
+    make_steps.cache_clear()
+    assert follow._library() is not None
+    yield
+    make_steps.cache_clear()
+
+
+@pytest.fixture
+def without_compiler(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No machine code: Python alone."""
+    monkeypatch.setattr(follow, "_library", lambda: None)
+    make_steps.cache_clear()
+    yield
+    make_steps.cache_clear()
+
+
+def test_plain_car_is_unrolled_and_equal(without_compiler: None) -> None:
     model = Model(DEFAULT_CAR)
     assert make_steps(model).unrolled
     drive(model, seed=1, steps=1000)
+
+
+@needs_compiler
+@pytest.mark.parametrize("chassis", generate.CHASSIS, ids=follow.function_name)
+def test_machine_code_of_every_chassis_is_equal(compiled: None, chassis: Chassis) -> None:
+    car = PAPER_CAR._replace(steer_gain=0.9, steer_bias=0.02, speed_gain=1.07)
+    for seed, each in enumerate((DEFAULT_CAR, car)):
+        drive(Model(each, chassis=chassis), seed=seed, steps=500)
+
+
+@needs_compiler
+def test_what_is_not_finite_is_left_to_python(compiled: None) -> None:
+    steps = make_steps(Model(DEFAULT_CAR))
+    with pytest.raises((OverflowError, ValueError)):
+        steps.follow(0.0, 0.0, math.inf, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, H)
+
+
+def test_the_printed_steps_are_those_of_the_equations() -> None:
+    assert generate.TARGET.read_text(encoding="utf-8") == generate.generated_text()
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
