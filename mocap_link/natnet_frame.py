@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from struct import Struct
 from typing import NamedTuple, TypeVar
 
@@ -340,6 +341,8 @@ def write_frame(frame: Frame, version: Version) -> bytes:
         struct.error: a value does not fit its field.
     """
     modern, sized = version >= (3, 0), version >= (4, 1)
+    if sized and _is_bare(frame):
+        return _write_bare_frame(frame)
     bodies = _write_bodies if modern else _write_bodies2
 
     def section(n: int, body: bytes) -> bytes:
@@ -371,6 +374,37 @@ def write_frame(frame: Frame, version: Version) -> bytes:
     else:
         parts.append(_SUFFIX.pack(f.params, 0))
     return b"".join(parts)
+
+
+def _is_bare(f: Frame) -> bool:
+    return not (
+        f.marker_sets or f.other_markers or f.skeletons or f.assets or f.labeled_markers
+        or f.force_plates or f.devices
+    )  # fmt: skip
+
+
+def _write_bare_frame(f: Frame) -> bytes:
+    """A frame of 4.1 and later with rigid bodies and nothing else, in one piece."""
+    count = len(f.rigid_bodies)
+    bodies = [
+        value
+        for b in f.rigid_bodies
+        for value in (b.id, *b.position, *b.quaternion, b.mean_error, b.params)
+    ]
+    return _bare_layout(count).pack(
+        f.number, count, count * _BODY.size, *bodies,
+        f.timecode, f.timecode_sub, f.timestamp,
+        f.mid_exposure_ticks, f.data_received_ticks, f.transmit_ticks,
+        f.precision_secs, f.precision_frac, f.params, 0,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=32)
+def _bare_layout(bodies: int) -> Struct:
+    """Two empty sections before the bodies and five behind them are so many zeros."""
+    body, stamps, suffix = (each.format[1:] for each in (_BODY, _STAMPS, _SUFFIX_PTP))
+    empty = _SECTION.size
+    return Struct(f"<i{2 * empty}xii{body * bodies}{5 * empty}x{stamps}{suffix}")
 
 
 def _write_marker_set(s: MarkerSet) -> bytes:

@@ -133,7 +133,7 @@ def device_numbers(fields: Sequence[Field], values: Sequence[Number]) -> Sequenc
     layout = _device_layout(tuple(fields))
     singles = _singles(len(layout.measured))
     try:
-        rounded = singles.unpack(singles.pack(*(values[i] for i in layout.measured)))
+        rounded = singles.unpack(singles.pack(*map(values.__getitem__, layout.measured)))
     except OverflowError:
         rounded = (math.inf,) * len(layout.measured)
     products = _to_f32s(tuple(map(mul, rounded, layout.scales)))

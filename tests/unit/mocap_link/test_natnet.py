@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from steerd.mocap_link import natnet
+from steerd.mocap_link import natnet, natnet_frame
 from steerd.mocap_link.natnet_frame import MODEL_CHANGED, Frame, RigidBody
 from steerd.mocap_link.natnet_model import (
     CameraDesc,
@@ -191,3 +191,21 @@ def test_values_that_do_not_fit_are_refused() -> None:
         natnet.encode(natnet.EchoRequest(-1))
     with pytest.raises(NatNetError):
         natnet.encode(natnet.Response(bytes(70_000)))
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+@pytest.mark.parametrize("version", [(4, 1), (4, 2)])
+def test_a_frame_of_bodies_alone_is_what_the_general_way_makes_of_it(
+    monkeypatch: pytest.MonkeyPatch, count: int, version: tuple[int, int]
+) -> None:
+    bodies = tuple(
+        RigidBody(i, (0.1 * i, 2.0, -3.0), (0.1, 0.2, 0.3, 0.9), 5e-4) for i in range(count)
+    )
+    frame = Frame(
+        7, bodies, timecode=1, timecode_sub=2, timestamp=1.25, mid_exposure_ticks=3,
+        data_received_ticks=4, transmit_ticks=5, precision_secs=6, precision_frac=7, params=2,
+    )  # fmt: skip
+    data = natnet.encode(frame, version)
+    assert natnet.decode(data, version, detail=False) == natnet.decode(data, version)
+    monkeypatch.setattr(natnet_frame, "_is_bare", lambda frame: False)
+    assert natnet.encode(frame, version) == data
