@@ -108,11 +108,11 @@ def _check_table(held: Acceptance, design: Design) -> str:
         own.speed_min, own.spacing, len(own.rows),
     ):  # fmt: skip
         return "its speeds are not those of the car file's design"
+    if not all(isfinite(gain) and abs(gain) < LARGEST for row in table.rows for gain in row):
+        return "a gain is no number, or absurd"
     width = N_LANE + N_TURNING + _pasts_of(held, design)
     if any(len(row) != width for row in table.rows):
         return "its gains are not as many as its dead time needs"
-    if not all(isfinite(gain) and abs(gain) < LARGEST for row in table.rows for gain in row):
-        return "a gain is no number, or absurd"
     return ""
 
 
