@@ -310,9 +310,12 @@ def _read_bare_frame(data: bytes, at: int) -> Frame:
     at = _jump_sections(data, at, 2)  # marker sets, other markers
     bodies, at = _read_rigid_bodies(data, at, True, _read_bodies)
     at = _jump_sections(data, at, 5)  # skeletons, assets, labelled markers, plates, devices
-    stamps = _STAMPS.unpack_from(data, at)
-    suffix = _read_suffix(data, at + _STAMPS.size)
-    return Frame(number, bodies, (), (), (), (), (), (), (), 0.0, *stamps, *suffix)
+    timecode, timecode_sub, timestamp, mid, received, transmit = _STAMPS.unpack_from(data, at)
+    secs, frac, params = _read_suffix(data, at + _STAMPS.size)
+    return Frame(
+        number, bodies, (), (), (), (), (), (), (),
+        0.0, timecode, timecode_sub, timestamp, mid, received, transmit, secs, frac, params,
+    )  # fmt: skip
 
 
 def _read_suffix(data: bytes, at: int) -> tuple[int, int, int]:
