@@ -147,6 +147,9 @@ def _next(
     if not improved(outcome):
         yield "next: these values predict no better than the start; keep the old car file"
         yield from _why(outcome, axles_measured)
+    elif not any(row.identifiable for row in outcome.free_rows.values()):
+        yield "next: nothing is identifiable from these data; do not drive with these values:"
+        yield "      keep the old car file, and do what the notes say"
     elif written is not None:
         yield f"next: steerd run --sim{sim_option} --car {written}"
         yield "      (on the car: --port and --mocap for --sim)"

@@ -12,6 +12,15 @@ from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.sim_car import make_true_model, make_truth
 from steerd.daemon.settings.run_options import encode_options
 
+VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000
+"""UNIX time at which every drive in virtual time begins: the same drive has the same bytes."""
+_DAY_NS = 86_400_000_000_000
+
+
+def is_virtual(start_ns: int) -> bool:
+    """Whether a session of this start was driven in virtual time: its date says nothing."""
+    return VIRTUAL_EPOCH_NS <= start_ns < VIRTUAL_EPOCH_NS + _DAY_NS
+
 
 def default_session_path(car: str, realtime_ns: int, boot_id: int) -> Path:
     """A name made of date, car and run, in the user's data folder (systemd: `$STATE_DIRECTORY`)."""

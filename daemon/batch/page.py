@@ -9,6 +9,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from steerd.daemon.batch.changes import Change, Series, WorkedSessions, make_band, split_series
+from steerd.daemon.batch.text import nothing_changed
 from steerd.daemon.common.screen import clean
 from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_figure, to_svg
 from steerd.sysid.report.page import render_page
@@ -49,7 +50,8 @@ def _headline(found: WorkedSessions) -> str:
     for change in found.changes:
         clearest.setdefault(change.car, change)
     if not clearest:
-        return "Nothing changed on any car beyond what chance explains."
+        told = nothing_changed(found)
+        return f"{told[0].upper()}{told[1:]}."
     parts = [f"{clean(c.car, 24)} since {c.day} ({c.quantity})" for c in clearest.values()]
     return f"Changed: {', '.join(parts)}."
 

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 
-from steerd.daemon.batch.changes import Change, WorkedSessions
+from steerd.daemon.batch.changes import LEAST, Change, WorkedSessions
 from steerd.daemon.common.screen import clean, wrap
 
 _FAILURES, _CHANGES = 5, 12
@@ -45,13 +45,20 @@ def _verdicts(found: WorkedSessions) -> str:
 def _changes(found: WorkedSessions) -> Iterator[str]:
     changes = found.changes
     if not changes:
-        yield f"no change that chance does not explain, in {len(found.series)} series"
+        yield nothing_changed(found)
         return
     yield f"{'car':<14}{'quantity':<22}{'since':<12}{'before':>10}{'after':>10}  sigma"
     for change in changes[:_CHANGES]:
         yield describe_change(change)
     if len(changes) > _CHANGES:
         yield f"and {len(changes) - _CHANGES} more: see the table or --page"
+
+
+def nothing_changed(found: WorkedSessions) -> str:
+    """Why no change is named: none was found, or none could be."""
+    if not found.series:
+        return f"no car has the {LEAST} drives from which a change could be seen"
+    return f"no change beyond what chance explains, in {len(found.series)} series"
 
 
 def describe_change(change: Change) -> str:

@@ -9,14 +9,13 @@ from typing import Any
 
 from steerd.car_model.car_file import CarFile, parse_car
 from steerd.car_model.params import wheelbase
+from steerd.daemon.assembly.session_meta import is_virtual
 from steerd.daemon.batch.sources import Question, UnitTask
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.screen import clean
-from steerd.daemon.offline.virtual import EPOCH_NS
 from steerd.daemon.sessions.info import load_session
 from steerd.steer_bus.session_read import SessionInfo
 
-_DAY_NS = 86_400_000_000_000
 _EARLIEST_NS = 946_684_800_000_000_000
 """The year 2000 [UNIX ns]: a log whose clock began at zero has no date of its own."""
 _CAR_MAX = 24
@@ -53,7 +52,7 @@ def find_start(info: SessionInfo, changed_ns: int) -> int:
 
     Drives in virtual time all begin on one date, and logs whose clock began at zero have none.
     """
-    virtual = EPOCH_NS <= info.start_ns < EPOCH_NS + _DAY_NS
+    virtual = is_virtual(info.start_ns)
     return changed_ns if virtual or info.start_ns < _EARLIEST_NS else info.start_ns
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from steerd.daemon.assembly.build import RunPlan, make_core, make_world_config
+from steerd.daemon.assembly.session_meta import VIRTUAL_EPOCH_NS
 from steerd.daemon.ipc.outbox import Sink
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.flags import Flag
@@ -17,7 +18,7 @@ from steerd.mocap_link.sessions import NatNetSource
 from steerd.sim_hw.mocap.network import COMMAND, DATA
 from steerd.sim_hw.world import World, WorldConfig
 
-EPOCH_NS = 1_700_000_000_000_000_000
+EPOCH_NS = VIRTUAL_EPOCH_NS
 """UNIX time of virtual time zero: sessions of the same seed are the same file."""
 _SERVER = "127.0.0.1"
 _TIMER_NS = 20_000_000

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from steerd.daemon.assembly.session_meta import is_virtual
 from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.curves import BREAK, VALUE, Grid, decimate, make_grid, pack
 from steerd.daemon.sessions.info import SessionReport
@@ -81,7 +82,9 @@ def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, An
 def _title(report: SessionReport) -> str:
     info = report.info
     parts = [clean(report.car), clean(info.path.name)]
-    if 1 << 60 < info.start_ns < 1 << 62:
+    if is_virtual(info.start_ns):
+        parts.append("in virtual time")
+    elif 1 << 60 < info.start_ns < 1 << 62:
         start = datetime.fromtimestamp(info.start_ns // 1_000_000_000, UTC)
         parts.append(f"{start:%Y-%m-%d %H:%M} UTC")
     return " · ".join(filter(None, parts))

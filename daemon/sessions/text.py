@@ -7,6 +7,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
+from steerd.daemon.assembly.session_meta import is_virtual
 from steerd.daemon.common.screen import NBSP, WIDTH, clean, join_words, print_labelled, wrap
 from steerd.daemon.sessions.info import SessionReport, TopicReport
 from steerd.daemon.sessions.motion import SignalRange
@@ -68,6 +69,8 @@ def _when(report: SessionReport) -> str:
     if not info.count:
         return "no messages"
     span = f"{info.duration_s:,.1f} s".replace(",", " ")
+    if is_virtual(info.start_ns):
+        return f"{span} of virtual time"
     day_ns = 86_400_000_000_000
     if not day_ns * 365 < info.start_ns < 1 << 62:
         return f"{span} (the date is not recorded)"

@@ -35,7 +35,7 @@ def render_sweep(found: SweptDrives) -> str:
     plan, summary = found.plan, found.summary
     with rc_context({**STYLE, "axes.axisbelow": True}):
         histograms, scatters = _draw_histograms(found), _draw_scatters(found)
-    heads = [*dict.fromkeys(s.measure for s in summary.sensitivities)]
+    heads = [*dict.fromkeys(s.quantity for s in summary.sensitivities)]
     seeds = f"{len(plan.seeds)} seeds, {plan.duration:g} s each, loop at {plan.rate:g} Hz"
     fixed = [] if "path" in plan.vary else [plan.path]
     fixed += [] if "speed" in plan.vary else [f"{plan.speed:g} m/s"]
@@ -103,9 +103,10 @@ def _spreads(summary: Summary) -> Iterator[list[str]]:
 
 
 def _moves(summary: Summary, heads: Sequence[str]) -> Iterator[tuple[str, list[tuple[str, bool]]]]:
+    """A row for each measure: there are more measures than quantities, and pages are narrow."""
     found = {(s.quantity, s.measure): s for s in summary.sensitivities}
-    for name in dict.fromkeys(s.quantity for s in summary.sensitivities):
-        cells = [found.get((name, head)) for head in heads]
+    for name in dict.fromkeys(s.measure for s in summary.sensitivities):
+        cells = [found.get((head, name)) for head in heads]
         yield name, [("–", False) if s is None else (f"{s.value:+.2f}", s.shown) for s in cells]
 
 
@@ -132,6 +133,7 @@ def _draw_histograms(found: SweptDrives) -> str:
         axis.hist(values[np.isfinite(values)], bins=_BINS, color=BEFORE)
         axis.set_title(_label(name))
         axis.set_ylabel("drives")
+        axis.yaxis.get_major_locator().set_params(integer=True)
     return to_svg(figure, "How often each measure takes which value")
 
 

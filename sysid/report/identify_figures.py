@@ -71,10 +71,14 @@ def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]
              title="prediction error of each window", ylim=(0.0, None))  # fmt: skip
 
 
-def _name(axes: Axes, colours: dict[str, str]) -> None:
+def _name(axes: Axes, colours: dict[str, str], *, above: bool = False) -> None:
+    """A legend, above the axes where bars of any height leave no room in them."""
     for label, colour in colours.items():
         axes.plot([], [], color=colour, label=label)
-    axes.legend(loc="best", fontsize=8)
+    if above:
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=8)
+    else:
+        axes.legend(loc="best", fontsize=8)
 
 
 def draw_held_out(held_out: Sequence[HeldOut]) -> str:
@@ -98,7 +102,7 @@ def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
         axis.set(xticks=places, yscale="log", ylabel=f"{field} [{unit}]")
         axis.set_xticklabels([f"{h.after.horizon:g} s" for h in held_out])
     left.set_title("RMS prediction error on held-out drives")
-    _name(right, {"start values": BEFORE, "identified": AFTER})
+    _name(right, {"start values": BEFORE, "identified": AFTER}, above=True)
 
 
 def draw_residuals(found: Fit) -> str:

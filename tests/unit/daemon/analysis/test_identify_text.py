@@ -102,3 +102,11 @@ def test_what_was_undone_and_found_stands_on_the_screen():
 def test_one_class_of_lateral_acceleration_is_not_shown():
     alone = replace(outcome((0.1, 0.2)), regimes=(Regime(0.0, 2.0, 5, 0.02, 0.03),))
     assert "lateral acceleration" not in describe(alone).split("prediction of")[1]
+
+
+def test_nobody_is_sent_driving_with_values_that_nothing_identifies(tmp_path):
+    made = outcome((0.1, 0.4))
+    lost = replace(made, rows={"lf": Row(0.2, 0.16, 0.5, "m", True, False)})
+    said = describe(lost, tmp_path / "car.toml")
+    assert "nothing is identifiable from these data; do not drive" in said
+    assert "steerd run" not in said

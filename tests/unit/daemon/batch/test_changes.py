@@ -1,5 +1,7 @@
 """Steps in series of estimates: found on their day, and not where there are none."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from steerd.daemon.batch.changes import (
     scatter,
     split_series,
 )
+from steerd.daemon.batch.text import nothing_changed
 
 DAY, BEGIN = 86_400.0, 1_772_366_400.0
 
@@ -110,3 +113,8 @@ def test_bands_are_weekly_means():
     first = series.value[:7]
     assert band.mean[0] == pytest.approx(first.mean(), abs=1e-9)
     assert 1.96 * 0.02 / np.sqrt(7) <= band.half[0] < 0.05
+
+
+@pytest.mark.parametrize(("count", "told"), [(0, "no car has the 6 drives"), (3, "in 3 series")])
+def test_why_no_change_is_named(count, told):
+    assert told in nothing_changed(SimpleNamespace(series=[None] * count))
