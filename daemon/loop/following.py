@@ -191,8 +191,7 @@ def measure_turns(
     found = []
     for length in (span, min(LONG_TURN * span, LONG_TURN_S)):
         latest = t1 - round(length * _NS)
-        before = [pose for pose in track if pose[0] <= latest] or [track[0]]
-        t0, x0, y0, yaw0 = before[-1]
+        t0, x0, y0, yaw0 = next((pose for pose in reversed(track) if pose[0] <= latest), track[0])
         if t0 < t1:
             way = hypot(x1 - x0, y1 - y0)
             found.append(Turn(t0, t1, remainder(yaw1 - yaw0, tau), way))

@@ -168,8 +168,8 @@ class Perception:
         if len(self._track) < 2:
             return nan
         t1, x1, y1, _ = self._track[-1]
-        older = [pose for pose in self._track if pose[0] <= self._oldest_ns]
-        t0, x0, y0, _ = older[-1] if older else self._track[0]
+        older = (pose for pose in reversed(self._track) if pose[0] <= self._oldest_ns)
+        t0, x0, y0, _ = next(older, self._track[0])
         return hypot(x1 - x0, y1 - y0) / ((t1 - t0) * 1e-9) if t1 > t0 else nan
 
     def mocap_age(self, now_ns: int) -> float:
