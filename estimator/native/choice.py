@@ -17,7 +17,7 @@ from steerd.estimator.native.library import attach
 from steerd.estimator.native.source import FILTER
 from steerd.estimator.sensors import Kind, Sensor, make_sensors, residual
 
-_CHECKS = 20
+_CHECKS = 5
 
 
 def make_kernel(
