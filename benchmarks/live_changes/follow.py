@@ -42,7 +42,7 @@ CHANGES = {
 }  # fmt: skip
 SLIPS, SLIP_S, SLIP_STEPS = ("mocap_yaw", "marker_offset"), 4.0, 40
 """Changes that come gradually, in so much time and so many steps."""
-AT, LENGTH, JUDGED = 35.0, 90.0, 25.0
+AT, LENGTH, JUDGED = 35.0, 75.0, 20.0
 """When the change comes, how long a drive is, and its last stretch, which is judged [s]."""
 PUSHES = (0.1, 0.3, 0.03)
 """Disturbances of speed, yaw rate and slip, see `CarSetup.noise`."""

@@ -18,6 +18,7 @@ from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import make_pipe
 from steerd.daemon.process.learner_job import (
+    OURS,
     core_ends,
     learner_fds,
     learner_pipes,
@@ -150,6 +151,7 @@ class RunProcesses:
         status_fd: records for this terminal.
         session: file of the recording.
         core_report: what the core reported when it was ready.
+        report_fd: the learner's reports for this terminal, with `--learn`.
     """
 
     core: Child
@@ -163,6 +165,7 @@ class RunProcesses:
     page: Page | None = None
     viewer_requests: socket.socket | None = None
     learner: Child | None = None
+    report_fd: int | None = None
 
     def end(self) -> int:
         """Wait for the core, then for the others, which end when its pipes close.
@@ -260,13 +263,14 @@ def start_processes(
     learner = start_learner(plan, pipes, epoch_ns, designs)
     for name in pipes:
         os.close(pipes[name][1])
-        if name != "status":
+        if name not in OURS:
             os.close(pipes[name][0])
     for end in (gateway_end, gateway_core_end, terminal_core_end, *designs):
         end.close()
     return RunProcesses(
         core, recorder, gateway, others[0] if others else None, terminal_end, pipes["status"][0],
         session, core_report, page, viewer_requests, learner,
+        reader_fds(pipes, "terminal").get("report_terminal"),
     )  # fmt: skip
 
 

@@ -7,8 +7,10 @@ from typing import Any
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.settings.run_options import encode_options
 
-REPORTS = ("report_recorder", "report_gateway")
+REPORTS = ("report_recorder", "report_gateway", "report_terminal")
 """Pipes from the learner, each to the process that its name ends with."""
+OURS = ("status", "report_terminal")
+"""Pipes that are read in this terminal's own process."""
 
 
 def learner_pipes(plan: RunPlan) -> tuple[str, ...]:

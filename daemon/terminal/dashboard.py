@@ -1,6 +1,7 @@
 """The dashboard of a run in the terminal: state, errors, timing, warnings."""
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import degrees, hypot, isfinite, remainder, sqrt, tau
 
@@ -148,6 +149,8 @@ class Dashboard:
         if self.model is not None:
             style = "" if self.model.verdict in QUIET else "bold yellow"
             parts.append(Text(f"gap    {gap_text(self.model)}", style=style))
+        if "design" in self.status:
+            parts.append(Text(f"design {design_text(self.status)}"))
         parts += [Text(), *(Text(line, style="dim") for line in self.events)]
         if self.keys:
             parts += [Text(), Text(self.keys, style="bold")]
@@ -187,6 +190,12 @@ class Dashboard:
             f"work {work_ms:.2f} ms",
         )
         return table
+
+
+def design_text(status: Mapping[str, str]) -> str:
+    """Which design steers, and why it is the car file's."""
+    why = status.get("design_why", "")
+    return f"{status['design']} ({why})" if why else status["design"]
 
 
 def _describe_live(p: m.Parameters) -> list[RenderableType]:

@@ -13,7 +13,8 @@ from rich.live import Live
 from steerd.daemon.ipc.gateway_wire import pack_request
 from steerd.daemon.ipc.live_setting import SETTING_MAX, parse_setting
 from steerd.daemon.ipc.operator import Operator
-from steerd.daemon.ipc.pipe_records import unpack_records
+from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
+from steerd.daemon.ipc.report_pipe import ReportPipe
 from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
 from steerd.daemon.process.children import RunProcesses
 from steerd.daemon.terminal.dashboard import Dashboard
@@ -38,6 +39,7 @@ class Terminal:
         self._clock = clock
         self._buffer = bytearray()
         self._waiting = ""
+        self._reports = ReportPipe(processes.report_fd)
         self._desk = KeyDesk(board, clock, self._ask, self._tune)
 
     def run(self) -> None:
@@ -83,10 +85,8 @@ class Terminal:
     def _show(self, live: Live | None, console: Console) -> bool:
         data = os.read(self._processes.status_fd, 1 << 16)
         self._buffer += data
-        for record in unpack_records(self._buffer):
-            line = self._board.take(record)
-            if live is None and line is not None:
-                console.print(line, highlight=False, soft_wrap=True)
+        for record in (*unpack_records(self._buffer), *self._reports.take()):
+            self._take(record, live, console)
         waiting = self._board.status.get("waiting", "")
         if live is None and waiting != self._waiting:
             self._waiting = waiting
@@ -94,6 +94,11 @@ class Terminal:
         if live is not None:
             live.update(self._board.render(), refresh=True)
         return bool(data)
+
+    def _take(self, record: PipeRecord, live: Live | None, console: Console) -> None:
+        line = self._board.take(record)
+        if live is None and line is not None:
+            console.print(line, highlight=False, soft_wrap=True)
 
     def _pass_signal(self, number: int) -> None:
         with contextlib.suppress(ProcessLookupError):

@@ -38,13 +38,15 @@ def find_aim(learner: Learner, state: State) -> Learnt | str:
         return problem
     if state.change is not None and len(state.change.looks) < SETTLED:
         return "a change is being looked into"
-    past = _numbers(learner.superset, state.past)
-    own = _by_itself(learner, state)
+    file = _numbers(learner.superset, ())
     now = _numbers(learner.superset, (*state.past, *current))
-    # What the base was learnt with holds the past; a change that is looked into comes on top.
-    return now._replace(**{
-        name: value + getattr(now, name) - getattr(past, name) for name, value in own.items()
-    })  # fmt: skip
+    # A base that was learnt anew is held near the file's: a change that was named knows better.
+    own = {
+        name: value
+        for name, value in _by_itself(learner, state).items()
+        if getattr(now, name) == getattr(file, name)
+    }
+    return now._replace(**own)
 
 
 def _doubt(change: Change) -> str:

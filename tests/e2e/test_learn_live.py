@@ -6,6 +6,7 @@ import re
 import pytest
 
 from steerd.daemon.cli.main import dispatch
+from steerd.steer_bus.session_read import open_session
 
 pytestmark = pytest.mark.slow
 
@@ -14,7 +15,7 @@ pytestmark = pytest.mark.slow
 def driven(tmp_path_factory):
     """A figure-eight of 34 s in virtual time; the simulated servo horn is bumped from the start."""
     path = tmp_path_factory.mktemp("learn") / "eight.mcap"
-    line = f"run --sim --fast --learn --duration 34 --speed 1.7 --seed 3 --record {path}"
+    line = f"run --sim --fast --learn --adapt --duration 38 --speed 1.7 --seed 3 --record {path}"
     assert dispatch([*line.split(), "--effect", "steer_bias=0.02"]) == 0
     return path
 
@@ -31,6 +32,16 @@ def test_a_drive_teaches_the_car(driven, capsys):
     ).groups()
     assert reported == count
     assert int(count) >= 30
+
+
+def test_the_lane_keeper_follows_what_was_learnt_and_a_replay_gives_it_again(driven, capsys):
+    said = [r.decode() for r in open_session(driven).messages("/steerd/car1/design")]
+    assert said[0].text == "the car is being learnt"
+    taken = [d for d in said if d.number]
+    assert taken[-1].steer_bias == pytest.approx(0.02, abs=0.004)
+    assert taken[-1].steer_gain == 1.0, "what is not sure stays the file's"
+    assert dispatch(["replay", str(driven)]) == 0
+    assert "all equal the recorded ones" in capsys.readouterr().out
 
 
 def test_a_drive_teaches_the_same_again_to_the_byte(driven, capsys):

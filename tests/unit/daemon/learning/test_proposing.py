@@ -1,0 +1,93 @@
+"""The learner's proposals: by steps, from where the core is, and none in doubt."""
+
+import pytest
+
+from steerd.daemon.learning import proposing
+from steerd.daemon.learning.proposing import PAUSE_NS, Proposals, hear, make_proposer, propose
+from steerd.daemon.loop.design_desk import REFUSED
+from steerd.daemon.loop.design_message import make_design, make_no_design, read_design
+from steerd.steer_bus import messages as m
+from steerd.steer_bus.codec import decode
+from tests.designs import numbers, standard
+
+S = 1_000_000_000
+
+
+@pytest.fixture
+def aims(monkeypatch):
+    """What is learnt, to be set by a test."""
+    now = {"aim": "the car is being learnt"}
+    monkeypatch.setattr(proposing, "find_aim", lambda learner, state: now["aim"])
+    return now
+
+
+class Counted:
+    """Designs that only count how often they were made."""
+
+    def __init__(self, held):
+        self.held, self.made = held, 0
+
+    def __call__(self, car, config, timing, speed):
+        self.made += 1
+        return self.held.file.table
+
+
+@pytest.fixture
+def at():
+    held = standard()
+    return make_proposer(held, Counted(held))
+
+
+def test_in_doubt_the_reason_is_proposed(at, aims):
+    _, said = propose(at, None, None, 5 * S, 0)
+    assert (said.number, said.text, said.mono_ns) == (0, "the car is being learnt", 5 * S)
+
+
+def test_the_learnt_car_is_reached_by_steps_that_the_core_took(at, aims):
+    aims["aim"] = numbers(at.held, steer_gain=0.88)
+    seen = []
+    for k in range(8):
+        at, said = propose(at, None, None, k * S, 0)
+        seen.append(said.steer_gain)
+        at = hear(at, make_design(k * S, 0, k + 1, read_design(said)))
+    assert seen == pytest.approx([0.97, 0.94, 0.91, 0.88, 0.88, 0.88, 0.88, 0.88])
+    assert at.design_table.made == 4, "what stays is not designed again"
+
+
+def test_without_an_answer_it_stays_at_the_first_step(at, aims):
+    aims["aim"] = numbers(at.held, steer_gain=0.88)
+    for k in range(4):
+        at, said = propose(at, None, None, k * S, 0)
+        assert said.steer_gain == pytest.approx(0.97)
+
+
+def test_after_a_refusal_it_pauses_and_begins_at_the_files(at, aims):
+    aims["aim"] = numbers(at.held, steer_gain=0.88)
+    at, said = propose(at, None, None, S, 0)
+    at = hear(at, make_design(S, 0, 1, read_design(said)))
+    at = hear(at, make_no_design(2 * S, 0, REFUSED + "a gain is absurd"))
+    at, said = propose(at, None, None, 3 * S, 0)
+    assert (said.number, said.text) == (0, "a design was refused")
+    at, said = propose(at, None, None, 2 * S + PAUSE_NS, 0)
+    assert said.steer_gain == pytest.approx(0.97)
+
+
+def test_a_car_that_is_as_in_the_file_needs_no_design(at, aims):
+    aims["aim"] = numbers(at.held)
+    _, said = propose(at, None, None, S, 0)
+    assert (said.number, said.text) == (0, "the car is as in the car file")
+
+
+def test_proposals_go_out_as_bytes(at, aims):
+    sent = []
+    out = Proposals(at, lambda data, t_ns: sent.append((decode(m.Design, data), t_ns)))
+    feed = type("Feed", (), {"learner": None, "state": None})()
+    feed.wiring = type("Wiring", (), {"epoch_ns": 7})()
+    out.propose(feed, 3 * S)
+    [(said, t_ns)] = sent
+    assert (said.text, t_ns) == ("the car is being learnt", 3 * S)
+
+
+def test_without_the_option_there_is_no_proposer():
+    with pytest.raises(ValueError, match="adapt"):
+        make_proposer(None, None)

@@ -1,0 +1,118 @@
+"""What is followed of a learnt car: changes that are named beyond doubt, and nothing in doubt."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from steerd.car_model.car_file import default_car_path, load_car
+from steerd.car_model.effects import find_effect
+from steerd.controller.learnt import Learnt, learnt_of
+from steerd.sim_gap.online import followed
+from steerd.sim_gap.online.base import make_learner
+from steerd.sim_gap.online.learner import Change, State
+from steerd.sim_gap.online.naming import Cause, Finding
+from steerd.sim_gap.online.values import Value
+
+KNOWN = SimpleNamespace()
+SETTLED = followed.SETTLED
+
+
+@pytest.fixture(scope="module")
+def learner():
+    return make_learner(load_car(default_car_path()))
+
+
+@pytest.fixture
+def values(monkeypatch):
+    """What the base was learnt as."""
+    learnt: list[Value] = []
+    monkeypatch.setattr(followed, "values_of", lambda known: tuple(learnt))
+    return learnt
+
+
+def change(effect, *after, verdict="named", sure=0.95, alternatives=(), windows=SETTLED):
+    found = find_effect(effect)
+    parameters = {
+        p.name: (value, 0.01, p.unit) for p, value in zip(found.parameters, after, strict=True)
+    }
+    cause = Cause(effect, parameters, sure, alternatives)
+    looks = (None,) * windows
+    return Change(0.0, 1.0, None, looks, (), {}, Finding(verdict, cause, 50.0), found.nulls)
+
+
+def aim(learner, *past, now=None):
+    return followed.find_aim(learner, State(known=KNOWN, past=past, change=now))
+
+
+def test_before_the_car_is_known_there_is_nothing_to_follow(learner):
+    assert followed.find_aim(learner, State()) == "the car is being learnt"
+
+
+def test_a_car_that_is_as_in_the_file_is_followed_as_that(learner, values):
+    car = load_car(default_car_path()).car
+    assert aim(learner) == learnt_of(car)
+
+
+@pytest.mark.parametrize(
+    ("effect", "after", "name", "value"),
+    [
+        ("steer_gain", (0.88,), "steer_gain", 0.88),
+        ("steer_bias", (0.02,), "steer_bias", 0.02),
+        ("steer_delay", (0.04,), "steer_delay", 0.05),
+        ("tyre_friction", (0.6,), "c_sf", 4.718),  # as stiff below its limit
+        ("mocap_yaw", (0.03,), "body_yaw", 0.03),
+        ("marker_offset", (0.03, 0.0), "body_forward", 0.03),
+    ],
+)
+def test_a_named_change_is_followed_by_its_number(learner, values, effect, after, name, value):
+    for found in (aim(learner, change(effect, *after)), aim(learner, now=change(effect, *after))):
+        assert isinstance(found, Learnt)
+        assert getattr(found, name) == pytest.approx(value, rel=1e-6)
+
+
+def test_what_an_effect_was_before_is_no_part_of_its_change(learner, values):
+    shifted = replace(change("marker_offset", 0.037, 0.001), was=(0.007, 0.001))
+    assert aim(learner, shifted).body_forward == pytest.approx(0.03)
+
+
+def test_two_changes_add_up(learner, values):
+    found = aim(learner, change("steer_bias", 0.02), change("steer_gain", 0.9))
+    assert (found.steer_bias, found.steer_gain) == pytest.approx((0.02, 0.9))
+
+
+@pytest.mark.parametrize(
+    ("doubtful", "why"),
+    [
+        (change("steer_bias", 0.02, verdict="changed"), "looked into"),
+        (change("steer_bias", 0.02, verdict="unexplained"), "unexplained"),
+        (change("steer_bias", 0.02, sure=0.5), "not sure"),
+        (change("marker_offset", 0.03, 0.0, alternatives=("cog_offset",)), "or cog_offset"),
+    ],
+)
+def test_doubt_is_said_and_not_followed(learner, values, doubtful, why):
+    assert why in aim(learner, doubtful)
+    assert why in aim(learner, now=doubtful)
+    assert why in aim(learner, doubtful, change("steer_gain", 0.9)), "also an earlier one"
+
+
+def test_a_name_counts_only_after_some_windows(learner, values):
+    early = change("steer_bias", 0.02, windows=SETTLED - 1)
+    assert aim(learner, now=early) == "a change is being looked into"
+
+
+def test_bias_and_speed_are_followed_by_themselves_where_they_are_sure(learner, values):
+    values += [
+        Value("steer_bias", 0.01, 0.001, "rad", True),
+        Value("speed_gain", 0.99, 0.02, "1", True),
+        Value("c_sf", 3.0, 0.1, "1/rad", True),
+    ]
+    found = aim(learner)
+    assert (found.steer_bias, found.speed_gain, found.c_sf) == (0.01, 1.0, pytest.approx(4.718))
+    values[0] = values[0]._replace(identifiable=False)
+    assert aim(learner).steer_bias == 0.0
+
+
+def test_a_named_change_knows_better_than_the_base(learner, values):
+    values.append(Value("steer_bias", 0.004, 0.0005, "rad", True))
+    assert aim(learner, change("steer_bias", 0.02)).steer_bias == pytest.approx(0.02)
