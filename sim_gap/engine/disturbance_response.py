@@ -75,7 +75,10 @@ class _Nominal:
 def responses(
     engine: Engine, parameters: Array, x: Array, inputs: Sequence[int] = range(len(INPUTS))
 ) -> Responses:
-    """Finite differences about the trajectory from the starts `x` (W, 7)."""
+    """Finite differences about the trajectory from the starts `x` (W, 7).
+
+    Zero in a window whose simulation leaves the map: it is lost, whatever pushes it.
+    """
     path = paths(engine.superset.kernels, engine.readings, parameters, x, engine.substeps)
     at = _Nominal(engine, parameters, x, path, engine.readings.layout.h / engine.substeps)
     pieces = max(1, round(at.steps * at.fine / PIECE))
@@ -86,7 +89,9 @@ def responses(
         pushed = _impulses(at, [i for i in inputs if i < _IMPULSES], low, high)
         pushed |= {i: _aimed(at, i, low, high) for i in inputs if i >= _IMPULSES}
         for place, i in enumerate(inputs):
-            out[place, :, :, piece] = (at.shown(pushed[i]) - base) / _SIZES[i]
+            with np.errstate(invalid="ignore"):  # a window that left the map
+                out[place, :, :, piece] = (at.shown(pushed[i]) - base) / _SIZES[i]
+    out[:, ~np.isfinite(out).all(axis=(0, 2, 3))] = 0.0
     return Responses(out, PIECE)
 
 

@@ -40,7 +40,7 @@ EFFECT = Effect(
     summary="tyres scrub in turns: locked differential, cornering drag",
     equation="d(yaw_rate)/dt -= yaw_damping yaw_rate; d(speed)/dt -= drag F_lat,back / m",
     parameters=(
-        EffectParameter("yaw_damping", 0.0, -5.0, 20.0, "1/s", 2.0, "of a locked differential"),
+        EffectParameter("yaw_damping", 0.0, 0.0, 20.0, "1/s", 2.0, "of a locked differential"),
         EffectParameter("drag", 0.0, -1.0, 4.0, "1", 0.5, "1: all slip power taken from speed"),
     ),
     least_size=0.39,

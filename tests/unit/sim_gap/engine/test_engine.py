@@ -235,3 +235,14 @@ def test_a_step_stays_within_bounds():
     dz = step_within(h, np.array([1.0, 5.0]), z, low, high)
     assert dz[1] == 0.0
     assert dz[0] == pytest.approx(0.5)
+
+
+def test_a_window_that_left_the_map_answers_to_nothing(healthy, fitted):
+    """It is lost whatever pushes it, and takes no other window along."""
+    whole = responses(healthy, fitted.parameters, fitted.x).by_input
+    x = fitted.x.copy()
+    x[2, 3] = np.nan
+    seen = responses(healthy, fitted.parameters, x).by_input
+    others = np.arange(len(x)) != 2
+    assert (seen[:, 2] == 0.0).all()
+    assert np.allclose(seen[:, others], whole[:, others], rtol=1e-9, atol=1e-9)
