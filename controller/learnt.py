@@ -41,7 +41,7 @@ class Learnt(NamedTuple):
 
 OF_CAR = Learnt._fields[:7]
 """Those that are parameters of the car."""
-REACH = Learnt(0.25, 0.06, 0.1, 0.08, 0.1, 0.6, 0.6, 0.08, 0.08, 0.05)
+FARTHEST = Learnt(0.25, 0.06, 0.1, 0.08, 0.1, 0.6, 0.6, 0.08, 0.08, 0.05)
 """How far from the car file's; gains and stiffnesses as a share of it."""
 STEP = Learnt(0.03, 0.006, 0.008, 0.01, 0.02, 0.08, 0.08, 0.008, 0.008, 0.008)
 """How far at once, from what is in force; shares likewise."""
@@ -72,7 +72,7 @@ def make_bounds(car: Car[float]) -> LearntBounds:
     """Bounds about the car that the controller was designed for."""
     at = learnt_of(car)
     low, high = [], []
-    for name, value, far in zip(Learnt._fields, at, _scaled(at, REACH), strict=True):
+    for name, value, far in zip(Learnt._fields, at, _scaled(at, FARTHEST), strict=True):
         least, most = _BOUNDS.get(name, (-far, far))
         low.append(max(value - far, least))
         high.append(min(value + far, most))

@@ -1,7 +1,7 @@
 """Where the front wheels are, by the orders that left: a dead time and a first-order lag.
 
 The state filter holds the car of the car file. A controller that follows another dead time, gain or
-bias is told where the wheels of that car are.
+bias is given where the wheels of that car are.
 """
 
 from math import exp

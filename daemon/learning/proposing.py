@@ -1,4 +1,4 @@
-"""The learner's proposals: each second a design one step nearer to the learnt car, or none.
+"""The learner's proposals: each second a design one step closer to the learnt car, or none.
 
 It hears from the core what was taken, and steps on from there.
 """

@@ -1,6 +1,6 @@
 """What was learnt, as lines of a screen and as JSON values."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from math import isfinite
 from typing import Any
@@ -71,6 +71,12 @@ def gap_text(model: m.Model) -> str:
     if changes:
         return describe_change(model, changes[-1])
     return _VERDICTS[model.verdict]
+
+
+def design_text(status: Mapping[str, str]) -> str:
+    """Which design steers, and why it is the car file's."""
+    why = status.get("design_why", "")
+    return f"{status['design']} ({why})" if why else status["design"]
 
 
 def format_model(model: m.Model) -> list[str]:

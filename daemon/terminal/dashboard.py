@@ -1,7 +1,6 @@
 """The dashboard of a run in the terminal: state, errors, timing, warnings."""
 
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import degrees, hypot, isfinite, remainder, sqrt, tau
 
@@ -13,7 +12,7 @@ from rich.text import Text
 from steerd.daemon.common.screen import NBSP, show
 from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
-from steerd.daemon.learning.text import QUIET, gap_text
+from steerd.daemon.learning.text import QUIET, design_text, gap_text
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -190,12 +189,6 @@ class Dashboard:
             f"work {work_ms:.2f} ms",
         )
         return table
-
-
-def design_text(status: Mapping[str, str]) -> str:
-    """Which design steers, and why it is the car file's."""
-    why = status.get("design_why", "")
-    return f"{status['design']} ({why})" if why else status["design"]
 
 
 def _describe_live(p: m.Parameters) -> list[RenderableType]:

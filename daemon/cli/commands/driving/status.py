@@ -8,7 +8,7 @@ from steerd.daemon.cli.commands.driving.operate import add_car_arguments
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.common.screen import wrap
 from steerd.daemon.ipc.operator import connect, read_model, read_status
-from steerd.daemon.learning.text import encode_model, format_model
+from steerd.daemon.learning.text import design_text, encode_model, format_model
 from steerd.steer_bus.clock import MonotonicClock
 
 LABEL = 13
@@ -50,6 +50,7 @@ def format_status(name: str, status: Mapping[str, str]) -> list[str]:
         ("UUID", uuid),
         ("mocap", f"{status.get('mocap', '?')}, {status.get('mocap_rate_hz', '?')} Hz"),
         ("controller", status.get("controller", "?")),
+        *((("design", design_text(status)),) if "design" in status else ()),
     ]
     lines = wrap(status["reason"], f"{name}: {status['state']} — ", " " * LABEL)
     for label, text in items:

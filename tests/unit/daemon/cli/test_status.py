@@ -1,5 +1,7 @@
 """`steerd status` on a terminal of 80 columns."""
 
+import pytest
+
 from steerd.daemon.cli.commands.driving.status import LABEL, format_status
 
 STATUS = {
@@ -46,3 +48,12 @@ def test_each_warning_has_a_line_of_its_own():
 def test_a_daemon_without_a_vesc_or_mocap_has_a_status_too():
     bare = {"state": "INIT", "reason": "start", "waiting": "the serial port"}
     assert "VESC:        firmware ?, timeout ? ms" in format_status("blue", bare)
+
+
+@pytest.mark.parametrize(
+    ("design", "why", "line"),
+    [("learnt 3", "", "design:      learnt 3"),
+     ("car file", "the learner is silent", "design:      car file (the learner is silent)")],
+)  # fmt: skip
+def test_the_design_that_steers_is_named_with_its_reason(design, why, line):
+    assert line in format_status("car1", {**STATUS, "design": design, "design_why": why})
