@@ -21,10 +21,9 @@ from steerd.daemon.loop.transitions import (
     TransitionRow,
     choose_row,
 )
-from steerd.daemon.settings.thresholds import LAUNCH_SPEED
+from steerd.daemon.settings.thresholds import LAUNCH_SPEED, SOFT_DECEL
 
 STILL_SPEED = 0.05  # [m/s] slower than this is standing
-SOFT_DECEL = 1.5  # [m/s2] slope of the speed cap while stopping
 SOFT_BRAKE_SPEED = 0.3  # [m/s] below it a VESC's speed loop releases: brake current takes over
 OPEN_FRAMES = 3  # brake frames after the port was (re)opened
 STILL_NS = 300_000_000  # a car that is slow for so long stands

@@ -16,10 +16,9 @@ from steerd.daemon.common.screen import show
 from steerd.daemon.loop.findings import Finding, Severity, make_finding, make_unknown
 from steerd.daemon.loop.follow_model import Band
 from steerd.daemon.loop.following import Followed, follow_span
-from steerd.daemon.loop.supervisor import SOFT_DECEL
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs_pose import PoseWatch, is_flapping, rejected_share
-from steerd.daemon.settings.thresholds import Thresholds
+from steerd.daemon.settings.thresholds import SOFT_DECEL, Thresholds
 
 _WARN = Severity.WARN
 _BOOTED = 10  # VESC fault code: booting from a watchdog reset

@@ -16,6 +16,7 @@ from steerd.controller.limits import Limits
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.near import did_you_mean, find_near
 from steerd.daemon.common.translate import make_car_file_error
+from steerd.daemon.settings.effect_checks import check_effects
 from steerd.daemon.settings.thresholds import (
     LAUNCH_RATIO,
     LAUNCH_SPEED,
@@ -151,6 +152,7 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
     )
     _check_stop(car_file, settings.thresholds)
     _check_gain(settings)
+    check_effects(car_file, settings.thresholds)
     if settings.controller.speed > settings.limits.speed_max:
         raise SteerdError(
             f"{settings.controller.speed:g} m/s is above the car file's limits.speed_max = "

@@ -151,6 +151,8 @@ def _read_bounds() -> dict[str, Bound]:
 BOUNDS: Mapping[str, Bound] = _read_bounds()
 LAUNCH_SPEED = 0.5
 """Until the launch checks have passed [m/s]."""
+SOFT_DECEL = 1.5
+"""Slope of the speed cap while stopping [m/s^2]."""
 LAUNCH_RATIO = 0.7, 1.4
 """Mocap's distance over the wheels' that the launch check lets pass."""
 
