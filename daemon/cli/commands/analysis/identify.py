@@ -151,6 +151,14 @@ def run(args: argparse.Namespace) -> int:
         advance(0.0, "drawing the report" if args.report else "")
         report = found.render_report() if args.report else None
         advance(drawn, "learning the noise for diagnose" if args.output else "")
-        car = found.make_car_text(args.output) if args.output else None
+        car = None
+        refused: SteerdError | None = None
+        try:
+            car = found.make_car_text(args.output) if args.output else None
+        except SteerdError as error:  # a value where no car is: the rest is written all the same
+            refused = error
     write_outputs({args.report: report, named: result, args.output: car})
+    if refused is not None:
+        what = f"{args.output} is not written: {refused.what.removeprefix(f'{args.output}: ')}"
+        raise SteerdError(what, "no car is like that; see the notes above", ExitCode.STOPPED)
     return ExitCode.OK if found.improved else ExitCode.STOPPED

@@ -4,6 +4,7 @@ import contextlib
 import json
 import resource
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ import pytest
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.cli.main import run_cli as main
+from steerd.daemon.common.errors import SteerdError
+from steerd.steer_bus.session import SessionWriter
 from tests.csv_logs import import_log, make_noisy_rows
 
 pytestmark = pytest.mark.slow
@@ -291,3 +294,25 @@ def test_a_file_edited_by_hand_is_kept_and_named(rows, importer, tmp_path, capsy
     assert kept.read_text().endswith("# checked by hand\n")
     assert f"is kept as {kept}" in capsys.readouterr().err
     assert "by hand" not in out.read_text()
+
+
+def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path, capsys):
+    def refuse(path):
+        raise SteerdError(f"{path}: car.lf: expected a number >= 0.02", "lf = 0.15")
+
+    found = SimpleNamespace(
+        to_json=dict, make_car_text=refuse, render_report=lambda: "<html>", improved=False,
+        outcome=None,
+    )  # fmt: skip
+    session = tmp_path / "a.mcap"
+    SessionWriter(session, {}, {}).finish({})
+    monkeypatch.setattr("steerd.daemon.analysis.identification.run_identification",
+                        lambda *_: found)  # fmt: skip
+    monkeypatch.setattr("steerd.daemon.analysis.identify_text.describe", lambda *_, **__: "TABLE")
+    car, page = tmp_path / "car.toml", tmp_path / "page.html"
+    code = main(["identify", str(session), "-o", str(car), "--report", str(page)])
+    said = capsys.readouterr()
+    assert (code, said.out) == (5, "TABLE\n")
+    assert f"{car} is not written: car.lf: expected a number >= 0.02" in said.err
+    assert page.read_text() == "<html>"
+    assert not car.exists()
