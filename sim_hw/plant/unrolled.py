@@ -3,8 +3,8 @@
 `car_model` is generic over the number type. Here it runs once over numbers that write down each
 operation, and the record is compiled: the same operations on the same floats in the same order
 (equal bit for bit, tested), without the tuples and calls between them. A step costs a third.
-A model that a record cannot hold (one that branches on a value) runs as it is. Without effects, the
-step under a speed demand, nearly all of them, is machine code where there is a compiler.
+A model that a record cannot hold (one that branches on a value) runs as it is. Without an
+effect in it, a step is machine code where there is a compiler.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from steerd.car_model.rollout import glide
 from steerd.car_model.state import Command, State
 from steerd.car_model.straight_line import compiled
 from steerd.car_model.tape import TAPE, Node, Tape
-from steerd.sim_hw.plant.native.follow import make_native_follow
+from steerd.sim_hw.plant.native.follow import make_native
 
 Numbers = tuple[float, ...]
 _Half = Callable[[Ops[Any], Model[Any], Sequence[Any]], Sequence[Any]]
@@ -45,12 +45,17 @@ def make_steps(model: Model[float]) -> Steps:
 
     Kept: a second car of the same make (the next seed, the next fault) costs nothing.
     """
-    in_python = cache(lambda: _unroll(model, _follow))
-    follow = make_native_follow(model, lambda *numbers: in_python()(*numbers))
     try:
-        return Steps(_unroll(model, _actuate), _unroll(model, _glide), follow or in_python(), True)
+        return Steps(**{name: _make_half(model, name) for name in _HALVES}, unrolled=True)
     except TypeError:
-        return Steps(_plain(model, _actuate), _plain(model, _glide), _plain(model, _follow), False)
+        halves = {name: _plain(model, half) for name, half in _HALVES.items()}
+        return Steps(**halves, unrolled=False)
+
+
+def _make_half(model: Model[float], name: str) -> Callable[..., Numbers]:
+    """In machine code where that is possible; recorded only when it is asked for."""
+    in_python = cache(lambda: _unroll(model, _HALVES[name]))
+    return make_native(model, name, lambda *numbers: in_python()(*numbers)) or in_python()
 
 
 def _actuate(ops: Ops[Any], model: Model[Any], numbers: Sequence[Any]) -> Sequence[Any]:
@@ -69,6 +74,9 @@ def _glide(ops: Ops[Any], model: Model[Any], numbers: Sequence[Any]) -> Sequence
 
 def _follow(ops: Ops[Any], model: Model[Any], numbers: Sequence[Any]) -> Sequence[Any]:
     return _glide(ops, model, [*numbers[:-4], *_actuate(ops, model, numbers), *numbers[-2:]])
+
+
+_HALVES: dict[str, _Half] = {"actuate": _actuate, "glide": _glide, "follow": _follow}
 
 
 def _split(
@@ -94,9 +102,9 @@ def _unroll(model: Model[float], half: _Half) -> Callable[..., Numbers]:
     return compiled(*_record(tape, fixed, half))
 
 
-def record_follow(tape: Tape, model: Model[Node]) -> tuple[list[Node], list[Node]]:
-    """Inputs and outputs of `Steps.follow`, of a model whose numbers are on the tape."""
-    return _record(tape, model, _follow)
+def record_half(tape: Tape, model: Model[Node], name: str) -> tuple[list[Node], list[Node]]:
+    """Inputs and outputs of a field of `Steps`, of a model whose numbers are on the tape."""
+    return _record(tape, model, _HALVES[name])
 
 
 def _record(tape: Tape, model: Model[Node], half: _Half) -> tuple[list[Node], list[Node]]:

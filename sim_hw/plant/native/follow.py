@@ -1,4 +1,4 @@
-"""The step of a car without effects in machine code."""
+"""A step of the car in machine code: without effects, or with those outside it (delays, sensors)."""
 
 import ctypes
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from struct import Struct
 
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.machine_code import Source, load_library
-from steerd.car_model.model import Model
+from steerd.car_model.model import Model, hooked, memory_size
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
 
@@ -18,12 +18,15 @@ Numbers = tuple[float, ...]
 _CAR = Struct(f"={len(Car._fields)}d")
 _GIVEN = Struct(f"={len(State._fields) + 4}d")
 """State, servo and speed demand, time and length of the step."""
-_AFTER = ctypes.c_double * len(State._fields)
+HALVES: dict[str, int] = {"actuate": 2, "glide": len(State._fields), "follow": len(State._fields)}
+"""Functions of each chassis, and how many numbers they give."""
+_OUTSIDE = frozenset({"delays", "observe"})
+"""Hooks that a step does not ask."""
 
 
-def function_name(chassis: Chassis) -> str:
-    """Of the chassis' function in the library."""
-    return f"follow_{chassis.name}{f'_{chassis.drive}' if chassis.drive else ''}"
+def function_name(half: str, chassis: Chassis) -> str:
+    """Of a chassis' function in the library."""
+    return "_".join(word for word in (half, chassis.name, chassis.drive) if word)
 
 
 @cache
@@ -31,25 +34,27 @@ def _library() -> ctypes.PyDLL | None:
     return load_library(PLANT)
 
 
-def make_native_follow(
-    model: Model[float], in_python: Callable[..., Numbers]
+def make_native(
+    model: Model[float], half: str, in_python: Callable[..., Numbers]
 ) -> Callable[..., Numbers] | None:
-    """`Steps.follow` of a model in machine code; None where there is none.
+    """A half of `Steps` in machine code; None where there is none for this model.
 
     Args:
         model: the car.
+        half: which of `HALVES`.
         in_python: what is asked where a number is not finite: it says what is wrong.
     """
     library = _library()
-    function = getattr(library, function_name(model.chassis), None)
-    if library is None or function is None or model.effects:
+    function = getattr(library, function_name(half, model.chassis), None)
+    inside = hooked(model.effects) - _OUTSIDE
+    if library is None or function is None or inside or memory_size(model.effects):
         return None
-    car = _CAR.pack(*model.car)
+    car, numbers_after = _CAR.pack(*model.car), ctypes.c_double * HALVES[half]
 
-    def follow(*numbers: float) -> Numbers:
-        after = _AFTER()
+    def step(*numbers: float) -> Numbers:
+        after = numbers_after()
         function(car, _GIVEN.pack(*numbers), after)
         found = tuple(after)
         return found if isfinite(sum(found)) else in_python(*numbers)
 
-    return follow
+    return step

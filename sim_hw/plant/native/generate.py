@@ -1,6 +1,6 @@
 """Print `plant.c` from the equations: `python -m steerd.sim_hw.plant.native.generate`.
 
-A function for each chassis, of a car without effects. The output is committed; a test prints it
+The functions of each chassis, of a car without effects. The output is committed; a test prints it
 again and compares.
 """
 
@@ -13,8 +13,8 @@ from steerd.car_model.params import Car
 from steerd.car_model.planar import DRIVES, make_planar
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.tape import Tape
-from steerd.sim_hw.plant.native.follow import PLANT, function_name
-from steerd.sim_hw.plant.unrolled import record_follow
+from steerd.sim_hw.plant.native.follow import HALVES, PLANT, function_name
+from steerd.sim_hw.plant.unrolled import record_half
 
 TARGET = PLANT.folder / PLANT.files[0]
 CHASSIS: tuple[Chassis, ...] = (SINGLE_TRACK, *map(make_planar, DRIVES))
@@ -30,10 +30,11 @@ def generated_text() -> str:
     """The whole of `plant.c`."""
     printed = [_HEAD]
     for chassis in CHASSIS:
-        tape = Tape(exact=True)
-        car = Car(*map(tape.symbol, Car._fields))
-        inputs, outputs = record_follow(tape, Model(car, chassis=chassis))
-        printed.append(printed_function(function_name(chassis), inputs, outputs, "void"))
+        for half in HALVES:
+            tape = Tape(exact=True)
+            car = Car(*map(tape.symbol, Car._fields))
+            inputs, outputs = record_half(tape, Model(car, chassis=chassis), half)
+            printed.append(printed_function(function_name(half, chassis), inputs, outputs, "void"))
     return "".join(printed)
 
 

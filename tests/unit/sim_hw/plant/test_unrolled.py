@@ -64,11 +64,22 @@ def test_plain_car_is_unrolled_and_equal(without_compiler: None) -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize("chassis", generate.CHASSIS, ids=follow.function_name)
+@pytest.mark.parametrize(
+    "chassis", generate.CHASSIS, ids=lambda chassis: follow.function_name("of", chassis)
+)
 def test_machine_code_of_every_chassis_is_equal(compiled: None, chassis: Chassis) -> None:
     car = PAPER_CAR._replace(steer_gain=0.9, steer_bias=0.02, speed_gain=1.07)
     for seed, each in enumerate((DEFAULT_CAR, car)):
         drive(Model(each, chassis=chassis), seed=seed, steps=500)
+
+
+@needs_compiler
+def test_effects_outside_the_step_keep_it_in_machine_code(compiled: None) -> None:
+    late, inside = (EFFECTS[name] for name in ("steer_delay", "tyre_friction"))
+    model = Model(DEFAULT_CAR, (late,), ((0.03,),))
+    assert follow.make_native(model, "glide", lambda: ()) is not None
+    assert follow.make_native(Model(DEFAULT_CAR, (inside,), ((0.9,),)), "glide", lambda: ()) is None
+    drive(model, seed=5)
 
 
 @needs_compiler
