@@ -1,13 +1,14 @@
 """`steerd learn`: what the learner would have said of a recorded drive, and whether it did."""
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from steerd.daemon.analysis.diagnose_case import find_base
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.learning.feed import learn_all, make_feed
 from steerd.daemon.learning.samples import NEEDED, Wiring
@@ -15,7 +16,7 @@ from steerd.daemon.sessions.info import load_session
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, encode
-from steerd.steer_bus.session_read import Session, SessionError
+from steerd.steer_bus.session_read import Record, Session, SessionError
 from steerd.steer_bus.topics import Topic, find_topic
 from steerd.vesc_link.scaling import F1TENTH
 
@@ -44,7 +45,10 @@ class Learnt:
 
 
 def learn_session(
-    path: Path, car: Path | None = None, see: Callable[[m.Model], None] = lambda report: None
+    path: Path,
+    car: Path | None = None,
+    see: Callable[[m.Model], None] = lambda report: None,
+    share: Callable[[float], None] = lambda done: None,
 ) -> Learnt:
     """Feed a recorded drive to the learner.
 
@@ -52,6 +56,7 @@ def learn_session(
         path: the session.
         car: a car file; None for that inside the session.
         see: is handed every report as it comes.
+        share: is called with the share of the session that was read, now and then.
 
     Raises:
         SteerdError: session or car file cannot be used, or too little was driven for a report.
@@ -64,7 +69,9 @@ def learn_session(
         raise SteerdError(str(error), "steerd identify writes it anew", ExitCode.INVALID) from None
     recorded: list[bytes] = []
     made, report = [], None
-    for report in learn_all(feed, _messages(session, recorded, path)):
+    count = max(session.info().count, 1)
+    records = watched(session.messages(), lambda done: share(done / count))
+    for report in learn_all(feed, _messages(records, recorded, path)):
         see(report)
         made.append(encode(report))
     if report is None:
@@ -91,10 +98,12 @@ def wiring_of_session(session: Session) -> Wiring:
     return Wiring(0, gain, offset)
 
 
-def _messages(session: Session, recorded: list[bytes], path: Path) -> Iterator[tuple[Topic, Any]]:
+def _messages(
+    records: Iterable[Record], recorded: list[bytes], path: Path
+) -> Iterator[tuple[Topic, Any]]:
     """What the learner needs, in recorded order; reports of the drive itself go aside."""
     try:
-        for record in session.messages():
+        for record in records:
             topic = find_topic(record.topic)
             if topic is topics.MODEL:
                 recorded.append(record.data)

@@ -1,10 +1,11 @@
 """Progress of a long command: a bar on a terminal, nothing elsewhere."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Protocol, TypeVar
 
+T = TypeVar("T")
 Advance = Callable[[float], None]
 """Called with the amount of work done, in the unit of the total."""
 
@@ -14,6 +15,14 @@ class Step(Protocol):
 
     def __call__(self, done: float, step: str = "", /) -> None:
         """Move the bar."""
+
+
+def watched(items: Iterable[T], advance: Callable[[int], None], every: int = 500) -> Iterator[T]:
+    """The items as they are; `advance` is called with their number at each of `every`."""
+    for count, item in enumerate(items):
+        if count % every == 0:
+            advance(count)
+        yield item
 
 
 @contextmanager

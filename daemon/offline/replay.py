@@ -5,7 +5,7 @@ the code has changed since the drive, or the loop has an input that is not recor
 """
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
@@ -17,6 +17,7 @@ from steerd.car_model.car_file import CarFileError, parse_car
 from steerd.daemon.assembly.build import RunPlan, make_loop_setup, make_plan
 from steerd.daemon.assembly.session_meta import csv_file
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import make_car_file_error, make_session_error
 from steerd.daemon.loop.core import read_identity
 from steerd.daemon.loop.flags import Flag
@@ -202,8 +203,15 @@ def _same(a: float, b: float) -> bool:
     return abs(a - b) <= TOLERANCE or (isnan(a) and isnan(b))
 
 
-def replay(session: Session, name: str) -> tuple[Replay, Iterator[Difference]]:
+def replay(
+    session: Session, name: str, advance: Callable[[int], None] = lambda done: None
+) -> tuple[Replay, Iterator[Difference]]:
     """A replay of a session and the differences that it finds as it goes.
+
+    Args:
+        session: the recording.
+        name: what messages call it.
+        advance: is called with the number of messages that were taken, now and then.
 
     Raises:
         SteerdError: the session cannot be replayed.
@@ -214,7 +222,8 @@ def replay(session: Session, name: str) -> tuple[Replay, Iterator[Difference]]:
         raise make_session_error(error) from None
     plan, boot_id, epoch_ns, leased = make_replay_plan(session, name)
     run = Replay(plan, boot_id, epoch_ns, leased)
-    return run, (d for d in map(run.take, session.messages()) if d is not None)
+    taken = map(run.take, watched(session.messages(), advance))
+    return run, (d for d in taken if d is not None)
 
 
 def describe_difference(difference: Difference, first_ns: int) -> str:

@@ -30,10 +30,12 @@ def run(args: argparse.Namespace) -> int:
         SteerdError: the session or the car file cannot be used.
     """
     from steerd.daemon.analysis.learning import learn_session
+    from steerd.daemon.common.progress import show_progress
     from steerd.daemon.learning.text import encode_model, format_model
 
     path = pick_session(args.session)
-    found = learn_session(path, args.base)
+    with show_progress("learning", 1.0) as advance:
+        found = learn_session(path, args.base, share=advance)
     if args.json:
         import json
 

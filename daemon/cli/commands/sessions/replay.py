@@ -13,6 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
+    from steerd.daemon.common.progress import show_progress
     from steerd.daemon.offline.replay import check_same, describe_difference, replay
     from steerd.daemon.sessions.info import load_session
     from steerd.daemon.sessions.text import print_warnings
@@ -20,13 +21,14 @@ def run(args: argparse.Namespace) -> int:
     path = pick_session(args.session)
     session = load_session(path)
     print_warnings([warning.message for warning in session.warnings])
-    going, differences = replay(session, path.name)
     count = first_ns = 0
-    for difference in differences:
-        first_ns = first_ns or difference.t_ns
-        count += 1
-        if count <= args.show:
-            print(describe_difference(difference, first_ns))
+    with show_progress("replaying", float(session.info().count)) as advance:
+        going, differences = replay(session, path.name, lambda done: advance(float(done)))
+        for difference in differences:
+            first_ns = first_ns or difference.t_ns
+            count += 1
+            if count <= args.show:
+                print(describe_difference(difference, first_ns))
     code = check_same(count, going.ticks)
     verdict = f"{count} of them differ" if count else "all equal the recorded ones"
     print(f"{going.ticks} commands replayed: {verdict}")

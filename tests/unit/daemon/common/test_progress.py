@@ -3,6 +3,7 @@
 import io
 import sys
 
+from steerd.daemon.common import progress
 from steerd.daemon.common.progress import show_progress
 
 
@@ -44,3 +45,9 @@ def test_nothing_is_written_where_nobody_looks(monkeypatch):
     with show_progress("identifying", 2.0) as advance:
         advance(1.0, "learning the noise")
     assert unseen.getvalue() == ""
+
+
+def test_items_are_counted_as_they_pass():
+    seen: list[int] = []
+    assert list(progress.watched("abcdefg", seen.append, every=3)) == list("abcdefg")
+    assert seen == [0, 3, 6]
