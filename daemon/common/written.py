@@ -51,11 +51,12 @@ def write_output(path: Path, text: str | bytes) -> Path | None:
     return kept
 
 
-def write_outputs(texts: Mapping[Path | None, str | bytes | None]) -> None:
-    """Write every result; name on standard error what was kept, and a terminal what is written.
+def write_outputs(texts: Mapping[Path | None, str | bytes | None], *, told: bool = False) -> None:
+    """Write every result, and name on standard error what was kept.
 
     Args:
         texts: content by file; an entry without a file or without a content is left out.
+        told: a terminal is told what was written, as after work that ends with it.
 
     Raises:
         SteerdError: every file that failed in one line, after the others were written.
@@ -73,7 +74,7 @@ def write_outputs(texts: Mapping[Path | None, str | bytes | None]) -> None:
         written.append(str(path))
         if kept is not None:
             print_labelled("note: ", describe_kept(path, kept), sys.stderr)
-    if written and sys.stderr.isatty():  # after a bar that may have run for a minute
+    if told and written and sys.stderr.isatty():
         print_labelled("written: ", ", ".join(written), sys.stderr)
     if failures:
         what = "; ".join(failure.what for failure in failures)

@@ -139,7 +139,8 @@ def run(args: argparse.Namespace) -> int:
     car = found.make_car(args.output).text if args.output else None
     text = json.dumps(data, indent=1) + "\n"
     foretold = late[0] if late else None
-    write_outputs({args.prediction: foretold, named: text, args.report: report, args.output: car})
+    texts = {args.prediction: foretold, named: text, args.report: report, args.output: car}
+    write_outputs(texts, told=True)
     return ExitCode.OK
 
 

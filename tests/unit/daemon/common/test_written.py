@@ -1,6 +1,7 @@
 """What a command writes replaces what steerd wrote before; anything else is kept beside it."""
 
 import os
+import sys
 import time
 
 import pytest
@@ -134,3 +135,13 @@ def test_only_the_latest_digests_are_kept(state, monkeypatch):
     write_output(second, "c")
     assert write_output(second, "d") is None
     assert write_output(first, "e") is not None
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_terminal_is_told_what_was_written(terminal, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    page, car = tmp_path / "page.html", tmp_path / "car.toml"
+    write_outputs({page: "a", None: "b", car: None}, told=True)
+    assert (str(page) in capsys.readouterr().err) is terminal
+    write_outputs({page: "c"})
+    assert capsys.readouterr().err == ""
