@@ -57,7 +57,8 @@ def wrap_command(command: str, first: str = "", rest: str = "", width: int = WID
         rest: the indent of the others.
         width: columns.
     """
-    lines, line = [], ""
+    lines: list[str] = []
+    line = ""
     for part in re.split(r" (?=-)", command):
         head = rest if lines else first
         if line and len(head) + len(line) + 1 + len(part) + 2 > width:
