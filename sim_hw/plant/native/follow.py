@@ -1,4 +1,4 @@
-"""A step of the car in machine code: without effects, or with those outside it (delays, sensors)."""
+"""A step of the car in machine code: without effects, or with those outside it: delays, sensors."""
 
 import ctypes
 from collections.abc import Callable
