@@ -50,8 +50,8 @@ def _headline(found: WorkedSessions) -> str:
     for change in found.changes:
         clearest.setdefault(change.car, change)
     if not clearest:
-        told = nothing_changed(found)
-        return f"{told[0].upper()}{told[1:]}."
+        why = nothing_changed(found)
+        return f"{why[0].upper()}{why[1:]}."
     parts = [f"{clean(c.car, 24)} since {c.day} ({c.quantity})" for c in clearest.values()]
     return f"Changed: {', '.join(parts)}."
 

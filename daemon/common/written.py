@@ -51,12 +51,14 @@ def write_output(path: Path, text: str | bytes) -> Path | None:
     return kept
 
 
-def write_outputs(texts: Mapping[Path | None, str | bytes | None], *, told: bool = False) -> None:
+def write_outputs(
+    texts: Mapping[Path | None, str | bytes | None], *, announced: bool = False
+) -> None:
     """Write every result, and name on standard error what was kept.
 
     Args:
         texts: content by file; an entry without a file or without a content is left out.
-        told: a terminal is told what was written, as after work that ends with it.
+        announced: a terminal shows what was written, as after work that ends with it.
 
     Raises:
         SteerdError: every file that failed in one line, after the others were written.
@@ -74,7 +76,7 @@ def write_outputs(texts: Mapping[Path | None, str | bytes | None], *, told: bool
         written.append(str(path))
         if kept is not None:
             print_labelled("note: ", describe_kept(path, kept), sys.stderr)
-    if told and written and sys.stderr.isatty():
+    if announced and written and sys.stderr.isatty():
         print_labelled("written: ", ", ".join(written), sys.stderr)
     if failures:
         what = "; ".join(failure.what for failure in failures)

@@ -34,7 +34,7 @@ def check_effects(file: CarFile, th: Thresholds) -> None:
     if max(rolling) > most:
         what = (
             f"{file.path}: left to roll, this car speeds up by {max(rolling):.2f} m/s2 "
-            f"([effects]); with more than {most:.2f} a stop cannot be told from none"
+            f"([effects]); with more than {most:.2f} a stop is not distinguishable from none"
         )
         raise SteerdError(what, "measure that floor or that drag; no stop is sure on it")
     lack, allowed = (

@@ -165,7 +165,7 @@ def finish_sweep(found: Sweep, output: Path) -> None:
     Raises:
         SteerdError: it cannot be written; the journal stays.
     """
-    write_outputs({output: found.encode_table()}, told=True)
+    write_outputs({output: found.encode_table()}, announced=True)
     journal_path(output).unlink(missing_ok=True)
 
 

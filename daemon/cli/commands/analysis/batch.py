@@ -64,5 +64,5 @@ def run(args: argparse.Namespace) -> int:
     print(found, flush=True)
     table = found.encode_table() if args.output else None
     page = found.render_report() if args.page else None
-    write_outputs({args.output: table, args.page: page}, told=True)
+    write_outputs({args.output: table, args.page: page}, announced=True)
     return ExitCode.OK

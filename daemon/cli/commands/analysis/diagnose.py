@@ -140,7 +140,7 @@ def run(args: argparse.Namespace) -> int:
     text = json.dumps(data, indent=1) + "\n"
     foretold = late[0] if late else None
     texts = {args.prediction: foretold, named: text, args.report: report, args.output: car}
-    write_outputs(texts, told=True)
+    write_outputs(texts, announced=True)
     return ExitCode.OK
 
 

@@ -157,7 +157,7 @@ def run(args: argparse.Namespace) -> int:
             car = found.make_car_text(args.output) if args.output else None
         except SteerdError as error:  # a value where no car is: the rest is written all the same
             refused = error
-    write_outputs({args.report: report, named: result, args.output: car}, told=True)
+    write_outputs({args.report: report, named: result, args.output: car}, announced=True)
     if refused is not None:
         what = f"{args.output} is not written: {refused.what.removeprefix(f'{args.output}: ')}"
         raise SteerdError(what, "no car is like that; see the notes above", ExitCode.STOPPED)

@@ -108,7 +108,7 @@ def _run_all(plan: "SweepPlan", args: argparse.Namespace) -> int:
         found = run_sweep(plan, where, args.output, lambda done: advance(float(done)))
     print(found, flush=True)
     if args.page is not None:
-        write_outputs({args.page: found.render_report()}, told=True)
+        write_outputs({args.page: found.render_report()}, announced=True)
     if args.output is not None:
         finish_sweep(found, args.output)
     return ExitCode.OK

@@ -141,7 +141,7 @@ def test_only_the_latest_digests_are_kept(state, monkeypatch):
 def test_a_terminal_is_told_what_was_written(terminal, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
     page, car = tmp_path / "page.html", tmp_path / "car.toml"
-    write_outputs({page: "a", None: "b", car: None}, told=True)
+    write_outputs({page: "a", None: "b", car: None}, announced=True)
     assert (str(page) in capsys.readouterr().err) is terminal
     write_outputs({page: "c"})
     assert capsys.readouterr().err == ""
