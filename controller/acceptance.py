@@ -10,9 +10,11 @@ within the bounds.
 # Why: docs/decisions/filter-and-controller.md#d85
 
 from collections.abc import Iterator
+from functools import lru_cache
 from math import isfinite
 from typing import NamedTuple
 
+from steerd.car_model.params import Car
 from steerd.controller.design import assessed_speeds, find_faults, stability_at
 from steerd.controller.gain_table import N_LANE, N_TURNING, look_up
 from steerd.controller.lane_controller import LaneController
@@ -27,7 +29,7 @@ from steerd.controller.learnt import (
     make_bounds,
     steps,
 )
-from steerd.controller.loop_model import sampled_loop, turn_response
+from steerd.controller.loop_model import Timing, sampled_loop, turn_response
 from steerd.controller.margins import margins
 
 DISTANCE = 0.5
@@ -120,8 +122,13 @@ def _pasts_of(held: Acceptance, design: Design) -> int:
     """How many past references a design for these numbers feeds back."""
     if held.file.report.design == "pole_placement":
         return 0
-    timing = learnt_timing(held.file, design.car)
-    a, _ = sampled_loop(learnt_car(held.file, design.car), held.file.table.speed_min, timing)
+    car, timing = learnt_car(held.file, design.car), learnt_timing(held.file, design.car)
+    return _pasts_for(car, held.file.table.speed_min, timing)
+
+
+@lru_cache(16)
+def _pasts_for(car: Car[float], speed: float, timing: Timing) -> int:
+    a, _ = sampled_loop(car, speed, timing)
     return len(a) - (N_LANE if timing.lagging else 4)
 
 
