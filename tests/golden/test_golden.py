@@ -174,7 +174,7 @@ def test_it_holds_the_scene_that_its_name_promises(name: str) -> None:
 
 def test_a_loop_that_steers_otherwise_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The golden comparison itself: 1e-4 rad must not pass."""
-    import steerd.daemon.loop.loop as loop
+    import steerd.daemon.loop.adapting as loop
 
     sound = loop.control
 
