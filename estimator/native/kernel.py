@@ -50,6 +50,10 @@ class Kernel:
         self._fuse: Callable[..., int] = library.fuse
         self._predict: Callable[..., int] = library.predict
 
+    def __deepcopy__(self, memo: dict[int, object]) -> "Kernel":
+        """Itself, where a whole loop is copied: it remembers nothing from one call to the next."""
+        return self
+
     def fuse(
         self, history: History, first: Belief, start_ns: int, chain: Sequence[Measurement]
     ) -> list[tuple[Fused, bool]] | None:
