@@ -180,11 +180,13 @@ class _Orbit(NamedTuple):
     speed: float
 
 
-def _make_orbit(car: Car[float], limits: Limits, radius: float, speed: float) -> _Orbit:
+def _make_orbit(
+    car: Car[float], limits: Limits, radius: float, speed: float, share: float
+) -> _Orbit:
     length = wheelbase(car)
     bound = min(limits.steer_left_max, limits.steer_right_max, car.steer_max, -car.steer_min)
-    steer = min(atan(length / radius), bound / (1.0 + SWING_LEAST))
-    swing = min(SWING * steer, bound - steer)
+    steer = min(atan(length / radius), bound / (1.0 + min(SWING_LEAST, share)))
+    swing = min(share * steer, bound - steer)
     sharpest = tan(steer + swing) / length
     fastest = sqrt(_GRIP_SHARE * limits.lateral_accel_max / sharpest)
     return _Orbit(steer, swing, min(speed, limits.speed_max, fastest))
@@ -203,6 +205,8 @@ _PATTERNS: Mapping[str, _Pattern] = {
     "slalom": ((10.0, 1.0, 1.0, False), (10.0, 0.6, 1.0, False), (10.0, 0.8, 0.7, False)),
     "chirp": ((10.0, 1.0, 4.0, False), (10.0, 0.6, 4.0, False), (10.0, 0.8, 4.0, False)),
     "steps": ((10.0, 1.0, 0.5, True), (10.0, 0.6, 0.5, True), (10.0, 0.8, 0.5, True)),
+    "ramp": tuple((3.0, share, 0.0, False) for share in (0.4, 0.55, 0.7, 0.85, 1.0)),
+    "speeds": tuple((3.0, share, 0.0, False) for share in (0.4, 1.0, 0.4, 1.0, 0.7, 1.0)),
     "mixed": (
         (3.0, 0.5, 0.0, False), (3.0, 0.75, 0.0, False), (3.0, 1.0, 0.0, False),
         (7.0, 1.0, 0.5, True), (3.0, 0.6, 0.7, True), (8.0, 0.8, 4.0, False),
@@ -212,12 +216,17 @@ _PATTERNS: Mapping[str, _Pattern] = {
 NAMES: tuple[str, ...] = ("circles", *_PATTERNS)
 
 
+def _swing_share(name: str) -> float:
+    """Room that a plan's steering needs about an orbit's mean angle, as a share of that."""
+    return SWING if any(top for _, _, top, _ in _PATTERNS.get(name, ())) else 0.0
+
+
 def _make_segments(
     name: str, car: Car[float], limits: Limits, radius: float, speed: float
 ) -> tuple[Segment, ...]:
     if name == "circles":
         return tuple(_make_circles(car, limits, radius, speed))
-    orbit = _make_orbit(car, limits, radius, speed)
+    orbit = _make_orbit(car, limits, radius, speed, _swing_share(name))
     sides = (tuple(_make_waves(orbit, side, _PATTERNS[name])) for side in (1.0, -1.0))
     return tuple(segment for side in sides for segment in _scale_to_whole_turns(car, side))
 
@@ -309,7 +318,8 @@ def make_open_drill(
         PlanError: unknown name, or no orbit fits.
     """
     _check_name(name)
-    radius = _RADIUS_MARGIN * speed**2 * (1.0 + SWING) / limits.lateral_accel_max
+    room = 1.0 + (SWING if name == "circles" else _swing_share(name))
+    radius = _RADIUS_MARGIN * speed**2 * room / limits.lateral_accel_max
     smallest = wheelbase(car) / tan(min(limits.steer_left_max, limits.steer_right_max))
     extent = Box(0.0, 0.0, 0.0, 0.0)
     while True:

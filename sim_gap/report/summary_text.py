@@ -129,7 +129,8 @@ def manoeuvre_words(found: Diagnosis) -> str:
     following = found.next_manoeuvre
     if following is not None:
         first, second = following.separates
-        return f"to distinguish {first} from {second}: {following.name}, {following.how}"
+        what = f"{following.name}, {following.how}: `{following.command}`"
+        return f"to distinguish {first} from {second}: {what}"
     if found.verdict == "none":
         return "nothing; if the car behaves badly elsewhere, record it there"
     if found.verdict == "unjudged":

@@ -88,6 +88,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "candidates": [{"effect": n, "gain": g, "se": se} for n, g, se in found.candidates],
         "next_manoeuvre": {} if following is None else {
             "name": following.name, "how": following.how,
+            "command": following.command,
             "separates": list(following.separates),
             "expected_nats": following.expected_nats, "now_nats": following.now_nats,
         },

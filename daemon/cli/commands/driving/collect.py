@@ -4,7 +4,8 @@ steerd collect --sim --fast --plan mixed --record mixed.mcap
 steerd collect --plan circles --box 6 --port /dev/vesc --mocap natnet://HOST/car
 
 Plans: circles (the paper's: 8 left, 8 right, steering at its limit, 1 m/s),
-slalom, chirp, steps, mixed (all of them at several speeds: start with it).
+slalom, chirp, steps, ramp (speed grows to the limit), speeds (steps of speed),
+mixed (several of them at several speeds: start with it).
 Supervisor, watchdogs and limits are those of `steerd run`; a box is a fence.
 """
 

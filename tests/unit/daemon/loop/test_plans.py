@@ -1,21 +1,26 @@
 """Excitation plans: what they ask for, that they fit their box, and that the loop drives them."""
 
+import shlex
 from dataclasses import replace
-from math import isclose
+from math import isclose, tan
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.params import DEFAULT_CAR, wheelbase
 from steerd.car_model.state import Command
 from steerd.controller.limits import Limits
 from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.cli.completion import make_full_parser
+from steerd.daemon.cli.main import COMMANDS
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop import plans
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
+from steerd.sim_gap.verdict.next_manoeuvre import MENU
 
 pytestmark = pytest.mark.slow
 
@@ -28,6 +33,35 @@ def test_circles_are_the_papers_sixteen():
     assert [s.seconds for s in driven] == [8.0] * 16
     assert {s.speed for s in driven} == {1.0}
     assert [s.steer for s in driven] == [0.31] * 8 + [-0.26] * 8
+
+
+@pytest.mark.parametrize("name", ["ramp", "speeds"])
+def test_what_changes_speed_alone_corners_as_hard_as_the_limits_allow(name):
+    drill = plans.parse_drill(f"{name};speed=2.5", DEFAULT_CAR, LIMITS)
+    driven = [s for s in drill.segments if s.speed > 0.0]
+    assert {s.swing for s in driven} == {0.0}
+    assert {s.steer > 0.0 for s in driven} == {True, False}, "to both sides"
+    fastest = max(driven, key=lambda s: s.speed)
+    sideways = fastest.speed**2 * tan(abs(fastest.steer)) / wheelbase(DEFAULT_CAR)
+    assert 0.85 * LIMITS.lateral_accel_max < sideways <= LIMITS.lateral_accel_max
+    if name == "ramp":
+        speeds = [s.speed for s in driven]
+        half = len(speeds) // 2
+        assert speeds[:half] == sorted(speeds[:half])
+
+
+@pytest.mark.parametrize("drive", MENU.values(), ids=lambda drive: drive.command)
+def test_what_a_diagnosis_asks_for_is_what_its_command_drives(drive):
+    words = shlex.split(drive.command)
+    args = make_full_parser(COMMANDS).parse_args(words[1:])
+    steer, speed = drive.drive(np.arange(0.0, 8.0, 0.01))
+    assert np.max(speed) == pytest.approx(args.speed, rel=0.01)
+    if words[1] == "collect":
+        drill = plans.parse_drill(f"{args.plan};speed={args.speed}", DEFAULT_CAR, LIMITS)
+        left = [s for s in drill.segments if s.steer > 0.0]
+        assert max(s.speed for s in left) == pytest.approx(args.speed, rel=0.05)
+        assert max(s.steer + s.swing for s in left) == pytest.approx(np.max(steer), rel=0.1)
+        assert min(s.steer - s.swing for s in left) == pytest.approx(np.min(steer), rel=0.25)
 
 
 def test_after_its_end_a_plan_stands():
