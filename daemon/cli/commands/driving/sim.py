@@ -5,6 +5,7 @@ Ctrl-C ends it.
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 from steerd.daemon.cli.inputs import reads_car
@@ -61,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"VESC:  {sim.port}")
         print(f"mocap: {sim.mocap_url}")
         command = f"steerd run --port {sim.port} --mocap '{sim.mocap_url}'"
-        print("", *wrap_command(command, "   try: ", " " * 10), sep="\n", flush=True)
+        shown = wrap_command(command, "   try: ", " " * 10)
+        print("", *(shown if sys.stdout.isatty() else [f"   try: {command}"]), sep="\n", flush=True)
         sim.run(stop)
     return ExitCode.OK
