@@ -136,6 +136,9 @@ def refit(
     tried = np.clip(tried, space.low, space.high)
     best: Fitted | None = None
     starts = [tried, 0.5 * (z + tried)] if len(promises) == 1 else [tried]
+    if any(p.returned for p in promises):
+        back = np.where(np.arange(len(z)) < space.nuisance, space.centre, tried)
+        starts = [back, tried]
     for first in starts:
         try:
             found = minimise(engine, space, first, start.x.copy(), beat=beat)

@@ -109,9 +109,14 @@ def promising_pair(
         for promise in [p for p in promises[:3] if p.gain > c.PAIR_PROMISE]:
             beat = np.inf if best is None else best.fitted.cost
             pair = refit(engine, first.fitted, nuisance, [promise], beat)
-            if pair is not None and (best is None or pair.losses.sum() < best.losses.sum()):
+            if pair is not None and (best is None or _held_out(pair) < _held_out(best)):
                 best = pair
     return best
+
+
+def _held_out(score: Score) -> float:
+    """What a hypothesis costs on unseen windows, its base's move included [nats]."""
+    return float(score.losses.sum()) + score.prior
 
 
 def needs_both(pair: Score, single: Score, null: Score, blocks: NDArray[np.int64]) -> bool:

@@ -1,6 +1,7 @@
 """Which effects are worth a refit: one Jacobian for those with a gradient, else a scan."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,8 @@ from steerd.sysid.estimation.objective import STATES
 
 Array = NDArray[np.float64]
 
+STRAYED = 10.0
+"""What the base's move costs by its own prior before effects are looked at without it [nats]."""
 _PLACES = 3
 """Places of the worst windows that a scan is given."""
 _APART = 0.6
@@ -29,12 +32,14 @@ class Promise(NamedTuple):
         gain: expected fall of the cost [nats].
         start: values of its parameters to start from.
         tested: whether the simulation with it stayed finite.
+        returned: whether the base is to start where its prior lies.
     """
 
     effect: str
     gain: float
     start: tuple[float, ...]
     tested: bool = True
+    returned: bool = False
 
 
 def open_effects(engine: Engine, taken: Sequence[str]) -> list[Effect]:
@@ -50,12 +55,44 @@ def screen(
 ) -> list[Promise]:
     """Promises of every further effect, best first.
 
+    A base that has moved far from what is known of it stands in for what moved it. Where it stands
+    that effect changes little, so effects are looked at once more with the base back at its prior.
+
     Args:
         engine: the windows.
         fitted: the hypothesis to add to.
         nuisance: base parameters that are free.
         only: names to look at; None looks at all.
     """
+    found = {p.effect: p for p in _screen_at(engine, fitted, nuisance, only)}
+    back = return_base(engine, fitted)
+    if back is not None:
+        dearer = back.cost - fitted.cost
+        for p in _screen_at(engine, back, nuisance, only):
+            if p.gain - dearer > found[p.effect].gain:
+                found[p.effect] = p._replace(gain=p.gain - dearer, returned=True)
+    return sorted(found.values(), key=lambda promise: -promise.gain)
+
+
+def return_base(engine: Engine, fitted: Fitted) -> Fitted | None:
+    """The hypothesis with its base where the prior lies; None where it hardly left that."""
+    space = fitted.space
+    if space.base_cost(fitted.z) < STRAYED:
+        return None
+    z, own = fitted.z.copy(), slice(0, fitted.space.nuisance)
+    z[own] = space.centre[own]
+    linear = engine.linear(space, z, fitted.x)
+    if not linear.finite:
+        return None
+    # The starts stay: with what moved the base in its place they are as good as before.
+    tangent = engine.tangent(linear)
+    at = engine.reduce_by(tangent, linear.error, fitted.x)._replace(limit=fitted.at.limit)
+    return replace(fitted, z=z, at=at, cost=total(space, at, z), tangent=tangent, linear=linear)
+
+
+def _screen_at(
+    engine: Engine, fitted: Fitted, nuisance: Sequence[str], only: Sequence[str] | None
+) -> list[Promise]:
     found: list[Promise] = []
     effects = [
         e for e in open_effects(engine, fitted.space.effects) if only is None or e.name in only
@@ -67,8 +104,7 @@ def screen(
         while smooth and sum(len(e.parameters) for e in (*part, smooth[0])) <= room:
             part.append(smooth.pop(0))
         found += _linear(engine, fitted, nuisance, part)
-    found += [_scan(engine, fitted, nuisance, e) for e in effects if e.zero_gradient]
-    return sorted(found, key=lambda promise: -promise.gain)
+    return found + [_scan(engine, fitted, nuisance, e) for e in effects if e.zero_gradient]
 
 
 def extended(

@@ -7,9 +7,11 @@ import pytest
 
 from steerd.sim_gap.engine.base_fit import null_fit, open_engine
 from steerd.sim_gap.engine.engine import Engine
+from steerd.sim_gap.engine.knowledge import Knowledge
 from steerd.sim_gap.engine.space import nuisance_names
 from steerd.sim_gap.engine.superset import make_superset
-from steerd.sim_gap.verdict.screen import screen
+from steerd.sim_gap.verdict.candidates import refit
+from steerd.sim_gap.verdict.screen import STRAYED, screen
 
 NAMES = ("steer_bias", "steer_gain", "scrub", "speed_scale")
 
@@ -46,6 +48,24 @@ def test_one_that_diverges_is_untested_and_the_others_promise_as_before(case, mo
     for name in set(NAMES) - {"scrub"}:
         assert promises[name].tested
         assert promises[name].gain == pytest.approx(whole[name], rel=1e-6)
+
+
+def test_an_effect_that_the_base_stands_in_for_is_seen(drive, base):
+    """`accel_max` and `decel_max`, far from what is known of them, do the same as the limit."""
+    runs = drive("accel_limit=1.0", runs=2, seconds=6.0, seed=11)
+    nuisance = ("accel_max", "decel_max")
+    known = Knowledge(nuisance, np.diag([0.15**2, 0.2**2]), values=(5.0, 5.0))
+    superset = replace(make_superset(base, runs), knowledge=known)
+    engine = open_engine(superset, runs)
+    null = null_fit(engine, nuisance)
+    strayed = null.space.base_cost(null.z)
+    assert strayed > 5.0 * STRAYED
+    (promise,) = screen(engine, null, nuisance, ["accel_limit"])
+    assert promise.gain > 0.5 * strayed
+    found = refit(engine, null, nuisance, [promise])
+    assert found.fitted.own == pytest.approx([1.0], rel=0.05)
+    assert found.prior < 0.1 * strayed
+    assert found.fitted.cost < null.cost - 0.7 * strayed
 
 
 def test_the_reader_is_told(case):
