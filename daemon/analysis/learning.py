@@ -10,7 +10,8 @@ from steerd.daemon.analysis.diagnose_case import find_base
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import make_session_error
-from steerd.daemon.learning.feed import learn_all, make_feed
+from steerd.daemon.learning.feed import learn_all, make_feed, read_memory
+from steerd.daemon.learning.kept import METADATA
 from steerd.daemon.learning.samples import NEEDED, Wiring
 from steerd.daemon.sessions.info import load_session
 from steerd.steer_bus import messages as m
@@ -64,7 +65,9 @@ def learn_session(
     session = load_session(path)
     base, source, _ = find_base(car, (path,))
     try:
-        feed = make_feed(base, wiring_of_session(session))
+        # What an earlier drive taught is of the session's own car.
+        memory = session.info().metadata.get(METADATA, {}).get("memory", "") if car is None else ""
+        feed = make_feed(base, wiring_of_session(session), read_memory(memory))
     except ValueError as error:
         raise SteerdError(str(error), "steerd identify writes it anew", ExitCode.INVALID) from None
     recorded: list[bytes] = []

@@ -22,13 +22,17 @@ def is_virtual(start_ns: int) -> bool:
     return VIRTUAL_EPOCH_NS <= start_ns < VIRTUAL_EPOCH_NS + _DAY_NS
 
 
+def data_folder() -> Path:
+    """The user's data folder (systemd: `$STATE_DIRECTORY`)."""
+    return Path(os.environ.get("STATE_DIRECTORY") or platformdirs.user_data_path("steerd"))
+
+
 def default_session_path(car: str, realtime_ns: int, boot_id: int) -> Path:
     """A name made of date, car and run, in the user's data folder (systemd: `$STATE_DIRECTORY`)."""
     from datetime import UTC, datetime
 
     stamp = datetime.fromtimestamp(realtime_ns // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
-    base = os.environ.get("STATE_DIRECTORY") or platformdirs.user_data_path("steerd")
-    return Path(base) / "sessions" / f"{stamp}_{car}_{boot_id & 0xFFFFFFFF:08x}.mcap"
+    return data_folder() / "sessions" / f"{stamp}_{car}_{boot_id & 0xFFFFFFFF:08x}.mcap"
 
 
 def _git() -> dict[str, str]:

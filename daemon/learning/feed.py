@@ -1,5 +1,6 @@
 """The learner fed by encoded records, as recorder and session hold them."""
 
+import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,7 @@ from steerd.daemon.learning.reported import NS
 from steerd.daemon.learning.samples import NEEDED, Wiring, make_sample
 from steerd.sim_gap.online.base import make_learner
 from steerd.sim_gap.online.learner import Learner, State, fold
+from steerd.sim_gap.online.memory import Memory
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
@@ -45,7 +47,8 @@ class Feed:
         if not due:
             return None
         newest = round(self.state.recent.newest * NS)
-        return make_model(self.state, newest, self.wiring.epoch_ns, self.dropped)
+        remembered = self.learner.remembered
+        return make_model(self.state, newest, self.wiring.epoch_ns, self.dropped, remembered)
 
 
 def make_record(report: m.Model, number: int, log_time_ns: int) -> PipeRecord:
@@ -54,14 +57,35 @@ def make_record(report: m.Model, number: int, log_time_ns: int) -> PipeRecord:
     return PipeRecord(topics.MODEL, number, log_time_ns, published, data, report)
 
 
-def make_feed(car: CarFile, wiring: Wiring) -> Feed:
+def read_memory(text: str) -> Memory | None:
+    """What an earlier drive taught, as `kept.recall` writes it; None for an empty text.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    if not text:
+        return None
+    try:
+        data = json.loads(text)
+        values = {name: (float(value), float(sd)) for name, (value, sd) in data["values"].items()}
+        return Memory(values, float(data["days"]))
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"what an earlier drive taught is unreadable: {error}") from error
+
+
+def make_feed(car: CarFile, wiring: Wiring, memory: Memory | None = None) -> Feed:
     """A feed at its start.
+
+    Args:
+        car: the car file.
+        wiring: how the session's numbers are read.
+        memory: of an earlier drive of this car.
 
     Raises:
         ValueError: what identify wrote into the car file is not what it writes.
     """
     ramp = RAMP_ERPM / abs(wiring.erpm_gain)
-    return Feed(make_learner(car, ramp), wiring, State())
+    return Feed(make_learner(car, ramp, memory), wiring, State())
 
 
 def learn_all(feed: Feed, messages: Iterable[tuple[Topic, Any]]) -> Iterator[m.Model]:

@@ -5,7 +5,8 @@ from math import nan
 
 from steerd.daemon.learning.reported import NS, ReportedChange, ReportedValue, pack
 from steerd.sim_gap.online.learner import Change, State
-from steerd.sim_gap.online.values import Value, values_of
+from steerd.sim_gap.online.memory import Remembered
+from steerd.sim_gap.online.values import Value, unit_of, values_of
 from steerd.steer_bus import messages as m
 
 NONE_NS = -1
@@ -29,7 +30,13 @@ def changes_of(state: State) -> tuple[Change, ...]:
     return (*state.past, state.change) if state.change is not None else state.past
 
 
-def make_model(state: State, mono_ns: int, epoch_ns: int, dropped: int) -> m.Model:
+def make_model(
+    state: State,
+    mono_ns: int,
+    epoch_ns: int,
+    dropped: int,
+    remembered: tuple[Remembered, ...] = (),
+) -> m.Model:
     """The report of a state.
 
     Args:
@@ -37,8 +44,10 @@ def make_model(state: State, mono_ns: int, epoch_ns: int, dropped: int) -> m.Mod
         mono_ns: of the newest pose [ns, monotonic].
         epoch_ns: UNIX time minus monotonic time [ns].
         dropped: records that were lost so far.
+        remembered: what an earlier drive taught: reported until this one knows the car.
     """
-    values = values_of(state.known) if state.known else ()
+    early = (Value(*each, unit_of(each.name), True) for each in remembered)
+    values = values_of(state.known) if state.known else tuple(early)
     by_name = {value.name: value for value in values}
     changes = [_reported_change(change) for change in changes_of(state)]
     newest = changes[-1] if changes else None

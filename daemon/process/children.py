@@ -8,6 +8,7 @@ import select
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import make_pipe
 from steerd.daemon.process.learner_job import (
+    NO_MEMORY,
     OURS,
     core_ends,
     learner_fds,
@@ -26,6 +28,7 @@ from steerd.daemon.process.learner_job import (
     make_learner_job,
     reader_fds,
 )
+from steerd.daemon.process.learner_memory import LearnerMemory, recall_learnt
 from steerd.daemon.process.page_job import make_page_job
 from steerd.daemon.process.view_job import make_view_job
 from steerd.daemon.settings.run_options import encode_options
@@ -207,11 +210,12 @@ def start_learner(
     pipes: Mapping[str, tuple[int, int]],
     epoch_ns: int,
     designs: tuple[socket.socket, ...] = (),
+    memory: LearnerMemory = NO_MEMORY,
 ) -> Child | None:
     """Start the learner of `--learn`; nobody waits for it."""
     if not plan.options.learn:
         return None
-    job = make_learner_job(plan, epoch_ns)
+    job = make_learner_job(plan, epoch_ns, memory)
     return spawn("steerd.daemon.process.learner", learner_fds(pipes, designs), job)
 
 
@@ -229,6 +233,7 @@ def start_processes(
     gateway_end, gateway_core_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     terminal_end, terminal_core_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     designs = make_design_ends(plan)
+    memory = recall_learnt(plan, session, epoch_ns + time.monotonic_ns())
     fds = core_ends(pipes, designs) | {
         "parent": terminal_core_end.fileno(),
         "gateway_requests": gateway_core_end.fileno(),
@@ -238,7 +243,7 @@ def start_processes(
     try:
         # All at once: each takes a second for its imports. What the core writes before the others
         # are ready waits in its pipes.
-        meta = make_metadata(plan, boot_id, epoch_ns, leased=leased)
+        meta = make_metadata(plan, boot_id, epoch_ns, leased=leased) | dict(memory.metadata)
         started.append(_start_recorder(plan, session, meta, epoch_ns, pipes))
         started.append(_start_gateway(plan, pipes, gateway_end.fileno()))
         started.append(_start_core(plan, boot_id, epoch_ns, leased, fds))
@@ -260,7 +265,7 @@ def start_processes(
         if recording:
             session.unlink(missing_ok=True)
         raise
-    learner = start_learner(plan, pipes, epoch_ns, designs)
+    learner = start_learner(plan, pipes, epoch_ns, designs, memory)
     for name in pipes:
         os.close(pipes[name][1])
         if name not in OURS:

@@ -18,10 +18,14 @@ from typing import Any
 from steerd.car_model.car_file import parse_car
 from steerd.controller.build import compute_table
 from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.common.whole_file import write_whole
+from steerd.daemon.common.written import write_output
 from steerd.daemon.ipc.learner_wire import Gaps
 from steerd.daemon.ipc.pipe_records import PipeWriter, pack_record, unpack_records
 from steerd.daemon.ipc.signals import ignore_terminal_signals
-from steerd.daemon.learning.feed import Feed, make_feed, make_record
+from steerd.daemon.learning.feed import Feed, make_feed, make_record, read_memory
+from steerd.daemon.learning.keeping import Keeper
+from steerd.daemon.learning.kept import About
 from steerd.daemon.learning.proposing import Proposals, make_proposer
 from steerd.daemon.learning.samples import Wiring
 from steerd.daemon.settings.run_options import decode_options
@@ -39,15 +43,21 @@ class LearnerLoop:
         feed: the learner.
         outputs: where reports go.
         proposals: what is proposed to the core, or None.
+        keeper: writes what is learnt beside the car file, or None.
         reports: how many there were.
     """
 
     def __init__(
-        self, feed: Feed, outputs: Sequence[PipeWriter], proposals: Proposals | None = None
+        self,
+        feed: Feed,
+        outputs: Sequence[PipeWriter],
+        proposals: Proposals | None = None,
+        keeper: Keeper | None = None,
     ) -> None:
         self.feed = feed
         self.outputs = outputs
         self.proposals = proposals
+        self.keeper = keeper
         self.reports = 0
         self._gaps = Gaps()
 
@@ -67,6 +77,13 @@ class LearnerLoop:
                 self._send(report, record.log_time_ns)
                 if self.proposals is not None:
                     self.proposals.propose(self.feed, report.mono_ns)
+                if self.keeper is not None:
+                    self.keeper.take(report)
+
+    def end(self) -> None:
+        """The drive is over: keep what was learnt."""
+        if self.keeper is not None:
+            self.keeper.end()
 
     def _send(self, report: m.Model, log_time_ns: int) -> None:
         packed = pack_record(make_record(report, self.reports, log_time_ns))
@@ -82,7 +99,29 @@ def make_learner_feed(job: Mapping[str, Any]) -> Feed:
         ValueError: the car file holds what identify does not write.
     """
     wiring = Wiring(int(job["epoch_ns"]), float(job["erpm_gain"]), float(job["erpm_offset"]))
-    return make_feed(parse_car(job["car"], Path(job["path"])), wiring)
+    car = parse_car(job["car"], Path(job["path"]))
+    return make_feed(car, wiring, read_memory(job.get("memory", "")))
+
+
+def make_keeper(job: Mapping[str, Any]) -> Keeper | None:
+    """Who keeps what the job's learner learns; None for simulated hardware."""
+    if not job.get("page"):
+        return None
+    page, refused = Path(job["page"]), bool(job["page_refused"])
+
+    def write(text: str) -> None:
+        nonlocal refused
+        page.parent.mkdir(parents=True, exist_ok=True)
+        if refused:  # whatever is there is somebody's
+            write_output(page, text)
+        else:
+            write_whole(page, text)
+        refused = False
+
+    def complain(text: str) -> None:
+        print(f"steerd learner: {text}; the drive goes on", file=sys.stderr)
+
+    return Keeper(About(*job["about"]), write, complain)
 
 
 def _make_proposals(options: str, fd: int) -> Proposals:
@@ -116,10 +155,12 @@ def main() -> int:
         return 4
     os.write(ready_fd, b"ready\n")
     os.close(ready_fd)
-    loop, buffer = LearnerLoop(feed, [PipeWriter(fd) for fd in out_fds], proposals), bytearray()
+    outputs = [PipeWriter(fd) for fd in out_fds]
+    loop, buffer = LearnerLoop(feed, outputs, proposals, make_keeper(job)), bytearray()
     while data := os.read(pipe_fd, _READ_BYTES):
         buffer += data
         loop.take(buffer)
+    loop.end()
     return 0
 
 

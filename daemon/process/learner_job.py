@@ -5,10 +5,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.process.learner_memory import LearnerMemory
 from steerd.daemon.settings.run_options import encode_options
 
 REPORTS = ("report_recorder", "report_gateway", "report_terminal")
 """Pipes from the learner, each to the process that its name ends with."""
+NO_MEMORY = LearnerMemory()
 OURS = ("status", "report_terminal")
 """Pipes that are read in this terminal's own process."""
 
@@ -47,13 +49,19 @@ def learner_fds(
     return fds | ({"designs": designs[0].fileno()} if designs else {})
 
 
-def make_learner_job(plan: RunPlan, epoch_ns: int) -> dict[str, Any]:
-    """Car file and scaling, see `learner.make_learner_feed`."""
+def make_learner_job(
+    plan: RunPlan, epoch_ns: int, memory: LearnerMemory = NO_MEMORY
+) -> dict[str, Any]:
+    """Car file, scaling and memory, see `learner.make_learner_feed` and `make_keeper`."""
     return {
         "epoch_ns": epoch_ns,
         "car": plan.settings.file.text,
         "path": str(plan.settings.file.path),
         "erpm_gain": plan.settings.scaling.erpm_gain,
         "erpm_offset": plan.settings.scaling.erpm_offset,
+        "memory": memory.memory,
+        "page": memory.page,
+        "page_refused": memory.refused,
+        "about": memory.about,
         "adapt": encode_options(plan.options) if plan.options.adapt else "",
     }

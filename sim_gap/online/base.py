@@ -7,6 +7,7 @@ from steerd.sim_gap.engine.noise import noise_of_section
 from steerd.sim_gap.engine.space import FLOORS, LIMITS
 from steerd.sim_gap.engine.superset import Superset, make_superset
 from steerd.sim_gap.online.learner import Learner
+from steerd.sim_gap.online.memory import Memory, remember
 from steerd.sysid.estimation.chart import RELATIVE
 
 NOT_IDENTIFIED = 20.0
@@ -17,12 +18,13 @@ MEASURED = {"lf": 2.5, "lr": 2.5, "steer_gain": 8.0, "c_x": 2.0}
 a longer car that steers more (see `chart`) a lane would pull them to where no car is."""
 
 
-def make_learner(car: CarFile, ramp: float = 0.0) -> Learner:
+def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) -> Learner:
     """A learner about a car file.
 
     Args:
         car: as identified, or its figures as published.
         ramp: limit of the motor controller's setpoint [m/s^2], 0 for none.
+        memory: of an earlier drive of this car.
 
     Raises:
         ValueError: what identify wrote into the file is not what it writes.
@@ -30,7 +32,8 @@ def make_learner(car: CarFile, ramp: float = 0.0) -> Learner:
     superset = make_superset(car, ())
     if superset.knowledge is None and not superset.sd:
         superset = replace(superset, sd=_published(superset))
-    return Learner(superset, noise_of_section(car.sections.get("noise", {})), ramp)
+    remembered = remember(superset, memory) if memory is not None else ()
+    return Learner(superset, noise_of_section(car.sections.get("noise", {})), ramp, remembered)
 
 
 def _published(superset: Superset) -> dict[str, float]:

@@ -25,6 +25,7 @@ from steerd.sim_gap.online.changes import (
 )
 from steerd.sim_gap.online.fitting import Point, look_closer, rank
 from steerd.sim_gap.online.looking import Anchor, Look, look
+from steerd.sim_gap.online.memory import Remembered, with_memory
 from steerd.sim_gap.online.naming import Finding, name
 from steerd.sim_gap.online.reference import learn_reference
 from steerd.sim_gap.online.samples import (
@@ -66,11 +67,13 @@ class Learner:
         superset: the car file's base, with every effect of the library.
         noise: as the car file knows it.
         ramp: limit of the motor controller's setpoint [m/s^2], 0 for none.
+        remembered: what an earlier drive of this car taught.
     """
 
     superset: Superset
     noise: Noise | None = None
     ramp: float = 0.0
+    remembered: tuple[Remembered, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,22 +193,33 @@ def _learn(learner: Learner, state: State) -> State:
     """Learn the car once there are windows enough."""
     if len(state.windows) < REFERENCE:
         return state
-    known = learn(learner, state.windows)
+    known = learn(learner, state.windows, learner.remembered)
     kept = state.windows[-SPANS[-1] :] if known else state.windows[REFERENCE // 2 :]
     return replace(state, windows=kept, known=known)
 
 
-def learn(learner: Learner, windows: tuple[tuple[float, Run], ...]) -> Known | None:
-    """The car as it is in these windows; None where its base's simulation leaves the map."""
+def learn(
+    learner: Learner,
+    windows: tuple[tuple[float, Run], ...],
+    remembered: tuple[Remembered, ...] = (),
+) -> Known | None:
+    """The car as it is in these windows; None where its base's simulation leaves the map.
+
+    Args:
+        learner: the car file's car.
+        windows: drives and when each began [s].
+        remembered: what an earlier drive taught; left out where these windows contradict it.
+    """
     times, runs = [t for t, _ in windows], [run for _, run in windows]
     found = learn_reference(learner.superset, runs, times, learner.noise)
     if found is None:
         return None
     effects = found.anchor.space.effects
-    usual = usual_of(found.anchor, effects, found.track, found.looks)
+    track = with_memory(found.anchor, found.track, remembered)
+    usual = usual_of(found.anchor, effects, track, found.looks)
     level = robust_mean(np.array([seen.ratio for seen in found.looks]))
-    looks, tracks = found.looks[-SPANS[-1] :], (found.track,) * SPANS[-1]
-    return Known(found.anchor, effects, found.track, usual, level, looks, tracks[: len(looks)])
+    looks, tracks = found.looks[-SPANS[-1] :], (track,) * SPANS[-1]
+    return Known(found.anchor, effects, track, usual, level, looks, tracks[: len(looks)])
 
 
 def _watch(state: State, known: Known, seen: Look) -> State:

@@ -1,0 +1,139 @@
+"""What a learner keeps beside the car file from one run to the next; no numerics are loaded here.
+
+A TOML page: of which car and which numbers of its file it is, when and in which session it was
+learnt, each number with its standard deviation, and the changes. Its first line is a digest of the
+rest, so a torn or edited page is recognised.
+"""
+
+# Why: docs/decisions/diagnosis.md#d87
+
+import hashlib
+import json
+import tomllib
+from math import isfinite
+from typing import Any, NamedTuple
+
+from steerd.car_model.car_file import CarFile
+from steerd.daemon.learning.reported import reported_changes, reported_values
+from steerd.daemon.learning.text import describe_change
+from steerd.steer_bus import messages as m
+
+METADATA = "steerd.learner"
+"""Metadata of a session whose learner began with an earlier drive's numbers."""
+SIZE_MAX = 100_000
+"""A kept page is small; what is larger is something else [bytes]."""
+AHEAD_NS = 60_000_000_000
+"""A page this much younger than now is one from the future: less is a clock that was set."""
+DAY_NS = 86_400_000_000_000
+_HEAD = "# sha256 "
+_ABOUT = "# What steerd learnt while driving; written anew by `steerd run --learn`.\n"
+
+
+class KeptError(ValueError):
+    """A page that cannot be used; the text is what is wrong and what to try."""
+
+
+class About(NamedTuple):
+    """Of what a page is.
+
+    Attributes:
+        car: the car's name.
+        numbers: digest of the car file's numbers, see `digest_numbers`.
+        version: of steerd.
+        session: the file's name.
+    """
+
+    car: str
+    numbers: str
+    version: str
+    session: str
+
+
+class Kept(NamedTuple):
+    """A page that was read: of what, when [UNIX ns], and (value, standard deviation) by name."""
+
+    about: About
+    written_ns: int
+    values: dict[str, tuple[float, float]]
+
+
+def digest_numbers(car: CarFile, erpm_gain: float, erpm_offset: float) -> str:
+    """SHA-256 of everything in a car file that gives learnt numbers their meaning.
+
+    Comments, gains and limits may be edited; another wheel, tyre or effect is another car.
+    """
+    numbers = {
+        "chassis": [car.chassis.name, car.chassis.drive],
+        "car": car.car._asdict(),
+        "effects": {e.name: v for e, v in zip(car.effects, car.values, strict=True)},
+        "sd": dict(car.sd),
+        "learnt": {name: car.sections.get(name, {}) for name in ("knowledge", "noise")},
+        "scaling": [erpm_gain, erpm_offset],
+    }
+    return hashlib.sha256(json.dumps(numbers, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def format_kept(about: About, report: m.Model) -> str:
+    """The page of a report: what it identifies, and every change.
+
+    Args:
+        about: of what it is.
+        report: of a learner that knows the car.
+    """
+    quoted = {name: json.dumps(text) for name, text in about._asdict().items()}
+    lines = [f"{name} = {text}" for name, text in quoted.items()]
+    lines.append(f"written_ns = {m.stamp_ns(report.header)}")
+    changes = [describe_change(report, change) for change in reported_changes(report)]
+    said = [json.dumps(text.replace("\u00a0", " "), ensure_ascii=False) for text in changes]
+    lines += ["changes = [", *(f"  {text}," for text in said), "]", "", "[values]"]
+    for value in reported_values(report):
+        if value.identifiable and isfinite(value.value) and value.sd > 0.0 and isfinite(value.sd):
+            pair = f"[{float(value.value)!r}, {float(value.sd)!r}]"
+            lines.append(f"{json.dumps(value.name)} = {pair}  # {value.unit}")
+    body = _ABOUT + "\n".join(lines) + "\n"
+    return f"{_HEAD}{_digest(body)}\n{body}"
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def parse_kept(data: bytes) -> Kept:
+    """Read a page.
+
+    Raises:
+        KeptError: it is torn, edited, or none.
+    """
+    try:
+        head, _, body = data.decode().partition("\n")
+        if len(data) > SIZE_MAX or head != _HEAD + _digest(body):
+            raise KeptError("is torn or was edited; this drive writes it anew")
+        page: dict[str, Any] = tomllib.loads(body)
+        about = About(*(str(page[name]) for name in About._fields))
+        values = {name: (float(v), float(sd)) for name, (v, sd) in page["values"].items()}
+        return Kept(about, int(page["written_ns"]), values)
+    except KeptError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise KeptError("is not what steerd writes; move it elsewhere") from error
+
+
+def recall(kept: Kept, about: About, now_ns: int) -> str:
+    """What a session's metadata says of the numbers that its learner begins with: JSON.
+
+    Args:
+        kept: the page.
+        about: the run.
+        now_ns: UNIX time.
+
+    Raises:
+        KeptError: it is another car's, or of other numbers, or from the future.
+    """
+    if kept.about.car != about.car:
+        raise KeptError(f"is of {kept.about.car}, not of {about.car}; give each car its own file")
+    if kept.about.numbers != about.numbers:
+        raise KeptError("is of other numbers: the car file was edited since; drive to learn anew")
+    if kept.written_ns > now_ns + AHEAD_NS:
+        raise KeptError("is from the future; set this machine's clock (`date`)")
+    days = max(now_ns - kept.written_ns, 0) / DAY_NS
+    return json.dumps({"days": days, "values": kept.values}, separators=(",", ":"))

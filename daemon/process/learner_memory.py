@@ -1,0 +1,79 @@
+"""What an earlier run's learner kept for this one: found and checked before the processes start."""
+
+# Why: docs/decisions/diagnosis.md#d87
+
+import hashlib
+import sys
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+from steerd.car_model.car_file import default_car_path
+from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.assembly.session_meta import data_folder
+from steerd.daemon.common.screen import print_labelled
+from steerd.daemon.learning.kept import (
+    METADATA,
+    SIZE_MAX,
+    About,
+    KeptError,
+    digest_numbers,
+    parse_kept,
+    recall,
+)
+
+
+class LearnerMemory(NamedTuple):
+    """Where a run's learner keeps what it learns, and what it begins with.
+
+    Attributes:
+        page: the file; empty for simulated hardware, whose numbers are no car's.
+        about: of what it is.
+        memory: JSON of what it begins with, empty for the car file alone.
+        refused: whether a page is there that cannot be used; it is not overwritten but moved aside.
+        metadata: what the session says of it.
+    """
+
+    page: str = ""
+    about: About = About("", "", "", "")
+    memory: str = ""
+    refused: bool = False
+    metadata: Mapping[str, dict[str, str]] = MappingProxyType({})
+
+
+def learnt_page(plan: RunPlan) -> Path:
+    """`car.learnt.toml` beside `car.toml`; for the car that steerd brings, in the data folder."""
+    path = plan.settings.file.path
+    if path == default_car_path():
+        return data_folder() / f"{plan.options.car}.learnt.toml"
+    return path.with_name(f"{path.stem}.learnt.toml")
+
+
+def recall_learnt(plan: RunPlan, session: Path, now_ns: int) -> LearnerMemory:
+    """What the run's learner begins with; a page that cannot be used is named on standard error.
+
+    Args:
+        plan: of the run.
+        session: its file.
+        now_ns: UNIX time.
+    """
+    if not plan.options.learn or plan.options.simulated:
+        return LearnerMemory()
+    page, scaling = learnt_page(plan), plan.settings.scaling
+    numbers = digest_numbers(plan.settings.file, scaling.erpm_gain, scaling.erpm_offset)
+    about = About(plan.options.car, numbers, version("steerd"), session.name)
+    try:
+        with page.open("rb") as file:
+            data = file.read(SIZE_MAX + 1)
+        memory = recall(parse_kept(data), about, now_ns)
+    except FileNotFoundError:
+        return LearnerMemory(str(page), about)
+    except (OSError, KeptError) as error:
+        why = error if isinstance(error, KeptError) else f"cannot be read ({error.strerror})"
+        text = f"{page} {why}. The learner begins with the car file."
+        print_labelled("note: ", text, sys.stderr)
+        return LearnerMemory(str(page), about, refused=True)
+    metadata = {"file": page.name, "sha256": hashlib.sha256(data).hexdigest(), "memory": memory}
+    return LearnerMemory(str(page), about, memory, metadata={METADATA: metadata})
