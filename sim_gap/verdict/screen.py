@@ -75,7 +75,7 @@ def screen(
 
 
 def return_base(engine: Engine, fitted: Fitted) -> Fitted | None:
-    """The hypothesis with its base where the prior lies; None where it hardly left that."""
+    """The hypothesis with its base where the prior lies; None where it stayed near that."""
     space = fitted.space
     if space.base_cost(fitted.z) < STRAYED:
         return None
