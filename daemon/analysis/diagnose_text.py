@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Protocol
 
 from steerd.daemon.analysis.diagnose_case import Case
-from steerd.daemon.common.screen import wrap_command
 from steerd.sim_gap.diagnosis import Diagnosis as Findings
 from steerd.sim_gap.lane_comparison import LaneComparison
 from steerd.sim_gap.report.summary_text import (
@@ -57,21 +56,12 @@ def describe(diagnosis: Described, written: Path | None = None, report: Path | N
         report: the report that was written.
     """
     must = [line for label, text in _rows(diagnosis) for line in _wrap(label, text)]
-    # A command to copy comes last: broken only where a shell lets it be.
-    last = wrap_command(
-        _next(diagnosis, written, report), f"{'next':<{_MARGIN}}", " " * (_MARGIN + 2)
-    )
-    room = max(LINES - len(must) - len(last), 0)
-    lines = _notes((*diagnosis.case.notes, *diagnosis.findings.notes), room)
-    return "\n".join([*must[: LINES - len(last)], *lines[:room], *last])
-
-
-def _notes(notes: tuple[str, ...], room: int) -> list[str]:
-    """Whole sentences where there is room for all of them, else a line of each."""
-    lines = [line for note in notes for line in _wrap("note", note)]
-    if len(lines) <= room:
-        return lines
-    return [line for note in notes for line in _wrap("note", _shortened(note))]
+    # The last line is a command to copy: never broken.
+    last = [f"{'next':<{_MARGIN}}{_next(diagnosis, written, report)}"]
+    notes = (*diagnosis.case.notes, *diagnosis.findings.notes)
+    lines = [line for note in notes for line in _wrap("note", _shortened(note))]
+    room = LINES - len(must) - len(last)
+    return "\n".join([*must[: LINES - len(last)], *lines[: max(room, 0)], *last])
 
 
 def _shortened(note: str) -> str:

@@ -129,7 +129,7 @@ def manoeuvre_words(found: Diagnosis) -> str:
     following = found.next_manoeuvre
     if following is not None:
         first, second = following.separates
-        what = f"{following.name}, {following.how}: `{following.command}`"
+        what = f"`{following.command}` ({following.name})"
         return f"to distinguish {first} from {second}: {what}"
     if found.verdict == "none":
         return "nothing; if the car behaves badly elsewhere, record it there"

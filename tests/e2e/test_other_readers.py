@@ -20,7 +20,6 @@ DRIVEN = {
     "pose": "geometry_msgs/msg/PoseStamped",
     "vesc_state": "vesc_msgs/msg/VescStateStamped",
     "model": "steerd_msgs/msg/Model",
-    "design": "steerd_msgs/msg/Design",
     "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     "rosout": "rcl_interfaces/msg/Log",
 }
