@@ -6,6 +6,8 @@ and the inertia make good what is missing. From there the dead time is moved by 
 long as that lowers the cost.
 """
 
+# Why: docs/decisions/identification.md#d89
+
 from steerd.sim_gap.engine.engine import Engine
 from steerd.sim_gap.engine.levenberg_marquardt import ENOUGH, Fitted, minimise
 

@@ -1,5 +1,7 @@
 """Which effects are worth a refit: one Jacobian for those with a gradient, else a scan."""
 
+# Why: docs/decisions/diagnosis.md#d88
+
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
