@@ -4,10 +4,10 @@ The output is committed, so that driving a car records nothing; a test prints it
 """
 
 import re
-import sys
 from pathlib import Path
 
 from steerd.car_model.chassis import derivative
+from steerd.car_model.machine_code import write_generated
 from steerd.car_model.params import Car
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import State
@@ -84,11 +84,5 @@ def _unpacked(owner: str, fields: tuple[str, ...], used: set[str]) -> list[str]:
     return [f"{name} = {owner}.{name}" for name in fields if name in used]
 
 
-def main() -> None:
-    """Write the generated module beside this one."""
-    TARGET.write_text(generated_text(), encoding="utf-8")
-    sys.stdout.write(f"wrote {TARGET.name}\n")
-
-
 if __name__ == "__main__":
-    main()
+    write_generated(TARGET, generated_text())

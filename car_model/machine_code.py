@@ -17,6 +17,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -53,6 +54,12 @@ class Source(NamedTuple):
     name: str
     folder: Path
     files: tuple[str, ...]
+
+
+def write_generated(target: Path, text: str) -> None:
+    """Write a generated file and say so: what `python -m` of a generator does."""
+    target.write_text(text, encoding="utf-8")
+    sys.stdout.write(f"wrote {target.name}\n")
 
 
 def printed_function(

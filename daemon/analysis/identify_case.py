@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from steerd.car_model.car_file import CarFile, CarFileError, Learned, parse_car, updated_text
-from steerd.car_model.effects import EFFECTS, find_effect
+from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
 from steerd.daemon.analysis.car_output import teach_car
@@ -24,7 +24,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import open_session
 from steerd.sysid.estimation.effect_selection import CANDIDATES
 from steerd.sysid.estimation.fit import Options, default_free
-from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names
+from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names, held_names
 from steerd.sysid.estimation.prediction_horizon import level_loads, scale_inertia
 
 _USAGE = ExitCode.USAGE
@@ -119,15 +119,8 @@ def make_task(request: IdentifyRequest, warn: Warn) -> Task:
         dask=request.dask,
         truth=_truth(sessions, files, warn),
         effects=candidates,
-        held=_held(fixed, free, axles_known=length is not None),
+        held=held_names(fixed, free, axles_known=length is not None),
     )
-
-
-def _held(fixed: Sequence[str], free: Sequence[str], *, axles_known: bool) -> tuple[str, ...]:
-    """What keeps its value: what is fixed, and all else where `--free` names what does not."""
-    axles = ("lf", "lr") if axles_known and {"lf", "lr"} & set(fixed) else ()
-    others = [name for name in (*Car._fields, *EFFECTS) if name not in free] if free else []
-    return tuple(dict.fromkeys((*fixed, *axles, *others)))
 
 
 def _candidates(given: tuple[str, ...] | Literal["auto"]) -> tuple[str, ...]:

@@ -3,10 +3,9 @@
 The output is committed, so that driving a car records nothing; a test prints it again and compares.
 """
 
-import sys
 from pathlib import Path
 
-from steerd.car_model.machine_code import PRELUDE, printed_function
+from steerd.car_model.machine_code import PRELUDE, printed_function, write_generated
 from steerd.car_model.params import Car
 from steerd.car_model.tape import TAPE, Tape
 from steerd.estimator.actuation import GIVEN, SO_FAR, recorded_piece
@@ -44,11 +43,5 @@ def generated_text() -> str:
     return "".join(printed)
 
 
-def main() -> None:
-    """Write the generated header beside this module."""
-    TARGET.write_text(generated_text(), encoding="utf-8")
-    sys.stdout.write(f"wrote {TARGET.name}\n")
-
-
 if __name__ == "__main__":
-    main()
+    write_generated(TARGET, generated_text())

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car, wheelbase
 from steerd.sysid.data.dataset import Run, check_sources
@@ -470,3 +471,17 @@ def free_names(
     """
     known = {"lf", "lr"} if axles_known and {"lf", "lr"} & set(fixed) else set()
     return tuple(name for name in (free or default) if name not in known.union(fixed))
+
+
+def held_names(fixed: Sequence[str], free: Sequence[str], *, axles_known: bool) -> tuple[str, ...]:
+    """What keeps its value: what is fixed, and all else where `--free` names what does not.
+
+    With the distance of the axles known, the other length follows from the one that is fixed or
+    free.
+    """
+    axles = ("lf", "lr") if axles_known else ()
+    kept = axles if set(axles) & set(fixed) else ()
+    follows = axles if set(axles) & set(free) else ()
+    moving = {*free, *follows}
+    others = [name for name in (*Car._fields, *EFFECTS) if name not in moving] if free else []
+    return tuple(dict.fromkeys((*fixed, *kept, *others)))

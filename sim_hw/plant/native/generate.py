@@ -4,10 +4,8 @@ The functions of each chassis, of a car without effects. The output is committed
 again and compares.
 """
 
-import sys
-
 from steerd.car_model.chassis import Chassis
-from steerd.car_model.machine_code import PRELUDE, printed_function
+from steerd.car_model.machine_code import PRELUDE, printed_function, write_generated
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
 from steerd.car_model.planar import DRIVES, make_planar
@@ -38,11 +36,5 @@ def generated_text() -> str:
     return "".join(printed)
 
 
-def main() -> None:
-    """Write the generated source beside this module."""
-    TARGET.write_text(generated_text(), encoding="utf-8")
-    sys.stdout.write(f"wrote {TARGET.name}\n")
-
-
 if __name__ == "__main__":
-    main()
+    write_generated(TARGET, generated_text())

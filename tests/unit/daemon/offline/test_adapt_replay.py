@@ -7,12 +7,12 @@ from steerd.controller.learnt import approach_learnt
 from steerd.daemon.loop.design_message import make_design, make_no_design
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import make_recording
-from steerd.daemon.offline.replay import replay
 from steerd.daemon.offline.virtual import EPOCH_NS, drive, make_virtual_run
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session_read import open_session
 from tests.designs import design_for, make_adapt_plan, numbers
+from tests.replays import count_differences_without
 
 pytestmark = pytest.mark.slow
 AIM = {"steer_gain": 0.88, "steer_bias": 0.02}
@@ -84,13 +84,4 @@ def test_no_change_of_designs_jerks_the_wheel(session):
 
 
 def test_a_replay_gives_every_order_again_and_without_the_designs_others(session):
-    run, differences = replay(session, "drive.mcap")
-    assert list(differences) == []
-    assert run.ticks > 2500
-    deaf, _ = replay(session, "drive.mcap")
-    missed = [
-        difference
-        for record in session.messages()
-        if not record.topic.endswith("/design") and (difference := deaf.take(record)) is not None
-    ]
-    assert len(missed) > 500
+    assert count_differences_without(session, "/design", ticks=2500) > 500

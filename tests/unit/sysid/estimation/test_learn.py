@@ -19,7 +19,14 @@ from steerd.sysid.data.segments import (
     with_wheel_speed,
 )
 from steerd.sysid.estimation.fit import Options, fit
-from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names, learn, scatter
+from steerd.sysid.estimation.learn import (
+    Task,
+    fit_wheelbase,
+    free_names,
+    held_names,
+    learn,
+    scatter,
+)
 from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
 from steerd.sysid.estimation.validation import HORIZONS, errors_at, trace_windows
 from steerd.sysid.parallel import map_jobs
@@ -218,3 +225,16 @@ def test_a_slew_limit_that_nobody_measured_is_doubted_where_it_is_felt(simulated
             assert abs(row.value - getattr(truth.car, name)) < 4.0 * row.sd, name
     sure = learn(replace(task, held=("steer_rate",)), lambda: 0.0)
     assert sure.rows["steer_lag"].sd < 0.3 * found.rows["steer_lag"].sd
+
+
+def test_what_keeps_its_value():
+    assert held_names((), (), axles_known=True) == ()
+    assert held_names(("mass",), (), axles_known=False) == ("mass",)
+    assert set(held_names(("lf",), (), axles_known=True)) == {"lf", "lr"}
+    held = held_names((), ("lr", "steer_gain"), axles_known=False)
+    assert "lf" in held
+    assert "tyre_saturation" in held
+    assert not {"lr", "steer_gain"} & set(held)
+    follows = held_names((), ("lr",), axles_known=True)
+    assert not {"lf", "lr"} & set(follows), "of a known distance one length follows from the other"
+    assert {"lf", "lr"} <= set(held_names(("lf",), ("lr",), axles_known=True))
