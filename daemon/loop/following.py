@@ -291,13 +291,16 @@ def _settle(now: Band, aim: Band, h: float, lag: float) -> Band:
 
 
 def _around_time(trail: tuple[Mark, ...], t_ns: int) -> tuple[Mark, Mark]:
-    """The marks before and after a moment; the last one twice for what is later."""
+    """The marks before and after a moment not before the first; the last twice for what is later.
+
+    A trail of one mark gives that one twice.
+    """
     after = trail[-1]
-    for mark in reversed(trail):
+    for mark in reversed(trail[1:]):
         if mark.t_ns <= t_ns:
             return mark, after
         after = mark
-    return after, after
+    return trail[0], after
 
 
 def _speed_at(trail: tuple[Mark, ...], t_ns: int) -> Band:
