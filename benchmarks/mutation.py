@@ -40,6 +40,9 @@ TABLES = (
 TESTS = (
     "tests/unit/controller/test_limits.py", "tests/unit/daemon/loop/test_supervisor.py",
     "tests/unit/daemon/loop/test_watchdogs.py", "tests/unit/daemon/loop/test_watchdogs_pose.py",
+    "tests/unit/daemon/loop/test_watchdogs_fence.py",
+    "tests/unit/daemon/loop/test_watchdogs_stops.py",
+    "tests/unit/daemon/loop/test_watchdogs_vesc.py",
     "tests/unit/daemon/settings/test_thresholds.py", "tests/unit/daemon/loop/test_launch.py",
     "tests/unit/daemon/process/test_guardian.py", "tests/unit/daemon/loop/test_supervisor_stops.py",
     "tests/unit/daemon/loop/test_lateness.py", "tests/unit/daemon/loop/test_lease.py",
