@@ -115,6 +115,7 @@ class World:
         self.mocap: VrpnDevice | NatNetServer = kind(config.mocap, self.network, noise, t_start_ns)
         self._cameras = Cameras(config.mocap, make_noise_source(config.seed, "cameras"), t_start_ns)
         self._h = config.step_ns / 1e9
+        self._step_ns = config.step_ns
         self._faults = tuple(in_world_time(fault, t_start_ns) for fault in faults)
         self._rx = bytearray()
         self._stuck = 0
@@ -143,13 +144,16 @@ class World:
 
     def advance(self, t_ns: int) -> None:
         """Let time pass until ``t_ns``; earlier times change nothing."""
-        car, vesc, h, step_ns = self.car, self.vesc, self._h, self.config.step_ns
+        if t_ns <= self.t_ns and t_ns < self._edge_ns:
+            return
+        car, vesc, h, step_ns = self.car, self.vesc, self._h, self._step_ns
         while car.t_ns + step_ns <= t_ns:
             steer, demand = vesc.step(car.t_ns, h)
             car.step(steer, demand)
-            if car.t_ns >= self._edge_ns:
-                self._apply_faults(car.t_ns)
-            if self._cameras.next_ns <= car.t_ns:
+            now = car.t_ns
+            if now >= self._edge_ns:
+                self._apply_faults(now)
+            if self._cameras.next_ns <= now:
                 for capture in self._cameras.captures(car):
                     self.mocap.publish(capture)
         if t_ns >= self._edge_ns:
@@ -159,14 +163,17 @@ class World:
     @property
     def next_wake_ns(self) -> int:
         """When something may be due to be read, or may come to be under way (an exposure)."""
-        vesc, step_ns = self.vesc, self.config.step_ns
+        vesc, step_ns = self.vesc, self._step_ns
         t_ns = self.car.t_ns
-        steps = 1 if vesc.unsettled else max(1, -(-(self._cameras.next_ns - t_ns) // step_ns))
-        wake = min(t_ns + steps * step_ns, self._edge_ns)
-        for due in (vesc.next_wake_ns, self.network.next_ns):
-            if due is not None and due < wake:
-                wake = due
-        return wake
+        steps = 1 if vesc.unsettled else -(-(self._cameras.next_ns - t_ns) // step_ns)
+        wake = t_ns + (steps if steps > 1 else 1) * step_ns
+        due = vesc.next_wake_ns
+        if due is not None and due < wake:
+            wake = due
+        due = self.network.next_ns
+        if due is not None and due < wake:
+            wake = due
+        return wake if wake < self._edge_ns else self._edge_ns
 
     def truth(self) -> Truth:
         """The true state at the latest physics step."""
@@ -209,11 +216,15 @@ class World:
             OSError: the device is gone (EIO).
         """
         self.advance(t_ns)
-        if not self.vesc.connected:
+        vesc = self.vesc
+        if not vesc.connected:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
-        data = b"".join(chunk.data for chunk in self.vesc.advance(t_ns))
+        due = vesc.next_wake_ns
+        if due is None or due > t_ns:
+            return b""
+        data = b"".join([chunk.data for chunk in vesc.advance(t_ns)])
         if data:
-            self.vesc.on_read(len(data))
+            vesc.on_read(len(data))
         return data
 
     # --- mocap

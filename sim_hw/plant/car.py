@@ -45,6 +45,7 @@ class Demand(NamedTuple):
     value: float
 
 
+_SPEED = Drive.SPEED
 COAST = Demand(Drive.BRAKE, 0.0)
 
 
@@ -119,21 +120,27 @@ class SimCar:
         if self._drive_delay_ns:
             demand = self._delay_demand(demand, t0, t1)
         drive, value = demand
-        if drive is Drive.SPEED and abs(before.speed) >= self._substeps:
+        if drive is _SPEED and abs(before.speed) >= self._substeps:
             numbers = self._steps.follow(*before, *self._memory, steer, value, t, h)
         else:
-            target = value if drive is Drive.SPEED else before.speed
+            target = value if drive is _SPEED else before.speed
             end, accel = self._steps.actuate(*before, *self._memory, steer, target, t, h)
-            if drive is not Drive.SPEED:
+            if drive is not _SPEED:
                 accel = self._free_acceleration(demand)
             numbers = self._glide(before, end, accel, t)
         self._memory = numbers[7:]
         after: State[float] = State._make(numbers[:7])
-        if drive is not Drive.SPEED:
+        if drive is not _SPEED:
             after = self._keep_rest(before, after, demand)
         if self._noisy and after.speed:
             after = self._add_process_noise(after)
-        self._finish(before, after, t1)
+        self.accel_x = (after.speed - before.speed) / h
+        turn = after.yaw_rate + (after.slip_angle - before.slip_angle) / h
+        self.accel_y = after.speed * turn
+        self.state = after
+        self.t_ns = t1
+        self._count += 1
+        self._history[self._count % len(self._history)] = after
 
     def _delay_demand(self, demand: Demand, t0: int, t1: int) -> Demand:
         self._mode.push(t0, float(demand.drive))
@@ -186,16 +193,6 @@ class SimCar:
             yaw_rate=state.yaw_rate + yaw,
             slip_angle=state.slip_angle + slip,
         )
-
-    def _finish(self, before: State[float], after: State[float], t1: int) -> None:
-        h = self._h
-        self.accel_x = (after.speed - before.speed) / h
-        turn = after.yaw_rate + (after.slip_angle - before.slip_angle) / h
-        self.accel_y = after.speed * turn
-        self.state = after
-        self.t_ns = t1
-        self._count += 1
-        self._history[self._count % len(self._history)] = after
 
     def state_at(self, t_ns: int) -> State[float]:
         """True state at a past time, straight between grid points; as far back as is kept."""

@@ -6,7 +6,6 @@ keeps; a device never asks for the time.
 """
 
 from collections import deque
-from collections.abc import Iterator
 from typing import NamedTuple, Protocol
 
 
@@ -52,11 +51,12 @@ class ByteQueue:
         self._chunks.append(Chunk(self.last_ns, data))
         return self.last_ns
 
-    def due(self, t_ns: int) -> Iterator[Chunk]:
+    def due(self, t_ns: int) -> list[Chunk]:
         """Take out what is due by ``t_ns``."""
-        chunks = self._chunks
-        while chunks and chunks[0].t_ns <= t_ns:
-            yield chunks.popleft()
+        chunks, out = self._chunks, []
+        while chunks and chunks[0][0] <= t_ns:
+            out.append(chunks.popleft())
+        return out
 
     def clear(self) -> None:
         """Lose everything that is still in flight."""

@@ -96,6 +96,7 @@ class SimVesc:
         self._parser = make_parser(config.firmware)
         self.boot_ns = t_ns - uptime_ns
         self._servo_target = self._servo_out = 0.5
+        self._servo_steer = servo_pos_to_steer(self._scaling, self._servo_out)
         self._servo_next_ns = t_ns + config.servo_phase_ns
         self._busy_until_ns = self._alive_next_ns = self._stats_next_ns = t_ns
         self._later: deque[tuple[int, Reply]] = deque()
@@ -151,30 +152,27 @@ class SimVesc:
         """
         if self._off_until_ns >= 0:
             if t_ns < self._off_until_ns:
-                return servo_pos_to_steer(self._scaling, self._servo_out), COAST
+                return self._servo_steer, COAST
             self._off_until_ns = -1
             self._boot(t_ns)
-        if self._held or self.fault_state.alive_ns:
+        faults, power, config = self.fault_state, self.power, self.config
+        if self._held or faults.alive_ns:
             self._catch_up(t_ns)
-        self._watch(t_ns)
-        erpm = self._true_erpm()
-        act = self.motor.step(t_ns, h)
-        demand, current = self._act(act, erpm)
-        self.power.step(current, erpm, h, self.fault_state.sag)
-        if t_ns >= self._stats_next_ns:
-            self._stats_next_ns = t_ns + TICK_NS
-            self.stats.sample(self.car.state.speed, self.power)
-        return self._servo(t_ns), demand
-
-    def _watch(self, t_ns: int) -> None:
-        """Conditions that are faults."""
-        faults = self.fault_state
         if faults.fault_code:
             self.motor.hold_fault(t_ns, faults.fault_code)
-        if self.power.voltage < self.config.voltage_min:
+        if power.voltage < config.voltage_min:
             self.motor.hold_fault(t_ns, _UNDER_VOLTAGE)
-        if self.power.temp_c > self.config.temp_limit_c:
+        if power.temp_c > config.temp_limit_c:
             self.motor.hold_fault(t_ns, _OVER_TEMP)
+        erpm = self._true_erpm()
+        demand, current = self._act(self.motor.step(t_ns, h), erpm)
+        power.step(current, erpm, h, faults.sag)
+        if t_ns >= self._stats_next_ns:
+            self._stats_next_ns = t_ns + TICK_NS
+            self.stats.sample(self.car.state.speed, power)
+        if t_ns >= self._servo_next_ns:
+            self._move_servo(t_ns)
+        return self._servo_steer, demand
 
     def _act(self, act: Act, erpm: float) -> tuple[Demand, float]:
         """The demand for the wheels and the motor current [A, wire sign]."""
@@ -198,15 +196,15 @@ class SimVesc:
         wheel = self.car.wheel_speed()
         return self._sign * (scaling.erpm_gain * wheel + scaling.erpm_offset * (wheel != 0.0))
 
-    def _servo(self, t_ns: int) -> float:
-        """A new angle takes effect with the next pulse; without output it never does."""
+    def _move_servo(self, t_ns: int) -> None:
+        """A new angle takes effect with the pulse that is due; without output it never does."""
         config = self.config
-        if config.servo_out and not self.fault_state.servo_dead and t_ns >= self._servo_next_ns:
+        if config.servo_out and not self.fault_state.servo_dead:
             self._servo_out = self._servo_target
+            self._servo_steer = servo_pos_to_steer(self._scaling, self._servo_out)
             if config.servo_frame_ns:
                 behind = (t_ns - self._servo_next_ns) // config.servo_frame_ns
                 self._servo_next_ns += config.servo_frame_ns * (behind + 1)
-        return servo_pos_to_steer(self._scaling, self._servo_out)
 
     # --- the wire
 
@@ -214,10 +212,11 @@ class SimVesc:
     def next_wake_ns(self) -> int | None:
         """When bytes are due at the latest."""
         due = self._wire.outbox.next_ns
-        if self._rotor_next_ns is not None:
-            due = self._rotor_next_ns if due is None else min(due, self._rotor_next_ns)
-        if self._later:
-            due = self._later[0][0] if due is None else min(due, self._later[0][0])
+        rotor_ns = self._rotor_next_ns
+        if rotor_ns is not None and (due is None or rotor_ns < due):
+            due = rotor_ns
+        if self._later and (due is None or self._later[0][0] < due):
+            due = self._later[0][0]
         return due
 
     @property
@@ -259,9 +258,10 @@ class SimVesc:
             self._rotor_next_ns += _ROTOR_NS
         if not self.connected:
             return []
-        chunks = list(self._wire.outbox.due(t_ns))
-        for chunk in chunks:
-            self.log.add(chunk.t_ns, "host", chunk.data)
+        chunks = self._wire.outbox.due(t_ns)
+        if self.log.enabled:
+            for chunk in chunks:
+                self.log.add(chunk.t_ns, "host", chunk.data)
         return chunks
 
     def on_read(self, count: int) -> None:

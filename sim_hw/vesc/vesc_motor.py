@@ -41,6 +41,7 @@ class Act(NamedTuple):
     value: float
 
 
+_SPEED = Mode.SPEED
 _RELEASE = Act(Mode.RELEASED, 0.0)
 
 
@@ -64,6 +65,7 @@ class Motor:
         self.timed_out = False
         self.fault = 0
         self.limits = make_limits(config)
+        self._ramps = config.firmware >= _RAMP_SINCE
         self._fed_ns = t_ns
         self._tick_ns = t_ns + TICK_NS
         self._fault_until_ns = self._ignore_until_ns = t_ns
@@ -142,9 +144,18 @@ class Motor:
             self._tick(t_ns)
         if self.fault and t_ns >= self._fault_until_ns:
             self.fault = 0
-        if self.mode is Mode.SPEED:
-            return self._follow(h)
-        return Act(self.mode, self.value)
+        if self.mode is not _SPEED:
+            return Act(self.mode, self.value)
+        # The ramp moves; a setpoint that is too slow releases the motor.
+        if self._ramps:
+            most = self.config.erpm_ramp * h
+            gap = self.value - self.ramped
+            self.ramped += most if gap > most else -most if gap < -most else gap
+        else:
+            self.ramped = self.value
+        if abs(self.ramped) < self.config.erpm_min:
+            return _RELEASE
+        return Act(_SPEED, self.ramped)
 
     def _tick(self, t_ns: int) -> None:
         """The 10 ms thread."""
@@ -162,17 +173,6 @@ class Motor:
         if self.fault_state.kill:
             self._set(Mode.RELEASED, 0.0)
             self._ignore_until_ns = max(self._ignore_until_ns, t_ns + _KILL_NS)
-
-    def _follow(self, h: float) -> Act:
-        """Move the ramp; a setpoint that is too slow releases the motor."""
-        if self.config.firmware >= _RAMP_SINCE:
-            most = self.config.erpm_ramp * h
-            self.ramped += min(max(self.value - self.ramped, -most), most)
-        else:
-            self.ramped = self.value
-        if abs(self.ramped) < self.config.erpm_min:
-            return _RELEASE
-        return Act(Mode.SPEED, self.ramped)
 
 
 def make_limits(config: VescConfig) -> dict[str, float]:

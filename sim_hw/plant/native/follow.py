@@ -49,12 +49,13 @@ def make_native(
     inside = hooked(model.effects) - _OUTSIDE
     if library is None or function is None or inside or memory_size(model.effects):
         return None
-    car, numbers_after = _CAR.pack(*model.car), ctypes.c_double * HALVES[half]
+    car, taken = _CAR.pack(*model.car), Struct(f"={HALVES[half]}d")
+    memory = bytearray(taken.size)
+    after = (ctypes.c_char * taken.size).from_buffer(memory)
 
     def step(*numbers: float) -> Numbers:
-        after = numbers_after()
         function(car, _GIVEN.pack(*numbers), after)
-        found = tuple(after)
+        found = taken.unpack(memory)
         return found if isfinite(sum(found)) else in_python(*numbers)
 
     return step
