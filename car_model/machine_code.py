@@ -7,8 +7,8 @@ Where no compiler is found, or the code cannot be loaded, Python computes.
 
 # Why: docs/decisions/kernels.md#d84
 
-import contextlib
 import ctypes
+import errno
 import hashlib
 import math
 import os
@@ -19,6 +19,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -46,6 +47,10 @@ void try_functions(double a, double *out)
 {_TRIED}}}
 """
 """What printed C begins with."""
+
+
+class CodeNotKept(UserWarning):
+    """Machine code cannot be kept on the disk: what it would do takes longer."""
 
 
 class Source(NamedTuple):
@@ -107,7 +112,7 @@ def build_library(source: Source) -> Path | None:
     path, compiler = library_path(source), find_compiler()
     if path.exists() or not compiler:
         return path if path.exists() else None
-    with contextlib.suppress(OSError, subprocess.SubprocessError):
+    try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="build-", dir=path.parent) as folder:
             made = Path(folder) / path.name
@@ -115,8 +120,18 @@ def build_library(source: Source) -> Path | None:
             command = [*compiler, *FLAGS, "-o", str(made), text, "-lm"]
             subprocess.run(command, check=True, capture_output=True, timeout=_COMPILE_S)
             made.replace(path)
-        return path
-    return None
+    except OSError as error:
+        _report(path.parent, str(error.strerror))
+    except subprocess.SubprocessError as error:
+        full = os.strerror(errno.ENOSPC)
+        if full.encode() in (getattr(error, "stderr", b"") or b""):
+            _report(path.parent, full)
+    return path if path.exists() else None
+
+
+def _report(folder: Path, why: str) -> None:
+    text = f"{folder}: {why}; without machine code, filter and simulated car are slower"
+    warnings.warn(text, CodeNotKept, stacklevel=3)
 
 
 def load_library(

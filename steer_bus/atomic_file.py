@@ -11,11 +11,19 @@ MODE = 0o644
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST)
 
 
 def is_full(error: OSError) -> bool:
     """Whether a disk, a quota or a limit of the shell (`ulimit -f`) took no more bytes."""
     return error.errno in _FULL
+
+
+def takes_nothing(error: Exception) -> bool:
+    """Whether a place cannot be written: it is full, or its rights, owner or mount forbid it."""
+    if not isinstance(error, OSError):
+        return False
+    return is_full(error) or (error.errno in _REFUSED and error.filename is not None)
 
 
 def write_atomically(path: Path, data: str | bytes, mode: int = MODE) -> None:

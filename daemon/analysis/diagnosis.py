@@ -24,6 +24,7 @@ from steerd.daemon.common.written import write_outputs
 from steerd.sim_gap.diagnosis import Cause
 from steerd.sim_gap.diagnosis import Diagnosis as Findings
 from steerd.sim_gap.lane_comparison import LaneComparison
+from steerd.steer_bus.atomic_file import takes_nothing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -254,4 +255,6 @@ def _find_causes(
         what = "the base car's simulation leaves every bound in some of these windows"
         raise SteerdError(what, _IDENTIFY, ExitCode.STOPPED) from None
     except (ValueError, OSError) as error:
+        if takes_nothing(error):
+            raise
         raise SteerdError(str(error), "", ExitCode.INVALID) from None

@@ -27,6 +27,7 @@ from steerd.daemon.analysis.sources import (
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.outputs import check_outputs
 from steerd.daemon.common.written import write_outputs
+from steerd.steer_bus.atomic_file import takes_nothing
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.estimation.learn import Task
 from steerd.sysid.estimation.outcome import Outcome, encode_outcome
@@ -252,4 +253,6 @@ def _learn(task: Task) -> Outcome:
         hint = "give start values closer to the car: --car FILE.toml, --wheelbase"
         raise SteerdError(str(error), hint, ExitCode.STOPPED) from None
     except (ValueError, OSError) as error:
+        if takes_nothing(error):
+            raise
         raise SteerdError(str(error), "", ExitCode.INVALID) from None

@@ -12,7 +12,9 @@ import importlib
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
+from typing import TextIO
 
 from steerd.daemon.cli.inputs import check_inputs
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -139,6 +141,7 @@ def _refuse(name: str, parser: argparse.ArgumentParser, unknown: list[str]) -> S
 
 def main() -> int:
     """Entry point of the console script."""
+    warnings.showwarning = show_warning
     code = run_cli(sys.argv[1:])
     if "zenoh" in sys.modules:
         # zenoh's threads may call into Python while the interpreter shuts down, which aborts.
@@ -163,26 +166,47 @@ def run_cli(argv: Sequence[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.OK
     except Exception as error:
-        if isinstance(error, OSError) and _is_full(error):
-            return _end_full(error)
+        if isinstance(error, OSError) and _takes_nothing(error):
+            return _end_unwritten(error)
         traceback.print_exc()
         print("steerd: this is a bug in steerd; please report the lines above", file=sys.stderr)
         return ExitCode.INTERNAL
 
 
-def _is_full(error: OSError) -> bool:
+def _takes_nothing(error: OSError) -> bool:
+    from steerd.steer_bus.atomic_file import takes_nothing
+
+    return takes_nothing(error)
+
+
+def _end_unwritten(error: OSError) -> int:
+    """A disk that took no more, wherever that was: a cache, a temporary file, the output itself."""
     from steerd.steer_bus.atomic_file import is_full
 
-    return is_full(error)
-
-
-def _end_full(error: OSError) -> int:
-    """A disk that took no more, wherever that was: a cache, a temporary file, the output itself."""
     where = error.filename or "a cache, a temporary file or the output"
-    _print_error(SteerdError(f"{where}: {error.strerror}", "free some space"))
+    hint = "free some space" if is_full(error) else "look at its owner, its rights and its mount"
+    _print_error(SteerdError(f"{where}: {error.strerror}", hint))
     with contextlib.suppress(OSError):  # what is buffered has no place to go, at the end too
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return ExitCode.UNREADABLE
+
+
+def show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Show steerd's own warnings as its errors are shown; others with their place in the code."""
+    from steerd.daemon.common.screen import print_labelled
+
+    stream = file or sys.stderr
+    if category.__module__.startswith("steerd."):
+        print_labelled("steerd: ", str(message), stream)
+    else:
+        stream.write(warnings.formatwarning(message, category, filename, lineno, line))
 
 
 def _print_error(error: SteerdError) -> None:

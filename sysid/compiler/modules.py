@@ -6,16 +6,13 @@ cache that is older than the equations is never used. Numba keeps the machine co
 
 import hashlib
 import importlib.util
-import os
 import sys
-import tempfile
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
 import numba
-import platformdirs
 
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
@@ -32,16 +29,8 @@ from steerd.sysid.compiler import (
     simd_rows,
 )
 from steerd.sysid.compiler.codegen import generate
+from steerd.sysid.compiler.disk import at_place, cache_folder, replace_folder, spare_failures
 from steerd.sysid.compiler.trace import trace
-
-CACHE_VARIABLE = "STEERD_CACHE"
-"""Environment variable that names another cache folder."""
-
-
-def cache_folder() -> Path:
-    """Where compiled models are kept; it need not exist yet."""
-    chosen = os.environ.get(CACHE_VARIABLE)
-    return Path(chosen) if chosen else platformdirs.user_cache_path("steerd")
 
 
 def _text(module: ModuleType) -> str:
@@ -74,8 +63,11 @@ def write_module(effects: Sequence[Effect] = (), chassis: Chassis = SINGLE_TRACK
     path = folder / f"model_{_fingerprint(source)}.py"
     if path.exists():
         return path
-    folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, source)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, source)
+    except OSError as error:
+        raise at_place(error, folder) from None
     return path
 
 
@@ -87,10 +79,13 @@ def load_module(effects: tuple[Effect, ...] = (), chassis: Chassis = SINGLE_TRAC
         OSError: neither the cache folder nor a temporary one can be written.
     """
     try:
-        path = write_module(effects, chassis)
-    except PermissionError:
-        os.environ[CACHE_VARIABLE] = tempfile.mkdtemp(prefix="steerd-")
-        path = write_module(effects, chassis)
+        return _run_module(write_module(effects, chassis))
+    except (OSError, RuntimeError) as error:  # Numba's RuntimeError: no place for machine code
+        replace_folder(error)
+    return _run_module(write_module(effects, chassis))
+
+
+def _run_module(path: Path) -> ModuleType:
     name = f"steerd_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
@@ -98,4 +93,5 @@ def load_module(effects: tuple[Effect, ...] = (), chassis: Chassis = SINGLE_TRAC
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     spec.loader.exec_module(module)
+    spare_failures(module)
     return module

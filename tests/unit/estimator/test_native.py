@@ -202,6 +202,25 @@ def test_a_compiler_that_makes_nothing_leaves_nothing(
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
+def test_a_folder_that_cannot_be_written_is_named(monkeypatch: Any, tmp_path: Any) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    with pytest.warns(machine_code.CodeNotKept, match="file/steerd/machine-code: Not a directory"):
+        assert machine_code.build_library(FILTER) is None
+
+
+def test_a_disk_that_fills_while_compiling_is_named(monkeypatch: Any, tmp_path: Any) -> None:
+    compiler = tmp_path / "compiler"
+    compiler.write_text(
+        "#!/bin/sh\necho 'ld: final link failed: No space left on device' >&2\nfalse"
+    )
+    compiler.chmod(0o755)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("CC", str(compiler))
+    with pytest.warns(machine_code.CodeNotKept, match="No space left on device; without"):
+        assert machine_code.build_library(FILTER) is None
+
+
 def test_a_damaged_library_is_not_used(both: Any, monkeypatch: Any, tmp_path: Any) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     path = machine_code.library_path(FILTER)

@@ -1,11 +1,16 @@
 """The command line's last resorts: a bug, a reader that is gone, a key pressed in the middle."""
 
+import errno
 import io
+import os
 import subprocess
 import sys
+import warnings
 
 import pytest
 
+from steerd.car_model.machine_code import CodeNotKept
+from steerd.daemon.cli import main
 from steerd.daemon.cli.main import COMMANDS, run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import open_session
@@ -20,6 +25,35 @@ def test_a_bug_has_its_own_code_and_says_that_it_is_one(monkeypatch, capsys):
     error = capsys.readouterr().err
     assert "ZeroDivisionError: in a command" in error
     assert error.splitlines()[-1].startswith("steerd: this is a bug in steerd")
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES, errno.ENOTDIR])
+def test_a_place_that_refuses_is_no_bug(number, monkeypatch, capsys):
+    def refused(args):
+        raise OSError(number, os.strerror(number), "/srv/cache")
+
+    monkeypatch.setattr("steerd.daemon.cli.commands.analysis.effects.run", refused)
+    assert run_cli(["effects"]) == ExitCode.UNREADABLE
+    what, hint = capsys.readouterr().err.splitlines()
+    assert what == f"steerd: /srv/cache: {os.strerror(number)}"
+    assert "its owner, its rights and its mount" in hint
+
+
+def test_own_warnings_are_told_as_errors_are_and_others_with_their_place(monkeypatch, capsys):
+    def warned(args):
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.showwarning = main.show_warning
+            warnings.warn("/srv/cache: full", CodeNotKept, stacklevel=1)
+            warnings.warn("of a library", RuntimeWarning, stacklevel=1)
+        return 0
+
+    monkeypatch.setattr("steerd.daemon.cli.commands.analysis.effects.run", warned)
+    assert run_cli(["effects"]) == 0
+    first, second, *_ = capsys.readouterr().err.splitlines()
+    assert first == "steerd: /srv/cache: full"
+    assert "test_main.py" in second
+    assert second.endswith("RuntimeWarning: of a library")
 
 
 @pytest.mark.slow
