@@ -27,6 +27,8 @@ FLUSH = bytes(MAX_PAYLOAD + 8)
 _START = re.compile(rb"[\x02\x03]")
 _STOP = 0x03
 _OVERHEAD = 6
+_CUT = 2
+"""A header of so many bytes or fewer may be cut."""
 
 
 def encode_frame(payload: bytes) -> bytes:
@@ -104,10 +106,14 @@ class FrameParser:
 
     def feed_stamped(self, data: bytes, t_ns: int) -> list[Frame]:
         """As `feed`, with the arrival time of each frame's first byte."""
-        old_total = self._base + len(self._buffer)
-        if not self._buffer and (whole := self._take_whole(data, t_ns)):
-            return whole
+        if not self._buffer and not data:
+            return []  # nothing is open, so nothing is stale
         stale = self._is_stale(t_ns)
+        if not stale and len(self._buffer) <= _CUT and self._next == self._base:
+            whole = self._take_whole(data, t_ns)
+            if whole:
+                return whole
+        old_total = self._base + len(self._buffer)
         if not data and not stale:
             return []
         if stale and self._strict:
@@ -122,18 +128,27 @@ class FrameParser:
         return found
 
     def _take_whole(self, data: bytes, t_ns: int) -> list[Frame]:
-        """The frames of a read that holds whole, good frames and nothing else, or none.
+        """The frames of a read that holds good frames and at most the cut header of a next one.
 
-        Nearly every read is one. The general way gives the same, with candidates and offsets kept.
+        Nearly every read is one: what was buffered before is such a header too, for USB sends a
+        reply's first byte ahead. None where there is anything else. The general way gives the same,
+        with candidates and offsets kept.
         """
+        held = len(self._buffer)
+        t_first_ns = t_ns
+        if held:
+            t_first_ns = self._time_of(self._base)
+            data = bytes(self._buffer) + data
         longest, at, total = min(self.ceiling, self._max_payload), 0, len(data)
         found: list[Frame] = []
         while at < total:
             kind = data[at]
             begin = at + kind
-            if kind not in (2, 3) or begin > total:
+            if kind not in (2, 3):
                 return []
-            size = int.from_bytes(data[at + 1 : begin], "big")
+            if begin > total:
+                break
+            size = data[at + 1] if kind == 2 else int.from_bytes(data[at + 1 : begin], "big")
             stop = begin + size + 2
             if not (1 if kind == 2 else 255) <= size <= longest or stop >= total:
                 return []
@@ -141,13 +156,16 @@ class FrameParser:
             crc = int.from_bytes(data[stop - 2 : stop], "big")
             if data[stop] != _STOP or binascii.crc_hqx(payload, 0) != crc:
                 return []
-            found.append(Frame(bytes(payload), t_ns, t_ns))
+            found.append(Frame(bytes(payload), t_first_ns, t_ns))
+            t_first_ns = t_ns
             at = stop + 1
         if found:
             self._reads.clear()
-            self._reads.append((self._base, t_ns))
-            self._base = self._next = self._taken = self._base + total
-            self._frame_bytes += total
+            self._reads.append((self._base + held, t_ns))
+            self._base = self._next = self._taken = self._base + at
+            if held or at < total:
+                self._buffer[:] = data[at:]
+            self._frame_bytes += at
             self.frames += len(found)
         return found
 

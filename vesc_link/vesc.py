@@ -134,7 +134,10 @@ class VescLink:
     @property
     def ready(self) -> bool:
         """Whether the connect sequence is over (`appconf` may be None: it did not answer)."""
-        return self._connect_step() is None
+        if self.firmware is None:
+            return False
+        known = self.appconf is not None and self.limits is not None
+        return known or self._connect_step() is None
 
     def request(self, command: Command) -> None:
         """Send a one-off command with one of the next ticks that has room for it.
@@ -250,6 +253,12 @@ class VescLink:
             self._uptime_due_ns = t_ns + UPTIME_PERIOD_NS
 
     def _expire(self, t_ns: int) -> None:
+        patience = min(POLL_EXPIRY_NS, self._expiry_ns)
+        for request in self._open.values():
+            if t_ns - request.t_sent_ns > patience:
+                break
+        else:
+            return
         for number, request in list(self._open.items()):
             polled = isinstance(request.command, _POLLS)
             patience = min(POLL_EXPIRY_NS, self._expiry_ns) if polled else self._expiry_ns
@@ -268,9 +277,11 @@ class VescLink:
         events: list[e.Event] = []
         for frame in self.parser.feed_stamped(data, t_ns):
             events += self._on_frame(frame)
-        self._expire(t_ns)
-        events += self._expired_events
-        self._expired_events = []
+        if self._open:
+            self._expire(t_ns)
+        if self._expired_events:
+            events += self._expired_events
+            self._expired_events = []
         return events
 
     def _ceiling(self) -> int:
