@@ -121,6 +121,11 @@ def test_no_request_of_a_former_holder_is_taken_twice():
     assert take(lease, (ANN, 11))[1] == Request.NONE
 
 
+def test_nobody_is_no_former_holder():
+    lease, _ = take(Lease(BOOT), (ANN, 1))
+    assert (lease.holder, lease.former) == (ANN, ())
+
+
 def test_so_many_former_holders_are_remembered():
     lease, _ = take(Lease(BOOT), *((who, 1) for who in range(1, FORMER_MAX + 2)))
     assert len(lease.former) == FORMER_MAX

@@ -242,6 +242,8 @@ def test_launch_window_caps_the_speed_until_the_checks_have_passed():
         SteeringOutput.LIVE,
         0.5,
     )
+    car.tick()
+    assert car.action.cap == 0.5, "as long as they have not passed"
     car.facts |= Fact.LAUNCHED
     car.tick()
     assert car.action.cap == inf

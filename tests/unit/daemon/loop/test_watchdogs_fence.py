@@ -39,6 +39,8 @@ def test_fence_counts_the_stopping_distance():
             assert brief(look(th, x=sign * (edge + 0.001), **changes)) == [("W19", HARD)]
     assert brief(look(th, y=2.0 - reach + 0.001, course=pi / 2, speed=2.0)) == [("W19", HARD)]
     assert brief(look(th, x=nan)) == [("W19", HARD)]
+    (unknown,) = look(th, x=nan)
+    assert unknown.text == "W19 fence: where the car is is not known"
     assert brief(look(th, x=1.0, speed=0.0, state=SupervisorState.DISARMED)) == []
     assert cos(0.0) == 1.0
     assert brief(look(th, x=2.0 - 0.125, speed=0.0, state=SupervisorState.DISARMED)) == [
