@@ -143,6 +143,8 @@ def shift_curvature(curvature: float, offset: float) -> float:
 
 def shift_lane(at: Projection, offset: float) -> Projection:
     """A point's place against the lane so far to the left of the path [m]."""
+    if not offset:
+        return at
     return at._replace(e1=at.e1 - offset, curvature=shift_curvature(at.curvature, offset))
 
 
@@ -160,6 +162,8 @@ def limit_target(
 
 def approach(now: LiveValues, aim: LiveValues, dt: float) -> LiveValues:
     """Live parameters after `dt` seconds; the speed follows by the ramp of its reference."""
+    if now == aim:
+        return aim
     return LiveValues(
         aim.speed,
         _step(now.offset, aim.offset, OFFSET_RATE * dt),

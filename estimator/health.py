@@ -13,6 +13,7 @@ from scipy.linalg.lapack import dpotrf
 
 from steerd.estimator.kalman import Array, Belief
 from steerd.estimator.sensors import Kind
+from steerd.steer_bus.quick_values import quick_init
 
 SECONDS = 1e-9
 
@@ -40,7 +41,8 @@ class Tally(NamedTuple):
     pose: Count = Count()
 
 
-@dataclass(frozen=True)
+@quick_init
+@dataclass(frozen=True, slots=True)
 class SensorHealth:
     """One instrument over the last `HEALTH_WINDOW_S`, and since the filter started."""
 
@@ -57,7 +59,8 @@ class SensorHealth:
     seen: int
 
 
-@dataclass(frozen=True)
+@quick_init
+@dataclass(frozen=True, slots=True)
 class FilterHealth:
     """The filter's own view of itself at one instant."""
 
@@ -77,14 +80,11 @@ class FilterHealth:
 def count_measurement(tally: Tally, kind: Kind, t_ns: int, nis: float, believed: bool) -> Tally:
     """The totals after one more measurement."""
     old = tally[kind]
-    new = Count(
-        seen=old.seen + 1,
-        refused=old.refused + (not believed),
-        streak=0 if believed else old.streak + 1,
-        nis=nis,
-        nis_sum=old.nis_sum + (nis if believed else 0.0),
-        believed_ns=t_ns if believed else old.believed_ns,
-    )
+    seen, refused, streak, _, nis_sum, believed_ns = old
+    if believed:
+        new = Count(seen + 1, refused, 0, nis, nis_sum + nis, t_ns)
+    else:
+        new = Count(seen + 1, refused + 1, streak + 1, nis, nis_sum, believed_ns)
     counts = list(tally)
     counts[kind] = new
     return Tally(*counts)

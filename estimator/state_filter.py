@@ -44,6 +44,7 @@ from steerd.estimator.motion import SIZE, predict_belief
 from steerd.estimator.native.choice import make_kernel
 from steerd.estimator.native.kernel import Kernel
 from steerd.estimator.sensors import Kind, Measurement, Sensor, make_sensors, residual
+from steerd.steer_bus.quick_values import quick_init
 
 FUTURE_NS = 2_000_000
 """A measurement from further ahead than this has a broken clock behind it."""
@@ -64,6 +65,7 @@ class Node(NamedTuple):
     tally: Tally
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class FilterState:
     """All that the filter knows. A value: every function returns a new one."""
@@ -87,7 +89,8 @@ class StateFilter:
     """The same in machine code, bit for bit; without it, Python computes."""
 
 
-@dataclass(frozen=True, eq=False)
+@quick_init
+@dataclass(frozen=True, eq=False, slots=True)
 class StateEstimate:
     """The car at one instant."""
 
@@ -156,18 +159,18 @@ def step(
         redo_ns = min(redo_ns, sent_ns + min(dead_times(flt.car)))
     oldest_ns = now_ns - round(flt.config.history_s * NS)
     dead_time_ns = max(dead_times(flt.car))
-    timely = sorted(
-        m
-        for m in (_correct_latency(flt.car, m) for m in measurements)
-        if oldest_ns <= m.t_ns <= now_ns + FUTURE_NS
-    )
+    if flt.car.pose_delay:
+        measurements = [_correct_latency(flt.car, m) for m in measurements]
+    latest_ns = now_ns + FUTURE_NS
+    timely = sorted([m for m in measurements if oldest_ns <= m.t_ns <= latest_ns])
     if not state.nodes:
         lost = len(measurements) - len(timely)
         recent = drop_older(history, oldest_ns - dead_time_ns)
         return _start_filter(
             flt, FilterState((), recent, state.first_poses, state.untimely + lost), timely
         )
-    known = [m for m in timely if m.t_ns >= _time(state.nodes[0])]
+    first_ns = _time(state.nodes[0])
+    known = [m for m in timely if m.t_ns >= first_ns]
     untimely = state.untimely + len(measurements) - len(known)
     nodes = _fuse(flt, history, state.nodes, known, redo_ns)
     first = max(bisect_right(nodes, oldest_ns, key=_time) - 1, 0)
@@ -230,7 +233,7 @@ def _fuse(
     if fresh:
         keep = min(keep, bisect_left(nodes, fresh[0], key=_measurement))
     keep = max(keep, 1)
-    root, later = nodes[keep - 1], sorted([*fresh, *(node.measurement for node in nodes[keep:])])
+    root, later = nodes[keep - 1], sorted([*fresh, *[node.measurement for node in nodes[keep:]]])
     before = [root.measurement, *later]
     chain = [m for m, last in zip(later, before, strict=False) if m != last]
     return (*nodes[:keep], *_follow(flt, history, root, chain))
@@ -290,7 +293,10 @@ def _next(flt: StateFilter, history: History, node: Node, measurement: Measureme
 
 def _plausible(measurement: Measurement) -> bool:
     """Finite, and small enough that squares of it stay numbers. Comparisons with NaN are false."""
-    return all(abs(value) < ABSURD for value in measurement.values)
+    for value in measurement.values:  # noqa: SIM110 - thrice as fast as a generator
+        if not abs(value) < ABSURD:
+            return False
+    return True
 
 
 def _start_filter(flt: StateFilter, state: FilterState, fresh: list[Measurement]) -> FilterState:

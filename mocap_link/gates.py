@@ -14,6 +14,7 @@ from math import hypot, isfinite, pi, radians
 
 from steerd.mocap_link.frame import PlanarPose, wrap_angle
 from steerd.mocap_link.source import RawPose
+from steerd.steer_bus.quick_values import quick_init
 
 REASONS: dict[str, str] = {
     "not_live": "the server replays a recording (edit mode)",
@@ -71,6 +72,7 @@ class GateConfig:
     reacquire_count: int = 15
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Fix:
     """A planar pose and body height with their time of validity."""
@@ -82,6 +84,7 @@ class Fix:
     height: float
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class GateState:
     """What the gates remember.
@@ -162,7 +165,10 @@ def step_gates(
         return state, order
     key = (*raw.position, *raw.quaternion)
     repeats = state.repeats + 1 if key == state.pose else 1
-    state = replace(state, frame=raw.frame, pose=key, repeats=repeats)
+    state = GateState(
+        raw.frame, state.last, state.before, state.height, key, repeats,
+        state.candidate, state.candidate_run,
+    )  # fmt: skip
     reason = check_raw(config, raw, metres_per_unit)
     if reason is None and pose is None:
         reason = "not_finite"
@@ -192,8 +198,8 @@ def _check_place(
     reason = _compare(config, state, fix)
     if reason is None:
         height = fix.height if state.height is None else state.height
-        state = replace(state, last=fix, before=state.last, height=height)
-        return replace(state, candidate=None, candidate_run=0), None
+        last = state.last
+        return GateState(state.frame, fix, last, height, state.pose, state.repeats, None, 0), None
     run = state.candidate_run + 1 if _is_steady(config, state.candidate, fix) else 1
     if run < config.reacquire_count:
         return replace(state, candidate=fix, candidate_run=run), reason

@@ -30,6 +30,7 @@ from steerd.mocap_link.natnet_wire import (
     write_cstr,
     write_points,
 )
+from steerd.steer_bus.quick_values import quick_init
 
 T = TypeVar("T")
 
@@ -51,6 +52,7 @@ _SUFFIX = Struct("<hi")
 _SUFFIX_PTP = Struct("<IIhi")
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class RigidBody:
     """One body of a frame; `position` in the server's units, `quaternion` as (x, y, z, w)."""
@@ -112,6 +114,7 @@ class Analog:
     channels: tuple[tuple[float, ...], ...] = ()
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Frame:
     """One frame of motion capture data; tick fields count the server's clock."""

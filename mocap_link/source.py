@@ -7,10 +7,11 @@ good frames, never the socket: a silent server keeps its TCP connection for minu
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from steerd.mocap_link.mocap_url import MocapUrl, parse_mocap_url
+from steerd.steer_bus.quick_values import quick_init
 
 __all__ = [
     "ClockKind",
@@ -34,6 +35,7 @@ class ClockKind(StrEnum):
     ARRIVAL = "arrival"  # time of arrival minus the configured latency
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class RawPose:
     """One body in one frame as the source sent it: vendor axes, vendor units, source ticks.
@@ -63,6 +65,7 @@ class RawPose:
     live: bool = True
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class PoseSample:
     """A planar pose of the CoG at its time of validity, with the raw pose it came from.
@@ -118,6 +121,7 @@ class MonitorConfig:
     recover_frames: int = 10
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class MonitorState:
     """Where the machine is, the last good frame's arrival, and good frames in a row."""
@@ -149,24 +153,30 @@ def step_monitor(
         clock_ready: whether source times can be mapped.
         good: a frame came and passed the gates (True) or failed them (False); None for no frame.
     """
-    if good is not None:
-        s = _count(config, s, t_ns, good)
-    age = None if s.last_good_ns is None else t_ns - s.last_good_ns
-    ready = clock_ready and s.good_run >= config.recover_frames
-    return replace(s, state=_next_state(config, s.state, age, connected, ready))
-
-
-def _count(config: MonitorConfig, s: MonitorState, t_ns: int, good: bool) -> MonitorState:
-    if not good:
-        return replace(s, good_run=0)
-    gap = s.last_good_ns is not None and t_ns - s.last_good_ns > config.lost_ns
-    return replace(s, last_good_ns=t_ns, good_run=1 if gap else s.good_run + 1)
+    last_ns, run = s.last_good_ns, s.good_run
+    if good:
+        gap = last_ns is not None and t_ns - last_ns > config.lost_ns
+        last_ns, run = t_ns, 1 if gap else run + 1
+    elif good is not None:
+        run = 0
+    age = None if last_ns is None else t_ns - last_ns
+    ready = clock_ready and run >= config.recover_frames
+    state = _next_state(config, s.state, age, connected, ready)
+    if good is None and state is s.state:
+        return s
+    return MonitorState(state, last_ns, run)
 
 
 def _next_state(
     config: MonitorConfig, state: SourceState, age: int | None, connected: bool, ready: bool
 ) -> SourceState:
     fresh = age is not None and age <= config.stale_frames * config.period_ns
+    if (
+        fresh
+        and state is SourceState.OK
+        and config.stale_frames * config.period_ns <= config.lost_ns
+    ):
+        return state
     match state:
         case SourceState.CONNECTING:
             return SourceState.SYNCING if connected else state

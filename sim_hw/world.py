@@ -119,7 +119,6 @@ class World:
         self._faults = tuple(in_world_time(fault, t_start_ns) for fault in faults)
         self._rx = bytearray()
         self._stuck = 0
-        self._port_suffix = ""
         self._apply_faults(t_start_ns)
 
     def add_fault(self, fault: Fault) -> None:
@@ -134,6 +133,7 @@ class World:
             self._stuck = 0
         if not condition.vesc.plugged:
             self._rx.clear()
+        self._port = f"vesc{condition.vesc.port_suffix}"
         self.vesc.set_fault_state(t_ns, condition.vesc)
         if condition.mocap.restart and not self._cameras.fault_state.restart:
             self._cameras.restart()
@@ -185,7 +185,7 @@ class World:
     @property
     def serial_name(self) -> str | None:
         """The serial port's name as the host sees it; None while there is no device."""
-        return f"vesc{self.vesc.fault_state.port_suffix}" if self.vesc.connected else None
+        return self._port if self.vesc.connected else None
 
     def serial_write(self, t_ns: int, data: bytes) -> int:
         """Write to the VESC at ``t_ns``, as ``os.write`` on a non-blocking descriptor.

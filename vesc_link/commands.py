@@ -6,6 +6,8 @@ their blobs change with the firmware and writing them is VESC Tool's work.
 
 from dataclasses import dataclass
 
+from steerd.steer_bus.quick_values import quick_init
+
 
 @dataclass(frozen=True, slots=True)
 class GetFwVersion:
@@ -38,6 +40,7 @@ class SetCurrentBrake:
     current: float
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class SetErpm:
     """Speed in electrical revolutions per minute, signed."""
@@ -66,6 +69,7 @@ class SetDetect:
     mode: int
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class SetServoPos:
     """Servo position, 0 to 1 for 1000 to 2000 µs; does not feed the motor timeout."""

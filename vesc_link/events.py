@@ -6,6 +6,7 @@ when the reply's first byte was read. The measurement lies between the two.
 
 from dataclasses import dataclass
 
+from steerd.steer_bus.quick_values import quick_init
 from steerd.vesc_link.commands import Command
 from steerd.vesc_link.identity import AppConf, FwVersion, McConfTemp
 from steerd.vesc_link.ids import CommandId
@@ -13,6 +14,7 @@ from steerd.vesc_link.packets import Reply
 from steerd.vesc_link.telemetry import Imu, Values
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class DriveSpeed:
     """Go at ``speed`` [m/s] with road-wheel angle ``steer`` [rad, left positive]."""
@@ -53,6 +55,7 @@ class DriveSilent:
 Drive = DriveSpeed | DriveBrake | DriveShort | DriveRelease | DriveSilent
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Stamped:
     """When a reply was requested and when it began to arrive [ns, monotonic]."""
@@ -66,6 +69,7 @@ class Stamped:
         return (self.t_sent_ns + self.t_received_ns) // 2
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Telemetry:
     """Motor telemetry, requested once per tick."""
@@ -74,6 +78,7 @@ class Telemetry:
     when: Stamped
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class ImuSample:
     """IMU reading in SI units."""

@@ -15,6 +15,8 @@ from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
 
+from steerd.steer_bus.quick_values import quick_init
+
 MAX_PAYLOAD = 512
 """Largest payload since firmware 3.48 [bytes]."""
 RUNNING_CEILING = 128
@@ -44,6 +46,7 @@ def encode_frame(payload: bytes) -> bytes:
     return b"".join((head, payload, binascii.crc_hqx(payload, 0).to_bytes(2, "big"), b"\x03"))
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Frame:
     """A checked payload and when its first and last byte were read [ns, monotonic]."""

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
+from steerd.steer_bus.quick_values import quick_init
 from steerd.vesc_link.ids import FW_3_00, FW_6_05, CommandId, Firmware, fault_name
 from steerd.vesc_link.wire import (
     Field,
@@ -30,6 +31,7 @@ IMU_ACCEL_GYRO_MASK = 0x01F8
 IMU_ALL_MASK = 0xFFFF
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Values:
     """GET_VALUES or GET_VALUES_SELECTIVE reply [A, V, °C, Ah, Wh].
@@ -130,6 +132,7 @@ _OLD_VALUES_SIZE = 56
 """Reply length that distinguishes the table of firmware 3.00 and older from all later ones."""
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class ValuesSetup:
     """GET_VALUES_SETUP or its selective reply [A, V, °C, m/s, m, Ah, Wh].
@@ -190,6 +193,7 @@ _SETUP_BITS: tuple[tuple[Field, ...], ...] = (
 )
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Imu:
     """GET_IMU_DATA reply in SI units: rad, m/s², rad/s; the magnetometer as the board scales it.

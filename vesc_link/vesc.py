@@ -10,6 +10,7 @@ from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
 
+from steerd.steer_bus.quick_values import quick_init
 from steerd.vesc_link import commands as c
 from steerd.vesc_link import events as e
 from steerd.vesc_link.commands import Command
@@ -76,6 +77,7 @@ class Counters:
 _POLLS = (c.GetValues, c.GetValuesSelective, c.GetImuData, c.GetValuesSetupSelective)
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class _Request:
     command: Command

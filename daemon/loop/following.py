@@ -12,6 +12,7 @@ small tuples.
 # Why: docs/decisions/safety.md#d70
 
 from math import exp, hypot, remainder, tan, tau
+from operator import itemgetter
 from typing import NamedTuple
 
 from steerd.car_model.actuators import LAG_FLOOR
@@ -124,7 +125,9 @@ def advance(state: FollowState, model: FollowModel, t_ns: int, speed: float) -> 
     )
     oldest = t_ns - round(TRAIL_S * _NS)
     # After a tick later than the trail is long, the last mark alone is kept.
-    first = next((i for i, m in enumerate(state.trail) if m.t_ns >= oldest), len(state.trail))
+    first, count = 0, len(state.trail)
+    while first < count and state.trail[first].t_ns < oldest:
+        first += 1
     kept = state.trail[max(0, first - 1) :]
     return FollowState(
         _still_open(state.orders, t_ns, max(model.drive.delay.high, model.servo.delay.high)),
@@ -155,13 +158,19 @@ def compare(
     if wheel is not None and wheel[0] >= trail[0].t_ns:
         band = _speed_at(trail, wheel[0])
         off = max(wheel[1] - band.high, band.low - wheel[1]) - model.speed_margin
-        seen = seen._replace(speed=wheel[1], speed_band=band, speed_excess=off)
-    known = (t for t in turns if trail[0].t_ns <= t.t0_ns and t.t1_ns <= trail[-1].t_ns)
-    judged = [_compare_turn(trail, turn, model.turn_margin) for turn in known]
+        seen = Followed(wheel[1], band, off)
+    begin_ns, end_ns = trail[0].t_ns, trail[-1].t_ns
+    judged = [
+        _compare_turn(trail, turn, model.turn_margin)
+        for turn in turns
+        if begin_ns <= turn.t0_ns and turn.t1_ns <= end_ns
+    ]
     if judged:
-        rate, band, off = max(judged, key=lambda one: one[2])
-        seen = seen._replace(turn_rate=rate, turn_band=band, turn_excess=off)
+        return Followed(*seen[:3], *max(judged, key=_excess))
     return seen
+
+
+_excess = itemgetter(2)
 
 
 def _compare_turn(trail: tuple[Mark, ...], turn: Turn, margin: float) -> tuple[float, Band, float]:
@@ -191,7 +200,10 @@ def measure_turns(
     found = []
     for length in (span, min(LONG_TURN * span, LONG_TURN_S)):
         latest = t1 - round(length * _NS)
-        t0, x0, y0, yaw0 = next((pose for pose in reversed(track) if pose[0] <= latest), track[0])
+        at = len(track) - 1
+        while at and track[at][0] > latest:
+            at -= 1
+        t0, x0, y0, yaw0 = track[at]
         if t0 < t1:
             way = hypot(x1 - x0, y1 - y0)
             found.append(Turn(t0, t1, remainder(yaw1 - yaw0, tau), way))
@@ -205,10 +217,12 @@ def _sent(
     earliest = begin_ns - round(delay.high * _NS)
     latest = end_ns - round(delay.low * _NS)
     found = []
-    for (sent_ns, order), after in zip(orders, (*orders[1:], (latest + 1, None)), strict=True):
-        if sent_ns <= latest and after[0] > earliest:
+    after_ns = latest + 1
+    for sent_ns, order in reversed(orders):
+        if sent_ns <= latest and after_ns > earliest:
             found.append(order)
-    return found, orders[0][0] <= earliest
+        after_ns = sent_ns
+    return found[::-1], orders[0][0] <= earliest
 
 
 def _still_open(
@@ -296,7 +310,8 @@ def _around_time(trail: tuple[Mark, ...], t_ns: int) -> tuple[Mark, Mark]:
     A trail of one mark gives that one twice.
     """
     after = trail[-1]
-    for mark in reversed(trail[1:]):
+    for at in range(len(trail) - 1, 0, -1):
+        mark = trail[at]
         if mark.t_ns <= t_ns:
             return mark, after
         after = mark

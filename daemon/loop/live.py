@@ -13,6 +13,7 @@ from math import isnan
 from steerd.controller.lane_controller import ControlReport
 from steerd.controller.live import AS_DESIGNED, LiveBounds, LiveValues, approach
 from steerd.steer_bus.messages import BODY, ParameterRequest, Parameters, make_header
+from steerd.steer_bus.quick_values import quick_init
 
 STEP_MAX_S = 0.1
 """Longest time that one tick's approach is granted for [s]: a pause is no leap."""
@@ -24,7 +25,8 @@ _WHY = {
 }
 
 
-@dataclass(frozen=True)
+@quick_init
+@dataclass(frozen=True, slots=True)
 class Live:
     """Live parameters of a run.
 
@@ -101,7 +103,7 @@ def step_live(live: Live, t_ns: int, parked: bool) -> Live:
     """One tick: a car that may move comes to new values gradually, a parked one at once."""
     dt = min(max((t_ns - live.t_ns) * 1e-9, 0.0), STEP_MAX_S)
     now = live.aim if parked else approach(live.now, live.aim, dt)
-    return replace(live, now=now, t_ns=t_ns)
+    return Live(live.bounds, live.aim, now, t_ns, live.lease_id, live.seq, live.accepted, live.text)
 
 
 def relax(live: Live, why: str) -> Live:

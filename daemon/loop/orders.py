@@ -15,6 +15,7 @@ from steerd.controller.limits import (
 from steerd.daemon.loop.supervisor import Action
 from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput
 from steerd.daemon.settings.config import BrakeSettings
+from steerd.steer_bus.quick_values import quick_init
 from steerd.vesc_link.events import (
     Drive,
     DriveBrake,
@@ -28,7 +29,8 @@ from steerd.vesc_link.scaling import Scaling, as_sent
 _DRIVEN = (MotorOutput.DRIVE, MotorOutput.RAMP_STOP)
 
 
-@dataclass(frozen=True)
+@quick_init
+@dataclass(frozen=True, slots=True)
 class Order:
     """What leaves in this tick.
 

@@ -91,8 +91,11 @@ class Perception:
             self._track.append((sample.t_valid_ns, sample.x, sample.y, sample.yaw))
             # Now, not in the tick: the pose comes just before its deadline
             # (`steerd.daemon.process.pacing`).
-            stamps = (measurement.t_ns for measurement in self._measurements)
-            self._fuse(max(sample.t_arrival_ns, *stamps))
+            latest_ns = sample.t_arrival_ns
+            for measurement in self._measurements:
+                if measurement.t_ns > latest_ns:
+                    latest_ns = measurement.t_ns
+            self._fuse(latest_ns)
 
     def on_telemetry(self, telemetry: Telemetry) -> None:
         """Take motor telemetry; its wheel speed is valid in the middle of the exchange."""
@@ -168,8 +171,11 @@ class Perception:
         if len(self._track) < 2:
             return nan
         t1, x1, y1, _ = self._track[-1]
-        older = (pose for pose in reversed(self._track) if pose[0] <= self._oldest_ns)
-        t0, x0, y0, _ = next(older, self._track[0])
+        t0, x0, y0, _ = self._track[0]
+        for pose in reversed(self._track):
+            if pose[0] <= self._oldest_ns:
+                t0, x0, y0, _ = pose
+                break
         return hypot(x1 - x0, y1 - y0) / ((t1 - t0) * 1e-9) if t1 > t0 else nan
 
     def mocap_age(self, now_ns: int) -> float:

@@ -64,8 +64,9 @@ class Kernel:
         numbers: list[float] = []
         for _, _, values in chain:
             numbers += (*values, *_PADDING[len(values)])
-        stamps = _integers(count).pack(*(m.t_ns for m in chain))
-        kinds = _integers(count).pack(*(m.kind for m in chain))
+        integers = _integers(count)
+        stamps = integers.pack(*[m.t_ns for m in chain])
+        kinds = integers.pack(*[m.kind for m in chain])
         measured = _numbers(WIDEST * count).pack(*numbers)
         past = self._past(history, start_ns)
         root = _bytes(first)

@@ -1,0 +1,64 @@
+"""A value with a quick `__init__` is the value that the dataclass itself would make."""
+
+import inspect
+from dataclasses import FrozenInstanceError, dataclass, field, replace
+
+import pytest
+
+from steerd.steer_bus.quick_values import quick_init
+
+
+@dataclass(frozen=True, slots=True)
+class Plain:
+    x: float
+    y: int = 3
+    text: str | None = None
+
+
+@quick_init
+@dataclass(frozen=True, slots=True)
+class Quick:
+    x: float
+    y: int = 3
+    text: str | None = None
+
+
+@pytest.mark.parametrize("args", [((1.0,), {}), ((1.0, 2), {"text": "a"}), ((), {"x": 0.5})])
+def test_same_fields_from_the_same_arguments(args):
+    given, named = args
+    plain, quick = Plain(*given, **named), Quick(*given, **named)
+    assert repr(quick) == repr(plain).replace("Plain", "Quick")
+    assert replace(quick, y=9) == Quick(plain.x, 9, plain.text)
+    assert hash(quick) == hash(plain)
+    with pytest.raises(FrozenInstanceError):
+        quick.x = 2.0
+
+
+def test_the_same_arguments_are_refused():
+    names = [list(inspect.signature(cls).parameters) for cls in (Plain, Quick)]
+    assert names[0] == names[1]
+    with pytest.raises(TypeError, match="missing 1 required positional argument: 'x'"):
+        Quick()
+    with pytest.raises(TypeError, match="unexpected keyword argument 'z'"):
+        Quick(1.0, z=2)
+
+
+def test_what_it_cannot_stand_for_is_refused():
+    @dataclass(frozen=True)
+    class Open:
+        x: float
+
+    @dataclass(frozen=True, slots=True)
+    class Checked:
+        x: float
+
+        def __post_init__(self):
+            raise AssertionError
+
+    @dataclass(frozen=True, slots=True)
+    class Made:
+        x: list[float] = field(default_factory=list)
+
+    for cls in (Open, Checked, Made):
+        with pytest.raises(TypeError):
+            quick_init(cls)
