@@ -235,13 +235,12 @@ STANDARD_MESSAGES = (
 
 def make_time(stamp_ns: int) -> Time:
     """Make a ROS time of nanoseconds since the UNIX epoch."""
-    sec, nanosec = divmod(stamp_ns, NS)
-    return Time(sec, nanosec)
+    return Time(*divmod(stamp_ns, NS))
 
 
 def make_header(stamp_ns: int, frame_id: str) -> Header:
     """Make a header of nanoseconds since the UNIX epoch and a frame."""
-    return Header(make_time(stamp_ns), frame_id)
+    return Header(Time(*divmod(stamp_ns, NS)), frame_id)
 
 
 def stamp_ns(header: Header) -> int:

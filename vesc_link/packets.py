@@ -8,6 +8,7 @@ takes a short payload's CRC for data (`docs/reference/vesc-serial.md#v1.11`).
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import assert_never
 
 from steerd.vesc_link import commands as c
@@ -79,12 +80,13 @@ FEEDS_TIMEOUT: tuple[type[Command], ...] = (
     c.SetCurrentRel, c.Alive,
 )  # fmt: skip
 """Commands that restart the VESC's motor timeout; SET_SERVO_POS and polls do not."""
-_ANSWERED = (
+_ANSWERED: frozenset[type[Command]] = frozenset((
     c.GetFwVersion, c.GetValues, c.GetMcConf, c.GetMcConfDefault, c.GetAppConf,
     c.GetAppConfDefault, c.GetDecodedPpm, c.GetValuesSetup, c.GetValuesSelective,
     c.GetValuesSetupSelective, c.PingCan, c.GetImuData, c.GetMcConfTemp, c.GetBatteryCut,
     c.GetStats,
-)  # fmt: skip
+))  # fmt: skip
+_ACKS = (c.SetMcConfTemp, c.ResetStats)
 
 
 def command_number(command: Command) -> CommandId:
@@ -94,9 +96,9 @@ def command_number(command: Command) -> CommandId:
 
 def expects_reply(command: Command) -> bool:
     """Whether the VESC answers with a frame of the same id."""
-    if isinstance(command, c.SetMcConfTemp | c.ResetStats):
+    if isinstance(command, _ACKS):
         return command.ack
-    return isinstance(command, _ANSWERED)
+    return type(command) in _ANSWERED
 
 
 def encode_command(command: Command, firmware: Firmware = FW_7_01) -> bytes:
@@ -217,7 +219,12 @@ def encode_reply(reply: Reply, firmware: Firmware = FW_7_01) -> bytes:
             payload = bytes((reply.command,))
         case _:
             assert_never(reply)
-    return bytes((wire_id(CommandId(payload[0]), firmware),)) + payload[1:]
+    return _wire_byte(payload[0], firmware) + payload[1:]
+
+
+@lru_cache(maxsize=256)
+def _wire_byte(number: int, firmware: Firmware) -> bytes:
+    return bytes((wire_id(CommandId(number), firmware),))
 
 
 def _encode_small(reply: i.McConfTemp | i.BatteryCut | i.DecodedPpm | i.RotorPosition) -> bytes:

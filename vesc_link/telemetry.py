@@ -354,11 +354,15 @@ def values_size(mask: int | None, firmware: Firmware) -> int:
     return head + sum(field.size for field in _selected(_VALUES_BITS, mask, firmware))
 
 
+@lru_cache(maxsize=64)
+def _imu_units(fields: tuple[Field, ...]) -> tuple[float, ...]:
+    return tuple(_IMU_UNIT.get(field.name, 1.0) for field in fields)
+
+
 def _device_bytes(reply: Values | ValuesSetup | Imu | Stats, fields: tuple[Field, ...]) -> bytes:
     numbers = [value or 0 for value in read_values(fields, reply)]
     if isinstance(reply, Imu):
-        units = (_IMU_UNIT.get(field.name, 1.0) for field in fields)
-        numbers = [value / unit for value, unit in zip(numbers, units, strict=True)]
+        numbers = [value / unit for value, unit in zip(numbers, _imu_units(fields), strict=True)]
     return pack_fields(fields, numbers, device_numbers)
 
 

@@ -74,6 +74,8 @@ class Counters:
     odd_lengths: int = 0
 
 
+_UPTIME_SINCE = Firmware(5, 3)
+_MASKED = (Values, ValuesSetup, Imu, Stats)
 _POLLS = (c.GetValues, c.GetValuesSelective, c.GetImuData, c.GetValuesSetupSelective)
 
 
@@ -232,13 +234,11 @@ class VescLink:
         if firmware is None:
             return []
         due: list[Command] = [self._queue[0]] if self._queue else []
-        if knows(firmware, CommandId.GET_VALUES_SELECTIVE):
-            due.append(self._telemetry_poll)
-        else:
-            due.append(c.GetValues())
-        if self._imu_poll is not None and knows(firmware, CommandId.GET_IMU_DATA):
+        selective, imu, uptime = _known_polls(firmware)
+        due.append(self._telemetry_poll if selective else c.GetValues())
+        if self._imu_poll is not None and imu:
             due.append(self._imu_poll)
-        if firmware >= Firmware(5, 3) and t_ns >= (self._uptime_due_ns or t_ns):
+        if uptime and t_ns >= (self._uptime_due_ns or t_ns):
             due.append(c.GetValuesSetupSelective(UPTIME_MASK))
         return due
 
@@ -371,6 +371,13 @@ class VescLink:
         return e.Rebooted(reason, t_ns)
 
 
+@lru_cache(maxsize=8)
+def _known_polls(firmware: Firmware) -> tuple[bool, bool, bool]:
+    """Whether this firmware can be asked for chosen values, its IMU, its uptime."""
+    selective = knows(firmware, CommandId.GET_VALUES_SELECTIVE)
+    return selective, knows(firmware, CommandId.GET_IMU_DATA), firmware >= _UPTIME_SINCE
+
+
 @lru_cache(maxsize=64)
 def _frame_of(command: Command, firmware: Firmware) -> bytes:
     """Frame of a command; polls and held setpoints repeat, so the last ones are kept."""
@@ -382,5 +389,5 @@ def _answers(reply: Reply, command: Command) -> bool:
     if isinstance(reply, Ack):
         return True
     requested = getattr(command, "mask", None)
-    echoed = reply.mask if isinstance(reply, Values | ValuesSetup | Imu | Stats) else None
+    echoed = reply.mask if isinstance(reply, _MASKED) else None
     return bool(requested == echoed)

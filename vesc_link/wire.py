@@ -141,7 +141,11 @@ def device_numbers(fields: Sequence[Field], values: Sequence[Number]) -> Sequenc
     for i, product in zip(layout.measured, products, strict=True):
         numbers[i] = product
     return [
-        int(number) if low <= number <= high else _saturated(code, number)
+        int(number)
+        if low <= number <= high
+        else number
+        if code == "f" and abs(number) >= _SMALLEST_F32
+        else _saturated(code, number)
         for number, (code, low, high) in zip(numbers, layout.ranges, strict=True)
     ]
 
@@ -230,4 +234,7 @@ def unpack_fields(
 
 def all_finite(values: Mapping[str, Number | None]) -> bool:
     """Whether no value is NaN or infinite; a firmware sends neither, so such a packet is wrong."""
-    return all(value is None or math.isfinite(value) for value in values.values())
+    for value in values.values():  # noqa: SIM110 - thrice as fast as a generator
+        if value is not None and not math.isfinite(value):
+            return False
+    return True

@@ -63,7 +63,8 @@ def _encode_all(queued: list[PipeRecord]) -> tuple[list[PipeRecord], CodecError 
     records, wrong = [], None
     for record in queued:
         try:
-            records.append(record._replace(data=encode(record.message)))
+            topic, count, log_ns, publish_ns, _, message = record
+            records.append(PipeRecord(topic, count, log_ns, publish_ns, encode(message), message))
         except CodecError as error:
             wrong = wrong or error
     return records, wrong

@@ -6,6 +6,7 @@ states from tick to tick.
 """
 
 from collections.abc import Iterator
+from itertools import compress
 from math import isfinite
 from typing import NamedTuple
 
@@ -425,23 +426,26 @@ class Loop:
             estimate is not None and estimate.health.sound,
             is_slowing(self._watchdogs),
         )
-        return sum(bit for bit, true in zip(_FACTS, holds, strict=True) if true)
+        return sum(compress(_FACTS, holds))
 
     def _timeout_ns(self) -> int:
         known = self.vesc.timeout_ms if self.vesc is not None else None
         return (known or 0) * 1_000_000
 
     def _merge_requests(self, flags: int) -> int:
-        requests = self._requests_pending
+        # Plain integers: an IntFlag "or" costs microseconds, and this runs on every tick.
+        requests = int(self._requests_pending)
         state = self.supervisor.state
         if flags & Flag.QUIT:
-            requests |= Request.DISARM
+            requests |= int(Request.DISARM)
         if flags & Flag.ABORT:
-            requests |= Request.ABORT
+            requests |= int(Request.ABORT)
         if self.setup.auto_arm and not self.ran and not flags & (Flag.QUIT | Flag.ABORT):
-            requests |= Request.ARM if state is SupervisorState.READY else Request.NONE
-            requests |= Request.START if state is SupervisorState.ARMED else Request.NONE
-        return int(requests)
+            if state is SupervisorState.READY:
+                requests |= int(Request.ARM)
+            elif state is SupervisorState.ARMED:
+                requests |= int(Request.START)
+        return requests
 
     def _apply_transition(
         self, old: SupervisorState, estimate: StateEstimate | None, now_ns: int

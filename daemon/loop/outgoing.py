@@ -54,6 +54,10 @@ def _number(value: float | None) -> float:
     return nan if value is None else value
 
 
+def _numbers(*values: float | None) -> list[float]:
+    return [nan if value is None else value for value in values]
+
+
 def _count(value: int | None) -> int:
     return -1 if value is None else value
 
@@ -71,20 +75,17 @@ def make_telemetry(event: Telemetry, uptime_ms: int, epoch_ns: int) -> m.VescTel
         _count(v.tachometer_abs),
         _count(v.fault),
         _count(v.status),
-        *map(
-            _number,
-            (
-                v.input_voltage,
-                v.motor_current,
-                v.input_current,
-                v.duty,
-                v.temp_fet_c,
-                v.temp_motor_c,
-                v.d_current,
-                v.q_current,
-                v.v_d,
-                v.v_q,
-            ),
+        *_numbers(
+            v.input_voltage,
+            v.motor_current,
+            v.input_current,
+            v.duty,
+            v.temp_fet_c,
+            v.temp_motor_c,
+            v.d_current,
+            v.q_current,
+            v.v_d,
+            v.v_q,
         ),
     )
 
@@ -93,12 +94,11 @@ def make_imu(event: ImuSample, epoch_ns: int) -> m.VescImu:
     """An IMU reading."""
     i = event.imu
     values = (i.accel_x, i.accel_y, i.accel_z, i.gyro_x, i.gyro_y, i.gyro_z)
-    quaternion = (i.q_w, i.q_x, i.q_y, i.q_z)
     return m.VescImu(
         m.make_header(event.when.stamp_ns + epoch_ns, m.BODY),
         event.when.t_sent_ns,
         event.when.t_received_ns,
-        *map(_number, (*values, *quaternion)),
+        *_numbers(*values, i.q_w, i.q_x, i.q_y, i.q_z),
     )
 
 

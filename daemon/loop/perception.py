@@ -43,6 +43,7 @@ class Perception:
     Attributes:
         watch: memory of the frame watchdogs.
         telemetry: the last reply, or None.
+        wheel_speed: by the wheels, from that reply [m/s]; NaN while unknown.
         accepted_ns: arrival of the last good frame, or None.
         may_rebase: set by the loop: the car is disarmed and stands.
     """
@@ -63,6 +64,7 @@ class Perception:
         self._seen = 0
         self.watch = PoseWatch()
         self.telemetry: Telemetry | None = None
+        self.wheel_speed = nan
         self.accepted_ns: int | None = None
         self.may_rebase = True
 
@@ -100,8 +102,9 @@ class Perception:
     def on_telemetry(self, telemetry: Telemetry) -> None:
         """Take motor telemetry; its wheel speed is valid in the middle of the exchange."""
         self.telemetry = telemetry
+        self.wheel_speed = nan
         if telemetry.values.erpm is not None:
-            speed = erpm_to_speed(self._scaling, telemetry.values.erpm)
+            speed = self.wheel_speed = erpm_to_speed(self._scaling, telemetry.values.erpm)
             self._measurements.append(make_wheel_speed(telemetry.when.stamp_ns, speed))
 
     def on_imu(self, sample: ImuSample) -> None:
@@ -142,13 +145,6 @@ class Perception:
         self._refused, self._seen = pose.refused, pose.seen
         for k in range(seen):
             self.watch = step_innovation(self._thresholds, self.watch, k >= seen - refused)
-
-    @property
-    def wheel_speed(self) -> float:
-        """Speed by the wheels [m/s]; NaN while unknown."""
-        if self.telemetry is None or self.telemetry.values.erpm is None:
-            return nan
-        return erpm_to_speed(self._scaling, self.telemetry.values.erpm)
 
     def recent_wheel_speed(self, now_ns: int) -> float:
         """The same; NaN if the last reply is older than `BLIND_S`."""
