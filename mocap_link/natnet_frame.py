@@ -50,6 +50,11 @@ _SECTION = Struct("<ii")
 """Head of a section that says its size: count, bytes."""
 _SUFFIX = Struct("<hi")
 _SUFFIX_PTP = Struct("<IIhi")
+_BARE_HEAD = Struct(f"<i{2 * _SECTION.size}xii")
+_BARE_TAIL = Struct(f"<{5 * _SECTION.size}x{_STAMPS.format[1:]}{_SUFFIX_PTP.format[1:]}")
+"""Around the rigid bodies of a frame without anything else; the sections are so many zeros."""
+_FEW = 8
+"""So many bodies may be all that a frame holds."""
 
 
 @quick_init
@@ -309,6 +314,9 @@ def read_frame(data: bytes, at: int, version: Version, *, detail: bool = True) -
 
 def _read_bare_frame(data: bytes, at: int) -> Frame:
     """Number, rigid bodies and stamps of a frame whose sections say their sizes (4.1+)."""
+    whole = _read_bodies_only(data, at)
+    if whole is not None:
+        return whole
     number, at = read_i32(data, at)
     at = _jump_sections(data, at, 2)  # marker sets, other markers
     bodies, at = _read_rigid_bodies(data, at, True, _read_bodies)
@@ -319,6 +327,26 @@ def _read_bare_frame(data: bytes, at: int) -> Frame:
         number, bodies, (), (), (), (), (), (), (),
         0.0, timecode, timecode_sub, timestamp, mid, received, transmit, secs, frac, params,
     )  # fmt: skip
+
+
+def _read_bodies_only(data: bytes, at: int) -> Frame | None:
+    """A frame of 4.1 and later with few rigid bodies and nothing else, in one piece, or None.
+
+    Whatever is wrong with a frame is for the general way to say.
+    """
+    left = len(data) - at - _bare_layout(0).size
+    count = left // _BODY.size
+    if not 0 <= count <= _FEW or count * _BODY.size != left:
+        return None
+    number, known, size = _BARE_HEAD.unpack_from(data, at)
+    behind = at + _BARE_HEAD.size + left
+    stamps = _BARE_TAIL.unpack_from(data, behind)
+    if known != count or size != left or stamps[-1] or any(data[at + 4 : at + 20]):
+        return None
+    if any(data[behind : behind + 40]):
+        return None
+    bodies, _ = _read_bodies(data, at + _BARE_HEAD.size, count)
+    return Frame(number, bodies, (), (), (), (), (), (), (), 0.0, *stamps[:-1])
 
 
 def _read_suffix(data: bytes, at: int) -> tuple[int, int, int]:
