@@ -19,13 +19,15 @@ _COLUMNS, _DAY = 3, 86_400.0
 _FIGURES = 30
 """Series that are drawn: those that changed first; more make a page nobody looks through."""
 _FAILURES = 20
+_LEAST_SHARE = 0.01
+"""Least height of a diagram, as a share of what it shows."""
 
 
 def render_batch(found: WorkedSessions) -> str:
     """The whole page."""
     first: dict[tuple[str, str], Change] = {(c.car, c.quantity): c for c in found.changes}
     ordered = sorted(found.series, key=lambda s: (s.car, s.quantity) not in first)
-    with rc_context({**STYLE, "axes.axisbelow": True}):
+    with rc_context(STYLE):
         figure = _draw(ordered[:_FIGURES], first) if ordered else ""
     rows = found.rows
     failed = [row for row in rows if row["outcome"] != "done"]
@@ -101,6 +103,10 @@ def _draw_series(axis: Axes, s: Series, change: Change | None) -> None:
         axis.fill_between(weeks, band.mean - band.half, band.mean + band.half, color=BAND, lw=0)
         axis.plot(weeks, band.mean, color=AFTER, lw=1.3, marker="o", ms=2.5)
     axis.plot(dates, s.value, ".", ms=3.0, color=BEFORE)
+    low, high = axis.get_ylim()
+    least = _LEAST_SHARE * abs(low + high) / 2.0
+    if high - low < least:  # drives that differ by rounding alone
+        axis.set_ylim((low + high - least) / 2.0, (low + high + least) / 2.0)
     axis.set_title(f"{clean(s.car, 14)}: {s.quantity}")
     ends = sorted({int(dates[0]), int((dates[0] + dates[-1]) / 2.0), int(dates[-1])})
     axis.set_xticks(ends, [f"{datetime.fromtimestamp(d * _DAY, UTC):%-d %b}" for d in ends])

@@ -21,6 +21,8 @@ TEMPLATE = Path(__file__).parent / "templates" / "sweep.html"
 _COLUMNS = 3
 """Small figures side by side."""
 _BINS = 30
+_TICKS = 5
+"""Numbers below a small diagram at most: more would touch."""
 _SCATTERS = 6
 """Strongest dependences that are drawn."""
 _POINTS = 1500
@@ -33,7 +35,7 @@ _UNITS = {c.name: c.unit for c in MEASURES}
 def render_sweep(found: SweptDrives) -> str:
     """The whole page."""
     plan, summary = found.plan, found.summary
-    with rc_context({**STYLE, "axes.axisbelow": True}):
+    with rc_context(STYLE):
         histograms, scatters = _draw_histograms(found), _draw_scatters(found)
     heads = [*dict.fromkeys(s.quantity for s in summary.sensitivities)]
     seeds = f"{len(plan.seeds)} seeds, {plan.duration:g} s each, loop at {plan.rate:g} Hz"
@@ -131,6 +133,7 @@ def _draw_histograms(found: SweptDrives) -> str:
     for axis, name in zip(axes.flat, names, strict=False):
         values = _scaled(found.rows, name)
         axis.hist(values[np.isfinite(values)], bins=_BINS, color=BEFORE)
+        axis.locator_params(axis="x", nbins=_TICKS)
         axis.set_title(_label(name))
         axis.set_ylabel("drives")
         axis.yaxis.get_major_locator().set_params(integer=True)

@@ -29,7 +29,7 @@ STYLE: dict[Any, Any] = {
     "axes.grid": True, "grid.color": GRID, "grid.linewidth": 0.6, "svg.fonttype": "none",
     "svg.hashsalt": "steerd", "legend.facecolor": PAGE, "legend.edgecolor": "none",
     "axes.titlesize": 9.5, "axes.titlelocation": "left", "text.color": INK, "axes.titlecolor": INK,
-    "axes.facecolor": "none",
+    "axes.facecolor": "none", "axes.axisbelow": True,
 }  # fmt: skip
 
 

@@ -129,3 +129,8 @@ def test_the_look_finds_what_is_broken(browser, tmp_path):
     faults = " ".join(browser.faults_of_layout())
     for fault in ('"one text" lies over', "cut off by", "beyond the edge", "too pale", "px wide"):
         assert fault in faults, fault
+
+
+def test_drives_that_differ_by_rounding_alone_have_readable_axes(pages):
+    """Matplotlib would write 1e-11+5.8213168e-3 above a diagram of eight equal drives."""
+    assert not re.search(r"1e.\d+\+", (pages / "batch.html").read_text(encoding="utf-8"))
