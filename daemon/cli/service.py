@@ -4,7 +4,7 @@ import os
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
+from xml.sax.saxutils import escape
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.setup.probe import UDEV_NAME, UDEV_RULE
@@ -16,8 +16,9 @@ STOP_S = 20
 """Time for an orderly stop, in which the car comes to rest first [s]."""
 
 _UNIT = """\
-# Made by `steerd service install`. It starts disarmed, after each restart too: arm it with
-# `steerd arm`, start it with `steerd start`, see it with `steerd watch`.
+# Made by `steerd service install`. It starts disarmed, after each restart too:
+# arm it with `steerd arm`, start it with `steerd start`, see it with
+# `steerd watch`.
 [Unit]
 Description=steerd, control loop of {car}
 Documentation=man:systemd.service(5)
@@ -29,11 +30,13 @@ Type=notify
 NotifyAccess=all
 ExecStart={command}
 WatchdogSec={watchdog}
-# A port or a mocap server that is not there yet is worth another try; a wrong option is not.
+# A port or a mocap server that is not there yet is worth another try; a wrong
+# option is not.
 Restart=on-failure
 RestartSec=3
 RestartPreventExitStatus=2 4
-# Only the parent gets the signal; it brings the car to rest and then ends the other processes.
+# Only the parent gets the signal; it brings the car to rest and then ends the
+# other processes.
 KillMode=mixed
 KillSignal=SIGTERM
 TimeoutStopSec={stop}
@@ -71,10 +74,12 @@ def make_unit(command: Sequence[str], car: str, *, user: bool) -> str:
 
 
 _LAUNCH = """\
-<!-- Made by `steerd service launch`. ros2 launch steerd.launch.xml; it starts disarmed.
-     On shutdown it gets SIGINT, which brings the car to rest, and {stop} s for it. -->
+<!-- Made by `steerd service launch`. ros2 launch steerd.launch.xml; it starts
+     disarmed. On shutdown it gets SIGINT, which brings the car to rest, and
+     {stop} s for it. -->
 <launch>
-  <executable cmd={command} output="screen" sigterm_timeout="{stop}" sigkill_timeout="{stop}"/>
+  <executable output="screen" sigterm_timeout="{stop}" sigkill_timeout="{stop}"
+    cmd={command}/>
 </launch>
 """
 
@@ -89,7 +94,21 @@ def make_launch(command: Sequence[str]) -> str:
         if "$(" in text or any(c in text for c in "\n\r\0"):
             what = f"{text!r} cannot be written in a launch file"
             raise SteerdError(what, "", ExitCode.USAGE)
-    return _LAUNCH.format(command=quoteattr(shlex.join(command)), stop=STOP_S)
+    # A line's end within an attribute reads as a space, which is what stands between arguments.
+    lines = _pair_up(list(map(shlex.quote, command)))
+    text = "\n      ".join(escape(line, {'"': "&quot;"}) for line in lines)
+    return _LAUNCH.format(command=f'"{text}"', stop=STOP_S)
+
+
+def _pair_up(parts: Sequence[str]) -> list[str]:
+    """The words before the first option, then each option with its value."""
+    lines = [parts[0]]
+    for part in parts[1:]:
+        if part.startswith("--") or (part == "-m" and len(lines) == 1):
+            lines.append(part)
+        else:
+            lines[-1] += f" {part}"
+    return lines
 
 
 def _quote(part: str) -> str:
