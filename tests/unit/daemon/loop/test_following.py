@@ -118,6 +118,12 @@ def test_what_was_never_identified_may_be_off_by_a_factor():
     assert m.gain == model.gain
 
 
+@pytest.mark.parametrize("known", [KNOWN, {"drive_delay": 0.0}])
+def test_a_dead_time_that_was_identified_as_none_is_believed(known):
+    prompt = make_follow_model(CAR._replace(drive_delay=0.0), known, FilterConfig(), TH)
+    assert prompt.drive.delay == near(0.0, LATE_S)
+
+
 def test_a_large_standard_error_widens_the_range():
     m = make_follow_model(CAR, {**KNOWN, "speed_lag": 0.02, "steer_lag": 0.05}, FilterConfig(), TH)
     assert m.drive.lag == near(0.14, 0.26)
