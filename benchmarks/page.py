@@ -177,13 +177,22 @@ def virtual(said: dict[str, Any]) -> str:
         + table(["seeds of 2 s", "processes", "wall s", "of real time, together"], seeds)
         + f"\n**Limit:** the interpreter. A tick of 10 ms is {number(said['calls'])} calls of "
         f"small functions at {number(each_us)} µs each with what they do, spread flat over "
-        "the estimator "
-        "(30 %), protocols and simulated VESC (30 %), loop (15 %), physics (8 %), mocap (6 %) and "
-        "the rest; nothing is left that costs a tenth by itself but the four predictions and three "
-        f"updates of the filter. The 80 × that was asked for, 125 µs a tick, is a budget of "
-        f"{number(125.0 / each_us)} calls: it takes another language for filter and codecs, not "
-        "another tune of this one. mypyc brought nothing "
+        "protocols and simulated VESC (27 %), the loop's decisions (25 %), the estimator (15 %), "
+        "messages and recording (11 %), mocap (10 %), physics (8 %) and the rest; no function "
+        "costs a twentieth by itself. The 80 × that was asked for, 125 µs a tick, is a budget of "
+        f"{number(125.0 / each_us)} calls: it takes another language for the whole loop and both "
+        "ends of the wire, not another tune of this one. mypyc brought nothing "
         "([decision 44](../decisions/rooms-and-code.md#d44)).\n"
+    )
+
+
+def ratio(said: dict[str, Any]) -> str:
+    return (
+        f"A simulated second at 100 Hz, recorded, costs {spread(said)} of what it cost at "
+        f"`{said['since']}`, {number(said['after_ms'])} ms of CPU for {number(said['before_ms'])}: "
+        "two processes with one interpreter, turn by turn. `python benchmarks/perf_ratio.py` "
+        "makes the older tree from the clone's history and takes it away again; `--since` names "
+        "another commit.\n"
     )
 
 
@@ -248,6 +257,7 @@ PARTS = {
     "control_path": ("Control path", control_path),
     "control_floor": ("What the machine takes of it", control_floor),
     "virtual": ("Virtual time", virtual),
+    "ratio": ("Virtual time, against an older commit", ratio),
     "wire": ("Wire and file", wire),
     "startup": ("Start-up", startup),
     "batch": ("Batches", batch),

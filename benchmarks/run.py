@@ -33,6 +33,7 @@ PIECES: dict[str, tuple[str, ...]] = {
     "control_path": ("control_path.py", "--seconds", "6"),
     "control_floor": ("control_floor.py",),
     "virtual": ("perf_virtual.py",),
+    "ratio": ("perf_ratio.py",),
     "wire": ("perf_wire.py",),
     "startup": ("perf_startup.py",),
     "batch": ("perf_batch.py",),
