@@ -28,6 +28,7 @@ from steerd.daemon.process.view_scene import (
     make_car_scene,
     make_lane,
     make_lane_scene,
+    make_learnt_parameters,
     make_live_parameters,
     make_parameters,
     make_transform,
@@ -35,7 +36,7 @@ from steerd.daemon.process.view_scene import (
 from steerd.daemon.process.views import Views
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, schema_text, type_name
-from steerd.steer_bus.messages import Parameters, StateMessage
+from steerd.steer_bus.messages import Model, Parameters, StateMessage
 from steerd.steer_bus.topics import TOPICS, Topic, make_session_topic
 
 TRANSFORMS = "/tf"
@@ -120,6 +121,8 @@ class Viewer:
                 channel.log(each.data, log_time=each.log_time_ns)
         if name == topics.PARAMETERS.name:
             self.on_live(make_live_parameters(decode(Parameters, record.data)))
+        if name == topics.MODEL.name:
+            self.on_live(make_learnt_parameters(decode(Model, record.data)))
         if name == topics.STATE.name and record.log_time_ns >= self._scene_due_ns:
             self._scene_due_ns = record.log_time_ns + SCENE_NS
             self._draw(decode(StateMessage, record.data), record.log_time_ns)

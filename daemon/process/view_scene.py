@@ -1,7 +1,7 @@
 """The car and its lane as Foxglove draws them: a transform, and shapes in its frames."""
 
 from collections.abc import Mapping, Sequence
-from math import cos, sin
+from math import cos, isfinite, sin
 from typing import Any, NamedTuple
 
 from foxglove.messages import (  # noqa: TID251
@@ -22,7 +22,8 @@ from foxglove.messages import (  # noqa: TID251
 )
 
 from steerd.daemon.ipc.live_setting import LIVE
-from steerd.steer_bus.messages import BODY, WORLD, Parameters, StateMessage
+from steerd.daemon.learning.reported import reported_values
+from steerd.steer_bus.messages import BODY, WORLD, Model, Parameters, StateMessage
 from steerd.steer_bus.standard import stamp_ns
 
 _LANE = Color(r=0.25, g=0.55, b=0.95, a=0.9)
@@ -146,6 +147,16 @@ def make_live_parameters(p: Parameters) -> dict[str, float | str]:
         f"live.{name}{end}": getattr(p, name + end) for name in LIVE for end in ("", "_min", "_max")
     }
     return shown | {"live.answer": p.text}
+
+
+def make_learnt_parameters(model: Model) -> dict[str, float | str]:
+    """The car as learnt: values, `_sd` and `_identifiable` (yes or no), and what changed."""
+    shown: dict[str, float | str] = {"model.verdict": model.verdict, "model.effect": model.effect}
+    for v in reported_values(model):
+        numbers = {f"model.{v.name}": v.value, f"model.{v.name}_sd": v.sd}
+        shown |= {name: number for name, number in numbers.items() if isfinite(number)}
+        shown[f"model.{v.name}_identifiable"] = "yes" if v.identifiable else "no"
+    return shown
 
 
 def _line(

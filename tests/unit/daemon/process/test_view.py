@@ -1,6 +1,9 @@
 """The viewer: what is drawn, what is advertised, what is refused. Decoded by protobuf itself."""
 
+import json
 import os
+from dataclasses import fields
+from math import nan
 from types import SimpleNamespace
 
 from steerd.daemon.ipc.live_setting import parse_setting
@@ -10,6 +13,7 @@ from steerd.daemon.process.view import ReadOnlyParameters, Viewer, make_channel,
 from steerd.daemon.process.view_scene import (
     Body,
     make_lane,
+    make_learnt_parameters,
     make_parameters,
 )
 from steerd.steer_bus import messages as m
@@ -62,6 +66,22 @@ def test_without_leave_of_the_run_nothing_is_asked_for():
     known = ReadOnlyParameters({"live.speed": 1.5})
     (kept,) = known.on_set_parameters(None, [parameter("live.speed", 1.25)])
     assert kept.get_value() == 1.5
+
+
+def test_what_was_learnt_is_shown_with_its_standard_deviation_once_it_is_new():
+    blank = {f.name: nan for f in fields(m.Model)}
+    rows = [["steer_gain", 0.88, 0.002, "1", True], ["lf", 0.16, None, "m", False]]
+    told = {"verdict": "named", "effect": "steer_gain"}
+    told["details"] = json.dumps({"values": rows, "changes": []})
+    shown = make_learnt_parameters(SimpleNamespace(**blank | told))
+    assert shown["model.steer_gain"] == 0.88
+    assert shown["model.steer_gain_sd"] == 0.002
+    assert shown["model.steer_gain_identifiable"] == "yes"
+    assert shown["model.lf_identifiable"] == "no"
+    assert "model.lf_sd" not in shown
+    known = ReadOnlyParameters({})
+    assert len(known.take(shown)) == len(shown)
+    assert known.take(shown) == []
 
 
 def test_a_viewer_counts_what_the_pipe_dropped():
