@@ -31,6 +31,8 @@ FIRST = (
 steering that was at its end stop has no derivative by a gain that takes it off."""
 HOPELESS = 0.2
 """Unless they explain less than this of what the leading one does."""
+HALVINGS = 3
+"""Times that a step which makes the windows worse than they were is halved."""
 ROUNDS = 6
 """Times that the windows' weights are taken anew."""
 
@@ -200,18 +202,47 @@ def look_closer(
     newest about where it was.
     """
     if len(looks) not in CLOSER:
-        return {
-            effect: Point(point.z, (*point.looks, look_again(anchor, looks[-1], effect, point.z)))
-            for effect, point in points.items()
-        }
-    found = {}
-    for fit in worth_a_look(null, fits):
-        z = fit.z.copy()
-        if is_at_bound(anchor, fit):  # the form reaches too far; half of it is a car that drives
-            z[anchor.space.nuisance :] *= 0.5
-        again = tuple(look_again(anchor, seen, fit.effect, z) for seen in looks)
-        found[fit.effect] = Point(z, again)
-    return found
+        return {effect: _longer(anchor, effect, point, looks) for effect, point in points.items()}
+    return {
+        fit.effect: _closer(anchor, fit, looks, points.get(fit.effect))
+        for fit in worth_a_look(null, fits)
+    }
+
+
+def _longer(anchor: Anchor, effect: str, point: Point, looks: Sequence[Look]) -> Point:
+    """The same point with the windows that it has not seen yet."""
+    late = looks[len(point.looks) :]
+    again = tuple(look_again(anchor, seen, effect, point.z) for seen in late)
+    return Point(point.z, (*point.looks, *again))
+
+
+def _closer(anchor: Anchor, fit: Fit, looks: Sequence[Look], old: Point | None) -> Point:
+    """The windows about where the effect now is, or less far where that fits them worse.
+
+    A form is exact only where it was made: a tyre that slides is no straight line away from one
+    that grips, and a hypothesis that stands where no car drives loses to whatever is next to it.
+    """
+    n, own = anchor.space.nuisance, anchor.places(fit.effect)
+    if old is None:
+        at = tuple(cut(seen, [*range(n), *own]) for seen in looks)
+        old = Point(np.zeros(n + len(own)), at)
+    else:
+        old = _longer(anchor, fit.effect, old, looks)
+    z = fit.z.copy()
+    if is_at_bound(anchor, fit):  # the form reaches too far; half of it is a car that drives
+        z[n:] *= 0.5
+    for _ in range(HALVINGS):
+        new = Point(z, tuple(look_again(anchor, seen, fit.effect, z) for seen in looks))
+        if _exact(new) <= _exact(old):
+            return new
+        z = 0.5 * (z + old.z)
+    return old
+
+
+def _exact(point: Point) -> float:
+    """Loss of a point's windows where they were linearised, where their form is exact [nats]."""
+    windows = _Windows(point.looks)
+    return float((windows.dof * np.log1p(windows.ratios(point.z))).sum())
 
 
 def worth_a_look(null: Fit, fits: Sequence[Fit]) -> list[Fit]:
