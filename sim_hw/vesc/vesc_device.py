@@ -170,9 +170,13 @@ class SimVesc:
         if t_ns >= self._stats_next_ns:
             self._stats_next_ns = t_ns + TICK_NS
             self.stats.sample(self.car.state.speed, power)
+        return self._servo(t_ns), demand
+
+    def _servo(self, t_ns: int) -> float:
+        """The road-wheel angle [rad] that the servo holds now; faults of servos replace this."""
         if t_ns >= self._servo_next_ns:
             self._move_servo(t_ns)
-        return self._servo_steer, demand
+        return self._servo_steer
 
     def _act(self, act: Act, erpm: float) -> tuple[Demand, float]:
         """The demand for the wheels and the motor current [A, wire sign]."""
