@@ -92,9 +92,10 @@ class Facts:
         return requested and set(self.states) & UPWARD == {SupervisorState.ARMED}
 
 
-def run_cell(fault_case: FaultCase, phase: str) -> Outcome:
-    """Bring a fault about in a phase and judge what follows."""
-    rig = twin(at_phase(phase))
+def run_cell(fault_case: FaultCase, phase: str, *, adapting: bool = False) -> Outcome:
+    """Bring a fault about in a phase and judge what follows, with or without `--adapt`."""
+    rig = twin(at_phase(phase, adapting))
+    rig.propose_ns = min(rig.propose_ns, rig.t_ns + 100 * MS)
     seen = len(rig.notes.transitions)
     rig.track.clear()
     t_fault = rig.t_ns

@@ -7,9 +7,13 @@ import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from math import inf
 
+from steerd.controller.acceptance import make_acceptance
+from steerd.controller.learnt import Design
 from steerd.daemon.assembly.build import NS, RunPlan, make_core, make_plan, make_world_config
 from steerd.daemon.ipc.pipe_records import PipeRecord
+from steerd.daemon.loop.design_message import make_design, make_no_design
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun
@@ -23,10 +27,17 @@ from steerd.sim_hw.world import World
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, Transition, make_header
+from tests.designs import design_for
 
 MS = 1_000_000
 BOOT_ID, LEASE_ID = 4711, 42
 KEEPALIVE_NS = 100 * MS
+PROPOSE_NS = 1000 * MS
+MISTAKES = (
+    {"steer_bias": 0.003, "steer_gain": 0.985},
+    {"steer_bias": 0.006, "steer_gain": 0.97, "body_yaw": 0.004},
+)
+"""Cars that a learner takes this one for: near enough to pass the core's check."""
 STRAIGHT, CURVE = ("line", 2.0), ("circle:radius=1.12", 2.0)
 BYSTANDER = Bystander("cone", 2, 1.0, 1.5, 0.3)
 
@@ -53,6 +64,7 @@ class Rig:
         track: true motion, tick by tick.
         alive: whether the operator keeps the lease alive.
         late_ns: lateness of the next tick.
+        proposals: of a learner, in turn, None for the file's own; `propose_ns` when the next comes.
     """
 
     plan: RunPlan
@@ -64,6 +76,9 @@ class Rig:
     seq: int = 0
     spoke_ns: int = -KEEPALIVE_NS
     said: list[bytes] = field(default_factory=list)
+    proposals: tuple[Design | None, ...] = ()
+    propose_ns: float = inf
+    proposed: int = 0
 
     @property
     def state(self) -> SupervisorState:
@@ -94,11 +109,24 @@ class Rig:
         """A message for the core, as the gateway hands it over."""
         self.run.core.on_request(topic, data, self.t_ns)
 
+    def propose(self) -> None:
+        """A learner's next design, or none."""
+        design = self.proposals[self.proposed % len(self.proposals)]
+        self.proposed += 1
+        self.propose_ns = self.t_ns + PROPOSE_NS
+        if design is None:
+            message = make_no_design(self.t_ns, EPOCH_NS, "a change is being looked into")
+        else:
+            message = make_design(self.t_ns, EPOCH_NS, 1, design)
+        self.run.core.on_proposal(encode(message), self.t_ns)
+
     def step(self) -> None:
         """One period."""
         if self.alive and self.t_ns - self.spoke_ns >= KEEPALIVE_NS:
             self.spoke_ns = self.t_ns
             self.ask(RequestKind.KEEPALIVE)
+        if self.proposals and self.t_ns >= self.propose_ns:
+            self.propose()
         late_ns, self.late_ns = self.late_ns, 0
         self.run.step(late_ns)
         truth = self.run.world.truth()
@@ -122,9 +150,14 @@ class Rig:
         self.run.world.add_fault(Fault(fault, self.t_ns, **params))
 
 
-def make_rig(path: str, speed: float, settings: Settings | None = None) -> Rig:
-    """A car that has just been switched on; `settings` in place of the default car file's."""
-    plan = _plan(path, speed)
+def make_rig(
+    path: str, speed: float, settings: Settings | None = None, *, adapting: bool = False
+) -> Rig:
+    """A car that has just been switched on; `settings` in place of the default car file's.
+
+    With `adapting` a learner takes it for other cars, in turn, and the lane keeper follows.
+    """
+    plan = _plan(path, speed, adapting)
     if settings is not None:
         plan = make_plan(plan.options, settings)
     config = make_world_config(plan, keep_bytes=True)
@@ -133,12 +166,21 @@ def make_rig(path: str, speed: float, settings: Settings | None = None) -> Rig:
     core = make_core(plan, BOOT_ID, EPOCH_NS, (notes,), leased=True)
     core.flags |= Flag.LINKED
     source = NatNetSource(config.mocap.body, "127.0.0.1", plan.settings.ingest)
-    return Rig(plan, VirtualRun(core, World(config), source, plan.period_ns), notes)
+    run = VirtualRun(core, World(config), source, plan.period_ns)
+    return Rig(plan, run, notes, proposals=_mistaken(path, speed) if adapting else ())
 
 
 @lru_cache
-def _plan(path: str, speed: float) -> RunPlan:
-    return make_plan(RunOptions(car_file="", path=path, speed=speed))
+def _plan(path: str, speed: float, adapting: bool) -> RunPlan:
+    options = RunOptions(car_file="", path=path, speed=speed, learn=adapting, adapt=adapting)
+    return make_plan(options)
+
+
+@lru_cache
+def _mistaken(path: str, speed: float) -> tuple[Design | None, ...]:
+    """What the learner proposes, as from a real one; then it is in doubt, and begins again."""
+    held = make_acceptance(_plan(path, speed, True).controller)
+    return (*(design_for(held, **cars) for cars in MISTAKES), None)
 
 
 def twin(rig: Rig) -> Rig:
@@ -166,9 +208,9 @@ PHASES = {
 
 
 @lru_cache
-def at_phase(phase: str) -> Rig:
+def at_phase(phase: str, adapting: bool = False) -> Rig:
     """The moment of a phase at which faults strike. Use `twin` of it."""
-    rig = make_rig(*(CURVE if phase == "P6" else STRAIGHT))
+    rig = make_rig(*(CURVE if phase == "P6" else STRAIGHT), adapting=adapting)
     if phase == "P0":
         rig.step()
         return rig
@@ -184,6 +226,8 @@ def at_phase(phase: str) -> Rig:
     if phase == "P3":
         return rig
     rig.ask(RequestKind.START)
+    rig.reach(SupervisorState.RUNNING)
+    rig.propose_ns = rig.t_ns
     rig.reach(SupervisorState.RUNNING, 0.6)
     if phase == "P4":
         return rig

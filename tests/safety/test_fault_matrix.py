@@ -1,7 +1,8 @@
 """Every fault in every phase, in virtual time, judged on the simulated VESC's bytes.
 
 A seeded third runs by default (every fault and every phase is in it), all of them with
-``STEERD_FAULTS=all`` (`make safety`); any other value is the seed.
+``STEERD_FAULTS=all`` (`make safety`); any other value is the seed. The same cells again with a
+learner that takes the car for another and a lane keeper that follows it: one a fault, or all.
 """
 
 import os
@@ -9,6 +10,7 @@ import os
 import numpy as np
 import pytest
 
+from steerd.daemon.loop.transitions import SupervisorState
 from tests.safety.catalogue import BY_CODE, FAULT_CASES
 from tests.safety.matrix import list_cells, run_cell
 from tests.safety.rig import PHASES, at_phase, twin
@@ -43,6 +45,38 @@ def test_the_matrix_is_as_large_as_it_says() -> None:
 @pytest.mark.parametrize(("code", "phase"), chosen())
 def test_cell(code: str, phase: str) -> None:
     outcome = run_cell(BY_CODE[code], phase)
+    assert not outcome.wrong, outcome
+
+
+def chosen_adapting() -> list[tuple[str, str]]:
+    """All cells, or one of each fault."""
+    if ASKED == "all":
+        return CELLS
+    rng = np.random.default_rng([int(ASKED), 1])
+    drawn = []
+    for fault_case in FAULT_CASES:
+        cells = [cell for cell in CELLS if cell[0] == fault_case.code]
+        drawn.append(cells[int(rng.integers(len(cells)))])
+    return drawn
+
+
+@pytest.mark.parametrize("phase", ["P5", "P6"])
+def test_the_mistaken_learner_is_followed(phase: str) -> None:
+    rig = twin(at_phase(phase, True))
+    assert rig.proposed >= 2
+    assert rig.run.core.designs.refused == 0
+    numbers = set()
+    for _ in range(300):
+        rig.step()
+        numbers.add(rig.run.core.loop.adapting.number)
+    assert 0 in numbers
+    assert len(numbers) >= 3
+    assert rig.state is SupervisorState.RUNNING
+
+
+@pytest.mark.parametrize(("code", "phase"), chosen_adapting())
+def test_cell_with_a_mistaken_learner(code: str, phase: str) -> None:
+    outcome = run_cell(BY_CODE[code], phase, adapting=True)
     assert not outcome.wrong, outcome
 
 
