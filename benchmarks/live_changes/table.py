@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 Row = dict[str, Any]
-NAMED_WITHIN = 6.0
-"""A name counts as in time within this [s]."""
+NOTICED_WITHIN, NAMED_WITHIN = 2.0, 6.0
+"""A change, a name counts as in time within this [s]."""
 _HEAD = (
-    "| change | drives | noticed | median | named right by 6 s | median | wrong at the end |"
-    " alone, right |\n| --- | --- | --- | --- | --- | --- | --- | --- |"
+    "| change | drives | noticed | by 2 s | median | named right by 6 s | median |"
+    " wrong at the end | alone, right |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- |"
 )
 
 
@@ -38,7 +38,8 @@ def _line(name: str, rows: Sequence[Row]) -> str:
     alone = sum(said == [name] for said in final)
     in_time = int((right <= NAMED_WITHIN).sum())
     return (
-        f"| {name} | {len(rows)} | {int(np.isfinite(noticed).sum())} | {_middle(noticed)} |"
+        f"| {name} | {len(rows)} | {int(np.isfinite(noticed).sum())} |"
+        f" {int((noticed <= NOTICED_WITHIN).sum())} | {_middle(noticed)} |"
         f" {in_time} | {_middle(right)} | {wrong} | {alone} |"
     )
 
