@@ -437,7 +437,7 @@ def _causes(engine: Engine, choice: Choice, verdict: str) -> tuple[Cause, ...]:
             q.name: (float(p[i]), float(sd[names[i]]), q.unit)
             for q, i in zip(effect.parameters, places, strict=True)
         }
-        sure = confidence_of(doubt, broken, partial)
+        sure = confidence_of(doubt, broken, partial, bool(others))
         alias = effect.confounded_with.note if effect.confounded_with else ""
         causes.append(
             Cause(name, effect.stage.value, effect.family, parameters, sure, others, alias)

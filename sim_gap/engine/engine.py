@@ -83,6 +83,15 @@ class Tangent(NamedTuple):
     kx: Array
     h: Array
 
+    def holding(self, held: NDArray[np.bool_]) -> "Tangent":
+        """The same with the starts of some windows (mask (W,)) where they are."""
+        free = ~held[:, None, None]
+        whole = self.by_z.transpose(0, 2, 1) @ self.by_z
+        return self._replace(
+            inverse=self.inverse * free, cross=self.cross * free, kx=self.kx * free,
+            h=np.where(free, self.h, whole),
+        )  # fmt: skip
+
 
 class Reduced(NamedTuple):
     """Windows' losses as functions of the coordinates alone, about one point.
@@ -247,6 +256,13 @@ class Engine:
         g = g - np.matmul(dx[:, None, :], tangent.cross)[:, 0]
         dof = self.padded.there.sum(axis=1) - FREE_STATES
         return Reduced(np.maximum(square, 0.0), dof, g, tangent.h, dx, tangent.kx, True)
+
+    def square_at(self, error: Array, x: Array) -> Array:
+        """(W,) whitened squared errors (W, D) and starts (W, 7) as they are, priors included."""
+        white = np.matmul(self.whiten, error[:, :, None])[:, :, 0]
+        away = (self.readings.layout.guess - x) / self.start_spread
+        square: Array = (white**2).sum(axis=1) + (away**2).sum(axis=1)
+        return square
 
     def lost(self, n: int) -> Reduced:
         """What a simulation that left the map counts as."""

@@ -1,6 +1,7 @@
 """The best numbers of a hypothesis: Levenberg-Marquardt on the losses with eliminated starts."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,12 @@ LOST_LEAST, LOST_RATIO = 30.0, 6.0
 """A window this much worse than noise, and than the median, does not pull at all."""
 _RETURNS = 3
 """Steps of such a start."""
+_ROUNDS = 4
+"""Steps of every window's start about one point ..."""
+_OWED = 0.05
+"""... and what may then be left of what such a step promises to take off a window's square."""
+_SHORTER = 0.25
+"""A start's step that led up is tried again so much shorter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,8 +167,9 @@ class _Search:
         """Take derivatives here."""
         linear = self.engine.linear(self.space, self.z, self.x)
         if linear.finite:
-            self.linear, self.tangent = linear, self.engine.tangent(linear)
-            self.at = self.bounded(self.engine.reduce_by(self.tangent, linear.error, self.x))
+            starts = settle_starts(self.engine, self.space, self.z, self.x, linear)
+            self.x, self.linear, self.tangent, at = starts
+            self.at = self.bounded(at)
             self.cost = total(self.space, self.at, self.z)
         self.stale = 0.0
 
@@ -248,8 +256,7 @@ def minimise(
     linear = known or engine.linear(space, z, x)
     if not linear.finite:
         raise FloatingPointError("the simulation diverges at the start values")
-    tangent = engine.tangent(linear)
-    at = engine.reduce_by(tangent, linear.error, x)
+    x, linear, tangent, at = settle_starts(engine, space, z, x, linear)
     at = at._replace(limit=lost_from(at))
     now = _Search(engine, space, z, x, linear, tangent, at, total(space, at, z))
     now.stale = _STALE_KNOWN if known else 0.0
@@ -261,6 +268,49 @@ def minimise(
         now.fresh()
     covariance = covariance_of(space, now.at)
     return Fitted(space, now.z, now.x, now.at, now.cost, covariance, now.tangent, now.linear)
+
+
+class Starts(NamedTuple):
+    """Windows' starts at their best about one point: errors, derivatives and losses there."""
+
+    x: Array
+    linear: Linear
+    tangent: Tangent
+    at: Reduced
+
+
+def settle_starts(engine: Engine, space: Space, z: Array, x: Array, linear: Linear) -> Starts:
+    """Starts stepped, window by window, until a further step promises nothing.
+
+    Losses count what a start's next step promises as taken. Where a window is so bent that no step
+    keeps that promise, its start is held: else the search would compare every step with a cost
+    that nothing reaches, and stop where it stands.
+
+    Args:
+        engine: the windows.
+        space: the coordinates.
+        z: (n,) where they are.
+        x: (W, 7) windows' starts there.
+        linear: errors and derivatives at `z` and `x`.
+    """
+    x, error, tangent = x.copy(), linear.error.copy(), engine.tangent(linear)
+    at, square = engine.reduce_by(tangent, error, x), engine.square_at(error, x)
+    share = np.ones(len(x))
+    for _ in range(_ROUNDS):
+        if not (square - at.square > _OWED).any():
+            break
+        tried = x + share[:, None] * at.dx
+        off, _ = engine.missed(space, z, tried)
+        left = engine.square_at(off, tried)
+        better = left < square
+        x[better], error[better], square[better] = tried[better], off[better], left[better]
+        share = np.where(better, 1.0, _SHORTER * share)
+        at = engine.reduce_by(tangent, error, x)
+    held = square - at.square > _OWED
+    if held.any():
+        tangent = tangent.holding(held)
+        at = engine.reduce_by(tangent, error, x)
+    return Starts(x, linear._replace(error=error), tangent, at)
 
 
 def lost_from(at: Reduced) -> float:

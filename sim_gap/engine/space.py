@@ -104,7 +104,7 @@ def nuisance_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
             names = [name for name in names if name.partition(".")[0] not in held]
     if sources != {"command"}:
         gone = {"speed_lag", "drive_delay", *LIMITS[1:]} | (
-            {"speed_gain"} if "wheel" not in sources else set()
+            {"speed_gain", "c_x"} if "wheel" not in sources else set()
         )
         names = [name for name in names if name not in gone]
     if (
@@ -123,13 +123,16 @@ def informative_effects(superset: Superset, runs: Sequence[Run]) -> tuple[str, .
     What the motor does is then no prediction, a limit on it would only hold the car back from the
     speed that was measured, and that speed's acceleration is mostly noise.
     """
-    missing = set() if all(run.speed_source == "command" for run in runs) else {Channel.SPEED}
+    commanded = all(run.speed_source == "command" for run in runs)
+    missing = set() if commanded else {Channel.SPEED}
     chassis = superset.kernels.chassis.name
     built_in = {e.name for e in superset.effects if chassis in e.built_into}
     return tuple(
         e.name
         for e in superset.effects
-        if e.needs_commands not in missing and e.name not in built_in
+        if e.needs_commands not in missing
+        and e.name not in built_in
+        and (commanded or not e.follows_acceleration)
     )
 
 

@@ -6,7 +6,7 @@ parameters of this one car are free: one compilation serves all candidates and a
 
 # Why: docs/decisions/diagnosis.md#d30
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,22 +62,27 @@ def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset
     and slip do not follow it then.
     """
     sd = dict(base.sd) if isinstance(base, CarFile) else {}
-    model = base.model if isinstance(base, CarFile) else base
+    given = base.model if isinstance(base, CarFile) else base
+    model, stated = prescribe_speed(given, runs), set[str]()
     own = dict(zip((e.name for e in model.effects), model.values, strict=True))
     if any(run.speed_source != "command" for run in runs):
-        model = prescribe_speed(model)
         model = model._replace(car=model.car._replace(cog_height=0.0))
-        own = {e.name: own[e.name] for e in model.effects if not e.follows_acceleration}
+        pairs = zip(Car._fields, model.car, given.car, strict=True)
+        stated = {name for name, now, before in pairs if now != before}
+        stated |= {e.name for e in EFFECTS.values() if e.follows_acceleration}
+        own = {name: values for name, values in own.items() if name not in stated}
     effects = tuple(EFFECTS.values())
     nulls = {e.name: own.get(e.name, e.nulls) for e in effects}
     values = tuple(nulls[e.name] for e in effects)
     full: Model[float] = Model(Car(*model.car), effects, values, model.chassis)
     kernels = make_kernels(effects, model.chassis)
-    return _known(Superset(kernels, parameter_vector(full), nulls, sd), base)
+    return _known(Superset(kernels, parameter_vector(full), nulls, sd), base, stated)
 
 
-def _known(superset: Superset, base: CarFile | Model[float]) -> Superset:
+def _known(superset: Superset, base: CarFile | Model[float], stated: Collection[str]) -> Superset:
     """The superset about what the base's healthy drives taught, if its file still fits it.
+
+    What a prescribed speed states, of parameters or effects, stays.
 
     Raises:
         ValueError: the file's `[knowledge]` is not what identify writes.
@@ -89,6 +94,8 @@ def _known(superset: Superset, base: CarFile | Model[float]) -> Superset:
         return superset
     names, parameters = superset.kernels.names, superset.base.copy()
     for name, value in zip(known.names, known.values, strict=False):
+        if name.partition(".")[0] in stated:
+            continue
         parameters[names.index(name)] = value
     nulls = {e.name: tuple(parameters[superset.places(e.name)].tolist()) for e in superset.effects}
     return replace(superset, base=parameters, nulls=nulls, knowledge=known)

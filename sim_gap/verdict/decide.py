@@ -298,21 +298,25 @@ def doubt_of(best: Score, others: Sequence[Score], blocks: NDArray[np.int64]) ->
     return doubt
 
 
-def confidence_of(doubt: float, broken: bool = False, partial: bool = False) -> float:
+def confidence_of(
+    doubt: float, broken: bool = False, partial: bool = False, ambiguous: bool = False
+) -> float:
     """How sure a name is: the share of right names among tuning cases of such doubt.
 
     Beside a gap that nothing explains it is no more than `PARTIAL_MOST`: tuning cases hold few
-    defects outside the library, and reality holds many.
+    defects outside the library, and reality holds many. Beside a name that these drives do not
+    distinguish from it, it is no more than `AMBIGUOUS_MOST`.
 
     Args:
         doubt: see `doubt_of`.
         broken: whether halves of the drives disagree about the effect.
         partial: whether part of the gap stays.
+        ambiguous: whether another effect is not distinguishable from it.
     """
     surety = -float(np.log(max(doubt, c.DOUBT_LEAST)))
     odds = c.CONFIDENCE_AT_ONE + c.CONFIDENCE_PER_SURETY * surety
     odds += c.CONFIDENCE_BROKEN * broken + c.CONFIDENCE_PARTIAL * partial
-    most = c.PARTIAL_MOST if partial else 1.0
+    most = min(c.PARTIAL_MOST if partial else 1.0, c.AMBIGUOUS_MOST if ambiguous else 1.0)
     return min(float(1.0 / (1.0 + np.exp(-odds))), most)
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
+from steerd.car_model.planar import make_planar
 from steerd.sysid.compiler.kernels import (
     Kernels,
     delays_of,
@@ -65,6 +66,8 @@ _GROWTH = 1.5
 """A last stage whose windows are no more than so much longer than a stage's replaces it."""
 _SPEED_OF_COMMANDS = ("speed_gain", "speed_lag", "drive_delay", "accel_max", "decel_max")
 _SPEED_LOOP = tuple(name for name in _SPEED_OF_COMMANDS if name != "speed_gain")
+NO_SLIP = 1e6
+"""Slip stiffness of wheels that turn as fast as the ground passes, to a tenth of a millimetre."""
 SPEED_CHANGE = 0.1
 """A commanded speed that varies by less within every drive was never changed [m/s]."""
 _NOISE_ROUNDS = 6
@@ -169,11 +172,20 @@ class Fit:
         return tuple(name for name, e in self.estimates.items() if not e.identifiable)
 
 
-def prescribe_speed(model: Model[float]) -> Model[float]:
-    """The car whose speed follows a measured speed at once (no speed command to explain)."""
+def prescribe_speed(model: Model[float], runs: Sequence[Run]) -> Model[float]:
+    """The car whose speed follows a measured speed at once, where there is no command to explain.
+
+    A speed from poses is the body's and not the wheels': no slip lies between, and no driven front
+    axle rolls along its own wheels.
+    """
+    sources = {run.speed_source for run in runs}
+    if sources == {"command"}:
+        return model
     car: Car[float] = model.car._replace(
         speed_lag=0.0, drive_delay=0.0, accel_max=1e3, decel_max=1e3
     )
+    if sources == {"pose"} and model.chassis.drive:
+        return model._replace(car=car._replace(c_x=NO_SLIP), chassis=make_planar("rear"))
     return model._replace(car=car)
 
 
@@ -183,7 +195,8 @@ def _free_names(runs: Sequence[Run], options: Options, chassis: Chassis) -> tupl
     if sources == {"command"}:
         silent = _silent_names(runs, free)
         return tuple(name for name in free if name not in silent)
-    gone = set(_SPEED_OF_COMMANDS) - ({"speed_gain"} if "wheel" in sources else set())
+    of_wheels = {"speed_gain", "c_x"}
+    gone = {*_SPEED_OF_COMMANDS, *of_wheels} - (of_wheels if "wheel" in sources else set())
     return tuple(name for name in free if name not in gone)
 
 
@@ -261,8 +274,7 @@ def fit(
     options = options or Options()
     check_excited([run.commands[:, 0] for run in runs])
     check_sources(runs)
-    if any(run.speed_source != "command" for run in runs):
-        model, starts = prescribe_speed(model), [prescribe_speed(start) for start in starts]
+    model, *starts = (prescribe_speed(each, runs) for each in (model, *starts))
     kernels = make_kernels(model.effects, model.chassis)
     free = _free_names(runs, options, model.chassis)
     if not free:

@@ -90,8 +90,7 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
         ValueError: no window sees enough poses.
     """
     check_sources(runs)
-    if any(run.speed_source != "command" for run in runs):
-        model = prescribe_speed(model)
+    model = prescribe_speed(model, runs)
     kernels, parameters = make_kernels(model.effects, model.chassis), parameter_vector(model)
     late = float(delays_of(kernels, parameters)[2])
     layout = make_layout(runs, _ROOM * (PAST + horizon), late)
