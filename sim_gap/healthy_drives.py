@@ -43,11 +43,12 @@ from steerd.sim_gap.engine.noise import (
 from steerd.sim_gap.engine.residuals import ratios, robust_mean
 from steerd.sim_gap.engine.space import informative_effects, make_space, nuisance_names
 from steerd.sim_gap.engine.superset import Superset, make_superset
-from steerd.sim_gap.verdict.candidates import blocks_of, refit_all
+from steerd.sim_gap.verdict.candidates import Score, blocks_of, gain_of, refit_all, scored
 from steerd.sim_gap.verdict.screen import screen
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.estimation.chart import make_chart
+from steerd.sysid.estimation.outcome import Step
 from steerd.sysid.estimation.robust_covariance import Spread, inflate_each
 from steerd.sysid.estimation.taught import NOTHING, Stated
 
@@ -100,6 +101,7 @@ class Taught:
         noise: how large what is random is.
         nuisance: names of the base's free parameters.
         shares: of identification's weak priors, by parameter (see `ORDINARY`).
+        selected: effects beyond those of every car that the drives show, the surest first.
     """
 
     superset: Superset
@@ -108,6 +110,7 @@ class Taught:
     noise: Noise
     nuisance: tuple[str, ...]
     shares: Mapping[str, float]
+    selected: tuple[Step, ...] = ()
 
 
 def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NOTHING) -> Taught:
@@ -233,8 +236,16 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
 def teach_with_limits(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHING) -> Taught:
     """`teach`, once more with the limits and the play that the drives show, free like the rest."""
     taught = teach(base, runs, stated)
-    own = _shown(taught, runs, stated)
-    return _with_effects(taught, own, runs) if own else taught
+    shown = _shown(taught, runs, stated)
+    if not shown:
+        return taught
+    null, blocks = scored(taught.engine, taught.fitted), blocks_of(taught.engine)
+    steps = tuple(Step(score.name, *gain_of(score, null, blocks)) for score in shown)
+    values = {
+        score.name: tuple(score.fitted.parameters[taught.superset.places(score.name)].tolist())
+        for score in shown
+    }
+    return replace(_with_effects(taught, values, runs), selected=steps)
 
 
 def taught_car(base: CarFile, taught: Taught) -> CarFile:
@@ -352,7 +363,7 @@ def _with_secants(taught: Taught) -> Reduced:
     return engine.reduce_by(tangent, linear.error, fitted.x)._replace(limit=fitted.at.limit)
 
 
-def _shown(taught: Taught, runs: Sequence[Run], stated: Stated) -> dict[str, tuple[float, ...]]:
+def _shown(taught: Taught, runs: Sequence[Run], stated: Stated) -> list[Score]:
     """Further effects that healthy drives show: this car has them, so later they are no gap."""
     engine, null, nuisance = taught.engine, taught.fitted, taught.nuisance
     shown = informative_effects(taught.superset, runs)
@@ -368,11 +379,7 @@ def _shown(taught: Taught, runs: Sequence[Run], stated: Stated) -> dict[str, tup
     promises = [p for p in screen(engine, null, nuisance, only) if p.gain > c.BUILT_IN_GAIN]
     ranked = refit_all(engine, null, nuisance, promises)
     likely = sorted(ranked, key=lambda score: score.fitted.cost)[: c.BUILT_IN]
-    return {
-        score.name: tuple(score.fitted.parameters[taught.superset.places(score.name)].tolist())
-        for score in likely
-        if null.cost - score.fitted.cost > c.BUILT_IN_GAIN
-    }
+    return [score for score in likely if null.cost - score.fitted.cost > c.BUILT_IN_GAIN]
 
 
 def _with_effects(

@@ -141,15 +141,18 @@ def teach_car(model: Model[float], runs: "Sequence[Run]", stated: "Stated") -> "
         FloatingPointError: the car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    from steerd.sim_gap.healthy_drives import refine
+    from steerd.sim_gap.healthy_drives import taught_car, teach_with_limits
     from steerd.sysid.estimation.taught import TaughtModel
 
     file = CarFile(
         Path("taught.toml"), "taught", model.car, model.effects, model.values,
         chassis=model.chassis,
     )  # fmt: skip
-    found = refine(file, runs, stated)
-    return TaughtModel(found.model, found.sd, found.sections)
+    taught = teach_with_limits(file, runs, stated)
+    found = taught_car(file, taught)
+    kept = {effect.name for effect in found.effects}
+    shown = tuple(step for step in taught.selected if step.effect in kept)
+    return TaughtModel(found.model, found.sd, found.sections, shown)
 
 
 def with_knowledge(
@@ -183,7 +186,7 @@ def _learnt(car: CarFile, runs: "tuple[Run, ...]") -> "dict[str, dict[str, Any]]
     from steerd.sysid.data.segments import moving_segments
     from steerd.sysid.estimation.prediction_horizon import add_command_history
 
-    return learn_sections(car, moving_segments(add_command_history(runs, car.model, ())))
+    return learn_sections(car, moving_segments(add_command_history(runs, car.model, asked=True)))
 
 
 def diagnosed_values(causes: "Sequence[Cause]", sessions: "Sequence[Path]") -> dict[str, Learned]:

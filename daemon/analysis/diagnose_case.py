@@ -115,9 +115,9 @@ def make_case(request: DiagnoseRequest, warn: Warn, advance: Callable[[float], N
     warn(compare_truths({path.name: open_session(path).info().metadata for path in sessions}))
     base, source, notes = find_base(request.base, sessions)
     jitters = tuple(" ".join(drive.log_jitter.describe()) for drive in drives if drive.log_jitter)
-    drives = add_command_history(drives, base.model, ())
+    drives = add_command_history(drives, base.model, asked=True)
     healthy = [load_drive(path, speed, warn) for path in request.healthy]
-    healthy = add_command_history(healthy, base.model, ())
+    healthy = add_command_history(healthy, base.model, asked=True)
     runs, later, held_out_of, more = split_drives(drives, request.held_out, speed, warn)
     return Case(
         sessions, runs, later, held_out_of, find_moving(healthy) if healthy else (), base, source,

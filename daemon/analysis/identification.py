@@ -172,8 +172,8 @@ def identify(
         sessions: drives to fit: files, or what `load` and `simulate` give.
         car: start values: a car file, an `Identification`; None for the F1TENTH car.
         held_out: what validates: every k-th block of 5 s (default 4), or whole sessions.
-        effects: unmodelled effects to try (`auto`: a real car's usual ones); those that the drives
-            show are fitted.
+        effects: the only effects of the library that may be learnt with the car; empty or `auto`
+            for all that the drives show (empty with `free`: none but those).
         free: parameters to fit; empty for all that the drives can hold.
         fix: parameters that keep the start value (None) or take this one, in SI units.
         wheelbase: measured distance of the axles [m].

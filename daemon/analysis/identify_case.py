@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from steerd.car_model.car_file import CarFile, CarFileError, Learned, parse_car, updated_text
-from steerd.car_model.effects import find_effect
+from steerd.car_model.effects import EFFECTS, find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
 from steerd.daemon.analysis.car_output import teach_car
@@ -22,7 +22,6 @@ from steerd.daemon.analysis.held_out import EVERY, HeldOut
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import open_session
-from steerd.sysid.estimation.effect_selection import CANDIDATES
 from steerd.sysid.estimation.fit import Options, default_free
 from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names, held_names
 from steerd.sysid.estimation.prediction_horizon import level_loads, scale_inertia
@@ -48,7 +47,8 @@ class IdentifyRequest:
         fix: parameters that keep the car's value (None) or take this one.
         wheelbase: measured distance of the axles [m].
         speed: `wheel` takes the measured speed in place of the command.
-        effects: candidates, or `auto`.
+        effects: the only ones that may be learnt; empty or `auto` for all that drives show, empty
+            with `free` for none but those.
         method, starts, iterations, seed: how to search.
         jobs, dask: where to work.
     """
@@ -85,7 +85,7 @@ def make_task(request: IdentifyRequest, warn: Warn) -> Task:
     model = _with_fixed(base, request.fix).model
     if length is not None and not _WHEELBASE[0] <= length <= _WHEELBASE[1]:
         raise SteerdError(f"wheelbase {length:g}: in metres", "", _USAGE)
-    candidates = _candidates(request.effects)
+    candidates = _candidates(request)
     try:
         model = fit_wheelbase(model, length, fixed)
     except ValueError as error:
@@ -118,17 +118,16 @@ def make_task(request: IdentifyRequest, warn: Warn) -> Task:
         jobs=request.jobs,
         dask=request.dask,
         truth=_truth(sessions, files, warn),
-        effects=candidates,
-        held=held_names(fixed, free, axles_known=length is not None),
+        held=held_names(fixed, free, axles_known=length is not None, effects=candidates),
     )
 
 
-def _candidates(given: tuple[str, ...] | Literal["auto"]) -> tuple[str, ...]:
-    """Effects to look for."""
-    if given == "auto":
-        return CANDIDATES
+def _candidates(request: IdentifyRequest) -> tuple[str, ...] | None:
+    """The only effects that may be learnt; None where `free` says what may be."""
+    if request.effects == "auto":
+        return tuple(EFFECTS)
     try:
-        return tuple(find_effect(name).name for name in given)
+        return tuple(find_effect(name).name for name in request.effects) or None
     except ValueError as error:
         what, _, hint = str(error).partition("; ")
         raise SteerdError(what, hint or "`steerd effects` lists them", _USAGE) from None

@@ -15,7 +15,6 @@ from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
 from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
 from steerd.sysid.estimation.chart import SPREAD_RELATIVE
-from steerd.sysid.estimation.effect_selection import Step, select_effects
 from steerd.sysid.estimation.fit import Fit, Options, default_free, fit
 from steerd.sysid.estimation.multistart import (
     COMPARABLE,
@@ -32,7 +31,6 @@ from steerd.sysid.estimation.prediction_horizon import (
     add_command_history,
     choose_horizons,
     exceeds_slew_rate,
-    is_adequate,
     restore_end_stops,
     widen_end_stops,
 )
@@ -88,8 +86,6 @@ class Task:
         seed: of the random starts.
         jobs, dask: where to work, see `scale.map_jobs`.
         truth: the simulated car, if it is known.
-        effects: candidates; those that the drives show are fitted with the car.
-        first: where the fit starts, if not at `model`.
         held: parameters and effects that keep the model's values.
         teach: gives the values where residuals are many times the noise, see `taught`.
     """
@@ -106,8 +102,6 @@ class Task:
     jobs: int = 1
     dask: str | None = None
     truth: Car[float] | None = None
-    effects: tuple[str, ...] = ()
-    first: Model[float] | None = None
     held: tuple[str, ...] = ()
     teach: Teacher | None = None
 
@@ -189,7 +183,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         ramps=drives.ramps,
         effect_rows=effect_rows,
         log_jitters=tuple(run.log_jitter for run in (*task.runs, *task.held_out) if run.log_jitter),
-        selected_effects=found.selected,
+        selected_effects=() if found.taught is None else found.taught.selected,
         regimes=by_lateral_acceleration(traces[0], REGIME),
         sections={} if found.taught is None else found.taught.sections,
     )
@@ -216,13 +210,11 @@ class _Found(NamedTuple):
     """What the method found: a fit, or searches of the paper's methods.
 
     Attributes:
-        selected: effects that were taken from the candidates.
         taught: the car by the teacher, where its values are taken.
     """
 
     fit: Fit | None
     searches: tuple[SearchHistory, ...] = ()
-    selected: tuple[Step, ...] = ()
     taught: TaughtModel | None = None
 
 
@@ -237,14 +229,17 @@ def _prepare(task: Task) -> tuple[Task, _Drives, Fit | None]:
 def _estimate(
     task: Task, given: Car[float], drives: _Drives, rough: Fit | None
 ) -> tuple[Task, _Found]:
-    """The estimates by the task's method, and the task with the effects that were selected."""
+    """The estimates by the task's method, and the task with windows as long as the car holds."""
     if task.method != "ours":
         return task, _Found(None, _search(task))
-    task, selected, rough = _select(task, drives.fitted, rough)
+    if rough is None:
+        options = replace(task.options, horizons=ROUGH)
+        rough = fit(drives.fitted, task.model, options=options)
+    task = replace(task, options=choose_horizons(task.options, rough))
     alone = _needs_teacher(task, rough) and not has_one_speed(drives.fitted)
     found = rough if alone else _fit_ours(task, drives.fitted)
     taught = _ask_teacher(task, given, found, drives.fitted)
-    return task, _Found(found, selected=selected, taught=taught)
+    return task, _Found(found, taught=taught)
 
 
 def _fill_rows(
@@ -280,7 +275,7 @@ def _ask_teacher(
 def _needs_teacher(task: Task, found: Fit) -> bool:
     """Whether the values shall come from the teacher: then windows need not grow any longer."""
     poor = max(found.misfit.values(), default=0.0) > POOR
-    return task.teach is not None and not task.effects and poor
+    return task.teach is not None and poor
 
 
 def _split(task: Task, parts: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...], str]:
@@ -296,7 +291,7 @@ def _with_history(task: Task) -> Task:
     if task.method != "ours":
         return task
     runs, held_out = (
-        tuple(add_command_history(drives, task.model, task.effects))
+        tuple(add_command_history(drives, task.model, task.teach is not None))
         for drives in (task.runs, task.held_out)
     )
     model = widen_end_stops(task.model, runs, task.options.free or ())
@@ -326,27 +321,6 @@ def _apply_timing(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...]
     return task, tuple(pulses), tuple(ramps), rough
 
 
-def _select(
-    task: Task, runs: Sequence[Run], rough: Fit | None
-) -> tuple[Task, tuple[Step, ...], Fit]:
-    """The task with the effects that the drives show, and windows as long as the car then holds.
-
-    Last comes the rough fit that showed them.
-    """
-    short = replace(task.options, horizons=SHORT)
-    if rough is None or task.effects:
-        rough = fit(runs, task.model, options=replace(task.options, horizons=ROUGH))
-    if not task.effects:
-        return replace(task, options=choose_horizons(task.options, rough)), (), rough
-    selection = select_effects(runs, rough, short, task.effects)
-    if not selection.steps:
-        return replace(task, options=choose_horizons(task.options, rough)), (), rough
-    model, free = selection.with_nulls(task.model), (*(task.options.free or NAMES), *selection.free)
-    better = fit(runs, model, options=replace(short, free=free), starts=[selection.model])
-    options = replace(task.options if is_adequate(better) else short, free=free)
-    return replace(task, model=model, options=options, first=better.model), selection.steps, better
-
-
 def _doubts(task: Task, pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...]:
     """What no log says about times, and the slew limit where it is felt and nobody measured it."""
     wait = max((pulse.blur for pulse in pulses), default=0.0)
@@ -366,12 +340,11 @@ def _fit_one(
 def _fit_ours(task: Task, runs: Sequence[Run]) -> Fit:
     """The fit of lowest cost over the starts."""
     if task.starts <= 1 and not has_one_speed(runs):
-        starts = [task.first] if task.first else []
-        return fit(runs, task.model, options=task.options, starts=starts)
+        return fit(runs, task.model, options=task.options)
     if task.starts <= 1:
         return _fit_one_speed(task, runs)
     free = task.options.free or NAMES
-    models = scatter(task.first or task.model, free, task.starts, task.seed)
+    models = scatter(task.model, free, task.starts, task.seed)
     work = partial(_fit_one, runs=runs, prior=task.model, options=task.options)
     fits = map_jobs(work, models, task.jobs, task.dask)
     return min(fits, key=log_cost)
@@ -385,7 +358,7 @@ def _fit_one_speed(task: Task, runs: Sequence[Run]) -> Fit:
     """
     work = partial(_fit_one, runs=runs, prior=task.model, options=task.options)
     free = task.options.free or default_free(task.model.chassis)
-    models = candidate_starts(task.first or task.model, free)
+    models = candidate_starts(task.model, free)
     fits = sorted(map_jobs(work, models, task.jobs, task.dask), key=log_cost)
     best, *others = fits
     return mark_ambiguous(best, [f for f in others if log_cost(f) - log_cost(best) < COMPARABLE])
@@ -442,7 +415,7 @@ def _notes(task: Task, drives: _Drives, found: _Found) -> tuple[str, ...]:
         size = f"{poor[worst]:.{1 if poor[worst] < 10.0 else 0}f}"
         notes.append(
             f"residuals of {worst} are {size} times its noise: something is not in the "
-            f"model; {_remedy(found.fit)}"
+            "model; `steerd diagnose` looks for it"
             + (
                 "; the values come from windows of 1 s, weighed by the disturbances that show"
                 if found.taught is not None
@@ -450,12 +423,6 @@ def _notes(task: Task, drives: _Drives, found: _Found) -> tuple[str, ...]:
             )
         )
     return tuple(notes)
-
-
-def _remedy(found: Fit) -> str:
-    """What finds out what is missing."""
-    auto = "" if found.model.effects else "`--effects auto` learns what real cars usually have, "
-    return f"{auto}`steerd diagnose` looks for it"
 
 
 def free_names(
@@ -473,15 +440,23 @@ def free_names(
     return tuple(name for name in (free or default) if name not in known.union(fixed))
 
 
-def held_names(fixed: Sequence[str], free: Sequence[str], *, axles_known: bool) -> tuple[str, ...]:
+def held_names(
+    fixed: Sequence[str],
+    free: Sequence[str],
+    *,
+    axles_known: bool,
+    effects: Sequence[str] | None = None,
+) -> tuple[str, ...]:
     """What keeps its value: what is fixed, and all else where `--free` names what does not.
 
     With the distance of the axles known, the other length follows from the one that is fixed or
-    free.
+    free. `effects` are the only ones that may be learnt; None leaves it to `free`.
     """
     axles = ("lf", "lr") if axles_known else ()
     kept = axles if set(axles) & set(fixed) else ()
     follows = axles if set(axles) & set(free) else ()
-    moving = {*free, *follows}
-    others = [name for name in (*Car._fields, *EFFECTS) if name not in moving] if free else []
+    moving = {*free, *follows, *(effects or ())}
+    others = [name for name in Car._fields if name not in moving] if free else []
+    if free or effects is not None:  # an effect may bear the name of the parameter that it moves
+        others += [name for name in EFFECTS if name not in (*moving, *Car._fields)]
     return tuple(dict.fromkeys((*fixed, *kept, *others)))

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 from steerd.car_model.params import Car
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.log_jitter import LogJitter
-from steerd.sysid.estimation.effect_selection import Step
 from steerd.sysid.estimation.fit import Fit
 from steerd.sysid.estimation.identifiability import Combination
 from steerd.sysid.estimation.servo_pulse import Pulse
@@ -22,6 +21,14 @@ REPORTED: tuple[str, ...] = (
     "steer_delay", "steer_lag", "steer_rate", "speed_gain", "speed_lag",
 )  # fmt: skip
 """Parameters of the JSON result."""
+
+
+class Step(NamedTuple):
+    """An effect that drives show: its gain on windows left out [nats] and the standard error."""
+
+    effect: str
+    gain: float
+    se: float
 
 
 class Row(NamedTuple):
@@ -80,7 +87,7 @@ class Outcome:
         pulses: phases of the servo's pulses, by drive.
         ramps: limits of the motor controller's setpoint, by drive.
         log_jitters: how late slow logs stored the steering, by drive.
-        selected_effects: effects that the drives showed, in the order in which they were taken.
+        selected_effects: effects that the drives showed, those that every car has aside.
         regimes: prediction errors after 1 s by lateral acceleration.
         sections: tables that were learnt with the car, for its file; empty where they were not.
     """

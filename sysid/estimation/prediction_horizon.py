@@ -14,9 +14,9 @@ from itertools import accumulate
 
 import numpy as np
 
-from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car, wheelbase
+from steerd.sysid.data.dataset import HISTORY as PAST
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import GROUPS
 from steerd.sysid.estimation.fit import Fit, Options
@@ -29,6 +29,8 @@ MISFIT = 10.0
 """Residuals so many times the noise after 2 s are the model's ..."""
 OFF: dict[str, float] = {"position": 0.005, "yaw": 0.01}
 """... if they are larger than this, too: no model is right to the noise of a mocap [m, rad]."""
+_RESTS = 1e-3
+"""Steering that changes by less from one step of the grid to the next rests [rad]."""
 HISTORY = 4.0
 """Commands before a window that a linkage with play may remember [s]."""
 _BARELY = 1.05
@@ -48,13 +50,26 @@ def choose_horizons(options: Options, rough: Fit) -> Options:
     return options if is_adequate(rough) else replace(options, horizons=SHORT)
 
 
-def add_command_history(
-    runs: Sequence[Run], model: Model[float], candidates: Sequence[str]
-) -> list[Run]:
-    """The drives, with more of the commands before a window where a linkage may remember them."""
-    effects = (*model.effects, *map(find_effect, candidates))
-    plays = any(effect.remembers_commands for effect in effects)
-    return [replace(run, history=HISTORY) if plays else run for run in runs]
+def add_command_history(runs: Sequence[Run], model: Model[float], asked: bool = False) -> list[Run]:
+    """The drives, with more of the commands before a window where a linkage may remember them.
+
+    Args:
+        runs: the drives.
+        model: the car; a linkage with play remembers on which side of it the last turn left it.
+        asked: whether it is asked if the car has play: then drives that hold their steering still.
+    """
+    plays = any(effect.remembers_commands for effect in model.effects)
+    return [
+        replace(run, history=HISTORY) if plays or (asked and holds_still(run)) else run
+        for run in runs
+    ]
+
+
+def holds_still(run: Run) -> bool:
+    """Whether the commanded steering rests for longer than the past that every window is given."""
+    moves = np.flatnonzero(np.abs(np.diff(run.commands[:, 0])) > _RESTS)
+    rests = np.diff(np.concatenate([[0], moves, [len(run.commands)]])) * run.h
+    return bool(rests.max() > PAST)
 
 
 def largest_steering(runs: Sequence[Run]) -> float:

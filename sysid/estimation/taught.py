@@ -20,7 +20,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.estimation.chart import make_chart
 from steerd.sysid.estimation.fit import Fit
 from steerd.sysid.estimation.identifiability import is_identifiable, manoeuvre_for, standard_errors
-from steerd.sysid.estimation.outcome import Row
+from steerd.sysid.estimation.outcome import Row, Step
 
 
 class TaughtModel(NamedTuple):
@@ -30,11 +30,13 @@ class TaughtModel(NamedTuple):
         model: the car with the effects that the drives show.
         sd: standard errors of what was free, by `parameter` or `effect.parameter`.
         sections: tables for the car file beside its numbers, by name.
+        selected: effects that were looked for and found, those that every car has aside.
     """
 
     model: Model[float]
     sd: Mapping[str, float]
     sections: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
+    selected: tuple[Step, ...] = ()
 
 
 class Stated(NamedTuple):

@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--effects",
         metavar="auto|A,B,…",
-        help="of these effects (auto: a real car's usual ones), learn those that the drives show",
+        help="learn only these effects of the library (default, auto: all that the drives show)",
     )
     what.add_argument("--method", choices=("ours", "paper", "cma-es"), default="ours")
     what.add_argument("--starts", type=int, metavar="N", help="starts (ours: 1, others: 5)")

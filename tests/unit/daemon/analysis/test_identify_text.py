@@ -10,8 +10,7 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.identify_text import describe, improved
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.log_jitter import LogJitter
-from steerd.sysid.estimation.effect_selection import Step
-from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row
+from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row, Step
 from steerd.sysid.estimation.validation import Prediction, Regime
 
 DRIVEN = Excitation(60.0, 100.0, 1.0, 2.0, 0.1, 1.0, 0.4, 0.4, 3.0, ())

@@ -1,11 +1,11 @@
-"""Errors that follow each other are no news: in a spread of scores, and in an effect's gain."""
+"""Errors that follow each other are no news in a spread of scores."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from steerd.sysid.estimation import effect_selection, robust_covariance
+from steerd.sysid.estimation import robust_covariance
 from steerd.sysid.estimation.objective import STATES
 
 MOST = round(robust_covariance.CORRELATED / robust_covariance.BIN)
@@ -34,9 +34,3 @@ def test_scores_that_keep_their_sign_add_up(monkeypatch):
 def test_scores_of_different_windows_are_strangers(monkeypatch):
     found = _spread(monkeypatch, [np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1))])
     assert found.scores[0, 0] == pytest.approx(3.0 * _lost(3))
-
-
-@pytest.mark.parametrize(("gains", "taken"), [([50.0] + [0.0] * 11, False), ([4.0] * 12, True)])
-def test_one_window_takes_no_effect(gains, taken):
-    point = SimpleNamespace(losses=np.array(gains))
-    assert effect_selection._gains(point, SimpleNamespace(losses=np.zeros(12))) == taken

@@ -1,0 +1,89 @@
+"""Effects that drives show are learnt with the car, and none where there is none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from steerd.car_model.effects import find_effect
+from steerd.car_model.model import Model
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.daemon.analysis.car_output import teach_car
+from steerd.sysid.data.segments import make_blocks, moving_segments
+from steerd.sysid.estimation.fit import Options, fit
+from steerd.sysid.estimation.learn import Task, held_names, learn
+from steerd.sysid.estimation.outcome import encode_outcome
+from steerd.sysid.estimation.prediction_horizon import (
+    ROUGH,
+    add_command_history,
+    holds_still,
+    is_adequate,
+)
+
+pytestmark = pytest.mark.slow
+
+BENT, PLAY = find_effect("steer_asymmetry"), find_effect("steer_backlash")
+OPTIONS = Options(free=("lf", "lr", "c_sf", "c_sr", "steer_gain", "steer_lag"), wheelbase=0.332)
+HELD = held_names((), (), axles_known=True, effects=(BENT.name, PLAY.name))
+
+
+@pytest.fixture(scope="module")
+def bent(make_drive, truth):
+    """A car that turns 16 % further to the left than to the right."""
+    return make_drive(truth._replace(effects=(BENT,), values=((0.08,),)), 30.0, 5)
+
+
+def _learnt(run, truth):
+    return learn(Task((run,), truth, options=OPTIONS, teach=teach_car, held=HELD), lambda: 0.0)
+
+
+def test_a_bend_of_the_linkage_is_learnt_and_predicted_with(bent, truth):
+    outcome = _learnt(bent, truth)
+    row = outcome.effect_rows["steer_asymmetry.asymmetry"]
+    assert row.before == 0.0
+    assert row.value == pytest.approx(0.08, abs=min(0.01, 5 * row.sd))
+    assert {name.partition(".")[0] for name in outcome.effect_rows} == {"steer_asymmetry"}
+    assert outcome.held_out[-1].factor > 3.0
+    page = encode_outcome(outcome)
+    assert page["parameters"]["steer_asymmetry.asymmetry"]["identifiable"]
+    assert sum(r["predictions"] for r in page["held_out"]["regimes"]) > 0
+
+
+def test_play_that_no_car_has_by_itself_is_selected(make_drive, truth):
+    outcome = _learnt(
+        make_drive(truth._replace(effects=(PLAY,), values=((0.04,),)), 30.0, 5), truth
+    )
+    assert [step.effect for step in outcome.selected_effects] == ["steer_backlash"]
+    assert outcome.selected_effects[0].gain > 3.0 * outcome.selected_effects[0].se
+    row = outcome.effect_rows["steer_backlash.play"]
+    assert row.value == pytest.approx(0.04, abs=min(0.008, 5 * row.sd))
+
+
+def test_a_car_without_effects_gets_none(make_drive, truth):
+    outcome = _learnt(make_drive(truth, 30.0, 6), truth)
+    assert outcome.selected_effects == ()
+    assert outcome.effect_rows == {}
+
+
+def test_a_model_that_misses_much_is_fitted_over_short_windows(make_drive, truth):
+    run = make_drive(truth._replace(effects=(BENT,), values=((0.45,),)), 20.0, 5)
+    parts = make_blocks(moving_segments([run]))
+    assert not is_adequate(fit(parts, truth, options=replace(OPTIONS, horizons=ROUGH)))
+    outcome = learn(Task((run,), truth, options=OPTIONS), lambda: 0.0)
+    assert any("does not hold for longer" in note for note in outcome.notes)
+    assert any("`steerd diagnose` looks for it" in note for note in outcome.notes)
+
+
+def test_only_play_needs_a_long_past(bent):
+    played = Model(DEFAULT_CAR, (PLAY,), ((0.02,),))
+    assert add_command_history([bent], played)[0].history > bent.history
+    assert add_command_history([bent], Model(DEFAULT_CAR))[0].history == bent.history
+
+
+def test_whether_there_is_play_is_asked_of_drives_that_rest(bent):
+    turning = replace(bent, commands=bent.commands + np.arange(len(bent.commands))[:, None] * 0.01)
+    assert holds_still(bent)
+    assert not holds_still(turning)
+    for run in (bent, turning):
+        found = add_command_history([run], Model(DEFAULT_CAR), asked=True)[0]
+        assert (found.history > run.history) == holds_still(run)
