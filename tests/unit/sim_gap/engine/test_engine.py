@@ -8,7 +8,7 @@ import pytest
 from steerd.sim_gap.engine.constants import NOISE_KEPT
 from steerd.sim_gap.engine.disturbance_response import INPUTS, responses
 from steerd.sim_gap.engine.engine import make_engine, take_windows
-from steerd.sim_gap.engine.levenberg_marquardt import minimise, step_within
+from steerd.sim_gap.engine.levenberg_marquardt import minimise, settle_starts, step_within
 from steerd.sim_gap.engine.noise import (
     Noise,
     calibrated,
@@ -220,6 +220,25 @@ def test_a_lost_window_is_taken_up_anew_from_the_poses(healthy, fitted):
     again = minimise(healthy, fitted.space, fitted.z.copy(), spun)
     assert again.cost == pytest.approx(fitted.cost, rel=1e-3)
     assert again.at.square[3] == pytest.approx(fitted.at.square[3], rel=0.1)
+
+
+def test_losses_take_no_promise_of_a_start_that_it_cannot_keep(healthy, fitted):
+    """Else a search compares its steps with a cost that nothing reaches, and stops anywhere."""
+    space, z, rng = fitted.space, fitted.z, np.random.default_rng(5)
+    x = fitted.x + rng.standard_normal(fitted.x.shape) * [0.05, 0.05, 0.1, 0.3, 1.0, 0.1, 0.1]
+    x[::4] += [0.3, -0.3, 1.5, 2.0, 20.0, 1.2, 0.0]
+    linear = healthy.linear(space, z, x)
+    found = settle_starts(healthy, space, z, x, linear)
+    error, _ = healthy.missed(space, z, found.x)
+    actual = healthy.square_at(error, found.x)
+    held = ~found.tangent.inverse.any(axis=(1, 2))
+    assert held.any(), "some windows are too bent to be settled from so far"
+    assert not held.all()
+    assert np.all(actual[~held] - found.at.square[~held] < 0.1)
+    assert np.allclose(actual[held], found.at.square[held], rtol=1e-9)
+    assert not found.at.dx[held].any()
+    assert not found.at.kx[held].any()
+    assert np.all(actual <= healthy.square_at(linear.error, x) * (1.0 + 1e-9))
 
 
 def test_leaving_windows_out_costs_something(healthy, fitted):

@@ -8,7 +8,7 @@ import pytest
 from steerd.car_model.effects import find_effect
 from steerd.sim_gap.diagnosis import is_practical, limit_verdict, share_of_most, verdict_of
 from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.constants import PARTIAL_MOST
+from steerd.sim_gap.engine.constants import AMBIGUOUS_MOST, PARTIAL_MOST
 from steerd.sim_gap.engine.residuals import Gap, interval_of, robust_mean
 from steerd.sim_gap.report.summary_text import headline, manoeuvre_words, share_words
 from steerd.sim_gap.verdict.candidates import Score, gain_of, held_out
@@ -103,6 +103,8 @@ def test_a_near_equal_is_ambiguous_and_lowers_confidence():
     assert confidence_of(doubt_of(best, [best, far], BLOCKS), broken=True) < alone
     assert confidence_of(0.0, partial=True) == PARTIAL_MOST < confidence_of(0.0) < 1.0
     assert confidence_of(5.0, partial=True) < confidence_of(5.0) < PARTIAL_MOST
+    assert confidence_of(0.0, ambiguous=True) == AMBIGUOUS_MOST < PARTIAL_MOST
+    assert confidence_of(50.0, ambiguous=True) == confidence_of(50.0) < AMBIGUOUS_MOST
 
 
 def test_a_pair_needs_both():

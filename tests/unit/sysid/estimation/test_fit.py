@@ -1,16 +1,24 @@
 """The fit finds injected truth, says how sure it is, and says what it cannot tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from steerd.car_model.chassis import derivative
 from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model
+from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
+from steerd.car_model.planar import make_planar
+from steerd.car_model.state import State
 from steerd.sysid.compiler.kernels import parameter_vector
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.estimation.chart import make_chart
-from steerd.sysid.estimation.fit import DEFAULT_FREE, TYRES, Options, fit
+from steerd.sysid.estimation.fit import DEFAULT_FREE, TYRES, Options, fit, prescribe_speed
 from steerd.sysid.estimation.identifiability import directions, estimates
 from steerd.sysid.estimation.stability import stable_substeps
 
@@ -236,3 +244,19 @@ def test_a_speed_that_is_never_changed_tells_nothing_of_its_loop(make_drive, tru
     assert found.estimates["speed_gain"].identifiable
     with pytest.raises(DataError, match="never changed"):
         fit([run], Model(DEFAULT_CAR), options=Options(free=("speed_lag", "drive_delay")))
+
+
+def _forward(model, speed, accel, steer):
+    """Speed of the body along its x axis [m/s]."""
+    state = State(0.0, 0.0, 0.0, speed, 2.0 * steer, 0.1 * steer, steer)
+    return derivative(model.chassis, FLOAT, model.car, state, steer, accel).x
+
+
+@given(speed=st.floats(0.5, 4.0), accel=st.floats(-5.0, 5.0), steer=st.floats(-0.3, 0.3))
+def test_a_speed_from_poses_is_the_bodys_and_one_from_wheels_theirs(minute, speed, accel, steer):
+    planar = Model(DEFAULT_CAR, chassis=make_planar("all"))
+    assert prescribe_speed(planar, [minute]) is planar
+    posed = prescribe_speed(planar, [replace(minute, speed_source="pose")])
+    assert _forward(posed, speed, accel, steer) == pytest.approx(speed, abs=2e-5)
+    rolled = prescribe_speed(planar, [replace(minute, speed_source="wheel")])
+    assert _forward(rolled, speed, 4.0, 0.0) < 0.99 * speed, "wheels that drive slip"
