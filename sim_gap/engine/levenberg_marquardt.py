@@ -209,6 +209,8 @@ class _Search:
         """One damped Newton step: nats promised and gained (0 if none was found)."""
         while self.damping < _DAMPING_MAX:
             h, slope = curvature(self.space, self.at), _slope(self.space, self.at, self.z)
+            if not (np.diag(h) > 0.0).all():
+                raise FloatingPointError("derivatives are so large that their differences are lost")
             damped = h + self.damping * np.diag(np.diag(h))
             dz = step_within(damped, slope, self.z, self.space.low, self.space.high)
             promised = float(slope @ dz - 0.5 * dz @ h @ dz)
@@ -251,7 +253,7 @@ def minimise(
         beat: cost of a better hypothesis; a search that stays clearly above it is given up.
 
     Raises:
-        FloatingPointError: the simulation is not finite at the start.
+        FloatingPointError: the simulation is not finite at the start, or too steep on the way.
     """
     linear = known or engine.linear(space, z, x)
     if not linear.finite:

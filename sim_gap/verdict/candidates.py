@@ -142,7 +142,7 @@ def refit(
     for first in starts:
         try:
             found = minimise(engine, space, first, start.x.copy(), beat=beat)
-        except FloatingPointError:
+        except (FloatingPointError, np.linalg.LinAlgError):
             continue
         if best is None or found.cost < best.cost:
             best = found
