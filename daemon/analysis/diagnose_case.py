@@ -82,7 +82,7 @@ class Case:
     @property
     def seconds(self) -> float:
         """Driving that is looked at [s]."""
-        return sum(run.duration for run in self.runs)
+        return sum(run.driven for run in self.runs)
 
 
 def make_case(request: DiagnoseRequest, warn: Warn, advance: Callable[[float], None]) -> Case:

@@ -56,7 +56,7 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: W
         SteerdError: there is too little driving for that.
     """
     parts, every, reserved = find_moving(drives), held_out.every, held_out.files
-    seconds = sum(run.duration for run in parts)
+    seconds = sum(run.driven for run in parts)
     if seconds < LEAST:
         what = f"only {seconds:.1f} s of driving at more than walking pace"
         raise SteerdError(what, "drive `steerd collect --plan mixed`", ExitCode.INVALID)

@@ -53,7 +53,7 @@ def cross_check(
     """
     found = []
     for seconds in CROSS:
-        if seconds > 0.5 * min(run.duration for run in runs):
+        if seconds > 0.5 * min(run.driven for run in runs):
             continue
         try:
             other = _engine(engine, runs, noise, seconds)

@@ -97,6 +97,11 @@ class Run:
         """Length of the commands [s]."""
         return len(self.commands) * self.h
 
+    @property
+    def driven(self) -> float:
+        """The same without commands further back than every window is given [s]."""
+        return self.duration - max(0.0, float(self.pose.t[0]) - HISTORY)
+
 
 def check_sources(runs: Sequence[Run]) -> None:
     """Refuse drives of which some have speed commands and others a measured speed in their place.

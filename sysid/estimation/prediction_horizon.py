@@ -66,8 +66,10 @@ def add_command_history(runs: Sequence[Run], model: Model[float], asked: bool = 
 
 
 def holds_still(run: Run) -> bool:
-    """Whether the commanded steering rests for longer than the past that every window is given."""
+    """Whether commanded steering that moves rests for longer than every window's own past."""
     moves = np.flatnonzero(np.abs(np.diff(run.commands[:, 0])) > _RESTS)
+    if not len(moves):
+        return False
     rests = np.diff(np.concatenate([[0], moves, [len(run.commands)]])) * run.h
     return bool(rests.max() > PAST)
 
