@@ -38,7 +38,7 @@ WANDER = np.array([
 """Process noise [1/sqrt(s)], and the first standard deviations."""
 HELD = ((FAST, 0.0, 10.0 * _DEG), (ROLL, 0.0, _DEG), (RATIO, 1.0, 5.0 / PUBLISHED),
         (STIFFNESS, 1.0, 0.5))  # fmt: skip
-"""What it is told every time though nobody measured it: state, value, standard deviation."""
+"""What it is given every time though nobody measured it: state, value, standard deviation."""
 STEER_SD, SPEED_SD, YAW_SD = 0.05 * _DEG, 0.1, 0.05
 TURNING = 0.05
 """Time over which the pose's turning is taken [s]."""
