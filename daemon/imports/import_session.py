@@ -27,7 +27,7 @@ from steerd.mocap_link.frame import (
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session import AttachedFile, SessionError, SessionWriter
-from steerd.steer_bus.topics import Topic, make_session_topic
+from steerd.steer_bus.topics import ACTUATION, MOCAP, Topic, make_session_topic
 
 
 class Sample(NamedTuple):
@@ -56,6 +56,11 @@ class ImportReport:
     counts: dict[str, int]
     notes: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+
+    @property
+    def is_drive(self) -> bool:
+        """Whether it holds what identify and diagnose need: poses and the commands to the car."""
+        return all(self.counts.get(topic.name) for topic in (MOCAP, ACTUATION))
 
 
 @dataclass

@@ -158,4 +158,5 @@ def _print_result(made: "ImportReport") -> None:
         print_labelled("note: ", remark, sys.stderr)
     for warning in (*made.notes, *report.warnings):
         print_labelled("warning: ", warning, sys.stderr)
-    print(f"\nwritten: {made.path}\n   next: steerd identify {made.path}")
+    following = "identify" if made.is_drive else "plot"
+    print(f"\nwritten: {made.path}\n   next: steerd {following} {made.path}")

@@ -158,9 +158,13 @@ def test_what_a_bag_lacks_is_said(tmp_path, capsys):
         for i in range(30):
             bag.drive("/drive", START + i * NS // 20, 0.1, 1.0)
     assert run_cli(["import", str(tmp_path / "run"), "-o", str(tmp_path / "a.mcap")]) == 0
-    said = capsys.readouterr().err
-    assert "no pose: identify and diagnose need the car's track" in said
-    assert "no vesc: the wheels' speed is not known" in said
+    printed = capsys.readouterr()
+    assert "no pose: identify and diagnose need the car's track" in printed.err
+    assert "no vesc: the wheels' speed is not known" in printed.err
+    assert "next: steerd plot" in printed.out, "nothing to identify"
+    whole = write_bag(tmp_path / "whole", "mcap")
+    assert run_cli(["import", str(whole), "-o", str(tmp_path / "b.mcap")]) == 0
+    assert "next: steerd identify" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
