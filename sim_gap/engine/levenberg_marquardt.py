@@ -1,5 +1,7 @@
 """The best numbers of a hypothesis: Levenberg-Marquardt on the losses with eliminated starts."""
 
+# Why: docs/decisions/diagnosis.md#d91
+
 from dataclasses import dataclass
 from typing import NamedTuple
 
