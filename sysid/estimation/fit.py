@@ -179,7 +179,7 @@ def prescribe_speed(model: Model[float], runs: Sequence[Run]) -> Model[float]:
     axle rolls along its own wheels.
     """
     sources = {run.speed_source for run in runs}
-    if sources == {"command"}:
+    if sources <= {"command"}:
         return model
     car: Car[float] = model.car._replace(
         speed_lag=0.0, drive_delay=0.0, accel_max=1e3, decel_max=1e3

@@ -255,7 +255,7 @@ def _forward(model, speed, accel, steer):
 @given(speed=st.floats(0.5, 4.0), accel=st.floats(-5.0, 5.0), steer=st.floats(-0.3, 0.3))
 def test_a_speed_from_poses_is_the_bodys_and_one_from_wheels_theirs(minute, speed, accel, steer):
     planar = Model(DEFAULT_CAR, chassis=make_planar("all"))
-    assert prescribe_speed(planar, [minute]) is planar
+    assert prescribe_speed(planar, [minute]) is prescribe_speed(planar, []) is planar
     posed = prescribe_speed(planar, [replace(minute, speed_source="pose")])
     assert _forward(posed, speed, accel, steer) == pytest.approx(speed, abs=2e-5)
     rolled = prescribe_speed(planar, [replace(minute, speed_source="wheel")])
