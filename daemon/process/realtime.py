@@ -11,6 +11,8 @@ import gc
 import os
 import resource
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 FIFO_PRIORITY = 50
@@ -84,3 +86,26 @@ def settle_memory() -> None:
     gc.collect()
     gc.freeze()
     gc.disable()
+
+
+@contextmanager
+def realtime_section(priority: int = FIFO_PRIORITY) -> Iterator[RealtimeReport]:
+    """Real time for a while: what `enter_realtime` and `settle_memory` set is undone afterwards.
+
+    A process that goes on under a fixed priority, its memory locked and nobody collecting garbage,
+    starves others and grows.
+    """
+    interval = sys.getswitchinterval()
+    report = enter_realtime(priority)
+    settle_memory()
+    try:
+        yield report
+    finally:
+        gc.unfreeze()
+        gc.enable()
+        sys.setswitchinterval(interval)
+        _libc().prctl(_PR_SET_TIMERSLACK, 0, 0, 0, 0)  # 0: the default again
+        if report.locked:
+            _libc().munlockall()
+        if report.fifo:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

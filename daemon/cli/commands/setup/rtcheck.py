@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
-    from steerd.daemon.process.realtime import enter_realtime, settle_memory
+    from steerd.daemon.process.realtime import realtime_section
     from steerd.daemon.process.rtcheck import keep_busy, measure_wakes, summarise_wakes
     from steerd.daemon.process.steal import read_steal_ns
     from steerd.steer_bus.clock import MonotonicClock
@@ -34,14 +34,13 @@ def run(args: argparse.Namespace) -> int:
         hint = "--seconds 0.1 to 3600, --rate 20 to 1000"
         raise SteerdError("--seconds or --rate is out of range", hint, ExitCode.USAGE)
     print(f"measuring for {args.seconds:g} s …", file=sys.stderr, flush=True)
-    report = enter_realtime()
-    settle_memory()
     period_ns = round(1e9 / args.rate)
     ticks = max(1, round(args.seconds * args.rate))
-    stolen_ns = -read_steal_ns()
-    with keep_busy(os.cpu_count() or 1 if args.under_load else 0):
-        late_ns = measure_wakes(MonotonicClock(), period_ns, ticks)
-    stolen_ns += read_steal_ns()
+    with realtime_section() as report:
+        stolen_ns = -read_steal_ns()
+        with keep_busy(os.cpu_count() or 1 if args.under_load else 0):
+            late_ns = measure_wakes(MonotonicClock(), period_ns, ticks)
+        stolen_ns += read_steal_ns()
     wakes = summarise_wakes(late_ns, period_ns)
     print(f"fixed priority: {'yes' if report.fifo else 'no'}")
     print(f"locked memory:  {'yes' if report.locked else 'no'}")

@@ -1,7 +1,9 @@
 """Real-time settings: what is refused is reported with its remedy, and nothing else is."""
 
 import gc
+import os
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -77,3 +79,21 @@ def test_the_collector_stays_away_from_what_lives_now():
     finally:
         gc.unfreeze()
         gc.enable()
+
+
+def test_real_time_for_a_while_leaves_nothing_behind():
+    """Tests run commands in their own process: rtcheck once left it at a fixed priority."""
+
+    def standing():
+        status = Path("/proc/self/status").read_text().splitlines()
+        locked = next(line for line in status if line.startswith("VmLck"))
+        return (
+            gc.isenabled(), gc.get_freeze_count(), sys.getswitchinterval(),
+            os.sched_getscheduler(0), locked,
+        )  # fmt: skip
+
+    before = standing()
+    with realtime.realtime_section() as report:
+        assert not gc.isenabled()
+        assert (os.sched_getscheduler(0) & os.SCHED_FIFO != 0) == report.fifo
+    assert standing() == before
