@@ -224,7 +224,7 @@ def startup(said: dict[str, Any]) -> str:
     rows = [[name, spread(found), times(found["median"], bare)] for name, found in said.items()]
     return (
         table(["wall s", "median (least to most)", "of an empty interpreter"], rows)
-        + "\n**Limit:** imports (NumPy and SciPy's linear algebra), and waits that are part of "
+        + "\n**Limit:** imports (filterpy brings SciPy's statistics), and waits that are part of "
         "the start: a second in which the checks must hold, and the test of the VESC's own "
         "timeout, 0.4 s, before a car may move.\n"
     )

@@ -25,7 +25,7 @@ from steerd.sim_hw.vesc.vesc_config import VescConfig
 from steerd.sim_hw.world import WorldConfig
 from steerd.steer_bus.topics import check_car_name
 
-# python-control and SciPy take a second to import. `steerd run` leaves both to the core's
+# python-control and filterpy take a second to import. `steerd run` leaves both to the core's
 # process, which needs them anyway; its terminal and its children start without.
 if TYPE_CHECKING:
     from steerd.controller.acceptance import Acceptance

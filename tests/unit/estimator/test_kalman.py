@@ -1,6 +1,3 @@
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter  # noqa: TID251
@@ -48,18 +45,6 @@ def test_update_equals_the_library_s_own(width: int) -> None:
     assert ours.nis == pytest.approx(theirs.mahalanobis**2, rel=1e-12)
 
 
-def test_prediction_is_the_library_s_own_to_the_bit() -> None:
-    belief, *_ = random_problem(2, 1)
-    rng = np.random.default_rng(5)
-    mean, F, Q = rng.standard_normal(7), rng.standard_normal((7, 7)), np.eye(7)
-    theirs = ExtendedKalmanFilter(7, 1)
-    theirs.x, theirs.P, theirs.F, theirs.Q = *belief, F, Q
-    theirs.predict()
-    moved = Kalman(7).predict(belief, mean, F, Q)
-    np.testing.assert_array_equal(moved.mean, mean)
-    np.testing.assert_array_equal(moved.covariance, theirs.P)
-
-
 def test_covariance_is_exactly_symmetric() -> None:
     belief, z, H, R = random_problem(3, 3)
     covariance = Kalman(7).update(belief, z, H, R, np.subtract).belief.covariance
@@ -91,12 +76,3 @@ def test_box_has_no_memory_and_leaves_its_arguments_alone() -> None:
     np.testing.assert_array_equal(first.belief.covariance, kept[1])
     np.testing.assert_array_equal(belief.mean, before[0])
     np.testing.assert_array_equal(belief.covariance, before[1])
-
-
-def test_estimating_loads_no_statistics() -> None:
-    program = (
-        "import sys, steerd.estimator.state_filter\n"
-        "print({'scipy.stats', 'scipy.optimize', 'filterpy'} & set(sys.modules))"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
-    assert done.stdout.strip() == b"set()"
