@@ -7,6 +7,8 @@ steerd import bag RUN.bag --topic /vrpn/car/pose -o RUN.mcap
 """
 
 import argparse
+import re
+import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from steerd.daemon.imports.import_session import ImportReport
 
 _KINDS = ("csv", "bag")
-_BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+_BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".zstd")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     if kind == "csv" and args.map is None:
         hint = f"`steerd import --ask {source}` proposes one; {EXAMPLE_MAP} is one"
         raise SteerdError("a csv file needs a map of its columns, --map", hint, ExitCode.USAGE)
-    _print_result(_import(args, kind, source, args.map, out))
+    _print_result(_import(args, kind, source, args.map, out), args)
     return ExitCode.OK
 
 
@@ -126,7 +128,8 @@ def _ask(args: argparse.Namespace, kind: str, source: Path, out: Path) -> int:
     the_map = out.with_suffix(".map.toml")
     write_outputs({the_map: text})
     print(f"written: {the_map}")
-    _print_result(_import(args, kind, source, the_map, out))
+    asked = argparse.Namespace(**{**vars(args), "map": the_map})
+    _print_result(_import(args, kind, source, the_map, out), asked)
     return ExitCode.OK
 
 
@@ -147,7 +150,7 @@ def _make_trial(args: argparse.Namespace, kind: str, source: Path) -> Callable[[
     return trial
 
 
-def _print_result(made: "ImportReport") -> None:
+def _print_result(made: "ImportReport", args: argparse.Namespace) -> None:
     from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.sessions.info import load_session, make_session_report
     from steerd.daemon.sessions.text import format_report
@@ -158,5 +161,18 @@ def _print_result(made: "ImportReport") -> None:
         print_labelled("note: ", remark, sys.stderr)
     for warning in (*made.notes, *report.warnings):
         print_labelled("warning: ", warning, sys.stderr)
-    following = "identify" if made.is_drive else "plot"
-    print(f"\nwritten: {made.path}\n   next: steerd {following} {made.path}")
+    print(f"\nwritten: {made.path}")
+    session = made.path
+    if found := re.search(r"--erpm-gain (-?\d+)", " ".join(report.warnings)):
+        session = made.path.with_name(f"{made.path.stem}-erpm.mcap")
+        print(f"  again: {make_again(args, found[1], session)}")
+    print(f"   next: steerd {'identify' if made.is_drive else 'plot'} {session}")
+
+
+def make_again(args: argparse.Namespace, erpm_gain: str, out: Path) -> str:
+    """The same import with the ERPM per m/s that the drive shows."""
+    options = ["--map", str(args.map)] if args.map else []
+    options += [word for topic in args.topic for word in ("--topic", topic)]
+    options += [] if args.rigid is None else ["--rigid", str(args.rigid)]
+    last = ["--erpm-gain", erpm_gain, "-o", str(out)]
+    return shlex.join(["steerd", "import", *args.words, *options, *last])

@@ -1,6 +1,7 @@
 """A map proposed from a log, what it would mean, and the conversation about it."""
 
 import io
+import shlex
 import tomllib
 
 import numpy as np
@@ -132,10 +133,16 @@ def test_the_topics_of_a_car_are_known_by_name(tmp_path, kind, capsys):
 def test_the_sign_and_scale_of_a_foreign_vesc_are_doubted_and_can_be_stated(tmp_path, capsys):
     path = write_bag(tmp_path / "run", "mcap")
     assert run_cli(["import", str(path), "-o", str(tmp_path / "a.mcap")]) == 0
-    assert "-7300 ERPM per m/s" in capsys.readouterr().err
+    doubted = capsys.readouterr()
+    assert "-7300 ERPM per m/s" in doubted.err
+    again = next(line for line in doubted.out.splitlines() if "again: " in line)
+    assert f"next: steerd identify {tmp_path / 'a-erpm.mcap'}" in doubted.out
     line = ["import", str(path), "--erpm-gain", "-7300", "-o", str(tmp_path / "b.mcap")]
     assert run_cli(line) == 0
-    assert "ERPM" not in capsys.readouterr().err
+    stated = capsys.readouterr()
+    assert "ERPM" not in stated.err and "again: " not in stated.out
+    assert run_cli(shlex.split(again.partition(": ")[2])[1:]) == 0
+    assert "ERPM" not in capsys.readouterr().err, "the line works as it stands"
     scaling = open_session(tmp_path / "b.mcap").info().metadata["steerd.scaling"]
     assert float(scaling["erpm_gain"]) == -7300.0
     from steerd.sysid.data.dataset import load_run
@@ -151,6 +158,23 @@ def test_asked_for_a_bag_the_poses_say_what_the_erpm_mean(tmp_path, monkeypatch,
     assert run_cli(["import", "--ask", str(path), "-o", str(tmp_path / "a.mcap")]) == 0
     assert "motor     -7300 ERPM per m/s, by the poses" in capsys.readouterr().out
     assert parse_map((tmp_path / "a.map.toml").read_text()).vesc.erpm_gain == -7300.0
+
+
+def test_the_import_that_is_advised_chooses_the_same_topics(tmp_path, capsys):
+    path, out = write_bag(tmp_path / "run", "db3"), tmp_path / "a.mcap"
+    line = ["import", str(path), "--topic", "command=/drive", "--topic", "/pf/viz/inferred_pose"]
+    assert run_cli([*line, "-o", str(out)]) == 0
+    again = capsys.readouterr().out.partition("again: ")[2].splitlines()[0]
+    assert run_cli(shlex.split(again)[1:]) == 0
+    made = open_session(tmp_path / "a-erpm.mcap")
+    assert set(made.columns(Actuation)["speed"]) == {2.0}
+    assert made.columns(MocapPose)["x"][0] == pytest.approx(0.1)
+
+
+def test_one_compressed_file_of_a_bag_is_no_table(tmp_path, capsys):
+    (tmp_path / "run.db3.zstd").write_bytes(b"(\xb5/\xfd")
+    assert run_cli(["import", str(tmp_path / "run.db3.zstd")]) == ExitCode.UNREADABLE
+    assert "a ROS 2 bag folder" in capsys.readouterr().err
 
 
 def test_what_a_bag_lacks_is_said(tmp_path, capsys):
