@@ -140,7 +140,8 @@ def test_the_sign_and_scale_of_a_foreign_vesc_are_doubted_and_can_be_stated(tmp_
     line = ["import", str(path), "--erpm-gain", "-7300", "-o", str(tmp_path / "b.mcap")]
     assert run_cli(line) == 0
     stated = capsys.readouterr()
-    assert "ERPM" not in stated.err and "again: " not in stated.out
+    assert "ERPM" not in stated.err
+    assert "again: " not in stated.out
     assert run_cli(shlex.split(again.partition(": ")[2])[1:]) == 0
     assert "ERPM" not in capsys.readouterr().err, "the line works as it stands"
     scaling = open_session(tmp_path / "b.mcap").info().metadata["steerd.scaling"]
