@@ -7,6 +7,7 @@ from typing import Any
 
 from steerd.car_model.effect import Effect, EffectParameter, Stage
 from steerd.car_model.effects import EFFECTS
+from steerd.daemon.common.screen import wrap, wrap_command
 
 _STAGES = {
     Stage.COMMAND: "from the command to the actuators' aim",
@@ -56,20 +57,22 @@ def _unit(unit: str) -> str:
 
 def format_effect(effect: Effect) -> str:
     """One effect in detail."""
+    rest = " " * 12
     lines = [
-        f"{effect.name}: {effect.summary}",
+        *wrap(f"{effect.name}: {effect.summary}", rest="  "),
         f"  stage     {effect.stage} ({_STAGES[effect.stage]})",
         f"  family    {effect.family}",
-        f"  equation  {effect.equation}",
-        f"  aliases   {', '.join(effect.aliases) or 'none'}",
+        *wrap(effect.equation, "  equation  ", rest),
+        *wrap(", ".join(effect.aliases) or "none", "  aliases   ", rest),
         "",
-        f"  {'parameter':<14}{'null':>8}{'low':>8}{'high':>8}{'usual':>8}  unit     meaning",
+        f"  {'parameter':<12}{'null':>6}{'low':>7}{'high':>7}{'usual':>7}  unit     meaning",
     ]
     for p in effect.parameters:
-        numbers = f"{p.null:>8g}{p.low:>8g}{p.high:>8g}{p.scale:>8g}"
-        lines.append(f"  {p.name:<14}{numbers}  {p.unit:<7}  {p.meaning}")
-    lines += ["", f"  try: steerd run --sim --fast --duration 20 --effect {_example(effect)}"]
-    return "\n".join(lines)
+        numbers = f"{p.null:>6g}{p.low:>7g}{p.high:>7g}{p.scale:>7g}"
+        head = f"  {p.name:<12}{numbers}  {p.unit:<7}  "
+        lines += wrap(p.meaning, head, " " * len(head))
+    example = f"steerd run --sim --fast --duration 20 --effect {_example(effect)}"
+    return "\n".join([*lines, "", *wrap_command(example, "  try: ", "       ")])
 
 
 def _example(effect: Effect) -> str:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from steerd.daemon.setup.mocap_check import Check
     from steerd.daemon.setup.mount_calibration import MountCalibration
 
+_ANSWER_S = 4.0
+"""A source whose first pose has not come after this has none: a client says so after 3 s [s]."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Check or calibrate."""
@@ -94,10 +97,13 @@ def _check_live(args: argparse.Namespace) -> "list[Check]":
         raise SteerdError(f"--mocap {args.mocap}: {error}", "", ExitCode.USAGE) from None
     except OSError as error:
         raise SteerdError(str(error), "steerd probe", ExitCode.UNREADABLE) from None
-    text = f"push the car straight forward by about 1 m within {args.seconds:g} s …"
-    print(text, file=sys.stderr, flush=True)
+    samples, clock = [], MonotonicClock()
     try:
-        samples = list(listen(receiver, MonotonicClock(), args.seconds))
+        # Nobody pushes a car for a source that does not answer.
+        if next(listen(receiver, clock, _ANSWER_S), None):
+            text = f"push the car straight forward by about 1 m within {args.seconds:g} s …"
+            print(text, file=sys.stderr, flush=True)
+            samples = list(listen(receiver, clock, args.seconds))
     finally:
         receiver.close()
     good = [s for s in samples if s.rejected is None]

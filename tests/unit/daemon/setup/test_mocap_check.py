@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
+from steerd.daemon.cli.main import run_cli
+from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.setup.mocap_check import Movement, check_movement
+from steerd.mocap_link import sockets
 from steerd.mocap_link.frame import FrameConfig, make_body_pose, make_planar_pose
+from steerd.mocap_link.source import SourceState, SourceStatus
+from steerd.steer_bus import clock
 
 
 def movement(seen_by, true=None, *, straight=True, seed=0, length=1.0):
@@ -71,3 +76,40 @@ def test_a_car_that_stands_leans_or_is_not_seen():
     assert "probe" in failed(m, refused=100)["stream"]
     far = Movement(m.t, 1e4 * m.x, 1e4 * m.y, m.yaw, m.height, m.tilt)
     assert "millimetres" in failed(far)["distance"]
+
+
+class Deaf:
+    """A receiver whose server never answers."""
+
+    def fds(self):
+        return []
+
+    def on_timer(self, now_ns):
+        return []
+
+    def status(self):
+        return SourceStatus(SourceState.CONNECTING, False, "no answer for 3 s")
+
+    def close(self):
+        pass
+
+
+class Seconds:
+    """A clock that is a second later at each look."""
+
+    looks = 0
+
+    def now_ns(self):
+        type(self).looks += 1
+        return self.looks * 1_000_000_000
+
+
+def test_nobody_pushes_for_a_source_that_does_not_answer(monkeypatch, capsys):
+    monkeypatch.setattr(sockets, "make_receiver", lambda url, config: Deaf())
+    monkeypatch.setattr(clock, "MonotonicClock", Seconds)
+    line = ["mocap", "check", "--mocap", "natnet://192.0.2.1/car", "--seconds", "60"]
+    assert run_cli(line) == ExitCode.UNREADABLE
+    said = capsys.readouterr().err
+    assert "no answer for 3 s" in said
+    assert "push" not in said
+    assert Seconds.looks < 20, "given up long before the 60 s"
