@@ -15,6 +15,7 @@ def test_what_is_printed_is_the_commented_default_and_passes_the_check(tmp_path,
     assert run_cli(["config"]) == 0
     printed = capsys.readouterr().out
     assert printed == DEFAULT
+    assert max(map(len, printed.splitlines())) <= 80
     path = tmp_path / "car.toml"
     path.write_text(printed)
     assert run_cli(["config", "--check", str(path)]) == 0
