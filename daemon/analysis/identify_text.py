@@ -144,7 +144,10 @@ def _next(
     outcome: Outcome, written: Path | None, axles_measured: bool, sim_option: str
 ) -> Iterator[str]:
     yield from (f"note: {note}" for note in outcome.notes)
-    if not improved(outcome):
+    if any("`--speed wheel`" in note for note in outcome.notes):
+        yield "next: the same command with --speed wheel: these values explain a speed"
+        yield "      that the car was not driven at; do not drive with them"
+    elif not improved(outcome):
         yield "next: these values predict no better than the start; keep the old car file"
         yield from _why(outcome, axles_measured)
     elif not any(row.identifiable for row in outcome.free_rows.values()):

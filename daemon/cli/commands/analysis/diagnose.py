@@ -17,6 +17,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from steerd.daemon.cli.car_written import tell_refusal
 from steerd.daemon.cli.inputs import reads_car, reads_session
 from steerd.daemon.cli.session_argument import add_sessions, pick_sessions
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -141,6 +142,8 @@ def run(args: argparse.Namespace) -> int:
     foretold = late[0] if late else None
     texts = {args.prediction: foretold, named: text, args.report: report, args.output: car}
     write_outputs(texts, announced=True)
+    if car is not None:
+        tell_refusal(args.output)
     return ExitCode.OK
 
 

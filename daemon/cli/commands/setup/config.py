@@ -59,16 +59,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(path: Path) -> int:
-    from steerd.daemon.assembly.build import make_plan
+    from steerd.daemon.assembly.car_check import plan_car
     from steerd.daemon.common.screen import NBSP, wrap
-    from steerd.daemon.settings.config import load_settings
-    from steerd.daemon.settings.run_options import RunOptions
 
-    settings = load_settings(path)
-    # The design is part of the check: a car file without a stable controller is refused.
-    plan = make_plan(
-        RunOptions(str(path), path="circle:radius=3", speed=settings.controller.speed), settings
-    )
+    settings, plan = plan_car(path)
     print("\n".join(describe(settings)))
     label = "  controller  "
     about = re.sub(r"(?<=\d) (?=[mH])", NBSP, plan.controller.report.describe())  # with its unit

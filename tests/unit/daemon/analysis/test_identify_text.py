@@ -109,3 +109,10 @@ def test_nobody_is_sent_driving_with_values_that_nothing_identifies(tmp_path):
     said = describe(lost, tmp_path / "car.toml")
     assert "nothing is identifiable from these data; do not drive" in said
     assert "steerd run" not in said
+
+
+def test_nobody_is_sent_driving_with_a_speed_that_was_not_driven(tmp_path):
+    note = "the car went about as fast as asked in 2%: `--speed wheel` takes the measured speed"
+    said = describe(replace(outcome((0.1, 0.4)), notes=(note,)), tmp_path / "car.toml")
+    assert "next: the same command with --speed wheel" in said
+    assert "steerd run" not in said

@@ -1,0 +1,15 @@
+"""What is said of a car file that a command has written."""
+
+import sys
+from pathlib import Path
+
+
+def tell_refusal(path: Path) -> None:
+    """One note where `steerd run` would refuse the file, so that nobody learns it at the car."""
+    from steerd.daemon.assembly.car_check import find_refusal
+    from steerd.daemon.common.screen import print_labelled
+
+    refusal = find_refusal(path)
+    if refusal is not None:
+        text = f"`steerd run` refuses this file: {refusal.what}\n{refusal.hint}".rstrip()
+        print_labelled("note: ", text, sys.stderr)
