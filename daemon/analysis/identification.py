@@ -24,6 +24,7 @@ from steerd.daemon.analysis.sources import (
     make_held_out,
     read_car,
 )
+from steerd.daemon.analysis.wiring import with_wiring
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.outputs import check_outputs
 from steerd.daemon.common.written import write_outputs
@@ -106,6 +107,8 @@ class Identification:
     def make_car_text(self, path: Path) -> str:
         """The car file of the identified car, comments and other sections as in the start's file.
 
+        Where that is F1TENTH's, the other sections are those of the drives.
+
         Args:
             path: what messages call the file.
 
@@ -114,7 +117,8 @@ class Identification:
         """
         base, given = self.request.car, given_values(self.request.fix)
         car = make_car(base, identified_values(self.outcome, base, given), path)
-        return with_knowledge(car, self.runs, self.outcome.sections)
+        text = with_knowledge(car, self.runs, self.outcome.sections)
+        return with_wiring(text, base, self.request.sessions)
 
     def save_car(self, path: Path | str) -> Path:
         """Write the car file, whole or not at all; a file that steerd did not write is kept.

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.session_meta import default_session_path
 from steerd.daemon.common.screen import below_home
@@ -19,6 +20,8 @@ def closing_lines(plan: RunPlan, tally: Tally, session: Path) -> Iterator[str]:
     name = "@last" if usual else str(session)
     yield f"session: {below_home(session) if usual else session}"
     if collected:
-        yield f"   next: steerd identify {name} -o car.toml"
+        own = plan.options.car_file not in ("", str(default_car_path()))
+        car = f" --car {plan.options.car_file}" if own else ""
+        yield f"   next: steerd identify {name}{car} -o car.toml"
     else:
         yield f"   next: steerd plot {name}   (or steerd info)"

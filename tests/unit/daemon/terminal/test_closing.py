@@ -33,6 +33,14 @@ def test_a_plan_was_driven(drill, lane):
     assert "steerd identify drive.mcap -o car.toml" in then
 
 
+def test_a_plan_on_an_own_car_is_identified_from_its_own_file(tmp_path):
+    own = tmp_path / "mine.toml"
+    own.write_text(default_car_path().read_text())
+    plan = make_plan(RunOptions(str(own), drill="mixed;speed=2"), design=False)
+    *_, then = closing_lines(plan, TALLY, Path("drive.mcap"))
+    assert f"steerd identify drive.mcap --car {own} -o car.toml" in then
+
+
 def test_a_drive_in_the_usual_folder_is_named_in_few_words(monkeypatch):
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     monkeypatch.delenv("XDG_DATA_HOME", raising=False)
