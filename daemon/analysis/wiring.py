@@ -55,7 +55,7 @@ def _read_wiring(path: Path) -> Values:
 
 
 def _stated(session: Session) -> Iterable[tuple[tuple[str, str], float]]:
-    """What an import was told about the motor."""
+    """What somebody stated about the motor at an import."""
     for key, value in session.info().metadata.get("steerd.scaling", {}).items():
         yield ("vesc", key), float(value)
 

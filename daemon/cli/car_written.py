@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 
-def tell_refusal(path: Path) -> None:
+def report_refusal(path: Path) -> None:
     """One note where `steerd run` would refuse the file, so that nobody learns it at the car."""
     from steerd.daemon.assembly.car_check import find_refusal
     from steerd.daemon.common.screen import print_labelled

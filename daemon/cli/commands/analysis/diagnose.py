@@ -17,7 +17,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.car_written import tell_refusal
+from steerd.daemon.cli.car_written import report_refusal
 from steerd.daemon.cli.inputs import reads_car, reads_session
 from steerd.daemon.cli.session_argument import add_sessions, pick_sessions
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -143,7 +143,7 @@ def run(args: argparse.Namespace) -> int:
     texts = {args.prediction: foretold, named: text, args.report: report, args.output: car}
     write_outputs(texts, announced=True)
     if car is not None:
-        tell_refusal(args.output)
+        report_refusal(args.output)
     return ExitCode.OK
 
 

@@ -16,7 +16,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.car_written import tell_refusal
+from steerd.daemon.cli.car_written import report_refusal
 from steerd.daemon.cli.inputs import reads_car, reads_session
 from steerd.daemon.cli.session_argument import add_sessions, pick_sessions
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -163,5 +163,5 @@ def run(args: argparse.Namespace) -> int:
         what = f"{args.output} is not written: {refused.what.removeprefix(f'{args.output}: ')}"
         raise SteerdError(what, "no car is like that; see the notes above", ExitCode.STOPPED)
     if car is not None:
-        tell_refusal(args.output)
+        report_refusal(args.output)
     return ExitCode.OK if found.improved else ExitCode.STOPPED

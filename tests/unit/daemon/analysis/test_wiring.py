@@ -15,7 +15,7 @@ OWN = BASE.text.replace("erpm_gain = 4614.0", "erpm_gain = -7300.0").replace('up
 
 @pytest.fixture
 def drive(tmp_path):
-    """Writes a drive with its car file, or with what an import was told about its motor."""
+    """Writes a drive with its car file, or with what an import was given about its motor."""
 
     def write(name, car_text=None, scaling=None):
         path = tmp_path / f"{name}.mcap"
@@ -37,7 +37,7 @@ def test_the_drives_own_motor_and_mocap_stand_in_the_file(drive):
     assert made["car"] == tomllib.loads(BASE.text)["car"]
 
 
-def test_what_an_import_was_told_stands_in_the_file(drive):
+def test_what_an_import_was_given_stands_in_the_file(drive):
     path = drive("a", scaling={"erpm_gain": "-7350.0", "erpm_offset": "0.0"})
     assert find_wiring(BASE, [path]) == {("vesc", "erpm_gain"): -7350.0}
 

@@ -3,7 +3,7 @@
 import pytest
 
 from steerd.car_model.car_file import default_car_path
-from steerd.daemon.cli.car_written import tell_refusal
+from steerd.daemon.cli.car_written import report_refusal
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode
 
@@ -17,7 +17,7 @@ LAGS = "\n[effects.rolling_drag]\ndrag = 3.0\n"
 def test_what_run_refuses_is_said_by_whoever_wrote_it(tmp_path, capsys, more, said):
     path = tmp_path / "car.toml"
     path.write_text(DEFAULT + more)
-    tell_refusal(path)
+    report_refusal(path)
     noted = capsys.readouterr().err
     assert noted.startswith("note: `steerd run` refuses this file: ") is bool(said)
     assert said in noted
