@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.blind_gap.car import make_car
 from benchmarks.live_changes.plant import Change, changed, drive
 from steerd.car_model.car_file import default_car_path, load_car
+from steerd.sim_gap.online.amount import amounts_of
 from steerd.sim_gap.online.base import make_learner
 from steerd.sim_gap.online.learner import State, fold
 from steerd.sim_gap.online.naming import Finding
@@ -29,7 +30,8 @@ class Said:
         final: what was said at the end; empty for nothing.
         right: when a right name or set was said that stayed until the end.
         false: changes called before the change (or at all, where there is none).
-        value: of the effect's first parameter at the end, `sd` its standard error.
+        value: by how much the effect's first parameter moved, as said at the end; `sd` its standard
+            error.
         cpu: processor time per second of driving, the drive's simulation left out.
         peak: largest ratio per what is usual while nothing was called [nats].
     """
@@ -89,11 +91,18 @@ def follow_drive(seed: int, name: str, seconds: float = 0.0) -> Said:
         false = len(calls)
     named, first = next(((t - at, n) for t, n in said if n and t >= at), (np.nan, ()))
     final = said[-1][1] if said else ()
-    cause = state.change.finding.cause if state.change else None
-    value, sd, _ = next(iter(cause.parameters.values())) if cause else (np.nan, np.nan, "")
+    value, sd = _first_amount(state)
     peak = state.known.peak if state.known else np.nan
     right = _right_since(said, name, at)
     return Said(noticed, named, first, final, right, false, value, sd, cpu, peak)
+
+
+def _first_amount(state: State) -> tuple[float, float]:
+    """By how much the first parameter of what is suspected now moved, with its standard error."""
+    if state.change is None:
+        return np.nan, np.nan
+    value, sd, _ = next(iter(amounts_of(state.change).values()))
+    return value, sd
 
 
 def _right_since(said: list[tuple[float, tuple[str, ...]]], name: str, at: float) -> float:

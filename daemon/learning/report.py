@@ -4,6 +4,7 @@ from dataclasses import fields
 from math import nan
 
 from steerd.daemon.learning.reported import NS, ReportedChange, ReportedValue, pack
+from steerd.sim_gap.online.amount import amounts_of
 from steerd.sim_gap.online.learner import Change, State
 from steerd.sim_gap.online.memory import Remembered
 from steerd.sim_gap.online.values import Value, unit_of, values_of
@@ -83,7 +84,7 @@ def _reported_change(change: Change) -> ReportedChange:
     if finding.verdict != "named":
         return ReportedChange(since, noticed, finding.verdict, "", nan, (), ())
     reported = tuple(
-        ReportedValue(name, value, sd, unit) for name, (value, sd, unit) in cause.parameters.items()
+        ReportedValue(name, *amount) for name, amount in amounts_of(change).items()
     )
     return ReportedChange(
         since,

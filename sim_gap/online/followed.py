@@ -15,6 +15,7 @@ from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import Car
 from steerd.controller.learnt import Learnt, learnt_of
 from steerd.sim_gap.engine.superset import Superset
+from steerd.sim_gap.online.amount import is_ratio
 from steerd.sim_gap.online.learner import Change, Learner, State
 from steerd.sim_gap.online.naming import SURE
 from steerd.sim_gap.online.values import values_of
@@ -105,5 +106,4 @@ def _shifted(change: Change, values: tuple[float, ...]) -> Iterator[float]:
         values, cause.parameters.values(), change.was, find_effect(cause.effect).nulls, strict=True
     )
     for value, (after, _, _), before, null in rows:
-        ratio = null == 1.0 and before > 0.0
-        yield value * after / before if ratio else value + after - before
+        yield value * after / before if is_ratio(null, before) else value + after - before
