@@ -83,9 +83,7 @@ def _reported_change(change: Change) -> ReportedChange:
     since, noticed = round(change.since * NS), round(change.noticed * NS)
     if finding.verdict != "named":
         return ReportedChange(since, noticed, finding.verdict, "", nan, (), ())
-    reported = tuple(
-        ReportedValue(name, *amount) for name, amount in amounts_of(change).items()
-    )
+    reported = tuple(ReportedValue(name, *amount) for name, amount in amounts_of(change).items())
     return ReportedChange(
         since,
         noticed,
