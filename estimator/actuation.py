@@ -55,8 +55,10 @@ def add_command(history: History, t_ns: int, command: Command[float] | None) -> 
     Raises:
         ValueError: if the command is not finite.
     """
-    if command is not None and not all(math.isfinite(value) for value in command):
+    if command is not None and not (math.isfinite(command.steer) and math.isfinite(command.speed)):
         raise ValueError(f"command is not finite: {command}")
+    if not history.times or t_ns > history.times[-1]:
+        return History((*history.times, t_ns), (*history.commands, command))
     i, j = bisect_left(history.times, t_ns), bisect_right(history.times, t_ns)
     return History(
         (*history.times[:i], t_ns, *history.times[j:]),

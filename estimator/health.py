@@ -79,8 +79,7 @@ class FilterHealth:
 
 def count_measurement(tally: Tally, kind: Kind, t_ns: int, nis: float, believed: bool) -> Tally:
     """The totals after one more measurement."""
-    old = tally[kind]
-    seen, refused, streak, _, nis_sum, believed_ns = old
+    seen, refused, streak, _, nis_sum, believed_ns = tally[kind]
     if believed:
         new = Count(seen + 1, refused, 0, nis, nis_sum + nis, t_ns)
     else:

@@ -39,10 +39,10 @@ from steerd.estimator.health import (
     make_health,
 )
 from steerd.estimator.initial import LONGEST_S, initial_belief
-from steerd.estimator.kalman import Array, Belief, Fused, Kalman
+from steerd.estimator.kalman import Array, Belief, Kalman
 from steerd.estimator.motion import SIZE, predict_belief
 from steerd.estimator.native.choice import make_kernel
-from steerd.estimator.native.kernel import Kernel
+from steerd.estimator.native.kernel import Kernel, Link
 from steerd.estimator.sensors import Kind, Measurement, Sensor, make_sensors, residual
 from steerd.steer_bus.quick_values import quick_init
 
@@ -173,7 +173,9 @@ def step(
     known = [m for m in timely if m.t_ns >= first_ns]
     untimely = state.untimely + len(measurements) - len(known)
     nodes = _fuse(flt, history, state.nodes, known, redo_ns)
-    first = max(bisect_right(nodes, oldest_ns, key=_time) - 1, 0)
+    first = 0
+    while first + 1 < len(nodes) and nodes[first + 1].measurement.t_ns <= oldest_ns:
+        first += 1
     recent = drop_older(history, _time(nodes[first]) - dead_time_ns)
     return FilterState(nodes[first:], recent, (), untimely)
 
@@ -193,15 +195,15 @@ def predict_to(flt: StateFilter, state: FilterState, t_ns: int) -> StateEstimate
     Nothing is kept: a look ahead is not a measurement.
     """
     nodes = state.nodes
-    last = bisect_right(nodes, t_ns, key=_time) - 1
-    if last < 0:
+    last = _until(nodes, t_ns)
+    if not last:
         return None
-    node = nodes[last]
+    node = nodes[last - 1]
     belief, sound = _look_ahead(flt, state.history, node, t_ns)
     begin = max(bisect_right(nodes, t_ns - round(HEALTH_WINDOW_S * NS), key=_time) - 1, 0)
     health = make_health(belief, sound, t_ns, nodes[begin].tally, node.tally, state.untimely)
-    variance = np.diagonal(belief.covariance)
-    sds = [math.sqrt(v) if v >= 0.0 else math.nan for v in variance.tolist()]
+    variance = belief.covariance.diagonal().tolist()
+    sds = [math.sqrt(v) if v >= 0.0 else math.nan for v in variance]
     return StateEstimate(t_ns, State(*belief.mean.tolist()), State(*sds), belief.covariance, health)
 
 
@@ -218,6 +220,14 @@ def _predict(
     return predict_belief(flt.kalman, flt.car, flt.config, history, belief, start_ns, end_ns)
 
 
+def _until(nodes: tuple[Node, ...], t_ns: int) -> int:
+    """How many nodes are not later than `t_ns`: hardly any is later, so the last are asked."""
+    count = len(nodes)
+    while count and nodes[count - 1].measurement.t_ns > t_ns:
+        count -= 1
+    return count
+
+
 def _fuse(
     flt: StateFilter,
     history: History,
@@ -229,7 +239,7 @@ def _fuse(
 
     A measurement that is there already is not fused twice.
     """
-    keep = bisect_right(nodes, redo_ns, key=_time)
+    keep = _until(nodes, redo_ns)
     if fresh:
         keep = min(keep, bisect_left(nodes, fresh[0], key=_measurement))
     keep = max(keep, 1)
@@ -253,12 +263,10 @@ def _follow(
     return nodes[1:]
 
 
-def _nodes(
-    tally: Tally, chain: Sequence[Measurement], found: Sequence[tuple[Fused, bool]]
-) -> list[Node]:
+def _nodes(tally: Tally, chain: Sequence[Measurement], found: Sequence[Link]) -> list[Node]:
     """Nodes of what the machine code found."""
     nodes = []
-    for measurement, ((belief, innovation, nis), believed) in zip(chain, found, strict=True):
+    for measurement, (belief, innovation, nis, believed) in zip(chain, found, strict=True):
         tally = count_measurement(tally, measurement.kind, measurement.t_ns, nis, believed)
         nodes.append(Node(measurement, belief, innovation, nis, believed, tally))
     return nodes

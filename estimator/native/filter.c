@@ -50,12 +50,22 @@ typedef struct {
 typedef struct {
     int64_t known;
     const int64_t *times;
-    const double *commands; /* given (1 or 0), steer, speed */
+    const double *commands; /* steer, speed; not a number where nothing was driven */
 } history_t;
 
 typedef struct {
     double x[SIZE], P[SQUARE];
 } belief_t;
+
+/* What is asked: two instants; the times of the commands, the commands and the belief follow. */
+typedef struct {
+    int64_t known, start, stop;
+} asked_t;
+
+typedef struct {
+    int64_t t, kind;
+    double values[WIDEST];
+} measurement_t;
 
 /* The functions dgemm, dgemv, ddot, dposv and dpotrf, in this order. */
 void attach(void *const *functions)
@@ -121,12 +131,12 @@ static int drive(const setup_t *setup, const history_t *history, double steer, d
         int64_t next_turn = turn < history->known ? history->times[turn] + steer_late : NEVER_NS;
         int64_t next_push = push < history->known ? history->times[push] + drive_late : NEVER_NS;
         int64_t end = earlier(earlier(next_turn, next_push), stop);
-        const double *steering = history->commands + 3 * (turn - 1);
-        const double *driving = history->commands + 3 * (push - 1);
-        in[0] = turn && steering[0] > 0.0 ? steering[1] : 0.0;
-        in[1] = turn ? steering[0] : 0.0;
-        in[2] = push && driving[0] > 0.0 ? driving[2] : 0.0;
-        in[3] = push ? driving[0] : 0.0;
+        const double *steering = history->commands + 2 * (turn - 1);
+        const double *driving = history->commands + 2 * (push - 1);
+        in[1] = turn && !isnan(steering[0]);
+        in[0] = in[1] > 0.0 ? steering[0] : 0.0;
+        in[3] = push && !isnan(driving[0]);
+        in[2] = in[3] > 0.0 ? driving[1] : 0.0;
         in[5] = (double)(end - begin) * SECONDS;
         piece(setup->car, in, out);
         memcpy(so_far, out, sizeof out);
@@ -246,20 +256,31 @@ static int update(const sensor_t *sensor, belief_t *belief, const double *measur
     return 0;
 }
 
+/* Where the commands and the belief of a question lie; returns what follows them. */
+static const void *read_asked(const asked_t *asked, history_t *history, belief_t *belief)
+{
+    const int64_t *times = (const int64_t *)(asked + 1);
+    const double *commands = (const double *)(times + asked->known);
+    const belief_t *first = (const belief_t *)(commands + 2 * asked->known);
+    *history = (history_t){asked->known, times, commands};
+    *belief = *first;
+    return first + 1;
+}
+
 /* The chain of nodes after a belief of `start`: for each measurement the belief after it (mean,
  * covariance), the innovation (3), its square, and whether it was believed. */
-int fuse(const setup_t *setup, int64_t known, const int64_t *times, const double *commands,
-         const belief_t *first, int64_t start, int64_t count, const int64_t *stamps,
-         const int64_t *kinds, const double *measured, double *out)
+int fuse(const setup_t *setup, const asked_t *asked, int count, double *out)
 {
-    const history_t history = {known, times, commands};
-    belief_t belief = *first, prior;
-    for (int64_t i = 0; i < count; i++, out += NODE) {
-        const sensor_t *sensor = setup->sensors + kinds[i];
+    history_t history;
+    belief_t belief, prior;
+    const measurement_t *measured = read_asked(asked, &history, &belief);
+    int64_t start = asked->start;
+    for (int i = 0; i < count; i++, out += NODE) {
+        const sensor_t *sensor = setup->sensors + measured[i].kind;
         double y[WIDEST] = {0.0, 0.0, 0.0}, nis = 0.0;
-        predict_belief(setup, &history, &belief, start, stamps[i]);
+        predict_belief(setup, &history, &belief, start, measured[i].t);
         prior = belief;
-        if (update(sensor, &belief, measured + WIDEST * i, y, &nis))
+        if (update(sensor, &belief, measured[i].values, y, &nis))
             return 1;
         int believed = nis <= sensor->gate;
         if (!finite(prior.x, BELIEF) || !finite(belief.x, BELIEF) || !isfinite(nis))
@@ -270,21 +291,21 @@ int fuse(const setup_t *setup, int64_t known, const int64_t *times, const double
         memcpy(out + BELIEF, y, sizeof y);
         out[BELIEF + WIDEST] = nis;
         out[BELIEF + WIDEST + 1] = believed;
-        start = stamps[i];
+        start = measured[i].t;
     }
     return 0;
 }
 
 /* The belief at `stop`, and whether its covariance has a Cholesky factor. */
-int predict(const setup_t *setup, int64_t known, const int64_t *times, const double *commands,
-            const belief_t *first, int64_t start, int64_t stop, double *out)
+int predict(const setup_t *setup, const asked_t *asked, double *out)
 {
-    const history_t history = {known, times, commands};
-    belief_t belief = *first;
+    history_t history;
+    belief_t belief;
     double by_columns[SQUARE];
     char upper = 'U';
     int size = SIZE, failed = 0;
-    predict_belief(setup, &history, &belief, start, stop);
+    read_asked(asked, &history, &belief);
+    predict_belief(setup, &history, &belief, asked->start, asked->stop);
     if (!finite(belief.x, BELIEF))
         return 1;
     memcpy(out, &belief, sizeof belief);

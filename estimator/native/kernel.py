@@ -4,15 +4,15 @@ import ctypes
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from math import nan
 from struct import Struct
-from typing import NamedTuple
 
 import numpy as np
 
 from steerd.car_model.params import Car
 from steerd.estimator.actuation import History, dead_times
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.kalman import Array, Belief, Fused
+from steerd.estimator.kalman import Array, Belief
 from steerd.estimator.motion import SIZE, noise_density
 from steerd.estimator.sensors import Kind, Measurement, Sensor
 
@@ -21,16 +21,10 @@ WIDEST = 3
 _BELIEF = SIZE + SIZE * SIZE
 _NODE = _BELIEF + WIDEST + 2
 _MOST_NODES = 256
-_NO_COMMAND = (0.0, 0.0, 0.0)
+_NO_COMMAND = (nan, nan)
 _PADDING = ((), (0.0, 0.0), (0.0,), ())
-
-
-class Prediction(NamedTuple):
-    """A belief at an instant."""
-
-    belief: Belief
-    factored: bool
-    """Its covariance has a Cholesky factor."""
+Link = tuple[Belief, Array, float, bool]
+"""What a measurement leaves: belief, innovation, its square, and whether it was believed."""
 
 
 class Kernel:
@@ -56,61 +50,46 @@ class Kernel:
 
     def fuse(
         self, history: History, first: Belief, start_ns: int, chain: Sequence[Measurement]
-    ) -> list[tuple[Fused, bool]] | None:
-        """What each measurement of a chain leaves, and whether it was believed."""
+    ) -> list[Link] | None:
+        """What each measurement of a chain leaves."""
         count = len(chain)
         if count > _MOST_NODES:
             return None
-        numbers: list[float] = []
-        for _, _, values in chain:
-            numbers += (*values, *_PADDING[len(values)])
-        integers = _integers(count)
-        stamps = integers.pack(*[m.t_ns for m in chain])
-        kinds = integers.pack(*[m.kind for m in chain])
-        measured = _numbers(WIDEST * count).pack(*numbers)
-        past = self._past(history, start_ns)
-        root = _bytes(first)
-        at = ctypes.c_int64(start_ns)
-        failed = self._fuse(
-            self._setup,
-            *past,
-            root,
-            at,
-            ctypes.c_int64(count),
-            stamps,
-            kinds,
-            measured,
-            self._where,
-        )
-        if failed:
+        given: list[float] = []
+        for t_ns, kind, values in chain:
+            given += (t_ns, kind, *values, *_PADDING[len(values)])
+        asked = self._asked(history, first, start_ns) + _measurements(count).pack(*given)
+        if self._fuse(self._setup, asked, count, self._where):
             return None
         rows = self._out[:count].copy()
-        return [_fused(row, len(m.values)) for row, m in zip(rows, chain, strict=True)]
+        covariances = rows[:, SIZE:_BELIEF].reshape(count, SIZE, SIZE)
+        beliefs = map(Belief, rows[:, :SIZE], covariances)
+        innovations = rows[:, _BELIEF : _BELIEF + WIDEST]
+        judged = rows[:, _BELIEF + WIDEST :].tolist()
+        return [
+            (belief, y[: len(m.values)], nis, believed > 0.0)
+            for m, belief, y, (nis, believed) in zip(
+                chain, beliefs, innovations, judged, strict=True
+            )
+        ]
 
     def predict(
         self, history: History, first: Belief, start_ns: int, stop_ns: int
-    ) -> Prediction | None:
-        """The belief at `stop_ns`, from the one of `start_ns`."""
-        past = self._past(history, start_ns)
-        begin, end = ctypes.c_int64(start_ns), ctypes.c_int64(stop_ns)
-        if self._predict(self._setup, *past, _bytes(first), begin, end, self._where):
+    ) -> tuple[Belief, bool] | None:
+        """The belief at `stop_ns` from the one of `start_ns`; whether it has a Cholesky factor."""
+        if self._predict(self._setup, self._asked(history, first, start_ns, stop_ns), self._where):
             return None
         row = self._out[0, : _BELIEF + 1].copy()
-        return Prediction(read_belief(row), bool(row[_BELIEF]))
+        return read_belief(row), row.item(_BELIEF) > 0.0
 
-    def _past(self, history: History, start_ns: int) -> tuple[ctypes.c_int64, bytes, bytes]:
-        """The commands that can act after an instant: number, times, orders."""
-        first = max(bisect_right(history.times, start_ns - self._dead_time) - 1, 0)
-        times = history.times[first:]
-        orders: list[float] = []
-        for command in history.commands[first:]:
-            orders += _NO_COMMAND if command is None else (1.0, command.steer, command.speed)
-        count = len(times)
-        return (
-            ctypes.c_int64(count),
-            _integers(count).pack(*times),
-            _numbers(3 * count).pack(*orders),
-        )
+    def _asked(self, history: History, first: Belief, start_ns: int, stop_ns: int = 0) -> bytes:
+        """Two instants, the commands that can act after the first, and the belief then."""
+        begin = max(bisect_right(history.times, start_ns - self._dead_time) - 1, 0)
+        times = history.times[begin:]
+        orders = [x for command in history.commands[begin:] for x in command or _NO_COMMAND]
+        known = len(times)
+        head = _request(known).pack(known, start_ns, stop_ns, *times, *orders)
+        return head + first.mean.tobytes() + first.covariance.tobytes()
 
 
 def pack_sensor(sensor: Sensor) -> bytes:
@@ -138,19 +117,15 @@ def _numbers(count: int) -> Struct:
 
 
 @lru_cache(maxsize=1024)
-def _integers(count: int) -> Struct:
-    return Struct(f"={count}q")
+def _request(known: int) -> Struct:
+    return Struct(f"={3 + known}q{2 * known}d")
 
 
-def _bytes(belief: Belief) -> bytes:
-    return belief.mean.tobytes() + belief.covariance.tobytes()
+@lru_cache(maxsize=1024)
+def _measurements(count: int) -> Struct:
+    return Struct("=" + f"2q{WIDEST}d" * count)
 
 
 def read_belief(row: Array) -> Belief:
     """A belief that lies in a row: mean, then covariance by rows."""
     return Belief(row[:SIZE], row[SIZE:_BELIEF].reshape(SIZE, SIZE))
-
-
-def _fused(row: Array, width: int) -> tuple[Fused, bool]:
-    nis, believed = row[_BELIEF + WIDEST :].tolist()
-    return Fused(read_belief(row), row[_BELIEF : _BELIEF + width], nis), bool(believed)
