@@ -9,6 +9,7 @@ and `#v2` for GET_STATS.
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from operator import truediv
 
 from steerd.steer_bus.quick_values import quick_init
 from steerd.vesc_link.ids import FW_3_00, FW_6_05, CommandId, Firmware, fault_name
@@ -331,8 +332,9 @@ def decode_imu(payload: bytes) -> Imu | None:
     values, extra = unpack_fields(fields, payload, 3)
     if not all_finite(values):
         return None
-    for name in _IMU_UNIT.keys() & values.keys():
-        values[name] *= _IMU_UNIT[name]
+    for name, unit in _IMU_UNIT.items():
+        if name in values:
+            values[name] *= unit
     return Imu(mask, **values, extra_bytes=extra)
 
 
@@ -362,7 +364,7 @@ def _imu_units(fields: tuple[Field, ...]) -> tuple[float, ...]:
 def _device_bytes(reply: Values | ValuesSetup | Imu | Stats, fields: tuple[Field, ...]) -> bytes:
     numbers = [value or 0 for value in read_values(fields, reply)]
     if isinstance(reply, Imu):
-        numbers = [value / unit for value, unit in zip(numbers, _imu_units(fields), strict=True)]
+        numbers = list(map(truediv, numbers, _imu_units(fields)))
     return pack_fields(fields, numbers, device_numbers)
 
 

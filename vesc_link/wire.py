@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from operator import attrgetter, mul
+from operator import attrgetter, le, mul, truediv
 from typing import Any, NamedTuple, cast
 
 from steerd.vesc_link.ids import ALWAYS, Firmware
@@ -69,7 +69,7 @@ def _to_f32s(values: Sequence[float]) -> tuple[float, ...]:
         rounded = singles.unpack(singles.pack(*values))
     except OverflowError:
         rounded = (math.inf,)
-    if not all(map(math.isfinite, rounded)):
+    if not math.isfinite(sum(rounded)):  # in double precision no sum of these overflows
         raise ValueError(f"{values} cannot be sent: the VESC's floats are finite single precision")
     return rounded
 
@@ -140,14 +140,11 @@ def device_numbers(fields: Sequence[Field], values: Sequence[Number]) -> Sequenc
     numbers = list(values)
     for i, product in zip(layout.measured, products, strict=True):
         numbers[i] = product
-    return [
-        int(number)
-        if low <= number <= high
-        else number
-        if code == "f" and abs(number) >= _SMALLEST_F32
-        else _saturated(code, number)
-        for number, (code, low, high) in zip(numbers, layout.ranges, strict=True)
-    ]
+    if layout.whole:
+        counts = list(map(int, numbers))
+        if all(map(le, layout.low, counts)) and all(map(le, counts, layout.high)):
+            return counts
+    return list(map(_saturated, layout.codes, numbers))
 
 
 class _DeviceLayout(NamedTuple):
@@ -155,15 +152,22 @@ class _DeviceLayout(NamedTuple):
 
     measured: tuple[int, ...]
     scales: tuple[float, ...]
-    ranges: tuple[tuple[str, float, float], ...]
-    """Code, least and most; a float has no number within its range, so that it stays one."""
+    codes: tuple[str, ...]
+    whole: bool
+    """Every field holds a whole number, of `low` to `high`."""
+    low: tuple[float, ...]
+    high: tuple[float, ...]
 
 
 @lru_cache(maxsize=64)
 def _device_layout(fields: tuple[Field, ...]) -> _DeviceLayout:
     measured = tuple(i for i, f in enumerate(fields) if f.code == "f" or f.scale is not None)
-    ranges = tuple((f.code, *_RANGES.get(f.code, (math.inf, -math.inf))) for f in fields)
-    return _DeviceLayout(measured, tuple(fields[i].scale or 1.0 for i in measured), ranges)
+    codes = tuple(f.code for f in fields)
+    ranges = [_RANGES.get(code, (0, 0)) for code in codes]
+    return _DeviceLayout(
+        measured, tuple(fields[i].scale or 1.0 for i in measured), codes, "f" not in codes,
+        tuple(low for low, _ in ranges), tuple(high for _, high in ranges),
+    )  # fmt: skip
 
 
 def read_values(fields: tuple[Field, ...], record: object) -> tuple[Any, ...]:
@@ -199,10 +203,12 @@ def _struct(fields: tuple[Field, ...]) -> struct.Struct:
 
 
 class _Layout(NamedTuple):
-    """Fields that lie whole within a payload: their bytes; names and scales."""
+    """Fields that lie whole within a payload: their bytes; names, and scales of which."""
 
     numbers: struct.Struct
-    fields: tuple[tuple[str, float | None], ...]
+    names: tuple[str, ...]
+    scaled: tuple[str, ...]
+    scales: tuple[float, ...]
 
 
 @lru_cache(maxsize=64)
@@ -214,7 +220,9 @@ def _layout(fields: tuple[Field, ...], size: int) -> _Layout:
         if left < 0:
             break
         present.append(field)
-    return _Layout(_struct(tuple(present)), tuple((f.name, f.scale) for f in present))
+    measured = {f.name: f.scale for f in present if f.scale is not None}
+    names = tuple(f.name for f in present)
+    return _Layout(_struct(tuple(present)), names, tuple(measured), tuple(measured.values()))
 
 
 def unpack_fields(
@@ -226,10 +234,11 @@ def unpack_fields(
         The values by name (fields beyond the end are absent) and the number of bytes left over.
     """
     left = len(payload) - offset
-    layout, present = _layout(fields, left)
-    numbers = zip(present, layout.unpack_from(payload, offset), strict=True)
-    values = {name: n if scale is None else n / scale for (name, scale), n in numbers}
-    return values, left - layout.size
+    layout = _layout(fields, left)
+    values = dict(zip(layout.names, layout.numbers.unpack_from(payload, offset), strict=True))
+    counts = map(values.__getitem__, layout.scaled)
+    values.update(zip(layout.scaled, map(truediv, counts, layout.scales), strict=True))
+    return values, left - layout.numbers.size
 
 
 def all_finite(values: Mapping[str, Number | None]) -> bool:
