@@ -13,6 +13,8 @@ from steerd.steer_bus.topics import Topic
 
 Sink = Callable[[list[PipeRecord], int], None]
 """Takes the records of one tick and the monotonic time [ns]; must not block."""
+_Queued = tuple[Topic, int, int, int, Any]
+"""A `PipeRecord` to be: its topic, number, two times and message."""
 
 
 @dataclass(slots=True)
@@ -26,7 +28,7 @@ class Outbox:
 
     epoch_ns: int
     sinks: tuple[Sink, ...]
-    _pending: list[PipeRecord] = field(default_factory=list)
+    _pending: list[_Queued] = field(default_factory=list)
     _counts: dict[str, int] = field(default_factory=dict)
     _last_ns: int = 0
 
@@ -34,13 +36,14 @@ class Outbox:
         """Queue a message of time `t_ns` whose content is valid at `valid_ns` (monotonic)."""
         if not self.sinks:
             return
-        count = self._counts.get(topic.name, 0)
-        self._counts[topic.name] = count + 1
+        name = topic.name
+        count = self._counts.get(name, 0)
+        self._counts[name] = count + 1
         # A session file is in the order of the loop: log times never go back (mcap doctor warns).
-        self._last_ns = max(self._last_ns, t_ns)
+        if t_ns > self._last_ns:
+            self._last_ns = t_ns
         publish_ns = (t_ns if valid_ns is None else valid_ns) + self.epoch_ns
-        log_ns = self._last_ns + self.epoch_ns
-        self._pending.append(PipeRecord(topic, count, log_ns, publish_ns, b"", message))
+        self._pending.append((topic, count, self._last_ns + self.epoch_ns, publish_ns, message))
 
     def flush(self, t_ns: int) -> None:
         """Encode everything queued and give it to the sinks.
@@ -58,12 +61,11 @@ class Outbox:
             raise wrong
 
 
-def _encode_all(queued: list[PipeRecord]) -> tuple[list[PipeRecord], CodecError | None]:
+def _encode_all(queued: list[_Queued]) -> tuple[list[PipeRecord], CodecError | None]:
     """Encode each record; also return the first error."""
     records, wrong = [], None
-    for record in queued:
+    for topic, count, log_ns, publish_ns, message in queued:
         try:
-            topic, count, log_ns, publish_ns, _, message = record
             records.append(PipeRecord(topic, count, log_ns, publish_ns, encode(message), message))
         except CodecError as error:
             wrong = wrong or error

@@ -9,9 +9,10 @@ import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from steerd.steer_bus.codec import decode
+from steerd.steer_bus.quick_values import quick_value
 from steerd.steer_bus.topics import TOPICS, Topic
 
 PIPE_BYTES = 1 << 20
@@ -21,7 +22,8 @@ _F_SETPIPE_SZ = 1031
 _INDEX = {topic.name: index for index, topic in enumerate(TOPICS)}
 
 
-class PipeRecord(NamedTuple):
+@quick_value
+class PipeRecord:
     """One encoded outgoing message of the core."""
 
     topic: Topic

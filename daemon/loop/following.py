@@ -21,16 +21,19 @@ from steerd.car_model.state import Command
 from steerd.daemon.loop.follow_model import Actuator, Band, FollowModel
 from steerd.daemon.loop.supervisor import SOFT_BRAKE_SPEED
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.quick_values import changed, quick_value
 
 LONG_TURN, LONG_TURN_S = 3.0, 0.2
 """A turn is measured over a short stretch and over this many times as long, at most so long [s]."""
 TRAIL_S = 0.35
 """How long ends of the bands are kept, for measurements that arrive late [s]."""
 _NS, _SECONDS = 1_000_000_000, 1e-9
-_NEVER = -1
+Ends = tuple[float, float]
+"""A `Band` that lives for a line: lower and upper end."""
 
 
-class Mark(NamedTuple):
+@quick_value
+class Mark:
     """The bands at one moment: speed [m/s], and curvature summed over time [s/m]."""
 
     t_ns: int
@@ -63,7 +66,8 @@ class Turn(NamedTuple):
     way: float
 
 
-class Followed(NamedTuple):
+@quick_value
+class Followed:
     """Measurement against band; the excess is above zero where no car of the file does this.
 
     Attributes:
@@ -166,7 +170,8 @@ def compare(
         if begin_ns <= turn.t0_ns and turn.t1_ns <= end_ns
     ]
     if judged:
-        return Followed(*seen[:3], *max(judged, key=_excess))
+        rate, band, off = max(judged, key=_excess)
+        return changed(seen, turn_rate=rate, turn_band=band, turn_excess=off)
     return seen
 
 
@@ -176,9 +181,9 @@ _excess = itemgetter(2)
 def _compare_turn(trail: tuple[Mark, ...], turn: Turn, margin: float) -> tuple[float, Band, float]:
     """Rate of a turn, the band of its time and the excess, all [rad/s]."""
     span = (turn.t1_ns - turn.t0_ns) * _SECONDS
-    begin, end = _turned_at(trail, turn.t0_ns), _turned_at(trail, turn.t1_ns)
+    (low0, high0), (low1, high1) = _turned_at(trail, turn.t0_ns), _turned_at(trail, turn.t1_ns)
     speed = turn.way / span
-    band = Band((end.low - begin.low) / span * speed, (end.high - begin.high) / span * speed)
+    band = Band((low1 - low0) / span * speed, (high1 - high0) / span * speed)
     rate = turn.angle / span
     return rate, band, max(rate - band.high, band.low - rate) - margin / span
 
@@ -236,42 +241,41 @@ def _still_open(
     return orders[first:]
 
 
-def _aim_speed(orders: list[Command[float]], sure: bool, now: Band) -> Band:
+def _aim_speed(orders: list[Command[float]], sure: bool, now: Band) -> Ends:
     """What the motor aims at. Slow orders may let it go: then it coasts, however long."""
     speeds = [order.speed for order in orders]
     if not sure:
         speeds += now
     low, high = min(speeds), max(speeds)
     if low < SOFT_BRAKE_SPEED:
-        return Band(min(0.0, low), max(high, now.high))
-    return Band(low, high)
+        return min(0.0, low), max(high, now.high)
+    return low, high
 
 
-def _aim_steer(model: FollowModel, orders: list[Command[float]], sure: bool, now: Band) -> Band:
-    angles = [gain * order.steer + model.bias for order in orders for gain in model.gain]
+def _aim_steer(model: FollowModel, orders: list[Command[float]], sure: bool, now: Band) -> Ends:
+    gains = model.gain
+    angles = [gain * order.steer + model.bias for order in orders for gain in gains]
     if not sure:
         angles += now
     low, high = min(angles), max(angles)
-    return Band(
+    return (
         min(max(low, model.right.low), model.left.low),
         min(max(high, model.right.high), model.left.high),
     )
 
 
-def _step_band(actuator: Actuator, band: Band, aim: Band, h: float) -> Band:
+def _step_band(actuator: Actuator, band: Band, aim: Ends, h: float) -> Band:
     """Both ends after `h` seconds: outwards as fast as any, inwards as slowly as any."""
     a = actuator
-    low = (
-        band.low - _move(band.low - aim.low, a.lag.low, a.fall.high, h)
-        if aim.low < band.low
-        else band.low + _move(aim.low - band.low, a.lag.high, a.slew.low, h)
+    (low, high), (aim_low, aim_high) = band, aim
+    return Band(
+        low - _move(low - aim_low, a.lag.low, a.fall.high, h)
+        if aim_low < low
+        else low + _move(aim_low - low, a.lag.high, a.slew.low, h),
+        high + _move(aim_high - high, a.lag.low, a.slew.high, h)
+        if aim_high > high
+        else high - _move(high - aim_high, a.lag.high, a.fall.low, h),
     )
-    high = (
-        band.high + _move(aim.high - band.high, a.lag.low, a.slew.high, h)
-        if aim.high > band.high
-        else band.high - _move(band.high - aim.high, a.lag.high, a.fall.low, h)
-    )
-    return Band(low, high)
 
 
 def _move(gap: float, lag: float, slew: float, h: float) -> float:
@@ -323,12 +327,10 @@ def _speed_at(trail: tuple[Mark, ...], t_ns: int) -> Band:
     return Band(min(before.speed.low, after.speed.low), max(before.speed.high, after.speed.high))
 
 
-def _turned_at(trail: tuple[Mark, ...], t_ns: int) -> Band:
+def _turned_at(trail: tuple[Mark, ...], t_ns: int) -> Ends:
     before, after = _around_time(trail, t_ns)
+    low, high = before.turned
     if after.t_ns == before.t_ns:
-        return before.turned
+        return low, high
     part = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
-    return Band(
-        before.turned.low + part * (after.turned.low - before.turned.low),
-        before.turned.high + part * (after.turned.high - before.turned.high),
-    )
+    return low + part * (after.turned.low - low), high + part * (after.turned.high - high)

@@ -286,19 +286,26 @@ def step_supervisor(
         The new memory, and what this tick must put on the wire.
     """
     still, checks, proof = _renew_timers(old, conditions, t_ns)
-    s = old._replace(t_ns=t_ns, still_ns=still, checks_ns=checks, proof_ns=proof)
+    s = SupervisorMemory(
+        old.state, t_ns, old.since_ns, old.reason, still, checks, proof, old.cap, old.rearm,
+        old.braking, old.frames,
+    )  # fmt: skip
     bits = derive_facts(s, conditions, requests, t_ns)
     row = choose_row(s.state, bits)
     if row is not None and row.to != s.state:
         s = _enter(s, row, conditions, t_ns)
         bits = derive_facts(s, conditions, requests, t_ns)
+        rearm = s.rearm
     else:
-        s = s._replace(rearm=bool(bits & _REARM))
+        rearm = bool(bits & _REARM)
     cap = _next_cap(s, old, bits, conditions.speed)
     braking = s.state == SupervisorState.STOPPING and (
         s.braking or cap < SOFT_BRAKE_SPEED or not abs(conditions.speed) >= SOFT_BRAKE_SPEED
     )
-    s = s._replace(cap=cap, braking=braking)
+    s = SupervisorMemory(
+        s.state, t_ns, s.since_ns, s.reason, s.still_ns, s.checks_ns, s.proof_ns, cap, rearm,
+        braking, s.frames,
+    )  # fmt: skip
     motor = _choose_motor(s, old, bits)
     steering = _choose_steering(s, bits, motor)
     if s.state == SupervisorState.INIT:

@@ -1,7 +1,6 @@
 """Gathers what the watchdogs look at in one tick."""
 
 from math import nan
-from typing import NamedTuple
 
 from steerd.controller.lane_controller import ControlReport
 from steerd.daemon.loop.findings import Finding
@@ -10,9 +9,7 @@ from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.perception import Perception, estimated_state
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogInput
-from steerd.daemon.settings.config import BrakeSettings
 from steerd.estimator.state_filter import StateEstimate
-from steerd.vesc_link.events import Telemetry
 from steerd.vesc_link.telemetry import Values
 
 
@@ -52,6 +49,8 @@ def make_watchdog_input(
     limits = settings.limits
     side = limits.steer_left_max if steer > 0.0 else limits.steer_right_max
     lane = None if setup.ignores_lane else report
+    vesc = seen.telemetry.values if seen.telemetry else _SILENT
+    brakes = settings.brakes
     return WatchdogInput(
         t_ns=t_ns,
         state=state,
@@ -72,39 +71,20 @@ def make_watchdog_input(
         lateral_error=lane.e1 if lane else (0.0 if setup.ignores_lane else nan),
         heading_error=lane.e2 if lane else (0.0 if setup.ignores_lane else nan),
         steer_share=abs(steer) / side,
-        **_read_vesc(seen.telemetry, settings.brakes)._asdict(),
+        status=vesc.status or 0,
+        fault_code=vesc.fault or 0,
+        tachometer=-1 if vesc.tachometer_abs is None else vesc.tachometer_abs,
+        cell_voltage=_nan_if_none(vesc.input_voltage) / brakes.cells,
+        fet_temperature=_nan_if_none(vesc.temp_fet_c),
+        motor_temperature=_nan_if_none(vesc.temp_motor_c),
+        current_share=abs(_nan_if_none(vesc.motor_current)) / brakes.current_max_a,
         followed=followed,
         reported=reported,
     )
 
 
-class _VescValues(NamedTuple):
-    """What the watchdogs look at in telemetry; fields as in `WatchdogInput`."""
-
-    status: int
-    fault_code: int
-    tachometer: int
-    cell_voltage: float
-    fet_temperature: float
-    motor_temperature: float
-    current_share: float
-
-
 _SILENT = Values()
 """Of a VESC that has not replied yet."""
-
-
-def _read_vesc(telemetry: Telemetry | None, brakes: BrakeSettings) -> _VescValues:
-    values = telemetry.values if telemetry else _SILENT
-    return _VescValues(
-        status=values.status or 0,
-        fault_code=values.fault or 0,
-        tachometer=-1 if values.tachometer_abs is None else values.tachometer_abs,
-        cell_voltage=_nan_if_none(values.input_voltage) / brakes.cells,
-        fet_temperature=_nan_if_none(values.temp_fet_c),
-        motor_temperature=_nan_if_none(values.temp_motor_c),
-        current_share=abs(_nan_if_none(values.motor_current)) / brakes.current_max_a,
-    )
 
 
 def _nan_if_none(value: float | None) -> float:

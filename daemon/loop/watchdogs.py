@@ -418,7 +418,7 @@ def _step_saturation(
 def _step_stop(th: Thresholds, w: WatchdogState, i: WatchdogInput, report: Report) -> WatchdogState:
     """W24: during a stop the speed must fall in each window."""
     if i.state not in _STOPS:
-        return w._replace(stop=None, weak=0)
+        return w if w.stop is None and not w.weak else w._replace(stop=None, weak=0)
     if w.stop != i.state:
         start = i.t_ns + round(th.stop_lag * 1e9)
         return w._replace(stop=i.state, stop_ns=start, stop_speed=i.speed, weak=0)

@@ -127,7 +127,8 @@ def step_pose(
     verdict = _check_frame(th, w, frame, wheel_speed)
     if verdict == PoseVerdict.ACCEPTED:
         before = w.base if w.base is not None and frame.t_ns > w.base.t_ns else w.before
-        return w._replace(base=frame, before=before, frozen=0, invalid=0, jumps=0), verdict
+        good = PoseWatch(frame, before, 0, 0, 0, w.jump_times, w.rejected, w.rejections)
+        return good, verdict
     if verdict == PoseVerdict.REBASED:
         return PoseWatch(frame), verdict
     if verdict == PoseVerdict.FROZEN:
@@ -148,7 +149,8 @@ def step_innovation(th: Thresholds, w: PoseWatch, rejected: bool) -> PoseWatch:
     """Count whether the filter's innovation gate rejected an accepted frame (W5)."""
     frames = round(th.nis_window * th.mocap_rate)
     register = (w.rejections << 1 | rejected) & ((1 << frames) - 1)
-    return w._replace(rejected=w.rejected + 1 if rejected else 0, rejections=register)
+    row = w.rejected + 1 if rejected else 0
+    return PoseWatch(w.base, w.before, w.frozen, w.invalid, w.jumps, w.jump_times, row, register)
 
 
 def is_flapping(th: Thresholds, w: PoseWatch, t_ns: int) -> bool:

@@ -1,6 +1,7 @@
 """Records on a pipe: packed, split, dropped whole, and never waited for."""
 
 import os
+from dataclasses import replace
 
 from steerd.daemon.ipc.pipe_records import (
     PipeRecord,
@@ -35,7 +36,7 @@ def read_all(fd: int) -> list[PipeRecord]:
 
 def test_a_record_returns_from_the_pipe_as_it_was():
     (found,) = unpack_records(bytearray(pack_record(RECORD)))
-    assert found == RECORD._replace(message=None)
+    assert found == replace(RECORD, message=None)
     assert read_message(found) == read_message(RECORD) == MESSAGE
 
 
@@ -53,11 +54,11 @@ def test_a_full_pipe_drops_whole_records_and_recovers():
     read_fd, write_fd = make_pipe()
     pipe, sent = PipeWriter(write_fd), 0
     while not pipe.dropped:
-        pipe.write([pack_record(RECORD._replace(sequence=sent))], sent)
+        pipe.write([pack_record(replace(RECORD, sequence=sent))], sent)
         sent += 1
     assert pipe.full_since_ns is not None
     before = read_all(read_fd)
-    pipe.write([pack_record(RECORD._replace(sequence=sent))], sent)
+    pipe.write([pack_record(replace(RECORD, sequence=sent))], sent)
     assert pipe.full_since_ns is None
     numbers = [record.sequence for record in before + read_all(read_fd)]
     assert len(numbers) == sent + 1 - pipe.dropped

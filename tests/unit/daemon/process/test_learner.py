@@ -1,6 +1,7 @@
 """The learner's process: records in, reports out, and readers that lose it."""
 
 import os
+from dataclasses import replace
 from math import sin
 
 import pytest
@@ -67,7 +68,7 @@ def test_what_was_dropped_on_the_way_is_counted(loop, pipe):
 
 
 def test_bytes_that_are_no_message_are_passed_over(loop, pipe):
-    broken = pose_record(60)._replace(data=b"\0\1\0\0 nonsense")
+    broken = replace(pose_record(60), data=b"\0\1\0\0 nonsense")
     loop.take(bytearray(pack_record(pose_record(0)) + pack_record(broken)))
     fed(loop, range(61, 250))
     assert loop.reports == 2
