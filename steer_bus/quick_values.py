@@ -27,7 +27,7 @@ def quick_value(cls: C) -> C:
     Raises:
         TypeError: as `quick_init` does.
     """
-    return cast(C, quick_init(dataclass(frozen=True, slots=True)(cls)))
+    return cast("C", quick_init(dataclass(frozen=True, slots=True)(cls)))
 
 
 def changed(value: V, **fields: Any) -> V:
@@ -55,7 +55,7 @@ def quick_init(cls: C) -> C:
     kept["__qualname__"] = cls.__qualname__
     made: Any = defstruct(cls.__name__, typed, namespace=kept, frozen=True, eq="__eq__" in kept)
     made.__setattr__ = made.__delattr__ = _refuse  # the library's own error is a wider one
-    return cast(C, made)
+    return cast("C", made)
 
 
 def _refuse(self: Any, name: str, value: Any = None) -> NoReturn:

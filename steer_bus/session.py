@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from mcap.data_stream import RecordBuilder  # noqa: TID251
+from mcap.opcode import Opcode  # noqa: TID251
 from mcap.records import MessageIndex  # noqa: TID251
 from mcap.writer import CompressionType, Writer  # noqa: TID251
 
@@ -57,6 +59,18 @@ class AttachedFile:
     name: str
     media_type: str
     data: bytes
+
+
+class _Index(MessageIndex):
+    """Where a channel's messages lie in a chunk, written at once: the library's bytes."""
+
+    def write(self, stream: RecordBuilder) -> None:
+        """Append the record."""
+        numbers = [number for record in self.records for number in record]
+        stream.start_record(Opcode.MESSAGE_INDEX)
+        head = struct.pack("<HI", self.channel_id, 8 * len(numbers))
+        stream.write(head + struct.pack(f"<{len(numbers)}Q", *numbers))
+        stream.finish_record()  # type: ignore[no-untyped-call]
 
 
 class _Chunk:
@@ -106,7 +120,7 @@ class _Chunk:
         counts.message_start_time = counts.message_start_time if counts.message_count else first
         counts.message_end_time = last
         for channel, places in self._places.items():
-            known = builder.message_indices.setdefault(channel, MessageIndex(channel, []))
+            known = builder.message_indices.setdefault(channel, _Index(channel, []))
             known.records += places
             builder.num_messages += len(places)
             counts.channel_message_counts[channel] += len(places)
@@ -206,8 +220,12 @@ class SessionWriter:
             SessionError: if the disk does not take it.
         """
         channel = self._channels[topic]
-        log_ns = self._last_log_ns = min(max(log_ns, self._last_log_ns), _MAX_TIME_NS)
-        published = log_ns if publish_ns is None else min(max(publish_ns, 0), _MAX_TIME_NS)
+        if not self._last_log_ns <= log_ns <= _MAX_TIME_NS:
+            log_ns = min(max(log_ns, self._last_log_ns), _MAX_TIME_NS)
+        self._last_log_ns = log_ns
+        published = log_ns if publish_ns is None else publish_ns
+        if not 0 <= published <= _MAX_TIME_NS:
+            published = min(max(published, 0), _MAX_TIME_NS)
         sequence = self._sequences[topic] = self._sequences[topic] + 1
         if self._broken is not None:
             raise self._broken

@@ -10,7 +10,6 @@ it, so a braked car comes to rest and stays there.
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.car_model.model import Model, delays, hooked, memory_size, observe
@@ -21,6 +20,7 @@ from steerd.car_model.state import ORIGIN, Observation, State
 from steerd.sim_hw.plant.delay import DelayLine
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.plant.unrolled import make_steps
+from steerd.steer_bus.quick_values import quick_value
 
 NS = 1_000_000_000
 _HISTORY = 0.5
@@ -38,7 +38,8 @@ class Drive(IntEnum):
     """Decelerate [m/s^2] in addition to the drag, never beyond standstill; 0 is coasting."""
 
 
-class Demand(NamedTuple):
+@quick_value
+class Demand:
     """What the motor controller asks of the wheels."""
 
     drive: Drive
@@ -119,7 +120,7 @@ class SimCar:
             steer = self._steer.mean(t0, t1)
         if self._drive_delay_ns:
             demand = self._delay_demand(demand, t0, t1)
-        drive, value = demand
+        drive, value = demand.drive, demand.value
         if drive is _SPEED and abs(before.speed) >= self._substeps:
             numbers = self._steps.follow(*before, *self._memory, steer, value, t, h)
         else:

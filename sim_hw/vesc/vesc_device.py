@@ -60,6 +60,7 @@ class SimVesc:
         counts: host bugs and losses by name: ``short`` (a command without its arguments),
             ``unknown`` ids, ``discarded`` blocking commands, ``lost`` bytes while off.
         log: every byte with its time.
+        connected: whether the host sees the USB device.
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class SimVesc:
         self._wire = ReplyWire(config, noise)
         self._held: deque[Chunk] = deque()
         self._off_until_ns = -1
+        self.connected = True
         self._stuck_erpm: int | None = None
         self._boot(car.t_ns, config.uptime_ns)
 
@@ -109,6 +111,7 @@ class SimVesc:
     def set_fault_state(self, t_ns: int, faults: VescFaultState) -> None:
         """From ``t_ns`` on, be in this condition."""
         before, self.fault_state = self.fault_state, faults
+        self.connected = faults.plugged and self._off_until_ns < 0
         self.motor.fault_state = self._wire.fault_state = faults
         self.power.heat_c = faults.heat_c
         if faults.plugged != before.plugged:
@@ -128,14 +131,10 @@ class SimVesc:
         self._wire.reset()
         self._held.clear()
         self._off_until_ns = t_ns + self.config.reboot_ns
+        self.connected = False
         self.motor.estop(t_ns, 0)
         self._later.clear()
         self._rotor_next_ns = None
-
-    @property
-    def connected(self) -> bool:
-        """Whether the host sees the USB device."""
-        return self.fault_state.plugged and self._off_until_ns < 0
 
     @property
     def uuid(self) -> bytes:
@@ -154,6 +153,7 @@ class SimVesc:
             if t_ns < self._off_until_ns:
                 return self._servo_steer, COAST
             self._off_until_ns = -1
+            self.connected = self.fault_state.plugged
             self._boot(t_ns)
         faults, power, config = self.fault_state, self.power, self.config
         if self._held or faults.alive_ns:
@@ -180,7 +180,7 @@ class SimVesc:
 
     def _act(self, act: Act, erpm: float) -> tuple[Demand, float]:
         """The demand for the wheels and the motor current [A, wire sign]."""
-        mode, value = act
+        mode, value = act.mode, act.value
         gain = self.config.accel_per_amp
         if mode is Mode.SPEED:
             speed = erpm_to_speed(self._scaling, value * self._sign)

@@ -6,10 +6,10 @@ direction setting is applied by `SimVesc`.
 
 import math
 from enum import Enum, auto
-from typing import NamedTuple
 
 from steerd.sim_hw.plant.fault_state import HEALTHY_VESC, VescFaultState
 from steerd.sim_hw.vesc.vesc_config import MS, STATUS_KILL, STATUS_TIMEOUT, VescConfig
+from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.ids import Firmware
 
@@ -34,7 +34,8 @@ class Mode(Enum):
     DUTY = auto()
 
 
-class Act(NamedTuple):
+@quick_value
+class Act:
     """What the motor does over a physics step: ``value`` is ERPM, A or a duty cycle."""
 
     mode: Mode
