@@ -195,7 +195,7 @@ def predict_to(flt: StateFilter, state: FilterState, t_ns: int) -> StateEstimate
     Nothing is kept: a look ahead is not a measurement.
     """
     nodes = state.nodes
-    last = _until(nodes, t_ns)
+    last = _count_until(nodes, t_ns)
     if not last:
         return None
     node = nodes[last - 1]
@@ -220,8 +220,8 @@ def _predict(
     return predict_belief(flt.kalman, flt.car, flt.config, history, belief, start_ns, end_ns)
 
 
-def _until(nodes: tuple[Node, ...], t_ns: int) -> int:
-    """How many nodes are not later than `t_ns`: hardly any is later, so the last are asked."""
+def _count_until(nodes: tuple[Node, ...], t_ns: int) -> int:
+    """How many nodes are not later than `t_ns`, looked for from the end: few are later."""
     count = len(nodes)
     while count and nodes[count - 1].measurement.t_ns > t_ns:
         count -= 1
@@ -239,7 +239,7 @@ def _fuse(
 
     A measurement that is there already is not fused twice.
     """
-    keep = _until(nodes, redo_ns)
+    keep = _count_until(nodes, redo_ns)
     if fresh:
         keep = min(keep, bisect_left(nodes, fresh[0], key=_measurement))
     keep = max(keep, 1)

@@ -58,8 +58,8 @@ class Kernel:
         given: list[float] = []
         for t_ns, kind, values in chain:
             given += (t_ns, kind, *values, *_PADDING[len(values)])
-        asked = self._asked(history, first, start_ns) + _measurements(count).pack(*given)
-        if self._fuse(self._setup, asked, count, self._where):
+        request = self._pack_request(history, first, start_ns) + _measurements(count).pack(*given)
+        if self._fuse(self._setup, request, count, self._where):
             return None
         rows = self._out[:count].copy()
         covariances = rows[:, SIZE:_BELIEF].reshape(count, SIZE, SIZE)
@@ -77,12 +77,16 @@ class Kernel:
         self, history: History, first: Belief, start_ns: int, stop_ns: int
     ) -> tuple[Belief, bool] | None:
         """The belief at `stop_ns` from the one of `start_ns`; whether it has a Cholesky factor."""
-        if self._predict(self._setup, self._asked(history, first, start_ns, stop_ns), self._where):
+        if self._predict(
+            self._setup, self._pack_request(history, first, start_ns, stop_ns), self._where
+        ):
             return None
         row = self._out[0, : _BELIEF + 1].copy()
         return read_belief(row), row.item(_BELIEF) > 0.0
 
-    def _asked(self, history: History, first: Belief, start_ns: int, stop_ns: int = 0) -> bytes:
+    def _pack_request(
+        self, history: History, first: Belief, start_ns: int, stop_ns: int = 0
+    ) -> bytes:
         """Two instants, the commands that can act after the first, and the belief then."""
         begin = max(bisect_right(history.times, start_ns - self._dead_time) - 1, 0)
         times = history.times[begin:]
