@@ -9,6 +9,7 @@ are free together under weak priors: their joint covariance is what the diagnosi
 
 # Why: docs/decisions/diagnosis.md#d50
 # Why: docs/decisions/diagnosis.md#d52
+# Why: docs/decisions/identification.md#d94
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -57,11 +58,14 @@ Array = NDArray[np.float64]
 ORDINARY: dict[str, float] = {
     "lf": 0.075, "lr": 0.1, "steer_gain": 0.33, "inertia_z": 0.4, "c_sf": 0.7, "c_sr": 0.7,
     "marker_offset.forward": 0.25, "accel_max": 0.2, "decel_max": 0.2,
+    "lateral_load_transfer.k": 0.3,
 }  # fmt: skip
 """Share of identification's weak priors that is left when a base is taught.
 
 A car comes with a wheelbase (the coordinate of `lf`) known to 15 mm, a centre of gravity known
-to 2 cm, markers placed to 5 mm and a gain known to 0.1.
+to 2 cm, markers placed to 5 mm and a gain known to 0.1. A tyre's friction falls by a few tenths at
+most where its load doubles, which makes `k` 0.15 on a car as low as these; a larger one stands in
+for tyres that slide, and says too much of bends harder than the drives'.
 """
 FIRST: dict[str, float] = {**ORDINARY, "lf": 0.015}
 """The same while noise is not known yet, with the wheelbase near where it was.
