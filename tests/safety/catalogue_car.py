@@ -30,8 +30,8 @@ def surge(rig: Rig) -> None:
     plain_command = motor.step
 
     def step(t_ns: int, h: float) -> Act:
-        mode, value = plain_command(t_ns, h)
-        return Act(mode, value * SURGE if mode is Mode.SPEED else value)
+        plain = plain_command(t_ns, h)
+        return Act(plain.mode, plain.value * SURGE if plain.mode is Mode.SPEED else plain.value)
 
     motor.step = step  # type: ignore[method-assign]
 
@@ -43,7 +43,7 @@ def hit_a_wall(rig: Rig) -> None:
 
     def act(demand: Act, erpm: float) -> tuple[Demand, float]:
         _, current = plain_command(demand, erpm)
-        return WALL, WALL_CURRENT_A if demand[0] is Mode.SPEED else current
+        return WALL, WALL_CURRENT_A if demand.mode is Mode.SPEED else current
 
     vesc._act = act  # type: ignore[method-assign]
 
