@@ -49,11 +49,11 @@ def be_core(serial_fd: int) -> None:
     """Drive at 100 Hz under a guardian, as `steerd.daemon.process.runner` does."""
     import steerd.daemon.process.core_process  # noqa: F401  (as much memory as the real one)
     from steerd.daemon.process.guard import ProcessGuard
-    from steerd.daemon.process.realtime import settle_memory
+    from steerd.daemon.process.realtime import leave_a_cpu, settle_memory
 
     report = enter_realtime()
     settle_memory()
-    guard = ProcessGuard(report.fifo)
+    guard = ProcessGuard(report.fifo, cpu=leave_a_cpu(report))
     guard.watch(serial_fd, BRAKE, time.monotonic_ns())
     pause, due = select.poll(), time.monotonic_ns()
     while not guard._page.guardian_ns:  # type: ignore[union-attr]  # noqa: SLF001
@@ -61,8 +61,9 @@ def be_core(serial_fd: int) -> None:
     while True:
         now = time.monotonic_ns()
         guard.write_heartbeat(now, engaged=True)
+        staged = guard.stage(DRIVE)
         if guard.may_write(now, time.monotonic_ns()):
-            os.write(serial_fd, DRIVE)
+            os.write(serial_fd, staged)
         due = max(due + PERIOD_NS, now)
         pause.poll(max(0, (due - time.monotonic_ns()) // 1_000_000))
 
@@ -116,7 +117,9 @@ def run_trial(how: str, phase_ns: int, watchers: Watchers) -> dict[str, Any]:
     tty.setraw(slave, termios.TCSANOW)
     os.set_blocking(slave, False)
     command = [sys.executable, __file__, "--core", str(slave)]
+    cpus = os.sched_getaffinity(0)
     core = subprocess.Popen(command, pass_fds=(slave,), cwd=ROOT)
+    os.sched_setaffinity(0, {max(cpus)})  # where no core dies: this reader must not wait for one
     os.close(slave)
     log: list[tuple[int, bytes]] = []
     while not log:
@@ -132,6 +135,7 @@ def run_trial(how: str, phase_ns: int, watchers: Watchers) -> dict[str, Any]:
         core.kill()
     core.wait()
     os.close(master)
+    os.sched_setaffinity(0, cpus)
     first_ns, late = judge(log, hit_ns)
     return {
         "how": how,

@@ -139,8 +139,8 @@ class Port:
             self._spy.rx(data)
         return data
 
-    def write(self, data: bytes) -> None:
-        """Hand all bytes to the kernel at once.
+    def write(self, data: bytes | memoryview) -> None:
+        """Hand all bytes to the kernel at once, without a copy in between.
 
         Raises:
             LinkDown: not all of them were taken, or the device is gone.
@@ -152,7 +152,7 @@ class Port:
         except OSError as error:
             raise _link_down(self.url, f"write failed: {error.strerror}") from error
         if self._spy is not None:
-            self._spy.tx(data[:count])
+            self._spy.tx(bytes(data[:count]))
         if count != len(data):
             raise _link_down(self.url, f"short write: {count} of {len(data)} bytes")
 

@@ -6,7 +6,7 @@ import sys
 import time
 from typing import Protocol
 
-from steerd.daemon.process.guardian import (
+from steerd.daemon.process.heartbeat import (
     PAGE_BYTES,
     PAUSE_NS,
     STALE_NS,
@@ -51,6 +51,10 @@ class Guard(Protocol):
         """The core is alive; `engaged`: motor bytes may flow."""
         ...
 
+    def stage(self, wire: bytes) -> bytes | memoryview:
+        """The bytes of a motion frame as they are to be written; ask `may_write` afterwards."""
+        ...
+
     def may_write(self, tick_ns: int, now_ns: int) -> bool:
         """Whether a motion frame of this tick may still go out."""
         ...
@@ -79,6 +83,7 @@ class ProcessGuard:
         realtime: whether the core has a fixed priority; without, its heartbeat may be later.
         simulated: the hardware is simulated; a machine that stalls must not end the run.
         silent_s: largest age of the guardian's own heartbeat (W16) [s].
+        cpu: where the guardian runs, see `realtime.leave_a_cpu`; None: anywhere.
     """
 
     def __init__(
@@ -87,7 +92,9 @@ class ProcessGuard:
         *,
         simulated: bool = False,
         silent_s: float = SILENT_S,
+        cpu: int | None = None,
     ) -> None:
+        self._cpu = cpu
         self._silent_ns = round(silent_s * 1e9)
         self._stale_ns = STALE_NS if realtime else STALE_NS_NO_RT
         if simulated:
@@ -107,6 +114,7 @@ class ProcessGuard:
         fds = (serial_fd, page_fd, pid_fd)
         command = [sys.executable, "-I", "-m", "steerd.daemon.process.guardian", *map(str, fds)]
         command += [brake_frame.hex(), str(self._stale_ns)]
+        command += [] if self._cpu is None else [f"--cpu={self._cpu}"]
         self._page = HeartbeatPage(page_fd)
         self._page.write_heartbeat(t_ns, engaged=False)
         lifeline = Lifeline(page_fd)
@@ -128,6 +136,14 @@ class ProcessGuard:
         """The core is alive at `t_ns`."""
         if self._page is not None:
             self._page.write_heartbeat(t_ns, engaged)
+
+    def stage(self, wire: bytes) -> bytes | memoryview:
+        """A motion frame where the guardian can make it a brake frame until the kernel has it.
+
+        Raises:
+            ValueError: more bytes than a tick that moves the car has.
+        """
+        return wire if self._page is None else self._page.stage(wire)
 
     def may_write(self, tick_ns: int, now_ns: int) -> bool:
         """Whether a motion frame may go out: the guardian has not tripped, the tick is fresh."""

@@ -329,13 +329,15 @@ class Runner:
         last = self._core.last
         engaged = last is not None and is_engaged(last.supervisor.state)
         self._guard.write_heartbeat(tick_ns, engaged)
-        moves = last is not None and last.order.command is not None
-        if moves and not self._guard.may_write(tick_ns, self._clock.now_ns()):
-            self._core.flags |= Flag.GUARDIAN_TRIPPED
-            return b""
+        staged: bytes | memoryview = wire
+        if last is not None and last.order.command is not None:
+            staged = self._guard.stage(wire)
+            if not self._guard.may_write(tick_ns, self._clock.now_ns()):
+                self._core.flags |= Flag.GUARDIAN_TRIPPED
+                return b""
         try:
             if wire:
-                self._port.write(wire)
+                self._port.write(staged)
             clogged = self._is_clogged(self._port, engaged)
         except LinkDown:
             self._lose_port()

@@ -12,22 +12,28 @@ import tty
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from steerd.daemon.process import guardian
 from steerd.daemon.process.guard import find_pause, make_page_fd
 from steerd.daemon.process.guardian import (
     BRAKE_NS,
-    PAUSE_NS,
     PERIOD_NS,
-    STALE_NS,
-    HeartbeatPage,
     brake,
     guardian_main,
     main,
     wait_for_fault,
 )
+from steerd.daemon.process.heartbeat import (
+    OUTGOING_BYTES,
+    PAUSE_NS,
+    STALE_NS,
+    STALE_NS_NO_RT,
+    HeartbeatPage,
+)
 
-BRAKE, MOTION = b"\x02\x05BRAKE\x03", b"\x02\x05MOVE!\x03"
+BRAKE, MOTION = b"\x02\x05BRAKE\x03", b"\x02\x05MOVE!\x03"  # as long as each other
 MS = 1_000_000
 ROOT = Path(__file__).resolve().parents[4]
 
@@ -76,7 +82,7 @@ def test_both_sides_see_the_same_words():
     core.write_heartbeat(2**63 + 5, True)
     assert (watcher.heartbeat_ns, watcher.engaged) == (2**63 + 5, True)
     watcher.watch(11)
-    watcher.trip(12)
+    watcher.trip(12, BRAKE)
     assert (core.guardian_ns, core.tripped_ns, core.clean) == (11, 12, False)
     core.mark_clean()
     assert watcher.clean
@@ -105,8 +111,26 @@ def test_core_may_write_only_fresh_ticks_and_never_after_a_trip(page):
     assert page.may_write(0, STALE_NS, stale_ns=STALE_NS + 1)
     assert page.may_write(10**12, 10**12 + STALE_NS - 1)
     assert not page.may_write(10**12, 10**12 + STALE_NS)
-    page.trip(1)
+    page.trip(1, BRAKE)
     assert not page.may_write(0, 0)
+
+
+@given(st.binary(max_size=OUTGOING_BYTES), st.binary(min_size=1, max_size=20))
+def test_what_a_core_has_staged_is_a_brake_frame_once_the_guardian_took_over(wire, frame):
+    fd = make_page_fd()
+    core, watcher = HeartbeatPage(fd), HeartbeatPage(fd)
+    os.close(fd)
+    core.write_heartbeat(7, True)
+    staged = core.stage(wire)
+    assert bytes(staged) == wire
+    watcher.trip(9, frame)
+    assert bytes(staged) == frame.ljust(OUTGOING_BYTES, b"\0")[: len(wire)]
+    assert (core.heartbeat_ns, core.tripped_ns, core.engaged) == (7, 9, True)
+
+
+def test_a_frame_that_does_not_fit_is_refused(page):
+    with pytest.raises(ValueError, match="257 bytes: at most 256"):
+        page.stage(bytes(OUTGOING_BYTES + 1))
 
 
 @pytest.mark.parametrize(("age", "faulty"), [(STALE_NS, False), (STALE_NS + 1, True)])
@@ -115,7 +139,7 @@ def test_heartbeat_is_stale_strictly_beyond_its_limit(page, age, faulty):
     core = Core(1, page.mark_clean)
     assert wait_for_fault(page, core, STALE_NS, Times(1000 + age)) is faulty
     assert page.guardian_ns == 1000 + age
-    assert (STALE_NS, guardian.STALE_NS_NO_RT) == (30 * MS, 60 * MS)
+    assert (STALE_NS, STALE_NS_NO_RT) == (30 * MS, 60 * MS)
     assert core.waits == ([] if faulty else [1])
 
 
@@ -178,8 +202,9 @@ def test_brake_goes_on_when_the_device_refuses(page, monkeypatch):
 
 @pytest.mark.parametrize("engaged", [True, False])
 @pytest.mark.parametrize("allowed", [True, False])
-def test_main_ignores_signals_asks_for_priority_and_guards(page, monkeypatch, engaged, allowed):
-    ignored, requested, braked = [], [], []
+@pytest.mark.parametrize("cpu", [None, 3])
+def test_main_ignores_signals_asks_for_priority_and_guards(monkeypatch, engaged, allowed, cpu):
+    ignored, requested, braked, tied = [], [], [], []
 
     def schedule(pid, policy, parameter):
         requested.append((pid, policy, parameter.sched_priority))
@@ -188,16 +213,18 @@ def test_main_ignores_signals_asks_for_priority_and_guards(page, monkeypatch, en
 
     monkeypatch.setattr(guardian.signal, "signal", lambda s, h: ignored.append((s, h)))
     monkeypatch.setattr(guardian.os, "sched_setscheduler", schedule)
+    monkeypatch.setattr(guardian.os, "sched_setaffinity", lambda *which: tied.append(which))
     monkeypatch.setattr(guardian, "brake", lambda page, fd, frame, now: braked.append((fd, frame)))
     fd = make_page_fd()
     HeartbeatPage(fd).write_heartbeat(1, engaged)
     read_end, write_end = os.pipe()
     os.close(write_end)  # the read end is ready at once, like the pidfd of a core that has ended
     arguments = [str(k) for k in (7, fd, read_end)]
-    main([*arguments, BRAKE.hex(), str(STALE_NS)])
+    main([*arguments, BRAKE.hex(), str(STALE_NS), *([] if cpu is None else [f"--cpu={cpu}"])])
     assert braked == ([(7, BRAKE)] if engaged else [])
     assert ignored == [(s, signal.SIG_IGN) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
     assert requested == [(0, os.SCHED_FIFO, 60)]
+    assert tied == ([(0, {3})] if cpu and allowed else []), "an ordinary program must be free"
     os.close(fd)
     os.close(read_end)
     assert callable(guardian_main)
@@ -231,16 +258,19 @@ def test_guardian_is_small_and_stands_alone():
 
 
 CORE = """
-import os, sys, time, select
-from steerd.daemon.process.guardian import HeartbeatPage
+import os, signal, sys, time, select
+from steerd.daemon.process.heartbeat import HeartbeatPage
 fd, page = int(sys.argv[1]), HeartbeatPage(int(sys.argv[2]))
 engaged, motion = bool(int(sys.argv[3])), bytes.fromhex(sys.argv[4])
 pause = select.poll()
 while True:
     tick = time.monotonic_ns()
     page.write_heartbeat(tick, engaged)
+    staged = page.stage(motion)
     if page.may_write(tick, time.monotonic_ns()):
-        os.write(fd, motion)
+        if os.path.exists(sys.argv[5]):  # the worst moment: looked, and not yet written
+            os.kill(os.getpid(), signal.SIGSTOP)
+        os.write(fd, staged)
     pause.poll(5)
 """
 
@@ -248,7 +278,7 @@ while True:
 class Rig:
     """A pty, a core that writes motion frames every 5 ms, and a real guardian."""
 
-    def __init__(self, engaged=True, frame=MOTION):
+    def __init__(self, freeze, engaged=True, frame=MOTION):
         self.device, self.serial = pty.openpty()  # held open, so that the other end lives on
         serial = self.serial
         tty.setraw(serial)
@@ -256,7 +286,7 @@ class Rig:
         page_fd = make_page_fd()
         self.page = HeartbeatPage(page_fd)
         self.core = self.spawn(
-            ["-c", CORE, str(serial), str(page_fd), str(int(engaged)), frame.hex()],
+            ["-c", CORE, str(serial), str(page_fd), str(int(engaged)), frame.hex(), freeze],
             (serial, page_fd),
         )
         pidfd = os.pidfd_open(self.core.pid)
@@ -297,8 +327,8 @@ class Rig:
 
 
 @pytest.fixture
-def rig(request):
-    made = Rig(**getattr(request, "param", {}))
+def rig(request, tmp_path):
+    made = Rig(str(tmp_path / "freeze"), **getattr(request, "param", {}))
     yield made
     made.close()
 
@@ -338,6 +368,19 @@ def test_stopped_core_is_braked_and_sends_nothing_stale_when_it_goes_on(rig):
     )
     assert_only_brakes_after_the_first(data + more)
     assert rig.core.poll() is None
+
+
+@pytest.mark.realtime
+def test_a_core_frozen_between_its_last_look_and_the_write_sends_a_brake_frame(rig, tmp_path):
+    (tmp_path / "freeze").touch()
+    data, _ = rig.read_until(lambda data: data.count(BRAKE) >= 3)
+    (tmp_path / "freeze").unlink()
+    heartbeat = rig.page.heartbeat_ns
+    rig.core.send_signal(signal.SIGCONT)
+    more, _ = rig.read_until(
+        lambda data: data.count(BRAKE) >= 20 and rig.page.heartbeat_ns > heartbeat
+    )
+    assert_only_brakes_after_the_first(data + more)
 
 
 @pytest.mark.realtime

@@ -57,6 +57,9 @@ class FakeGuard:
     def write_heartbeat(self, *_):
         pass
 
+    def stage(self, wire):
+        return b"staged " + wire
+
     def may_write(self, *_):
         return not self.took_over
 
@@ -261,6 +264,10 @@ def test_what_the_guardian_forbade_is_not_reported_as_written(plan):
     assert r.port.sent == []
     r.guard.took_over = False
     assert r.it._write(b"go", 0) == b"go"
+    assert r.port.sent == [b"staged go"], "motion leaves from where the guardian can change it"
+    r.core.last.order.command = None
+    r.it._write(b"brake", 0)
+    assert r.port.sent[1:] == [b"brake"]
 
 
 def test_w29_a_message_that_cannot_be_posted_stops_the_car_and_the_core_lives(plan):
