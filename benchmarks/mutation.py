@@ -25,7 +25,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 MODULES = (
-    "controller/limits.py", "daemon/process/guardian.py", "daemon/loop/lateness.py",
+    "controller/limits.py", "daemon/process/guardian.py", "daemon/process/heartbeat.py",
+    "daemon/loop/lateness.py",
     "daemon/loop/following.py", "daemon/loop/follow_model.py",
     "daemon/loop/launch.py",
     "daemon/loop/lease.py", "daemon/loop/supervisor.py", "daemon/loop/watchdogs.py",

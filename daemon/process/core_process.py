@@ -19,7 +19,7 @@ from steerd.daemon.ipc.sd_notify import make_notify
 from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
 from steerd.daemon.loop.core import Core
 from steerd.daemon.process.guard import ProcessGuard
-from steerd.daemon.process.realtime import enter_realtime, leave_a_cpu, settle_memory
+from steerd.daemon.process.realtime import enter_realtime, settle_memory
 from steerd.daemon.process.runner import CoreLinks, Runner
 from steerd.daemon.settings.run_options import decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
@@ -141,7 +141,6 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
             report.fifo,
             simulated=plan.options.simulated,
             silent_s=plan.settings.thresholds.guardian,
-            cpu=leave_a_cpu(report),
         ),
         make_notify(os.environ),
     )

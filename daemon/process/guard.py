@@ -83,7 +83,6 @@ class ProcessGuard:
         realtime: whether the core has a fixed priority; without, its heartbeat may be later.
         simulated: the hardware is simulated; a machine that stalls must not end the run.
         silent_s: largest age of the guardian's own heartbeat (W16) [s].
-        cpu: where the guardian runs, see `realtime.leave_a_cpu`; None: anywhere.
     """
 
     def __init__(
@@ -92,9 +91,7 @@ class ProcessGuard:
         *,
         simulated: bool = False,
         silent_s: float = SILENT_S,
-        cpu: int | None = None,
     ) -> None:
-        self._cpu = cpu
         self._silent_ns = round(silent_s * 1e9)
         self._stale_ns = STALE_NS if realtime else STALE_NS_NO_RT
         if simulated:
@@ -114,7 +111,6 @@ class ProcessGuard:
         fds = (serial_fd, page_fd, pid_fd)
         command = [sys.executable, "-I", "-m", "steerd.daemon.process.guardian", *map(str, fds)]
         command += [brake_frame.hex(), str(self._stale_ns)]
-        command += [] if self._cpu is None else [f"--cpu={self._cpu}"]
         self._page = HeartbeatPage(page_fd)
         self._page.write_heartbeat(t_ns, engaged=False)
         lifeline = Lifeline(page_fd)

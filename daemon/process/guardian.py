@@ -53,24 +53,16 @@ def brake(page: HeartbeatPage, serial_fd: int, frame: bytes, now: Callable[[], i
 
 
 def guardian_main(
-    serial_fd: int,
-    page_fd: int,
-    core_pidfd: int,
-    frame: bytes,
-    stale_ns: int = STALE_NS,
-    cpu: int | None = None,
+    serial_fd: int, page_fd: int, core_pidfd: int, frame: bytes, stale_ns: int = STALE_NS
 ) -> None:
     """Guard until the core has ended in good order or the car was braked.
 
-    ``serial_fd`` is a non-blocking duplicate of the core's, ``frame`` a whole brake frame, ``cpu``
-    one that the core never runs on.
+    ``serial_fd`` is a non-blocking duplicate of the core's, ``frame`` a whole brake frame.
     """
     for quiet in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(quiet, signal.SIG_IGN)  # they reach the whole group; the core stops the car
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-        if cpu is not None:
-            os.sched_setaffinity(0, {cpu})
     page, core = HeartbeatPage(page_fd), Lifeline(page_fd, core_pidfd)
     if wait_for_fault(page, core, stale_ns, time.monotonic_ns):
         brake(page, serial_fd, frame, time.monotonic_ns)
@@ -83,7 +75,6 @@ def main(argv: Sequence[str] | None = None) -> None:
         parser.add_argument(name, type=int)
     parser.add_argument("frame", type=bytes.fromhex)
     parser.add_argument("stale_ns", type=int)
-    parser.add_argument("--cpu", type=int)
     guardian_main(**vars(parser.parse_args(argv)))
 
 

@@ -14,7 +14,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 FIFO_PRIORITY = 50
 """Under SCHED_FIFO, below the guardian's 60."""
@@ -77,22 +76,6 @@ def enter_realtime(priority: int = FIFO_PRIORITY) -> RealtimeReport:
             "(add `@dialout - memlock unlimited` to /etc/security/limits.d/steerd.conf)"
         )
     return RealtimeReport(fifo, locked, tuple(refused))
-
-
-def leave_a_cpu(report: RealtimeReport) -> int | None:
-    """Keep every thread of this process off one CPU, which is the guardian's; return its number.
-
-    A kernel without preemption takes the memory of a killed core apart for up to 30 ms without a
-    break, and a guardian on the same CPU waits for it. None where there is one CPU only, or no
-    fixed priority: a guardian that shares its CPU with ordinary programs must be free to move.
-    """
-    cpus = os.sched_getaffinity(0)
-    if not report.fifo or len(cpus) < 2:
-        return None
-    left = max(cpus)
-    for thread in Path("/proc/self/task").iterdir():
-        os.sched_setaffinity(int(thread.name), cpus - {left})
-    return left
 
 
 def settle_memory() -> None:

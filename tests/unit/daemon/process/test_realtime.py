@@ -71,18 +71,6 @@ def test_under_a_small_limit_memory_is_not_locked(machine):
     assert not realtime.enter_realtime().locked
 
 
-@pytest.mark.parametrize(
-    ("cpus", "fifo", "left"), [({0, 1, 5}, True, 5), ({2}, True, None), ({0, 1}, False, None)]
-)
-def test_every_thread_of_the_core_leaves_the_guardian_a_cpu(monkeypatch, cpus, fifo, left):
-    tied = {}
-    monkeypatch.setattr(realtime.os, "sched_getaffinity", lambda _pid: cpus)
-    monkeypatch.setattr(realtime.os, "sched_setaffinity", tied.__setitem__)
-    assert realtime.leave_a_cpu(realtime.RealtimeReport(fifo, True, ())) == left
-    threads = {int(path.name) for path in Path("/proc/self/task").iterdir()}
-    assert tied == (dict.fromkeys(threads, cpus - {left}) if left is not None else {})
-
-
 def test_the_collector_stays_away_from_what_lives_now():
     try:
         realtime.settle_memory()
