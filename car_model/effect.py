@@ -100,9 +100,11 @@ class EffectParameter(NamedTuple):
 
 
 class ScanHook(Protocol):
-    """Values of all parameters worth trying, where `places` are those of the worst errors [m]."""
+    """Values of all parameters worth trying; errors are larger in `discs` (x, y, radius) [m]."""
 
-    def __call__(self, places: Sequence[tuple[float, float]]) -> Sequence[tuple[float, ...]]: ...
+    def __call__(
+        self, discs: Sequence[tuple[float, float, float]]
+    ) -> Sequence[tuple[float, ...]]: ...
 
 
 class DelayHook(Protocol):

@@ -13,6 +13,7 @@ from steerd.car_model.effect import Effect
 from steerd.sim_gap.engine.engine import Engine, Reduced
 from steerd.sim_gap.engine.levenberg_marquardt import Fitted, curvature, step_within, total
 from steerd.sim_gap.engine.space import Space, make_space
+from steerd.sim_gap.verdict.places import suspicious_discs
 from steerd.sysid.compiler.codegen import SENSITIVITIES
 from steerd.sysid.estimation.objective import STATES
 
@@ -20,10 +21,6 @@ Array = NDArray[np.float64]
 
 STRAYED = 10.0
 """What the base's move costs by its own prior before effects are looked at without it [nats]."""
-_PLACES = 3
-"""Places of the worst windows that a scan is given."""
-_APART = 0.6
-"""They lie at least so far from each other [m]."""
 
 
 class Promise(NamedTuple):
@@ -187,7 +184,8 @@ def _scan(engine: Engine, fitted: Fitted, nuisance: Sequence[str], effect: Effec
 def scan_values(engine: Engine, fitted: Fitted, effect: Effect) -> list[tuple[float, ...]]:
     """Values worth trying: by the effect's own scan, else by its parameters' lists."""
     if effect.scan is not None:
-        return list(effect.scan(_worst_places(fitted)))
+        badness = fitted.at.square / fitted.at.dof
+        return list(effect.scan(suspicious_discs(_middles(fitted), badness)))
     nulls = list(engine.superset.nulls[effect.name])
     values = []
     for i, parameter in enumerate(effect.parameters):
@@ -198,18 +196,8 @@ def scan_values(engine: Engine, fitted: Fitted, effect: Effect) -> list[tuple[fl
     return values
 
 
-def _worst_places(fitted: Fitted) -> list[tuple[float, float]]:
-    """Centres of the worst windows, the worst first, apart from each other [m]."""
-    where = fitted.x[:, :2] + 0.5 * fitted.x[:, 3:4] * np.column_stack(
-        [np.cos(fitted.x[:, 2]), np.sin(fitted.x[:, 2])]
-    )
-    badness = fitted.at.square / fitted.at.dof
-    near = np.linalg.norm(where[:, None] - where[None, :], axis=2) < 2.0 * _APART
-    smooth = (near * badness[None, :]).sum(axis=1) / near.sum(axis=1)
-    centres: list[Array] = []
-    for w in np.argsort(-smooth):
-        if all(np.linalg.norm(where[w] - c) > _APART for c in centres):
-            centres.append(where[w])
-        if len(centres) == _PLACES:
-            break
-    return [(float(c[0]), float(c[1])) for c in centres]
+def _middles(fitted: Fitted) -> Array:
+    """(W, 2) where each window's car is half a second after its start [m]."""
+    x = fitted.x
+    ahead = 0.5 * x[:, 3:4] * np.column_stack([np.cos(x[:, 2]), np.sin(x[:, 2])])
+    return np.asarray(x[:, :2] + ahead)

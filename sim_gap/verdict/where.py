@@ -14,6 +14,7 @@ from steerd.sim_gap.engine.engine import Engine
 from steerd.sim_gap.engine.levenberg_marquardt import Fitted
 from steerd.sim_gap.engine.noise import Noise, covariance, shapes, slip_shape
 from steerd.sim_gap.engine.residuals import interval_of, ratios, robust_mean
+from steerd.sim_gap.verdict.moments import moments_words
 
 Array = NDArray[np.float64]
 
@@ -256,14 +257,16 @@ def range_words(regime: Regime) -> str:
     return f"{regime.low:.{places}f} to {regime.high:.{places}f} {unit}"
 
 
-def sentence_of(equation: Sequence[Share], found: Sequence[Regime]) -> str:
-    """The localisation in one sentence."""
+def sentence_of(equation: Sequence[Share], found: Sequence[Regime], moments: str = "") -> str:
+    """The localisation in one sentence; `moments` says which few windows hold most of it."""
     words = {
         "accel": "the longitudinal equation", "lateral": "the side-slip equation",
         "yaw": "the yaw equation", "steer": "the steering actuator", "drive": "the drive actuator",
     }  # fmt: skip
     text = f"The error lies in {words[equation[0].name]} ({equation[0].share:.0%} of what hidden"
     text += " inputs would remove)"
+    if moments:
+        return f"{text}; {moments}."
     if not found or found[0].ratio_low <= _WORTH_NAMING:
         return f"{text}; it is much the same at every speed, place and time."
     r = found[0]
@@ -284,7 +287,11 @@ def locate(
     """All of it: `before` is the base, `after` the explanation (or the base again)."""
     equation = equation_shares(engine, before, noise)
     found = regimes(engine, before, blocks)
+    layout = engine.readings.layout
+    moments = moments_words(
+        ratios(before), [names[run] for run in layout.run], layout.t, before.x[:, :2]
+    )
     return Where(
         STAGE_OF[equation[0].name], equation, channel_shares(engine, before, after),
-        stretches(engine, before, names), found[:6], sentence_of(equation, found),
+        stretches(engine, before, names), found[:6], sentence_of(equation, found, moments),
     )  # fmt: skip

@@ -12,8 +12,6 @@ from steerd.car_model.state import State
 
 _EDGE = 0.1
 """Half width of the edge [m]."""
-_SCAN_RADIUS = 0.6
-"""Radius at which a scan tries a disc [m]."""
 _SCAN_DROPS = (0.25, 0.5)
 """Shares of grip lost that a scan tries."""
 
@@ -27,9 +25,9 @@ def _car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) ->
     return car._replace(mu=car.mu * (1.0 - drop * inside))
 
 
-def _scan(places: Sequence[tuple[float, float]]) -> Sequence[tuple[float, ...]]:
-    """Discs of two strengths about the places of the worst errors."""
-    return [(x, y, _SCAN_RADIUS, drop) for x, y in places for drop in _SCAN_DROPS]
+def _scan(discs: Sequence[tuple[float, float, float]]) -> Sequence[tuple[float, ...]]:
+    """Discs of two strengths where errors are larger than elsewhere."""
+    return [(*disc, drop) for disc in discs for drop in _SCAN_DROPS]
 
 
 EFFECT = Effect(
