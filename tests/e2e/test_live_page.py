@@ -42,7 +42,7 @@ class FakeCar:
     """A car on an in-process bus that drives its lane and notes what it is asked for.
 
     Attributes:
-        state, holder: what it says of itself.
+        state, holder, leased: what it says of itself.
         asked: requests that came, oldest first.
     """
 
@@ -55,6 +55,7 @@ class FakeCar:
         self.live_asked = []
         self.view = CarView(LocalBus(hub), "car1", MonotonicClock())
         self.state, self.holder, self.speaks, self.asked = SupervisorState.READY, 0, True, []
+        self.leased = "1"
         self._step = 0
 
     def publish(self):
@@ -76,7 +77,7 @@ class FakeCar:
         numbers |= {"x": LANE.x[i], "y": LANE.y[i], "yaw": LANE.yaw[i], "e1": math.nan}
         self._say(topics.STATE, m.StateMessage(**numbers))
         said = {"state": self.state.name, "reason": "all well", "waiting": "an operator",
-                "warnings": "the battery is low: 10.1 V", "boot_id": "77", "leased": "1",
+                "warnings": "the battery is low: 10.1 V", "boot_id": "77", "leased": self.leased,
                 "holder": str(self.holder), "mocap": "ok", "mocap_rate_hz": "100.0"}  # fmt: skip
         pairs = tuple(KeyValue(key, value) for key, value in said.items())
         status = DiagnosticStatus(0, "steerd: supervisor", "", "", pairs)
@@ -273,6 +274,26 @@ def test_in_a_browser_it_is_whole_and_its_buttons_work(car, tmp_path):
         while RequestKind.STOP not in car.kinds():
             browser.ask("new Promise(r => setTimeout(r, 20))")
         assert car.kinds()[-1] is RequestKind.STOP, "after that it is silent"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not CHROMIUM, reason=NO_BROWSER)
+def test_a_car_that_needs_no_holder_does_not_lack_one(car):
+    """As on simulated hardware with `--auto-arm`: it drives on, whoever is silent."""
+    car.leased, car.state = "0", SupervisorState.RUNNING
+    with served(car) as url, browsing() as browser:
+        browser.open(url)
+        browser.wait("document.getElementById('hold').textContent.includes('needs no holder')")
+        asked = "document.getElementById('hold').textContent"
+        assert "drives on when this page is closed" in browser.ask(asked)
+        car.state = SupervisorState.READY
+        browser.wait("!document.getElementById('arm').disabled")
+        browser.ask("document.getElementById('arm').click()")
+        browser.wait(f"{asked}.startsWith('You hold this car')")  # leaving it asks for a stop
+        browser.open(url, 420)
+        browser.wait(f"{asked}.includes('needs no holder')")
+        assert browser.faults_of_layout() == []
+    assert RequestKind.STOP in car.kinds()
 
 
 @pytest.mark.realtime

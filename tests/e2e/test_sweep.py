@@ -93,6 +93,19 @@ def test_a_drive_of_it_is_driven_again_and_recorded(file, tmp_path, whole, capsy
     assert drive.duration > 3.6
 
 
+def test_what_is_driven_again_is_said_within_80_columns(tmp_path, capsys):
+    file = tmp_path / "many.toml"
+    drawn = 'mass" = { share = 0.05 }\n"car.mu" = [0.9]\n"car.c_sf" = [4.7]'
+    other = '"effect.steer_delay" = [0.0335]\n"mocap.position_noise" = [0.0002]'
+    file.write_text(f'seeds = 1\nduration = 0.3\n[vary]\n"car.{drawn}\n{other}\n')
+    session = str(tmp_path / "a.mcap")
+    assert run_cli(["sweep", str(file), "--again", "0", "--record", session]) == 0
+    said = capsys.readouterr().out.partition("written:")[0]
+    assert max(map(len, said.splitlines())) <= 80, said
+    assert "mocap.position_noise 0.0002" in said
+    assert "car.mass " in said
+
+
 def test_a_journal_of_another_sweep_is_refused(file, tmp_path, capsys):
     out = tmp_path / "t.parquet"
     out.with_name("t.parquet.journal").write_text('{"schema":"steerd.journal/1","of":"x"}\n')

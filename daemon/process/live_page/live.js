@@ -64,9 +64,7 @@ function take(s) {
   cells.steering.textContent = show(s.steer == null ? null : DEG * s.steer, 1, "°");
   cells.battery.textContent = show(s.battery, 1, "V"); cells.motor.textContent = show(s.amps, 1, "A");
   cells.mocap.textContent = s.mocap_rate_hz ? `${s.mocap_rate_hz} Hz` : s.mocap || "–";
-  $("hold").textContent = s.mine ? "You hold this car: close or leave this page and it stops."
-    : s.held ? "Somebody else holds this car. Stop and emergency stop work for everybody."
-    : "Nobody holds this car.";
+  $("hold").textContent = holder(s);
   $("arm").disabled = s.state !== "READY"; $("start").disabled = !(s.state === "ARMED" && s.mine);
   $("clear").disabled = !stopped;
   if (holding && !s.mine && ["DISARMED", "READY", "INIT"].includes(s.state) && performance.now() - asked > 1500) release();
@@ -75,6 +73,12 @@ function take(s) {
   while (errors.length && errors[0][0] < errors[errors.length - 1][0] - SPAN_S) errors.shift();
   takeLive(s.live);
   $("events").replaceChildren(...s.events.map(t => { const li = document.createElement("li"); li.textContent = t; return li; }).reverse());
+}
+// Without a lease, as on simulated hardware, a silent holder stops nothing; this page's leaving does, if it drove.
+function holder(s) {
+  if (s.leased === "0" && !holding) return "This car needs no holder and drives on when this page is closed. Stop and emergency stop work for everybody.";
+  if (s.mine) return "You hold this car: close or leave this page and it stops.";
+  return s.held ? "Somebody else holds this car. Stop and emergency stop work for everybody." : "Nobody holds this car.";
 }
 let asked = 0;
 for (const id of ["arm", "start"]) $(id).addEventListener("click", () => { asked = performance.now(); });

@@ -116,6 +116,7 @@ def _run_all(plan: "SweepPlan", args: argparse.Namespace) -> int:
 
 def _drive_again(plan: "SweepPlan", args: argparse.Namespace) -> int:
     """Drive one case of the sweep and record it."""
+    from steerd.daemon.common.screen import NBSP, wrap
     from steerd.daemon.offline.fast import check_driven, record_virtual
     from steerd.daemon.offline.virtual import drive
     from steerd.daemon.sweep.drive import prepare
@@ -125,10 +126,11 @@ def _drive_again(plan: "SweepPlan", args: argparse.Namespace) -> int:
     case = find_case(plan, args.again).case
     run_plan, config = prepare(plan, case)
     drawn = ", ".join(
-        f"{name} {value if isinstance(value, str) else format(value, '.4g')}"
+        f"{name}{NBSP}{value if isinstance(value, str) else format(value, '.4g')}"
         for name, value in case.values.items()
     )
-    print(f"drive {case.number}: seed {case.seed}{', ' if drawn else ''}{drawn}")
+    head = f"drive {case.number}: "
+    print("\n".join(wrap(f"seed {case.seed}{', ' if drawn else ''}{drawn}", head, " " * 4)))
     run = record_virtual(run_plan, args.record, drive, world=World(config))
     if run.core.loop.faulted:
         print(f"stopped: {run.core.loop.supervisor.reason}")

@@ -290,8 +290,10 @@ _BUSY = ("W1 ", "W7 ", "W8 ", "W9 ", "W15 ", "W16 ")
 def _was_busy(plan: "RunPlan", reason: str) -> bool:
     """Whether a drive by itself was ended by its machine, and may be driven in virtual time."""
     options = plan.options
+    # Whoever opened a page or a viewer wants to see it drive, not to wait for a drive without one.
+    watched = options.page is not None or options.view
     alone = options.auto_arm and options.duration_s is not None and not options.effects
-    return alone and reason.startswith(_BUSY)
+    return alone and not watched and reason.startswith(_BUSY)
 
 
 def _fall_back(plan: "RunPlan") -> int:

@@ -46,6 +46,8 @@ def test_a_busy_machine_is_no_failed_demo(drive, capsys, reason):
         ("W1 mocap stale: …", {"auto_arm": False}),
         ("W15 loop late: …", {"duration_s": None}),
         ("W7 telemetry stale: …", {"effects": ("drive_delay=0.1",)}),
+        ("W7 telemetry stale: …", {"page": 0}),
+        ("W7 telemetry stale: …", {"view": "8765"}),
     ],
 )
 def test_any_other_stop_stays_one(drive, reason, options):
