@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.model import Model
 from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.base_fit import null_fit, open_engine
+from steerd.sim_gap.engine.base_fit import ROUGH, null_fit, open_engine
 from steerd.sim_gap.engine.engine import Engine
 from steerd.sim_gap.engine.levenberg_marquardt import Fitted
 from steerd.sim_gap.engine.noise import (
@@ -30,7 +30,13 @@ from steerd.sim_gap.engine.residuals import Gap, gap_of, ratios, robust_mean, se
 from steerd.sim_gap.engine.space import informative_effects, make_space, nuisance_names
 from steerd.sim_gap.engine.superset import Superset, make_superset
 from steerd.sim_gap.healthy_drives import learn_healthy, refine
-from steerd.sim_gap.verdict.candidates import Score, blocks_of, gain_of, scored, singles
+from steerd.sim_gap.verdict.candidates import (
+    Score,
+    blocks_of,
+    gain_of,
+    rank_singles,
+    scored,
+)
 from steerd.sim_gap.verdict.decide import (
     Choice,
     Split,
@@ -269,7 +275,7 @@ def _search(
     """
     engine, options = case.engine, case.options
     options.progress("base", 0.05)
-    null = null_fit(engine, case.nuisance)
+    null = null_fit(engine, case.nuisance, enough=ROUGH)
     noise = known or learn_noise(engine, null)
     engine = whitened(engine, null, noise)
     null = null_fit(engine, case.nuisance, null)
@@ -277,7 +283,8 @@ def _search(
     most = c.REFITS if known else c.REFITS_ROUGH
     promises = screen(engine, null, case.nuisance, case.only)
     untested = tuple(p.effect for p in promises if not p.tested)
-    ranked = singles(engine, null, case.nuisance, case.only, options.jobs, most, promises)
+    free = case.nuisance, case.only, options.jobs
+    null, ranked = rank_singles(engine, null, *free, most, promises)
     if not ranked:
         return engine, null, [scored(engine, null)], noise, untested
     if known is None:
@@ -286,7 +293,8 @@ def _search(
         engine = whitened(engine, best, noise)
         null = null_fit(engine, case.nuisance, null)
         options.progress("candidates again", 0.4)
-        ranked = singles(engine, null, case.nuisance, case.only, options.jobs) or ranked
+        null, again = rank_singles(engine, null, *free, c.REFITS)
+        ranked = again or ranked
     return engine, null, ranked, noise, untested
 
 

@@ -22,7 +22,7 @@ from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
 from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.base_fit import null_fit, open_engine
+from steerd.sim_gap.engine.base_fit import ROUGH, null_fit, open_engine
 from steerd.sim_gap.engine.dead_times import try_other_dead_times
 from steerd.sim_gap.engine.engine import Engine, Reduced
 from steerd.sim_gap.engine.knowledge import (
@@ -44,7 +44,14 @@ from steerd.sim_gap.engine.noise import (
 from steerd.sim_gap.engine.residuals import ratios, robust_mean
 from steerd.sim_gap.engine.space import informative_effects, make_space, nuisance_names
 from steerd.sim_gap.engine.superset import Superset, make_superset
-from steerd.sim_gap.verdict.candidates import Score, blocks_of, gain_of, refit_all, scored
+from steerd.sim_gap.verdict.candidates import (
+    Score,
+    better_base,
+    blocks_of,
+    gain_of,
+    refit_all,
+    scored,
+)
 from steerd.sim_gap.verdict.screen import screen
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
@@ -137,7 +144,8 @@ def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NO
     superset = replace(superset, knowledge=_weak(superset, nuisance, {**FIRST, **length}))
     engine = open_engine(superset, runs)
     shares = {**ORDINARY, **length}
-    return _in_turn(engine, null_fit(engine, nuisance), None, (nuisance, shares), runs)
+    rough = null_fit(engine, nuisance, enough=ROUGH)
+    return _in_turn(engine, rough, None, (nuisance, shares), runs)
 
 
 def _in_turn(
@@ -152,10 +160,11 @@ def _in_turn(
     for _ in range(_ROUNDS if noise is None else 1):
         noise = learn_noise(engine, fitted, noise)
         engine = whitened(engine, fitted, noise)
-        fitted = try_other_dead_times(engine, null_fit(engine, nuisance, fitted))
+        rough = null_fit(engine, nuisance, fitted, enough=ROUGH)
+        fitted = try_other_dead_times(engine, rough)
     noise = _calibrated(engine, fitted, learn_noise(engine, fitted, noise), runs)
     engine = whitened(engine, fitted, noise)
-    fitted = null_fit(engine, nuisance, fitted)
+    fitted = null_fit(engine, nuisance, fitted, enough=ROUGH)
     excess = _excess(engine, fitted)
     known = replace(
         _weak(engine.superset, nuisance, shares), excess=tuple(e / excess[0] for e in excess)
@@ -241,6 +250,10 @@ def teach_with_limits(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHI
     """`teach`, once more with the limits and the play that the drives show, free like the rest."""
     taught = teach(base, runs, stated)
     shown = _shown(taught, runs, stated)
+    better = better_base(taught.engine, taught.fitted, shown, c.BUILT_IN_GAIN)
+    if better is not None:
+        taught = replace(taught, fitted=better)
+        shown = _shown(taught, runs, stated)
     if not shown:
         return taught
     null, blocks = scored(taught.engine, taught.fitted), blocks_of(taught.engine)
@@ -400,5 +413,5 @@ def _with_effects(
     superset = replace(superset, knowledge=_weak(superset, nuisance, taught.shares))
     engine, space = replace(taught.engine, superset=superset), make_space(superset, nuisance)
     z = np.clip(space.chart.coordinates(start), space.low, space.high)
-    fitted = minimise(engine, space, z, before.x.copy())
+    fitted = minimise(engine, space, z, before.x.copy(), enough=ROUGH)
     return _in_turn(engine, fitted, taught.noise, (nuisance, taught.shares), runs)

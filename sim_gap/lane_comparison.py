@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import periodogram, welch
 
 Array = NDArray[np.float64]
 
@@ -120,6 +119,8 @@ class LaneComparison:
 
 def _density(t: Array, values: Array) -> tuple[Array, Array]:
     """Frequencies [Hz] and amplitude density of a signal, its mean left out."""
+    from scipy.signal import welch  # a second that a diagnosis without a lane need not wait
+
     rate = 1.0 / float(np.median(np.diff(t)))
     length = min(len(values), round(SEGMENT * rate))
     f, power = welch(values, rate, nperseg=length, detrend="constant")
@@ -135,6 +136,8 @@ def steering_spectrum(drive: LaneDrive) -> tuple[Array, Array]:
 
 def _peak(t: Array, values: Array) -> float:
     """Frequency at which a signal is strongest, its mean left out [Hz]."""
+    from scipy.signal import periodogram
+
     f, power = periodogram(values, 1.0 / float(np.median(np.diff(t))), detrend="constant")
     return float(f[1:][np.argmax(power[1:])])
 

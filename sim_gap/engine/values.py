@@ -54,16 +54,32 @@ def _linkage_places(effects: tuple[Effect, ...]) -> list[int]:
     return places
 
 
-def _first_commands(readings: Readings, late: float, fine: float, sub: int, settle: int) -> Array:
-    """Steering command that arrives when the actuators begin to settle, (W,)."""
+def _first_commands(readings: Readings, late: float, fine: float, settle: Indices) -> Array:
+    """Steering command that arrives when each window's actuators begin to settle, (W,).
+
+    Args:
+        readings: the windows.
+        late: the steering's dead time [s].
+        fine: integration step [s].
+        settle: (W,) steps of the grid before each window.
+    """
     layout = readings.layout
-    steps = late / fine
+    steps, sub = late / fine, round(layout.h / fine)
     whole = int(np.floor(steps))
     low, high, first = layout.spans[:, 0], layout.spans[:, 1], layout.spans[:, 2]
-    newer = np.clip(first + (-settle - whole) // sub, low, high - 1)
-    older = np.clip(first + (-settle - whole - 1) // sub, low, high - 1)
+    newer = np.clip(first + (-settle * sub - whole) // sub, low, high - 1)
+    older = np.clip(first + (-settle * sub - whole - 1) // sub, low, high - 1)
     new, old = layout.commands[newer, 0], layout.commands[older, 0]
     return np.asarray(new + (steps - whole) * (old - new))
+
+
+def _alike(settle: Indices) -> list[Indices]:
+    """Windows that are settled together: the longest takes less than twice the shortest's steps.
+
+    Where one begins too early in its drive for so many, its first command fills the rest.
+    """
+    group = np.ceil(np.log2(np.maximum(settle, 1))).astype(np.int64)
+    return [np.flatnonzero(group == each) for each in np.unique(group[settle > 0])]
 
 
 def first_states(
@@ -72,22 +88,25 @@ def first_states(
     """States (W, 7 + memory) at the windows' starts, the steering settled over known commands."""
     layout = readings.layout
     fine = layout.h / substeps
-    settle = int(layout.spans[:, 4].max())
+    settle = layout.spans[:, 4].copy()
+    groups = _alike(settle)
+    for group in groups:
+        settle[group] = settle[group].max()
     out = np.zeros((len(x), 7 + kernels.memory))
     out[:, :CHASSIS] = x[:, :CHASSIS]
     late = float(delays_of(kernels, parameters)[0])
-    out[:, 6] = _first_commands(readings, late, fine, substeps, settle * substeps)
-    if settle:
-        calm = out.copy()
+    out[:, 6] = _first_commands(readings, late, fine, settle)
+    held = HeldCommands(layout.commands, layout.h, substeps, INTEGRATOR)
+    kept = [6, *(7 + i for i in _linkage_places(kernels.effects))]
+    for group in groups:
+        calm, steps = out[group], int(settle[group[0]])
         calm[:, 3:6] = 1.0, 0.0, 0.0
-        before = layout.spans[:, :3].copy()
-        before[:, 2] -= settle
-        blocks = make_window_blocks(before, layout.t - settle * layout.h)
-        held = HeldCommands(layout.commands, layout.h, substeps, INTEGRATOR)
-        path = march(kernels, parameters, calm, held, blocks, settle * substeps)
-        last = view_by_window(path[-1:], len(x))[:, 0]
-        kept = [6, *(7 + i for i in _linkage_places(kernels.effects))]
-        out[:, kept] = last[:, kept]
+        before = layout.spans[group, :3]
+        before[:, 2] -= steps
+        blocks = make_window_blocks(before, layout.t[group] - steps * layout.h)
+        path = march(kernels, parameters, calm, held, blocks, steps * substeps)
+        last = view_by_window(path[-1:], len(group))[:, 0]
+        out[np.ix_(group, kept)] = last[:, kept]
     out[:, 6] += x[:, 6]
     return out
 

@@ -4,6 +4,8 @@ The score is the gain in log-likelihood of windows that the fit did not see, win
 bounded, so that one spun window cannot decide.
 """
 
+# Why: docs/decisions/diagnosis.md#d97
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,7 +13,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from steerd.sim_gap.engine.constants import REFITS, WINSOR
+from steerd.sim_gap.engine.constants import GAIN_MIN, REFITS, WINSOR
 from steerd.sim_gap.engine.engine import Engine
 from steerd.sim_gap.engine.levenberg_marquardt import (
     Fitted,
@@ -24,6 +26,8 @@ from steerd.sim_gap.verdict.screen import Promise, extended, screen
 
 Array = NDArray[np.float64]
 
+FAIREST = 2
+"""Hypotheses from whose base that alone is tried again."""
 FOLDS = 4
 BLOCK = 3
 """Windows that follow each other and count as one when uncertainty is estimated."""
@@ -151,6 +155,42 @@ def refit(
     return None if best is None else scored(engine, best)
 
 
+def better_base(
+    engine: Engine, null: Fitted, scores: Sequence[Score], least: float
+) -> Fitted | None:
+    """The base alone from where the likeliest hypotheses have moved it, if that is better.
+
+    A search may come to rest on a shoulder; any further coordinate then helps it off, and effects
+    that have nothing in common gain alike. What the base alone gains there is no effect's.
+
+    Args:
+        engine: the windows.
+        null: the base's fit.
+        scores: hypotheses that started from it.
+        least: nats by which a hypothesis must be ahead to be tried, and the base be better.
+    """
+    best = null
+    for score in sorted(scores, key=lambda score: score.fitted.cost)[:FAIREST]:
+        if score.fitted.cost > best.cost - least:
+            break
+        found = _without_effects(engine, null, score.fitted)
+        if found is not None and found.cost < best.cost:
+            best = found
+    return best if best.cost < null.cost - least else None
+
+
+def _without_effects(engine: Engine, null: Fitted, fitted: Fitted) -> Fitted | None:
+    """The base alone, its search begun where a hypothesis has its base; None if it diverges."""
+    space, moved = fitted.space, dict(zip(fitted.space.chart.free, fitted.z, strict=True))
+    own = set(space.chart.free[space.nuisance :])
+    names = null.space.chart.free
+    z = [kept if n in own else moved.get(n, kept) for n, kept in zip(names, null.z, strict=True)]
+    try:
+        return minimise(engine, null.space, np.array(z), fitted.x.copy())
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None
+
+
 def refit_all(
     engine: Engine,
     start: Fitted,
@@ -195,3 +235,20 @@ def singles(
     found = refit_all(engine, null, nuisance, promises, jobs, most)
     blocks = blocks_of(engine)
     return sorted(found, key=lambda score: -gain_of(score, base, blocks)[0])
+
+
+def rank_singles(
+    engine: Engine,
+    null: Fitted,
+    nuisance: Sequence[str],
+    only: Sequence[str] | None,
+    jobs: int,
+    most: int,
+    promises: Sequence[Promise] | None = None,
+) -> tuple[Fitted, list[Score]]:
+    """`singles` against the base at its best, and that base: what helps it helps no effect."""
+    ranked = singles(engine, null, nuisance, only, jobs, most, promises)
+    better = better_base(engine, null, ranked, GAIN_MIN)
+    if better is None:
+        return null, ranked
+    return better, singles(engine, better, nuisance, only, jobs, most)

@@ -24,6 +24,8 @@ POSES_MIN = 4
 _WINDOWS_MIN = 4
 _GUESS_SPAN = 0.12
 """Poses within this time of a window's start give the first guess of its state [s]."""
+_FORGOTTEN = 0.2
+"""Commands that move by so much leave no play as it was; none is wider than 0.15 rad [rad]."""
 
 
 class Seen(NamedTuple):
@@ -126,6 +128,22 @@ def _between(signal: Signal, low: float, high: float) -> tuple[Array, Array]:
     return signal.t[a:b] - low, signal.values[a:b]
 
 
+def _remembered(steering: Array, a: int, least: int, most: int) -> int:
+    """Steps before a window at `a` of which a linkage may remember something.
+
+    Play remembers no more than when the command last moved by the whole gap; `least` steps before
+    that are what lag and slew limit remember. Doubled from `least` on, so that many windows are
+    alike and are simulated side by side.
+    """
+    past = steering[max(0, a - most) : a + 1][::-1]
+    moved = np.maximum.accumulate(past) - np.minimum.accumulate(past)
+    needed = int(np.searchsorted(moved, _FORGOTTEN)) + least
+    steps = least
+    while steps < min(needed, most):
+        steps *= 2
+    return min(steps, most)
+
+
 def _make_windows(
     run: Run, number: int, low: int, horizon: float, pose_delay: float
 ) -> list[_Window]:
@@ -142,7 +160,7 @@ def _make_windows(
         if run.speed_source == "command":
             kinds.append((1, *_between(run.wheel, start, end)))
         kinds.append((2, *_between(run.yaw_rate, start, end)))
-        settle = max(least, min(most, int(a)))
+        settle = max(least, min(_remembered(run.commands[:, 0], int(a), least, most), int(a)))
         span = (low, low + rows, low + int(a), int(b - a), settle)
         windows.append(_Window(number, span, start, tuple(kinds)))
     return windows

@@ -8,9 +8,10 @@ import pytest
 from steerd.sim_gap.engine.base_fit import null_fit, open_engine
 from steerd.sim_gap.engine.engine import Engine
 from steerd.sim_gap.engine.knowledge import Knowledge
+from steerd.sim_gap.engine.levenberg_marquardt import minimise
 from steerd.sim_gap.engine.space import nuisance_names
 from steerd.sim_gap.engine.superset import make_superset
-from steerd.sim_gap.verdict.candidates import refit
+from steerd.sim_gap.verdict.candidates import rank_singles, refit, singles
 from steerd.sim_gap.verdict.screen import STRAYED, screen
 
 NAMES = ("steer_bias", "steer_gain", "scrub", "speed_scale")
@@ -77,3 +78,36 @@ def test_the_reader_is_told(case):
     notes = diagnosis._notes(replace(bare, untested=("scrub",)), True, choice, ())
     assert any("could not be tested" in note and "scrub" in note for note in notes)
     assert not any("could not" in note for note in diagnosis._notes(bare, True, choice, ()))
+
+
+def _unfinished(engine, null):
+    """The base where a search might have come to rest too early: off its optimum."""
+    space = null.space
+    z = np.clip(null.z + 2.0 * space.spread, space.low, space.high)
+    return minimise(engine, space, z, null.x.copy(), steps=0)
+
+
+def test_what_the_base_alone_gains_is_no_effects(drive, base):
+    """Effects that have nothing in common gain alike on a base that is not at its best."""
+    runs = drive("", runs=2, seconds=6.0, seed=12)
+    superset = make_superset(base, runs)
+    nuisance = nuisance_names(superset, runs)
+    engine = open_engine(superset, runs)
+    null = null_fit(engine, nuisance)
+    early = _unfinished(engine, null)
+    assert early.cost > null.cost + 50.0
+    names = ("scrub", "steer_gain")
+    by_chance = singles(engine, early, nuisance, names)
+    assert len(by_chance) == 2
+    assert all(score.fitted.cost < early.cost - 50.0 for score in by_chance), "both explain it"
+    better, ranked = rank_singles(engine, early, nuisance, names, 1, 10)
+    assert better.cost == pytest.approx(null.cost, abs=2.0)
+    assert all(score.fitted.cost > better.cost - 5.0 for score in ranked)
+
+
+def test_an_effect_that_is_there_keeps_its_gain(case):
+    engine, null, nuisance = case
+    kept, (best, *_) = rank_singles(engine, null, nuisance, NAMES, 1, 10)
+    assert kept is null, "without the effect the base goes back to where it was"
+    assert best.effects == ("steer_bias",)
+    assert best.fitted.cost < null.cost - 50.0
