@@ -43,6 +43,7 @@ class FakeCar:
 
     Attributes:
         state, holder, leased: what it says of itself.
+        level: of every number that is not one of the lane's.
         asked: requests that came, oldest first.
     """
 
@@ -55,7 +56,7 @@ class FakeCar:
         self.live_asked = []
         self.view = CarView(LocalBus(hub), "car1", MonotonicClock())
         self.state, self.holder, self.speaks, self.asked = SupervisorState.READY, 0, True, []
-        self.leased = "1"
+        self.leased, self.level = "1", 0.01
         self._step = 0
 
     def publish(self):
@@ -72,7 +73,7 @@ class FakeCar:
         self._say(topics.PARAMETERS, make_parameters(self.live, 0))
         self._step += 3
         i = self._step % len(LANE.x)
-        numbers = dict.fromkeys(m.StateMessage.__dataclass_fields__, 0.01)
+        numbers = dict.fromkeys(m.StateMessage.__dataclass_fields__, self.level)
         numbers |= {"header": HEADER, "mono_ns": 0, "seq": 0, "flags": 0, "mode": self.state}
         numbers |= {"x": LANE.x[i], "y": LANE.y[i], "yaw": LANE.yaw[i], "e1": math.nan}
         self._say(topics.STATE, m.StateMessage(**numbers))
@@ -274,6 +275,10 @@ def test_in_a_browser_it_is_whole_and_its_buttons_work(car, tmp_path):
         while RequestKind.STOP not in car.kinds():
             browser.ask("new Promise(r => setTimeout(r, 20))")
         assert car.kinds()[-1] is RequestKind.STOP, "after that it is silent"
+        car.level = -0.001
+        browser.open(url)
+        figures = "document.getElementById('figures').textContent"
+        browser.wait(f"{figures}.includes('speed0.00 m/s')")  # and not -0.00 of a car that stands
 
 
 @pytest.mark.slow

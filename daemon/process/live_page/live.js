@@ -45,7 +45,7 @@ function takeLive(live) {
 }
 
 // --- what is shown
-const show = (v, digits, unit) => v == null ? "–" : `${v.toFixed(digits)} ${unit}`;
+const show = (v, digits, unit) => v == null ? "–" : `${(+v.toFixed(digits) || 0).toFixed(digits)} ${unit}`;  // no "-0.00" of a car that stands
 const cells = {};
 for (const label of ["lateral error", "heading error", "speed", "steering", "battery", "motor", "mocap"]) {
   const box = document.createElement("div"), dt = document.createElement("dt"), dd = document.createElement("dd");
