@@ -48,6 +48,7 @@ class Fit:
         losses: (W,) of each window [nats].
         ratios: (W,) what it leaves per degree of freedom.
         cost: of the priors and of the effect's freedom [nats].
+        freedom: the latter alone: what it costs that the effect might have been otherwise.
     """
 
     effect: str
@@ -56,6 +57,7 @@ class Fit:
     losses: Array
     ratios: Array
     cost: float
+    freedom: float = 0.0
 
     @property
     def total(self) -> float:
@@ -146,12 +148,13 @@ def fit_effect(anchor: Anchor, before: Track, looks: Sequence[Look], effect: str
     ratios = windows.ratios(best)
     covariance = np.linalg.inv(0.5 * (information + information.T))[n:, n:]
     away = best - z
-    cost = 0.5 * float(away @ prior @ away)
+    cost, freedom = 0.5 * float(away @ prior @ away), 0.0
     if own:
         _, volume = np.linalg.slogdet(covariance / np.outer(spread, spread))
-        cost -= 0.5 * float(volume)
+        freedom = -0.5 * float(volume)
     sd = np.sqrt(np.diag(covariance))
-    return Fit(effect, best, sd, windows.dof * np.log1p(ratios), ratios, cost)
+    losses = windows.dof * np.log1p(ratios)
+    return Fit(effect, best, sd, losses, ratios, cost + freedom, freedom)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +166,16 @@ class Point:
 
 
 Points = Mapping[str, Point]
+
+
+def looks_for(
+    anchor: Anchor, effect: str, looks: Sequence[Look], points: Points = MappingProxyType({})
+) -> Sequence[Look]:
+    """The windows in the base's coordinates and an effect's, looked at again where they were."""
+    if effect in points:
+        return points[effect].looks
+    own = anchor.places(effect) if effect else []
+    return [cut(each, [*range(anchor.space.nuisance), *own]) for each in looks]
 
 
 def rank(
@@ -181,15 +194,10 @@ def rank(
         looks: the windows since.
         points: effects whose windows were looked at again, elsewhere than at the anchor.
     """
-
-    def seen(effect: str) -> Sequence[Look]:
-        if effect in points:
-            return points[effect].looks
-        own = anchor.places(effect) if effect else []
-        return [cut(each, [*range(anchor.space.nuisance), *own]) for each in looks]
-
-    null = fit_effect(anchor, before, seen(""), "")
-    fits = [fit_effect(anchor, before, seen(effect), effect) for effect in effects]
+    null, *fits = (
+        fit_effect(anchor, before, looks_for(anchor, effect, looks, points), effect)
+        for effect in ("", *effects)
+    )
     return null, sorted(fits, key=lambda fit: fit.total)
 
 

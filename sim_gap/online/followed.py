@@ -2,10 +2,11 @@
 
 Changes that were named beyond doubt, as the effects that they are: their windows before and after
 say far more about them than any number of the base is known by. Beside them those numbers of the
-base that a lane identifies by themselves. Whatever is in doubt is the car file's business.
+base that a lane identifies by themselves. Of sets of names only one that means the same to a loop
+is followed. Whatever is in doubt is the car file's business.
 """
 
-# Why: docs/decisions/filter-and-controller.md#d86
+# Why: docs/decisions/filter-and-controller.md#d86, docs/decisions/filter-and-controller.md#d99
 
 from collections.abc import Iterator
 
@@ -26,6 +27,9 @@ BEYOND_DOUBT = 3.0
 """Standard deviations by which a number must differ from the file's to be followed."""
 SETTLED = 16
 """Windows after which the name of a change counts: eight seconds, a lap of a small eight."""
+LATENESS = frozenset(("steer_delay", "steer_lag", "mocap_latency"))
+"""Effects that a lane hardly distinguishes and a lane keeper need not: each is time that passes
+between a pose and what the wheels do about it. A set of these is followed as its likeliest."""
 _BODY = (("mocap_yaw", "body_yaw"), ("marker_offset", "body_forward", "body_left"))
 
 
@@ -58,7 +62,7 @@ def _doubt(change: Change) -> str:
     if finding.verdict == "unexplained":
         return "a change is unexplained"
     cause = finding.cause
-    if cause.alternatives:
+    if cause.alternatives and not LATENESS.issuperset((cause.effect, *cause.alternatives)):
         return f"a change is {cause.effect} or {' or '.join(cause.alternatives)}"
     return "" if cause.confidence >= SURE else "the name of a change is not sure"
 

@@ -23,10 +23,10 @@ from steerd.sim_gap.online.changes import (
     usual_of,
     with_ratios,
 )
-from steerd.sim_gap.online.fitting import Point, look_closer, rank
+from steerd.sim_gap.online.fitting import Point, look_closer, looks_for, rank
 from steerd.sim_gap.online.looking import Anchor, Look, look
 from steerd.sim_gap.online.memory import Remembered, with_memory
-from steerd.sim_gap.online.naming import Finding, name
+from steerd.sim_gap.online.naming import Finding, name, values_after
 from steerd.sim_gap.online.reference import learn_reference
 from steerd.sim_gap.online.samples import (
     LATE,
@@ -38,6 +38,8 @@ from steerd.sim_gap.online.samples import (
     make_window,
     take,
 )
+from steerd.sim_gap.online.settling import settled_fit
+from steerd.sim_gap.online.sharpening import sharpened
 from steerd.sim_gap.online.tracking import Track, follow
 from steerd.sysid.data.dataset import Run
 
@@ -227,8 +229,9 @@ def _watch(state: State, known: Known, seen: Look) -> State:
     looks = (*known.looks, seen)[-SPANS[-1] :]
     tracks = (*known.tracks, known.track)[-SPANS[-1] :]
     found = suspects(known.anchor, known.effects, tracks, looks)
-    table = ratios(found, len(known.effects))
-    judged = table / known.usual.level()
+    table, level = ratios(found, len(known.effects)), known.usual.level()
+    table = sharpened(known.anchor, known.effects, tracks, looks, table, level)
+    judged = table / level
     worst = float(np.nanmax(judged))
     if worst >= ALARM:
         span = SPANS[int(np.nanargmax(np.nanmax(judged, axis=0)))]
@@ -282,6 +285,9 @@ def judge(
     points = look_closer(anchor, null, fits, looks, points)
     null, fits = rank(anchor, known.effects, before, looks, points)
     finding = name(anchor, null, fits, known.usual_ratio, points)
+    own = looks_for(anchor, fits[0].effect, looks, points)
+    late = values_after(anchor, settled_fit(anchor, before, own, fits[0]))
+    finding = replace(finding, cause=replace(finding.cause, parameters=late))
     was = anchor.superset.nulls[finding.cause.effect]
     return Change(looks[0].t, noticed, before, looks, windows, points, finding, was)
 

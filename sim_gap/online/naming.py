@@ -137,7 +137,7 @@ def name(
     explained = (had - left) / max(had - usual_ratio, 1e-3)
     alternatives = alternatives_of(null, fits, points, had - ALIKE * (had - usual_ratio))
     sure = confidence_of(doubt_of(fits, alternatives), partial=explained < PARTLY)
-    cause = Cause(best.effect, _values(anchor, best), sure, alternatives)
+    cause = Cause(best.effect, values_after(anchor, best), sure, alternatives)
     alone = not alternatives and windows >= SURE_WINDOWS and sure >= SURE
     together = 0 < len(alternatives) < SET_MOST and windows >= SET_WINDOWS and sure >= SET_SURE
     extreme = is_at_bound(anchor, best)
@@ -146,7 +146,7 @@ def name(
     return Finding("named", cause, gain)
 
 
-def _values(anchor: Anchor, fit: Fit) -> dict[str, tuple[float, float, str]]:
+def values_after(anchor: Anchor, fit: Fit) -> dict[str, tuple[float, float, str]]:
     """The effect's parameters after the change, with standard errors and units."""
     places = anchor.places(fit.effect)
     value = anchor.space.centre[places] + fit.z[anchor.space.nuisance :]

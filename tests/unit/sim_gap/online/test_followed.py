@@ -116,3 +116,14 @@ def test_bias_and_speed_are_followed_by_themselves_where_they_are_sure(learner, 
 def test_a_named_change_knows_better_than_the_base(learner, values):
     values.append(Value("steer_bias", 0.004, 0.0005, "rad", True))
     assert aim(learner, change("steer_bias", 0.02)).steer_bias == pytest.approx(0.02)
+
+
+def test_a_set_that_is_all_lateness_is_followed_as_its_likeliest(learner, values):
+    late = change("steer_delay", 0.04, alternatives=("steer_lag", "mocap_latency"))
+    file = learnt_of(load_car(default_car_path()).car)
+    assert aim(learner, now=late) == file._replace(steer_delay=file.steer_delay + 0.04)
+
+
+def test_a_set_that_is_lateness_and_something_else_is_in_doubt(learner, values):
+    late = change("steer_delay", 0.04, alternatives=("steer_lag", "yaw_inertia"))
+    assert aim(learner, now=late) == "a change is steer_delay or steer_lag or yaw_inertia"
