@@ -113,12 +113,13 @@ class BusOperator:
         return True
 
 
-def connect(given_endpoint: str | None, folder: Path | None) -> ZenohBus:
+def connect(given_endpoint: str | None, folder: Path | None, first: str = "steerd run") -> ZenohBus:
     """Join the bus of a running daemon.
 
     Args:
         given_endpoint: of the daemon; None for the lab's, or the one on this machine.
         folder: this machine's folder of `steerd keys`; None for plain loopback.
+        first: the command that is to be started before.
 
     Raises:
         SteerdError: none answers, or it refuses our certificate.
@@ -128,7 +129,7 @@ def connect(given_endpoint: str | None, folder: Path | None) -> ZenohBus:
     try:
         return ZenohBus(make_spoke_profile(endpoint, lab))
     except BusError as error:
-        hint = "start `steerd run` first, or name its endpoint with --connect"
+        hint = f"start `{first}` first, or name its endpoint with --connect"
         if lab is not None:
             hint = f"is it up with --lab, and is {lab.folder} of the same lab and in date?"
         raise SteerdError(f"no steerd answers: {error}", hint, ExitCode.UNREACHABLE) from None

@@ -159,7 +159,9 @@ def test_a_busy_endpoint_is_told_in_a_line(place) -> None:
 def test_nobody_answers(capsys) -> None:
     for command in ("status", "arm", "start", "stop", "disarm", "control"):
         assert run_cli([command, "--connect", free_endpoint()]) == 6
-        is_clear(capsys.readouterr().err, ["no steerd answers", "steerd run"])
+        said = capsys.readouterr().err
+        is_clear(said, ["no steerd answers", "steerd run"])
+        assert ("run --controller zenoh" in said) == (command == "control"), "what it needs"
 
 
 @pytest.mark.slow

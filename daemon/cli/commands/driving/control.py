@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     )
     plan = make_plan(options)
     clock = MonotonicClock()
-    with connect(args.connect, args.lab) as bus:
+    with connect(args.connect, args.lab, "steerd run --controller zenoh") as bus:
         status = read_status(bus, args.name, clock)
         keeper = RemoteKeeper(plan.controller, int(status["boot_id"]), secrets.randbits(62) + 1)
         print(f"steering {args.name} along {plan.path.name}; Ctrl-C ends", file=sys.stderr)

@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     )
     pad = open_pad(args.device, pads.deadman)
     clock = MonotonicClock()
-    with connect(args.connect, args.lab) as bus:
+    with connect(args.connect, args.lab, "steerd run --controller zenoh") as bus:
         status = read_status(bus, args.name, clock)
         if status.get("controller") != "remote":
             what = f"{args.name} follows its lane, not a gamepad"
