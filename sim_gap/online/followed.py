@@ -28,7 +28,7 @@ BEYOND_DOUBT = 3.0
 SETTLED = 16
 """Windows after which the name of a change counts: eight seconds, a lap of a small eight."""
 LATENESS = frozenset(("steer_delay", "steer_lag", "mocap_latency"))
-"""Effects that a lane hardly distinguishes and a lane keeper need not: each is time that passes
+"""Effects that a lane barely distinguishes and a lane keeper need not: each is time that passes
 between a pose and what the wheels do about it. A set of these is followed as its likeliest."""
 _BODY = (("mocap_yaw", "body_yaw"), ("marker_offset", "body_forward", "body_left"))
 
