@@ -97,7 +97,7 @@ def first_states(
     late = float(delays_of(kernels, parameters)[0])
     out[:, 6] = _first_commands(readings, late, fine, settle)
     held = HeldCommands(layout.commands, layout.h, substeps, INTEGRATOR)
-    kept = [6, *(7 + i for i in _linkage_places(kernels.effects))]
+    kept = np.array([6, *(7 + i for i in _linkage_places(kernels.effects))])
     for group in groups:
         calm, steps = out[group], int(settle[group[0]])
         calm[:, 3:6] = 1.0, 0.0, 0.0

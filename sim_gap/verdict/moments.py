@@ -17,7 +17,7 @@ MOST = 0.5
 """Share of the excess error that is most of it."""
 _LIKE = 0.2
 """What has more than this share of the worst window's excess belongs to it."""
-_TOLD = 3
+_LISTED = 3
 """Moments that are listed."""
 _NEAR = 2.5
 """Windows this near to each other are at one place [m]."""
@@ -33,7 +33,7 @@ def find_moments(ratios: Array) -> NDArray[np.int64]:
     """
     excess = np.clip(ratios - 1.0, 0.0, _HUGE)
     order = np.argsort(-excess, kind="stable")
-    worst = order[excess[order] > _LIKE * excess.max(initial=0.0)]
+    worst: NDArray[np.int64] = order[excess[order] > _LIKE * excess.max(initial=0.0)]
     hold = float(excess[worst].sum()) >= MOST * float(excess.sum())
     return worst[: len(worst) if hold and len(worst) <= FEW * len(ratios) else 0]
 
@@ -52,8 +52,8 @@ def moments_words(ratios: Array, run: Sequence[str], t: Array, place: Array) -> 
         return ""
     excess = np.clip(ratios - 1.0, 0.0, _HUGE)
     share = excess[worst].sum() / excess.sum()
-    moments = [f"{run[w]} at {t[w]:.0f} s" for w in worst[:_TOLD]]
-    more = ", …" if len(worst) > _TOLD else ""
+    moments = [f"{run[w]} at {t[w]:.0f} s" for w in worst[:_LISTED]]
+    more = ", …" if len(worst) > _LISTED else ""
     middle = place[worst].mean(axis=0)
     at_one = bool((np.linalg.norm(place[worst] - middle, axis=1) < _NEAR).all())
     where = f", near x {middle[0]:.1f} m, y {middle[1]:.1f} m" if at_one else ""
