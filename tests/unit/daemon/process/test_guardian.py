@@ -129,6 +129,7 @@ def test_what_a_core_has_staged_is_a_brake_frame_once_the_guardian_took_over(wir
 
 
 def test_a_frame_that_does_not_fit_is_refused(page):
+    assert bytes(page.stage(bytes([7]) * OUTGOING_BYTES)) == bytes([7]) * OUTGOING_BYTES
     with pytest.raises(ValueError, match="257 bytes: at most 256"):
         page.stage(bytes(OUTGOING_BYTES + 1))
 
