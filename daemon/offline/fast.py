@@ -135,7 +135,7 @@ def run_fast(plan: RunPlan) -> int:
     factor = run.t_ns / max(clock.now_ns() - began, 1)
     summary, *hints = closing_lines(plan, board.tally, path)
     print(summary)
-    print(f"bytes on the wire: sha256 {run.wire.hexdigest()[:16]}; {factor:.2g} x real time")
+    print(f"bytes on the wire: sha256 {run.wire.hexdigest()[:16]}; {factor:.1f} x real time")
     print("\n".join(hints))
     loop = run.core.loop
     if loop.faulted:
