@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.model import Model
 from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.base_fit import ROUGH, null_fit, open_engine
+from steerd.sim_gap.engine.base_fit import null_fit, open_engine
 from steerd.sim_gap.engine.engine import Engine
 from steerd.sim_gap.engine.levenberg_marquardt import Fitted
 from steerd.sim_gap.engine.noise import (
@@ -275,7 +275,7 @@ def _search(
     """
     engine, options = case.engine, case.options
     options.progress("base", 0.05)
-    null = null_fit(engine, case.nuisance, enough=ROUGH)
+    null = null_fit(engine, case.nuisance)
     noise = known or learn_noise(engine, null)
     engine = whitened(engine, null, noise)
     null = null_fit(engine, case.nuisance, null)

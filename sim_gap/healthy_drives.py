@@ -22,7 +22,7 @@ from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
 from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.base_fit import ROUGH, null_fit, open_engine
+from steerd.sim_gap.engine.base_fit import null_fit, open_engine
 from steerd.sim_gap.engine.dead_times import try_other_dead_times
 from steerd.sim_gap.engine.engine import Engine, Reduced
 from steerd.sim_gap.engine.knowledge import (
@@ -144,8 +144,7 @@ def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NO
     superset = replace(superset, knowledge=_weak(superset, nuisance, {**FIRST, **length}))
     engine = open_engine(superset, runs)
     shares = {**ORDINARY, **length}
-    rough = null_fit(engine, nuisance, enough=ROUGH)
-    return _in_turn(engine, rough, None, (nuisance, shares), runs)
+    return _in_turn(engine, null_fit(engine, nuisance), None, (nuisance, shares), runs)
 
 
 def _in_turn(
@@ -160,11 +159,10 @@ def _in_turn(
     for _ in range(_ROUNDS if noise is None else 1):
         noise = learn_noise(engine, fitted, noise)
         engine = whitened(engine, fitted, noise)
-        rough = null_fit(engine, nuisance, fitted, enough=ROUGH)
-        fitted = try_other_dead_times(engine, rough)
+        fitted = try_other_dead_times(engine, null_fit(engine, nuisance, fitted))
     noise = _calibrated(engine, fitted, learn_noise(engine, fitted, noise), runs)
     engine = whitened(engine, fitted, noise)
-    fitted = null_fit(engine, nuisance, fitted, enough=ROUGH)
+    fitted = null_fit(engine, nuisance, fitted)
     excess = _excess(engine, fitted)
     known = replace(
         _weak(engine.superset, nuisance, shares), excess=tuple(e / excess[0] for e in excess)
@@ -413,5 +411,5 @@ def _with_effects(
     superset = replace(superset, knowledge=_weak(superset, nuisance, taught.shares))
     engine, space = replace(taught.engine, superset=superset), make_space(superset, nuisance)
     z = np.clip(space.chart.coordinates(start), space.low, space.high)
-    fitted = minimise(engine, space, z, before.x.copy(), enough=ROUGH)
+    fitted = minimise(engine, space, z, before.x.copy())
     return _in_turn(engine, fitted, taught.noise, (nuisance, taught.shares), runs)

@@ -6,7 +6,7 @@ from contextlib import suppress
 import numpy as np
 
 from steerd.sim_gap.engine.engine import Engine, make_engine
-from steerd.sim_gap.engine.levenberg_marquardt import ENOUGH, Fitted, minimise
+from steerd.sim_gap.engine.levenberg_marquardt import Fitted, minimise
 from steerd.sim_gap.engine.readings import make_readings
 from steerd.sim_gap.engine.space import make_space
 from steerd.sim_gap.engine.superset import Superset
@@ -15,8 +15,6 @@ from steerd.sysid.data.windows import estimate_noise, speed_range
 
 _ROUGH_NOISE = np.array([5e-3, 0.01, 0.05, 0.05])
 """Instrument noise of the first fit, before noise is learnt: [m], [rad], [m/s], [rad/s]."""
-ROUGH = 2.0
-"""Where a search may end whose errors are about to be weighed anew: a step gains less [nats]."""
 
 
 def open_engine(superset: Superset, runs: Sequence[Run]) -> Engine:
@@ -31,7 +29,6 @@ def null_fit(
     nuisance: Sequence[str],
     start: Fitted | None = None,
     effects: Sequence[str] = (),
-    enough: float = ENOUGH,
 ) -> Fitted:
     """The base with its parameters free within their uncertainty.
 
@@ -40,7 +37,6 @@ def null_fit(
         nuisance: base parameters that are free.
         start: a fit of the same coordinates to go on from.
         effects: built-in effects of the base that are free as well.
-        enough: nats; a step that promises and gains less is the last.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.
@@ -51,8 +47,6 @@ def null_fit(
         same = start.space.chart.free == space.chart.free
         with suppress(FloatingPointError):
             return minimise(
-                engine, space, start.z.copy(), start.x.copy(), enough=enough,
-                known=start.linear if same else None,
-            )  # fmt: skip
-    guess = engine.readings.layout.guess
-    return minimise(engine, space, space.centre.copy(), guess.copy(), enough=enough)
+                engine, space, start.z.copy(), start.x.copy(), known=start.linear if same else None
+            )
+    return minimise(engine, space, space.centre.copy(), engine.readings.layout.guess.copy())

@@ -9,13 +9,11 @@ long as that lowers the cost.
 # Why: docs/decisions/identification.md#d89
 
 from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted, minimise
+from steerd.sim_gap.engine.levenberg_marquardt import ENOUGH, Fitted, minimise
 
 NAME = "steer_delay"
 MOST = 8
 """Steps, at most."""
-_CLEARLY = 1.0
-"""Nats that another dead time must gain: below the errors of a search that ends as early."""
 
 
 def try_other_dead_times(engine: Engine, fitted: Fitted) -> Fitted:
@@ -31,7 +29,7 @@ def try_other_dead_times(engine: Engine, fitted: Fitted) -> Fitted:
     for direction in (1.0, -1.0):
         for _ in range(MOST):
             found = _moved(engine, best, direction * engine.readings.layout.h)
-            if found is None or found.cost > best.cost - _CLEARLY:
+            if found is None or found.cost > best.cost - ENOUGH:
                 break
             best = found
         if best is not fitted:
@@ -47,6 +45,6 @@ def _moved(engine: Engine, fitted: Fitted, by: float) -> Fitted | None:
     if not space.low[place] <= z[place] <= space.high[place]:
         return None
     try:
-        return minimise(engine, space, z, fitted.x.copy(), enough=_CLEARLY)
+        return minimise(engine, space, z, fitted.x.copy())
     except FloatingPointError:
         return None
