@@ -8,6 +8,7 @@ only file that knows the mcap library; reading is :mod:`steerd.steer_bus.session
 import contextlib
 import os
 import struct
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any, BinaryIO
 
 from mcap.data_stream import RecordBuilder  # noqa: TID251
 from mcap.opcode import Opcode  # noqa: TID251
-from mcap.records import MessageIndex  # noqa: TID251
+from mcap.records import ChunkIndex, MessageIndex  # noqa: TID251
 from mcap.writer import CompressionType, Writer  # noqa: TID251
 
 from steerd.steer_bus.atomic_file import is_full
@@ -43,6 +44,8 @@ Source: `docs/reference/sessions-and-bus.md#b4.2`.
 """
 SYNC_NS = 1_000_000_000
 """How often the disk itself should have everything: the most a power cut can lose [ns]."""
+INDEX_BYTES = 1 << 16
+"""What the chunks' index may take of the memory; four chunks a second are 4 MiB an hour."""
 SCHEMA_VERSION = "1"
 _LIBRARY = "steerd"
 _MAX_TIME_NS = (1 << 63) - 1
@@ -129,6 +132,46 @@ class _Chunk:
         self._parts, self._places = [], {}
 
 
+class _ChunkIndices:
+    """Stands in for the library's list of chunk indices, which grows for as long as a drive lasts.
+
+    They are kept as they will be written, on disk where they are many; the library's bytes.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._file = tempfile.SpooledTemporaryFile(INDEX_BYTES, dir=str(folder))  # noqa: SIM115
+
+    def append(self, index: ChunkIndex) -> None:
+        """Take the next.
+
+        Raises:
+            OSError: the disk takes no more.
+        """
+        builder = RecordBuilder()
+        index.write(builder)
+        self._file.write(builder.end())  # type: ignore[no-untyped-call]
+
+    def __iter__(self) -> Iterator["_ChunkIndices"]:
+        yield self
+
+    def write(self, stream: RecordBuilder) -> None:
+        """Append all of them."""
+        self._file.seek(0)
+        stream.write(self._file.read())
+
+    def close(self) -> None:
+        """Forget them."""
+        _close_quietly(self._file)
+
+
+def _bound_memory(writer: Writer, folder: Path) -> _ChunkIndices:
+    """Keep the writer's chunk indices out of memory, where its inside is the one known here."""
+    name, indices = "_Writer__chunk_indices", _ChunkIndices(folder)
+    if getattr(writer, name, None) == []:
+        setattr(writer, name, indices)
+    return indices
+
+
 class SessionWriter:
     """Writes one session; owned by one thread, except :meth:`sync`.
 
@@ -171,6 +214,7 @@ class SessionWriter:
             compression=CompressionType.ZSTD,
             enable_data_crcs=True,
         )
+        self._indices = _bound_memory(self._writer, path.parent)
         self._chunk = _Chunk(self._writer)
         self._last_log_ns = 0
         self._flush_ns = flush_ns
@@ -293,11 +337,13 @@ class SessionWriter:
             self._flush_chunk()
             self._writer.add_metadata("steerd.end", dict(end))
             _finish(self._writer, self._file, self.partial, self.path)
+        self._indices.close()
         return self.path
 
     def abandon(self) -> None:
         """Close without finishing; the ``.partial`` file stays and can be recovered."""
         _close_quietly(self._file)
+        self._indices.close()
 
     @contextlib.contextmanager
     def _disk(self) -> Iterator[None]:
@@ -433,7 +479,7 @@ def _sync_folder(path: Path) -> None:
         os.close(folder)
 
 
-def _close_quietly(file: BinaryIO) -> None:
+def _close_quietly(file: BinaryIO | tempfile.SpooledTemporaryFile[bytes]) -> None:
     """Close a file whose last bytes the disk may refuse: that was said already."""
     with contextlib.suppress(OSError):
         file.close()
