@@ -139,7 +139,8 @@ def _calibrate(args: argparse.Namespace) -> int:
         print(f"   next: steerd mocap calibrate {args.session} -o car.toml")
         return ExitCode.OK
     write_outputs({args.output: text})
-    print(f"{args.output}: written\n   next: steerd run --car {args.output} …")
+    print(f"{args.output}: written\n   next: steerd run --sim --car {args.output}")
+    print("         (on the car: --port and --mocap for --sim)")
     return ExitCode.OK
 
 
