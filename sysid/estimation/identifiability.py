@@ -57,6 +57,9 @@ MANOEUVRES: Mapping[str, str] = {
     "pose_delay": "changes of direction, with a gyro recorded",
 }  # fmt: skip
 """What would identify each parameter of the car."""
+BODY_OR_COG = ("lf", "lr", "marker_offset.forward")
+"""The centre of gravity between the axles, and the mocap body's place on the car."""
+WEIGH = "weighing both axles (`--fix lr=METRES`): drives may mistake the mocap body's place for it"
 ANOTHER_END = f"another car explains these drives as well: {_TWO_SPEEDS}"
 """What would identify one that two fits, as good as each other, place differently."""
 
@@ -129,8 +132,10 @@ def is_identifiable(name: str, value: float, sd: float, prior_sd: float) -> bool
     return sd < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior_sd)
 
 
-def manoeuvre_for(name: str) -> str:
-    """What would identify a parameter."""
+def manoeuvre_for(name: str, moved: bool = False) -> str:
+    """What would identify a parameter; `moved` where the mocap body's place is free as well."""
+    if moved and name in BODY_OR_COG:
+        return WEIGH
     return MANOEUVRES.get(name, _SHOWING)
 
 

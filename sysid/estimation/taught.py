@@ -95,7 +95,8 @@ def _row(
 ) -> Row:
     value, before, unit = numbers
     sure = known.get(name, False)
-    hint = "" if sure or name not in taught.sd else manoeuvre_for(name)
+    moved = "marker_offset.forward" in taught.sd
+    hint = "" if sure or name not in taught.sd else manoeuvre_for(name, moved)
     return Row(value, before, taught.sd.get(name), unit, True, sure, hint)
 
 

@@ -74,3 +74,14 @@ def test_other_drives_of_the_same_car_have_no_gap(learnt, drive):
     told = diagnose(again, learnt, Options(pairs=False, horizons=False))
     assert told.noise_known
     assert told.verdict == "none"
+
+
+def test_where_the_body_is_and_the_centre_of_gravity_are_known_less_well_together(
+    drive, base, learnt
+):
+    found = refine(base, drive("marker_offset=0.03", runs=4, seconds=6.0, seed=3))
+    assert "marker_offset" in {e.name for e in found.effects}
+    for name in ("lf", "lr"):
+        away = getattr(found.car, name) - getattr(DEFAULT_CAR, name)
+        assert abs(away) < 2.0 * found.sd[name]
+        assert found.sd[name] > 2.0 * learnt.sd[name]

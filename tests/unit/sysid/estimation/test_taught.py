@@ -39,3 +39,14 @@ def test_identifiable_is_what_is_known_to_a_few_percent(rows):
     assert not car["lr"].identifiable  # 0.1 m of 0.17 m
     assert "speeds" in car["lr"].manoeuvre
     assert car["steer_delay"].identifiable
+
+
+def test_what_drives_mistake_for_the_bodys_place_is_to_be_weighed():
+    offset = (EFFECTS["tyre_saturation"], EFFECTS["marker_offset"])
+    model = Model(CAR, offset, ((0.8, 0.0), (0.02, 0.0)), make_planar("rear"))
+    sd = {**SD, "lf": 0.02, "marker_offset.forward": 0.02}
+    car, effects = taught_rows(DEFAULT_CAR, TaughtModel(model, sd))
+    for row in (car["lf"], car["lr"], effects["marker_offset.forward"]):
+        assert not row.identifiable
+        assert "weighing both axles" in row.manoeuvre
+    assert car["steer_gain"].manoeuvre == ""
