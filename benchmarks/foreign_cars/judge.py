@@ -49,11 +49,12 @@ def _run(tool: str, *words: str) -> float:
 
 
 def _imported(tool: str, tables: Iterable[Path]) -> list[str]:
-    """Sessions of tables, imported if they are not there yet."""
+    """Sessions of tables, imported if they are not there yet; what was cut off is done again."""
     sessions = []
     for table in tables:
         session = table.with_suffix(".mcap")
         if not session.exists():
+            session.with_name(f"{session.name}.partial").unlink(missing_ok=True)
             words = (str(table), "--map", str(table.with_name("map.toml")), "-o", str(session))
             _run(tool, "import", "csv", *words)
         sessions.append(str(session))

@@ -17,10 +17,11 @@ from benchmarks.foreign_cars.table import format_cases, format_table, score_rows
 
 SECONDS = 3.0
 TOOL = """
-import json, sys
+import json, os, sys
 words = sys.argv[1:]
 out = lambda option: words[words.index(option) + 1]
 if words[0] == "import":
+    assert not os.path.exists(out("-o") + ".partial")
     open(out("-o"), "w").write(open(words[2]).read())
 elif words[0] == "identify":
     sessions = [w for w in words[1:3]]
@@ -140,6 +141,14 @@ def test_judging_writes_a_row_a_case_once(tmp_path: Path, tool: str) -> None:
     table = format_table(rows)
     assert table.splitlines()[0] == "| | own |"
     assert "steer_delay medium" in format_cases(rows)
+
+
+def test_an_import_that_was_cut_off_is_done_again(tmp_path: Path, tool: str) -> None:
+    case = a_case(("steer_delay", "medium"))
+    folder = tmp_path / "out" / "cases" / case.name
+    folder.mkdir(parents=True)
+    (folder / "later-1.mcap.partial").write_text("cut off")
+    assert judge([case], tmp_path / "out", tool)[0]["gap"]["verdict"] == "explained"
 
 
 def test_a_command_that_fails_is_a_row_without_a_verdict(tmp_path: Path) -> None:
