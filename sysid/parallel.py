@@ -1,5 +1,6 @@
 """Many independent pieces of work side by side: joblib on this machine, Dask on others."""
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
@@ -34,7 +35,20 @@ def map_jobs(
         return [work(item) for item in todo]
     from joblib import Parallel, delayed
 
-    return list(Parallel(n_jobs=jobs)(delayed(work)(item) for item in todo))
+    with quiet_workers():
+        return list(Parallel(n_jobs=jobs)(delayed(work)(item) for item in todo))
+
+
+@contextmanager
+def quiet_workers() -> Iterator[None]:
+    """Inside, joblib says nothing of workers that make way for fresh ones.
+
+    A worker that has grown by 300 MB since its first piece of work ends, as when kernels are loaded.
+    No work is lost by that, and no user can do anything about it.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
+        yield
 
 
 def _map_dask(work: Callable[[T], R], todo: list[T], address: str) -> list[R]:

@@ -7,7 +7,6 @@ neighbours held along; each is then done alone, so that only the one that kills 
 
 import os
 import signal
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.sysid.parallel import quiet_workers
 
 TRIES = 3
 """Times that a unit is begun before it is given up."""
@@ -148,10 +148,7 @@ def _dispatch(work: Work, batch: Mapping[str, Any], jobs: int, held: set[str]) -
     pool = Parallel(
         n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs"
     )
-    with warnings.catch_warnings():
-        # A worker that has grown by 300 MB since its first unit makes way for a fresh one, as when
-        # kernels are loaded. No unit is lost by that, and no user can do anything about it.
-        warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
+    with quiet_workers():
         yield from pool(hand_out())
 
 

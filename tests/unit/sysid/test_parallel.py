@@ -5,6 +5,7 @@ import pickle
 import numpy as np
 import pytest
 from joblib import Parallel, delayed
+from joblib.externals.loky import process_executor
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.compiler.kernels import (
@@ -14,11 +15,22 @@ from steerd.sysid.compiler.kernels import (
     march,
     view_by_window,
 )
-from steerd.sysid.parallel import on_cluster
+from steerd.sysid.parallel import map_jobs, on_cluster
 
 
 def _square(value):
     return value * value
+
+
+def _grow(value):
+    process_executor._MAX_MEMORY_LEAK_SIZE = process_executor._MEMORY_LEAK_CHECK_DELAY = -1e18
+    return value
+
+
+@pytest.mark.slow
+def test_workers_that_have_grown_make_way_without_a_word(recwarn):
+    assert map_jobs(_grow, range(12), jobs=2) == [*range(12)]
+    assert not recwarn.list
 
 
 def test_a_compiled_car_travels_without_its_code():
