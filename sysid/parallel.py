@@ -43,8 +43,8 @@ def map_jobs(
 def quiet_workers() -> Iterator[None]:
     """Inside, joblib says nothing of workers that make way for fresh ones.
 
-    A worker that has grown by 300 MB since its first piece of work ends, as when kernels are loaded.
-    No work is lost by that, and no user can do anything about it.
+    A worker that has grown by 300 MB since its first piece of work ends, as when kernels are
+    loaded. No work is lost by that, and no user can do anything about it.
     """
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
