@@ -74,7 +74,7 @@ def check_lane(lane: LaneStatus, thresholds: Thresholds) -> Iterator[str]:
     """Failures of the car's place in its lane, or of the external controller."""
     if lane.remote:
         if not lane.remote_alive:
-            yield "no commands from a controller: start `steerd control`"
+            yield "no commands from a controller: start `steerd control` or `steerd teleop`"
         return
     if not abs(lane.e1) <= thresholds.lateral_warn:
         side = "left" if lane.e1 > 0.0 else "right"

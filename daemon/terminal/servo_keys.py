@@ -75,6 +75,7 @@ def steer_by_keys(url: str, scaling: Scaling, clock: Clock) -> Scaling | None:
                 _show(servo)
                 key = _next_key(fd, clock)
                 if key in _ENDS:
+                    print(file=sys.stderr)  # what follows has a line of its own
                     return servo.scaling if key == "w" else None
                 try:
                     servo = press(servo, key)
