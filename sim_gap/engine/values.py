@@ -9,25 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model, observe
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.state import State
 from steerd.sim_gap.engine.readings import Readings
 from steerd.sysid.compiler.kernels import (
+    STATES,
     HeldCommands,
     Kernels,
     delays_of,
     make_window_blocks,
     march,
     model_of,
+    settle,
     view_by_window,
 )
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
-CHASSIS = 6
 INTEGRATOR = "midpoint"
 """Half the work of `rk4`; on a grid of 5 ms a position differs by 0.01 mm after a second."""
 
@@ -43,72 +42,15 @@ def active_model(kernels: Kernels, parameters: Array) -> Model[float]:
     return Model(full.car, tuple(e for e, _ in kept), tuple(v for _, v in kept), full.chassis)
 
 
-def _linkage_places(effects: tuple[Effect, ...]) -> list[int]:
-    """Which memory the actuators alone bring about (a linkage's), and not the tyres."""
-    places: list[int] = []
-    start = 0
-    for effect in effects:
-        if effect.linkage is not None:
-            places += range(start, start + effect.memory)
-        start += effect.memory
-    return places
-
-
-def _first_commands(readings: Readings, late: float, fine: float, settle: Indices) -> Array:
-    """Steering command that arrives when each window's actuators begin to settle, (W,).
-
-    Args:
-        readings: the windows.
-        late: the steering's dead time [s].
-        fine: integration step [s].
-        settle: (W,) steps of the grid before each window.
-    """
-    layout = readings.layout
-    steps, sub = late / fine, round(layout.h / fine)
-    whole = int(np.floor(steps))
-    low, high, first = layout.spans[:, 0], layout.spans[:, 1], layout.spans[:, 2]
-    newer = np.clip(first + (-settle * sub - whole) // sub, low, high - 1)
-    older = np.clip(first + (-settle * sub - whole - 1) // sub, low, high - 1)
-    new, old = layout.commands[newer, 0], layout.commands[older, 0]
-    return np.asarray(new + (steps - whole) * (old - new))
-
-
-def _alike(settle: Indices) -> list[Indices]:
-    """Windows that are settled together: the longest takes less than twice the shortest's steps.
-
-    Where one begins too early in its drive for so many, its first command fills the rest.
-    """
-    group = np.ceil(np.log2(np.maximum(settle, 1))).astype(np.int64)
-    return [np.flatnonzero(group == each) for each in np.unique(group[settle > 0])]
-
-
 def first_states(
     kernels: Kernels, readings: Readings, parameters: Array, x: Array, substeps: int
 ) -> Array:
     """States (W, 7 + memory) at the windows' starts, the steering settled over known commands."""
     layout = readings.layout
-    fine = layout.h / substeps
-    settle = layout.spans[:, 4].copy()
-    groups = _alike(settle)
-    for group in groups:
-        settle[group] = settle[group].max()
-    out = np.zeros((len(x), 7 + kernels.memory))
-    out[:, :CHASSIS] = x[:, :CHASSIS]
-    late = float(delays_of(kernels, parameters)[0])
-    out[:, 6] = _first_commands(readings, late, fine, settle)
+    first = np.zeros((len(x), STATES + kernels.memory))
+    first[:, :STATES] = x
     held = HeldCommands(layout.commands, layout.h, substeps, INTEGRATOR)
-    kept = np.array([6, *(7 + i for i in _linkage_places(kernels.effects))])
-    for group in groups:
-        calm, steps = out[group], int(settle[group[0]])
-        calm[:, 3:6] = 1.0, 0.0, 0.0
-        before = layout.spans[group, :3]
-        before[:, 2] -= steps
-        blocks = make_window_blocks(before, layout.t[group] - steps * layout.h)
-        path = march(kernels, parameters, calm, held, blocks, steps * substeps)
-        last = view_by_window(path[-1:], len(group))[:, 0]
-        out[np.ix_(group, kept)] = last[:, kept]
-    out[:, 6] += x[:, 6]
-    return out
+    return settle(kernels, parameters, first, held, layout.kernel_windows(substeps))
 
 
 def paths(

@@ -96,47 +96,72 @@ class CommandStream(NamedTuple):
     substeps: int
 
 
+class Scatter(NamedTuple):
+    """What a piece's derivatives by parameters add to its outputs' sensitivities, one by one.
+
+    Few parameters are free, most of them in one direction each.
+
+    Attributes:
+        slope: (E,) place of the derivative, from the piece's first one on.
+        to: (E,) place of the sensitivity in the piece's workspace.
+        scale: (E,) derivative of the parameter by the direction.
+    """
+
+    slope: Indices
+    to: Indices
+    scale: Array
+
+
 class Directions(NamedTuple):
     """Directions of the forward sensitivities: what derivatives are taken by.
 
     Attributes:
-        parameters: (P, >= n) derivative of each parameter.
         first: (STATES, >= n) derivative of the first state.
         delay_steps: (3,) dead times of steer, drive and pose in integration steps.
         delays: (rows of SENSITIVITIES) derivatives of `delay_steps`.
         n: directions in use, a multiple of SLOTS.
+        actuators, rates, specialised, remember, observe: (slope, to, scale) of a `Scatter` each.
     """
 
-    parameters: Array
     first: Array
     delay_steps: Array
     delays: Array
     n: int
+    actuators: Scatter
+    rates: Scatter
+    specialised: Scatter
+    remember: Scatter
+    observe: Scatter
 
 
-class Window(NamedTuple):
-    """One window.
+class WindowBlock(NamedTuple):
+    """Windows of any lengths that fill the slots of one block.
 
     Attributes:
         commands: (rows, 2) steer [rad] and speed [m/s] of all runs, one after the other.
-        span: (5,) first row, row after the last, row of the first step, integration steps, and
-            steps of the actuators alone before it (over known commands, to settle the steering).
-        t: time into the run at the first step [s].
-        first: (STATES + MEMORY,) first state; the steer is added to the settled one.
+        spans: (SLOTS, 5) first row, row after the last, row of the first step, integration steps,
+            and steps of the actuators alone before it (over known commands, to settle the
+            steering).
+        t: (SLOTS,) time into the run at the first step [s].
+        first: ((STATES + MEMORY) * SLOTS,) first states; the steer is added to the settled one.
+        own: how many slots hold a window of their own; the rest are copies.
     """
 
     commands: Array
-    span: Indices
-    t: float
+    spans: Indices
+    t: Array
     first: Array
+    own: int
 
 
 class Readings(NamedTuple):
-    """Where one window is read, and the arrays of all windows that the results go into.
+    """Where windows are read, and the arrays of all windows that the results go into.
 
     Attributes:
-        stations: (S, 4) step, first reading, row of `y`, and 1 for a late pose; sorted by time.
+        stations: (S, 4) step, first reading, row of `y`, and 1 for a late pose; each window's
+            sorted by time.
         shares: (S,) place within the step, 0 to 1 (outside: extrapolated).
+        ranges: (SLOTS, 2) first station of each window, and the one after its last.
         scale: (rows,) by which each row of derivatives is multiplied.
         y: (rows,) readings, written; a pose writes three.
         jy: (rows * width,) their derivatives, written.
@@ -148,6 +173,7 @@ class Readings(NamedTuple):
 
     stations: Indices
     shares: Array
+    ranges: Indices
     scale: Array
     y: Array
     jy: Array
@@ -155,41 +181,52 @@ class Readings(NamedTuple):
     start_pose: int
 
 
-class Tangent(NamedTuple):
-    """A state and its forward sensitivities.
-
-    Attributes:
-        x: (STATES + MEMORY,) the state.
-        dx: rows of SENSITIVITIES, one for each number of the state.
-    """
-
-    x: Array
-    dx: Array
-
-
 class PieceWork(NamedTuple):
-    """Workspace of one piece with its sensitivities.
+    """Workspace of one piece.
 
     Attributes:
-        z: inputs.
-        out: outputs.
-        j: nonzero derivatives of the outputs.
-        w: rows of sensitivities: inputs, outputs, parameters.
+        v: rows of SLOTS (of one number each for what is done to one state): inputs, outputs,
+            derivatives.
+        w: rows of SENSITIVITIES of one window: inputs, outputs.
     """
 
-    z: Array
-    out: Array
-    j: Array
+    v: Array
     w: Array
 
 
 class TangentWork(NamedTuple):
-    """Workspaces of a window with forward sensitivities."""
+    """Workspaces of a block with forward sensitivities.
+
+    Attributes:
+        actuators, rates, remember, observe: of the pieces.
+        stages: derivatives of the rates at every stage of a step.
+        fast: (stages,) 1 where those are of the specialised rates.
+        gaps: (2 * SLOTS,) older minus newer command, of steer and speed.
+    """
 
     actuators: PieceWork
     rates: PieceWork
     remember: PieceWork
     observe: PieceWork
+    stages: Array
+    fast: Array
+    gaps: Array
+
+
+class Tangent(NamedTuple):
+    """States of a block and their forward sensitivities.
+
+    Attributes:
+        now: rows of SLOTS: the states.
+        after: the same a step later.
+        dx: rows of SENSITIVITIES, STATES + MEMORY for each window in turn: of `now`.
+        dx_after: one window's rows: of `after`.
+    """
+
+    now: Array
+    after: Array
+    dx: Array
+    dx_after: Array
 
 
 class AdjointWork(NamedTuple):

@@ -1,10 +1,11 @@
 """From recorded equations to Python source that Numba compiles.
 
-Each piece is printed in four forms. `*_jac` works on one state and gives its outputs and nonzero
-derivatives; `*_jvp` multiplies rows of sensitivities by these derivatives. `*_rows` has the loop
-over slots innermost, so that LLVM vectorises the equations themselves; `*_vjp` is its
-vector-Jacobian product. What depends on parameters and step alone is computed once per call, in
-`constants`.
+Each piece is printed in four forms. `*_rows` has the loop over slots innermost, so that LLVM
+vectorises the equations themselves; `*_vjp` is its vector-Jacobian product, and `*_jac` gives the
+nonzero derivatives as well. `*_jvp` multiplies one slot's rows of sensitivities by the derivatives
+by inputs; those by parameters are few numbers once multiplied by what is free, and are added one by
+one (`*_BY` says which they are). What depends on parameters and step alone is computed once per
+call, in `constants`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,6 +21,10 @@ from steerd.sysid.compiler.trace import CHASSIS, Piece, Traced
 
 SENSITIVITIES = 72
 """Most sensitivities of a number; a row is 9 cache lines, so that rows do not share cache sets."""
+
+
+_SINGLE = ("delays", "observe")
+"""Pieces whose derivatives are taken of one state at a time."""
 
 
 class CodeBlock(NamedTuple):
@@ -64,6 +69,10 @@ def _source(entry: Entry, names: Mapping[int, str]) -> str:
     return source_of(entry._replace(op=own), names)
 
 
+def _number(row: int) -> str:
+    return f"w[{row}]"
+
+
 def _sensitivities(row: int) -> str:
     return f"w[{row * SENSITIVITIES} + i]" if row else "w[i]"
 
@@ -82,28 +91,42 @@ def slopes_of(piece: Piece, traced: Traced) -> list[Slope]:
     return found
 
 
-def jacobian_block(name: str, piece: Piece, slopes: Sequence[Slope]) -> CodeBlock:
-    """Outputs and nonzero derivatives at one point: `out[i]`, and `j[s]` for slope `s`."""
-    loads = tuple((s, f"z[{i}]") for i, s in enumerate(piece.inputs))
-    targets = [(f"out[{i}]", e) for i, e in enumerate(piece.outputs)]
-    targets += [(f"j[{k}]", slope.formula) for k, slope in enumerate(slopes)]
-    return CodeBlock(name, "z, p, q, h, out, j", loads, tuple(targets), loops=False)
+def jacobian_block(name: str, piece: Piece, slopes: Sequence[Slope], slots: bool) -> CodeBlock:
+    """Outputs and nonzero derivatives; workspace rows: inputs, outputs, slopes.
+
+    Args:
+        name: of the function.
+        piece: what it computes.
+        slopes: its derivatives.
+        slots: whether a row has SLOTS numbers, or is one number.
+    """
+    place = _slots if slots else _number
+    values = (*piece.outputs, *(slope.formula for slope in slopes))
+    loads = tuple((s, place(i)) for i, s in enumerate(piece.inputs))
+    targets = tuple((place(len(loads) + i), e) for i, e in enumerate(values))
+    return CodeBlock(name, "w, n, p, q, h" if slots else "w, p, q, h", loads, targets, slots)
 
 
-def _print_jvp(name: str, piece: Piece, slopes: Sequence[Slope]) -> list[str]:
-    """Jacobian-vector products; rows: inputs, outputs (set), parameters (given)."""
-    split, outputs = len(piece.inputs), len(piece.outputs)
-    head = [f"j{k} = j[{k}]" for k in range(len(slopes))]
+def _print_jvp(name: str, piece: Piece, slopes: Sequence[Slope], stride: int) -> list[str]:
+    """Jacobian-vector products by the inputs; rows: inputs, outputs (set).
+
+    Slope k is `j[at + stride k]`.
+    """
+    split = len(piece.inputs)
+    used = [(k, s) for k, s in enumerate(slopes) if s.source < split]
+    head = [f"j{k} = j[unsigned(at + {stride * k})]" for k, _ in used]
     body = []
-    for i in range(outputs):
-        terms = [
-            f"j{k} * {_sensitivities(s.source if s.source < split else s.source + outputs)}"
-            for k, s in enumerate(slopes)
-            if s.output == i
-        ]
+    for i in range(len(piece.outputs)):
+        terms = [f"j{k} * {_sensitivities(s.source)}" for k, s in used if s.output == i]
         body.append(f"{_sensitivities(split + i)} = {' + '.join(terms) or '0.0'}")
-    block = CodeBlock(name, "j, w, n", (), (), loops=True)
-    return _assemble(block, head, body)
+    return _assemble(CodeBlock(name, "j, at, w, n", (), (), loops=True), head, body)
+
+
+def _print_by(name: str, piece: Piece, slopes: Sequence[Slope]) -> list[str]:
+    """The derivatives by parameters: number of the slope, output, parameter."""
+    split = len(piece.inputs)
+    rows = [(k, s.output, s.source - split) for k, s in enumerate(slopes) if s.source >= split]
+    return [f"{name}_BY = np.array({rows!r}, dtype=np.int64).reshape(-1, 3)", ""]
 
 
 def _zero(node: Node) -> bool:
@@ -211,14 +234,23 @@ def _pieces(traced: Traced) -> dict[str, Piece]:
     }
 
 
+def _print_slopes(name: str, piece: Piece, traced: Traced, constants: _Constants) -> list[str]:
+    """A piece with its derivatives: one state's for what is done now and then, else all slots'."""
+    slopes, slots = slopes_of(piece, traced), name not in _SINGLE
+    return [
+        *_print_block(jacobian_block(f"{name}_jac", piece, slopes, slots), traced, constants),
+        *_print_jvp(f"{name}_jvp", piece, slopes, SLOTS if slots else 1),
+        *_print_by(name.upper(), piece, slopes),
+        f"{name.upper()}_SLOPES = np.int64({len(slopes)})",
+        "",
+        "",
+    ]
+
+
 def _print_pieces(traced: Traced, constants: _Constants) -> list[str]:
     printed: list[str] = []
     for name, piece in {"delays": Piece((), traced.delays), **_pieces(traced)}.items():
-        slopes = slopes_of(piece, traced)
-        jacobian = jacobian_block(f"{name}_jac", piece, slopes)
-        printed += _print_block(jacobian, traced, constants)
-        printed += _print_jvp(f"{name}_jvp", piece, slopes)
-        printed += [f"{name.upper()}_SLOPES = {len(slopes)}", "", ""]
+        printed += _print_slopes(name, piece, traced, constants)
     for name, piece in _pieces(traced).items():
         for block in (
             rows_block(f"{name}_rows", piece),

@@ -18,22 +18,26 @@ if TYPE_CHECKING:
     from steerd.sysid.compiler.pieces import DELAYS_SLOPES, SLOTS, Array, delays_jac
 
 
+@allocating
+def delay_slopes(p: "Array", q: "Array", h: float) -> "Array":
+    """Dead times of steer, drive and pose [s], then their nonzero derivatives (`DELAYS_BY`)."""
+    w = np.zeros(3 + DELAYS_SLOPES)
+    delays_jac(w, p, q, h)
+    return w
+
+
 @entry_point
 def delays_at(p: "Array", q: "Array", h: float) -> "Array":
-    """Dead times of steer, drive and pose [s]."""
-    out, j = np.zeros(3), np.zeros(max(DELAYS_SLOPES, 1))
-    delays_jac(out, p, q, h, out, j)
-    return out
+    """`delay_slopes`, for Python."""
+    found: Array = delay_slopes(p, q, h)
+    return found
 
 
 @allocating
 def delays_in_steps(m: Integration) -> "Array":
     """Dead times of steer, drive and pose in steps."""
-    delays, j = np.zeros(3), np.zeros(max(DELAYS_SLOPES, 1))
-    delays_jac(delays, m.p, m.q, m.h, delays, j)
-    for i in range(3):
-        delays[i] /= m.h
-    return delays
+    steps: Array = delay_slopes(m.p, m.q, m.h)[:3] / m.h
+    return steps
 
 
 @inlined

@@ -27,8 +27,9 @@ from steerd.sysid.compiler.arguments import (
     Indices,
     Integration,
     Readings,
+    Scatter,
     StateGradient,
-    Window,
+    WindowBlock,
 )
 from steerd.sysid.compiler.codegen import SENSITIVITIES
 from steerd.sysid.compiler.modules import load_module
@@ -38,6 +39,7 @@ from steerd.sysid.compiler.trace import parameter_names
 
 STATES = len(State._fields)
 """Numbers of a state before the effects' memory."""
+STEER = State._fields.index("steer")
 START_POSE = 3
 """Derivatives by the pose of a window's start: x, y, yaw."""
 CACHE_LINE = 64
@@ -203,6 +205,50 @@ def _block(held: HeldCommands, blocks: WindowBlocks, number: int) -> Block:
     return Block(held.rows, blocks.runs[number], blocks.t[number], number * SLOTS, blocks.slots)
 
 
+class Windows(NamedTuple):
+    """Windows to be read one by one.
+
+    Attributes:
+        spans: (W, 5) rows of the commands (first, after the last, at the first step), integration
+            steps, and steps of the actuators alone before the first.
+        t: (W,) time into the run at the first step [s].
+    """
+
+    spans: Indices
+    t: Array
+
+
+def settle(
+    kernels: Kernels, parameters: Array, first: Array, held: HeldCommands, windows: Windows
+) -> Array:
+    """First states (W, STATES + memory) with steer and memory as the commands before bring them.
+
+    Args:
+        kernels: the compiled car.
+        parameters: (P,).
+        first: (W, STATES + memory) states; their steer is added to the settled one.
+        held: the commands.
+        windows: in integration steps; those of the same block settle side by side.
+    """
+    state, settling = first.copy(), windows.spans[:, 4]
+    integration = tuple(_integration(kernels, parameters, held))
+    alike = np.argsort(settling, kind="stable")
+    chosen = alike[np.minimum(np.arange(_whole_rows(len(first))), len(first) - 1)]
+
+    def block(number: int, _worker: int) -> None:
+        here = chosen[number * SLOTS : (number + 1) * SLOTS]
+        runs, longest = windows.spans[here, :3], -(-int(settling[here].max()) // held.substeps)
+        runs[:, 2] -= longest
+        place = Block(held.rows, runs, windows.t[here] - longest * held.h, 0, SLOTS)
+        rows = np.ascontiguousarray(state[here].T).reshape(-1)
+        kernels.module.settle_block(integration, tuple(place), settling[here], rows)
+        state[here] = rows.reshape(-1, SLOTS).T
+
+    share_out(block, len(chosen) // SLOTS, SLOTS * int(settling.mean()))
+    state[:, STEER] += np.where(settling > 0, first[:, STEER], 0.0)
+    return state
+
+
 class Slopes(NamedTuple):
     """Derivatives of a loss.
 
@@ -269,24 +315,23 @@ def _flat(bars: Array) -> tuple[Array, Indices]:
 
 def delay_slopes(kernels: Kernels, parameters: Array, bars: Array) -> Array:
     """Derivatives by the parameters, given those by the dead times (steer, drive, pose)."""
-    most = SENSITIVITIES
-    seeds = np.zeros((len(parameters), most))
-    slopes = np.zeros(len(parameters))
-    q = constants_of(kernels, parameters, 1.0)
-    for start in range(0, len(parameters), most):
-        part = np.arange(start, min(start + most, len(parameters)))
-        seeds[:] = 0.0
-        seeds[part, part - start] = 1.0
-        by = kernels.module.delay_sensitivities(parameters, q, 1.0, seeds, np.zeros(3), most)
-        slopes[part] = (bars @ by[: 3 * most].reshape(3, most))[: len(part)]
+    slopes: Array = bars @ _delays(kernels, parameters)[1]
     return slopes
 
 
 def delays_of(kernels: Kernels, parameters: Array) -> Array:
     """Dead times of steer, drive and pose [s]."""
-    q = constants_of(kernels, parameters, 1.0)
-    delays: Array = kernels.module.delays_at(parameters, q, 1.0)
-    return delays
+    return _delays(kernels, parameters)[0]
+
+
+def _delays(kernels: Kernels, parameters: Array) -> tuple[Array, Array]:
+    """Dead times (3,) [s] and their derivatives by the parameters (3, P)."""
+    module = kernels.module
+    found = module.delays_at(parameters, constants_of(kernels, parameters, 1.0), 1.0)
+    slopes = np.zeros((3, len(parameters)))
+    number, output, parameter = module.DELAYS_BY.T
+    slopes[output, parameter] = found[3 + number]
+    return found[:3], slopes
 
 
 class Stations(NamedTuple):
@@ -305,19 +350,6 @@ class Stations(NamedTuple):
     shares: Array
     spans: Indices
     rows: int
-
-
-class Windows(NamedTuple):
-    """Windows to be read one by one.
-
-    Attributes:
-        spans: (W, 5) rows of the commands (first, after the last, at the first step), integration
-            steps, and steps of the actuators alone before the first.
-        t: (W,) time into the run at the first step [s].
-    """
-
-    spans: Indices
-    t: Array
 
 
 def compute_readings(
@@ -363,18 +395,22 @@ def compute_readings(
     y, jy = np.empty(stations.rows), np.empty((stations.rows, width))
     scale = np.ones(stations.rows) if scale is None else scale
     integration = _integration(kernels, parameters, held)
-    directions = _directions(kernels, integration, seeds, dfirst)
-    shared = tuple(integration), tuple(directions)
-    bounds, flat, pose = stations.spans, jy.reshape(-1), count if start_pose else 0
+    shared = tuple(integration), tuple(_directions(kernels, integration, seeds, dfirst))
+    ranges = np.column_stack([stations.spans[:-1], stations.spans[1:]])
+    flat, pose = jy.reshape(-1), count if start_pose else 0
+    # Windows that take as long fill a block; the last block is filled up with copies.
+    alike = np.lexsort((windows.spans[:, 4], windows.spans[:, 3]))
+    chosen = alike[np.minimum(np.arange(_whole_rows(len(first))), len(first) - 1)]
 
-    def window(w: int, _worker: int) -> None:
-        a, b = bounds[w], bounds[w + 1]
-        places, shares = stations.places[a:b], stations.shares[a:b]
-        place = Window(held.rows, windows.spans[w], windows.t[w], state[w])
-        into = Readings(places, shares, scale, y, flat, width, pose)
-        kernels.module.march_window(*shared, tuple(place), tuple(into))
+    def block(number: int, _worker: int) -> None:
+        here = chosen[number * SLOTS : (number + 1) * SLOTS]
+        own = min(SLOTS, len(first) - number * SLOTS)
+        rows = np.ascontiguousarray(state[here].T).reshape(-1)
+        place = WindowBlock(held.rows, windows.spans[here], windows.t[here], rows, own)
+        into = Readings(stations.places, stations.shares, ranges[here], scale, y, flat, width, pose)
+        kernels.module.march_windows(*shared, tuple(place), tuple(into))
 
-    share_out(window, len(first), int(windows.spans[:, 3].mean()))
+    share_out(block, len(chosen) // SLOTS, SLOTS * int(windows.spans[:, 3].mean()))
     return y, jy[:, :total]
 
 
@@ -382,12 +418,35 @@ def _directions(
     kernels: Kernels, integration: Integration, seeds: Array, dfirst: Array
 ) -> Directions:
     """The directions in whole rows, with the dead times' derivatives by them."""
-    count, delay_steps = _whole_rows(seeds.shape[1]), np.zeros(3)
-    seeds, dfirst = _padded(seeds, count), _padded(dfirst, count)
-    delays = kernels.module.delay_sensitivities(
-        integration.p, integration.q, integration.h, seeds, delay_steps, count
+    module, count = kernels.module, _whole_rows(seeds.shape[1])
+    delays, slopes = _delays(kernels, integration.p)
+    by_delays = np.zeros((3, SENSITIVITIES))
+    by_delays[:, : seeds.shape[1]] = slopes @ seeds / integration.h
+    pieces = (
+        _scatter(module.ACTUATORS_BY, module.ACTUATORS_INPUTS, seeds),
+        _scatter(module.RATES_BY, module.RATES_INPUTS, seeds),
+        _scatter(module.SPECIALISED_BY, module.RATES_INPUTS, seeds),
+        _scatter(module.REMEMBER_BY, module.REMEMBER_INPUTS, seeds),
+        _scatter(module.OBSERVE_BY, module.STATES, seeds, stride=1),
     )
-    return Directions(seeds, dfirst, delay_steps, delays, count)
+    return Directions(
+        _padded(dfirst, count), delays / integration.h, by_delays.reshape(-1), count, *pieces
+    )
+
+
+def _scatter(by: Indices, inputs: int, seeds: Array, stride: int = SLOTS) -> Any:
+    """What a piece's derivatives by parameters add to its outputs, as a plain tuple.
+
+    Args:
+        by: (S, 3) number of the derivative, output, parameter.
+        inputs: rows of the workspace before the outputs'.
+        seeds: (P, n) derivative of the parameters by the directions.
+        stride: numbers from one derivative to the next.
+    """
+    number, output, parameter = by.T
+    entry, direction = np.nonzero(seeds[parameter])
+    to = (inputs + output[entry]) * SENSITIVITIES + direction
+    return tuple(Scatter(stride * number[entry], to, seeds[parameter[entry], direction]))
 
 
 def _whole_rows(numbers: int) -> int:

@@ -10,7 +10,7 @@ work on a block of `SLOTS` at a time. Row numbers have names, see `layout`.
 Euler and Runge-Kutta 4 are one loop: stage i starts at `state + h node[i] slope[i-1]`, with the
 wheels at the share `node[i]` of their motion; the step is the sum of `h weight[i] slope[i]`.
 
-`simulate_block` and `adjoint_block` are what Python calls, once for each block.
+`simulate_block`, `settle_block` and `adjoint_block` are what Python calls, once for each block.
 """
 
 # ruff: noqa: TC004  (the printed pieces stand above this text in the compiled module)
@@ -73,6 +73,7 @@ if TYPE_CHECKING:
         WHEEL_END,
         WHEEL_START,
         Array,
+        Indices,
         actuators_rows,
         actuators_vjp,
         rates_rows,
@@ -224,6 +225,39 @@ def simulate_block(integration: Integration, windows: Block, path: "Array") -> N
         copy_rows(state, STEER, wa, ACTUATORS_INPUTS + STEER_END, ONE)
         march_remember(m, wa, wm, state)
         store_state(path, block, k + 1, state)
+
+
+@entry_point
+def settle_block(
+    integration: Integration, windows: Block, settling: "Indices", state: "Array"
+) -> None:
+    """Run the actuators alone up to the windows' starts: where the steering is by then.
+
+    Args:
+        integration: the car, as a plain tuple (see `arguments`).
+        windows: the windows, begun as many steps earlier as the longest takes; a plain tuple.
+        settling: (SLOTS,) integration steps of each.
+        state: ((STATES + MEMORY) * SLOTS,) first states; steer and memory are written.
+    """
+    m, block = Integration(*integration), Block(*windows)
+    longest = -(-settling.max() // m.substeps) * m.substeps
+    stream = make_stream(m, block, longest)
+    wa = np.zeros((ACTUATORS_INPUTS + ACTUATORS_OUTPUTS) * SLOTS)
+    copy_rows(wa, FIRST, state, FIRST, STATES + MEMORY)
+    for k in range(longest):
+        delay_commands(wa, ACTUATORS_COMMAND, stream, k)
+        for slot in range(SLOTS):
+            if longest - k == settling[slot]:
+                wa[STEER * SLOTS + slot] = wa[ACTUATORS_COMMAND * SLOTS + slot]
+        shift_row(wa, ACTUATORS_TIME * SLOTS, block.t, FIRST, k * m.h)
+        actuators_rows(wa, SLOTS, m.p, m.q, m.h)
+        for slot in range(SLOTS):
+            if longest - k <= settling[slot]:
+                wa[STEER * SLOTS + slot] = wa[(ACTUATORS_INPUTS + STEER_END) * SLOTS + slot]
+                for i in range(MEMORY):
+                    end = (ACTUATORS_INPUTS + MEMORY_END + i) * SLOTS + slot
+                    wa[(STATES + i) * SLOTS + slot] = wa[end]
+    copy_rows(state, STEER, wa, STEER, ONE + MEMORY)
 
 
 @inlined

@@ -25,6 +25,7 @@ from steerd.sysid.compiler import (
     delayed,
     forward_sensitivities,
     loops,
+    march_windows,
     simd_math,
     simd_rows,
 )
@@ -39,7 +40,7 @@ def _text(module: ModuleType) -> str:
 
 def module_source(effects: Sequence[Effect] = (), chassis: Chassis = SINGLE_TRACK) -> str:
     """The whole source of a model's module: printed pieces, then the loops around them."""
-    loaded = (_text(module) for module in (delayed, loops, forward_sensitivities))
+    loaded = (_text(module) for module in (delayed, loops, forward_sensitivities, march_windows))
     return "\n".join([generate(trace(tuple(effects), chassis)), *loaded])
 
 
