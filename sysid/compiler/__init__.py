@@ -5,6 +5,7 @@ of functions compiled by Numba, used through `kernels`:
 
     march               simulates W windows side by side: (steps + 1, STATES + memory, slots)
     march_back          its adjoint: derivatives of a loss by parameters, first states, commands
+    settle              where commands before the windows bring the steering
     compute_readings    instrument readings (rows,) and their forward sensitivities (rows, n)
     delays_of           dead times of steer, drive and pose [s]
 
@@ -15,7 +16,7 @@ The stages, one file each:
     specialised             the rates again, shortened for speeds above walking pace
     layout                  names for the rows that a piece reads and writes
     codegen                 prints each piece as Python: `_jac`, `_jvp`, `_rows`, `_vjp`
-    delayed, loops, forward_sensitivities
+    delayed, loops, forward_sensitivities, march_windows
                             hand-written loops around the pieces, appended as text
     arguments               the typed bundles that the entry points take
     compile                 Numba's options: what is inlined, what is an entry point

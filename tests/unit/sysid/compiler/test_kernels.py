@@ -22,6 +22,7 @@ from steerd.sysid.compiler.kernels import (
     march,
     march_back,
     parameter_vector,
+    settle,
     view_by_window,
 )
 from steerd.sysid.compiler.specialised import SPECIALISED_SPEED
@@ -183,6 +184,64 @@ def test_sensitivities_are_central_differences(any_model):
         central = (moved(1) - moved(-1)) / (2 * e)
         scale = max(1.0, np.abs(central).max())
         assert np.abs(slopes[:, column] - central).max() < 2e-6 * scale, column
+
+
+def _unlike(count, rows, rng):
+    """Windows of all lengths, each settled for as long as it likes."""
+    steps, settling = rng.integers(5, 40, count), rng.integers(0, 25, count)
+    first = rng.integers(0, rows - 10, count)
+    spans = np.column_stack([0 * first, 0 * first + rows, first, steps, settling])
+    return Windows(spans, rng.uniform(0.0, 2.0, count))
+
+
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_a_window_reads_the_same_in_any_company(any_model, substeps):
+    kernels, p = make_kernels(any_model.effects), parameter_vector(any_model)
+    rng, count = np.random.default_rng(8), 19
+    first = np.c_[
+        rng.normal(size=(count, 3)),
+        rng.uniform(0.3, 2.0, (count, 1)),
+        0.1 * rng.normal(size=(count, 3)),
+    ]
+    commands = np.stack([rng.uniform(-0.3, 0.3, 90), rng.uniform(0.3, 3.0, 90)], -1)
+    held, windows = HeldCommands(commands, H, substeps), _unlike(count, 90, rng)
+    seeds = rng.normal(size=(len(p), 9)) * (rng.uniform(size=(len(p), 9)) < 0.2)
+    dfirst = rng.normal(size=(7, 9))
+
+    def read(chosen):
+        part = Windows(windows.spans[chosen], windows.t[chosen])
+        stations = _stations(kernels, p, held, len(chosen))
+        found = compute_readings(kernels, p, seeds, first[chosen], dfirst, held, part, stations)
+        return [each.reshape(len(chosen), -1) for each in found]
+
+    together = read(np.arange(count))
+    for w in range(count):
+        for all_of_them, alone in zip(together, read(np.array([w])), strict=True):
+            np.testing.assert_allclose(all_of_them[w], alone[0], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("substeps", [1, 2])
+def test_settled_steering_is_that_of_the_readings(any_model, substeps):
+    kernels, p = make_kernels(any_model.effects), parameter_vector(any_model)
+    rng, count = np.random.default_rng(9), 11
+    first = np.zeros((count, 7 + kernels.memory))
+    first[:, 3], first[:, 6] = 1.5, rng.normal(size=count) * 0.01
+    commands = np.stack([rng.uniform(-0.3, 0.3, 90), np.full(90, 1.5)], -1)
+    held, windows = HeldCommands(commands, H, substeps), _unlike(count, 90, rng)
+    begun = settle(kernels, p, first, held, windows)
+    settled = Windows(windows.spans * [1, 1, 1, 1, 0], windows.t)
+    seeds, dfirst = np.zeros((len(p), 1)), np.zeros((7, 1))
+    stations = _stations(kernels, p, held, count)
+    np.testing.assert_array_equal(begun[:, :6], first[:, :6])
+    if not kernels.memory:  # what has settled memory cannot begin with it elsewhere
+        ends = [
+            compute_readings(kernels, p, seeds, x[:, :7], dfirst, held, part, stations)[0]
+            for x, part in ((first, windows), (begun, settled))
+        ]
+        np.testing.assert_allclose(*ends, rtol=1e-12, atol=1e-12)
+    alone = [settle(kernels, p, first[[w]], held, Windows(windows.spans[[w]], windows.t[[w]]))
+             for w in range(count)]  # fmt: skip
+    np.testing.assert_allclose(np.concatenate(alone), begun, rtol=1e-12, atol=1e-12)
 
 
 def test_sensitivities_agree_with_the_adjoint():
