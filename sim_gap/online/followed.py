@@ -3,12 +3,15 @@
 Changes that were named beyond doubt, as the effects that they are: their windows before and after
 say far more about them than any number of the base is known by. Beside them those numbers of the
 base that a lane identifies by themselves. Of sets of names only one that means the same to a loop
-is followed. Whatever is in doubt is the car file's business.
+is followed, or one with a name that has stood alone. Whatever is in doubt is the car file's
+business.
 """
 
 # Why: docs/decisions/filter-and-controller.md#d86, docs/decisions/filter-and-controller.md#d99
+# Why: docs/decisions/filter-and-controller.md#d102
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
@@ -18,15 +21,13 @@ from steerd.controller.learnt import Learnt, learnt_of
 from steerd.sim_gap.engine.superset import Superset
 from steerd.sim_gap.online.amount import is_ratio
 from steerd.sim_gap.online.learner import Change, Learner, State
-from steerd.sim_gap.online.naming import SURE
+from steerd.sim_gap.online.naming import SETTLED, SURE, Cause
 from steerd.sim_gap.online.values import values_of
 
 BY_ITSELF = ("steer_bias", "speed_gain")
 """Numbers of the base that a lane identifies whatever else the model misses."""
 BEYOND_DOUBT = 3.0
 """Standard deviations by which a number must differ from the file's to be followed."""
-SETTLED = 16
-"""Windows after which the name of a change counts: eight seconds, a lap of a small eight."""
 LATENESS = frozenset(("steer_delay", "steer_lag", "mocap_latency"))
 """Effects that a lane barely distinguishes and a lane keeper need not: each is time that passes
 between a pose and what the wheels do about it. A set of these is followed as its likeliest."""
@@ -44,7 +45,7 @@ def find_aim(learner: Learner, state: State) -> Learnt | str:
     if state.change is not None and len(state.change.looks) < SETTLED:
         return "a change is being looked into"
     file = _numbers(learner.superset, ())
-    now = _numbers(learner.superset, (*state.past, *current))
+    now = _numbers(learner.superset, [_named(change) for change in (*state.past, *current)])
     # A base that was learnt anew is held near the file's: a change that was named knows better.
     own = {
         name: value
@@ -61,10 +62,24 @@ def _doubt(change: Change) -> str:
         return "a change is being looked into"
     if finding.verdict == "unexplained":
         return "a change is unexplained"
-    cause = finding.cause
+    cause = _named(change)[0]
     if cause.alternatives and not LATENESS.issuperset((cause.effect, *cause.alternatives)):
         return f"a change is {cause.effect} or {' or '.join(cause.alternatives)}"
     return "" if cause.confidence >= SURE else "the name of a change is not sure"
+
+
+def _named(change: Change) -> tuple[Cause, tuple[float, ...]]:
+    """What a change is followed as, and what the effect's parameters were before.
+
+    Its name, or that which stood alone before others came beside it.
+    """
+    cause = change.finding.cause
+    if change.proven is None or not cause.alternatives:
+        return cause, change.was
+    proven, was = change.proven
+    if cause.effect == proven.effect:
+        return replace(cause, alternatives=()), was
+    return (proven, was) if proven.effect in cause.alternatives else (cause, change.was)
 
 
 def _by_itself(learner: Learner, state: State) -> dict[str, float]:
@@ -81,19 +96,18 @@ def _by_itself(learner: Learner, state: State) -> dict[str, float]:
     }
 
 
-def _numbers(superset: Superset, changes: tuple[Change, ...]) -> Learnt:
-    """The file's car with these changes, as the numbers of a controller."""
+def _numbers(superset: Superset, changes: Sequence[tuple[Cause, tuple[float, ...]]]) -> Learnt:
+    """The file's car with these changes (see `_named`), as the numbers of a controller."""
     nulls = dict(superset.nulls)
-    for change in changes:
-        effect = change.finding.cause.effect
-        nulls[effect] = tuple(_shifted(change, nulls[effect]))
+    for cause, was in changes:
+        nulls[cause.effect] = tuple(_shifted(cause, was, nulls[cause.effect]))
     own = Car(*(float(value) for value in superset.base[: len(Car._fields)]))
     values = tuple(nulls[e.name] for e in superset.effects)
     car = believed_car(Model(own, superset.effects, values, superset.kernels.chassis))
     found = learnt_of(
         car._replace(c_sf=car.c_sf * car.mu / own.mu, c_sr=car.c_sr * car.mu / own.mu)
     )
-    moved = {change.finding.cause.effect for change in changes}
+    moved = {cause.effect for cause, _ in changes}
     body = {
         name: value
         for effect, *names in _BODY
@@ -103,11 +117,9 @@ def _numbers(superset: Superset, changes: tuple[Change, ...]) -> Learnt:
     return found._replace(**body)
 
 
-def _shifted(change: Change, values: tuple[float, ...]) -> Iterator[float]:
+def _shifted(cause: Cause, was: tuple[float, ...], values: tuple[float, ...]) -> Iterator[float]:
     """An effect's parameters after a change: offsets add up, ratios multiply."""
-    cause = change.finding.cause
-    rows = zip(
-        values, cause.parameters.values(), change.was, find_effect(cause.effect).nulls, strict=True
-    )
+    nulls = find_effect(cause.effect).nulls
+    rows = zip(values, cause.parameters.values(), was, nulls, strict=True)
     for value, (after, _, _), before, null in rows:
         yield value * after / before if is_ratio(null, before) else value + after - before

@@ -26,7 +26,7 @@ from steerd.sim_gap.online.changes import (
 from steerd.sim_gap.online.fitting import Point, look_closer, looks_for, rank
 from steerd.sim_gap.online.looking import Anchor, Look, look
 from steerd.sim_gap.online.memory import Remembered, with_memory
-from steerd.sim_gap.online.naming import Finding, name, values_after
+from steerd.sim_gap.online.naming import SETTLED, Cause, Finding, name, values_after
 from steerd.sim_gap.online.reference import learn_reference
 from steerd.sim_gap.online.samples import (
     LATE,
@@ -114,6 +114,8 @@ class Change:
         points: likely effects' windows, looked at again.
         finding: what is said of it.
         was: what the named effect's parameters were before it.
+        proven: the last name that stood alone once the change had settled, and what its parameters
+            were before.
     """
 
     since: float
@@ -124,6 +126,7 @@ class Change:
     points: Mapping[str, Point]
     finding: Finding
     was: tuple[float, ...] = ()
+    proven: tuple[Cause, tuple[float, ...]] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,7 +300,8 @@ def _look_into(
 ) -> State:
     """One more window after a change."""
     looks, windows = (*change.looks, seen), (*change.windows, (seen.t, run))
-    change = judge(known, change.before, looks, change.points, change.noticed, windows)
+    judged = judge(known, change.before, looks, change.points, change.noticed, windows)
+    change = replace(judged, proven=_proven(judged) or change.proven)
     if len(looks) >= PATIENCE and change.finding.gain < DOUBT:
         kept = replace(known, looks=(), tracks=())
         return replace(state, known=kept, change=None, taken_back=state.taken_back + 1, windows=())
@@ -309,3 +313,11 @@ def _look_into(
         return replace(state, change=replace(change, windows=windows[REFERENCE // 2 :]))
     past = (*state.past, replace(change, looks=(), windows=(), points={}))
     return replace(state, known=again, change=None, past=past, windows=windows[-SPANS[-1] :])
+
+
+def _proven(change: Change) -> tuple[Cause, tuple[float, ...]] | None:
+    """The name of a settled change and its old values, if it stands alone."""
+    cause = change.finding.cause
+    if change.finding.verdict != "named" or cause.alternatives or len(change.looks) < SETTLED:
+        return None
+    return cause, change.was

@@ -22,6 +22,8 @@ UNSEEN = 0.5
 """Share of the best effect's gain from which one not looked at again stays an alternative."""
 SURE, SURE_WINDOWS = 0.8, 3
 """A name alone is reported from this confidence and so many windows on."""
+SETTLED = 16
+"""Windows after which the name of a change counts: eight seconds, a lap of a small eight."""
 SET_WINDOWS, SET_MOST = 8, 4
 """A set of names is reported from so many windows on, and if it is no larger."""
 SHARE = 0.6

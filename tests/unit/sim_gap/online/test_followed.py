@@ -127,3 +127,38 @@ def test_a_set_that_is_all_lateness_is_followed_as_its_likeliest(learner, values
 def test_a_set_that_is_lateness_and_something_else_is_in_doubt(learner, values):
     late = change("steer_delay", 0.04, alternatives=("steer_lag", "yaw_inertia"))
     assert aim(learner, now=late) == "a change is steer_delay or steer_lag or yaw_inertia"
+
+
+SHIFT = {"forward": (0.03, 0.001, "m"), "left": (0.0, 0.001, "m")}
+ALONE = Cause("marker_offset", SHIFT, 0.95, ())
+
+
+def proven(later, was=(0.01, 0.0)):
+    return replace(later, proven=(ALONE, was))
+
+
+def test_a_name_that_stood_alone_survives_others_beside_it(learner, values):
+    first = change("marker_offset", 0.032, 0.0, alternatives=("cornering_stiffness",))
+    assert "or cornering_stiffness" in aim(learner, now=first)
+    assert aim(learner, now=proven(first)).body_forward == pytest.approx(0.022), "its value now"
+    second = change("cornering_stiffness", 0.8, alternatives=("marker_offset", "yaw_inertia"))
+    for found in (aim(learner, now=proven(second)), aim(learner, proven(second))):
+        assert found.body_forward == pytest.approx(0.02), "its value then"
+
+
+@pytest.mark.parametrize(
+    ("later", "why"),
+    [
+        (change("yaw_inertia", 0.8, alternatives=("cog_offset",)), "or cog_offset"),
+        (change("marker_offset", 0.03, 0.0, verdict="unexplained"), "unexplained"),
+        (change("marker_offset", 0.03, 0.0, sure=0.5), "not sure"),
+    ],
+)
+def test_what_no_longer_has_that_name_is_in_doubt(learner, values, later, why):
+    assert why in aim(learner, now=proven(later))
+
+
+def test_another_name_that_stands_alone_is_followed_instead(learner, values):
+    later = proven(change("steer_bias", 0.02))
+    found = aim(learner, now=later)
+    assert (found.steer_bias, found.body_forward) == (pytest.approx(0.02), 0.0)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from steerd.sim_gap.online.learner import REFERENCE, State, fold
+from steerd.sim_gap.online.naming import SETTLED
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled
 from steerd.sim_gap.online.values import values_of
 
@@ -62,12 +63,18 @@ def test_the_same_samples_give_the_same_state_to_the_bit(learner, drives, quiet)
     assert values_of(again.known) == values_of(quiet[0].known)
 
 
-@pytest.mark.parametrize(("name", "value"), [("mocap_yaw", 0.03), ("speed_scale", 0.95)])
-def test_a_change_is_noticed_and_named(learner, drives, name, value):
-    state, _ = follow(learner, drives(AT + 5.0, name, AT))
+@pytest.mark.parametrize(
+    ("name", "value", "seconds"), [("mocap_yaw", 0.03, 9.8), ("speed_scale", 0.95, 5.0)]
+)
+def test_a_change_is_noticed_and_named(learner, drives, name, value, seconds):
+    state, _ = follow(learner, drives(AT + seconds, name, AT))
     assert state.change is not None
     assert state.change.finding.verdict == "named"
     assert state.change.finding.cause.effect == name
     assert state.change.noticed - AT < 3.0
     informed, sd, _ = next(iter(state.change.finding.cause.parameters.values()))
     assert informed == pytest.approx(value, abs=max(4.0 * sd, 0.004))
+    settled = len(state.change.looks) >= SETTLED
+    assert (state.change.proven is not None) == settled
+    if settled:
+        assert state.change.proven[0].effect == name
