@@ -4,7 +4,13 @@ For every car and quantity the likelihood of one value is compared with that of 
 after a day. The scatter between drives of a car that did not change is taken from neighbours in
 time, so that a step does not hide itself. Asking many cars, quantities and days finds steps by
 chance; the bound counts the questions.
+
+Errors are larger than stated now and then. No drive counts for more than the middle one: one that
+is ten times as sure knows it by another model of the same car. And what two values leave beyond
+the errors widens them (the Birge ratio, as the Particle Data Group's reviews apply it).
 """
+
+# Why: docs/decisions/diagnosis.md#d103
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -141,8 +147,7 @@ def find_changes(series: Sequence[Series]) -> list[Change]:
 
 def _find_step(s: Series, questions: int) -> Change | None:
     """The clearest step of a series; None where chance explains it."""
-    weight = 1.0 / (s.sd**2 + scatter(s) ** 2)
-    count = len(s.value)
+    weight, count = _weights(s), len(s.value)
     total, sums = np.cumsum(weight), np.cumsum(weight * s.value)
     at = np.arange(_SIDE, count - _SIDE + 1)
     if not at.size or not np.isfinite(total).all():
@@ -152,15 +157,23 @@ def _find_step(s: Series, questions: int) -> Change | None:
     variance = 1.0 / w1 + 1.0 / w2
     gain = (after - before) ** 2 / variance
     best = int(np.argmax(gain))
-    chance = min(questions * erfc(sqrt(gain[best] / 2.0)), 1.0)
+    level = np.where(np.arange(count) < at[best], before[best], after[best])
+    birge = max(float(weight @ (s.value - level) ** 2) / (count - 2), 1.0)
+    chance = min(questions * erfc(sqrt(gain[best] / birge / 2.0)), 1.0)
     if chance > CHANCE:
         return None
-    near = np.flatnonzero(gain > gain[best] - _DROP)
+    near = np.flatnonzero(gain > gain[best] - _DROP * birge)
     days = [day_of(s.start[i]) for i in at]
     return Change(
         s.car, s.quantity, days[best], days[near[0]], days[near[-1]],
-        float(before[best]), float(after[best]), float(sqrt(variance[best])), chance,
+        float(before[best]), float(after[best]), float(sqrt(birge * variance[best])), chance,
     )  # fmt: skip
+
+
+def _weights(s: Series) -> Array:
+    """(n,) weights of the estimates; none more than the middle one."""
+    weights: Array = 1.0 / (np.maximum(s.sd, np.median(s.sd)) ** 2 + scatter(s) ** 2)
+    return weights
 
 
 def scatter(s: Series) -> float:
@@ -183,7 +196,7 @@ def split_series(s: Series, begin: float) -> list[Series]:
 def make_band(s: Series) -> Band:
     """Weekly means, counted from the first drive."""
     week = ((s.start - s.start[0]) // WEEK).astype(int)
-    weight = 1.0 / (s.sd**2 + scatter(s) ** 2)
+    weight = _weights(s)
     rows = []
     for number in np.unique(week):
         mine = week == number

@@ -1,5 +1,6 @@
 """Steps in series of estimates: found on their day, and not where there are none."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -44,6 +45,35 @@ def test_quiet_series_are_left_alone():
     for _ in range(300):
         wrong += bool(find_changes([make_series(rng, extra=0.03) for _ in range(5)]))
     assert wrong <= 6, f"{wrong} of 300 batches, at a bound of {CHANCE}"
+
+
+def test_drives_that_are_too_sure_make_no_step():
+    rng, wrong = np.random.default_rng(7), 0
+    for _ in range(200):
+        series = make_series(rng)
+        odd = rng.choice(30, 5, replace=False)
+        series.value[odd], series.sd[odd] = 1.04 + rng.normal(0.0, 0.002, 5), 0.002
+        wrong += bool(find_changes([series]))
+    assert wrong <= 2, f"{wrong} of 200"
+
+
+def test_errors_with_tails_make_few_steps():
+    """Log-normal, as prediction errors are, without stated errors: a tail is no step."""
+    rng, wrong = np.random.default_rng(8), 0
+    for _ in range(300):
+        tailed = replace(make_series(rng, sd=0.0), value=rng.lognormal(-6.5, 0.6, 30))
+        wrong += bool(find_changes([tailed]))
+    assert wrong <= 3, f"{wrong} of 300"
+
+
+def test_a_step_is_found_among_drives_that_are_too_sure():
+    rng = np.random.default_rng(9)
+    for _ in range(20):
+        series = make_series(rng, at=12, step=0.3)
+        odd = rng.choice(30, 5, replace=False)
+        series.sd[odd] = 0.002
+        (found,) = find_changes([series])
+        assert abs(int(found.day[-2:]) - 13) <= 1
 
 
 def test_the_clearest_comes_first_and_carries_its_names():
