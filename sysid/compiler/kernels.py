@@ -206,7 +206,7 @@ def _block(held: HeldCommands, blocks: WindowBlocks, number: int) -> Block:
 
 
 class Windows(NamedTuple):
-    """Windows to be read one by one.
+    """Windows of any lengths.
 
     Attributes:
         spans: (W, 5) rows of the commands (first, after the last, at the first step), integration
@@ -232,11 +232,10 @@ def settle(
     """
     state, settling = first.copy(), windows.spans[:, 4]
     integration = tuple(_integration(kernels, parameters, held))
-    alike = np.argsort(settling, kind="stable")
-    chosen = alike[np.minimum(np.arange(_whole_rows(len(first))), len(first) - 1)]
+    blocks = _in_blocks(np.argsort(settling, kind="stable"))
 
     def block(number: int, _worker: int) -> None:
-        here = chosen[number * SLOTS : (number + 1) * SLOTS]
+        here = blocks[number]
         runs, longest = windows.spans[here, :3], -(-int(settling[here].max()) // held.substeps)
         runs[:, 2] -= longest
         place = Block(held.rows, runs, windows.t[here] - longest * held.h, 0, SLOTS)
@@ -244,7 +243,7 @@ def settle(
         kernels.module.settle_block(integration, tuple(place), settling[here], rows)
         state[here] = rows.reshape(-1, SLOTS).T
 
-    share_out(block, len(chosen) // SLOTS, SLOTS * int(settling.mean()))
+    share_out(block, len(blocks), SLOTS * int(settling.mean()))
     state[:, STEER] += np.where(settling > 0, first[:, STEER], 0.0)
     return state
 
@@ -398,19 +397,17 @@ def compute_readings(
     shared = tuple(integration), tuple(_directions(kernels, integration, seeds, dfirst))
     ranges = np.column_stack([stations.spans[:-1], stations.spans[1:]])
     flat, pose = jy.reshape(-1), count if start_pose else 0
-    # Windows that take as long fill a block; the last block is filled up with copies.
-    alike = np.lexsort((windows.spans[:, 4], windows.spans[:, 3]))
-    chosen = alike[np.minimum(np.arange(_whole_rows(len(first))), len(first) - 1)]
+    blocks = _in_blocks(np.lexsort((windows.spans[:, 4], windows.spans[:, 3])))
 
     def block(number: int, _worker: int) -> None:
-        here = chosen[number * SLOTS : (number + 1) * SLOTS]
+        here = blocks[number]
         own = min(SLOTS, len(first) - number * SLOTS)
         rows = np.ascontiguousarray(state[here].T).reshape(-1)
         place = WindowBlock(held.rows, windows.spans[here], windows.t[here], rows, own)
         into = Readings(stations.places, stations.shares, ranges[here], scale, y, flat, width, pose)
         kernels.module.march_windows(*shared, tuple(place), tuple(into))
 
-    share_out(block, len(chosen) // SLOTS, SLOTS * int(windows.spans[:, 3].mean()))
+    share_out(block, len(blocks), SLOTS * int(windows.spans[:, 3].mean()))
     return y, jy[:, :total]
 
 
@@ -447,6 +444,12 @@ def _scatter(by: Indices, inputs: int, seeds: Array, stride: int = SLOTS) -> Any
     entry, direction = np.nonzero(seeds[parameter])
     to = (inputs + output[entry]) * SENSITIVITIES + direction
     return tuple(Scatter(stride * number[entry], to, seeds[parameter[entry], direction]))
+
+
+def _in_blocks(order: Indices) -> Indices:
+    """(blocks, SLOTS) windows in an order that puts alike ones together, filled up with copies."""
+    filled = order[np.minimum(np.arange(_whole_rows(len(order))), len(order) - 1)]
+    return filled.reshape(-1, SLOTS)
 
 
 def _whole_rows(numbers: int) -> int:
