@@ -5,9 +5,11 @@ after a day. The scatter between drives of a car that did not change is taken fr
 time, so that a step does not hide itself. Asking many cars, quantities and days finds steps by
 chance; the bound counts the questions.
 
-Errors are larger than stated now and then. No drive counts for more than the middle one: one that
-is ten times as sure knows it by another model of the same car. And what two values leave beyond
-the errors widens them (the Birge ratio, as the Particle Data Group's reviews apply it).
+Errors are larger than stated now and then. A drive that is several times as sure as the middle one
+knows it by another model of the same car: such drives have a level of their own, and show a step
+among themselves (analysis of covariance); where they are too few for that, none counts for more
+than the middle one. And what two values leave beyond the errors widens them (the Birge ratio, as
+the Particle Data Group's reviews apply it).
 """
 
 # Why: docs/decisions/diagnosis.md#d103
@@ -15,7 +17,7 @@ the errors widens them (the Birge ratio, as the Particle Data Group's reviews ap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import erfc, sqrt
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +38,10 @@ _DROP = 3.84
 WEEK = 7 * 86_400.0
 """[s]."""
 _WIDE = 1.96
+_SURER = 3.0
+"""A drive whose error is so many times smaller than the middle one's knows it by another model."""
+_GROUP = 4
+"""Least such drives, and least others, for a level of their own."""
 
 
 @dataclass(frozen=True)
@@ -145,29 +151,69 @@ def find_changes(series: Sequence[Series]) -> list[Change]:
     return sorted(found, key=lambda change: (change.chance, -change.sigmas))
 
 
+class _Step(NamedTuple):
+    """The fit of a step that begins with a drive: what it says of it.
+
+    Attributes:
+        before, size: level before it, and how much larger the values are from it on.
+        variance: of the size.
+        spread: weighted squares that are left.
+    """
+
+    before: float
+    size: float
+    variance: float
+    spread: float
+
+    @property
+    def gain(self) -> float:
+        """Loss of weighted squares by the step, beyond that by the levels alone."""
+        return self.size**2 / self.variance
+
+
 def _find_step(s: Series, questions: int) -> Change | None:
     """The clearest step of a series; None where chance explains it."""
-    weight, count = _weights(s), len(s.value)
-    total, sums = np.cumsum(weight), np.cumsum(weight * s.value)
-    at = np.arange(_SIDE, count - _SIDE + 1)
-    if not at.size or not np.isfinite(total).all():
+    count = len(s.value)
+    weight, levels = _weigh(s)
+    begins = range(_SIDE, count - _SIDE + 1)
+    if not begins or not np.isfinite(weight.sum()):
         return None
-    w1, w2 = total[at - 1], total[-1] - total[at - 1]
-    before, after = sums[at - 1] / w1, (sums[-1] - sums[at - 1]) / w2
-    variance = 1.0 / w1 + 1.0 / w2
-    gain = (after - before) ** 2 / variance
+    steps = [_fit_step(s.value, weight, levels, begin) for begin in begins]
+    gain = np.array([step.gain for step in steps])
     best = int(np.argmax(gain))
-    level = np.where(np.arange(count) < at[best], before[best], after[best])
-    birge = max(float(weight @ (s.value - level) ** 2) / (count - 2), 1.0)
-    chance = min(questions * erfc(sqrt(gain[best] / birge / 2.0)), 1.0)
+    step, day = steps[best], [day_of(s.start[begin]) for begin in begins]
+    birge = max(step.spread / (count - levels.shape[1] - 1), 1.0)
+    chance = min(questions * erfc(sqrt(step.gain / birge / 2.0)), 1.0)
     if chance > CHANCE:
         return None
-    near = np.flatnonzero(gain > gain[best] - _DROP * birge)
-    days = [day_of(s.start[i]) for i in at]
+    near = np.flatnonzero(gain > step.gain - _DROP * birge)
     return Change(
-        s.car, s.quantity, days[best], days[near[0]], days[near[-1]],
-        float(before[best]), float(after[best]), float(sqrt(birge * variance[best])), chance,
+        s.car, s.quantity, day[best], day[near[0]], day[near[-1]],
+        step.before, step.before + step.size, sqrt(birge * step.variance), chance,
     )  # fmt: skip
+
+
+def _fit_step(value: Array, weight: Array, levels: Array, begin: int) -> _Step:
+    """Weighted least squares of levels and a step; one that only a level could be says nothing."""
+    after = (np.arange(len(value)) >= begin).astype(float)
+    root = np.sqrt(weight)
+    design = np.column_stack([levels, after]) * root[:, None]
+    known = np.linalg.matrix_rank(design) == design.shape[1]
+    found = np.linalg.lstsq(design, root * value, rcond=None)[0]
+    spread = float(np.sum((root * value - design @ found) ** 2))
+    variance = float(np.linalg.inv(design.T @ design)[-1, -1]) if known else np.inf
+    return _Step(float(found[0]), float(found[-1]), variance, spread)
+
+
+def _weigh(s: Series) -> tuple[Array, Array]:
+    """Weights (n,) of the estimates, and what the levels of surer and other drives are (n, k)."""
+    surer = s.sd < np.median(s.sd) / _SURER
+    if min(surer.sum(), (~surer).sum()) < _GROUP:
+        return _weights(s), np.ones((len(s.value), 1))
+    weight = np.empty(len(s.value))
+    for group in (surer, ~surer):
+        weight[group] = _weights(_part(s, group))
+    return weight, np.column_stack([np.ones(len(s.value)), surer])
 
 
 def _weights(s: Series) -> Array:
@@ -189,8 +235,11 @@ def scatter(s: Series) -> float:
 
 def split_series(s: Series, begin: float) -> list[Series]:
     """The drives before a time [UNIX s] and those from it on: a mean mixes no two cars."""
-    kept = (s.start < begin, s.start >= begin)
-    return [replace(s, start=s.start[k], value=s.value[k], sd=s.sd[k]) for k in kept]
+    return [_part(s, s.start < begin), _part(s, s.start >= begin)]
+
+
+def _part(s: Series, kept: NDArray[np.bool_]) -> Series:
+    return replace(s, start=s.start[kept], value=s.value[kept], sd=s.sd[kept])
 
 
 def make_band(s: Series) -> Band:

@@ -76,6 +76,40 @@ def test_a_step_is_found_among_drives_that_are_too_sure():
         assert abs(int(found.day[-2:]) - 13) <= 1
 
 
+def make_two_models(rng, at, step):
+    """Every third drive is twenty times as sure, of a value that lies a little higher."""
+    series = make_series(rng, at=at, step=step)
+    surer = np.arange(30) % 3 == 0
+    series.value[surer] = 1.03 + rng.normal(0.0, 0.001, 10) + step * (np.flatnonzero(surer) >= at)
+    series.sd[surer] = 0.001
+    return series
+
+
+def test_a_step_that_only_surer_drives_see_is_found():
+    rng = np.random.default_rng(10)
+    for _ in range(20):
+        (found,) = find_changes([make_two_models(rng, 15, 0.015)])
+        assert found.earliest <= "2026-03-16" <= found.latest
+        assert found.after - found.before == pytest.approx(0.015, abs=0.004)
+
+
+def test_surer_drives_of_another_level_make_no_step():
+    rng, wrong = np.random.default_rng(11), 0
+    for _ in range(300):
+        series = make_two_models(rng, 15, 0.0)
+        order = np.lexsort((rng.random(30), np.arange(30) // rng.integers(3, 30)))
+        series = replace(series, value=series.value[order], sd=series.sd[order])
+        wrong += bool(find_changes([series]))
+    assert wrong <= 2, f"{wrong} of 300"
+
+
+def test_surer_drives_that_all_come_late_make_no_step():
+    series = make_series(np.random.default_rng(12))
+    series.value[20:], series.sd[20:] = 1.2, 0.001
+    series.value[20:] += np.random.default_rng(13).normal(0.0, 0.001, 10)
+    assert find_changes([series]) == []
+
+
 def test_the_clearest_comes_first_and_carries_its_names():
     rng = np.random.default_rng(3)
     series = [
