@@ -22,6 +22,7 @@ import subprocess
 import sys
 import tempfile
 import tty
+from collections.abc import Iterator
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -188,11 +189,13 @@ def judge(session: Path, frames: list[int], orders: list[int], begin: int, end: 
     }
 
 
-def measure(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]:
-    """One drive."""
+def measure(
+    rate: int, seconds: float, busy: bool, fifo: bool, learns: bool = False
+) -> dict[str, Any]:
+    """One drive, with a learner or without."""
     options = RunOptions(
         car_file="", path="figure8", speed=1.0, rate_hz=float(rate), simulated=True, auto_arm=True,
-        duration_s=60.0, listen=f"tcp/127.0.0.1:{free_port()}",
+        duration_s=60.0, listen=f"tcp/127.0.0.1:{free_port()}", learn=learns,
     )  # fmt: skip
     config = make_world_config(make_plan(options))
     config = replace(config, mocap=replace(config.mocap, rate_hz=rate), keep_bytes=False)
@@ -237,23 +240,37 @@ def measure(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]
             tapping.join(5)
         found = judge(session, frames, orders, begin, end)
     shares = {name: round(100.0 * value, 1) for name, value in share.items()}
-    return {"rate": rate, "busy": busy, "fifo": granted, **found, "cpu_percent": shares}
+    how = {"rate": rate, "busy": busy, "fifo": granted, "learns": learns}
+    return {**how, **found, "cpu_percent": shares}
 
 
-def measure_with_retries(rate: int, seconds: float, busy: bool, fifo: bool) -> dict[str, Any]:
+def measure_with_retries(
+    rate: int, seconds: float, busy: bool, fifo: bool, learns: bool = False
+) -> dict[str, Any]:
     """One drive, begun again where the machine stalled before the car moved."""
     for _ in range(2):
         with contextlib.suppress(TimeoutError):
-            return measure(rate, seconds, busy, fifo)
-    return measure(rate, seconds, busy, fifo)
+            return measure(rate, seconds, busy, fifo, learns)
+    return measure(rate, seconds, busy, fifo, learns)
+
+
+def learner_rows(pairs: int, rate: int, seconds: float) -> Iterator[dict[str, Any]]:
+    """Drives without and with a learner, in turn; which comes first alternates."""
+    for pair in range(pairs):
+        for learns in (False, True) if pair % 2 == 0 else (True, False):
+            yield measure_with_retries(rate, seconds, False, True, learns)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=8.0, help="measured in each drive")
     parser.add_argument("--rates", type=int, nargs="*", default=RATES)
+    text = "instead: so many drives with `--learn` beside so many without, at 100 Hz"
+    parser.add_argument("--learn", type=int, default=0, metavar="PAIRS", help=text)
     args = parser.parse_args()
-    for rate in args.rates:
+    for row in learner_rows(args.learn, 100, args.seconds):
+        print(json.dumps(row), flush=True)
+    for rate in () if args.learn else args.rates:
         for busy in (False, True):
             for fifo in (True, False):
                 print(json.dumps(measure_with_retries(rate, args.seconds, busy, fifo)), flush=True)
