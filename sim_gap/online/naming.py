@@ -17,7 +17,9 @@ from steerd.sim_gap.verdict.decide import confidence_of, se_of_lead
 Array = NDArray[np.float64]
 
 ALIKE = 0.5
-"""Share of the excess from which what the library calls nearly the same stays an alternative."""
+"""Share of the excess from which a tyre that the library calls nearly the same stays one."""
+TYRES = "tyre"
+"""Family of effects of which a lane shows the amount, and not the form."""
 UNSEEN = 0.5
 """Share of the best effect's gain from which one not looked at again stays an alternative."""
 SURE, SURE_WINDOWS = 0.8, 3
@@ -80,8 +82,9 @@ def alternatives_of(
 ) -> tuple[str, ...]:
     """Effects that the windows cannot distinguish from the first.
 
-    What the library calls nearly the same counts as long as it explains enough: between a plateau
-    and a slope decides the form of an equation, not what a lane shows.
+    A tyre that the library calls nearly the same counts as long as it explains enough: between a
+    plateau and a slope decides the form of an equation, not what a lane shows. Of other pairs (drag
+    or speed scale, a marker or the centre of gravity) the readings decide, as of any two effects.
 
     An effect that was only seen from the anchor, where its form is less exact, counts as long as it
     explains a good part of what the first does.
@@ -93,12 +96,13 @@ def alternatives_of(
         enough: whitened error that a fit which explains most leaves at most.
     """
     alike = alike_to(fits[0].effect)
+    tyres = alike if find_effect(fits[0].effect).family == TYRES else ()
     found, gain = [], null.total - fits[0].total
     for other in fits[1:]:
         lead, se = _lead(fits[0], other)
         close = lead < c.AMBIGUOUS_SE * se + c.AMBIGUOUS_NATS
         close |= other.effect not in points and null.total - other.total > UNSEEN * gain
-        if close or (other.effect in alike and robust_mean(other.ratios) <= enough):
+        if close or (other.effect in tyres and robust_mean(other.ratios) <= enough):
             found.append(other.effect)
     if not find_effect(fits[0].effect).nameable_alone:
         found += alike

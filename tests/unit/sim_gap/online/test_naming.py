@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from steerd.sim_gap.online.changes import SPANS, ratios, suspects, unknown, with_ratios
-from steerd.sim_gap.online.fitting import Point, fit_effect, is_at_bound, rank
+from steerd.sim_gap.online.fitting import Fit, Point, fit_effect, is_at_bound, rank
 from steerd.sim_gap.online.looking import cut
-from steerd.sim_gap.online.naming import name
+from steerd.sim_gap.online.naming import alternatives_of, name
 
 EFFECTS = ("steer_bias", "steer_gain", "marker_offset", "tyre_friction")
 OFF = {"steer_bias": 0.02, "steer_gain": -0.12, "marker_offset": 0.03, "tyre_friction": -0.4}
@@ -41,6 +41,27 @@ def test_a_name_takes_some_windows(anchor, track, windows):
 def test_what_no_effect_explains_stays_without_a_name(anchor, track, windows):
     found = finding(anchor, track, windows(8, left=30.0))
     assert found.verdict == "unexplained"
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [
+        ("speed_scale", "rolling_drag", ()),
+        ("rolling_drag", "speed_scale", ()),
+        ("marker_offset", "cog_offset", ()),
+        ("cornering_stiffness", "tyre_friction", ("tyre_friction",)),
+        ("yaw_inertia", "mass", ("mass",)),
+    ],
+)
+def test_a_pair_that_the_library_calls_alike_far_behind(first, second, expected):
+    """The second leaves a third of the excess and is 400 nats behind."""
+
+    def fit(effect, ratio):
+        return Fit(effect, np.zeros(1), np.ones(1), np.full(16, 5.0 * ratio), np.full(16, ratio), 0)
+
+    null, best, other = fit("", 16.0), fit(first, 1.0), fit(second, 6.0)
+    points = {first: Point(np.zeros(1), ()), second: Point(np.zeros(1), ())}
+    assert alternatives_of(null, [best, other], points, enough=8.5) == expected
 
 
 def test_a_window_that_nothing_explains_does_not_decide(anchor, track, windows):
