@@ -190,6 +190,8 @@ class NatNetReceiver:
         self._data_due = 0
         self._data_error = ""
         self._backlog_dropped = self._send_errors = 0
+        self._fds: list[int] = []
+        self._note_fds()
 
     @property
     def ingest(self) -> PoseIngest:
@@ -198,15 +200,19 @@ class NatNetReceiver:
 
     def fds(self) -> list[int]:
         """Return the descriptors to poll for reading."""
-        return [s.fileno() for s in (self._command, self._data) if s is not None]
+        return self._fds
+
+    def _note_fds(self) -> None:
+        """The descriptors of the sockets that are open now: the command socket's first."""
+        self._fds = [s.fileno() for s in (self._command, self._data) if s is not None]
 
     def read_ready(self, fd: int) -> list[PoseSample]:
         """Drain one socket, in order."""
-        if self._data is not None and fd == self._data.fileno():
+        if fd not in self._fds:
+            return []
+        if self._data is not None and fd == self._fds[-1]:
             return self._read(self._data, "data")
-        if fd == self._command.fileno():
-            return self._read(self._command, "command")
-        return []
+        return self._read(self._command, "command")
 
     def _read(self, sock: socket.socket, which: Socket) -> list[PoseSample]:
         queue: list[tuple[bytes, int, str]] = []
@@ -219,8 +225,10 @@ class NatNetReceiver:
             if got is None:
                 break
             queue.append((got[0], got[1], got[2][0]))
+        if len(queue) > BACKLOG_MAX:
+            queue = self._drop_backlog(queue)
         samples: list[PoseSample] = []
-        for data, t_ns, ip in self._drop_backlog(queue):
+        for data, t_ns, ip in queue:
             samples += self.source.on_datagram(data, t_ns, ip, which)
         return samples
 
@@ -258,8 +266,9 @@ class NatNetReceiver:
             # no reason to stop in unicast, where frames may come to the command socket
             self._data_due = t_ns + self.data_retry_ns
             self._data_error = f"data port {want[0]} on {self.interface}: {error.strerror}"
-            return
-        self._data_for, self._data_error = want, ""
+        else:
+            self._data_for, self._data_error = want, ""
+        self._note_fds()
 
     def _open_data(self, port: int, group: str, unicast: bool) -> socket.socket:
         sock = _make_socket(socket.SOCK_DGRAM)
@@ -293,6 +302,7 @@ class NatNetReceiver:
         if self._data is not None:
             self._data.close()
             self._data = None
+        self._fds = []
 
 
 class VrpnReceiver:

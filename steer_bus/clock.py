@@ -23,13 +23,11 @@ class Clock(Protocol):
 class MonotonicClock:
     """The host's clock."""
 
-    def now_ns(self) -> int:
-        """Give CLOCK_MONOTONIC in nanoseconds."""
-        return time.monotonic_ns()
+    now_ns = staticmethod(time.monotonic_ns)
+    """CLOCK_MONOTONIC in nanoseconds; itself, because a tick asks a dozen times."""
 
-    def realtime_ns(self) -> int:
-        """Give CLOCK_REALTIME in nanoseconds."""
-        return time.time_ns()
+    realtime_ns = staticmethod(time.time_ns)
+    """CLOCK_REALTIME in nanoseconds."""
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
         """Sleep to an absolute deadline, so that a late tick never delays the next."""

@@ -133,6 +133,8 @@ class Port:
                     break
                 raise _link_down(self.url, "hung up")
             chunks.append(chunk)
+            if len(chunk) < left:
+                break  # that was all there is: asking again costs a tick more than the bytes
             left -= len(chunk)
         data = b"".join(chunks)
         if self._spy is not None and data:

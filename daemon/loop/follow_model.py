@@ -37,12 +37,16 @@ class Actuator(NamedTuple):
         slew: limit of the rate, per second; `fall` that towards lower values.
         fall: the same.
         delay: dead time [s].
+        soonest_ns: the shortest dead time [ns]; `latest_ns` the longest.
+        latest_ns: the same.
     """
 
     lag: Band
     slew: Band
     fall: Band
     delay: Band
+    soonest_ns: int
+    latest_ns: int
 
 
 class FollowModel(NamedTuple):
@@ -139,4 +143,5 @@ def _make_actuator(
 
     lag, rise, fall, late = map(possible, names)
     slack = LATE_S if names[-1] in known else max(LATE_S, UNKNOWN_LATE_S - late.high)
-    return Actuator(lag, rise, fall, Band(late.low, late.high + slack))
+    delay = Band(late.low, late.high + slack)
+    return Actuator(lag, rise, fall, delay, *(round(1e9 * end) for end in delay))

@@ -11,8 +11,8 @@ small tuples.
 
 # Why: docs/decisions/safety.md#d70
 
-from math import exp, hypot, remainder, tan, tau
-from operator import itemgetter
+from collections.abc import Sequence
+from math import exp, hypot, inf, remainder, tan, tau
 from typing import NamedTuple
 
 from steerd.car_model.actuators import LAG_FLOOR
@@ -21,13 +21,14 @@ from steerd.car_model.state import Command
 from steerd.daemon.loop.follow_model import Actuator, Band, FollowModel
 from steerd.daemon.loop.supervisor import SOFT_BRAKE_SPEED
 from steerd.daemon.settings.thresholds import Thresholds
-from steerd.steer_bus.quick_values import changed, quick_value
+from steerd.steer_bus.quick_values import quick_value
 
 LONG_TURN, LONG_TURN_S = 3.0, 0.2
 """A turn is measured over a short stretch and over this many times as long, at most so long [s]."""
 TRAIL_S = 0.35
 """How long ends of the bands are kept, for measurements that arrive late [s]."""
 _NS, _SECONDS = 1_000_000_000, 1e-9
+_TRAIL_NS = round(TRAIL_S * _NS)
 Ends = tuple[float, float]
 """A `Band` that lives for a line: lower and upper end."""
 
@@ -118,23 +119,24 @@ def advance(state: FollowState, model: FollowModel, t_ns: int, speed: float) -> 
         return state
     last = state.trail[-1]
     h = (t_ns - last.t_ns) * _SECONDS
-    pushed = _sent(state.orders, last.t_ns, t_ns, model.drive.delay)
-    steered = _sent(state.orders, last.t_ns, t_ns, model.servo.delay)
+    pushed = _sent(state.orders, last.t_ns, t_ns, model.drive)
+    steered = _sent(state.orders, last.t_ns, t_ns, model.servo)
     wheel = _step_band(model.drive, last.speed, _aim_speed(*pushed, last.speed), h)
     steer = _step_band(model.servo, state.steer, _aim_steer(model, *steered, state.steer), h)
-    bend = _settle(state.curvature, _curvature(model, steer, speed), h, _settling(model, speed))
+    before = state.curvature
+    bend = _settle(before, _curvature(model, steer, speed), h, _settling(model, speed))
     turned = Band(
-        last.turned.low + h * min(bend.low, state.curvature.low),
-        last.turned.high + h * max(bend.high, state.curvature.high),
+        last.turned.low + h * (bend.low if bend.low < before.low else before.low),
+        last.turned.high + h * (bend.high if bend.high > before.high else before.high),
     )
-    oldest = t_ns - round(TRAIL_S * _NS)
+    oldest = t_ns - _TRAIL_NS
     # After a tick later than the trail is long, the last mark alone is kept.
     first, count = 0, len(state.trail)
     while first < count and state.trail[first].t_ns < oldest:
         first += 1
-    kept = state.trail[max(0, first - 1) :]
+    kept = state.trail[first - 1 if first else 0 :]
     return FollowState(
-        _still_open(state.orders, t_ns, max(model.drive.delay.high, model.servo.delay.high)),
+        _still_open(state.orders, t_ns - max(model.drive.latest_ns, model.servo.latest_ns)),
         steer,
         bend,
         (*kept, Mark(t_ns, wheel, turned)),
@@ -155,33 +157,36 @@ def compare(
         wheel: time of validity [ns] and speed [m/s] of the last telemetry.
         turns: what mocap saw; the one that is furthest off counts.
     """
-    seen = Followed()
     trail = state.trail
     if not trail:
-        return seen
+        return Followed()
+    speed, speed_band, speed_excess = 0.0, _NO_BAND, 0.0
     if wheel is not None and wheel[0] >= trail[0].t_ns:
-        band = _speed_at(trail, wheel[0])
-        off = max(wheel[1] - band.high, band.low - wheel[1]) - model.speed_margin
-        seen = Followed(wheel[1], band, off)
+        speed, speed_band = wheel[1], _speed_at(trail, wheel[0])
+        off = max(speed - speed_band.high, speed_band.low - speed)
+        speed_excess = off - model.speed_margin
     begin_ns, end_ns = trail[0].t_ns, trail[-1].t_ns
-    judged = [
-        _compare_turn(trail, turn, model.turn_margin)
-        for turn in turns
-        if begin_ns <= turn.t0_ns and turn.t1_ns <= end_ns
-    ]
-    if judged:
-        rate, band, off = max(judged, key=_excess)
-        return changed(seen, turn_rate=rate, turn_band=band, turn_excess=off)
-    return seen
+    worst = _NO_TURN
+    t1_ns, last = -1, (0.0, 0.0)
+    for turn in turns:
+        if turn.t0_ns < begin_ns or turn.t1_ns > end_ns:
+            continue
+        if turn.t1_ns != t1_ns:  # all of a tick end at its newest pose
+            t1_ns, last = turn.t1_ns, _turned_at(trail, turn.t1_ns)
+        found = _compare_turn(_turned_at(trail, turn.t0_ns), last, turn, model.turn_margin)
+        if worst is _NO_TURN or found[2] > worst[2]:
+            worst = found
+    return Followed(speed, speed_band, speed_excess, *worst)
 
 
-_excess = itemgetter(2)
+_NO_BAND = Band(0.0, 0.0)
+_NO_TURN = (0.0, _NO_BAND, 0.0)
 
 
-def _compare_turn(trail: tuple[Mark, ...], turn: Turn, margin: float) -> tuple[float, Band, float]:
+def _compare_turn(first: Ends, last: Ends, turn: Turn, margin: float) -> tuple[float, Band, float]:
     """Rate of a turn, the band of its time and the excess, all [rad/s]."""
     span = (turn.t1_ns - turn.t0_ns) * _SECONDS
-    (low0, high0), (low1, high1) = _turned_at(trail, turn.t0_ns), _turned_at(trail, turn.t1_ns)
+    (low0, high0), (low1, high1) = first, last
     speed = turn.way / span
     band = Band((low1 - low0) / span * speed, (high1 - high0) / span * speed)
     rate = turn.angle / span
@@ -189,7 +194,7 @@ def _compare_turn(trail: tuple[Mark, ...], turn: Turn, margin: float) -> tuple[f
 
 
 def measure_turns(
-    track: tuple[tuple[int, float, float, float], ...], span: float
+    track: Sequence[tuple[int, float, float, float]], span: float
 ) -> tuple[Turn, ...]:
     """The ways from the newest pose back over `span` and over `LONG_TURN` times as long.
 
@@ -199,13 +204,14 @@ def measure_turns(
         track: poses (time of validity [ns], x, y [m], yaw [rad]) in their order.
         span: [s].
     """
-    if len(track) < 2:
+    newest = len(track) - 1
+    if newest < 1:
         return ()
-    t1, x1, y1, yaw1 = track[-1]
+    t1, x1, y1, yaw1 = track[newest]
     found = []
     for length in (span, min(LONG_TURN * span, LONG_TURN_S)):
         latest = t1 - round(length * _NS)
-        at = len(track) - 1
+        at = newest
         while at and track[at][0] > latest:
             at -= 1
         t0, x0, y0, yaw0 = track[at]
@@ -216,48 +222,50 @@ def measure_turns(
 
 
 def _sent(
-    orders: tuple[tuple[int, Command[float]], ...], begin_ns: int, end_ns: int, delay: Band
+    orders: tuple[tuple[int, Command[float]], ...], begin_ns: int, end_ns: int, actuator: Actuator
 ) -> tuple[list[Command[float]], bool]:
     """The orders that may act between two moments, and whether the first has surely arrived."""
-    earliest = begin_ns - round(delay.high * _NS)
-    latest = end_ns - round(delay.low * _NS)
+    earliest = begin_ns - actuator.latest_ns
+    latest = end_ns - actuator.soonest_ns
     found = []
-    after_ns = latest + 1
     for sent_ns, order in reversed(orders):
-        if sent_ns <= latest and after_ns > earliest:
+        if sent_ns <= latest:
             found.append(order)
-        after_ns = sent_ns
-    return found[::-1], orders[0][0] <= earliest
+            if sent_ns <= earliest:
+                break
+    return found, orders[0][0] <= earliest
 
 
 def _still_open(
-    orders: tuple[tuple[int, Command[float]], ...], t_ns: int, delay: float
+    orders: tuple[tuple[int, Command[float]], ...], certain_ns: int
 ) -> tuple[tuple[int, Command[float]], ...]:
     """The orders without those whose successor has certainly arrived."""
-    certain = t_ns - round(delay * _NS)
-    first = 0
-    while first + 1 < len(orders) and orders[first + 1][0] <= certain:
+    first, last = 0, len(orders) - 1
+    while first < last and orders[first + 1][0] <= certain_ns:
         first += 1
-    return orders[first:]
+    return orders[first:] if first else orders
 
 
 def _aim_speed(orders: list[Command[float]], sure: bool, now: Band) -> Ends:
     """What the motor aims at. Slow orders may let it go: then it coasts, however long."""
-    speeds = [order.speed for order in orders]
-    if not sure:
-        speeds += now
-    low, high = min(speeds), max(speeds)
+    low, high = (inf, -inf) if sure else now
+    for _, speed in orders:
+        low = speed if speed < low else low
+        high = speed if speed > high else high
     if low < SOFT_BRAKE_SPEED:
         return min(0.0, low), max(high, now.high)
     return low, high
 
 
 def _aim_steer(model: FollowModel, orders: list[Command[float]], sure: bool, now: Band) -> Ends:
-    gains = model.gain
-    angles = [gain * order.steer + model.bias for order in orders for gain in gains]
-    if not sure:
-        angles += now
-    low, high = min(angles), max(angles)
+    low, high = (inf, -inf) if sure else now
+    least, most = model.gain
+    for steer, _ in orders:
+        one, other = least * steer + model.bias, most * steer + model.bias
+        if one > other:
+            one, other = other, one
+        low = one if one < low else low
+        high = other if other > high else high
     return (
         min(max(low, model.right.low), model.left.low),
         min(max(high, model.right.high), model.left.high),
@@ -268,18 +276,21 @@ def _step_band(actuator: Actuator, band: Band, aim: Ends, h: float) -> Band:
     """Both ends after `h` seconds: outwards as fast as any, inwards as slowly as any."""
     a = actuator
     (low, high), (aim_low, aim_high) = band, aim
-    return Band(
-        low - _move(low - aim_low, a.lag.low, a.fall.high, h)
-        if aim_low < low
-        else low + _move(aim_low - low, a.lag.high, a.slew.low, h),
-        high + _move(aim_high - high, a.lag.low, a.slew.high, h)
-        if aim_high > high
-        else high - _move(high - aim_high, a.lag.high, a.fall.low, h),
-    )
-
-
-def _move(gap: float, lag: float, slew: float, h: float) -> float:
-    return min(gap * (1.0 - exp(-h / max(lag, LAG_FLOOR))), slew * h)
+    quick = 1.0 - exp(-h / max(a.lag.low, LAG_FLOOR))
+    slow = 1.0 - exp(-h / max(a.lag.high, LAG_FLOOR))
+    if aim_low < low:
+        way, most = quick * (low - aim_low), a.fall.high * h
+        low -= way if way < most else most
+    else:
+        way, most = slow * (aim_low - low), a.slew.low * h
+        low += way if way < most else most
+    if aim_high > high:
+        way, most = quick * (aim_high - high), a.slew.high * h
+        high += way if way < most else most
+    else:
+        way, most = slow * (high - aim_high), a.fall.low * h
+        high -= way if way < most else most
+    return Band(low, high)
 
 
 def _curvature(model: FollowModel, steer: Band, speed: float) -> Band:
@@ -324,7 +335,8 @@ def _around_time(trail: tuple[Mark, ...], t_ns: int) -> tuple[Mark, Mark]:
 
 def _speed_at(trail: tuple[Mark, ...], t_ns: int) -> Band:
     before, after = _around_time(trail, t_ns)
-    return Band(min(before.speed.low, after.speed.low), max(before.speed.high, after.speed.high))
+    (low0, high0), (low1, high1) = before.speed, after.speed
+    return Band(low1 if low1 < low0 else low0, high1 if high1 > high0 else high0)
 
 
 def _turned_at(trail: tuple[Mark, ...], t_ns: int) -> Ends:

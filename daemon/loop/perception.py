@@ -159,7 +159,7 @@ class Perception:
 
     def turns(self, span: float) -> tuple[Turn, ...]:
         """What mocap saw over the last `span` seconds and over a longer stretch."""
-        return measure_turns(tuple(self._track), span)
+        return measure_turns(self._track, span)
 
     @property
     def mocap_speed(self) -> float:

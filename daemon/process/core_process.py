@@ -8,6 +8,8 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Mapping
+from itertools import compress
+from operator import attrgetter
 from typing import Any
 
 from steerd.daemon.assembly.build import RunPlan, make_core, make_plan
@@ -35,11 +37,19 @@ _RARE = (topics.DIAGNOSTICS.name, topics.TRANSITION.name, topics.PARAMETERS.name
 _SHOWN = (topics.STATE.name, topics.TICK.name, *_RARE)
 
 
-def pipe_sink(pipe: PipeWriter, wanted: Callable[[PipeRecord], bool]) -> Sink:
-    """A sink that writes the wanted records into a pipe."""
+is_logged = attrgetter("topic.logged")
+"""Whether the recorder takes a record."""
+is_on_bus = attrgetter("topic.on_bus")
+"""Whether gateway and viewer take it."""
+
+
+def pipes_sink(*takers: tuple[PipeWriter, Callable[[PipeRecord], bool]]) -> Sink:
+    """A sink that writes into each pipe the records that its reader takes, packed once for all."""
 
     def sink(records: list[PipeRecord], t_ns: int) -> None:
-        pipe.write([pack_record(record) for record in records if wanted(record)], t_ns)
+        packed = [pack_record(record) for record in records]
+        for pipe, takes in takers:
+            pipe.write(list(compress(packed, map(takes, records))), t_ns)
 
     return sink
 
@@ -104,15 +114,12 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
     mocap = make_mocap(plan)
     names = ("recorder", "gateway", "status", "view", "learner")
     pipes = {name: PipeWriter(fds[name]) for name in names if name in fds}
-    sinks = [
-        pipe_sink(pipes["recorder"], lambda r: r.topic.logged),
-        pipe_sink(pipes["gateway"], lambda r: r.topic.on_bus),
-        status_sink(pipes["status"]),
-    ]
+    takers = [(pipes["recorder"], is_logged), (pipes["gateway"], is_on_bus)]
     if "learner" in pipes:  # no link of the runner either: a drive goes on without it
-        sinks.append(pipe_sink(pipes["learner"], is_learnt_from))
+        takers.append((pipes["learner"], is_learnt_from))
     if "view" in pipes:  # not a link of the runner: a lost viewer does not stop the car
-        sinks.append(pipe_sink(pipes["view"], lambda r: r.topic.on_bus))
+        takers.append((pipes["view"], is_on_bus))
+    sinks = [pipes_sink(*takers), status_sink(pipes["status"])]
     clock = MonotonicClock()
     core = make_core(
         plan,

@@ -94,6 +94,7 @@ class Runner:
         self._mocap = mocap
         self._links = links
         self._parent = links.requests[0] if links.requests else None
+        self._always: tuple[CoreLinks, tuple[int, ...]] | None = None
         self._guard = guard
         self._port: Port | None = None
         self._period_ns = core.loop.setup.period_ns
@@ -143,18 +144,27 @@ class Runner:
 
     def _wait(self, due_ns: int, early_ns: int) -> None:
         """Handle what arrives until the deadline, or until a pose has come since `early_ns`."""
+        socketed = None if isinstance(self._mocap, BusPoseSource) else self._mocap
         while True:
             left_ns = due_ns - self._clock.now_ns()
-            fds = [self._links.stop_fd, *(s.fileno() for s in self._links.requests)]
+            fds = [*self._lasting_fds()]
             if self._port is not None:
                 fds.append(self._port.fd)
-            if not isinstance(self._mocap, BusPoseSource):
-                fds += self._mocap.fds()
+            if socketed is not None:
+                fds += socketed.fds()
             ready, _, _ = select.select(fds, [], [], max(left_ns, 0) * 1e-9)
             for fd in ready:
                 self._try(self._take, fd)
             if left_ns <= 0 or early_ns <= self._pose_ns:
                 return
+
+    def _lasting_fds(self) -> tuple[int, ...]:
+        """What is waited for in every tick, stop signals and requests: as long as its links."""
+        links, known = self._links, self._always
+        if known is None or known[0] is not links:
+            known = links, (links.stop_fd, *(end.fileno() for end in links.requests))
+            self._always = known
+        return known[1]
 
     def _try(self, take: Callable[[int], None], what: int) -> None:
         """Handle an input; an unexpected exception stops the car (W29)."""
