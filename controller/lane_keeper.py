@@ -14,6 +14,7 @@ from steerd.car_model.path.path import Path, Projection, interpolate, wrap_angle
 from steerd.car_model.state import State
 from steerd.controller.gain_table import N_LANE, N_TURNING
 from steerd.controller.live import AS_DESIGNED, LiveValues, shift_curvature
+from steerd.steer_bus.quick_values import quick_value
 
 SQUEEZE_MIN = 0.1
 """Least 1 - curvature e1: the errors' rates mean nothing at the turn's centre."""
@@ -35,7 +36,8 @@ class LaneErrors(NamedTuple):
     """[rad/s]."""
 
 
-class SteeringReference(NamedTuple):
+@quick_value
+class SteeringReference:
     """A tick's reference for the wheel."""
 
     wheel: float

@@ -19,6 +19,7 @@ from math import atan, isfinite, sqrt, tan
 from typing import NamedTuple
 
 from steerd.car_model.state import Command
+from steerd.steer_bus.quick_values import quick_value
 
 
 class LimitError(ValueError):
@@ -93,7 +94,8 @@ class Limits:
             raise LimitError("\n".join(problems))
 
 
-class LimiterState(NamedTuple):
+@quick_value
+class LimiterState:
     """The last order that left the limiter, and when [ns]."""
 
     order: Command[float]
@@ -123,7 +125,8 @@ class Clip(IntFlag):
 _STEER, _STEER_LATERAL, _STEER_RATE, _SPEED, _SPEED_LATERAL, _SPEED_RATE = (int(c) for c in Clip)
 
 
-class LimitedOrder(NamedTuple):
+@quick_value
+class LimitedOrder:
     """Result of the limiter; ``order`` is finite and within the limits whatever the verdict."""
 
     state: LimiterState

@@ -13,12 +13,13 @@ from scipy.linalg.lapack import dpotrf
 
 from steerd.estimator.kalman import Array, Belief
 from steerd.estimator.sensors import Kind
-from steerd.steer_bus.quick_values import quick_init
+from steerd.steer_bus.quick_values import quick_init, quick_value
 
 SECONDS = 1e-9
 
 
-class Count(NamedTuple):
+@quick_value
+class Count:
     """Running totals of one instrument."""
 
     seen: int = 0
@@ -79,11 +80,13 @@ class FilterHealth:
 
 def count_measurement(tally: Tally, kind: Kind, t_ns: int, nis: float, believed: bool) -> Tally:
     """The totals after one more measurement."""
-    seen, refused, streak, _, nis_sum, believed_ns = tally[kind]
+    old = tally[kind]
     if believed:
-        new = Count(seen + 1, refused, 0, nis, nis_sum + nis, t_ns)
+        new = Count(old.seen + 1, old.refused, 0, nis, old.nis_sum + nis, t_ns)
     else:
-        new = Count(seen + 1, refused + 1, streak + 1, nis, nis_sum, believed_ns)
+        new = Count(
+            old.seen + 1, old.refused + 1, old.streak + 1, nis, old.nis_sum, old.believed_ns
+        )
     counts = list(tally)
     counts[kind] = new
     return Tally(*counts)

@@ -178,8 +178,11 @@ _ACKED = frozenset(
 def decode_reply(payload: bytes, firmware: Firmware = FW_7_01) -> Reply | None:
     """Reply in a payload; None for an id that is no reply we know, or a reply too short to use."""
     number = command_id(payload[0], firmware) if payload else None
-    if number is None:
-        return None
+    return None if number is None else decode_numbered(number, payload)
+
+
+def decode_numbered(number: CommandId, payload: bytes) -> Reply | None:
+    """`decode_reply` of a payload whose id is known already."""
     if number in _ACKED:
         return i.Ack(number)
     if number in i.SMALL_REPLIES:

@@ -323,14 +323,20 @@ def decode_setup_selective(payload: bytes) -> ValuesSetup | None:
     return ValuesSetup(**values, mask=mask, extra_bytes=extra)
 
 
+@lru_cache(maxsize=64)
+def _imu_fields(mask: int) -> tuple[Field, ...]:
+    """Fields of an IMU reply, the trailer of newer firmware included."""
+    return (*_selected(_IMU_BITS, mask, None), _IMU_ID)
+
+
 def decode_imu(payload: bytes) -> Imu | None:
     """Decode an IMU reply into SI units; None if the mask is cut or a number not finite."""
     if len(payload) < 3:
         return None
     mask = int.from_bytes(payload[1:3], "big")
-    fields = (*_selected(_IMU_BITS, mask, None), _IMU_ID)
+    fields = _imu_fields(mask)
     values, extra = unpack_fields(fields, payload, 3)
-    if not all_finite(values):
+    if not math.isfinite(sum(values.values())):  # no sum of single-precision numbers overflows
         return None
     for name, unit in _IMU_UNIT.items():
         if name in values:

@@ -30,7 +30,7 @@ from steerd.vesc_link.packets import (
     FEEDS_TIMEOUT,
     Reply,
     command_number,
-    decode_reply,
+    decode_numbered,
     encode_command,
     expects_reply,
 )
@@ -115,6 +115,7 @@ class VescLink:
         self._telemetry_poll = c.GetValuesSelective(telemetry_mask)
         self._imu_poll = None if imu_mask is None else c.GetImuData(imu_mask)
         self._expiry_ns = expiry_ns
+        self._patience_ns = min(POLL_EXPIRY_NS, expiry_ns)
         self.counters = Counters()
         self.reset()
 
@@ -168,7 +169,7 @@ class VescLink:
         number = command_number(step)
         self._tries[number] = self._tries.get(number, 0) + 1
         self._note_sent(step, t_ns)
-        return self._frame(step)
+        return _frame_of(step, self.firmware or FW_7_01)
 
     def _connect_step(self) -> Command | None:
         firmware = self.firmware
@@ -198,11 +199,14 @@ class VescLink:
             ValueError: the drive order holds NaN or infinity. Nothing was sent; brake.
         """
         self._expire(t_ns)
-        parts = [self._frame(command) for command in self._motion(drive)]
+        firmware = self.firmware or FW_7_01
+        parts = [_frame_of(command, firmware) for command in self._motion(drive)]
         room = WRITE_LIMIT - sum(map(len, parts))
         for command in self._polls(t_ns):
-            frame = self._frame(command)
-            if command_number(command) in self._open or len(frame) > room:
+            if command_number(command) in self._open:
+                continue
+            frame = _frame_of(command, firmware)
+            if len(frame) > room:
                 continue
             if self._queue and command is self._queue[0]:
                 self._queue.popleft()
@@ -242,9 +246,6 @@ class VescLink:
             due.append(c.GetValuesSetupSelective(UPTIME_MASK))
         return due
 
-    def _frame(self, command: Command) -> bytes:
-        return _frame_of(command, self.firmware or FW_7_01)
-
     def _note_sent(self, command: Command, t_ns: int) -> None:
         if expects_reply(command):
             number = command_number(command)
@@ -255,15 +256,17 @@ class VescLink:
             self._uptime_due_ns = t_ns + UPTIME_PERIOD_NS
 
     def _expire(self, t_ns: int) -> None:
-        patience = min(POLL_EXPIRY_NS, self._expiry_ns)
+        if not self._open:
+            return
+        overdue_ns = t_ns - self._patience_ns
         for request in self._open.values():
-            if t_ns - request.t_sent_ns > patience:
+            if request.t_sent_ns < overdue_ns:
                 break
         else:
             return
         for number, request in list(self._open.items()):
             polled = isinstance(request.command, _POLLS)
-            patience = min(POLL_EXPIRY_NS, self._expiry_ns) if polled else self._expiry_ns
+            patience = self._patience_ns if polled else self._expiry_ns
             if t_ns - request.t_sent_ns > patience:
                 del self._open[number]
                 self.counters.expired += 1
@@ -275,10 +278,11 @@ class VescLink:
 
     def on_bytes(self, t_ns: int, data: bytes) -> list[e.Event]:
         """Take bytes read at ``t_ns`` (or none) and return what they mean, in order."""
-        self.parser.ceiling = self._ceiling()
         events: list[e.Event] = []
-        for frame in self.parser.feed_stamped(data, t_ns):
-            events += self._on_frame(frame)
+        if data or self.parser.buffered:
+            self.parser.ceiling = self._ceiling()
+            for frame in self.parser.feed_stamped(data, t_ns):
+                events += self._on_frame(frame)
         if self._open:
             self._expire(t_ns)
         if self._expired_events:
@@ -296,7 +300,7 @@ class VescLink:
     def _on_frame(self, frame: Frame) -> list[e.Event]:
         firmware = self.firmware or FW_7_01
         number = command_id(frame.payload[0], firmware)
-        reply = decode_reply(frame.payload, firmware)
+        reply = None if number is None else decode_numbered(number, frame.payload)
         if isinstance(reply, Print):
             return [e.Printed(reply.text, frame.t_first_ns)]
         if number is None or number in _UNSOLICITED:

@@ -9,6 +9,7 @@ from steerd.daemon.loop.findings import Finding, Severity
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.quick_values import quick_value
 
 STANDING_SPEED = 0.05
 """A slower car stands [m/s]."""
@@ -33,7 +34,8 @@ class VescInfo(NamedTuple):
     timeout_brake_current: float | None
 
 
-class LaneStatus(NamedTuple):
+@quick_value
+class LaneStatus:
     """Lane errors of the standing car [m, rad]; or whether an external controller is alive."""
 
     e1: float

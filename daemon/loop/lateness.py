@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from steerd.daemon.loop.findings import Finding, Severity, make_finding
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.quick_values import changed, quick_value
 
 WINDOW_NS = 1_000_000_000
 """Time over which missed ticks are counted."""
@@ -37,7 +38,8 @@ IN_SIMULATION = LatenessRules(250_000_000, 25, 0.5)
 """For a simulated car: stalls of a laptop are only counted and reported as warnings."""
 
 
-class Lateness(NamedTuple):
+@quick_value
+class Lateness:
     """Missed ticks (later than one period): in a row, in the current second, in total."""
 
     run: int = 0
@@ -53,7 +55,7 @@ def step_lateness(
     late = woke_ns - due_ns
     missed = late > period_ns
     if due_ns - state.window_ns > WINDOW_NS:
-        state = state._replace(missed=0, window_ns=due_ns)
+        state = changed(state, missed=0, window_ns=due_ns)
     state = Lateness(
         run=state.run + 1 if missed else 0,
         missed=state.missed + missed,

@@ -8,7 +8,6 @@ states from tick to tick.
 from collections.abc import Iterator
 from itertools import compress
 from math import isfinite
-from typing import NamedTuple
 
 from steerd.car_model.actuators import references
 from steerd.car_model.nominal_car import believed_car
@@ -84,6 +83,7 @@ from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 from steerd.estimator.state_filter import StateEstimate
 from steerd.mocap_link.source import PoseSample
 from steerd.steer_bus.messages import Design, DriveCommand, OperatorRequest, ParameterRequest
+from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link.events import ImuSample, Telemetry
 
 _DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
@@ -106,7 +106,8 @@ _FACTS = tuple(
 )  # fmt: skip
 
 
-class TickResult(NamedTuple):
+@quick_value
+class TickResult:
     """Decision of one tick and its inputs.
 
     Attributes:

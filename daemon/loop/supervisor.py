@@ -22,6 +22,7 @@ from steerd.daemon.loop.transitions import (
     choose_row,
 )
 from steerd.daemon.settings.thresholds import LAUNCH_SPEED, SOFT_DECEL
+from steerd.steer_bus.quick_values import quick_value
 
 STILL_SPEED = 0.05  # [m/s] slower than this is standing
 SOFT_BRAKE_SPEED = 0.3  # [m/s] below it a VESC's speed loop releases: brake current takes over
@@ -42,7 +43,8 @@ DURATIONS_NS = {
 }
 
 
-class Conditions(NamedTuple):
+@quick_value
+class Conditions:
     """Measured conditions of one tick.
 
     Attributes:
@@ -88,7 +90,8 @@ class SupervisorMemory(NamedTuple):
     frames: int
 
 
-class Action(NamedTuple):
+@quick_value
+class Action:
     """What this tick must put on the wire, and why.
 
     Attributes:

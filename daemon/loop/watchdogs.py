@@ -19,6 +19,7 @@ from steerd.daemon.loop.following import Followed, follow_span
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs_pose import PoseWatch, is_flapping, rejected_share
 from steerd.daemon.settings.thresholds import SOFT_DECEL, Thresholds
+from steerd.steer_bus.quick_values import changed, quick_value
 
 _WARN = Severity.WARN
 _BOOTED = 10  # VESC fault code: booting from a watchdog reset
@@ -26,7 +27,8 @@ SATURATED_GROWTH = 0.02  # [m] less is the noise of a car that holds its path at
 COMMANDED_S = 0.2  # after so long in ARMED or RUNNING telemetry must show that commands arrive
 
 
-class WatchdogInput(NamedTuple):
+@quick_value
+class WatchdogInput:
     """Measurements of one tick; ages in seconds, NaN where unknown.
 
     Attributes:
@@ -342,7 +344,8 @@ TIMED: tuple[Timed, ...] = (
 NEVER = -1
 
 
-class WatchdogState(NamedTuple):
+@quick_value
+class WatchdogState:
     """Memory of the watchdogs between ticks; times [ns] or ``NEVER``.
 
     Attributes:
@@ -418,18 +421,18 @@ def _step_saturation(
 def _step_stop(th: Thresholds, w: WatchdogState, i: WatchdogInput, report: Report) -> WatchdogState:
     """W24: during a stop the speed must fall in each window."""
     if i.state not in _STOPS:
-        return w if w.stop is None and not w.weak else w._replace(stop=None, weak=0)
+        return w if w.stop is None and not w.weak else changed(w, stop=None, weak=0)
     if w.stop != i.state:
         start = i.t_ns + round(th.stop_lag * 1e9)
-        return w._replace(stop=i.state, stop_ns=start, stop_speed=i.speed, weak=0)
+        return changed(w, stop=i.state, stop_ns=start, stop_speed=i.speed, weak=0)
     seconds = (i.t_ns - w.stop_ns) / 1e9
     if seconds <= 0.0:
-        return w._replace(stop_speed=i.speed)
+        return changed(w, stop_speed=i.speed)
     if seconds >= th.stop_window:
         plan = SOFT_DECEL if i.state == SupervisorState.STOPPING else th.brake_decel
         drop = abs(w.stop_speed) - abs(i.speed)
         weak = abs(i.speed) > th.stop_speed and not drop >= th.stop_share * plan * seconds
-        w = w._replace(stop_ns=i.t_ns, stop_speed=i.speed, weak=w.weak + weak)
+        w = changed(w, stop_ns=i.t_ns, stop_speed=i.speed, weak=w.weak + weak)
     if w.weak:
         text = (
             f"still {show(abs(i.speed), '.2f')} m/s, too little slower after {th.stop_window:.1f} s"

@@ -6,14 +6,15 @@ for a good estimate; these watchdogs independently detect that mocap cannot be t
 
 from enum import IntEnum
 from math import hypot, isfinite, remainder, sqrt, tau
-from typing import NamedTuple
 
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.quick_values import changed, quick_value
 
 JUMP_TIMES = 5  # number of jumps within ``jump_window`` that trip, in a row or not
 
 
-class PoseFrame(NamedTuple):
+@quick_value
+class PoseFrame:
     """One mocap frame: world frame, metres, radians.
 
     Attributes:
@@ -44,7 +45,8 @@ class PoseVerdict(IntEnum):
     """Accepted as a new start while nothing moves: the filter must start again from it."""
 
 
-class PoseWatch(NamedTuple):
+@quick_value
+class PoseWatch:
     """Memory of the frame watchdogs; the counts are of frames in a row.
 
     Attributes:
@@ -132,13 +134,13 @@ def step_pose(
     if verdict == PoseVerdict.REBASED:
         return PoseWatch(frame), verdict
     if verdict == PoseVerdict.FROZEN:
-        return w._replace(frozen=w.frozen + 1), verdict
+        return changed(w, frozen=w.frozen + 1), verdict
     if verdict == PoseVerdict.JUMP:
         times = (*w.jump_times[1 - JUMP_TIMES :], frame.t_ns)
-        w = w._replace(jumps=w.jumps + 1, jump_times=times)
+        w = changed(w, jumps=w.jumps + 1, jump_times=times)
         stuck = w.jumps >= th.jump_frames
     else:
-        w = w._replace(invalid=w.invalid + 1)
+        w = changed(w, invalid=w.invalid + 1)
         stuck = w.invalid >= th.invalid_frames and is_sane(th, frame)
     if may_rebase and stuck:
         return PoseWatch(frame), PoseVerdict.REBASED

@@ -37,13 +37,15 @@ _RARE = (topics.DIAGNOSTICS.name, topics.TRANSITION.name, topics.PARAMETERS.name
 _SHOWN = (topics.STATE.name, topics.TICK.name, *_RARE)
 
 
-is_logged = attrgetter("topic.logged")
+Taker = tuple[PipeWriter, Callable[[PipeRecord], bool]]
+"""A pipe, and whether its reader takes a record."""
+is_logged: Callable[[PipeRecord], bool] = attrgetter("topic.logged")
 """Whether the recorder takes a record."""
-is_on_bus = attrgetter("topic.on_bus")
+is_on_bus: Callable[[PipeRecord], bool] = attrgetter("topic.on_bus")
 """Whether gateway and viewer take it."""
 
 
-def pipes_sink(*takers: tuple[PipeWriter, Callable[[PipeRecord], bool]]) -> Sink:
+def pipes_sink(*takers: Taker) -> Sink:
     """A sink that writes into each pipe the records that its reader takes, packed once for all."""
 
     def sink(records: list[PipeRecord], t_ns: int) -> None:
@@ -114,7 +116,7 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
     mocap = make_mocap(plan)
     names = ("recorder", "gateway", "status", "view", "learner")
     pipes = {name: PipeWriter(fds[name]) for name in names if name in fds}
-    takers = [(pipes["recorder"], is_logged), (pipes["gateway"], is_on_bus)]
+    takers: list[Taker] = [(pipes["recorder"], is_logged), (pipes["gateway"], is_on_bus)]
     if "learner" in pipes:  # no link of the runner either: a drive goes on without it
         takers.append((pipes["learner"], is_learnt_from))
     if "view" in pipes:  # not a link of the runner: a lost viewer does not stop the car

@@ -8,8 +8,11 @@ keeps; a device never asks for the time.
 from collections import deque
 from typing import NamedTuple, Protocol
 
+from steerd.steer_bus.quick_values import quick_value
 
-class Chunk(NamedTuple):
+
+@quick_value
+class Chunk:
     """Bytes and the time at which they reach the other end [ns]."""
 
     t_ns: int
@@ -54,7 +57,7 @@ class ByteQueue:
     def due(self, t_ns: int) -> list[Chunk]:
         """Take out what is due by ``t_ns``."""
         chunks, out = self._chunks, []
-        while chunks and chunks[0][0] <= t_ns:
+        while chunks and chunks[0].t_ns <= t_ns:
             out.append(chunks.popleft())
         return out
 

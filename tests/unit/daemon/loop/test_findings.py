@@ -1,5 +1,6 @@
 """Texts of the watchdogs, to the letter, and their summary for the supervisor."""
 
+from dataclasses import asdict
 from math import inf, nan
 
 import pytest
@@ -16,6 +17,7 @@ from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogState, step_watchdogs
 from steerd.daemon.loop.watchdogs_pose import PoseWatch
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.quick_values import changed
 from tests.unit.daemon.loop.calm import CALM
 
 TH = Thresholds()
@@ -25,9 +27,9 @@ SQUARE = ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))
 
 def said(seconds=0.0, th=TH, **changes):
     """(id, text) of all findings, at once or after a condition was held for so long."""
-    memory, found = step_watchdogs(th, WatchdogState(), CALM._replace(**changes))
+    memory, found = step_watchdogs(th, WatchdogState(), changed(CALM, **changes))
     if seconds:
-        end = CALM._replace(**{**changes, "t_ns": CALM.t_ns + round(seconds * S)})
+        end = changed(CALM, **{**changes, "t_ns": CALM.t_ns + round(seconds * S)})
         _, found = step_watchdogs(th, memory, end)
     return [(finding.id, finding.text) for finding in found]
 
@@ -107,7 +109,7 @@ def test_text_of_a_stop_that_does_not_work():
     memory = WatchdogState()
     texts = []
     for tick in range(120):
-        i = CALM._replace(t_ns=CALM.t_ns + tick * 10_000_000, state=SupervisorState.FAULT_STOP)
+        i = changed(CALM, t_ns=CALM.t_ns + tick * 10_000_000, state=SupervisorState.FAULT_STOP)
         memory, found = step_watchdogs(TH, memory, i)
         texts += [f.text for f in found if f.id == "W24"]
     assert ": still 1.50 m/s, too little slower after 0.3 s; " in texts[0]
@@ -118,8 +120,11 @@ def test_text_of_a_stop_that_does_not_work():
 def test_text_of_steering_at_its_limit():
     memory, texts = WatchdogState(), []
     for tick in range(130):
-        i = CALM._replace(
-            t_ns=CALM.t_ns + tick * 10_000_000, steer_share=1.0, lateral_error=0.1 + 0.001 * tick
+        i = changed(
+            CALM,
+            t_ns=CALM.t_ns + tick * 10_000_000,
+            steer_share=1.0,
+            lateral_error=0.1 + 0.001 * tick,
         )
         memory, found = step_watchdogs(TH, memory, i)
         texts += [f.text for f in found if f.id == "W23"]
@@ -127,11 +132,11 @@ def test_text_of_steering_at_its_limit():
 
 
 def test_text_of_a_vesc_that_restarts_or_starves():
-    memory, _ = step_watchdogs(TH, WatchdogState(), CALM._replace(tachometer=500))
-    _, found = step_watchdogs(TH, memory, CALM._replace(tachometer=3))
+    memory, _ = step_watchdogs(TH, WatchdogState(), changed(CALM, tachometer=500))
+    _, found = step_watchdogs(TH, memory, changed(CALM, tachometer=3))
     assert ": tachometer fell from 500 to 3; " in found[0].text
     memory, _ = step_watchdogs(TH, WatchdogState(), CALM)
-    _, found = step_watchdogs(TH, memory, CALM._replace(status=1))
+    _, found = step_watchdogs(TH, memory, changed(CALM, status=1))
     assert ": status bit 0 is set while driving; " in found[0].text
 
 
@@ -165,14 +170,14 @@ def test_every_watchdog_of_the_page_exists_with_advice():
 )
 @pytest.mark.parametrize("value", [inf, nan])
 def test_a_number_that_is_not_known_trips_and_is_not_shown(name, id, text, value):
-    _, (found,) = step_watchdogs(TH, WatchdogState(), CALM._replace(**{name: value}))
+    _, (found,) = step_watchdogs(TH, WatchdogState(), changed(CALM, **{name: value}))
     assert found.text == f"{id} {WATCHDOGS[id].name}: {text}", "no advice about what nobody knows"
     assert found.severity is WATCHDOGS[id].severity
     assert not found.known
 
 
 def test_no_text_ever_shows_a_number_that_is_none():
-    numbers = [name for name, value in CALM._asdict().items() if isinstance(value, float)]
+    numbers = [name for name, value in asdict(CALM).items() if isinstance(value, float)]
     fence = Thresholds(fence=SQUARE)
     for state in SupervisorState:
         for value in (nan, inf, -inf):

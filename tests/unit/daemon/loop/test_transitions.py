@@ -22,6 +22,7 @@ from steerd.daemon.loop.transitions import (
     choose_row,
     is_engaged,
 )
+from steerd.steer_bus.quick_values import changed
 
 T_NS, AGO_NS = 100 * 10**9, 50 * 10**9
 REQUEST_BITS = {getattr(Fact, r.name if r != Request.ESTOP else "CALL_ESTOP"): r for r in Request
@@ -234,5 +235,5 @@ def test_derived_facts_cannot_be_given_and_every_unknown_bit_is_unknown():
     everything = Conditions((1 << 40) - 1, nan, 0)
     assert derive_facts(old, everything, 0, T_NS) == GIVEN
     for bit in (*range(10, 14), 31, 63):
-        assert derive_facts(old, everything._replace(facts=0), 1 << bit, T_NS) == Fact.UNKNOWN
-    assert derive_facts(old, everything._replace(facts=0), Request.KEEPALIVE, T_NS) == 0
+        assert derive_facts(old, changed(everything, facts=0), 1 << bit, T_NS) == Fact.UNKNOWN
+    assert derive_facts(old, changed(everything, facts=0), Request.KEEPALIVE, T_NS) == 0

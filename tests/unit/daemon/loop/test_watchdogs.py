@@ -16,6 +16,7 @@ from steerd.daemon.loop.watchdogs import (
 )
 from steerd.daemon.loop.watchdogs_pose import PoseWatch
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.quick_values import changed
 from tests.unit.daemon.loop.calm import CALM
 from tests.unit.daemon.loop.watching import HARD, SOFT, TH, WARN, S, brief, down, hold, look, up
 
@@ -185,7 +186,7 @@ NOT_HELD = [
 @pytest.mark.parametrize("state", [SupervisorState.RUNNING, SupervisorState.STOPPING])
 def test_a_car_that_does_not_do_as_ordered_is_told_by_its_numbers(state):
     followed = Followed(2.5, Band(0.75, 1.25), 1.125, -0.5, Band(0.125, 0.25), 0.5)
-    memory, _ = step_watchdogs(TH, WatchdogState(), CALM._replace(followed=followed, state=state))
+    memory, _ = step_watchdogs(TH, WatchdogState(), changed(CALM, followed=followed, state=state))
     found = look(TH, memory, followed=followed, state=state, t_ns=CALM.t_ns + S // 16)
     speed, turn = (f.text for f in found if f.id in ("W30", "W31"))
     assert speed.startswith("W30 speed not followed: wheels 2.50 m/s, orders allow 0.75 to 1.25; ")
@@ -219,14 +220,14 @@ def test_nan_speeds_count_as_overspeed_and_mismatch():
 
 
 def test_an_interruption_starts_the_time_again():
-    bad = CALM._replace(lateral_error=0.4)
+    bad = changed(CALM, lateral_error=0.4)
     state, _ = step_watchdogs(TH, WatchdogState(), bad)
-    state, _ = step_watchdogs(TH, state, CALM._replace(t_ns=S + S // 16))
-    state, found = step_watchdogs(TH, state, bad._replace(t_ns=S + S // 8))
+    state, _ = step_watchdogs(TH, state, changed(CALM, t_ns=S + S // 16))
+    state, found = step_watchdogs(TH, state, changed(bad, t_ns=S + S // 8))
     assert brief(found) == [("W17", WARN)]
-    state, found = step_watchdogs(TH, state, bad._replace(t_ns=S + S // 4 - 1))
+    state, found = step_watchdogs(TH, state, changed(bad, t_ns=S + S // 4 - 1))
     assert brief(found) == [("W17", WARN)]
-    _, found = step_watchdogs(TH, state, bad._replace(t_ns=S + S // 4))
+    _, found = step_watchdogs(TH, state, changed(bad, t_ns=S + S // 4))
     assert brief(found) == [("W17", WARN), ("W17", HARD)]
 
 
@@ -250,7 +251,7 @@ def test_lease_matters_while_armed_or_driving(state):
 
 def saturate(seconds, first=0.0, last=0.1, share=0.99):
     changes = {"steer_share": share, "lateral_error": first}
-    state, found = step_watchdogs(TH, WatchdogState(), CALM._replace(**changes))
+    state, found = step_watchdogs(TH, WatchdogState(), changed(CALM, **changes))
     assert found == ()
     changes |= {"t_ns": S + round(seconds * S), "lateral_error": last}
     return brief(look(memory=state, **changes))
@@ -270,9 +271,9 @@ def test_steering_saturated_and_the_error_grows():
 
 
 def test_saturation_that_ends_is_forgotten():
-    state, _ = step_watchdogs(TH, WatchdogState(), CALM._replace(steer_share=1.0))
-    state, _ = step_watchdogs(TH, state, CALM._replace(t_ns=S + 1))
-    state, _ = step_watchdogs(TH, state, CALM._replace(t_ns=2 * S, steer_share=1.0))
+    state, _ = step_watchdogs(TH, WatchdogState(), changed(CALM, steer_share=1.0))
+    state, _ = step_watchdogs(TH, state, changed(CALM, t_ns=S + 1))
+    state, _ = step_watchdogs(TH, state, changed(CALM, t_ns=2 * S, steer_share=1.0))
     assert (
         look(memory=state, t_ns=3 * S - 1, steer_share=1.0, lateral_error=0.1)[0].severity == WARN
     )

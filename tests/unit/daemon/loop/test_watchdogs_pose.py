@@ -16,6 +16,7 @@ from steerd.daemon.loop.watchdogs_pose import (
     step_pose,
 )
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.quick_values import changed
 
 TH = Thresholds(
     jump_speed=2.0, jump_margin=0.0625, yaw_step=0.5, quaternion_tolerance=0.015625,
@@ -27,7 +28,7 @@ S = 10**9
 
 def frame(t_s=1.0, number=1, x=1.0, y=2.0, yaw=0.0, **changes):
     good = PoseFrame(round(t_s * S), number, (x, y, 0.125), (1.0, 0.0, 0.0, 0.0), yaw)
-    return good._replace(**changes)
+    return changed(good, **changes)
 
 
 BASE = PoseWatch(frame())
@@ -65,7 +66,7 @@ def test_first_sane_frame_is_a_start():
 def test_bad_frames_are_counted_and_dropped(bad):
     watch = BASE
     for count in range(1, 7):
-        watch, verdict = judge(frame(1.01, 2)._replace(**bad), watch)
+        watch, verdict = judge(changed(frame(1.01, 2), **bad), watch)
         assert (verdict, watch.invalid, watch.base) == (INVALID, count, frame())
     watch, verdict = judge(frame(1.05, 9), watch)
     assert (verdict, watch.invalid) == (ACCEPTED, 0)

@@ -4,6 +4,7 @@ from math import nan
 
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogState, is_slowing, step_watchdogs
+from steerd.steer_bus.quick_values import changed
 from tests.unit.daemon.loop.calm import CALM
 from tests.unit.daemon.loop.watching import TH, S, up
 
@@ -12,8 +13,8 @@ def stop(kind, speeds, dt=S // 16):
     """Watch a stop; return per tick the W24 findings and whether it is slowing."""
     state, out = WatchdogState(), []
     for k, speed in enumerate(speeds):
-        tick = CALM._replace(t_ns=S + k * dt, state=kind, speed=speed, speed_erpm=0.0)
-        state, found = step_watchdogs(TH, state, tick._replace(speed_mocap=0.0))
+        tick = changed(CALM, t_ns=S + k * dt, state=kind, speed=speed, speed_erpm=0.0)
+        state, found = step_watchdogs(TH, state, changed(tick, speed_mocap=0.0))
         words = [f.text for f in found if f.id == "W24"]
         out.append((words, is_slowing(state)))
     return out
@@ -59,14 +60,14 @@ def test_each_kind_of_stop_is_judged_anew():
     state = WatchdogState()
     for k in range(7):
         state, _ = step_watchdogs(
-            TH, state, CALM._replace(t_ns=S + k * S // 16, state=SupervisorState.STOPPING)
+            TH, state, changed(CALM, t_ns=S + k * S // 16, state=SupervisorState.STOPPING)
         )
     assert not is_slowing(state)
     state, found = step_watchdogs(
-        TH, state, CALM._replace(t_ns=2 * S, state=SupervisorState.FAULT_STOP)
+        TH, state, changed(CALM, t_ns=2 * S, state=SupervisorState.FAULT_STOP)
     )
     assert (is_slowing(state), found) == (True, ())
-    state, _ = step_watchdogs(TH, state, CALM._replace(t_ns=2 * S, state=SupervisorState.DISARMED))
+    state, _ = step_watchdogs(TH, state, changed(CALM, t_ns=2 * S, state=SupervisorState.DISARMED))
     assert state.stop is None
 
 

@@ -5,6 +5,7 @@ from math import inf, nextafter
 from steerd.daemon.loop.findings import Severity
 from steerd.daemon.loop.watchdogs import WatchdogState, step_watchdogs
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.quick_values import changed
 from tests.unit.daemon.loop.calm import CALM
 
 # Binary fractions, so that "exactly at the threshold" is exact.
@@ -34,7 +35,7 @@ def down(value):
 
 
 def look(th=TH, memory=None, **changes):
-    return step_watchdogs(th, memory or WatchdogState(), CALM._replace(**changes))[1]
+    return step_watchdogs(th, memory or WatchdogState(), changed(CALM, **changes))[1]
 
 
 def brief(findings):
@@ -43,6 +44,6 @@ def brief(findings):
 
 def hold(seconds, th=TH, **changes):
     """Findings of the first and of the last of two ticks so many seconds apart."""
-    memory, first = step_watchdogs(th, WatchdogState(), CALM._replace(**changes))
+    memory, first = step_watchdogs(th, WatchdogState(), changed(CALM, **changes))
     end = CALM.t_ns + round(seconds * S)
     return brief(first), brief(look(th, memory, **{**changes, "t_ns": end}))
