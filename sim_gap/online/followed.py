@@ -8,7 +8,7 @@ business.
 """
 
 # Why: docs/decisions/filter-and-controller.md#d86, docs/decisions/filter-and-controller.md#d99
-# Why: docs/decisions/filter-and-controller.md#d102
+# Why: docs/decisions/filter-and-controller.md#d102, docs/decisions/filter-and-controller.md#d105
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -27,7 +27,7 @@ from steerd.sim_gap.online.values import values_of
 BY_ITSELF = ("steer_bias", "speed_gain")
 """Numbers of the base that a lane identifies whatever else the model misses."""
 BEYOND_DOUBT = 3.0
-"""Standard deviations by which a number must differ from the file's to be followed."""
+"""Standard deviations by which a number must have moved to be followed."""
 LATENESS = frozenset(("steer_delay", "steer_lag", "mocap_latency"))
 """Effects that a lane barely distinguishes and a lane keeper need not: each is time that passes
 between a pose and what the wheels do about it. A set of these is followed as its likeliest."""
@@ -118,8 +118,15 @@ def _numbers(superset: Superset, changes: Sequence[tuple[Cause, tuple[float, ...
 
 
 def _shifted(cause: Cause, was: tuple[float, ...], values: tuple[float, ...]) -> Iterator[float]:
-    """An effect's parameters after a change: offsets add up, ratios multiply."""
+    """An effect's parameters after a change: offsets add up, ratios multiply.
+
+    One that moved by no more than chance stays as it was: of a marker that was pushed forwards a
+    lane shows to a millimetre or two that it is still in the middle, which is what it keeps to.
+    """
     nulls = find_effect(cause.effect).nulls
     rows = zip(values, cause.parameters.values(), was, nulls, strict=True)
-    for value, (after, _, _), before, null in rows:
-        yield value * after / before if is_ratio(null, before) else value + after - before
+    for value, (after, sd, _), before, null in rows:
+        if abs(after - before) <= BEYOND_DOUBT * sd:
+            yield value
+        else:
+            yield value * after / before if is_ratio(null, before) else value + after - before

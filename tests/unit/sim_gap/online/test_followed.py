@@ -34,7 +34,7 @@ def values(monkeypatch):
 def change(effect, *after, verdict="named", sure=0.95, alternatives=(), windows=SETTLED):
     found = find_effect(effect)
     parameters = {
-        p.name: (value, 0.01, p.unit) for p, value in zip(found.parameters, after, strict=True)
+        p.name: (value, 0.0005, p.unit) for p, value in zip(found.parameters, after, strict=True)
     }
     cause = Cause(effect, parameters, sure, alternatives)
     looks = (None,) * windows
@@ -69,6 +69,13 @@ def test_a_named_change_is_followed_by_its_number(learner, values, effect, after
     for found in (aim(learner, change(effect, *after)), aim(learner, now=change(effect, *after))):
         assert isinstance(found, Learnt)
         assert getattr(found, name) == pytest.approx(value, rel=1e-6)
+
+
+def test_a_parameter_that_moved_by_chance_stays_as_it_was(learner, values):
+    pushed = aim(learner, change("marker_offset", 0.03, 0.0014))
+    assert (pushed.body_forward, pushed.body_left) == (0.03, 0.0)
+    aside = aim(learner, change("marker_offset", -0.0014, 0.0016))
+    assert (aside.body_forward, aside.body_left) == (0.0, 0.0016)
 
 
 def test_what_an_effect_was_before_is_no_part_of_its_change(learner, values):
