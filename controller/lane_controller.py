@@ -120,7 +120,7 @@ def control(
     dt = min(max((t_ns - state.t_ns) * 1e-9, 0.0), STEP_MAX_S)
     ahead = preview_place(controller.profile, at.s, estimate.speed)
     ramp = state.speed - controller.config.stop_ramp * dt  # a lower speed is no emergency
-    cap = LiveValues(max(live.speed, ramp), live.offset, live.gain)
+    cap = live if live.speed >= ramp else LiveValues(ramp, live.offset, live.gain)
     target = profile_speed(controller.profile, at.s, estimate.speed)
     target = limit_target(target, path, ahead, cap, controller.config)
     speed = step_speed(state.speed, target, dt, controller.config, stop)

@@ -124,7 +124,7 @@ def is_sound(belief: Belief) -> bool:
 
 def worst_sd(block: Array) -> float:
     """Standard deviation along the worst direction of a (2, 2) covariance."""
-    a, b, c = float(block[0, 0]), float(block[0, 1]), float(block[1, 1])
+    (a, b), (_, c) = block.tolist()
     return math.sqrt(0.5 * (a + c) + math.hypot(0.5 * (a - c), b))
 
 

@@ -11,6 +11,7 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -88,6 +89,21 @@ class StateFilter:
     kernel: Kernel | None = None
     """The same in machine code, bit for bit; without it, Python computes."""
 
+    @cached_property
+    def soonest_ns(self) -> int:
+        """The shorter of the car's two dead times [ns]."""
+        return min(dead_times(self.car))
+
+    @cached_property
+    def latest_ns(self) -> int:
+        """The longer of the car's two dead times [ns]."""
+        return max(dead_times(self.car))
+
+    @cached_property
+    def history_ns(self) -> int:
+        """How long measurements are kept [ns]."""
+        return round(self.config.history_s * NS)
+
 
 @quick_init
 @dataclass(frozen=True, eq=False, slots=True)
@@ -104,6 +120,7 @@ class StateEstimate:
     health: FilterHealth
 
 
+_HEALTH_WINDOW_NS = round(HEALTH_WINDOW_S * NS)
 _time = attrgetter("measurement.t_ns")
 _measurement = attrgetter("measurement")
 
@@ -156,9 +173,9 @@ def step(
     redo_ns = now_ns + FUTURE_NS
     for sent_ns, command in commands:
         history = add_command(history, sent_ns, command)
-        redo_ns = min(redo_ns, sent_ns + min(dead_times(flt.car)))
-    oldest_ns = now_ns - round(flt.config.history_s * NS)
-    dead_time_ns = max(dead_times(flt.car))
+        redo_ns = min(redo_ns, sent_ns + flt.soonest_ns)
+    oldest_ns = now_ns - flt.history_ns
+    dead_time_ns = flt.latest_ns
     if flt.car.pose_delay:
         measurements = [_correct_latency(flt.car, m) for m in measurements]
     latest_ns = now_ns + FUTURE_NS
@@ -200,7 +217,7 @@ def predict_to(flt: StateFilter, state: FilterState, t_ns: int) -> StateEstimate
         return None
     node = nodes[last - 1]
     belief, sound = _look_ahead(flt, state.history, node, t_ns)
-    begin = max(bisect_right(nodes, t_ns - round(HEALTH_WINDOW_S * NS), key=_time) - 1, 0)
+    begin = max(bisect_right(nodes, t_ns - _HEALTH_WINDOW_NS, key=_time) - 1, 0)
     health = make_health(belief, sound, t_ns, nodes[begin].tally, node.tally, state.untimely)
     variance = belief.covariance.diagonal().tolist()
     sds = [math.sqrt(v) if v >= 0.0 else math.nan for v in variance]

@@ -38,7 +38,7 @@ class _Line:
         return host_ns - self.host0 - x - self.offset - self.skew * (x - self.x_ref)
 
     def to_host_ns(self, ticks: int) -> int:
-        x = self.source_ns(ticks)
+        x = (ticks - self.ticks0) * NS // self.frequency_hz
         return self.host0 + x + round(self.offset + self.skew * (x - self.x_ref))
 
 
@@ -175,17 +175,17 @@ class HullClock:
         """
         if self._last_ticks is not None and source_ticks < self._last_ticks:
             self.reset()
-        elif self._fitted:
-            x = self._line.source_ns(source_ticks)
-            if self._line.residual(x, t_arrival_ns) < -self.step_ns:
-                self.reset()
+        line = self._line
+        x = line.source_ns(source_ticks)
+        if self._fitted and line.residual(x, t_arrival_ns) < -self.step_ns:
+            self.reset()
         if self._last_ticks is None:
-            self._line.set_origin(source_ticks, t_arrival_ns)
+            line.set_origin(source_ticks, t_arrival_ns)
+            x = 0
             self._bucket_end = t_arrival_ns
             self._warm_at = self._next_fit = t_arrival_ns + self.warm_ns
         self._last_ticks = source_ticks
-        x = self._line.source_ns(source_ticks)
-        y = t_arrival_ns - self._line.host0 - x
+        y = t_arrival_ns - line.host0 - x
         if t_arrival_ns >= self._bucket_end:
             self._buckets.append((x, y))
             self._bucket_end = t_arrival_ns + self.bucket_ns

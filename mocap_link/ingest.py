@@ -85,8 +85,7 @@ class PoseIngest:
 
     def push(self, raw: RawPose) -> PoseSample:
         """Time, place and judge one raw pose."""
-        self._watch_order(raw)
-        learn = find_disorder(self._gates, raw) is None
+        learn = self._watch_order(raw)
         t_valid_ns, self._clock = self.timing.time_pose(raw, learn=learn)
         pose = _try_place(self.config.frame, raw)
         self._gates, reason = step_gates(
@@ -155,12 +154,15 @@ class PoseIngest:
             good=good,
         )
 
-    def _watch_order(self, raw: RawPose) -> None:
+    def _watch_order(self, raw: RawPose) -> bool:
+        """Whether the frame is newer than those before, in time for the clock maps."""
+        disorder = find_disorder(self._gates, raw)
         # one late frame is the network, ten in a row are a server that counts from 1 again
-        late = find_disorder(self._gates, raw) == "out_of_order"
-        self._disorder_run = self._disorder_run + 1 if late else 0
+        self._disorder_run = self._disorder_run + 1 if disorder == "out_of_order" else 0
         if self._disorder_run >= _RESTART_RUN:
             self.restart()
+            return True
+        return disorder is None
 
     def _count_rate(self, t_ns: int) -> None:
         self._arrivals.append(t_ns)

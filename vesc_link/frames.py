@@ -111,8 +111,9 @@ class FrameParser:
         """As `feed`, with the arrival time of each frame's first byte."""
         if not self._buffer and not data:
             return []  # nothing is open, so nothing is stale
-        stale = self._is_stale(t_ns)
-        if not stale and len(self._buffer) <= _CUT and self._next == self._base:
+        gap_ns, reads = self._gap_ns, self._reads
+        stale = gap_ns is not None and bool(reads) and t_ns - reads[-1][1] > gap_ns
+        if not stale and self._next == self._base and len(self._buffer) <= _CUT:
             whole = self._take_whole(data, t_ns)
             if whole:
                 return whole
@@ -142,7 +143,8 @@ class FrameParser:
         if held:
             t_first_ns = self._time_of(self._base)
             data = bytes(self._buffer) + data
-        longest, at, total = min(self.ceiling, self._max_payload), 0, len(data)
+        at, total = 0, len(data)
+        longest = self.ceiling if self.ceiling < self._max_payload else self._max_payload
         found: list[Frame] = []
         while at < total:
             kind = data[at]
@@ -156,7 +158,7 @@ class FrameParser:
             if not (1 if kind == 2 else 255) <= size <= longest or stop >= total:
                 return []
             payload = data[begin : stop - 2]
-            crc = int.from_bytes(data[stop - 2 : stop], "big")
+            crc = data[stop - 2] << 8 | data[stop - 1]
             if data[stop] != _STOP or binascii.crc_hqx(payload, 0) != crc:
                 return []
             found.append(Frame(bytes(payload), t_first_ns, t_ns))
@@ -171,11 +173,6 @@ class FrameParser:
             self._frame_bytes += at
             self.frames += len(found)
         return found
-
-    def _is_stale(self, t_ns: int) -> bool:
-        if self._gap_ns is None or not self._reads:
-            return False
-        return t_ns - self._reads[-1][1] > self._gap_ns
 
     def _complete_open(self, t_ns: int) -> list[Frame]:
         """Judge the candidates that were incomplete before this read and are complete now."""

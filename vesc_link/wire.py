@@ -144,6 +144,8 @@ def device_numbers(fields: Sequence[Field], values: Sequence[Number]) -> Sequenc
         counts = list(map(int, numbers))
         if all(map(le, layout.low, counts)) and all(map(le, counts, layout.high)):
             return counts
+    if layout.floats:
+        return [0.0 if -_SMALLEST_F32 < x < _SMALLEST_F32 else x for x in numbers]
     return list(map(_saturated, layout.codes, numbers))
 
 
@@ -155,6 +157,8 @@ class _DeviceLayout(NamedTuple):
     codes: tuple[str, ...]
     whole: bool
     """Every field holds a whole number, of `low` to `high`."""
+    floats: bool
+    """Every field holds a number in single precision."""
     low: tuple[float, ...]
     high: tuple[float, ...]
 
@@ -166,7 +170,7 @@ def _device_layout(fields: tuple[Field, ...]) -> _DeviceLayout:
     ranges = [_RANGES.get(code, (0, 0)) for code in codes]
     return _DeviceLayout(
         measured, tuple(fields[i].scale or 1.0 for i in measured), codes, "f" not in codes,
-        tuple(low for low, _ in ranges), tuple(high for _, high in ranges),
+        set(codes) == {"f"}, tuple(low for low, _ in ranges), tuple(high for _, high in ranges),
     )  # fmt: skip
 
 

@@ -266,18 +266,19 @@ def _aim_steer(model: FollowModel, orders: list[Command[float]], sure: bool, now
             one, other = other, one
         low = one if one < low else low
         high = other if other > high else high
-    return (
-        min(max(low, model.right.low), model.left.low),
-        min(max(high, model.right.high), model.left.high),
-    )
+    (right_low, right_high), (left_low, left_high) = model.right, model.left
+    low = right_low if right_low > low else low
+    high = right_high if right_high > high else high
+    return (left_low if left_low < low else low, left_high if left_high < high else high)
 
 
 def _step_band(actuator: Actuator, band: Band, aim: Ends, h: float) -> Band:
     """Both ends after `h` seconds: outwards as fast as any, inwards as slowly as any."""
     a = actuator
     (low, high), (aim_low, aim_high) = band, aim
-    quick = 1.0 - exp(-h / max(a.lag.low, LAG_FLOOR))
-    slow = 1.0 - exp(-h / max(a.lag.high, LAG_FLOOR))
+    least, most = a.lag
+    quick = 1.0 - exp(-h / (least if least > LAG_FLOOR else LAG_FLOOR))
+    slow = 1.0 - exp(-h / (most if most > LAG_FLOOR else LAG_FLOOR))
     if aim_low < low:
         way, most = quick * (low - aim_low), a.fall.high * h
         low -= way if way < most else most

@@ -114,6 +114,8 @@ def relax(live: Live, why: str) -> Live:
 
 def judge_both_lanes(report: ControlReport, now: LiveValues) -> ControlReport:
     """The report with the larger of the errors against path and shifted lane, for watchdogs."""
+    if not now.offset:
+        return report
     on_path = report.e1 + now.offset
     return report._replace(e1=on_path) if abs(on_path) > abs(report.e1) else report
 

@@ -60,6 +60,7 @@ class Perception:
         self._commands: list[tuple[int, Command[float] | None]] = []
         self._track: deque[tuple[int, float, float, float]] = deque()
         self._oldest_ns = 0
+        self._mocap_speed: float | None = None
         self._refused = 0
         self._seen = 0
         self.watch = PoseWatch()
@@ -73,6 +74,7 @@ class Perception:
     def on_pose(self, sample: PoseSample) -> None:
         """Check a mocap sample; an accepted one is fused at its time of validity."""
         raw = sample.raw
+        self._mocap_speed = None
         frame = PoseFrame(
             sample.t_arrival_ns,
             -1 if raw.frame is None else raw.frame,
@@ -128,6 +130,7 @@ class Perception:
         while len(self._track) > 2 and self._track[1][0] <= now_ns - _TRACK_NS:
             self._track.popleft()
         self._oldest_ns = now_ns - _SPEED_SPAN_NS
+        self._mocap_speed = None
         return estimate
 
     def _fuse(self, now_ns: int) -> None:
@@ -164,6 +167,11 @@ class Perception:
     @property
     def mocap_speed(self) -> float:
         """Speed by mocap alone over the last 100 ms [m/s]; NaN while unknown."""
+        if self._mocap_speed is None:
+            self._mocap_speed = self._measure_mocap_speed()
+        return self._mocap_speed
+
+    def _measure_mocap_speed(self) -> float:
         if len(self._track) < 2:
             return nan
         t1, x1, y1, _ = self._track[-1]

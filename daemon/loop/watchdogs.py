@@ -342,6 +342,7 @@ TIMED: tuple[Timed, ...] = (
     ),
 )
 NEVER = -1
+_NEVER_HELD = (NEVER,) * len(TIMED)
 
 
 @quick_value
@@ -360,7 +361,7 @@ class WatchdogState:
         weak: windows of this stop in which it did not.
     """
 
-    since: tuple[int, ...] = (NEVER,) * len(TIMED)
+    since: tuple[int, ...] = _NEVER_HELD
     commanded: bool = False
     tachometer: int = -1
     saturated_ns: int = NEVER
@@ -379,13 +380,12 @@ def is_slowing(w: WatchdogState) -> bool:
 def _step_timed(
     th: Thresholds, w: WatchdogState, i: WatchdogInput, report: Report
 ) -> tuple[int, ...]:
-    since = []
-    for row, began in zip(TIMED, w.since, strict=True):
+    since = list(_NEVER_HELD)
+    for at, row in enumerate(TIMED):
         if not row.holds(th, i):
-            since.append(NEVER)
             continue
-        start = i.t_ns if began == NEVER else began
-        since.append(start)
+        began = w.since[at]
+        start = since[at] = i.t_ns if began == NEVER else began
         if (i.t_ns - start) / 1e9 >= row.seconds(th, i):
             report(make_finding(row.id, row.text(i)))
     return tuple(since)

@@ -57,13 +57,15 @@ def step_pace(pace: Pace, due_ns: int, arrival_ns: int, period_ns: int) -> Pace:
     """
     if arrival_ns == pace.arrival_ns:
         return pace._replace(shift_ns=0)
-    lead = _wrap(due_ns - arrival_ns, period_ns)
+    half = period_ns // 2
+    lead = (due_ns - arrival_ns + half) % period_ns - half
     if pace.arrival_ns < 0:
         return Pace(arrival_ns, lead, float(period_ns))
-    missed = abs(_wrap(lead - pace.lead_ns, period_ns))
+    missed = abs((lead - pace.lead_ns + half) % period_ns - half)
     jitter = pace.jitter_ns + (missed - pace.jitter_ns) / _MEMORY
-    shift = _shift(lead, jitter, period_ns)
-    in_place = abs(lead - _lead(jitter, period_ns)) <= _tolerance(jitter, period_ns)
+    error = _lead(jitter, period_ns) - lead
+    shift = 0 if jitter * _JITTER_DIVISOR > period_ns else _shift(error, period_ns)
+    in_place = abs(error) <= _tolerance(jitter, period_ns)
     return Pace(arrival_ns, lead + shift, jitter, shift, pace.steady + 1 if in_place else 0)
 
 
@@ -88,15 +90,7 @@ def _lead(jitter_ns: float, period_ns: int) -> float:
     return MARGIN * period_ns + _JITTERS * jitter_ns
 
 
-def _shift(lead_ns: int, jitter_ns: float, period_ns: int) -> int:
-    """Shift of the next deadline, given the lead at this one [ns]."""
-    if jitter_ns * _JITTER_DIVISOR > period_ns:
-        return 0
-    error = _lead(jitter_ns, period_ns) - lead_ns
+def _shift(error_ns: float, period_ns: int) -> int:
+    """Shift of the next deadline, whose lead was too short by so much [ns]."""
     most = SLEW * period_ns
-    return round(max(-most, min(most, error / (_LATER if error > 0.0 else _EARLIER))))
-
-
-def _wrap(span_ns: int, period_ns: int) -> int:
-    """The span modulo the period, in [-period/2, period/2)."""
-    return (span_ns + period_ns // 2) % period_ns - period_ns // 2
+    return round(max(-most, min(most, error_ns / (_LATER if error_ns > 0.0 else _EARLIER))))

@@ -113,18 +113,20 @@ class Cameras:
         return _garble(body, faults.garble) if faults.garble else body
 
     def _body(self, name: str, body_id: int, pose: Planar) -> BodyPose:
-        config, normal = self._config, self._noise.normal
+        config, noise = self._config, self._noise
         sd = config.position_noise
+        x, y, yaw, height = noise.normals(4)
         position, quaternion = make_body_pose(
             config.frame,
-            pose.x + sd * normal(),
-            pose.y + sd * normal(),
-            pose.yaw + config.yaw_noise * normal(),
-            config.height + sd * normal(),
+            pose.x + sd * x,
+            pose.y + sd * y,
+            pose.yaw + config.yaw_noise * yaw,
+            config.height + sd * height,
         )
         if config.tilt_noise:
             tilt = 0.5 * config.tilt_noise
-            quaternion = _tilt(quaternion, tilt * normal(), tilt * normal(), config.frame.up)
+            ahead, aside = noise.normals(2)
+            quaternion = _tilt(quaternion, tilt * ahead, tilt * aside, config.frame.up)
         scale = self.fault_state.scale
         if scale != 1.0:
             position = (scale * position[0], scale * position[1], scale * position[2])

@@ -26,6 +26,15 @@ class NoiseSource:
             self._normals = self._generator.standard_normal(_BLOCK).tolist()
         return self._normals.pop()
 
+    def normals(self, count: int) -> list[float]:
+        """The next standard normal numbers, as so many calls of `normal` give them."""
+        known = self._normals
+        if len(known) < count:
+            return [self.normal() for _ in range(count)]
+        drawn = known[: -count - 1 : -1]
+        del known[-count:]
+        return drawn
+
     def uniform(self) -> float:
         """One number in [0, 1)."""
         if not self._uniforms:

@@ -61,13 +61,14 @@ class Power:
         self.current = current
         duty = (emf + current * config.motor_resistance) / self.voltage
         limit = config.duty_limit
-        self.duty = duty = -limit if duty < -limit else min(duty, limit)
+        self.duty = duty = -limit if duty < -limit else limit if duty > limit else duty
         source = self.input_current = duty * current
         loss = sag + config.battery_resistance * source
-        self.voltage = max(_FLAT, config.battery_voltage - loss)
+        voltage = config.battery_voltage - loss
+        self.voltage = voltage if voltage > _FLAT else _FLAT
         revolutions = erpm * h / 60.0
         self.revolutions += revolutions
-        self.travel += abs(revolutions)
+        self.travel += revolutions if revolutions > 0.0 else -revolutions
         charge = source * h / 3600.0
         if charge >= 0.0:
             self.ah += charge
@@ -76,7 +77,8 @@ class Power:
             self.ah_charged -= charge
             self.wh_charged -= charge * self.voltage
         self.warmth += h * (_HEATING * current * current - self.warmth / _COOLING)
-        self._motor_sum += abs(current) if source >= 0.0 else -abs(current)
+        strength = current if current > 0.0 else -current
+        self._motor_sum += strength if source >= 0.0 else -strength
         self._input_sum += source
         self._q_sum += current
         self._vq_sum += duty * self.voltage

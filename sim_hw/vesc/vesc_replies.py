@@ -184,17 +184,18 @@ class ImuChip:
         return telemetry.Imu(mask, **self._sample, controller_id=self._config.controller_id)
 
     def _measure(self) -> dict[str, float]:
-        normal, car = self._noise.normal, self._car
+        car = self._car
         gyro, accel = self._config.gyro_noise, self._config.accel_noise
+        drawn = self._noise.normals(6)
         yaw = car.state.yaw - self._yaw_start
         return {
             "yaw": -math.remainder(yaw, math.tau),  # the firmware's sign
-            "accel_x": car.accel_x + accel * normal(),
-            "accel_y": car.accel_y + accel * normal(),
-            "accel_z": telemetry.STANDARD_GRAVITY + accel * normal(),
-            "gyro_x": gyro * normal(),
-            "gyro_y": gyro * normal(),
-            "gyro_z": car.observe_motor().yaw_rate + gyro * normal(),
+            "accel_x": car.accel_x + accel * drawn[0],
+            "accel_y": car.accel_y + accel * drawn[1],
+            "accel_z": telemetry.STANDARD_GRAVITY + accel * drawn[2],
+            "gyro_x": gyro * drawn[3],
+            "gyro_y": gyro * drawn[4],
+            "gyro_z": car.observe_motor().yaw_rate + gyro * drawn[5],
             "q_w": math.cos(yaw / 2.0),
             "q_z": math.sin(yaw / 2.0),
         }
