@@ -130,7 +130,7 @@ def make_planar_pose(config: FrameConfig, position: Vec3, quaternion: Quat) -> P
     scale = _SCALE[config.units]
     px, py, pz = relabel_vector(position, config.up)
     px, py, pz = px * scale, py * scale, pz * scale
-    cw, sw = cos(config.world_yaw), sin(config.world_yaw)
+    cw, sw = (cos(config.world_yaw), sin(config.world_yaw)) if config.world_yaw else (1.0, 0.0)
     # p_rear = p_m - R(yaw) (rx, ry);  p_cog = p_rear + R(yaw) (l_r, 0)
     ox, oy = config.cog_ahead_of_rear - config.marker_rear_x, -config.marker_rear_y
     cy, sy = cos(yaw), sin(yaw)

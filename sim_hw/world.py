@@ -158,7 +158,8 @@ class World:
                     self.mocap.publish(capture)
         if t_ns >= self._edge_ns:
             self._apply_faults(t_ns)
-        self.t_ns = max(self.t_ns, t_ns)
+        if t_ns > self.t_ns:
+            self.t_ns = t_ns
 
     @property
     def next_wake_ns(self) -> int:
@@ -215,7 +216,8 @@ class World:
         Raises:
             OSError: the device is gone (EIO).
         """
-        self.advance(t_ns)
+        if t_ns > self.t_ns or t_ns >= self._edge_ns:
+            self.advance(t_ns)
         vesc = self.vesc
         if not vesc.connected:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
@@ -252,5 +254,6 @@ class World:
 
     def mocap_read(self, t_ns: int) -> list[Datagram]:
         """Messages that have reached the host by ``t_ns``, in order of arrival."""
-        self.advance(t_ns)
+        if t_ns > self.t_ns or t_ns >= self._edge_ns:
+            self.advance(t_ns)
         return self.network.due(t_ns)

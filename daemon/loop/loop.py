@@ -360,6 +360,8 @@ class Loop:
     def _check_launch(self, estimate: StateEstimate | None, now_ns: int) -> Iterator[Finding]:
         if self.supervisor.state is not SupervisorState.RUNNING or estimate is None:
             return
+        if self._launch is not None and self._launch.done:
+            return
         s = estimate.state
         wheel_speed = self.perception.wheel_speed
         aim = references(FLOAT, self._car, self._limiter.order)  # gain and bias of the linkage

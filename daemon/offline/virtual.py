@@ -78,7 +78,9 @@ class VirtualRun:
     def _advance(self, end: int) -> None:
         """Advance to `end`, handling what arrives."""
         while self.t_ns < end:
-            self.t_ns = min(max(self.world.next_wake_ns, self.t_ns + 1), end)
+            wake_ns, soonest_ns = self.world.next_wake_ns, self.t_ns + 1
+            wake_ns = wake_ns if wake_ns > soonest_ns else soonest_ns
+            self.t_ns = wake_ns if wake_ns < end else end
             self._receive(self.t_ns)
 
     def _feed_back(self) -> None:

@@ -50,7 +50,8 @@ class ByteQueue:
 
     def put(self, t_ns: int, data: bytes) -> int:
         """Queue bytes for ``t_ns``, or for when those before them are out; gives that time."""
-        self.last_ns = max(t_ns, self.last_ns)
+        if t_ns > self.last_ns:
+            self.last_ns = t_ns
         self._chunks.append(Chunk(self.last_ns, data))
         return self.last_ns
 

@@ -40,7 +40,7 @@ class ReplyWire:
 
     def on_read(self, count: int) -> None:
         """The host has read ``count`` bytes."""
-        self._unread = max(0, self._unread - count)
+        self._unread = self._unread - count if count < self._unread else 0
 
     def send(self, t_ns: int, payload: bytes) -> None:
         """Send a reply as a frame."""
