@@ -112,32 +112,25 @@ class Port:
         self._spy: Any = getattr(device, "formatter", None)
 
     def read(self, limit: int = READ_LIMIT) -> bytes:
-        """Everything that has arrived, up to ``limit`` bytes; empty when nothing has.
+        """What has arrived, up to ``limit`` bytes; empty when nothing has.
+
+        A device may give less than has arrived; then its descriptor is still readable.
 
         Raises:
             LinkDown: the other end is gone.
         """
-        chunks: list[bytes] = []
-        left = limit
-        while left > 0:
-            try:
-                chunk = os.read(self.fd, left)
-            except BlockingIOError:
-                break
-            except OSError as error:
-                if chunks:
-                    break  # what came before the end is still good; the next read reports it
-                raise _link_down(self.url, f"read failed: {error.strerror}") from error
-            if not chunk:
-                if chunks:
-                    break
-                raise _link_down(self.url, "hung up")
-            chunks.append(chunk)
-            if len(chunk) < left:
-                break  # that was all there is: asking again costs a tick more than the bytes
-            left -= len(chunk)
-        data = b"".join(chunks)
-        if self._spy is not None and data:
+        # One call: what it leaves behind, or the end behind the last bytes, the next read finds,
+        # and the descriptor stays readable until then. Asking twice costs a tick more than the
+        # bytes do.
+        try:
+            data = os.read(self.fd, limit)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise _link_down(self.url, f"read failed: {error.strerror}") from error
+        if not data:
+            raise _link_down(self.url, "hung up")
+        if self._spy is not None:
             self._spy.rx(data)
         return data
 

@@ -179,8 +179,10 @@ def test_bytes_before_a_failure_are_still_delivered(
         return answer
 
     monkeypatch.setattr(os, "read", scripted)
-    assert port.read() == FRAME
-    assert port.read() == FRAME
+    for reason in ("Input/output error", "hung up"):
+        assert port.read() == FRAME
+        with pytest.raises(LinkDown, match=reason):
+            port.read()
     assert answers == []
 
 
