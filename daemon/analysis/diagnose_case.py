@@ -12,7 +12,7 @@ from steerd.daemon.analysis.drives import (
     Warn,
     is_same,
     load_base,
-    load_drive,
+    load_drives,
     refuse_copies,
     without_reserved,
 )
@@ -108,15 +108,12 @@ def make_case(request: DiagnoseRequest, warn: Warn, advance: Callable[[float], N
     _refuse_healthy(request.healthy, (*sessions, *reserved))
     for path in reserved:
         _check_exists(path)
-    drives = []
-    for number, path in enumerate(sessions):
-        drives.append(load_drive(path, speed, warn))
-        advance((number + 1) / len(sessions))
+    drives = load_drives(sessions, speed, warn, advance)
     warn(compare_truths({path.name: open_session(path).info().metadata for path in sessions}))
     base, source, notes = find_base(request.base, sessions)
-    jitters = tuple(" ".join(drive.log_jitter.describe()) for drive in drives if drive.log_jitter)
+    jitters = dict.fromkeys(" ".join(d.log_jitter.describe()) for d in drives if d.log_jitter)
     drives = add_command_history(drives, base.model, asked=True)
-    healthy = [load_drive(path, speed, warn) for path in request.healthy]
+    healthy = load_drives(request.healthy, speed, warn)
     healthy = add_command_history(healthy, base.model, asked=True)
     runs, later, held_out_of, more = split_drives(drives, request.held_out, speed, warn)
     return Case(

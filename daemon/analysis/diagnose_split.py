@@ -7,7 +7,7 @@ from math import floor
 
 import numpy as np
 
-from steerd.daemon.analysis.drives import Speed, Warn, load_drive
+from steerd.daemon.analysis.drives import Speed, Warn, load_drives
 from steerd.daemon.analysis.held_out import EVERY, HeldOut
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.sysid.data.data_checks import DataError
@@ -65,7 +65,7 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: W
         past = drives[0].history
 
         def later() -> Sequence[Run]:
-            opened = [load_drive(path, speed, warn) for path in reserved]
+            opened = load_drives(reserved, speed, warn)
             return find_moving([replace(drive, history=past) for drive in opened])
 
         return _in_blocks(drives, parts), later, names, _block_notes(drives)
@@ -77,13 +77,19 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: W
 
 def _whole_sessions(drives: Sequence[Run], parts: tuple[Run, ...], every: int) -> Split | None:
     """Every so many sessions held out whole; None if there are too few of them."""
-    names = {run.name for run in drives[every - 1 :: every]}
+    sessions = _sessions(drives)
+    names = set(sessions[every - 1 :: every])
     kept = tuple(run for run in parts if run.name in names)
     fitted = tuple(run for run in parts if run.name not in names)
-    if len(drives) < every or not kept or not fitted:
+    if len(sessions) < every or not kept or not fitted:
         return None
     named = f"every {_ordinal(every)} session: {', '.join(sorted(names))}"
     return _in_blocks(drives, fitted), lambda: kept, named, _block_notes(drives)
+
+
+def _sessions(drives: Sequence[Run]) -> list[str]:
+    """Names of the sessions, of which long ones are several drives."""
+    return list(dict.fromkeys(run.name for run in drives))
 
 
 def _some_blocks(drives: Sequence[Run], parts: tuple[Run, ...], every: int | None) -> Split:
@@ -134,6 +140,7 @@ def _block_notes(drives: Sequence[Run]) -> list[str]:
     unused = list(describe_unused(drives))
     if len(drives) >= EVERY:
         return unused
-    what = "one session" if len(drives) == 1 else f"{len(drives)} sessions"
+    count = len(_sessions(drives))
+    what = "one session" if count == 1 else f"{count} sessions"
     first = f"{what}, cut into blocks of {BLOCK:g} s or more: they stand in for further drives"
     return [first, *unused]

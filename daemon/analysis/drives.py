@@ -1,5 +1,7 @@
 """Sessions as drives for the offline tools; what cannot be used is one clear line."""
 
+# Why: docs/decisions/identification.md#d107
+
 import filecmp
 from collections.abc import Callable, Sequence
 from itertools import combinations
@@ -18,6 +20,9 @@ Speed = Literal["command", "wheel"]
 """What drives the simulated car: the speed command, or the measured wheel speed."""
 Warn = Callable[[Sequence[str]], None]
 """Is handed what is wrong or doubtful in a session, as sentences; the work goes on."""
+MOST = 1200.0
+"""Driving that is looked at, at most [s]: ten times what identifies a car to a percent or two, and
+what a diagnosis judges in minutes; time and memory of either would grow with the rest."""
 
 
 def _ignore(texts: Sequence[str]) -> None:
@@ -57,6 +62,42 @@ def load_drive(path: Path, speed: Speed = "command", warn: Warn = _ignore) -> "R
         raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
     except OSError as error:
         raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
+
+
+def load_drives(
+    paths: Sequence[Path],
+    speed: Speed = "command",
+    warn: Warn = _ignore,
+    advance: Callable[[float], None] = lambda _: None,
+) -> list["Run"]:
+    """Sessions as drives, one after the other; of long ones pieces, evenly from the whole.
+
+    Args:
+        paths: the sessions.
+        speed: as for `load_drive`.
+        warn: as for `load_drive`; is also handed what is left out.
+        advance: is called with the share of the files read.
+
+    Raises:
+        SteerdError: one cannot be read, or is not fit for a fit.
+    """
+    from steerd.sysid.data.segments import PIECE, spread_evenly
+    from steerd.sysid.estimation.prediction_horizon import HISTORY
+
+    found: list[Run] = []
+    whole, cut = 0.0, False
+    for number, path in enumerate(paths):
+        run = load_drive(path, speed, warn)
+        parts = spread_evenly(run, max(MOST / len(paths), PIECE), HISTORY)
+        cut |= parts[0] is not run
+        found += parts
+        whole += run.driven
+        advance((number + 1) / len(paths))
+    if cut:
+        used = sum(run.driven for run in found) / 60.0
+        what = f"of {whole / 3600.0:.1f} h {used:.0f} min are used, in pieces of {PIECE:g} s"
+        warn([f"{what}, evenly from every session"])
+    return found
 
 
 def _check_angles(run: "Run") -> None:

@@ -14,7 +14,7 @@ from steerd.daemon.analysis.car_output import teach_car
 from steerd.daemon.analysis.drives import (
     Speed,
     Warn,
-    load_drive,
+    load_drives,
     refuse_copies,
     without_reserved,
 )
@@ -96,13 +96,13 @@ def make_task(request: IdentifyRequest, warn: Warn) -> Task:
     files = request.held_out.files
     refuse_copies(files)
     sessions = without_reserved(request.sessions, files, "fit")
-    runs = tuple(load_drive(path, request.speed, warn) for path in sessions)
+    runs = tuple(load_drives(sessions, request.speed, warn))
     if "cog_height" not in stated:
         model = level_loads(model, runs)
     return Task(
         runs=runs,
         teach=teach_car,
-        held_out=tuple(load_drive(path, request.speed, warn) for path in files),
+        held_out=tuple(load_drives(files, request.speed, warn)),
         every=EVERY if request.held_out.every is None else request.held_out.every,
         model=model,
         options=Options(

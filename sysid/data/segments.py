@@ -31,6 +31,8 @@ SMOOTH = 0.3
 """Width of the Hann window that smooths a prescribed speed [s]."""
 BLOCK = 5.4
 """Length of the blocks of which every k-th is held out [s]."""
+PIECE = 30.0
+"""Length of the pieces that stand for a long drive [s]."""
 
 
 def make_segment(run: Run, low: float, high: float) -> Run:
@@ -57,6 +59,34 @@ def make_segment(run: Run, low: float, high: float) -> Run:
         speed_command=part(run.speed_command),
         start=run.start + zero,
     )
+
+
+def spread_evenly(run: Run, most: float, lead: float) -> list[Run]:
+    """Pieces of a drive, evenly from where the car moves; the drive itself where that is short.
+
+    Args:
+        run: the drive.
+        most: how much driving to keep [s].
+        lead: how much of the commands before a piece belongs to it [s].
+    """
+    spans = _spans(run)
+    driven = sum(high - low for low, high in spans)
+    if driven <= most:
+        return [run]
+    pieces = [
+        (float(begin), min(float(begin) + PIECE, high))
+        for low, high in spans
+        for begin in np.arange(low, high, PIECE)
+    ]
+    count = max(1, round(len(pieces) * most / driven))
+    chosen = np.linspace(0, len(pieces) - 1, count).round().astype(int)
+    longer = replace(run, history=max(lead, run.history))
+    return [_own(replace(make_segment(longer, *pieces[i]), history=run.history)) for i in chosen]
+
+
+def _own(run: Run) -> Run:
+    """The same with commands of its own: a view would keep the whole drive in memory."""
+    return replace(run, commands=run.commands.copy())
 
 
 def with_wheel_speed(run: Run) -> Run:

@@ -1,9 +1,16 @@
 """One drive under two names: recognised by its content, for a copy is no second drive."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from steerd.daemon.analysis.drives import is_same, refuse_copies, without_reserved
+from steerd.daemon.analysis import drives as module
+from steerd.daemon.analysis.diagnose_split import split_drives
+from steerd.daemon.analysis.drives import is_same, load_drives, refuse_copies, without_reserved
+from steerd.daemon.analysis.held_out import HeldOut
 from steerd.daemon.common.errors import SteerdError
+from steerd.sysid.data.dataset import Signal, make_run
 
 
 @pytest.fixture
@@ -45,3 +52,54 @@ def test_what_is_held_out_is_not_among_the_others(drives):
     assert without_reserved(given, [drives["copy"]], "fit") == (drives["b"],)
     with pytest.raises(SteerdError, match="nothing is left to fit"):
         without_reserved([drives["a"]], [drives["copy"]], "fit")
+
+
+@pytest.fixture
+def minutes(monkeypatch):
+    """Sessions that are as many minutes long as their names say."""
+
+    def load(path, speed, warn):
+        t = np.arange(0.0, 60.0 * float(path.stem), 0.02)
+        turned = t / 5.0
+        pose = np.column_stack([5.0 * np.sin(turned), -5.0 * np.cos(turned), turned])
+        steer, speed = Signal(t, 0.1 * np.sin(t)), Signal(t, np.ones_like(t))
+        return make_run(path.name, steer, speed, Signal(t, pose))
+
+    monkeypatch.setattr(module, "load_drive", load)
+
+    def opened(*names):
+        said, read = [], []
+        paths = [Path(f"{name}.mcap") for name in names]
+        found = load_drives(paths, "command", said.extend, read.append)
+        assert read == [(n + 1) / len(paths) for n in range(len(paths))]
+        return found, said
+
+    return opened
+
+
+def test_short_drives_are_taken_whole_and_nothing_is_said(minutes):
+    found, said = minutes(2, 3)
+    assert [run.driven for run in found] == pytest.approx([120.0, 180.0], abs=0.03)
+    assert said == []
+
+
+def test_of_long_drives_pieces_are_taken_and_it_is_said(minutes):
+    found, said = minutes(90, 1)
+    assert sum(run.driven for run in found) == pytest.approx(660.0, rel=0.05)
+    assert said == ["of 1.5 h 11 min are used, in pieces of 30 s, evenly from every session"]
+    assert {run.name for run in found} == {"90.mcap", "1.mcap"}
+
+
+def test_many_sessions_share_what_is_looked_at(minutes):
+    found, said = minutes(*range(2, 82))
+    assert len(found) == 80
+    assert sum(run.driven for run in found) == pytest.approx(80 * 30.0, rel=0.02)
+    assert said[0].startswith("of 55.")
+
+
+def test_sessions_are_held_out_whole_though_they_are_in_pieces(minutes):
+    found, _ = minutes(20, 21, 22, 23, 24)
+    fitted, later, named, _ = split_drives(found, HeldOut(), "command", lambda _: None)
+    assert named == "every 4th session: 23.mcap"
+    assert {run.name for run in later()} == {"23.mcap"}
+    assert {run.name for run in fitted} == {f"{n}.mcap" for n in (20, 21, 22, 24)}

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from steerd.sysid.data.dataset import HISTORY, Signal, make_run
-from steerd.sysid.data.segments import hold_out, make_blocks, moving_segments
+from steerd.sysid.data.segments import (
+    PIECE,
+    hold_out,
+    make_blocks,
+    moving_segments,
+    spread_evenly,
+)
 from steerd.sysid.data.windows import make_layout
 
 
@@ -40,3 +46,35 @@ def test_what_is_kept_back_keeps_its_time(drive):
     starts = sorted(run.start for run in (*fitted, *kept))
     assert starts == sorted(run.start for run in make_blocks(moving_segments([drive])))
     assert len(set(starts)) == len(starts)
+
+
+@pytest.fixture
+def long_drive():
+    """An hour, of which the car stands still every tenth minute."""
+    t = np.arange(0.0, 3600.0, 0.02)
+    speed = np.where(t % 600.0 < 60.0, 0.0, 1.0)
+    turned = np.cumsum(speed) * 0.02 / 5.0
+    pose = np.column_stack([5.0 * np.sin(turned), -5.0 * np.cos(turned), turned])
+    return make_run("long", Signal(t, 0.1 * np.sin(t)), Signal(t, speed), Signal(t, pose))
+
+
+def test_pieces_stand_for_a_long_drive(long_drive):
+    pieces = spread_evenly(long_drive, 600.0, 4.0)
+    moving = moving_segments(pieces)
+    assert sum(part.driven for part in moving) == pytest.approx(600.0, rel=0.05)
+    begins = [part.start for part in pieces]
+    assert begins[0] < 120.0
+    assert begins[-1] > 3500.0
+    assert np.diff(begins).max() < 3.0 * 3600.0 * PIECE / 600.0
+    for piece in pieces:
+        first = piece.start + piece.pose.t[0]
+        assert np.interp(first, *(long_drive.pose.t, long_drive.pose.values[:, 0])) == (
+            pytest.approx(piece.pose.values[0, 0])
+        )
+        assert piece.pose.t[0] == pytest.approx(4.0, abs=0.03)
+        assert piece.history == long_drive.history
+        assert piece.commands.base is None, "a view keeps the whole drive in memory"
+
+
+def test_a_short_drive_stays_as_it_is(drive):
+    assert spread_evenly(drive, 60.0, 4.0)[0] is drive
