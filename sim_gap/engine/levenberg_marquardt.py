@@ -102,6 +102,14 @@ def curvature(space: Space, at: Reduced) -> Array:
     return np.asarray(weighted + space.precision)
 
 
+def is_curved(space: Space, at: Reduced) -> bool:
+    """Whether the cost rises along every coordinate.
+
+    Where derivatives are so large that their differences are lost, its curvature is noise.
+    """
+    return bool((np.diag(curvature(space, at)) > 0.0).all())
+
+
 def _slope(space: Space, at: Reduced, z: Array) -> Array:
     pull: Array = at.weight @ at.g + space.prior_pull(z)
     return pull
@@ -211,7 +219,7 @@ class _Search:
         """One damped Newton step: nats promised and gained (0 if none was found)."""
         while self.damping < _DAMPING_MAX:
             h, slope = curvature(self.space, self.at), _slope(self.space, self.at, self.z)
-            if not (np.diag(h) > 0.0).all():
+            if not is_curved(self.space, self.at):
                 raise FloatingPointError("derivatives are so large that their differences are lost")
             damped = h + self.damping * np.diag(np.diag(h))
             dz = step_within(damped, slope, self.z, self.space.low, self.space.high)

@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
 from steerd.sim_gap.engine.engine import Engine, Reduced
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted, curvature, step_within, total
+from steerd.sim_gap.engine.levenberg_marquardt import (
+    Fitted,
+    curvature,
+    is_curved,
+    step_within,
+    total,
+)
 from steerd.sim_gap.engine.space import Space, make_space
 from steerd.sim_gap.verdict.places import suspicious_discs
 from steerd.sysid.compiler.codegen import SENSITIVITIES
@@ -86,6 +92,8 @@ def return_base(engine: Engine, fitted: Fitted) -> Fitted | None:
     # The starts stay: with what moved the base in its place they are as good as before.
     tangent = engine.tangent(linear)
     at = engine.reduce_by(tangent, linear.error, fitted.x)._replace(limit=fitted.at.limit)
+    if not is_curved(space, at):
+        return None
     return replace(fitted, z=z, at=at, cost=total(space, at, z), tangent=tangent, linear=linear)
 
 
@@ -135,12 +143,12 @@ def _linear(
 ) -> list[Promise]:
     """Promises of effects with a gradient, from one Jacobian of all of them.
 
-    Where that is not finite, each half is looked at alone: one effect that leaves the map must not
-    take the others with it.
+    Where that is not finite, or so large that its differences are lost, each half is looked at
+    alone: one effect that leaves the map must not take the others with it.
     """
     space, z = extended(engine, fitted, nuisance, [e.name for e in effects])
-    at = engine.reduce(space, z, fitted.x)
-    if not at.finite:
+    at = engine.reduce(space, z, fitted.x)._replace(limit=fitted.at.limit)
+    if not at.finite or not is_curved(space, at):
         if len(effects) == 1:
             return [Promise(effects[0].name, -np.inf, effects[0].nulls, tested=False)]
         half = len(effects) // 2
@@ -173,7 +181,9 @@ def _scan(engine: Engine, fitted: Fitted, nuisance: Sequence[str], effect: Effec
         error, finite = engine.missed(space, z, fitted.x)
         if not finite:
             continue
-        at = engine.reduce_by(fitted.tangent, error, fitted.x)
+        at = engine.reduce_by(fitted.tangent, error, fitted.x)._replace(limit=fitted.at.limit)
+        if not is_curved(fitted.space, at):
+            continue
         cost = total(fitted.space, at, fitted.z)
         gain = fitted.cost - cost + _expected(fitted.space, at, fitted.z)[0]
         if gain > best.gain:

@@ -51,6 +51,26 @@ def test_one_that_diverges_is_untested_and_the_others_promise_as_before(case, mo
         assert promises[name].gain == pytest.approx(whole[name], rel=1e-6)
 
 
+def test_a_window_whose_derivatives_are_lost_stops_no_scan(case):
+    """A window on the edge of a spin: its curvature is the difference of two huge numbers."""
+    engine, null, nuisance = case
+    names = (*NAMES, "steer_backlash")
+    whole = {p.effect: p.gain for p in screen(engine, null, nuisance, names)}
+    spoilt, worst = null.tangent.h.copy(), int(np.argmax(null.at.square / null.at.dof))
+    spoilt[worst, 0, 0] = -1e12
+    edge = replace(null, tangent=null.tangent._replace(h=spoilt))
+    found = {p.effect: p for p in screen(engine, edge, nuisance, names)}
+    assert found["steer_backlash"].gain == 0.0
+    for name in NAMES:
+        assert found[name].gain == pytest.approx(whole[name], rel=1e-6)
+
+    ratios = np.sort(null.at.square / null.at.dof)
+    lost = replace(edge, at=null.at._replace(limit=float(ratios[-2:].mean())))
+    gains = [p.gain for p in screen(engine, lost, nuisance, names)]
+    assert np.isfinite(gains).all()
+    assert max(gains) > 0.5 * max(whole.values())
+
+
 def test_an_effect_that_the_base_stands_in_for_is_seen(drive, base):
     """`accel_max` and `decel_max`, far from what is known of them, do the same as the limit."""
     runs = drive("accel_limit=1.0", runs=2, seconds=6.0, seed=11)
