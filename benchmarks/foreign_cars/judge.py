@@ -29,7 +29,7 @@ class ToolError(RuntimeError):
     """A command of the tool failed; the message is its last lines."""
 
 
-def _run(tool: str, *words: str) -> float:
+def run_tool(tool: str, *words: str) -> float:
     """Run a command; its CPU seconds.
 
     Raises:
@@ -56,7 +56,7 @@ def _imported(tool: str, tables: Iterable[Path]) -> list[str]:
         if not session.exists():
             session.with_name(f"{session.name}.partial").unlink(missing_ok=True)
             words = (str(table), "--map", str(table.with_name("map.toml")), "-o", str(session))
-            _run(tool, "import", "csv", *words)
+            run_tool(tool, "import", "csv", *words)
         sessions.append(str(session))
     return sessions
 
@@ -83,7 +83,7 @@ def identify_car(case: Case, out: Path, tool: str = TOOL, taped: bool = True) ->
         words = ("-o", str(folder / "car.toml"), "--json", str(folder / "identify.json"))
         if taped:
             words = (*words, "--wheelbase", f"{_tape(case):.3f}")
-        clock.write_text(f"{_run(tool, 'identify', *sessions, *words):.2f}\n")
+        clock.write_text(f"{run_tool(tool, 'identify', *sessions, *words):.2f}\n")
     except ToolError as error:
         failed.write_text(f"{error}\n")
     return folder
@@ -103,7 +103,7 @@ def _diagnosed(case: Case, out: Path, tool: str, row: Json, base: Path) -> None:
     sessions = _imported(tool, write_logs(folder, "later", logs))
     verdict = folder / "gap.json"
     words = ("--base", str(base / "car.toml"), "--json", str(verdict))
-    row["diagnose_cpu"] = round(_run(tool, "diagnose", *sessions, *words), 2)
+    row["diagnose_cpu"] = round(run_tool(tool, "diagnose", *sessions, *words), 2)
     answer = json.loads(verdict.read_text())
     row["gap"] = {key: answer.get(key) for key in _KEPT}
     row["errors"] = {when: answer["gap"][when]["errors"] for when in ("before", "after")}

@@ -184,7 +184,7 @@ def _start(model: Any, car: MujocoCar, start: Array) -> Any:
     return data
 
 
-class _Stepper:
+class Stepper:
     """A car on the move: one millisecond after the other."""
 
     def __init__(self, car: MujocoCar, wiring: Wiring, start: Array) -> None:
@@ -281,7 +281,7 @@ def simulate(car: MujocoCar, wiring: Wiring, orders: Orders, process: Array, sta
         process: accelerations that push it, per millisecond, rows x, y, yaw.
         start: x, y, yaw, speed.
     """
-    n, stepper = len(orders.angle), _Stepper(car, wiring, start)
+    n, stepper = len(orders.angle), Stepper(car, wiring, start)
     poses, velocity = np.empty((n, 3)), np.empty((n, 3))
     rolling, loads, data = np.empty(n), np.empty((n, 4)), stepper.data
     for i in range(n):
