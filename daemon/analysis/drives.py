@@ -81,7 +81,7 @@ def load_drives(
     Raises:
         SteerdError: one cannot be read, or is not fit for a fit.
     """
-    from steerd.sysid.data.segments import PIECE, spread_evenly
+    from steerd.sysid.data.segments import PIECE, spread_evenly, thinned
     from steerd.sysid.estimation.prediction_horizon import HISTORY
 
     found: list[Run] = []
@@ -93,11 +93,12 @@ def load_drives(
         found += parts
         whole += run.driven
         advance((number + 1) / len(paths))
-    if cut:
-        used = sum(run.driven for run in found) / 60.0
+    kept = thinned(found, MOST)
+    if cut or len(kept) < len(found):
+        used = sum(run.driven for run in kept) / 60.0
         what = f"of {whole / 3600.0:.1f} h {used:.0f} min are used, in pieces of {PIECE:g} s"
-        warn([f"{what}, evenly from every session"])
-    return found
+        warn([f"{what}, evenly from all sessions"])
+    return kept
 
 
 def _check_angles(run: "Run") -> None:

@@ -33,6 +33,7 @@ BLOCK = 5.4
 """Length of the blocks of which every k-th is held out [s]."""
 PIECE = 30.0
 """Length of the pieces that stand for a long drive [s]."""
+_ROUNDED = 1.0 + 1e-9
 
 
 def make_segment(run: Run, low: float, high: float) -> Run:
@@ -82,6 +83,18 @@ def spread_evenly(run: Run, most: float, lead: float) -> list[Run]:
     chosen = np.linspace(0, len(pieces) - 1, count).round().astype(int)
     longer = replace(run, history=max(lead, run.history))
     return [_own(replace(make_segment(longer, *pieces[i]), history=run.history)) for i in chosen]
+
+
+def thinned(runs: Sequence[Run], most: float) -> list[Run]:
+    """As many of the drives, evenly chosen, as last no longer than `most` in all [s]."""
+    count = len(runs)
+    while count > 1:
+        chosen = np.linspace(0, len(runs) - 1, count).round().astype(int)
+        driven = sum(runs[i].driven for i in chosen)
+        if driven <= most * _ROUNDED:
+            return [runs[i] for i in chosen]
+        count = min(count - 1, int(count * most / driven))
+    return list(runs[:1])
 
 
 def _own(run: Run) -> Run:

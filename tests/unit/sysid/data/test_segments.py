@@ -1,5 +1,7 @@
 """Parts of drives know where in their drive they begin: drift counts from the drive's start."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from steerd.sysid.data.segments import (
     make_blocks,
     moving_segments,
     spread_evenly,
+    thinned,
 )
 from steerd.sysid.data.windows import make_layout
 
@@ -78,3 +81,14 @@ def test_pieces_stand_for_a_long_drive(long_drive):
 
 def test_a_short_drive_stays_as_it_is(drive):
     assert spread_evenly(drive, 60.0, 4.0)[0] is drive
+
+
+def test_drives_are_thinned_evenly_to_what_is_wanted(drive):
+    drives = [replace(drive, name=f"{i}") for i in range(40)]
+    assert thinned(drives, 40 * drive.driven) == drives
+    kept = thinned(drives, 10 * drive.driven)
+    numbers = [int(run.name) for run in kept]
+    assert len(kept) == 10
+    assert (numbers[0], numbers[-1]) == (0, 39)
+    assert set(np.diff(numbers)) == {4, 5}
+    assert thinned(drives, 0.0) == drives[:1]
