@@ -52,7 +52,7 @@ all-tests: install
 	# the run fails if more than a tenth of them needed that (tests/conftest.py).
 	$(PYTEST) -m realtime --reruns 2
 
-bench: install     ## measure everything; writes docs/results/performance.md (10 minutes)
+bench: install     ## measure everything; writes docs/results/performance.md (20 minutes)
 	$(BIN)/python -m pip install --quiet --progress-bar off -c constraints.txt --group bench
 	$(BIN)/python benchmarks/run.py
 

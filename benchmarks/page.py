@@ -250,6 +250,22 @@ def batch(said: dict[str, Any]) -> str:
     )
 
 
+def hours(said: list[dict[str, Any]]) -> str:
+    rows = [
+        [f"{each['hours']:g}", each["sessions"], each["identify_mb"], each["identify_cpu_s"],
+         each["diagnose_mb"], each["diagnose_cpu_s"]]
+        for each in sorted(said, key=lambda each: float(each["hours"]))
+    ]  # fmt: skip
+    head = ["hours", "sessions", "identify MB", "CPU s", "diagnose MB", "CPU s"]
+    return (
+        "Imported drives of ten minutes or less, 100 poses a second; peak memory and processor "
+        "time of `steerd identify` and `steerd diagnose --no-closed-loop`.\n\n"
+        + table(head, rows)
+        + "\nOf more than twenty minutes, pieces from all sessions are looked at, and the rest is "
+        "not (decision 107).\n"
+    )
+
+
 PARTS = {
     "simulation": ("Differentiable simulation", simulation),
     "identify": ("Identification", identify),
@@ -261,6 +277,7 @@ PARTS = {
     "wire": ("Wire and file", wire),
     "startup": ("Start-up", startup),
     "batch": ("Batches", batch),
+    "hours": ("Hours of driving", hours),
 }
 
 

@@ -37,6 +37,7 @@ PIECES: dict[str, tuple[str, ...]] = {
     "wire": ("perf_wire.py",),
     "startup": ("perf_startup.py",),
     "batch": ("perf_batch.py",),
+    "hours": ("perf_hours.py",),
 }
 
 

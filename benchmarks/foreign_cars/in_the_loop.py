@@ -3,9 +3,9 @@
     python -m benchmarks.foreign_cars.in_the_loop --cars 4 ../rows.jsonl
 
 The control core drives, in virtual time and with every byte of VESC and NatNet, a figure-eight and
-a circle of the healthy car, then a figure-eight with an effect. `identify` learns the first two,
-`diagnose` explains the third by the car file alone. Lane keeping excites a car little: what such a
-drive does not distinguish must be said, not guessed.
+a circle of the healthy car by the class's car file, then a figure-eight with an effect by the
+identified one. `identify` learns the first two, `diagnose` explains the third. Lane
+keeping excites a car little: what such a drive does not distinguish must be said, not guessed.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from benchmarks.blind_gap.drives import make_noise
 from benchmarks.blind_gap.effects import Place
 from benchmarks.blind_gap.plant import STEP
 from benchmarks.foreign_cars.effects import label_of
-from benchmarks.foreign_cars.judge import TOOL, run_tool
+from benchmarks.foreign_cars.judge import TOOL, ToolError, run_tool
 from benchmarks.foreign_cars.mujoco_car import MujocoPlant, Stepper, make_mujoco
 from steerd.car_model.car_file import default_car_path
 from steerd.car_model.state import Observation, State
@@ -153,10 +153,10 @@ class LoopCar:
         return rolling / self._wiring.speed_gain
 
 
-def record(plant: MujocoPlant, path: str, speed: float, seed: int, out: Path) -> bool:
+def record(plant: MujocoPlant, file: Path, path: str, speed: float, seed: int, out: Path) -> bool:
     """A drive in virtual time, as `steerd run` records it; whether nothing stopped it."""
     options = RunOptions(
-        str(default_car_path()), path=path, speed=speed, duration_s=SECONDS, record=str(out),
+        str(file), path=path, speed=speed, duration_s=SECONDS, record=str(out),
         seed=seed, simulated=True, auto_arm=True,
     )  # fmt: skip
     plan = make_plan(options)
@@ -176,7 +176,7 @@ def judge(seed: int, tool: str) -> list[Json]:
         folder = Path(name)
         healthy = [folder / f"healthy{i}.mcap" for i in range(len(HEALTHY))]
         for i, (path, speed) in enumerate(HEALTHY):
-            record(plant, path, speed, 100 * seed + i, healthy[i])
+            record(plant, default_car_path(), path, speed, 100 * seed + i, healthy[i])
         base, tape = folder / "car.toml", plant.truth["lf"] + plant.truth["lr"]
         words = ("-o", str(base), "--wheelbase", f"{tape:.3f}")
         run_tool(tool, "identify", *map(str, healthy), *words)
@@ -184,12 +184,19 @@ def judge(seed: int, tool: str) -> list[Json]:
             later, gap = folder / f"later{number}.mcap", folder / "gap.json"
             values = label_of(name, EFFECTS[name], NOWHERE) if name else {}
             car = plant.with_effect(name, values) if name else plant
-            drove = record(car, *LATER, 100 * seed + 10 + number, later)
-            run_tool(tool, "diagnose", str(later), "--base", str(base), "--json", str(gap))
-            found = json.loads(gap.read_text())
-            kept = {key: found[key] for key in ("verdict", "causes", "next_manoeuvre")}
+            drove = record(car, base, *LATER, 100 * seed + 10 + number, later)
+            kept = _diagnosed(tool, later, base, gap)
             rows.append({"seed": seed, "effect": name, "values": values, "drove": drove, **kept})
     return rows
+
+
+def _diagnosed(tool: str, later: Path, base: Path, gap: Path) -> Json:
+    try:
+        run_tool(tool, "diagnose", str(later), "--base", str(base), "--json", str(gap))
+    except ToolError as error:
+        return {"verdict": "no verdict", "causes": [], "next_manoeuvre": {}, "error": str(error)}
+    found = json.loads(gap.read_text())
+    return {key: found[key] for key in ("verdict", "causes", "next_manoeuvre")}
 
 
 def describe(rows: Sequence[Mapping[str, Any]]) -> str:
