@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.blind_gap.score import (
     CONFIDENT,
     Rate,
+    Reliability,
     Scored,
     both_named,
     calibration,
@@ -108,6 +109,13 @@ def _naming(singles: Sequence[Scored]) -> Lines:
     }
 
 
+def _error_of(right: Reliability) -> str:
+    """With what a tool whose confidences are exactly right shows on as many names."""
+    mean, high = (f"{100.0 * value:.1f}" for value in right.ece_chance)
+    points = f"{_number(100.0 * right.ece)} points of {right.count} names"
+    return f"{points} (chance {mean}; 95 %: {high})"
+
+
 def _learnt(rows: Sequence[Json]) -> Lines:
     """What identification got of the cars, each car once."""
     cars = {(r["case"]["plant"], r["case"]["seed"]): r for r in rows if "identify" in r}
@@ -176,7 +184,7 @@ def score_rows(rows: Sequence[Json]) -> Lines:
         "pairs: at least one": _share(rate(pairs, one_named)),
         "outside the library: detected": _share(rate(outside, lambda c: c.detected)),
         "outside the library: confident wrong": _share(rate(outside, wrong_name)),
-        "expected calibration error": f"{_number(100.0 * right.ece)} points of {right.count} names",
+        "expected calibration error": _error_of(right),
         "parameter error, median; 90 %": _two(100 * errors.median, 100 * errors.p90, "%"),
         "shrinkage error, median; 90 %": _two(shrunk.median, shrunk.p90, "points"),
         **_learnt(rows),
