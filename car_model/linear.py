@@ -1,7 +1,8 @@
 """The car near an operating point: steady turns, linear models, Rajamani's lane errors.
 
-Everything comes from the exact Jacobian of the one set of equations, so a controller designed here
-is designed for the car that is simulated.
+Everything comes from the exact Jacobian of the single-track equations. About straight driving,
+where controllers are designed, every chassis has the same one (tested), so a controller designed
+here is designed for the car that is simulated.
 """
 
 import math

@@ -147,6 +147,8 @@ def make_planar(drive: str = "rear") -> Chassis:
 
 PLANAR = make_planar("all")
 """The default of new car files: F1TENTH cars drive all four wheels."""
+CHASSIS: tuple[Chassis, ...] = (SINGLE_TRACK, *map(make_planar, DRIVES))
+"""All that there are, in the order in which machine code numbers them."""
 CHASSIS_NAMES: tuple[str, ...] = (SINGLE_TRACK.name, PLANAR.name)
 
 

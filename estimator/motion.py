@@ -1,4 +1,4 @@
-"""Propagation of a belief: single-track equations, exact Jacobian, one implicit step.
+"""Propagation of a belief: the chassis' equations, exact Jacobian, one implicit step.
 
 The linearly implicit midpoint rule (Rosenbrock's, one stage) with `A` the Jacobian of the rates:
 
@@ -6,8 +6,8 @@ The linearly implicit midpoint rule (Rosenbrock's, one stage) with `A` the Jacob
 
 is of second order and stable however fast yaw rate and slip decay (about 94 / v per second for the
 paper's car, which an explicit step of 10 ms no longer follows below 0.5 m/s). One evaluation of
-the equations serves mean and covariance alike. The whole step is recorded once per car and compiled
-(`steerd.car_model.tape`), zeros of sparse matrices left out.
+the equations serves mean and covariance alike. The whole step is recorded once per car and chassis
+and compiled (`steerd.car_model.tape`), zeros of sparse matrices left out.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,10 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from steerd.car_model.chassis import SPEED_DYNAMIC, derivative
+from steerd.car_model.chassis import SPEED_DYNAMIC, Chassis, derivative
 from steerd.car_model.ops import FLOAT, Ops, T
 from steerd.car_model.params import Car
-from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import State
 from steerd.car_model.straight_line import compiled
 from steerd.car_model.tape import TAPE, Node, Tape, jacobian
@@ -31,8 +30,12 @@ SIZE = len(State._fields)
 LONGEST_STEP_NS = 10_000_000
 MOST_STEPS = 25
 """A gap without any measurement is divided no finer: a tick must stay cheap however long it is."""
+STEEPEST = 3
+"""Highest power by which the steps of a long gap grow."""
 _WHEEL, _ACCEL = 6, 7
 """Columns of the inputs in the Jacobian of the rates, after the six chassis states."""
+_FED = (4, 5, 0, 1)
+"""Rates that wheel angle and acceleration may enter, as `implicit_solver` takes them."""
 
 Rows = Sequence[Sequence[Any]]
 """A matrix of numbers of any kind that has arithmetic: floats, or numbers being recorded."""
@@ -77,24 +80,26 @@ def noise_density(config: FilterConfig, speed: float, *, steered: bool = True) -
 
 
 def implicit_solver(rows: Rows, k: Any) -> Callable[[Any, Any, Any, Any], tuple[Any, ...]]:
-    """Solver of `(I - k A) z = b` for a `b` that is zero in x and y.
+    """Solver of `(I - k A) z = b`; `b` in the order yaw, speed, yaw rate, slip, x, y.
 
     Only yaw rate and slip feed back on each other; speed stands alone; yaw, then x and y, follow by
     substitution. A test holds it against the dense
     solution, which would notice an equation that couples more.
     """
-    (_, _, x_yaw, x_speed, _, x_slip, *_), (_, _, y_yaw, y_speed, _, y_slip, *_) = rows[:2]
+    (_, _, x_yaw, x_speed, x_r, x_slip, *_), (_, _, y_yaw, y_speed, y_r, y_slip, *_) = rows[:2]
     (_, _, _, r_speed, r_r, r_slip, *_), (_, _, _, s_speed, s_r, s_slip, *_) = rows[4:]
     p, q, s, t = 1.0 - k * r_r, k * r_slip, k * s_r, 1.0 - k * s_slip
     scale = 1.0 / (p * t - q * s)
 
-    def solve(yaw: Any, speed: Any, yaw_rate: Any, slip: Any) -> tuple[Any, ...]:
+    def solve(
+        yaw: Any, speed: Any, yaw_rate: Any, slip: Any, x: Any = 0.0, y: Any = 0.0
+    ) -> tuple[Any, ...]:
         u, w = yaw_rate + k * r_speed * speed, slip + k * s_speed * speed
         rate, beta = scale * (t * u + q * w), scale * (p * w + s * u)
         heading = yaw + k * rate
         return (
-            k * (x_yaw * heading + x_speed * speed + x_slip * beta),
-            k * (y_yaw * heading + y_speed * speed + y_slip * beta),
+            x + k * (x_yaw * heading + x_speed * speed + x_slip * beta + x_r * rate),
+            y + k * (y_yaw * heading + y_speed * speed + y_slip * beta + y_r * rate),
             heading,
             speed,
             rate,
@@ -118,8 +123,7 @@ def implicit_step(
     after[1] += h * rates[1]
     # F = 2 W - I, column by column; the inputs add h W B times how they follow from the state.
     gain, turn = h * driven.accel_by_speed, h * driven.wheel_by_steer
-    spin, drift = rows[4], rows[5]
-    by_accel = solve(0.0, gain, gain * spin[_ACCEL], gain * drift[_ACCEL])
+    by_accel = solve(0.0, gain, *(gain * rows[i][_ACCEL] for i in _FED))
     columns = (
         (2.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         (0.0, 2.0, 0.0, 0.0, 0.0, 0.0),
@@ -127,7 +131,7 @@ def implicit_step(
         [a + b for a, b in zip(solve(0.0, 2.0, 0.0, 0.0), by_accel, strict=True)],
         solve(0.0, 0.0, 2.0, 0.0),
         solve(0.0, 0.0, 0.0, 2.0),
-        solve(0.0, 0.0, turn * spin[_WHEEL], turn * drift[_WHEEL]),
+        solve(0.0, 0.0, *(turn * rows[i][_WHEEL] for i in _FED)),
     )
     transition = [[c[i] - float(i == j) for j, c in enumerate(columns)] for i in range(SIZE - 1)]
     steering = [0.0] * (SIZE - 1) + [driven.steer_by_steer]
@@ -149,7 +153,7 @@ def process_noise(transition: Rows, density: Sequence[Any], h: Any) -> Rows:
     return [[entry(max(i, j), min(i, j)) for j in range(SIZE)] for i in range(SIZE)]
 
 
-def recorded_step(tape: Tape, car: Car[Node]) -> tuple[list[Node], list[Node]]:
+def recorded_step(tape: Tape, car: Car[Node], chassis: Chassis) -> tuple[list[Node], list[Node]]:
     """One step: (state, driven, density, h) -> mean, transition and noise, in rows."""
     sides = [f"driven_{name}" for name in ActuatorMotion._fields[:-1]]
     names = (*State._fields, *sides, *(f"density_{i}" for i in range(SIZE)), "h")
@@ -158,7 +162,7 @@ def recorded_step(tape: Tape, car: Car[Node]) -> tuple[list[Node], list[Node]]:
     driven: Any = ActuatorMotion._make([*inputs[SIZE : -SIZE - 1], None])
     density, h = inputs[-SIZE - 1 : -1], inputs[-1]
     along = (*state[:-1], driven.wheel, driven.accel)
-    rates = derivative(SINGLE_TRACK, TAPE, car, state, *along[-2:])
+    rates = derivative(chassis, TAPE, car, state, *along[-2:])
     mean, transition = implicit_step(rates, jacobian(rates, along), state, driven, h)
     noise = process_noise(transition, density, h)
     rows = (number for matrix in (transition, noise) for row in matrix for number in row)
@@ -166,17 +170,22 @@ def recorded_step(tape: Tape, car: Car[Node]) -> tuple[list[Node], list[Node]]:
 
 
 @lru_cache(maxsize=32)
-def _program(car: Car[float]) -> Callable[..., tuple[float, ...]]:
+def _program(car: Car[float], chassis: Chassis) -> Callable[..., tuple[float, ...]]:
     """A step for this car, recorded and compiled."""
     tape = Tape()
-    return compiled(*recorded_step(tape, Car(*map(tape.constant, car))))
+    return compiled(*recorded_step(tape, Car(*map(tape.constant, car)), chassis))
 
 
 def propagate(
-    car: Car[float], state: State[float], driven: ActuatorMotion, density: Sequence[float], h: float
+    car: Car[float],
+    chassis: Chassis,
+    state: State[float],
+    driven: ActuatorMotion,
+    density: Sequence[float],
+    h: float,
 ) -> Propagation:
     """One step of `h` seconds from a mean, under what the actuators do and noise of `density`."""
-    numbers = np.array(_program(car)(*state, *driven[:-1], *density, h))
+    numbers = np.array(_program(car, chassis)(*state, *driven[:-1], *density, h))
     matrices = numbers[SIZE:].reshape(2, SIZE, SIZE)
     return Propagation(numbers[:SIZE], matrices[0], matrices[1])
 
@@ -184,6 +193,7 @@ def propagate(
 def predict_belief(
     kalman: Kalman,
     car: Car[float],
+    chassis: Chassis,
     config: FilterConfig,
     history: History,
     belief: Belief,
@@ -193,14 +203,18 @@ def predict_belief(
     """The belief moved from `start_ns` to `end_ns` under the commands of the history.
 
     The division into steps depends on the two instants alone, so that fusing the same measurements
-    in any order of arrival takes the same steps.
+    in any order of arrival takes the same steps. In a gap that is too long for short steps they
+    grow: what is fast fades in the first ones.
     """
     span = end_ns - start_ns
     count = min(-(-span // LONGEST_STEP_NS), MOST_STEPS)
+    power = 1
+    while power < STEEPEST and span > LONGEST_STEP_NS * count**power:
+        power += 1
     begin = start_ns
     for i in range(1, count + 1):
-        end = start_ns + span * i // count
-        belief = _step(kalman, car, config, history, belief, begin, end)
+        end = start_ns + span * i**power // count**power
+        belief = _step(kalman, car, chassis, config, history, belief, begin, end)
         begin = end
     return belief
 
@@ -208,6 +222,7 @@ def predict_belief(
 def _step(
     kalman: Kalman,
     car: Car[float],
+    chassis: Chassis,
     config: FilterConfig,
     history: History,
     belief: Belief,
@@ -219,4 +234,4 @@ def _step(
     state: State[float] = State(*belief.mean.tolist())
     driven = drive(car, history, state.steer, state.speed, begin, end)
     density = noise_density(config, state.speed, steered=driven.steered)
-    return kalman.predict(belief, *propagate(car, state, driven, density, h))
+    return kalman.predict(belief, *propagate(car, chassis, state, driven, density, h))

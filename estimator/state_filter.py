@@ -18,8 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from steerd.car_model.actuators import references
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import Car
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
 from steerd.estimator.actuation import (
     NO_HISTORY,
@@ -86,6 +88,7 @@ class StateFilter:
     config: FilterConfig
     kalman: Kalman
     sensors: Mapping[Kind, Sensor]
+    chassis: Chassis = SINGLE_TRACK
     kernel: Kernel | None = None
     """The same in machine code, bit for bit; without it, Python computes."""
 
@@ -135,13 +138,18 @@ motion over a time, and a lag of zero leaves it none.
 
 
 def make_state_filter(
-    car: Car[float], config: FilterConfig | None = None, *, native: bool = False
+    car: Car[float],
+    config: FilterConfig | None = None,
+    *,
+    chassis: Chassis = SINGLE_TRACK,
+    native: bool = False,
 ) -> StateFilter:
     """A filter for a car; shorter lags than it can believe are taken for the shortest.
 
     Args:
         car: the car's parameters.
         config: noise and gates.
+        chassis: the equations that the parameters belong to.
         native: in machine code where there is any; the numbers are the same.
     """
     config = config or FilterConfig()
@@ -149,8 +157,8 @@ def make_state_filter(
         steer_lag=max(car.steer_lag, STEER_LAG_MIN), speed_lag=max(car.speed_lag, SPEED_LAG_MIN)
     )
     sensors = make_sensors(car, config)
-    kernel = make_kernel(car, config, sensors) if native else None
-    return StateFilter(car, config, Kalman(SIZE), sensors, kernel)
+    kernel = make_kernel(car, chassis, config, sensors) if native else None
+    return StateFilter(car, config, Kalman(SIZE), sensors, chassis, kernel)
 
 
 def step(
@@ -234,7 +242,9 @@ def _correct_latency(car: Car[float], measurement: Measurement) -> Measurement:
 def _predict(
     flt: StateFilter, history: History, belief: Belief, start_ns: int, end_ns: int
 ) -> Belief:
-    return predict_belief(flt.kalman, flt.car, flt.config, history, belief, start_ns, end_ns)
+    return predict_belief(
+        flt.kalman, flt.car, flt.chassis, flt.config, history, belief, start_ns, end_ns
+    )
 
 
 def _count_until(nodes: tuple[Node, ...], t_ns: int) -> int:

@@ -152,7 +152,7 @@ class Loop:
         s = setup.settings
         self.setup = setup
         car = self._car = believed_car(s.file.model)
-        self.perception = Perception(car, s.filter, s.thresholds, s.scaling)
+        self.perception = Perception(car, s.file.chassis, s.filter, s.thresholds, s.scaling)
         self.supervisor = make_supervisor_memory(0)
         self.lease = Lease(setup.boot_id)
         self.remote = Remote()

@@ -3,6 +3,7 @@
 from collections import deque
 from math import hypot, inf, nan
 
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.params import Car, wheelbase
 from steerd.car_model.state import Command, State
 from steerd.daemon.loop.following import LONG_TURN_S, Turn, measure_turns
@@ -49,9 +50,14 @@ class Perception:
     """
 
     def __init__(
-        self, car: Car[float], config: FilterConfig, thresholds: Thresholds, scaling: Scaling
+        self,
+        car: Car[float],
+        chassis: Chassis,
+        config: FilterConfig,
+        thresholds: Thresholds,
+        scaling: Scaling,
     ) -> None:
-        self._filter = make_state_filter(car, config, native=True)
+        self._filter = make_state_filter(car, config, chassis=chassis, native=True)
         self._state = FilterState()
         self._thresholds = thresholds
         self._scaling = scaling

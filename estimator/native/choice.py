@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.machine_code import load_library
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.estimator.config import FilterConfig
@@ -21,11 +22,11 @@ _CHECKS = 5
 
 
 def make_kernel(
-    car: Car[float], config: FilterConfig, sensors: Mapping[Kind, Sensor]
+    car: Car[float], chassis: Chassis, config: FilterConfig, sensors: Mapping[Kind, Sensor]
 ) -> Kernel | None:
     """The machine code for a car; None where there is none, or it does not give Python's bits."""
     library = _checked_library()
-    return Kernel(library, car, config, sensors) if library is not None else None
+    return Kernel(library, car, chassis, config, sensors) if library is not None else None
 
 
 @cache

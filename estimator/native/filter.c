@@ -42,7 +42,7 @@ typedef struct {
 
 /* What does not change while a filter runs. */
 typedef struct {
-    double car[CAR], density[SIZE], lateral, steer_late_ns, drive_late_ns;
+    double car[CAR], density[SIZE], lateral, steer_late_ns, drive_late_ns, chassis;
     sensor_t sensors[KINDS];
 } setup_t;
 
@@ -178,7 +178,7 @@ static void step(const setup_t *setup, const history_t *history, belief_t *belie
     if (!steered)
         density[6] = 0.0;
     density[SIZE] = (double)(end - begin) * SECONDS;
-    propagate(setup->car, in, out);
+    propagate[(int)setup->chassis](setup->car, in, out);
     memcpy(belief->x, out, sizeof belief->x);
     carry(belief->P, out + SIZE, out + SIZE + SQUARE);
 }
@@ -189,9 +189,15 @@ static void predict_belief(const setup_t *setup, const history_t *history, belie
 {
     const int64_t span = stop - start;
     const int64_t count = earlier((span + LONGEST_STEP_NS - 1) / LONGEST_STEP_NS, MOST_STEPS);
-    int64_t begin = start;
+    int64_t begin = start, whole = count;
+    int power = 1;
+    for (; power < STEEPEST && span > LONGEST_STEP_NS * whole; power++)
+        whole *= count;
     for (int64_t i = 1; i <= count; i++) {
-        int64_t end = start + span * i / count;
+        int64_t part = i;
+        for (int k = 1; k < power; k++)
+            part *= i;
+        int64_t end = start + span * part / whole;
         step(setup, history, belief, begin, end);
         begin = end;
     }

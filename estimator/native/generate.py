@@ -7,9 +7,17 @@ from pathlib import Path
 
 from steerd.car_model.machine_code import PRELUDE, printed_function, write_generated
 from steerd.car_model.params import Car
-from steerd.car_model.tape import TAPE, Tape
+from steerd.car_model.planar import CHASSIS
+from steerd.car_model.tape import TAPE, Node, Tape
 from steerd.estimator.actuation import GIVEN, SO_FAR, recorded_piece
-from steerd.estimator.motion import LONGEST_STEP_NS, MOST_STEPS, SIZE, recorded_step, slip_density
+from steerd.estimator.motion import (
+    LONGEST_STEP_NS,
+    MOST_STEPS,
+    SIZE,
+    STEEPEST,
+    recorded_step,
+    slip_density,
+)
 
 TARGET = Path(__file__).with_name("equations.h")
 
@@ -25,22 +33,34 @@ enum {{
     GIVEN = {len(GIVEN)},
     SO_FAR = {len(SO_FAR)},
     LONGEST_STEP_NS = {LONGEST_STEP_NS},
-    MOST_STEPS = {MOST_STEPS}
+    MOST_STEPS = {MOST_STEPS},
+    STEEPEST = {STEEPEST}
 }};
+
+typedef void step_t(const double *car, const double *in, double *out);
 """
 
 
 def generated_text() -> str:
     """The whole of `equations.h`."""
     printed = [_HEAD]
-    for name, record in (("piece", recorded_piece), ("propagate", recorded_step)):
+    tape = Tape()
+    printed.append(printed_function("piece", *recorded_piece(tape, _named_car(tape))))
+    for chassis in CHASSIS:
         tape = Tape()
-        inputs, outputs = record(tape, Car(*map(tape.symbol, Car._fields)))
-        printed.append(printed_function(name, inputs, outputs))
+        step = recorded_step(tape, _named_car(tape), chassis)
+        printed.append(printed_function(f"propagate_{chassis.label}", *step))
+    names = ", ".join(f"propagate_{chassis.label}" for chassis in CHASSIS)
+    printed.append(f"\nstatic step_t *const propagate[{len(CHASSIS)}] = {{{names}}};\n")
     exact = Tape(exact=True)
     inputs = [exact.symbol("lateral"), exact.symbol("speed")]
     printed.append(printed_function("slip_noise", inputs, [slip_density(TAPE, *inputs)]))
     return "".join(printed)
+
+
+def _named_car(tape: Tape) -> Car[Node]:
+    """The car's parameters under their names."""
+    return Car(*map(tape.symbol, Car._fields))
 
 
 if __name__ == "__main__":

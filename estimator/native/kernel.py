@@ -9,7 +9,9 @@ from struct import Struct
 
 import numpy as np
 
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.params import Car
+from steerd.car_model.planar import CHASSIS
 from steerd.estimator.actuation import History, dead_times
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.kalman import Array, Belief
@@ -34,10 +36,11 @@ class Kernel:
         self,
         library: ctypes.PyDLL,
         car: Car[float],
+        chassis: Chassis,
         config: FilterConfig,
         sensors: Mapping[Kind, Sensor],
     ) -> None:
-        self._setup = _pack_setup(car, config, sensors)
+        self._setup = _pack_setup(car, chassis, config, sensors)
         self._dead_time = max(dead_times(car))
         self._out = np.empty((_MOST_NODES, _NODE))
         self._where = ctypes.c_void_p(self._out.ctypes.data)
@@ -108,10 +111,12 @@ def pack_sensor(sensor: Sensor) -> bytes:
     return _numbers(len(numbers)).pack(*numbers)
 
 
-def _pack_setup(car: Car[float], config: FilterConfig, sensors: Mapping[Kind, Sensor]) -> bytes:
+def _pack_setup(
+    car: Car[float], chassis: Chassis, config: FilterConfig, sensors: Mapping[Kind, Sensor]
+) -> bytes:
     """As `setup_t` has it."""
     numbers = [*car, *noise_density(config, 1.0), config.lateral_accel_density]
-    numbers += map(float, dead_times(car))
+    numbers += (*map(float, dead_times(car)), float(CHASSIS.index(chassis)))
     return _numbers(len(numbers)).pack(*numbers) + b"".join(pack_sensor(sensors[k]) for k in Kind)
 
 

@@ -4,18 +4,15 @@ The functions of each chassis, of a car without effects. The output is committed
 again and compares.
 """
 
-from steerd.car_model.chassis import Chassis
 from steerd.car_model.machine_code import PRELUDE, printed_function, write_generated
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
-from steerd.car_model.planar import DRIVES, make_planar
-from steerd.car_model.single_track import SINGLE_TRACK
+from steerd.car_model.planar import CHASSIS
 from steerd.car_model.tape import Tape
 from steerd.sim_hw.plant.native.follow import HALVES, PLANT, function_name
 from steerd.sim_hw.plant.unrolled import record_half
 
 TARGET = PLANT.folder / PLANT.files[0]
-CHASSIS: tuple[Chassis, ...] = (SINGLE_TRACK, *map(make_planar, DRIVES))
 
 _HEAD = f"""/* A step of the simulated car as straight-line C, for each chassis.
  *

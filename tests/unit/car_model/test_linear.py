@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from steerd.car_model.chassis import derivative
+from steerd.car_model.chassis import Chassis, derivative
 from steerd.car_model.linear import (
     augmented,
     lane_error_model,
@@ -16,7 +16,11 @@ from steerd.car_model.linear import (
 )
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, Car, wheelbase
+from steerd.car_model.planar import CHASSIS
 from steerd.car_model.single_track import SINGLE_TRACK
+from steerd.car_model.state import ORIGIN, State
+from steerd.car_model.straight_line import compiled
+from steerd.car_model.tape import TAPE, Tape, jacobian
 from tests.textbook import axle_stiffness, feedforward_steer, steady_slip
 
 CAR = DEFAULT_CAR
@@ -93,6 +97,27 @@ def test_lane_errors_are_rajamanis_equation_2_45(car: Car[float], speed: float) 
     np.testing.assert_allclose(found.a, a, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(found.b_steer, b1, rtol=1e-10)
     np.testing.assert_allclose(found.b_curvature, np.multiply(b2, v), rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("chassis", CHASSIS, ids=lambda chassis: chassis.label)
+@pytest.mark.parametrize("car", [CAR, OVERSTEERING], ids=["understeers", "oversteers"])
+@pytest.mark.parametrize("speed", [0.1, 0.3, 0.5, 1.5, 4.0])
+def test_about_straight_driving_every_chassis_has_the_same_linear_model(
+    chassis: Chassis, car: Car[float], speed: float
+) -> None:
+    """What a design is made from: what sets the chassis apart is of second order there."""
+    tape = Tape()
+    inputs = [tape.symbol(name) for name in ("yaw_rate", "slip_angle", "speed", "wheel", "accel")]
+    yaw_rate, slip, v, wheel, accel = inputs
+    state = State(*map(tape.constant, ORIGIN))._replace(speed=v, yaw_rate=yaw_rate, slip_angle=slip)
+    rates = derivative(chassis, TAPE, car._make(map(tape.constant, car)), state, wheel, accel)
+    slopes = jacobian((rates.yaw_rate, rates.slip_angle), inputs)
+    outputs = [tape.node(number) for row in slopes for number in row]
+    found = np.reshape(compiled(inputs, outputs)(0.0, 0.0, speed, 0.0, 0.0), (2, 5))
+    straight = steady_turn(car, speed, 0.0)
+    names = ("yaw_rate", "slip_angle")
+    expected = linearise(car, straight, names, (*names, "speed", "wheel", "accel"))[1]
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
 
 
 def test_linear_tyres_give_the_same_errors_in_a_bend() -> None:

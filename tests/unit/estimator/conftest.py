@@ -11,11 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.model import Model, Moment
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.car_model.rollout import start
 from steerd.car_model.rollout import step as plant_step
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, Command, State
 from steerd.estimator import state_filter
 from steerd.estimator.config import FilterConfig
@@ -77,10 +79,11 @@ def simulated_drive(
     pose_loss: float = 0.05,
     gyro: bool = False,
     add_noise: bool = True,
+    chassis: Chassis = SINGLE_TRACK,
 ) -> Drive:
     config = config or FilterConfig()
     rng = np.random.default_rng(seed)
-    model = Model(car)
+    model = Model(car, chassis=chassis)
     moment = start(model, first or ORIGIN._replace(speed=2.0), 0.0)
     truth: dict[int, State[float]] = {}
     commands: list[tuple[int, Command[float] | None]] = []

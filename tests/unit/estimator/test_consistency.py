@@ -5,6 +5,7 @@ over independent runs, normalised errors squared (NEES, 7 states) and normalised
 (NIS) are chi-square. The last tests turn the filter's beliefs wrong and must see it.
 """
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,8 +14,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.car_model.state import State
+from steerd.car_model.planar import PLANAR
+from steerd.car_model.single_track import SINGLE_TRACK
+from steerd.car_model.state import ORIGIN, Command, State
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.sensors import Kind
 from steerd.estimator.state_filter import make_state_filter, predict_to
@@ -41,8 +45,10 @@ class Record:
     refused: int
 
 
-def record(drive: Any, run_filter: Any, config: FilterConfig) -> Record:
-    flt = make_state_filter(DEFAULT_CAR, config)
+def record(
+    drive: Any, run_filter: Any, config: FilterConfig, chassis: Chassis = SINGLE_TRACK
+) -> Record:
+    flt = make_state_filter(DEFAULT_CAR, config, chassis=chassis)
     scaled, nees = [], []
     for t, state in run_filter(flt, drive):
         if t < SETTLED_NS or (t - SETTLED_NS) % SAMPLE_NS:
@@ -65,6 +71,22 @@ def drives(simulate: Any) -> list[Any]:
 @pytest.fixture(scope="module")
 def records(drives: list[Any], run_filter: Any) -> list[Record]:
     return [record(drive, run_filter, CONFIG) for drive in drives]
+
+
+def hard_slalom(t: float) -> Command[float]:
+    """Bends of up to 9 m/s^2 either way, at 3.4 to 4.6 m/s."""
+    steer = 0.15 * math.sin(2.0 * math.pi * 0.6 * t)
+    return Command(steer, 4.0 + 0.6 * math.sin(2.0 * math.pi * 0.4 * t))
+
+
+@pytest.fixture(scope="module")
+def hard_drives(simulate: Any) -> list[Any]:
+    """A planar car in tight bends."""
+    first = ORIGIN._replace(speed=4.0)
+    return [
+        simulate(seed, SECONDS, hard_slalom, config=CONFIG, first=first, gyro=True, chassis=PLANAR)
+        for seed in range(2000, 2000 + RUNS)
+    ]
 
 
 def within(total: float, freedom: int, confidence: float = 0.99) -> bool:
@@ -109,6 +131,18 @@ def test_gates_refuse_about_one_in_a_thousand(records: list[Record]) -> None:
     seen = sum(len(values) for r in records for values in r.nis.values())
     refused = sum(r.refused for r in records)
     assert chi2.ppf(0.005, 2 * refused) / 2 < 0.001 * seen < chi2.ppf(0.995, 2 * refused + 2) / 2
+
+
+def test_a_planar_car_in_tight_bends(hard_drives: list[Any], run_filter: Any) -> None:
+    """Its own equations are consistent there; small angles and wheels without slip are not."""
+    fastest = max(abs(s.speed * s.yaw_rate) for d in hard_drives for s in d.truth.values())
+    assert fastest > 8.0
+    own = [record(drive, run_filter, CONFIG, PLANAR) for drive in hard_drives]
+    assert within(*total_nees(own))
+    assert all(within(*total_nis(own, kind)) for kind in Kind)
+    other = [record(drive, run_filter, CONFIG) for drive in hard_drives[:8]]
+    nees, freedom = total_nees(other)
+    assert nees > 2.0 * freedom
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.6])

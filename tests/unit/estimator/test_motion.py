@@ -1,13 +1,17 @@
 import numpy as np
 import pytest
 
-from steerd.car_model.jacobian_generated import rates_and_jacobian
+from steerd.car_model.chassis import Chassis, derivative
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
+from steerd.car_model.planar import CHASSIS
 from steerd.car_model.rollout import simulate as simulate_car
 from steerd.car_model.rollout import start
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
+from steerd.car_model.straight_line import compiled
+from steerd.car_model.tape import TAPE, Tape, jacobian
 from steerd.estimator.actuation import NO_HISTORY, ActuatorMotion, add_command, drive
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.kalman import Belief, Kalman
@@ -24,59 +28,79 @@ STATES = [
 ]
 
 
+every_chassis = pytest.mark.parametrize("chassis", CHASSIS, ids=lambda chassis: chassis.label)
+
+
+def rates_and_jacobian(chassis: Chassis, car, state, wheel: float, accel: float):
+    """The six rates and their (6, 8) derivatives by chassis, wheel and acceleration."""
+    tape = Tape()
+    inputs = [tape.symbol(f"s{i}") for i in range(9)]
+    rates = derivative(
+        chassis, TAPE, car._make(map(tape.constant, car)), State(*inputs[:7]), *inputs[7:]
+    )
+    slopes = jacobian(rates, (*inputs[:6], *inputs[7:]))
+    outputs = [tape.node(number) for row in (rates, *slopes) for number in row]
+    numbers = np.array(compiled(inputs, outputs)(*state, wheel, accel))
+    return numbers[:6], numbers[6:].reshape(6, 8)
+
+
+@every_chassis
 @pytest.mark.parametrize("state", STATES)
 @pytest.mark.parametrize("car", [DEFAULT_CAR, PAPER_CAR])
-def test_sparse_solution_equals_the_dense_one(car, state) -> None:
-    _, rows = rates_and_jacobian(car, state, 0.1, 0.5)
+def test_sparse_solution_equals_the_dense_one(chassis, car, state) -> None:
+    _, rows = rates_and_jacobian(chassis, car, state, 0.1, 0.5)
     for k in (0.0005, 0.005):
-        dense = np.linalg.inv(np.eye(6) - k * np.array(rows)[:, :6])
-        solve = implicit_solver(rows, k)
-        for column in range(2, 6):
+        dense = np.linalg.inv(np.eye(6) - k * rows[:, :6])
+        solve = implicit_solver(rows.tolist(), k)
+        for column in range(6):
+            x, y, *others = np.eye(6)[column].tolist()
             np.testing.assert_allclose(
-                solve(*np.eye(6)[column][2:]), dense[:, column], rtol=1e-12, atol=1e-15
+                solve(*others, x, y), dense[:, column], rtol=1e-12, atol=1e-15
             )
-        np.testing.assert_allclose(dense[:, :2], np.eye(6)[:, :2], atol=1e-15)
 
 
+@every_chassis
 @pytest.mark.parametrize("state", STATES)
-def test_step_is_the_implicit_midpoint_of_the_whole_jacobian(state) -> None:
+def test_step_is_the_implicit_midpoint_of_the_whole_jacobian(chassis, state) -> None:
     driven = ActuatorMotion(0.13, 0.11, 0.7, 0.9, 0.95, -8.0)
     h = 0.008
-    rates, rows = rates_and_jacobian(CAR, state, driven.wheel, driven.accel)
-    J = np.array(rows)
+    rates, J = rates_and_jacobian(chassis, CAR, state, driven.wheel, driven.accel)
     W = np.linalg.inv(np.eye(6) - 0.5 * h * J[:, :6])
     F = np.zeros((7, 7))
     F[:6, :6] = W @ (np.eye(6) + 0.5 * h * J[:, :6])
     F[:6, 3] += h * W @ J[:, 7] * driven.accel_by_speed
     F[:6, 6] = h * W @ J[:, 6] * driven.wheel_by_steer
     F[6, 6] = driven.steer_by_steer
-    mean, transition, _ = propagate(CAR, state, driven, QUIET, h)
+    mean, transition, _ = propagate(CAR, chassis, state, driven, QUIET, h)
     np.testing.assert_allclose(transition, F, rtol=1e-11, atol=1e-13)
-    np.testing.assert_allclose(mean[:6], np.array(state[:6]) + h * W @ np.array(rates), rtol=1e-12)
+    np.testing.assert_allclose(mean[:6], np.array(state[:6]) + h * W @ rates, rtol=1e-12)
     assert mean[6] == driven.steer
 
 
-def plant(state: State[float], command: Command[float], seconds: float) -> np.ndarray:
+def plant(
+    chassis: Chassis, state: State[float], command: Command[float], seconds: float
+) -> np.ndarray:
     """RK4 at 0.1 ms under a constant command."""
-    model = Model(CAR._replace(steer_delay=0.0))
+    model = Model(CAR._replace(steer_delay=0.0), chassis=chassis)
     count = round(seconds / 1e-4)
     return np.array(
         simulate_car(FLOAT, model, start(model, state, 0.0), [command] * count, 1e-4)[-1].state
     )
 
 
+@every_chassis
 @pytest.mark.parametrize("state", [STATES[0], STATES[3]])
-def test_error_falls_with_the_square_of_the_step(state) -> None:
+def test_error_falls_with_the_square_of_the_step(chassis, state) -> None:
     command = Command(state.steer + 0.1, state.speed + 0.2)  # within the slew limits
     car = CAR._replace(steer_delay=0.0)
     history = add_command(NO_HISTORY, 0, command)
-    exact = plant(state, command, 0.04)
+    exact = plant(chassis, state, command, 0.04)
 
     def error(count: int) -> float:
         now, h_ns = state, 40_000_000 // count
         for i in range(count):
             driven = drive(car, history, now.steer, now.speed, i * h_ns, (i + 1) * h_ns)
-            now = State(*propagate(car, now, driven, QUIET, h_ns * 1e-9).mean.tolist())
+            now = State(*propagate(car, chassis, now, driven, QUIET, h_ns * 1e-9).mean.tolist())
         return float(np.abs(np.array(now) - exact)[:6].max())
 
     coarse, middle, fine = error(4), error(8), error(16)
@@ -84,28 +108,30 @@ def test_error_falls_with_the_square_of_the_step(state) -> None:
     assert 3.0 < middle / fine < 5.5
 
 
+@every_chassis
 @pytest.mark.parametrize("state", [STATES[0], STATES[3]])
-def test_transition_is_the_derivative_of_the_motion(state) -> None:
+def test_transition_is_the_derivative_of_the_motion(chassis, state) -> None:
     command, h = Command(state.steer + 0.1, state.speed + 0.2), 0.0002
     car = CAR._replace(steer_delay=0.0)
     history = add_command(NO_HISTORY, 0, command)
     driven = drive(car, history, state.steer, state.speed, 0, round(h * 1e9))
-    transition = propagate(car, state, driven, QUIET, h).transition
+    transition = propagate(car, chassis, state, driven, QUIET, h).transition
     eps = 1e-5
     for i, name in enumerate(State._fields):
         up = state._replace(**{name: state[i] + eps})
         down = state._replace(**{name: state[i] - eps})
-        column = (plant(up, command, h) - plant(down, command, h)) / (2.0 * eps)
+        column = (plant(chassis, up, command, h) - plant(chassis, down, command, h)) / (2.0 * eps)
         np.testing.assert_allclose(transition[:, i], column, atol=1e-4)
 
 
+@every_chassis
 @pytest.mark.parametrize("speed", [0.05, 0.25, 0.4, 0.55])
-def test_long_steps_at_low_speed_stay_bounded(speed: float) -> None:
+def test_long_steps_at_low_speed_stay_bounded(chassis, speed: float) -> None:
     """A gap of seconds takes steps far beyond the stability limit of an explicit method."""
     belief = Belief(np.array([0, 0, 0, speed, 2.0, 0.3, 0.1]), np.eye(7) * 1e-2)
     history = add_command(NO_HISTORY, 0, Command(0.1, speed))
     moved = predict_belief(
-        Kalman(7), CAR, FilterConfig(), history, belief, 20_000_000, 2_520_000_000
+        Kalman(7), CAR, chassis, FilterConfig(), history, belief, 20_000_000, 2_520_000_000
     )
     assert np.isfinite(moved.covariance).all()
     assert np.linalg.eigvalsh(moved.covariance).min() > 0.0
@@ -115,7 +141,9 @@ def test_long_steps_at_low_speed_stay_bounded(speed: float) -> None:
 
 def test_no_time_no_motion() -> None:
     belief = Belief(np.arange(7.0), np.eye(7))
-    assert predict_belief(Kalman(7), CAR, FilterConfig(), NO_HISTORY, belief, 5, 5) is belief
+    config = FilterConfig()
+    same = predict_belief(Kalman(7), CAR, SINGLE_TRACK, config, NO_HISTORY, belief, 5, 5)
+    assert same is belief
 
 
 def test_noise_is_that_of_accelerations() -> None:
@@ -133,7 +161,8 @@ def test_noise_enters_evenly_along_the_step(state) -> None:
     """`Q` is the integral of noise carried on by an `F` that grows linearly, summed in pieces."""
     density = noise_density(FilterConfig(), state.speed)
     h, pieces = 0.008, 2000
-    _, F, Q = propagate(CAR, state, ActuatorMotion(0.13, 0.11, 0.7, 0.9, 0.95, -8.0), density, h)
+    driven = ActuatorMotion(0.13, 0.11, 0.7, 0.9, 0.95, -8.0)
+    _, F, Q = propagate(CAR, SINGLE_TRACK, state, driven, density, h)
     total = np.zeros((7, 7))
     for s in (np.arange(pieces) + 0.5) / pieces:
         carried = np.eye(7) + s * (F - np.eye(7))

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerd.car_model import machine_code
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
+from steerd.car_model.planar import CHASSIS
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command
 from steerd.estimator.actuation import History
 from steerd.estimator.config import FilterConfig
@@ -43,8 +47,11 @@ def both() -> Any:
     assert machine_code.build_library(FILTER) is not None
     choice._checked_library.cache_clear()
 
-    def make(car: Car[float], config: FilterConfig | None = None) -> tuple[StateFilter, ...]:
-        pair = make_state_filter(car, config), make_state_filter(car, config, native=True)
+    def make(
+        car: Car[float], chassis: Chassis = SINGLE_TRACK, config: FilterConfig | None = None
+    ) -> tuple[StateFilter, ...]:
+        made = partial(make_state_filter, car, config, chassis=chassis)
+        pair = made(), made(native=True)
         assert pair[0].kernel is None
         assert pair[1].kernel is not None
         return pair
@@ -69,10 +76,13 @@ def test_the_printed_equations_are_those_of_the_car() -> None:
     assert printed == generate.generated_text()
 
 
+@pytest.mark.parametrize("chassis", CHASSIS, ids=lambda chassis: chassis.label)
 @pytest.mark.parametrize("car", [DEFAULT_CAR, ODD_CAR])
-def test_a_drive_gives_the_same_bits(both: Any, simulate: Any, run_filter: Any, car: Any) -> None:
+def test_a_drive_gives_the_same_bits(
+    both: Any, simulate: Any, run_filter: Any, car: Any, chassis: Chassis
+) -> None:
     drive = simulate(seed=3, seconds=2.0, car=car, gyro=True)
-    reference, native = both(car)
+    reference, native = both(car, chassis)
     pairs = zip(run_filter(reference, drive), run_filter(native, drive), strict=True)
     for k, ((t_ns, one), (_, other)) in enumerate(pairs):
         if k % 40 == 0:
@@ -114,14 +124,16 @@ def scenes(draw: st.DrawFn) -> tuple[Node, History, list[Any]]:
 
 
 @settings(max_examples=60, deadline=None)
-@given(scene=scenes(), car=st.sampled_from([DEFAULT_CAR, ODD_CAR]))
+@given(
+    scene=scenes(), car=st.sampled_from([DEFAULT_CAR, ODD_CAR]), chassis=st.sampled_from(CHASSIS)
+)
 def test_any_belief_orders_and_measurements_give_the_same_bits(
-    both: Any, scene: Any, car: Any
+    both: Any, scene: Any, car: Any, chassis: Chassis
 ) -> None:
     node, history, measured = scene
     end = T0 + 450 * MS
     states = []
-    for flt in both(car):
+    for flt in both(car, chassis):
         state = step(flt, FilterState((node,), history), end, measured)
         states.append((state, predict_to(flt, state, end)))
     (one, look), (other, native_look) = states
@@ -235,5 +247,6 @@ def test_a_damaged_library_is_not_used(both: Any, monkeypatch: Any, tmp_path: An
 def test_another_configuration_is_another_kernel(both: Any, simulate: Any, run_filter: Any) -> None:
     config = replace(FilterConfig(), wheel_speed_sd=0.1, yaw_accel_density=3.0)
     drive = simulate(seed=5, seconds=0.5)
-    (_, one), (_, other) = (list(run_filter(flt, drive))[-1] for flt in both(DEFAULT_CAR, config))
+    flts = both(DEFAULT_CAR, config=config)
+    (_, one), (_, other) = (list(run_filter(flt, drive))[-1] for flt in flts)
     assert_same(one, other)

@@ -5,6 +5,7 @@ from math import inf, isnan, nan
 import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.daemon.loop.perception import BLIND_S, Perception, best_speed, estimated_state
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
@@ -17,7 +18,7 @@ MS, NS = 1_000_000, 1_000_000_000
 
 
 def make_perception():
-    return Perception(DEFAULT_CAR, FilterConfig(), Thresholds(), F1TENTH)
+    return Perception(DEFAULT_CAR, SINGLE_TRACK, FilterConfig(), Thresholds(), F1TENTH)
 
 
 def pose(t_ns, x, rejected=None, valid=True):
