@@ -20,9 +20,9 @@ from steerd.sim_gap.engine.levenberg_marquardt import (
     behind,
     curvature,
     minimise,
-    step_within,
 )
 from steerd.sim_gap.verdict.screen import Promise, extended, screen
+from steerd.sysid.estimation.bounded_step import step_within
 
 Array = NDArray[np.float64]
 

@@ -15,12 +15,12 @@ from steerd.sim_gap.engine.levenberg_marquardt import (
     Fitted,
     curvature,
     is_curved,
-    step_within,
     total,
 )
 from steerd.sim_gap.engine.space import Space, make_space
 from steerd.sim_gap.verdict.places import suspicious_discs
 from steerd.sysid.compiler.codegen import SENSITIVITIES
+from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.estimation.objective import STATES
 
 Array = NDArray[np.float64]

@@ -5,15 +5,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.estimation.objective import (
     Evaluation,
     Normal,
     Problem,
     cost_of,
+    eliminate,
     information,
     normal_equations,
     robust_limit,
-    solve,
 )
 
 Array = NDArray[np.float64]
@@ -68,20 +69,14 @@ class Solution(NamedTuple):
     damping: float
 
 
-def _trial(
+def damped_step(
     problem: Problem, normal: Normal, z: Array, x: Array, damping: float
 ) -> tuple[Array, Array]:
-    """The damped step, within the bounds: coordinates that hit one stay there."""
+    """The damped step within the bounds, and the initial states' that belongs to it."""
+    equations = eliminate(normal, damping)
     low, high = problem.chart.bounds()
-    frozen = np.zeros(len(z), bool)
-    dz, dx = solve(normal, damping, frozen)
-    for _ in range(len(z)):
-        out = ((z + dz < low) & (z <= low)) | ((z + dz > high) & (z >= high))
-        if not (out & ~frozen).any():
-            break
-        frozen |= out
-        dz, dx = solve(normal, damping, frozen)
-    return np.clip(z + dz, low, high), x + dx
+    dz = step_within(equations.a, equations.slope, z, low, high)
+    return np.clip(z + dz, low, high), x + equations.states(dz)
 
 
 def minimise(
@@ -127,11 +122,10 @@ def _length(normal: Normal, step: Array) -> float:
 
 def gain_ahead(problem: Problem, normal: Normal, z: Array) -> float:
     """How far the minimum of the linearised problem lies, in squared standard deviations."""
-    low, high = problem.chart.bounds()
-    pull = normal.slope_z
-    frozen = ((z <= low) & (pull < 0.0)) | ((z >= high) & (pull > 0.0))
-    dz, dx = solve(normal, 0.0, frozen)
-    return float(pull @ dz + (normal.slope_x * dx).sum())
+    equations = eliminate(normal, 0.0)
+    dz = step_within(equations.a, equations.slope, z, *problem.chart.bounds())
+    by_states = float((normal.slope_x * equations.states(np.zeros(len(z)))).sum())
+    return by_states + float(2.0 * equations.slope @ dz - dz @ equations.a @ dz)
 
 
 def _improve(
@@ -145,7 +139,7 @@ def _improve(
     z, x, cost = here
     eased = max(0.1 * damping, DAMPING_MIN)
     while damping < DAMPING_MAX:
-        z_new, x_new = _trial(problem, normal, z, x, damping)
+        z_new, x_new = damped_step(problem, normal, z, x, damping)
         at = problem.evaluate(z_new, x_new)
         lower = cost_of(at, limit)
         if lower < cost:

@@ -196,17 +196,33 @@ def _damped(matrices: Array, damping: float) -> Array:
     return out
 
 
-def solve(normal: Normal, damping: float, frozen: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Step of coordinates (n,) and initial states (W, 7); `frozen` coordinates stay."""
+class Eliminated(NamedTuple):
+    """Equations of the coordinates alone, and what brings the initial states back.
+
+    Attributes:
+        a: (n, n) curvature.
+        slope: (n,) downhill.
+        inner: (W, 7, n + 1) states' step is the last column less the others times the coordinates'.
+    """
+
+    a: Array
+    slope: Array
+    inner: Array
+
+    def states(self, dz: Array) -> Array:
+        """(W, 7) step of the initial states that belongs to one of the coordinates."""
+        step: Array = self.inner[:, :, -1] - self.inner[:, :, :-1] @ dz
+        return step
+
+
+def eliminate(normal: Normal, damping: float) -> Eliminated:
+    """The equations with their diagonals raised by `damping`, initial states eliminated."""
     d = _damped(normal.d, damping)
     columns = np.concatenate([normal.b.transpose(0, 2, 1), normal.slope_x[:, :, None]], axis=2)
     inner = np.linalg.solve(d, columns)
     s = _damped(normal.a, damping) - np.einsum("wnk,wkm->nm", normal.b, inner[:, :, :-1])
     right = normal.slope_z - np.einsum("wnk,wk->n", normal.b, inner[:, :, -1])
-    free = ~frozen
-    dz = np.zeros(len(right))
-    dz[free] = np.linalg.solve(s[np.ix_(free, free)], right[free])
-    return dz, inner[:, :, -1] - inner[:, :, :-1] @ dz
+    return Eliminated(s, right, inner)
 
 
 def information(normal: Normal) -> Array:

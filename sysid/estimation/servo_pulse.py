@@ -24,13 +24,13 @@ from steerd.sysid.data.dataset import Run, Signal, hold_means
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.data.windows import make_layout, speed_range
 from steerd.sysid.estimation.fit import Fit, Options, fit
-from steerd.sysid.estimation.levenberg_marquardt import gain_ahead
+from steerd.sysid.estimation.levenberg_marquardt import damped_step, gain_ahead
 from steerd.sysid.estimation.objective import (
     Problem,
     cost_of,
+    eliminate,
     normal_equations,
     robust_limit,
-    solve,
 )
 
 Array = NDArray[np.float64]
@@ -142,7 +142,8 @@ def settle_states(run: Run, rough: Fit, options: Options) -> tuple[Array, float]
     x = plain.layout.guess.copy()
     at = plain.evaluate(rough.z, x)
     limit = robust_limit(at.error)
-    x += solve(normal_equations(plain, at, limit), 0.0, np.ones(len(rough.z), bool))[1]
+    equations = eliminate(normal_equations(plain, at, limit), 0.0)
+    x += equations.states(np.zeros(len(rough.z)))
     return x, robust_limit(plain.evaluate(rough.z, x).error)
 
 
@@ -156,8 +157,7 @@ def profile_loss(problem: Problem, z: Array, x: Array, limit: float) -> float:
 def stepped_loss(problem: Problem, z: Array, x: Array, limit: float) -> float:
     """As `profile_loss`, after a step towards the minimum: for what moves it far."""
     normal = normal_equations(problem, problem.evaluate(z, x), limit)
-    dz, dx = solve(normal, 0.0, np.zeros(len(z), bool))
-    return profile_loss(problem, z + dz, x + dx, limit)
+    return profile_loss(problem, *damped_step(problem, normal, z, x, 0.0), limit)
 
 
 def _middle(losses: Array) -> tuple[float, NDArray[np.bool_]]:

@@ -8,7 +8,7 @@ import pytest
 from steerd.sim_gap.engine.constants import NOISE_KEPT
 from steerd.sim_gap.engine.disturbance_response import INPUTS, responses
 from steerd.sim_gap.engine.engine import make_engine, take_windows
-from steerd.sim_gap.engine.levenberg_marquardt import minimise, settle_starts, step_within
+from steerd.sim_gap.engine.levenberg_marquardt import minimise, settle_starts
 from steerd.sim_gap.engine.noise import (
     Noise,
     calibrated,
@@ -26,6 +26,7 @@ from steerd.sim_gap.engine.space import BOX, informative_effects, make_space, nu
 from steerd.sim_gap.engine.superset import make_superset
 from steerd.sim_gap.verdict.candidates import blocks_of, folds_of, held_out
 from steerd.sysid.data.windows import speed_range
+from steerd.sysid.estimation.bounded_step import step_within
 
 SIGMA = np.array([0.005, 0.01, 0.05, 0.05])
 
