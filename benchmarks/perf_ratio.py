@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SINCE = "21d99ff"
 """The commit whose cost a simulated second is a part of."""
 _GC_THRESHOLD = 20_000
-"""As `steerd run --sim --fast` sets it."""
+"""As a drive in virtual time sets it."""
 
 
 @contextmanager

@@ -1,6 +1,5 @@
 """`steerd run --sim --fast`: virtual time, one process, the same session file for the same seed."""
 
-import gc
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -23,9 +22,6 @@ from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.sim_hw.world import World
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.session_read import SessionError
-
-_GC_THRESHOLD = 20_000
-"""A drive makes many small values and no cycles; the default of 700 takes 6 % of the time."""
 
 
 def make_recording(plan: RunPlan, path: Path) -> Recording:
@@ -107,7 +103,6 @@ def run_fast(plan: RunPlan) -> int:
     """Drive in virtual time and print the outcome."""
     if plan.options.duration_s is None:
         raise SteerdError("--fast needs an end", "add --duration 30", ExitCode.USAGE)
-    gc.set_threshold(_GC_THRESHOLD)
     clock = MonotonicClock()
     began = clock.now_ns()
     record = plan.options.record
