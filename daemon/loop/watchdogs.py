@@ -418,25 +418,34 @@ def _step_saturation(
     return w.saturated_ns, w.saturated_error
 
 
+def _stopping_speed(th: Thresholds, i: WatchdogInput) -> float:
+    """The larger of the best known speed and the wheels' while their telemetry is new [m/s].
+
+    The filter believes that orders are followed: the speed of a car whose motor is dead falls
+    faster in its estimate than on its wheels.
+    """
+    best, wheels = abs(i.speed), abs(i.speed_erpm)
+    return wheels if wheels > best and i.telemetry_age <= th.telemetry else best
+
+
 def _step_stop(th: Thresholds, w: WatchdogState, i: WatchdogInput, report: Report) -> WatchdogState:
     """W24: during a stop the speed must fall in each window."""
     if i.state not in _STOPS:
         return w if w.stop is None and not w.weak else changed(w, stop=None, weak=0)
+    speed = _stopping_speed(th, i)
     if w.stop != i.state:
         start = i.t_ns + round(th.stop_lag * 1e9)
-        return changed(w, stop=i.state, stop_ns=start, stop_speed=i.speed, weak=0)
+        return changed(w, stop=i.state, stop_ns=start, stop_speed=speed, weak=0)
     seconds = (i.t_ns - w.stop_ns) / 1e9
     if seconds <= 0.0:
-        return changed(w, stop_speed=i.speed)
+        return changed(w, stop_speed=speed)
     if seconds >= th.stop_window:
         plan = SOFT_DECEL if i.state == SupervisorState.STOPPING else th.brake_decel
-        drop = abs(w.stop_speed) - abs(i.speed)
-        weak = abs(i.speed) > th.stop_speed and not drop >= th.stop_share * plan * seconds
-        w = changed(w, stop_ns=i.t_ns, stop_speed=i.speed, weak=w.weak + weak)
+        drop = w.stop_speed - speed
+        weak = speed > th.stop_speed and not drop >= th.stop_share * plan * seconds
+        w = changed(w, stop_ns=i.t_ns, stop_speed=speed, weak=w.weak + weak)
     if w.weak:
-        text = (
-            f"still {show(abs(i.speed), '.2f')} m/s, too little slower after {th.stop_window:.1f} s"
-        )
+        text = f"still {show(speed, '.2f')} m/s, too little slower after {th.stop_window:.1f} s"
         report(make_finding("W24", text if w.weak == 1 else f"CUT POWER: {text}"))
     return w
 

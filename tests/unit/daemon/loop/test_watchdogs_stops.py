@@ -9,11 +9,12 @@ from tests.unit.daemon.loop.calm import CALM
 from tests.unit.daemon.loop.watching import TH, S, up
 
 
-def stop(kind, speeds, dt=S // 16):
+def stop(kind, speeds, dt=S // 16, wheels=0.0, telemetry_age=0.0):
     """Watch a stop; return per tick the W24 findings and whether it is slowing."""
     state, out = WatchdogState(), []
     for k, speed in enumerate(speeds):
-        tick = changed(CALM, t_ns=S + k * dt, state=kind, speed=speed, speed_erpm=0.0)
+        tick = changed(CALM, t_ns=S + k * dt, state=kind, speed=speed, speed_erpm=wheels)
+        tick = changed(tick, telemetry_age=telemetry_age)
         state, found = step_watchdogs(TH, state, changed(tick, speed_mocap=0.0))
         words = [f.text for f in found if f.id == "W24"]
         out.append((words, is_slowing(state)))
@@ -54,6 +55,17 @@ def test_slow_or_unknown_speeds_are_not_judged():
         assert all(words == [] for words, _ in stop(SupervisorState.FAULT_STOP, speeds))
     assert stop(SupervisorState.FAULT_STOP, [up(0.125)] * 12)[6][0]
     assert stop(SupervisorState.FAULT_STOP, [-1.0] * 12)[6][0]
+
+
+def test_wheels_that_roll_on_count_while_their_telemetry_is_new():
+    speeds = [2.0 - 2.0 * max(0.0, k / 16 - 0.125) for k in range(12)]
+    kind = SupervisorState.FAULT_STOP
+    for wheels in (2.0, -2.0):
+        assert "still 2.00 m/s" in stop(kind, speeds, wheels=wheels)[6][0][0]
+        assert stop(kind, speeds, wheels=wheels, telemetry_age=TH.telemetry)[6][0]
+    for given in ({"wheels": 2.0, "telemetry_age": up(TH.telemetry)}, {"wheels": nan}):
+        assert all(slowing for _, slowing in stop(kind, speeds, **given))
+    assert all(words == [] for words, _ in stop(kind, [nan] * 12, wheels=2.0))
 
 
 def test_each_kind_of_stop_is_judged_anew():
