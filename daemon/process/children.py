@@ -30,6 +30,7 @@ from steerd.daemon.process.learner_job import (
 )
 from steerd.daemon.process.learner_memory import LearnerMemory, recall_learnt
 from steerd.daemon.process.page_job import make_page_job
+from steerd.daemon.process.prepared import CORE, Prepared, hand_over, prepare
 from steerd.daemon.process.view_job import make_view_job
 from steerd.daemon.settings.run_options import encode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
@@ -71,7 +72,6 @@ def spawn(
     module: str,
     fds: Mapping[str, int],
     job: Mapping[str, Any],
-    named: bool = False,
     keep: socket.socket | None = None,
 ) -> Child:
     """Start `python -m module` with these descriptors and the job as JSON on standard input.
@@ -81,9 +81,8 @@ def spawn(
     """
     ready_fd, child_fd = os.pipe()
     every = {**fds, "ready": child_fd}
-    arguments = [f"{name}={fd}" if named else str(fd) for name, fd in every.items()]
     process = subprocess.Popen(
-        [sys.executable, "-m", module, *arguments],
+        [sys.executable, "-m", module, *map(str, every.values())],
         stdin=subprocess.PIPE,
         pass_fds=(*every.values(), *(() if keep is None else (keep.fileno(),))),
         process_group=0,
@@ -220,9 +219,16 @@ def start_learner(
 
 
 def start_processes(
-    plan: RunPlan, session: Path, boot_id: int, epoch_ns: int, leased: bool
+    plan: RunPlan,
+    session: Path,
+    boot_id: int,
+    epoch_ns: int,
+    leased: bool,
+    core: Prepared | None = None,
 ) -> RunProcesses:
     """Start recorder, gateway, core and, with `--view`, the viewer.
+
+    `core` is the control core's process where it was prepared already.
 
     Raises:
         SteerdError: one of them failed to start, with its own text.
@@ -246,15 +252,16 @@ def start_processes(
         meta = make_metadata(plan, boot_id, epoch_ns, leased=leased) | dict(memory.metadata)
         started.append(_start_recorder(plan, session, meta, epoch_ns, pipes))
         started.append(_start_gateway(plan, pipes, gateway_end.fileno()))
-        started.append(_start_core(plan, boot_id, epoch_ns, leased, fds))
+        job = _make_core_job(plan, boot_id, epoch_ns, leased)
+        started.append(_start_core(core or prepare(CORE), fds, job))
         viewer_requests = None
         if viewed:
             viewer, viewer_requests = _start_viewer(plan, pipes["view"][0])
             started.append(viewer)
-        recorder, gateway, core, *others = started
+        recorder, gateway, driver, *others = started
         _expect_ready(recorder, "recorder", ExitCode.UNREADABLE)
         recording = True
-        core_report = _read_core_report(core)
+        core_report = _read_core_report(driver)
         _expect_ready(gateway, "gateway", ExitCode.UNREACHABLE)
         for other in others:
             _expect_ready(other, "viewer", ExitCode.UNREADABLE)
@@ -273,22 +280,26 @@ def start_processes(
     for end in (gateway_end, gateway_core_end, terminal_core_end, *designs):
         end.close()
     return RunProcesses(
-        core, recorder, gateway, others[0] if others else None, terminal_end, pipes["status"][0],
+        driver, recorder, gateway, others[0] if others else None, terminal_end, pipes["status"][0],
         session, core_report, page, viewer_requests, learner,
         reader_fds(pipes, "terminal").get("report_terminal"),
     )  # fmt: skip
 
 
-def _start_core(
-    plan: RunPlan, boot_id: int, epoch_ns: int, leased: bool, fds: Mapping[str, int]
-) -> Child:
-    job = {
+def _make_core_job(plan: RunPlan, boot_id: int, epoch_ns: int, leased: bool) -> dict[str, Any]:
+    return {
         "options": encode_options(plan.options),
         "boot_id": boot_id,
         "epoch_ns": epoch_ns,
         "leased": leased,
     }
-    return spawn("steerd.daemon.process.core_process", fds, job, named=True)
+
+
+def _start_core(core: Prepared, fds: Mapping[str, int], job: Mapping[str, Any]) -> Child:
+    ready_fd, child_fd = os.pipe()
+    hand_over(core, {**fds, "ready": child_fd}, job)
+    os.close(child_fd)
+    return Child(core.process, ready_fd)
 
 
 def _read_core_report(core: Child) -> dict[str, Any]:

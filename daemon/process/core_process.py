@@ -1,6 +1,7 @@
 """The control core as a process: no zenoh, no mcap, no torch, no thread but the one in sigwait."""
 
 import contextlib
+import gc
 import json
 import os
 import socket
@@ -21,6 +22,7 @@ from steerd.daemon.ipc.sd_notify import make_notify
 from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
 from steerd.daemon.loop.core import Core
 from steerd.daemon.process.guard import ProcessGuard
+from steerd.daemon.process.prepared import receive_job
 from steerd.daemon.process.realtime import enter_realtime, settle_memory
 from steerd.daemon.process.runner import CoreLinks, Runner
 from steerd.daemon.settings.run_options import decode_options
@@ -174,10 +176,12 @@ def _report(fd: int, what: Mapping[str, Any]) -> None:
 
 
 def main() -> int:
-    """Process entry: the job as JSON on standard input, descriptors as NAME=FD arguments."""
+    """Process entry: job and descriptors come through the socket on standard input."""
     block_stop_signals()
-    fds = {name: int(fd) for name, fd in (text.split("=") for text in sys.argv[1:])}
-    job = json.loads(sys.stdin.read())
+    gc.freeze()  # what imports made stays: no need to search it for garbage again
+    if (given := receive_job()) is None:
+        return ExitCode.OK
+    fds, job = given
     try:
         core = _run(job, fds)
     except SteerdError as error:

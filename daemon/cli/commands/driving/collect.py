@@ -87,5 +87,5 @@ def plan_drive(options: RunOptions, *, design: bool = True) -> "RunPlan":
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
-    plan = plan_drive(make_options(args), design=args.fast)
-    return driving.drive(plan, fast=args.fast)
+    options = make_options(args)
+    return driving.drive(lambda: plan_drive(options, design=args.fast), fast=args.fast)

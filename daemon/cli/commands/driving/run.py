@@ -9,6 +9,7 @@ import secrets
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from importlib import import_module
 from math import inf
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.inputs import reads_car, reads_lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.process.prepared import CORE, Prepared, prepared
 from steerd.daemon.process.view_job import DEFAULT_PORT, check_view, parse_view
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
 
@@ -248,23 +250,30 @@ def _check_page(args: argparse.Namespace) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
     options = make_options(args)
-    from steerd.daemon.assembly.build import make_plan
 
-    return drive(make_plan(options, design=args.fast), fast=args.fast)
+    def make() -> "RunPlan":
+        from steerd.daemon.assembly.build import make_plan
+
+        return make_plan(options, design=args.fast)
+
+    return drive(make, fast=args.fast)
 
 
-def drive(plan: "RunPlan", *, fast: bool) -> int:
-    """Drive a plan: in virtual time, on simulated hardware or on a car."""
+def drive(make: Callable[[], "RunPlan"], *, fast: bool) -> int:
+    """Drive a plan: in virtual time, on simulated hardware or on a car.
+
+    The control core's process loads for a second; meanwhile this one makes the plan.
+    """
     if fast:
         from steerd.daemon.offline.fast import run_fast
 
-        return run_fast(plan)
-    if plan.options.simulated:
-        return _run_simulated(plan)
-    return _run_live(plan)[0]
+        return run_fast(make())
+    with prepared(CORE) as core:
+        plan = make()
+        return _run_simulated(plan, core) if plan.options.simulated else _run_live(plan, core)[0]
 
 
-def _run_simulated(plan: "RunPlan") -> int:
+def _run_simulated(plan: "RunPlan", core: Prepared) -> int:
     from dataclasses import replace
 
     from steerd.daemon.assembly.build import make_world_config
@@ -275,7 +284,7 @@ def _run_simulated(plan: "RunPlan") -> int:
     threading.Thread(target=import_module, args=(_LIVE,), daemon=True).start()
     with spawn_sim(make_world_config(plan)) as sim:
         options = replace(plan.options, port=sim.port, mocap=sim.mocap_url)
-        code, reason = _run_live(replace(plan, options=options))
+        code, reason = _run_live(replace(plan, options=options), core)
     if code == ExitCode.STOPPED and _was_busy(plan, reason):
         return _fall_back(plan)
     return code
@@ -308,7 +317,7 @@ def _fall_back(plan: "RunPlan") -> int:
     return run_fast(replace(plan, options=replace(plan.options, record=named)))
 
 
-def _run_live(plan: "RunPlan") -> tuple[int, str]:
+def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
     """Drive in real time; the exit code, and why the car was stopped."""
     from steerd.daemon.assembly.session_meta import default_session_path
     from steerd.daemon.ipc.operator import Operator
@@ -327,7 +336,7 @@ def _run_live(plan: "RunPlan") -> tuple[int, str]:
         else default_session_path(plan.options.car, clock.realtime_ns(), boot_id)
     )
     leased = plan.settings.deadman and not plan.options.simulated
-    processes = start_processes(plan, session, boot_id, epoch_ns, leased)
+    processes = start_processes(plan, session, boot_id, epoch_ns, leased, core)
     for line in processes.core_report.get("realtime", ()):
         print(f"note: {line}", file=sys.stderr)
     if processes.viewer is not None:

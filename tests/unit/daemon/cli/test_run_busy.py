@@ -17,15 +17,16 @@ def drive(monkeypatch):
 
     def go(reason, code=ExitCode.STOPPED, **options):
         again = []
+        monkeypatch.setattr(command, "prepared", lambda module: contextlib.nullcontext())
         sim = contextlib.nullcontext(SimpleNamespace(port="/dev/x", mocap_url="natnet://x/car"))
         monkeypatch.setattr("steerd.sim_hw.real_time.links.spawn_sim", lambda _: sim)
-        monkeypatch.setattr(command, "_run_live", lambda plan: (code, reason))
+        monkeypatch.setattr(command, "_run_live", lambda plan, core: (code, reason))
         monkeypatch.setattr(
             "steerd.daemon.offline.fast.run_fast", lambda plan: again.append(plan) or ExitCode.OK
         )
         given = {"car_file": "", "simulated": True, "auto_arm": True, "duration_s": 2.0}
         plan = make_plan(RunOptions(**{**given, **options}), design=False)
-        return command.drive(plan, fast=False), again
+        return command.drive(lambda: plan, fast=False), again
 
     return go
 

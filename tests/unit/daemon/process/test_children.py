@@ -14,7 +14,7 @@ from steerd.daemon.process.children import Child, RunProcesses, spawn
 ECHO = """
 import json, os, sys
 job = json.load(sys.stdin)
-ready = int(sys.argv[-1].removeprefix("ready="))
+ready = int(sys.argv[-1])
 os.write(ready, f"{job['word']} {sys.argv[1:-1]} {os.getpgid(0) == os.getpid()}\\n".encode())
 """
 
@@ -35,11 +35,10 @@ def ended(code):
     return Child(done, read_fd)
 
 
-@pytest.mark.parametrize(("named", "first"), [(True, "['pipe={}']"), (False, "['{}']")])
-def test_a_process_gets_its_job_its_descriptors_and_a_group_of_its_own(echo, named, first):
+def test_a_process_gets_its_job_its_descriptors_and_a_group_of_its_own(echo):
     read_fd, write_fd = os.pipe()
-    child = spawn(echo, {"pipe": write_fd}, {"word": "hello"}, named=named)
-    assert child.wait_ready("echo") == f"hello {first.format(write_fd)} True"
+    child = spawn(echo, {"pipe": write_fd}, {"word": "hello"})
+    assert child.wait_ready("echo") == f"hello ['{write_fd}'] True"
     assert child.process.wait() == 0
     for fd in (read_fd, write_fd, child.ready_fd):
         os.close(fd)
