@@ -14,21 +14,6 @@ from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.model import Model
-from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.base_fit import null_fit, open_engine
-from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted
-from steerd.sim_gap.engine.noise import (
-    Noise,
-    learn_noise,
-    louder,
-    noise_floor,
-    noise_of_section,
-    whitened,
-)
-from steerd.sim_gap.engine.residuals import Gap, gap_of, ratios, robust_mean, settled
-from steerd.sim_gap.engine.space import informative_effects, make_space, nuisance_names
-from steerd.sim_gap.engine.superset import Superset, make_superset
 from steerd.sim_gap.healthy_drives import learn_healthy, refine
 from steerd.sim_gap.verdict.candidates import (
     Score,
@@ -54,6 +39,21 @@ from steerd.sim_gap.verdict.timeline import Timeline, timeline_of
 from steerd.sim_gap.verdict.where import Where, locate
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
+from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.base_fit import null_fit, open_engine
+from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.levenberg_marquardt import Fitted
+from steerd.sysid.inference.noise import (
+    Noise,
+    learn_noise,
+    louder,
+    noise_floor,
+    noise_of_section,
+    whitened,
+)
+from steerd.sysid.inference.residuals import Gap, gap_of, ratios, robust_mean, settled
+from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
+from steerd.sysid.inference.superset import Superset, make_superset
 
 Array = NDArray[np.float64]
 

@@ -22,29 +22,6 @@ from numpy.typing import NDArray
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
-from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.base_fit import null_fit, open_engine
-from steerd.sim_gap.engine.dead_times import try_other_dead_times
-from steerd.sim_gap.engine.engine import Engine, Reduced
-from steerd.sim_gap.engine.knowledge import (
-    EDGES,
-    Knowledge,
-    excess_by_regime,
-    knowledge_section,
-    numbers_of,
-)
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted, curvature, minimise
-from steerd.sim_gap.engine.noise import (
-    Noise,
-    calibrated,
-    learn_noise,
-    noise_section,
-    noise_share,
-    whitened,
-)
-from steerd.sim_gap.engine.residuals import ratios, robust_mean
-from steerd.sim_gap.engine.space import informative_effects, make_space, nuisance_names
-from steerd.sim_gap.engine.superset import Superset, make_superset
 from steerd.sim_gap.verdict.candidates import (
     Score,
     better_base,
@@ -61,6 +38,29 @@ from steerd.sysid.estimation.identifiability import BODY_OR_COG
 from steerd.sysid.estimation.outcome import Step
 from steerd.sysid.estimation.robust_covariance import Spread, inflate_each
 from steerd.sysid.estimation.taught import NOTHING, Stated
+from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.base_fit import null_fit, open_engine
+from steerd.sysid.inference.dead_times import try_other_dead_times
+from steerd.sysid.inference.engine import Engine, Reduced
+from steerd.sysid.inference.knowledge import (
+    EDGES,
+    Knowledge,
+    excess_by_regime,
+    knowledge_section,
+    numbers_of,
+)
+from steerd.sysid.inference.levenberg_marquardt import Fitted, curvature, minimise
+from steerd.sysid.inference.noise import (
+    Noise,
+    calibrated,
+    learn_noise,
+    noise_section,
+    noise_share,
+    whitened,
+)
+from steerd.sysid.inference.residuals import ratios, robust_mean
+from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
+from steerd.sysid.inference.superset import Superset, make_superset
 
 Array = NDArray[np.float64]
 

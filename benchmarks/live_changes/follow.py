@@ -29,10 +29,10 @@ from steerd.daemon.loop.design_message import make_design
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.sim_gap.engine.space import FLOORS, LIMITS
 from steerd.sim_hw.plant.car import SimCar
 from steerd.sim_hw.world import World
 from steerd.sysid.estimation.chart import RELATIVE
+from steerd.sysid.inference.space import FLOORS, LIMITS
 
 CHANGES = {
     "steer_gain": "steer_gain=0.88", "steer_bias": "steer_bias=0.02",

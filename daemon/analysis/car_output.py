@@ -169,7 +169,7 @@ def with_knowledge(
         runs: its drives.
         learnt: the tables, where the identification had to learn them itself.
     """
-    from steerd.sim_gap.engine.knowledge import about
+    from steerd.sysid.inference.knowledge import about
 
     document = tomlkit.parse(car.text)
     try:

@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 from steerd.car_model.car_file import CarFile
-from steerd.sim_gap.engine.noise import noise_of_section
-from steerd.sim_gap.engine.space import FLOORS, LIMITS
-from steerd.sim_gap.engine.superset import Superset, make_superset
 from steerd.sim_gap.online.learner import Learner
 from steerd.sim_gap.online.memory import Memory, remember
 from steerd.sysid.estimation.chart import RELATIVE
+from steerd.sysid.inference.noise import noise_of_section
+from steerd.sysid.inference.space import FLOORS, LIMITS
+from steerd.sysid.inference.superset import Superset, make_superset
 
 NOT_IDENTIFIED = 20.0
 """Standard errors of a car file that gives none, per the least that any car's are: a tenth of a

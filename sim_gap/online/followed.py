@@ -18,11 +18,11 @@ from steerd.car_model.model import Model
 from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import Car
 from steerd.controller.learnt import Learnt, learnt_of
-from steerd.sim_gap.engine.superset import Superset
 from steerd.sim_gap.online.amount import is_ratio
 from steerd.sim_gap.online.learner import Change, Learner, State
 from steerd.sim_gap.online.naming import SETTLED, SURE, Cause
 from steerd.sim_gap.online.values import values_of
+from steerd.sysid.inference.superset import Superset
 
 BY_ITSELF = ("steer_bias", "speed_gain")
 """Numbers of the base that a lane identifies whatever else the model misses."""

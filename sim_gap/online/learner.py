@@ -11,9 +11,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.engine.noise import Noise
-from steerd.sim_gap.engine.residuals import robust_mean
-from steerd.sim_gap.engine.superset import Superset
 from steerd.sim_gap.online.changes import (
     SPANS,
     Usual,
@@ -42,6 +39,9 @@ from steerd.sim_gap.online.settling import settled_fit
 from steerd.sim_gap.online.sharpening import sharpened
 from steerd.sim_gap.online.tracking import Track, follow
 from steerd.sysid.data.dataset import Run
+from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.residuals import robust_mean
+from steerd.sysid.inference.superset import Superset
 
 Array = NDArray[np.float64]
 

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import BaseSelection
-from steerd.sim_gap.engine.engine import Engine, Reduced, make_engine
-from steerd.sim_gap.engine.noise import Noise, whitened
-from steerd.sim_gap.engine.readings import make_readings
-from steerd.sim_gap.engine.residuals import settled
-from steerd.sim_gap.engine.space import Space, informative_effects, make_space
-from steerd.sim_gap.engine.superset import Superset
 from steerd.sim_gap.online.samples import WINDOW
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import speed_range
+from steerd.sysid.inference.engine import Engine, Reduced, make_engine
+from steerd.sysid.inference.noise import Noise, whitened
+from steerd.sysid.inference.readings import make_readings
+from steerd.sysid.inference.residuals import settled
+from steerd.sysid.inference.space import Space, informative_effects, make_space
+from steerd.sysid.inference.superset import Superset
 
 Array = NDArray[np.float64]
 

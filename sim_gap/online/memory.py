@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.engine.space import Space, make_space
-from steerd.sim_gap.engine.superset import Superset
 from steerd.sim_gap.online.looking import Anchor
 from steerd.sim_gap.online.tracking import DISCREPANCY, Track
+from steerd.sysid.inference.space import Space, make_space
+from steerd.sysid.inference.superset import Superset
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effects import find_effect
-from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.residuals import robust_mean
 from steerd.sim_gap.online.fitting import Fit, Points, alike_to, is_at_bound
 from steerd.sim_gap.online.looking import Anchor
 from steerd.sim_gap.verdict.decide import confidence_of, se_of_lead
+from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.residuals import robust_mean
 
 Array = NDArray[np.float64]
 

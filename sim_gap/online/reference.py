@@ -5,10 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steerd.sim_gap.engine.base_fit import null_fit
-from steerd.sim_gap.engine.noise import Noise, learn_noise, whitened
-from steerd.sim_gap.engine.space import nuisance_names
-from steerd.sim_gap.engine.superset import Superset
 from steerd.sim_gap.online.looking import (
     Anchor,
     Look,
@@ -20,6 +16,10 @@ from steerd.sim_gap.online.looking import (
 )
 from steerd.sim_gap.online.tracking import Track
 from steerd.sysid.data.dataset import Run
+from steerd.sysid.inference.base_fit import null_fit
+from steerd.sysid.inference.noise import Noise, learn_noise, whitened
+from steerd.sysid.inference.space import nuisance_names
+from steerd.sysid.inference.superset import Superset
 
 
 class Reference(NamedTuple):

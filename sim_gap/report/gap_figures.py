@@ -12,7 +12,6 @@ from matplotlib.ticker import NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from steerd.sim_gap.diagnosis import Diagnosis
-from steerd.sim_gap.engine.residuals import Gap
 from steerd.sim_gap.lane_comparison import (
     LaneComparison,
     LaneDrive,
@@ -24,6 +23,7 @@ from steerd.sim_gap.report.summary_text import EQUATIONS, SCALES, known_leads
 from steerd.sim_gap.verdict.shrinkage import Shrinkage
 from steerd.sim_gap.verdict.timeline import Timeline
 from steerd.sim_gap.verdict.where import Regime, Share, range_words
+from steerd.sysid.inference.residuals import Gap
 from steerd.sysid.report.drawing import (
     AFTER,
     BAND,

@@ -5,8 +5,8 @@ from math import floor, isfinite, log10
 
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Cause, Diagnosis
-from steerd.sim_gap.engine.residuals import Gap
 from steerd.sim_gap.lane_comparison import LaneComparison, as_long, figures_of
+from steerd.sysid.inference.residuals import Gap
 
 SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad"), "m": (1e3, "mm"), "1": (1.0, "")}
 """Small units for small numbers; what is not listed stays in SI."""

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from steerd.sim_gap.diagnosis import Cause, Diagnosis
-from steerd.sim_gap.engine.residuals import Gap
+from steerd.sysid.inference.residuals import Gap
 
 SCHEMA = "steerd.gap/1"
 

@@ -13,16 +13,16 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from steerd.sim_gap.engine.constants import GAIN_MIN, REFITS, WINSOR
-from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.levenberg_marquardt import (
+from steerd.sim_gap.verdict.screen import Promise, extended, screen
+from steerd.sysid.estimation.bounded_step import step_within
+from steerd.sysid.inference.constants import GAIN_MIN, REFITS, WINSOR
+from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.levenberg_marquardt import (
     Fitted,
     behind,
     curvature,
     minimise,
 )
-from steerd.sim_gap.verdict.screen import Promise, extended, screen
-from steerd.sysid.estimation.bounded_step import step_within
 
 Array = NDArray[np.float64]
 

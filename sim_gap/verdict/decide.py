@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effects import find_effect
-from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted, curvature, minimise
-from steerd.sim_gap.engine.space import make_space
 from steerd.sim_gap.verdict.candidates import Score, gain_of, refit, scored
 from steerd.sim_gap.verdict.screen import Promise, extended, screen
 from steerd.sim_gap.verdict.where import conditions, turn_sign
 from steerd.sysid.compiler.codegen import SENSITIVITIES
 from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.estimation.objective import STATES
+from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.levenberg_marquardt import Fitted, curvature, minimise
+from steerd.sysid.inference.space import make_space
 
 Array = NDArray[np.float64]
 

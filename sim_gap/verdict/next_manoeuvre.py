@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import Command, State
-from steerd.sim_gap.engine.engine import Engine, make_engine
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted, curvature
-from steerd.sim_gap.engine.noise import Noise, whitened
-from steerd.sim_gap.engine.readings import make_readings
-from steerd.sim_gap.engine.residuals import settled
-from steerd.sim_gap.engine.values import active_model
 from steerd.sim_gap.verdict.decide import signature_cosines
 from steerd.sim_gap.verdict.screen import extended
 from steerd.sysid.data.dataset import GRID, Run, Signal
+from steerd.sysid.inference.engine import Engine, make_engine
+from steerd.sysid.inference.levenberg_marquardt import Fitted, curvature
+from steerd.sysid.inference.noise import Noise, whitened
+from steerd.sysid.inference.readings import make_readings
+from steerd.sysid.inference.residuals import settled
+from steerd.sysid.inference.values import active_model
 
 Array = NDArray[np.float64]
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted
-from steerd.sim_gap.engine.noise import Noise
-from steerd.sim_gap.engine.residuals import ratios
 from steerd.sim_gap.verdict.where import conditions
+from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.levenberg_marquardt import Fitted
+from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.residuals import ratios
 
 Array = NDArray[np.float64]
 

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
-from steerd.sim_gap.engine.engine import Engine, Reduced
-from steerd.sim_gap.engine.levenberg_marquardt import (
+from steerd.sim_gap.verdict.places import suspicious_discs
+from steerd.sysid.compiler.codegen import SENSITIVITIES
+from steerd.sysid.estimation.bounded_step import step_within
+from steerd.sysid.estimation.objective import STATES
+from steerd.sysid.inference.engine import Engine, Reduced
+from steerd.sysid.inference.levenberg_marquardt import (
     Fitted,
     curvature,
     is_curved,
     total,
 )
-from steerd.sim_gap.engine.space import Space, make_space
-from steerd.sim_gap.verdict.places import suspicious_discs
-from steerd.sysid.compiler.codegen import SENSITIVITIES
-from steerd.sysid.estimation.bounded_step import step_within
-from steerd.sysid.estimation.objective import STATES
+from steerd.sysid.inference.space import Space, make_space
 
 Array = NDArray[np.float64]
 

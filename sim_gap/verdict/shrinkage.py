@@ -6,14 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted, curvature
-from steerd.sim_gap.engine.noise import Noise, whitened
-from steerd.sim_gap.engine.residuals import Gap, gap_of, interval_of, ratios, robust_mean, settled
-from steerd.sim_gap.engine.space import make_space
 from steerd.sim_gap.verdict.candidates import Score, blocks_of
 from steerd.sysid.estimation.bounded_step import step_within
+from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.levenberg_marquardt import Fitted, curvature
+from steerd.sysid.inference.noise import Noise, whitened
+from steerd.sysid.inference.residuals import Gap, gap_of, interval_of, ratios, robust_mean, settled
+from steerd.sysid.inference.space import make_space
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted
-from steerd.sim_gap.engine.residuals import ratios
+from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.levenberg_marquardt import Fitted
+from steerd.sysid.inference.residuals import ratios
 
 Array = NDArray[np.float64]
 

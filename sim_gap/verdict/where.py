@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from steerd.sim_gap.engine.disturbance_response import INPUTS, responses
-from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted
-from steerd.sim_gap.engine.noise import Noise, covariance, shapes, slip_shape
-from steerd.sim_gap.engine.residuals import interval_of, ratios, robust_mean
 from steerd.sim_gap.verdict.moments import moments_words
+from steerd.sysid.inference.disturbance_response import INPUTS, responses
+from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.levenberg_marquardt import Fitted
+from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
+from steerd.sysid.inference.residuals import interval_of, ratios, robust_mean
 
 Array = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ import tomlkit
 
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.analysis.car_output import with_knowledge
-from steerd.sim_gap.engine.noise import Noise, noise_section
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import SPEED_MIN, moving_segments
+from steerd.sysid.inference.noise import Noise, noise_section
 
 NOISE = Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
 

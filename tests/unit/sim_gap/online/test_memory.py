@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerd.sim_gap.engine.space import make_space
 from steerd.sim_gap.online.learner import State, fold
 from steerd.sim_gap.online.memory import (
     Memory,
@@ -14,6 +13,7 @@ from steerd.sim_gap.online.memory import (
     with_memory,
 )
 from steerd.sim_gap.online.values import values_of
+from steerd.sysid.inference.space import make_space
 
 LEARNT = {"steer_bias": (0.004, 4e-4), "speed_gain": (0.979, 0.001)}
 

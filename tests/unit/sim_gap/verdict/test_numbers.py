@@ -7,9 +7,6 @@ import pytest
 
 from steerd.car_model.effects import find_effect
 from steerd.sim_gap.diagnosis import is_practical, limit_verdict, share_of_most, verdict_of
-from steerd.sim_gap.engine import constants as c
-from steerd.sim_gap.engine.constants import AMBIGUOUS_MOST, PARTIAL_MOST
-from steerd.sim_gap.engine.residuals import Gap, interval_of, robust_mean
 from steerd.sim_gap.report.summary_text import headline, manoeuvre_words, share_words
 from steerd.sim_gap.verdict.candidates import Score, gain_of, held_out
 from steerd.sim_gap.verdict.decide import (
@@ -26,6 +23,9 @@ from steerd.sim_gap.verdict.decide import (
 )
 from steerd.sim_gap.verdict.shrinkage import _shares, explained_share, floor_of, noise_margin
 from steerd.sim_gap.verdict.where import Regime, Share, range_words, sentence_of
+from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.constants import AMBIGUOUS_MOST, PARTIAL_MOST
+from steerd.sysid.inference.residuals import Gap, interval_of, robust_mean
 
 BLOCKS = np.repeat(np.arange(4), 3)
 HALF = np.arange(16) < 8

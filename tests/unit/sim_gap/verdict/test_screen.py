@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerd.sim_gap.engine.base_fit import null_fit, open_engine
-from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.knowledge import Knowledge
-from steerd.sim_gap.engine.levenberg_marquardt import minimise
-from steerd.sim_gap.engine.space import nuisance_names
-from steerd.sim_gap.engine.superset import make_superset
 from steerd.sim_gap.verdict.candidates import rank_singles, refit, singles
 from steerd.sim_gap.verdict.screen import STRAYED, screen
+from steerd.sysid.inference.base_fit import null_fit, open_engine
+from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.knowledge import Knowledge
+from steerd.sysid.inference.levenberg_marquardt import minimise
+from steerd.sysid.inference.space import nuisance_names
+from steerd.sysid.inference.superset import make_superset
 
 NAMES = ("steer_bias", "steer_gain", "scrub", "speed_scale")
 

@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
-from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.values import INTEGRATOR, first_states, paths, readings_of
 from steerd.sysid.compiler.kernels import (
     HeldCommands,
     delays_of,
@@ -21,6 +19,8 @@ from steerd.sysid.compiler.kernels import (
     march,
     view_by_window,
 )
+from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.values import INTEGRATOR, first_states, paths, readings_of
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from steerd.car_model.model import Model, observe
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.state import State
-from steerd.sim_gap.engine.readings import Readings
 from steerd.sysid.compiler.kernels import (
     STATES,
     HeldCommands,
@@ -24,6 +23,7 @@ from steerd.sysid.compiler.kernels import (
     settle,
     view_by_window,
 )
+from steerd.sysid.inference.readings import Readings
 
 Array = NDArray[np.float64]
 

@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerd.sim_gap.engine.constants import NOISE_KEPT
-from steerd.sim_gap.engine.disturbance_response import INPUTS, responses
-from steerd.sim_gap.engine.engine import make_engine, take_windows
-from steerd.sim_gap.engine.levenberg_marquardt import minimise, settle_starts
-from steerd.sim_gap.engine.noise import (
+from steerd.sim_gap.verdict.candidates import blocks_of, folds_of, held_out
+from steerd.sysid.data.windows import speed_range
+from steerd.sysid.estimation.bounded_step import step_within
+from steerd.sysid.inference.constants import NOISE_KEPT
+from steerd.sysid.inference.disturbance_response import INPUTS, responses
+from steerd.sysid.inference.engine import make_engine, take_windows
+from steerd.sysid.inference.levenberg_marquardt import minimise, settle_starts
+from steerd.sysid.inference.noise import (
     Noise,
     calibrated,
     learn_noise,
@@ -20,13 +23,10 @@ from steerd.sim_gap.engine.noise import (
     slip_shape,
     whitened,
 )
-from steerd.sim_gap.engine.readings import SPACING, make_readings
-from steerd.sim_gap.engine.residuals import robust_mean, settled
-from steerd.sim_gap.engine.space import BOX, informative_effects, make_space, nuisance_names
-from steerd.sim_gap.engine.superset import make_superset
-from steerd.sim_gap.verdict.candidates import blocks_of, folds_of, held_out
-from steerd.sysid.data.windows import speed_range
-from steerd.sysid.estimation.bounded_step import step_within
+from steerd.sysid.inference.readings import SPACING, make_readings
+from steerd.sysid.inference.residuals import robust_mean, settled
+from steerd.sysid.inference.space import BOX, informative_effects, make_space, nuisance_names
+from steerd.sysid.inference.superset import make_superset
 
 SIGMA = np.array([0.005, 0.01, 0.05, 0.05])
 

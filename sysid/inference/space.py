@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Channel
-from steerd.sim_gap.engine.superset import Superset
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.estimation.chart import INVERSE, LOGARITHM, RELATIVE, Chart, make_chart
+from steerd.sysid.inference.superset import Superset
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.engine.readings import Readings
-from steerd.sim_gap.engine.space import Space
-from steerd.sim_gap.engine.superset import Superset
-from steerd.sim_gap.engine.values import INTEGRATOR, predicted
 from steerd.sysid.compiler.kernels import (
     HeldCommands,
     Stations,
@@ -26,6 +22,10 @@ from steerd.sysid.compiler.kernels import (
 )
 from steerd.sysid.estimation.objective import STATE_SPREAD, STATES, STEER_SPREAD_UNKNOWN
 from steerd.sysid.estimation.stability import stable_substeps
+from steerd.sysid.inference.readings import Readings
+from steerd.sysid.inference.space import Space
+from steerd.sysid.inference.superset import Superset
+from steerd.sysid.inference.values import INTEGRATOR, predicted
 
 Array = NDArray[np.float64]
 

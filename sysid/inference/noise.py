@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from steerd.sim_gap.engine.constants import NOISE_KEPT
-from steerd.sim_gap.engine.disturbance_response import INPUTS, Responses, responses
-from steerd.sim_gap.engine.engine import FREE_STATES, Engine, Linear
-from steerd.sim_gap.engine.knowledge import EDGES
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted
+from steerd.sysid.inference.constants import NOISE_KEPT
+from steerd.sysid.inference.disturbance_response import INPUTS, Responses, responses
+from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear
+from steerd.sysid.inference.knowledge import EDGES
+from steerd.sysid.inference.levenberg_marquardt import Fitted
 
 Array = NDArray[np.float64]
 

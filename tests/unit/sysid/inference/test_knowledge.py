@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.sim_gap.engine.knowledge import (
+from steerd.sysid.inference.knowledge import (
     EDGES,
     EXCESS_MAX,
     Knowledge,

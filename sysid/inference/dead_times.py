@@ -8,8 +8,8 @@ long as that lowers the cost.
 
 # Why: docs/decisions/identification.md#d89
 
-from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.levenberg_marquardt import ENOUGH, Fitted, minimise
+from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.levenberg_marquardt import ENOUGH, Fitted, minimise
 
 NAME = "steer_delay"
 MOST = 8

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.engine.engine import Engine
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted, covariance_of, total
-from steerd.sim_gap.engine.readings import SPACING
-from steerd.sim_gap.engine.space import Space
+from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.levenberg_marquardt import Fitted, covariance_of, total
+from steerd.sysid.inference.readings import SPACING
+from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
 

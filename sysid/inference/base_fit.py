@@ -5,13 +5,13 @@ from contextlib import suppress
 
 import numpy as np
 
-from steerd.sim_gap.engine.engine import Engine, make_engine
-from steerd.sim_gap.engine.levenberg_marquardt import Fitted, minimise
-from steerd.sim_gap.engine.readings import make_readings
-from steerd.sim_gap.engine.space import make_space
-from steerd.sim_gap.engine.superset import Superset
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise, speed_range
+from steerd.sysid.inference.engine import Engine, make_engine
+from steerd.sysid.inference.levenberg_marquardt import Fitted, minimise
+from steerd.sysid.inference.readings import make_readings
+from steerd.sysid.inference.space import make_space
+from steerd.sysid.inference.superset import Superset
 
 _ROUGH_NOISE = np.array([5e-3, 0.01, 0.05, 0.05])
 """Instrument noise of the first fit, before noise is learnt: [m], [rad], [m/s], [rad/s]."""

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.engine.engine import Engine, Linear, Reduced, Tangent, take_windows
-from steerd.sim_gap.engine.space import Space
 from steerd.sysid.estimation.bounded_step import step_within
+from steerd.sysid.inference.engine import Engine, Linear, Reduced, Tangent, take_windows
+from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
 
