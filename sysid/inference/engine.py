@@ -22,6 +22,7 @@ from steerd.sysid.compiler.kernels import (
 )
 from steerd.sysid.estimation.objective import STATE_SPREAD, STATES, STEER_SPREAD_UNKNOWN
 from steerd.sysid.estimation.stability import stable_substeps
+from steerd.sysid.inference.knowledge import EDGES
 from steerd.sysid.inference.readings import Readings
 from steerd.sysid.inference.space import Space
 from steerd.sysid.inference.superset import Superset
@@ -213,6 +214,20 @@ class Engine:
     def _stations(self, parameters: Array, step: float) -> Stations:
         late = float(delays_of(self.superset.kernels, parameters)[2])
         return self.readings.layout.stations(late, step)
+
+    @property
+    def excess(self) -> Array:
+        """(W,) how much larger than noise healthy errors are where the car corners so hard."""
+        known = self.superset.knowledge
+        if known is None:
+            return np.ones(self.readings.count)
+        return np.array(known.excess)[np.digitize(self.lateral, EDGES)]
+
+    def error_at(self, parameters: Array, x: Array) -> Array:
+        """(W, D) errors of the car with parameters (P,)."""
+        y = predicted(self.superset.kernels, self.readings, parameters, x, self.substeps)
+        error = self.pad(self._off(y))
+        return self._without(~(np.abs(error).max(axis=1) < WILD), error)[0]
 
     def missed(self, space: Space, z: Array, x: Array) -> tuple[Array, bool]:
         """Errors (W, D) alone, the same numbers as `linear` gives, and whether all are finite."""

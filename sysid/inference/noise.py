@@ -92,11 +92,13 @@ def slip_shape(engine: Engine, error: Array) -> Array:
     return np.asarray(slip[:, :, None] * slip[:, None, :])
 
 
-def shapes(engine: Engine, seen: Responses, inputs: Sequence[int]) -> list[Array]:
-    """Covariance (W, D, D) of a unit push of each input, correlated over `MEMORY`."""
+def shapes(
+    engine: Engine, seen: Responses, inputs: Sequence[int], memory: float = MEMORY
+) -> list[Array]:
+    """Covariance (W, D, D) of a unit push of each input, correlated over `memory` [s]."""
     pieces = seen.by_input.shape[3]
     at = np.arange(pieces) * seen.piece
-    kernel = np.exp(-np.abs(at[:, None] - at[None, :]) / MEMORY)
+    kernel = np.exp(-np.abs(at[:, None] - at[None, :]) / memory)
     return [(seen.by_input[i] @ kernel) @ seen.by_input[i].transpose(0, 2, 1) for i in inputs]
 
 

@@ -1,0 +1,197 @@
+"""The likelihood of windows under noise and a discrepancy of unknown size.
+
+The covariance of a window's errors is `C(s) = C_healthy + s^2 U`: what instruments and ordinary
+pushes make, and what an unknown push of size `s` would (`DISCREPANCY`, through the car's own
+response). One rotation `T` of each window diagonalises both, `T C_healthy T' = I` and
+`T U T' = diag(spectrum)` (Golub and Van Loan, Matrix Computations, 8.7.2), so a change of `s` is a
+change of weights and nothing is factorised again.
+
+One size does three jobs. It softens the likelihood while a search is far from its optimum
+(annealing). It is what a gap that no effect explains leaves: the hypothesis of something else. And
+it measures what is left beside an explanation (Kennedy and O'Hagan, 2001).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sysid.inference.disturbance_response import responses
+from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear
+from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
+from steerd.sysid.inference.space import Space
+
+Array = NDArray[np.float64]
+
+DISCREPANCY = (0.3, 0.3, 2.0)
+"""A discrepancy of size 1: pushes along, across [m/s^2] and about the car [rad/s^2]."""
+DISCREPANCY_MEMORY = 0.3
+"""Its correlation time [s]: what a wrong model misses lasts as long as a manoeuvre's phase."""
+SIZES: Array = np.concatenate([[0.0], np.geomspace(0.02, 40.0, 25)])
+"""Sizes that are tried; a factor of 1.37 between them changes no decision."""
+
+
+class Rotated(NamedTuple):
+    """Derivatives about one point in the rotated rows.
+
+    Attributes:
+        by_z: (W, D, n) by the coordinates.
+        by_x: (W, D, 7) by the window's start.
+    """
+
+    by_z: Array
+    by_x: Array
+
+
+class Reduced(NamedTuple):
+    """Windows' losses as functions of the coordinates alone, about one point at one size.
+
+    Attributes:
+        square: (W,) whitened squared error, the start's prior included, at its best start.
+        dof: (W,) measurements of each window less what a start takes.
+        volume: (W,) half the log determinants of the covariance and of the start's curvature.
+        g: (W, n) minus the slope of half the square.
+        h: (W, n, n) its curvature.
+        dx: (W, 7) step of the start; minus `kx` (W, 7, n) per step of the coordinates.
+        kx: see `dx`.
+    """
+
+    square: Array
+    dof: Array
+    volume: Array
+    g: Array
+    h: Array
+    dx: Array
+    kx: Array
+
+    @property
+    def weight(self) -> Array:
+        """(W,) weight of each window under Student's t: what nothing explains pulls less."""
+        return np.asarray(2.0 / (1.0 + self.square / self.dof))
+
+    @property
+    def loss(self) -> Array:
+        """(W,) negative log likelihood, the start marginalised (Laplace) [nats]."""
+        return np.asarray(self.dof * np.log1p(self.square / self.dof) + self.volume)
+
+
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """Windows and how they are weighed.
+
+    Attributes:
+        engine: the windows and the car that is simulated over them.
+        rotation: (W, D, D) `T`; zero for rows that are not there.
+        spectrum: (W, D) variance of a discrepancy of size 1 in each rotated row.
+        pushed: (W,) share of each window's healthy variance that is pushes, not instruments.
+    """
+
+    engine: Engine
+    rotation: Array
+    spectrum: Array
+    pushed: Array
+
+    @cached_property
+    def start_precision(self) -> Array:
+        """(W, 7) prior precisions of the starts about their first guesses."""
+        return np.asarray(self.engine.start_spread**-2)
+
+    @cached_property
+    def dof(self) -> Array:
+        """(W,) degrees of freedom."""
+        return np.asarray(self.engine.padded.there.sum(axis=1) - FREE_STATES)
+
+    def rotate(self, linear: Linear) -> Rotated:
+        """Derivatives about a point, rotated."""
+        return Rotated(self.rotation @ linear.by_z, self.rotation @ linear.by_x)
+
+    def rotate_error(self, error: Array) -> Array:
+        """(W, D) errors, rotated."""
+        return np.asarray((self.rotation @ error[:, :, None])[:, :, 0])
+
+    def weights(self, size: float) -> Array:
+        """(W, D) precision of each rotated row."""
+        return np.asarray(1.0 / (1.0 + size**2 * self.spectrum))
+
+    def reduce(self, at: Rotated, error: Array, x: Array, size: float) -> Reduced:
+        """Losses for errors (W, D) at starts `x`; derivatives may be of a near point."""
+        weight, row = self.weights(size), self.rotate_error(error)
+        turned = (at.by_x * weight[:, :, None]).transpose(0, 2, 1)
+        d, volume = self._starts(turned @ at.by_x, weight)
+        away = self.engine.readings.layout.guess - x
+        pull = (turned @ row[:, :, None])[:, :, 0] + away * self.start_precision
+        cross = turned @ at.by_z
+        solved = np.linalg.solve(d, np.concatenate([pull[:, :, None], cross], axis=2))
+        dx, kx = solved[:, :, 0], solved[:, :, 1:]
+        square = (weight * row**2).sum(axis=1) + (self.start_precision * away**2).sum(axis=1)
+        square = np.maximum(square - (pull * dx).sum(axis=1), 0.0)
+        heavy = (at.by_z * weight[:, :, None]).transpose(0, 2, 1)
+        g = (heavy @ row[:, :, None])[:, :, 0] - (dx[:, None, :] @ cross)[:, 0]
+        h = heavy @ at.by_z - cross.transpose(0, 2, 1) @ kx
+        return Reduced(square, self.dof, volume, g, h, dx, kx)
+
+    def losses(self, by_x: Array, error: Array, x: Array, size: float) -> Array:
+        """(W,) losses at a point, without derivatives by the coordinates."""
+        weight, row = self.weights(size), self.rotate_error(error)
+        turned = (by_x * weight[:, :, None]).transpose(0, 2, 1)
+        d, volume = self._starts(turned @ by_x, weight)
+        away = self.engine.readings.layout.guess - x
+        pull = (turned @ row[:, :, None])[:, :, 0] + away * self.start_precision
+        square = (weight * row**2).sum(axis=1) + (self.start_precision * away**2).sum(axis=1)
+        square = square - (pull * np.linalg.solve(d, pull[:, :, None])[:, :, 0]).sum(axis=1)
+        return np.asarray(self.dof * np.log1p(np.maximum(square, 0.0) / self.dof) + volume)
+
+    def _starts(self, d: Array, weight: Array) -> tuple[Array, Array]:
+        """Curvature of the starts, and half the log determinants with it."""
+        d[:, range(d.shape[1]), range(d.shape[1])] += self.start_precision
+        volume = 0.5 * (np.linalg.slogdet(d)[1] - np.log(weight).sum(axis=1))
+        return d, np.asarray(volume)
+
+    def best_size(self, at: Rotated, error: Array, x: Array, least: float = 0.0) -> float:
+        """The size of `SIZES` under which these errors are most likely, `least` at least."""
+        sizes = SIZES[SIZES >= least - 1e-12]
+        best, lowest = float(sizes[-1]), np.inf
+        for size in sizes:
+            cost = float(self.losses(at.by_x, error, x, float(size)).sum())
+            if cost < lowest:
+                best, lowest = float(size), cost
+            elif cost > lowest + 50.0:
+                break
+        return best
+
+    def share(self, size: float) -> float:
+        """Share of the variance that a discrepancy of this size is, mean over all rows."""
+        rows = self.engine.padded.there.sum()
+        return float((1.0 - self.weights(size)).sum() / rows)
+
+
+def make_likelihood(engine: Engine, parameters: Array, x: Array, noise: Noise) -> Likelihood:
+    """The likelihood with responses about one trajectory of every window.
+
+    Args:
+        engine: the windows.
+        parameters: (P,) of the car that is pushed.
+        x: (W, 7) the windows' starts.
+        noise: how large instruments' noise and ordinary pushes are.
+    """
+    seen = responses(engine, parameters, x, (0, 1, 2))
+    slip = slip_shape(engine, engine.error_at(parameters, x))
+    healthy = covariance(engine, noise, [*shapes(engine, seen, (0, 1, 2)), slip])
+    none = [np.zeros_like(slip)] * 4
+    instruments = covariance(engine, noise, none)
+    healthy *= engine.excess[:, None, None]
+    unknown = sum(
+        size**2 * shape
+        for size, shape in zip(
+            DISCREPANCY, shapes(engine, seen, (0, 1, 2), DISCREPANCY_MEMORY), strict=True
+        )
+    )
+    there = engine.padded.there
+    lower = np.linalg.inv(np.linalg.cholesky(healthy))
+    spectrum, axes = np.linalg.eigh(lower @ unknown @ lower.transpose(0, 2, 1))
+    rotation = (axes.transpose(0, 2, 1) @ lower) * there[:, None, :]
+    own = np.einsum("wij,wjk,wik->wi", lower, instruments, lower)
+    pushed = ((1.0 - own) * there).sum(axis=1) / there.sum(axis=1)
+    return Likelihood(engine, rotation, np.maximum(spectrum, 0.0), pushed)

@@ -1,0 +1,65 @@
+"""What an optimum says: its evidence, its covariance, and how far neighbouring windows agree.
+
+Laplace's approximation (MacKay 1992). Model errors of neighbouring windows repeat, so windows are
+worth less than their number: the evidence is tempered by Kish's design effect (Survey Sampling,
+1965, 8.2), once for a whole case.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from steerd.sysid.inference.likelihood import Likelihood
+from steerd.sysid.inference.search import Point, curvature
+
+Array = NDArray[np.float64]
+
+REPEATS = 0.5
+"""Share of the ordinary pushes that repeats from window to window (`c` of the design effect)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """A hypothesis at its optimum.
+
+    Attributes:
+        point: the optimum.
+        evidence: log evidence, not tempered [nats].
+        covariance: (n, n) of the coordinates, tempered.
+    """
+
+    point: Point
+    evidence: float
+    covariance: Array
+
+
+def design_effect(likelihood: Likelihood, size: float, repeats: float = REPEATS) -> float:
+    """How many windows are worth one under a discrepancy of this size."""
+    pushed, unknown = float(likelihood.pushed.mean()), likelihood.share(size)
+    alike = repeats * pushed + (1.0 - repeats * pushed) * unknown
+    return 2.0 + (len(likelihood.pushed) - 1) * alike
+
+
+def posterior_of(point: Point, temper: float) -> Posterior:
+    """Evidence and covariance at an optimum, with a design effect of `temper`.
+
+    A direction without curvature keeps its prior's width: the prior is proper in every coordinate.
+    """
+    prior = point.space.precision
+    fisher = curvature(point.space, point.at) - prior
+    lower = np.linalg.cholesky(point.space.covariance)
+    inner = np.linalg.eigh(lower.T @ fisher @ lower)
+    gain, axes = np.maximum(inner.eigenvalues, 0.0), inner.eigenvectors
+    evidence = -point.cost - 0.5 * float(np.log1p(gain).sum())
+    wide = lower @ axes
+    covariance = (wide / (1.0 + gain / temper)) @ wide.T
+    return Posterior(point, evidence, covariance)
+
+
+def log_share_beyond(value: float, sd: float, null: float, least: float) -> float:
+    """Log probability that a normal value differs from its null by `least` or more."""
+    away = abs(value - null)
+    sd = max(sd, 1e-12)
+    return float(np.log(max(ndtr((away - least) / sd) + ndtr((-away - least) / sd), 1e-12)))

@@ -1,0 +1,203 @@
+"""From a start to the optimum of a hypothesis: Newton steps while the discrepancy's size falls.
+
+The likelihood of a wrong start is sharp and rough. Under a discrepancy as large as the gap it is
+blunt and nearly quadratic, so the search begins there and lets the size fall a little with every
+step until it reaches the size that the errors themselves ask for (graduated optimisation).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sysid.estimation.bounded_step import step_within
+from steerd.sysid.inference.engine import Linear
+from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated
+from steerd.sysid.inference.space import Space
+
+Array = NDArray[np.float64]
+
+FALL = 2.2
+"""The size falls by this factor a step at most: faster, dead times are left behind."""
+ENOUGH = 0.3
+"""A step that promises and gains less than this many nats at the last size ends the search."""
+STEPS = 24
+_TRUST = 0.4
+"""Derivatives are taken anew where a step gains this much more or less than it promised ..."""
+_FAR = 30.0
+"""... or after so many nats."""
+_DAMPING_MAX = 1e4
+_BEHIND = 80.0
+"""A search that is so many nats behind another hypothesis is given up."""
+_UNTIL = 4
+"""Steps before a search may be given up."""
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A hypothesis somewhere.
+
+    Attributes:
+        space: its coordinates.
+        z: (n,) their values; x: (W, 7) the windows' starts.
+        size: of the discrepancy.
+        linear: errors here and derivatives here or near; `rotated` the derivatives, rotated.
+        at: losses here.
+        cost: losses and prior [nats].
+        whole: whether the search came to its end, not to its limit of steps.
+    """
+
+    space: Space
+    z: Array
+    x: Array
+    size: float
+    linear: Linear
+    rotated: Rotated
+    at: Reduced
+    cost: float
+    whole: bool = True
+
+    @property
+    def parameters(self) -> Array:
+        """(P,) all parameters of the superset."""
+        return self.space.chart.parameters(self.z)
+
+
+def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
+    """Errors and derivatives, those of the dead times as secants over a step of the grid each way.
+
+    A servo at its slew limit starts on the step in which a command arrives, whatever the fraction:
+    the likelihood has kinks in the dead times, and a slope between two of them leads nowhere.
+
+    Raises:
+        FloatingPointError: the simulation diverges there.
+    """
+    engine = likelihood.engine
+    linear = engine.linear(space, z, x)
+    if not linear.finite:
+        raise FloatingPointError("the simulation diverges")
+    step = engine.readings.layout.h / engine.substeps
+    for i, name in enumerate(space.chart.free):
+        if not (name.endswith("_delay") or name.endswith("_delay.delay")):
+            continue
+        if name == "pose_delay":
+            continue
+        ends = [float(np.clip(z[i] + s, space.low[i], space.high[i])) for s in (-step, step)]
+        error = []
+        for end in ends:
+            moved = z.copy()
+            moved[i] = end
+            error.append(engine.missed(space, moved, x)[0])
+        linear.by_z[:, :, i] = (error[0] - error[1]) / (ends[1] - ends[0])
+    return linear
+
+
+def stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float) -> Point:
+    """A hypothesis at given coordinates.
+
+    Raises:
+        FloatingPointError: the simulation diverges there.
+    """
+    linear = derive(likelihood, space, z, x)
+    rotated = likelihood.rotate(linear)
+    at = likelihood.reduce(rotated, linear.error, x, size)
+    return Point(space, z, x, size, linear, rotated, at, _cost(space, at, z))
+
+
+def _cost(space: Space, at: Reduced, z: Array) -> float:
+    return float(at.loss.sum()) + space.prior_cost(z)
+
+
+def curvature(space: Space, at: Reduced) -> Array:
+    """(n, n) Gauss-Newton curvature of the cost."""
+    return np.asarray(np.einsum("w,wij->ij", at.weight, at.h) + space.precision)
+
+
+def with_size(likelihood: Likelihood, point: Point, size: float) -> Point:
+    """The same point under another size."""
+    if size == point.size:
+        return point
+    at = likelihood.reduce(point.rotated, point.linear.error, point.x, size)
+    return replace(point, size=size, at=at, cost=_cost(point.space, at, point.z))
+
+
+def fresh(likelihood: Likelihood, point: Point) -> Point:
+    """The same point with derivatives taken there."""
+    return stand(likelihood, point.space, point.z, point.x, point.size)
+
+
+def settle(likelihood: Likelihood, point: Point, rounds: int = 3) -> Point:
+    """The starts at their best, the coordinates held."""
+    for _ in range(rounds):
+        moved = _moved(likelihood, point, np.zeros(len(point.z)))
+        if moved is None or moved.cost > point.cost - 0.05:
+            break
+        point = moved
+    return point
+
+
+def _moved(likelihood: Likelihood, point: Point, dz: Array) -> Point | None:
+    """The point a step on, with the derivatives of before; None where too much diverges."""
+    x = point.x + point.at.dx - point.at.kx @ dz
+    z = np.clip(point.z + dz, point.space.low, point.space.high)
+    error, finite = likelihood.engine.missed(point.space, z, x)
+    if not finite:
+        return None
+    at = likelihood.reduce(point.rotated, error, x, point.size)
+    return replace(
+        point, z=z, x=x, at=at, cost=_cost(point.space, at, z),
+        linear=point.linear._replace(error=error),
+    )  # fmt: skip
+
+
+def newton(space: Space, at: Reduced, z: Array, damping: float = 0.0) -> tuple[Array, float]:
+    """The bounded step of the quadratic model, and what it promises [nats]."""
+    h, slope = curvature(space, at), at.weight @ at.g + space.prior_pull(z)
+    damped = h + damping * np.diag(np.diag(h))
+    dz = step_within(damped, slope, z, space.low, space.high)
+    return dz, float(slope @ dz - 0.5 * dz @ h @ dz)
+
+
+def minimise(
+    likelihood: Likelihood,
+    start: Point,
+    beat: float = np.inf,
+    steps: int = STEPS,
+    fall: float = FALL,
+) -> Point:
+    """Go from a start to the optimum, the size falling from the start's.
+
+    Args:
+        likelihood: the windows.
+        start: where to begin.
+        beat: cost of a better hypothesis; a search that stays clearly above it is given up.
+        steps: how many at most.
+        fall: factor by which the size may fall a step.
+    """
+    now, stale, damping = start, 0.0, 1e-4
+    for number in range(steps):
+        dz, promised = newton(now.space, now.at, now.z, damping)
+        moved = _moved(likelihood, now, dz)
+        gained = -np.inf if moved is None else now.cost - moved.cost
+        if moved is not None and gained >= -1e-9 * abs(now.cost):
+            now, damping, stale = moved, max(0.1 * damping, 1e-6), stale + max(gained, 0.0)
+        elif stale > 0.0:
+            now, stale = fresh(likelihood, now), 0.0
+            continue
+        elif promised >= ENOUGH and damping < _DAMPING_MAX:
+            damping *= 20.0
+            continue
+        size = likelihood.best_size(now.rotated, now.linear.error, now.x, now.size / fall)
+        if max(promised, gained) < ENOUGH and size >= now.size * 0.99 and size <= now.size * 1.01:
+            return _ended(likelihood, now, stale)
+        lower = with_size(likelihood, now, size)
+        if number >= _UNTIL and size >= now.size * 0.99 and lower.cost > beat + _BEHIND:
+            return replace(lower, whole=False)
+        now = lower
+        if abs(gained - promised) > _TRUST * max(promised, ENOUGH) or stale > _FAR:
+            now, stale = fresh(likelihood, now), 0.0
+    return replace(_ended(likelihood, now, stale), whole=False)
+
+
+def _ended(likelihood: Likelihood, point: Point, stale: float) -> Point:
+    return fresh(likelihood, point) if stale > 1.0 else point
