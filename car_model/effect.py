@@ -251,6 +251,9 @@ class Effect:
     selectable_in_base: BaseSelection
     zero_gradient: bool
     """Whether the gradient at the null is zero (a limit, play): it is then found by a scan."""
+    same_as: tuple[str, ...] = ()
+    """Parameters of the base that are the same physical quantity: while the effect is free in a
+    hypothesis they are not, for nothing is free twice."""
     nameable_alone: bool = True
     """False: no drive distinguishes it from `confounded_with`, so both are always named."""
     on_every_car: bool = False

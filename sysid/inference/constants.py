@@ -96,3 +96,11 @@ BUILT_IN = 3
 BUILT_IN_GAIN = 4.0
 """And what each gains on the healthy drives, at least [nats]. Little is enough: a base that is free
 in one direction too many costs some power, one too few accuses."""
+FITTED = 6
+"""Hypotheses with a first effect that are brought to their optimum ..."""
+FITTED_FURTHER = 3
+"""... and with a further one."""
+FURTHER_ODDS = 10.0
+"""Odds against each further cause, beside its share of the library."""
+SIZE_SMALL = 0.05
+"""A discrepancy that is smaller than any ordinary push."""

@@ -182,6 +182,7 @@ def make_likelihood(engine: Engine, parameters: Array, x: Array, noise: Noise) -
     none = [np.zeros_like(slip)] * 4
     instruments = covariance(engine, noise, none)
     healthy *= engine.excess[:, None, None]
+    instruments *= engine.excess[:, None, None]
     unknown = sum(
         size**2 * shape
         for size, shape in zip(

@@ -40,6 +40,7 @@ EFFECT = Effect(
     needs_commands=None,
     selectable_in_base=BaseSelection.NEVER,
     zero_gradient=False,
+    same_as=("inertia_z",),
     car=_car,
     aliases=("payload",),
 )

@@ -30,6 +30,7 @@ EFFECT = Effect(
     needs_commands=None,
     selectable_in_base=BaseSelection.HEALTHY,
     zero_gradient=False,
+    same_as=("inertia_z",),
     car=_car,
     aliases=("inertia", "inertia_z"),
 )

@@ -42,6 +42,7 @@ EFFECT = Effect(
     needs_commands=Channel.SPEED,
     selectable_in_base=BaseSelection.HEALTHY,
     zero_gradient=True,
+    same_as=("accel_max", "decel_max"),
     car=_car,
     aliases=("current_limit", "acceleration_limit"),
 )

@@ -27,6 +27,7 @@ EFFECT = Effect(
     needs_commands=Channel.SPEED,
     selectable_in_base=BaseSelection.HEALTHY,
     zero_gradient=False,
+    same_as=("drive_delay",),
     delays=_delays,
     aliases=("speed_delay", "motor_delay"),
 )

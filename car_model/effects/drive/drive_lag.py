@@ -27,6 +27,7 @@ EFFECT = Effect(
     needs_commands=Channel.SPEED,
     selectable_in_base=BaseSelection.HEALTHY,
     zero_gradient=False,
+    same_as=("speed_lag",),
     car=_car,
     aliases=("motor_lag", "speed_lag", "esc_lag"),
 )

@@ -46,6 +46,7 @@ EFFECT = Effect(
     needs_commands=Channel.SPEED,
     selectable_in_base=BaseSelection.HEALTHY,
     zero_gradient=False,
+    same_as=("speed_gain",),
     car=_car,
     observe=_observe,
     aliases=("erpm_gain", "wheel_radius", "speed_gain"),

@@ -35,6 +35,7 @@ EFFECT = Effect(
     needs_commands=None,
     selectable_in_base=BaseSelection.HEALTHY,
     zero_gradient=False,
+    same_as=("pose_delay",),
     delays=_delays,
     aliases=("latency", "pose_latency", "mocap_delay"),
 )

@@ -27,6 +27,7 @@ EFFECT = Effect(
     needs_commands=Channel.STEER,
     selectable_in_base=BaseSelection.HEALTHY,
     zero_gradient=False,
+    same_as=("steer_bias",),
     car=_car,
     aliases=("trim", "steer_trim", "steer_offset"),
 )

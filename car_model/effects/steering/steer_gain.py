@@ -27,6 +27,7 @@ EFFECT = Effect(
     needs_commands=Channel.STEER,
     selectable_in_base=BaseSelection.HEALTHY,
     zero_gradient=False,
+    same_as=("steer_gain",),
     car=_car,
     aliases=("steering_gain", "steer_scale"),
 )

@@ -27,6 +27,7 @@ EFFECT = Effect(
     needs_commands=Channel.STEER,
     selectable_in_base=BaseSelection.HEALTHY,
     zero_gradient=False,
+    same_as=("steer_lag",),
     car=_car,
     aliases=("servo_lag", "steering_lag"),
 )

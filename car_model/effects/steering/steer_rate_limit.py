@@ -40,6 +40,7 @@ EFFECT = Effect(
     needs_commands=Channel.STEER,
     selectable_in_base=BaseSelection.HEALTHY,
     zero_gradient=True,
+    same_as=("steer_rate",),
     car=_car,
     aliases=("rate_limit", "slew_limit", "steer_slew"),
 )
