@@ -13,45 +13,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
+from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model
 from steerd.sim_gap.healthy_drives import learn_healthy, refine
-from steerd.sim_gap.verdict.candidates import (
-    Score,
-    blocks_of,
-    gain_of,
-    rank_singles,
-    scored,
-)
-from steerd.sim_gap.verdict.decide import (
-    Choice,
-    Split,
-    at_bound,
-    choose,
-    confidence_of,
-    is_large,
-)
+from steerd.sim_gap.hypotheses import Findings, Hypothesis, Library, explain
+from steerd.sim_gap.verdict.evidence import Cause, Verdict, judge_case
 from steerd.sim_gap.verdict.horizons import Horizon, cross_check
 from steerd.sim_gap.verdict.next_manoeuvre import Manoeuvre, next_manoeuvre
 from steerd.sim_gap.verdict.residual_shape import Shape, shape_of
-from steerd.sim_gap.verdict.screen import screen
-from steerd.sim_gap.verdict.shrinkage import Shrinkage, explained_share, measure, predict
+from steerd.sim_gap.verdict.shrinkage import Shrinkage, measure, predict
 from steerd.sim_gap.verdict.timeline import Timeline, timeline_of
 from steerd.sim_gap.verdict.where import Where, locate
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.base_fit import null_fit, open_engine
+from steerd.sysid.inference.base_fit import open_engine
 from steerd.sysid.inference.engine import Engine
 from steerd.sysid.inference.levenberg_marquardt import Fitted
+from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.noise import (
     Noise,
     learn_noise,
     louder,
     noise_floor,
     noise_of_section,
+    usual_noise,
     whitened,
 )
-from steerd.sysid.inference.residuals import Gap, gap_of, ratios, robust_mean, settled
+from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
 from steerd.sysid.inference.superset import Superset, make_superset
 
@@ -97,27 +86,6 @@ class Options:
     written: Callable[[str], None] = _unheard
 
 
-@dataclass(frozen=True)
-class Cause:
-    """One named effect.
-
-    Attributes:
-        effect: its name; `stage` and `family` of it.
-        parameters: (value, standard error, unit) by name.
-        confidence: that this name is right (0 to 1).
-        ambiguous_with: effects that these drives do not distinguish from it.
-        alias: what no drive distinguishes from it, in words; empty if nothing.
-    """
-
-    effect: str
-    stage: str
-    family: str
-    parameters: dict[str, tuple[float, float, str]]
-    confidence: float
-    ambiguous_with: tuple[str, ...]
-    alias: str
-
-
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """What was found.
@@ -127,11 +95,11 @@ class Diagnosis:
         before: the gap of the base; `after` with the explanation.
         where: where the base's error lies.
         causes: named effects, the verdict's first.
-        candidates: (effects, gain [nats], standard error) of every refitted hypothesis.
+        something_else: posterior probability that no effect of the library is a cause.
+        candidates: (effects, probability, gain over the base alone [nats]) of each hypothesis.
         shrinkage: predicted and, with reserved drives, measured.
         next_manoeuvre: what to drive to distinguish ambiguous causes, if there are any.
         shape: what is left.
-        splits: the constancy test of the first cause.
         moved: z-scores of base parameters that moved within their uncertainty.
         noise: what was taken as random; `noise_known` if not from these drives.
         notes: what a reader should know about how this was done.
@@ -145,11 +113,11 @@ class Diagnosis:
     after: Gap
     where: Where
     causes: tuple[Cause, ...]
+    something_else: float
     candidates: tuple[tuple[str, float, float], ...]
     shrinkage: Shrinkage
     next_manoeuvre: Manoeuvre | None
     shape: Shape
-    splits: tuple[Split, ...]
     moved: dict[str, float]
     noise: Noise
     noise_known: bool
@@ -159,26 +127,40 @@ class Diagnosis:
     horizons: tuple[Horizon, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class _Case:
-    """What the stages share."""
-
-    superset: Superset
-    engine: Engine
-    nuisance: tuple[str, ...]
-    options: Options
-    only: tuple[str, ...]
-    floor: float
-    edited: bool = False
-    untested: tuple[str, ...] = ()
-
-
 def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None:
     if options.noise is not None:
         return options.noise
     if options.healthy and not isinstance(base, CarFile):
         return learn_healthy(base, options.healthy)
     return noise_of_section(base.sections.get("noise", {})) if isinstance(base, CarFile) else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Case:
+    """What the stages share.
+
+    Attributes:
+        library: windows, free parameters of the base, effects.
+        engine: the windows, whitened about the likeliest hypothesis.
+        noise: what was taken as random; `known` if not from these drives.
+        floor: what noise leaves of the whitened error.
+        found: every hypothesis; `verdict` of them.
+        blocks: (W,) windows that follow each other.
+    """
+
+    library: Library
+    engine: Engine
+    noise: Noise
+    known: bool
+    floor: float
+    found: Findings
+    verdict: Verdict
+    blocks: NDArray[np.int64]
+
+    def settle(self, hypothesis: Hypothesis) -> Fitted:
+        """A hypothesis in the windows as whitened."""
+        point = hypothesis.point
+        return settled(self.engine, point.space, point.z, point.x)
 
 
 def diagnose(
@@ -201,46 +183,78 @@ def diagnose(
     if options.healthy and isinstance(base, CarFile):
         base = refine(base, options.healthy)
     superset = make_superset(base, runs)
-    names = [e.name for e in superset.effects]
-    informative = informative_effects(superset, runs)
-    only = tuple(n for n in (options.only or informative) if n not in options.without)
-    unknown = [n for n in (*only, *options.without) if n not in names]
-    if unknown:
-        raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
-    nuisance = nuisance_names(superset, runs)
-    signals, opened = estimate_noise(runs), open_engine(superset, runs)
-    floor = noise_floor(opened, float(signals[2]))
-    edited = isinstance(base, CarFile) and bool(base.sections.get("knowledge"))
-    edited = edited and superset.knowledge is None
-    case = _Case(superset, opened, nuisance, options, only, floor, edited)
-    known = _known_noise(base, options)
-    known = known and louder(known, signals)
-    engine, null, ranked, noise, untested = _search(case, known)
-    case = replace(case, untested=untested)
-    options.progress("decide", 0.6)
-    blocks = blocks_of(engine)
-    choice = choose(engine, scored(engine, null), ranked, nuisance, blocks, options.pairs, only)
-    found = _conclude(case, engine, choice, noise, known is not None, [run.name for run in runs])
+    only = _chosen(superset, runs, options)
+    options.progress("base", 0.05)
+    case = _search(superset, runs, base, only, options)
+    found = _conclude(case, options, [run.name for run in runs], _base_notes(superset, base))
     if not options.horizons:
         return found
-    base_fit = settled(engine, make_space(superset, ()), make_space(superset, ()).centre)
-    best = choice.best.fitted if found.causes else choice.null.fitted
-    horizons, before, after = cross_check(
-        engine, runs, base_fit, best, noise, (found.before, found.after)
-    )
-    verdict = limit_verdict(found.verdict, before)
-    whole = replace(found, verdict=verdict, horizons=horizons, before=before, after=after)
-    return _without_overclaim(whole, base_strain(choice.best.fitted) if found.causes else 0.0)
+    return _with_horizons(case, found, runs)
 
 
-def base_strain(fitted: Fitted) -> float:
-    """How far the base moved beside the effects, against what its uncertainty lets it.
+def _chosen(superset: Superset, runs: Sequence[Run], options: Options) -> tuple[Effect, ...]:
+    """Effects that may be a cause.
 
-    Its squared Mahalanobis distance less its mean, in standard deviations of chi-square.
+    Raises:
+        ValueError: an option names none.
     """
-    n = fitted.space.nuisance
-    square = 2.0 * fitted.space.base_cost(fitted.z)
-    return (square - n) / np.sqrt(2.0 * n) if n else 0.0
+    names = [e.name for e in superset.effects]
+    unknown = [n for n in (*(options.only or ()), *options.without) if n not in names]
+    if unknown:
+        raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
+    only = options.only or informative_effects(superset, runs)
+    return tuple(e for e in superset.effects if e.name in only and e.name not in options.without)
+
+
+def _search(
+    superset: Superset,
+    runs: Sequence[Run],
+    base: CarFile | Model[float],
+    effects: tuple[Effect, ...],
+    options: Options,
+) -> _Case:
+    """Every hypothesis; noise is learnt about the best effect if it is not known."""
+    engine, signals = open_engine(superset, runs), estimate_noise(runs)
+    given, nuisance = _known_noise(base, options), nuisance_names(superset, runs)
+    x, parameters = engine.readings.layout.guess.copy(), superset.base
+    noise = louder(given or usual_noise(signals), signals)
+    if given is None:
+        options.progress("noise", 0.1)
+        rough = Library(make_likelihood(engine, parameters, x, noise), nuisance, effects)
+        best = explain(rough, 1).best.point
+        noise = learn_noise(engine, best, noise)
+        x = best.x
+    options.progress("candidates", 0.2)
+    library = Library(make_likelihood(engine, parameters, x, noise), nuisance, effects)
+    found = explain(
+        library,
+        2 if options.pairs else 1,
+        lambda share: options.progress("pairs", 0.2 + 0.5 * share),
+    )
+    verdict = judge_case(library, found, given is not None)
+    white = whitened(engine, found.best.point, noise)
+    floor = noise_floor(engine, float(signals[2]))
+    return _Case(library, white, noise, given is not None, floor, found, verdict, blocks_of(white))
+
+
+def _with_horizons(case: _Case, found: Diagnosis, runs: Sequence[Run]) -> Diagnosis:
+    """The gap over other horizons, and what it forbids to say."""
+    fixed = make_space(case.library.likelihood.engine.superset, ())
+    before = settled(case.engine, fixed, fixed.centre)
+    best = case.settle(case.found.best if found.causes else case.found.null)
+    horizons, gap, after = cross_check(
+        case.engine, runs, before, best, case.noise, (found.before, found.after)
+    )
+    verdict, notes = found.verdict, found.notes
+    far = any(gap.position(lead) > most for lead, most in c.FAR.items())
+    if verdict == "none" and far:
+        verdict = "unjudged"
+    leads = grown_leads(gap, after) if found.causes else ()
+    if leads:
+        shown = ", ".join(f"{lead:g} s" for lead in leads)
+        notes = (*notes, f"position errors grow with the explanation after {shown}")
+        verdict = "partial"
+    return replace(found, verdict=verdict, notes=notes, horizons=horizons, before=gap, after=after)
 
 
 def grown_leads(before: Gap, after: Gap) -> tuple[float, ...]:
@@ -250,247 +264,110 @@ def grown_leads(before: Gap, after: Gap) -> tuple[float, ...]:
     )
 
 
-def _without_overclaim(found: Diagnosis, strain: float) -> Diagnosis:
-    """Nothing is `explained` whose errors grow in millimetres, or whose base is not the base."""
-    notes = []
-    if found.causes and grown_leads(found.before, found.after):
-        leads = ", ".join(f"{lead:g} s" for lead in grown_leads(found.before, found.after))
-        notes.append(f"position errors grow with the explanation after {leads}")
-    if strain > c.STRAINED:
-        notes.append("beside the cause the base moved further than its own uncertainty lets it")
-    if not notes or found.verdict != "explained":
-        return replace(found, notes=(*found.notes, *notes))
-    causes = tuple(
-        replace(cause, confidence=min(cause.confidence, c.PARTIAL_MOST)) for cause in found.causes
-    )
-    return replace(found, verdict="partial", causes=causes, notes=(*found.notes, *notes))
-
-
-def _search(
-    case: _Case, known: Noise | None
-) -> tuple[Engine, Fitted, list[Score], Noise, tuple[str, ...]]:
-    """Base, noise and single effects; noise is learnt about the best effect if it is not known.
-
-    Last come the effects whose simulation did not stay finite.
-    """
-    engine, options = case.engine, case.options
-    options.progress("base", 0.05)
-    null = null_fit(engine, case.nuisance)
-    noise = known or learn_noise(engine, null)
-    engine = whitened(engine, null, noise)
-    null = null_fit(engine, case.nuisance, null)
-    options.progress("candidates", 0.2)
-    most = c.REFITS if known else c.REFITS_ROUGH
-    promises = screen(engine, null, case.nuisance, case.only)
-    untested = tuple(p.effect for p in promises if not p.tested)
-    free = case.nuisance, case.only, options.jobs
-    null, ranked = rank_singles(engine, null, *free, most, promises)
-    if not ranked:
-        return engine, null, [scored(engine, null)], noise, untested
-    if known is None:
-        best = ranked[0].fitted
-        noise = learn_noise(engine, best, noise)
-        engine = whitened(engine, best, noise)
-        null = null_fit(engine, case.nuisance, null)
-        options.progress("candidates again", 0.4)
-        null, again = rank_singles(engine, null, *free, c.REFITS)
-        ranked = again or ranked
-    return engine, null, ranked, noise, untested
-
-
 def _conclude(
-    case: _Case, engine: Engine, choice: Choice, noise: Noise, known: bool, names: Sequence[str]
+    case: _Case, options: Options, names: Sequence[str], notes: Sequence[str]
 ) -> Diagnosis:
-    """Everything that follows from the choice."""
-    fixed = make_space(case.superset, ())
-    before = settled(engine, fixed, fixed.centre, choice.null.fitted.x)
-    gap_before = gap_of(engine, before, choice.blocks)
-    best = choice.best.fitted
-    gap_best = gap_of(engine, best, choice.blocks)
-    gap_null = gap_of(engine, choice.null.fitted, choice.blocks)
-    level = case.floor if known else np.inf
-    sizes = (is_large(engine, choice.best, name) for name in choice.best.effects)
-    matters = is_practical(choice, gap_before, gap_best, gap_null, level)
-    found = choice.found and all(sizes) and matters
-    chosen, gap_after = (choice.best, gap_best) if found else (choice.null, gap_null)
-    mostly = share_of_most(before, chosen.fitted, case.floor)
-    typical = typical_ratio(chosen.fitted)
-    verdict = verdict_of(choice, found, known, gap_before, gap_after, case.floor, mostly, typical)
-    extreme = at_bound(engine, choice.best)
-    verdict = limit_verdict(verdict, gap_before, extreme)
-    case.options.progress("where", 0.75)
-    where = locate(engine, before, chosen.fitted, noise, choice.blocks, names)
-    causes = _causes(engine, choice, verdict) if found and verdict != "unexplained" else ()
-    case.options.progress("shrinkage", 0.85)
-    shrinkage = _shrinkage(case, engine, before, chosen, choice, noise)
-    ambiguous = [cause for cause in causes if cause.ambiguous_with]
+    """Everything that follows from the hypotheses."""
+    engine, verdict, found = case.engine, case.verdict, case.found
+    fixed = make_space(engine.superset, ())
+    before = settled(engine, fixed, fixed.centre)
+    chosen = found.best if verdict.causes else found.null
+    after = case.settle(chosen)
+    options.progress("where", 0.75)
+    where = locate(engine, before, after, case.noise, case.blocks, names)
+    options.progress("shrinkage", 0.85)
+    shrinkage = _shrinkage(case, before, after, options)
+    ambiguous = [cause for cause in verdict.causes if cause.ambiguous_with]
     following = None
     if ambiguous:
         pair = (ambiguous[0].effect, ambiguous[0].ambiguous_with[0])
-        following = next_manoeuvre(engine, choice.best.fitted, case.nuisance, noise, pair)
-    base = choice.null
-    table = [(s.name, *gain_of(s, base, choice.blocks)) for s in choice.ranked if s.effects]
-    if len(choice.best.effects) > 1:
-        table.insert(0, (choice.best.name, choice.gain, choice.se))
-    values = _values(engine, choice.best) if causes else {}
+        following = next_manoeuvre(engine, after, case.library.nuisance, case.noise, pair)
     return Diagnosis(
-        verdict, gap_before, gap_after, where, causes, tuple(table), shrinkage, following,
-        shape_of(engine, chosen.fitted, noise), choice.splits, _moved(base.fitted), noise, known,
-        _notes(case, known, choice, extreme if found else ()), values,
-        timeline_of(engine, before, chosen.fitted, names),
-    )  # fmt: skip
-
-
-def is_practical(choice: Choice, before: Gap, after: Gap, null: Gap, floor: float) -> bool:
-    """Whether adding the effect matters: a share, millimetres, or overwhelming odds.
-
-    Beside the base with its parameters free in their uncertainty stands the base as it is: where
-    that leaves clearly more than noise, a share of the excess is enough.
-
-    Args:
-        choice: the explanation.
-        before: the gap of the base as it is.
-        after: of the explanation.
-        null: of the base with its parameters free.
-        floor: what noise alone leaves; infinite if that is not known.
-    """
-    moved = null.position(1.0) - after.position(1.0)
-    share = (null.whitened - after.whitened) / max(null.whitened, 1e-9)
-    clear = c.GAIN_CLEAR * max(1.0, len(choice.blocks) / c.CLEAR_WINDOWS)
-    seen = before.interval[0] > c.EXCESS_LEFT * floor and (
-        explained_share(before.whitened, after.whitened, floor) >= c.SHARE_MIN
+        verdict=verdict.name,
+        before=gap_of(engine, before, case.blocks),
+        after=gap_of(engine, after, case.blocks),
+        where=where,
+        causes=verdict.causes,
+        something_else=verdict.something_else,
+        candidates=_table(found),
+        shrinkage=shrinkage,
+        next_manoeuvre=following,
+        shape=shape_of(engine, after, case.noise),
+        moved=_moved(found.null),
+        noise=case.noise,
+        noise_known=case.known,
+        notes=(*notes, *_notes(case)),
+        values=_values(engine, chosen),
+        timeline=timeline_of(engine, before, after, names),
     )
-    return seen or moved >= c.SPEED_MIN or share >= c.SHARE_MIN or choice.gain >= clear
 
 
-def share_of_most(before: Fitted, after: Fitted, floor: float) -> float:
-    """Share of the excess that is gone from all windows but the worst few."""
-    left = ratios(after)
-    kept = left <= np.quantile(left, 1.0 - c.SPARED)
-    return explained_share(robust_mean(ratios(before)[kept]), robust_mean(left[kept]), floor)
+def _table(found: Findings) -> tuple[tuple[str, float, float], ...]:
+    """Hypotheses with their probability and what they gain over the base alone [nats]."""
+    null = found.null.posterior.evidence
+    return tuple(
+        ("+".join(h.effects), h.probability, (h.posterior.evidence - null) / found.temper)
+        for h in found.hypotheses
+        if h.effects
+    )
 
 
-def typical_ratio(fitted: Fitted) -> float:
-    """Whitened error of all windows but the worst few."""
-    left = ratios(fitted)
-    return robust_mean(left[left <= np.quantile(left, 1.0 - c.SPARED)])
+def _values(engine: Engine, chosen: Hypothesis) -> dict[str, tuple[float, ...]]:
+    p = chosen.point.parameters
+    return {e: tuple(float(p[i]) for i in engine.superset.places(e)) for e in chosen.effects}
 
 
-def verdict_of(
-    choice: Choice,
-    found: bool,
-    known: bool,
-    before: Gap,
-    after: Gap,
-    floor: float,
-    mostly: float = 0.0,
-    typical: float = np.inf,
-) -> str:
-    """`none`, `explained`, `partial` or `unexplained`.
-
-    Args:
-        choice: the explanation.
-        found: whether it counts as a gap.
-        known: whether noise is known from elsewhere.
-        before: the base's gap; `after` the explanation's.
-        after: see `before`.
-        floor: what noise alone leaves.
-        mostly: share of the excess that is gone from all windows but the worst few: a car that
-            locks its wheels now and then may be explained the rest of the time.
-        typical: what is left of all windows but the worst few: a few seconds in which the car
-            spun are no gap of its model everywhere.
-    """
-    most = c.EXCESS_LEFT * floor
-    if not found:
-        alone = min(after.interval[0], typical) > c.EXCESS_ALONE * floor
-        alone = alone and after.position(1.0) >= c.SPEED_MIN
-        return "unexplained" if known and alone else "none"
-    share = explained_share(before.whitened, after.whitened, floor)
-    if known and after.interval[0] > most and max(share, mostly) < c.PARTIAL_MIN:
-        return "unexplained"
-    if known and after.whitened > most and share < c.EXPLAINED_MIN:
-        return "partial"
-    return "partial" if any(split.broken for split in choice.splits) else "explained"
-
-
-def limit_verdict(verdict: str, before: Gap, extreme: Sequence[str] = ()) -> str:
-    """The verdict, with what forbids to believe it.
-
-    Noise learnt from drives that are far off holds all of it, so `none` becomes `unjudged`; an
-    effect at its bound (`extreme`) makes up for something else, so `explained` becomes `partial`.
-    """
-    if verdict == "explained" and extreme:
-        return "partial"
-    far = any(before.position(lead) > most for lead, most in c.FAR.items())
-    return "unjudged" if verdict == "none" and far else verdict
-
-
-def _values(engine: Engine, score: Score) -> dict[str, tuple[float, ...]]:
-    p = score.fitted.parameters
-    return {e: tuple(float(p[i]) for i in engine.superset.places(e)) for e in score.effects}
-
-
-def _causes(engine: Engine, choice: Choice, verdict: str) -> tuple[Cause, ...]:
-    broken, partial = any(split.broken for split in choice.splits), verdict == "partial"
-    fitted = choice.best.fitted
-    sd = dict(zip(fitted.space.chart.free, np.sqrt(np.diag(fitted.covariance)), strict=True))
-    p, names = fitted.parameters, engine.superset.kernels.names
-    effects = {e.name: e for e in engine.superset.effects}
-    causes = []
-    named = zip(choice.best.effects, choice.ambiguous_with, choice.doubts, strict=True)
-    for name, others, doubt in named:
-        effect = effects[name]
-        places = engine.superset.places(name)
-        parameters = {
-            q.name: (float(p[i]), float(sd[names[i]]), q.unit)
-            for q, i in zip(effect.parameters, places, strict=True)
-        }
-        sure = confidence_of(doubt, broken, partial, bool(others))
-        alias = effect.confounded_with.note if effect.confounded_with else ""
-        causes.append(
-            Cause(name, effect.stage.value, effect.family, parameters, sure, others, alias)
-        )
-    return tuple(causes)
-
-
-def _shrinkage(
-    case: _Case, engine: Engine, before: Fitted, chosen: Score, choice: Choice, noise: Noise
-) -> Shrinkage:
+def _shrinkage(case: _Case, before: Fitted, after: Fitted, options: Options) -> Shrinkage:
     """Predict, hand the prediction out, then measure on the reserved drives."""
-    share, low, high = predict(before, chosen, case.floor, choice.blocks)
+    share, low, high = predict(before, after, case.floor, case.blocks, folds_of(case.engine))
+    effects = after.space.effects
+    values = {
+        e: tuple(float(after.parameters[i]) for i in case.engine.superset.places(e))
+        for e in effects
+    }
     text = json.dumps(
-        {"effects": chosen.effects, "values": _values(engine, chosen),
-         "predicted": share, "low": low, "high": high}, sort_keys=True,
-    )  # fmt: skip
+        {"effects": effects, "values": values, "predicted": share, "low": low, "high": high},
+        sort_keys=True,
+    )
     digest = hashlib.sha256(text.encode()).hexdigest()
-    case.options.written(text)
-    if not case.options.held_out or not chosen.effects:
+    options.written(text)
+    if not options.held_out or not effects:
         return Shrinkage(share, None, low, high, digest, text, None, None)
-    held_out = case.options.held_out
-    other = open_engine(case.superset, held_out() if callable(held_out) else held_out)
-    return measure(other, chosen, noise, case.floor, (share, low, high), digest, text)
+    held_out = options.held_out
+    other = open_engine(case.engine.superset, held_out() if callable(held_out) else held_out)
+    return measure(other, after, case.noise, case.floor, (share, low, high), digest, text)
 
 
-def _moved(null: Fitted) -> dict[str, float]:
+def _moved(null: Hypothesis) -> dict[str, float]:
     """z-scores of the base's parameters, in prior standard deviations, the largest first."""
-    scores = dict(zip(null.space.chart.labels, null.prior.tolist(), strict=True))
+    space = null.point.space
+    away = (null.point.z - space.centre) / space.spread
+    scores = dict(zip(space.chart.labels, away.tolist(), strict=True))
     return dict(sorted(scores.items(), key=lambda item: -abs(item[1])))
 
 
-def _notes(case: _Case, known: bool, choice: Choice, extreme: Sequence[str]) -> tuple[str, ...]:
+def _base_notes(superset: Superset, base: CarFile | Model[float]) -> tuple[str, ...]:
+    known = superset.knowledge is not None
+    if isinstance(base, CarFile) and base.sections.get("knowledge") and not known:
+        return ("the car file was edited since identify wrote [knowledge]: it is not used",)
+    if not superset.sd and not known:
+        return ("the car file gives no standard errors: ordinary ones were assumed",)
+    return ()
+
+
+def _notes(case: _Case) -> tuple[str, ...]:
     notes = []
-    if case.edited:
-        notes.append("the car file was edited since identify wrote [knowledge]: it is not used")
-    if not case.superset.sd and case.superset.knowledge is None:
-        notes.append("the car file gives no standard errors: ordinary ones were assumed")
-    if not known:
+    if not case.known:
         notes.append("noise was learnt from these drives: a gap like noise is not identifiable")
     if len(np.unique(case.engine.readings.layout.run)) < 4:
         notes.append("fewer than four runs: held-out parts are blocks of the same drives")
-    notes += [f"{s.by}: {s.first:.4g} against {s.second:.4g} ({s.sigmas:.1f} sigma)"
-              for s in choice.splits if s.broken]  # fmt: skip
-    if case.untested:
-        names = ", ".join(case.untested)
+    if case.verdict.causes and case.verdict.strain > c.STRAINED:
+        notes.append("beside the cause the base moved further than its own uncertainty lets it")
+    if case.found.untested:
+        names = ", ".join(case.found.untested)
         notes.append(f"could not be tested, the simulation diverges with it: {names}")
-    notes += [f"{name} is at its bound: not this, but what it makes up for" for name in extreme]
+    notes += [
+        f"{name} is at its bound: not this, but what it makes up for"
+        for name in case.verdict.at_bound
+    ]
     return tuple(notes)

@@ -1,4 +1,4 @@
-"""Which effects: every hypothesis from the base at its prior, under a discrepancy as large as the gap.
+"""Which effects: every hypothesis from the base at its prior, under a discrepancy like the gap.
 
 A hypothesis is a set of effects beside the base. Each is looked at from where nothing has moved
 yet, under the discrepancy that the base at its prior needs; the likeliest are brought to their
@@ -273,7 +273,7 @@ def carry(space: Space, point: Point, own: Point | None = None) -> Array:
         known |= dict(zip(own.space.chart.free, own.z.tolist(), strict=True))
     known |= dict(zip(point.space.chart.free, point.z.tolist(), strict=True))
     z = np.array([known[name] for name in space.chart.free])
-    return np.clip(z, space.low, space.high)
+    return np.asarray(np.clip(z, space.low, space.high))
 
 
 def _stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float) -> Point | None:
@@ -389,7 +389,9 @@ def _linear(
     likelihood, z, columns = library.likelihood, carry(space, start), []
     own = range(len(keep), len(z))
     for i, parameter in zip(own, effect.parameters, strict=True):
-        step = 0.1 * parameter.scale * (1.0 if z[i] + 0.1 * parameter.scale <= space.high[i] else -1)
+        step = (
+            0.1 * parameter.scale * (1.0 if z[i] + 0.1 * parameter.scale <= space.high[i] else -1)
+        )
         moved = z.copy()
         moved[i] += step
         error, finite = likelihood.engine.missed(space, moved, start.x)

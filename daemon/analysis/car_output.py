@@ -23,7 +23,7 @@ from steerd.daemon.common.translate import make_car_file_error
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from steerd.sim_gap.diagnosis import Cause
+    from steerd.sim_gap.verdict.evidence import Cause
     from steerd.sysid.data.dataset import Run
     from steerd.sysid.estimation.outcome import Outcome
     from steerd.sysid.estimation.taught import Stated, TaughtModel

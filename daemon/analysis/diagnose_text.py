@@ -21,6 +21,7 @@ from steerd.sim_gap.report.summary_text import (
 
 COLUMNS, LINES = 80, 30
 _MARGIN = 12
+_OTHER_SHOWN = 0.005
 
 
 class Described(Protocol):
@@ -83,10 +84,12 @@ def _rows(diagnosis: Described) -> Iterator[tuple[str, str]]:
     yield "verdict", f"{found.verdict.upper()}. {headline(found)}"
     if found.verdict != "none":
         yield "where", found.where.sentence
-    for cause in found.causes[:2]:
+    for cause in found.causes:
         yield "cause", f"{cause.effect}: {cause_words(cause)}, confidence {cause.confidence:.0%}"
         if ambiguity(cause):
             yield "confounded", ambiguity(cause)
+    if found.causes and found.something_else >= _OTHER_SHOWN:
+        yield "", f"something else than the library's effects: {found.something_else:.0%}"
     if found.verdict in ("unexplained", "partial"):
         yield "left over", residual_words(found)
     yield "gap after", "; ".join(gap_words(found))

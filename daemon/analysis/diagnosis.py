@@ -21,9 +21,9 @@ from steerd.daemon.analysis.sources import (
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.outputs import check_outputs
 from steerd.daemon.common.written import write_outputs
-from steerd.sim_gap.diagnosis import Cause
 from steerd.sim_gap.diagnosis import Diagnosis as Findings
 from steerd.sim_gap.lane_comparison import LaneComparison
+from steerd.sim_gap.verdict.evidence import Cause
 from steerd.steer_bus.atomic_file import takes_nothing
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from steerd.sim_gap.lane_comparison import (
     profile,
     steering_spectrum,
 )
-from steerd.sim_gap.report.summary_text import EQUATIONS, SCALES, known_leads
+from steerd.sim_gap.report.summary_text import EQUATIONS, known_leads
 from steerd.sim_gap.verdict.shrinkage import Shrinkage
 from steerd.sim_gap.verdict.timeline import Timeline
 from steerd.sim_gap.verdict.where import Regime, Share, range_words
@@ -120,33 +120,35 @@ def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str)
 
 
 def draw_candidates(found: Diagnosis) -> str:
-    """Held-out gain of each refitted hypothesis, with its standard error."""
+    """Posterior probability of each hypothesis, something else among them."""
     with rc_context(_STYLE):
-        rows = min(len(found.candidates), SHOWN_MOST)
+        rows = min(len(found.candidates) + 1, SHOWN_MOST)
         figure, axes = make_figure(1, 1, 0.7 + 0.24 * max(rows, 2))
         plot_candidates(axes[0, 0], found)
-        return to_svg(figure, "Candidates and their gains")
+        return to_svg(figure, "Hypotheses and their probabilities")
 
 
 def plot_candidates(axis: Axes, found: Diagnosis) -> None:
-    """Held-out gain of each refitted hypothesis, with its standard error."""
-    rows = sorted(found.candidates, key=lambda row: -row[1])[:SHOWN_MOST]
+    """Posterior probability of each hypothesis, something else among them."""
+    none = "no gap" if found.verdict == "none" else "something else"
+    rows = [(name, p) for name, p, _ in found.candidates] + [(none, found.something_else)]
+    rows = sorted(rows, key=lambda row: -row[1])[:SHOWN_MOST]
     names = {cause.effect for cause in found.causes}
     confounded = {other for cause in found.causes for other in cause.ambiguous_with}
-    for place, (effect, gain, se) in enumerate(rows):
+    for place, (effect, probability) in enumerate(rows):
         parts = set(effect.split("+"))
-        chosen = bool(names) and (parts == names if len(names) > 1 else parts <= names)
+        chosen = bool(names) and parts == names
         colour = AFTER if chosen else CONFOUNDED if parts & confounded else FAINT
-        error = se if np.isfinite(se) else 0.0
-        axis.barh(place, gain, 0.66, color=colour, xerr=error,
-                  error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.0})  # fmt: skip
+        axis.barh(place, 100.0 * probability, 0.66, color=colour)
+        axis.text(100.0 * probability + 1.0, place, f"{probability:.0%}", va="center", fontsize=8)
     axis.set_yticks(range(len(rows)), [row[0].replace("+", " + ") for row in rows])
+    axis.set_xlim(0.0, 112.0)
     axis.invert_yaxis()
     axis.grid(visible=False, axis="y")
-    axis.set_xlabel("gain over the base on windows left out of the fit [nats], ± 1 SE")
-    colours = {"named": AFTER, "not distinguishable from it": CONFOUNDED, "others": FAINT}
+    axis.set_xlabel("posterior probability [%]")
+    colours = {"named": AFTER, "may be it instead": CONFOUNDED, "others": FAINT}
     if not confounded:
-        del colours["not distinguishable from it"]
+        del colours["may be it instead"]
     if names:
         _name(axis, colours, "lower right")
 
@@ -286,24 +288,3 @@ def draw_lane(lane: LaneComparison) -> str:
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=3,
                       fontsize=8)  # fmt: skip
         return to_svg(figure, "Lane keeping, recorded and simulated")
-
-
-def draw_parameters(found: Diagnosis) -> str:
-    """The constancy test: each half's value of the first cause's first parameter."""
-    splits = list(found.splits)
-    cause = found.causes[0]
-    name, (value, sd, unit) = next(iter(cause.parameters.items()))
-    scale, small = SCALES.get(unit, (1.0, unit))
-    with rc_context(_STYLE):
-        figure, axes = make_figure(1, 1, 0.8 + 0.26 * len(splits))
-        axis = axes[0, 0]
-        axis.axvspan(scale * (value - 2 * sd), scale * (value + 2 * sd), color=BAND, lw=0)
-        axis.axvline(scale * value, color=AFTER, lw=1.0)
-        for place, split in enumerate(splits):
-            colour = AFTER if split.broken else INK
-            axis.plot([scale * split.first, scale * split.second], [place, place], "o-",
-                      color=colour, lw=1.0, ms=4)  # fmt: skip
-        axis.set_yticks(range(len(splits)), [s.by for s in splits])
-        axis.set_ylim(len(splits) - 0.4, -0.6)
-        axis.set_xlabel(f"{cause.effect}: {name} [{small or '1'}] on either half; band: ± 2 sd")
-        return to_svg(figure, "The effect's parameter on halves of the drives")

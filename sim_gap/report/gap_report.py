@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from steerd.car_model.effects import EFFECTS
-from steerd.sim_gap.diagnosis import Cause, Diagnosis
+from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.lane_comparison import LaneComparison
 from steerd.sim_gap.report import gap_figures as figures
 from steerd.sim_gap.report.summary_text import (
@@ -26,13 +26,12 @@ from steerd.sim_gap.report.summary_text import (
     summary_of,
     value_words,
 )
+from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.report.page import render_page
 
+OTHER_SHOWN = 0.005
+"""Something else is shown from this probability on."""
 TEMPLATE = Path(__file__).parent / "templates" / "gap.html"
-_HALVES = (
-    " Each half weighs the base's own uncertainty in full against half of the data, so both dots "
-    "of a line may lie on one side of the value; the test is how far they are apart."
-)
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ def _cards(subject: Subject, found: Diagnosis) -> Iterator[Card]:
         first = found.causes[0]
         parameter, (value, sd, unit) = _surest(first)
         more = f" and {found.causes[1].effect}" if len(found.causes) > 1 else ""
-        yield Card("cause", f"{first.effect}{more}", f"confidence {first.confidence:.0%}")
+        yield Card("cause", f"{first.effect}{more}", _sureness(found))
         yield Card("how large", value_words(value, sd, unit), f"{first.effect}: {parameter} ± sd")
         figure = f"{short(1e3 * before[1])} → {short(1e3 * after[1])} mm"
         yield Card(lead, figure, "base car → with the effect")
@@ -107,8 +106,15 @@ def _cards(subject: Subject, found: Diagnosis) -> Iterator[Card]:
     text = f"1 is noise alone; 90 %: {low:.2g} to {high:.2g}"
     yield Card("error over noise", f"{found.before.whitened:.2g}", text)
     if found.candidates:
-        effect, gain, se = max(found.candidates, key=lambda row: row[1])
-        yield Card("best candidate", effect, f"gains {gain:.0f} ± {se:.0f} nats: not enough")
+        effect, probability, _ = max(found.candidates, key=lambda row: row[1])
+        yield Card("best candidate", effect, f"{probability:.0%}: not enough")
+
+
+def _sureness(found: Diagnosis) -> str:
+    """How sure the names are, and how likely something else is."""
+    sure = " and ".join(f"{cause.confidence:.0%}" for cause in found.causes)
+    other = found.something_else
+    return f"{sure} sure" + (f"; something else {other:.0%}" if other >= OTHER_SHOWN else "")
 
 
 def _surest(cause: Cause) -> tuple[str, tuple[float, float, str]]:
@@ -204,8 +210,8 @@ def _where(found: Diagnosis, explained: bool) -> Iterator[Section]:
 def _which(found: Diagnosis) -> str:
     if not found.causes:
         return (
-            "The best candidates, each added by itself. None predicts unseen windows so much "
-            "better that it could be called a cause."
+            "The likeliest effects, each added to the base. None is so much likelier than the base "
+            "alone that it could be called a cause."
         )
     stage = EQUATIONS.get(found.where.equation[0].name, found.where.stage)
     text = f"The error lies in the {stage}; every effect was tried all the same. "
@@ -227,15 +233,5 @@ def _why(found: Diagnosis) -> Iterator[Section]:
         for cause in found.causes
     ]
     heads = ("effect", "value ± sd", "confidence", "what it is", "not distinguishable from")
-    broken = [split.by for split in found.splits if split.broken]
-    text = ""
-    figure = ""
-    if found.splits:
-        figure = figures.draw_parameters(found)
-        text = "A real cause has one value everywhere. Fitted on halves of the drives, " + (
-            f"it differs by {', '.join(broken)}: it behaves like this effect there only."
-            if broken
-            else "no two halves differ by more than four standard errors and a third of it."
-        )
-        text += _HALVES
-    yield Section("How sure", text, figure, heads, rows, words=True)
+    other = f"Something else than the library: {found.something_else:.0%}."
+    yield Section("How sure", other, "", heads, rows, words=True)

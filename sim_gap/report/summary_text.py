@@ -4,8 +4,9 @@ from collections.abc import Iterator
 from math import floor, isfinite, log10
 
 from steerd.car_model.effects import EFFECTS
-from steerd.sim_gap.diagnosis import Cause, Diagnosis
+from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.lane_comparison import LaneComparison, as_long, figures_of
+from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.inference.residuals import Gap
 
 SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad"), "m": (1e3, "mm"), "1": (1.0, "")}

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from steerd.sim_gap.diagnosis import Cause, Diagnosis
+from steerd.sim_gap.diagnosis import Diagnosis
+from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.inference.residuals import Gap
 
 SCHEMA = "steerd.gap/1"
@@ -85,7 +86,10 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             "sentence": where.sentence,
         },
         "causes": [_cause(cause, found) for cause in found.causes],
-        "candidates": [{"effect": n, "gain": g, "se": se} for n, g, se in found.candidates],
+        "candidates": [
+            {"effect": n, "probability": p, "gain": g} for n, p, g in found.candidates
+        ],
+        "something_else": found.something_else,
         "next_manoeuvre": {} if following is None else {
             "name": following.name, "how": following.how,
             "command": following.command,
@@ -105,10 +109,6 @@ def _residual(found: Diagnosis) -> dict[str, Any]:
                   "known": found.noise_known},
         "moved": found.moved,
         "aliases": {c.effect: c.alias for c in found.causes if c.alias},
-        "constancy": [
-            {"by": p.by, "first": p.first, "second": p.second, "sigmas": p.sigmas,
-             "broken": p.broken} for p in found.splits
-        ],
         "prediction_sha256": s.digest,
         "held_out": None if s.before is None or s.after is None else {
             "before": _gap(s.before), "after": _gap(s.after)

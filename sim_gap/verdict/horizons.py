@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from steerd.sim_gap.verdict.candidates import blocks_of
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.engine import Engine, make_engine
 from steerd.sysid.inference.levenberg_marquardt import Fitted
 from steerd.sysid.inference.noise import Noise, whitened
 from steerd.sysid.inference.readings import make_readings
-from steerd.sysid.inference.residuals import Gap, gap_of, settled
+from steerd.sysid.inference.residuals import Gap, blocks_of, gap_of, settled
 
 CROSS: tuple[float, ...] = (0.25, 3.0)
 """Horizons of the cross-check [s]."""

@@ -6,13 +6,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.verdict.candidates import Score, blocks_of
 from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.engine import Engine
 from steerd.sysid.inference.levenberg_marquardt import Fitted, curvature
 from steerd.sysid.inference.noise import Noise, whitened
-from steerd.sysid.inference.residuals import Gap, gap_of, interval_of, ratios, robust_mean, settled
+from steerd.sysid.inference.residuals import (
+    Gap,
+    blocks_of,
+    gap_of,
+    held_out,
+    interval_of,
+    ratios,
+    robust_mean,
+    settled,
+)
 from steerd.sysid.inference.space import make_space
 
 Array = NDArray[np.float64]
@@ -114,11 +122,15 @@ def _shares(
 
 
 def predict(
-    before: Fitted, chosen: Score, floor: float, blocks: NDArray[np.int64]
+    before: Fitted,
+    chosen: Fitted,
+    floor: float,
+    blocks: NDArray[np.int64],
+    folds: NDArray[np.int64],
 ) -> tuple[float, float, float]:
     """Expected share on unseen drives with its 90 % interval, from windows left out."""
-    after = np.expm1(chosen.losses / before.at.dof)
-    found = _shares(ratios(before), after, ratios(chosen.fitted), floor, blocks)
+    after = np.expm1(held_out(chosen, folds) / before.at.dof)
+    found = _shares(ratios(before), after, ratios(chosen), floor, blocks)
     return found.share, found.low, found.high
 
 
@@ -133,7 +145,7 @@ def _at_best(fitted: Fitted) -> Array:
 
 def measure(
     engine: Engine,
-    chosen: Score,
+    chosen: Fitted,
     noise: Noise,
     floor: float,
     predicted: tuple[float, float, float],
@@ -143,10 +155,10 @@ def measure(
     """The same share on reserved drives; nothing is refitted but the windows' starts."""
     base = make_space(engine.superset, ())
     rough = settled(engine, base, base.centre)
-    best = settled(engine, chosen.fitted.space, chosen.fitted.z, rough.x)
+    best = settled(engine, chosen.space, chosen.z, rough.x)
     engine = whitened(engine, best, noise)
     before = settled(engine, base, base.centre, rough.x)
-    after = settled(engine, chosen.fitted.space, chosen.fitted.z, best.x)
+    after = settled(engine, chosen.space, chosen.z, best.x)
     blocks = blocks_of(engine)
     gaps = gap_of(engine, before, blocks), gap_of(engine, after, blocks)
     found = _shares(ratios(before), ratios(after), _at_best(after), floor, blocks)

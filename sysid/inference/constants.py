@@ -104,3 +104,9 @@ FURTHER_ODDS = 10.0
 """Odds against each further cause, beside its share of the library."""
 SIZE_SMALL = 0.05
 """A discrepancy that is smaller than any ordinary push."""
+GAP_SIZE = 0.3
+"""A discrepancy beyond which something is left (`likelihood.DISCREPANCY` is 1)."""
+HALF = 0.5
+"""Share of the gap's size beyond which it counts as not explained."""
+STANDS_IN = 0.03
+"""A hypothesis this many times as likely as the best names what may be the cause instead."""

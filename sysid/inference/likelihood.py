@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from steerd.sysid.inference.disturbance_response import responses
 from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
-from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
 
@@ -151,7 +150,7 @@ class Likelihood:
 
     def best_size(self, at: Rotated, error: Array, x: Array, least: float = 0.0) -> float:
         """The size of `SIZES` under which these errors are most likely, `least` at least."""
-        sizes = SIZES[SIZES >= least - 1e-12]
+        sizes = SIZES[least - 1e-12 <= SIZES]
         best, lowest = float(sizes[-1]), np.inf
         for size in sizes:
             cost = float(self.losses(at.by_x, error, x, float(size)).sum())

@@ -8,7 +8,7 @@ good fit on few data does not look like small noise.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from steerd.sysid.inference.constants import NOISE_KEPT
 from steerd.sysid.inference.disturbance_response import INPUTS, Responses, responses
 from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear
 from steerd.sysid.inference.knowledge import EDGES
-from steerd.sysid.inference.levenberg_marquardt import Fitted
+from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
 
@@ -69,10 +69,48 @@ class Noise:
         return np.array([*self.instruments, *self.pushes, self.wheel_slip])
 
 
+class Optimum(Protocol):
+    """A hypothesis at its best: coordinates, starts, and errors with derivatives there."""
+
+    @property
+    def space(self) -> Space:
+        """Its coordinates."""
+        ...
+
+    @property
+    def z(self) -> Array:
+        """(n,) their values."""
+        ...
+
+    @property
+    def x(self) -> Array:
+        """(W, 7) windows' starts."""
+        ...
+
+    @property
+    def linear(self) -> Linear:
+        """Errors and derivatives."""
+        ...
+
+    @property
+    def parameters(self) -> Array:
+        """(P,) parameters of the superset."""
+        ...
+
+
 def noise_of_sizes(sizes: Array) -> Noise:
     """The reverse of `Noise.sizes`."""
     a, b, c, d, e, f, g, h = (float(s) for s in sizes)
     return Noise((a, b, c, d), (e, f, g), h)
+
+
+def usual_noise(signals: Array) -> Noise:
+    """What noise is taken to be before it is learnt.
+
+    Args:
+        signals: (4,) `steerd.sysid.data.windows.estimate_noise` of the drives.
+    """
+    return noise_of_sizes(np.concatenate([np.maximum(signals, _LEAST[:4]), _START[4:]]))
 
 
 def slip_shape(engine: Engine, error: Array) -> Array:
@@ -128,7 +166,7 @@ def whitening(cov: Array, there: Array) -> Array:
     return white
 
 
-def learn_noise(engine: Engine, fitted: Fitted, guess: Noise | None = None) -> Noise:
+def learn_noise(engine: Engine, fitted: Optimum, guess: Noise | None = None) -> Noise:
     """Sizes under which the errors of a fitted hypothesis are most likely.
 
     Windows that the hypothesis explains badly pull less (Student's t), so that a gap in a few
@@ -156,13 +194,13 @@ def learn_noise(engine: Engine, fitted: Fitted, guess: Noise | None = None) -> N
     return noise_of_sizes(sizes)
 
 
-def _own_error(engine: Engine, fitted: Fitted, at: Linear) -> Array:
+def _own_error(engine: Engine, fitted: Optimum, at: Linear) -> Array:
     """Errors about the starts' first guesses, by the linear model about the fitted ones."""
     moved: Array = fitted.x - engine.readings.layout.guess
     return np.asarray(at.error + np.einsum("wij,wj->wi", at.by_x, moved))
 
 
-def _marginal(engine: Engine, fitted: Fitted, at: Linear) -> Array:
+def _marginal(engine: Engine, fitted: Optimum, at: Linear) -> Array:
     """What unknown starts add to the covariance."""
     wide = at.by_x * engine.start_spread[:, None, :]
     return np.asarray(wide @ wide.transpose(0, 2, 1))
@@ -194,7 +232,7 @@ def _likelihood(
     return value, slope * squares
 
 
-def whitened(engine: Engine, fitted: Fitted, noise: Noise) -> Engine:
+def whitened(engine: Engine, fitted: Optimum, noise: Noise) -> Engine:
     """The engine that weighs errors by this noise, through the car's response about a fit."""
     seen = responses(engine, fitted.parameters, fitted.x, (0, 1, 2))
     error, _ = engine.missed(fitted.space, fitted.z, fitted.x)

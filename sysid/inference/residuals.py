@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.inference.engine import Engine
-from steerd.sysid.inference.levenberg_marquardt import Fitted, covariance_of, total
+from steerd.sysid.inference.levenberg_marquardt import Fitted, covariance_of, curvature, total
 from steerd.sysid.inference.readings import SPACING
 from steerd.sysid.inference.space import Space
 
@@ -20,6 +21,9 @@ _SETTLED = 0.5
 """Starts are at their best when a step takes no more than this off the squares."""
 _BOOTSTRAPS = 200
 _HALF_SLOT = 0.5 * SPACING
+FOLDS = 4
+BLOCK = 3
+"""Windows that follow each other and count as one when uncertainty is estimated."""
 
 
 @dataclass(frozen=True)
@@ -130,3 +134,44 @@ def _nearest(away: Array, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if not there.any():
         return there
     return np.asarray(there & (away < max(0.0, away[there].min() - _HALF_SLOT) + _HALF_SLOT + 1e-3))
+
+
+def folds_of(engine: Engine) -> NDArray[np.int64]:
+    """(W,) fold of each window: whole runs where there are enough, else interleaved blocks."""
+    run = engine.readings.layout.run
+    if len(np.unique(run)) >= FOLDS:
+        return np.asarray(run % FOLDS)
+    return np.asarray((np.arange(len(run)) // BLOCK) % FOLDS)
+
+
+def blocks_of(engine: Engine) -> NDArray[np.int64]:
+    """(W,) number of the block of neighbouring windows."""
+    layout = engine.readings.layout
+    first = np.searchsorted(layout.run, layout.run)
+    within = (np.arange(len(layout.run)) - first) // BLOCK
+    _, block = np.unique(layout.run * 100_000 + within, return_inverse=True)
+    return np.asarray(block)
+
+
+def held_out(fitted: Fitted, folds: NDArray[np.int64]) -> Array:
+    """(W,) loss of each window under the fit without its fold.
+
+    Leaving a fold out moves the optimum by one Newton step; the losses are those of the windows'
+    own quadratic forms, so nothing is simulated again.
+    """
+    space, at = fitted.space, fitted.at
+    everything = curvature(space, at)
+    losses = np.empty(len(folds))
+    for fold in np.unique(folds):
+        out = folds == fold
+        weight = at.weight * out
+        h = everything - np.einsum("w,wij->ij", weight, at.h)
+        slope = weight @ at.g
+        dz = step_within(
+            h, (at.weight @ at.g + space.prior_pull(fitted.z)) - slope,
+            fitted.z, space.low, space.high,
+        )  # fmt: skip
+        bent = np.einsum("i,wij,j->w", dz, at.h[out], dz)
+        square = np.maximum(at.square[out] - 2.0 * at.g[out] @ dz + bent, 0.0)
+        losses[out] = at.dof[out] * np.log1p(square / at.dof[out])
+    return losses

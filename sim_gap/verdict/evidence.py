@@ -1,0 +1,121 @@
+"""From hypotheses to a verdict: is there a gap, what are its names, what else, how sure."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from steerd.sim_gap.hypotheses import Findings, Hypothesis, Library
+from steerd.sysid.inference import constants as c
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One named effect.
+
+    Attributes:
+        effect: its name; `stage` and `family` of it.
+        parameters: (value, standard error, unit) by name.
+        confidence: posterior probability that it is a cause (0 to 1).
+        ambiguous_with: effects that may be what it stands for.
+        alias: what no drive distinguishes from it, in words; empty if nothing.
+    """
+
+    effect: str
+    stage: str
+    family: str
+    parameters: dict[str, tuple[float, float, str]]
+    confidence: float
+    ambiguous_with: tuple[str, ...]
+    alias: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the hypotheses say together.
+
+    Attributes:
+        name: `none`, `explained`, `partial` or `unexplained`.
+        causes: named effects, the first found first.
+        something_else: posterior probability that no effect of the library is a cause of the gap.
+        left: share of the gap's size that stays.
+        strain: how far the base moved beside the causes, see `base_strain`.
+        at_bound: named effects with a value at a bound.
+    """
+
+    name: str
+    causes: tuple[Cause, ...]
+    something_else: float
+    left: float
+    strain: float
+    at_bound: tuple[str, ...]
+
+
+def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
+    """The verdict.
+
+    Args:
+        library: what was tried.
+        found: the hypotheses.
+        known: whether noise is known from other drives: else a gap passes for noise.
+    """
+    best, before = found.best, found.start.size
+    after = best.point.size
+    left = after / before if before > 0.0 else 1.0
+    stays = after > c.GAP_SIZE and known
+    strain = base_strain(best)
+    extreme = tuple(n for n in best.effects if _is_at_bound(library, best, n))
+    if not best.effects:
+        name = "unexplained" if stays else "none"
+        return Verdict(name, (), best.probability, left, strain, ())
+    if stays and left > c.HALF:
+        name = "unexplained"
+    else:
+        name = "partial" if stays or strain > c.STRAINED or extreme else "explained"
+    causes = tuple(_cause(library, found, effect) for effect in best.effects)
+    return Verdict(name, causes if name != "unexplained" else (), found.null.probability, left,
+                   strain, extreme)  # fmt: skip
+
+
+def base_strain(best: Hypothesis) -> float:
+    """How far the base moved beside the effects, against what its uncertainty lets it.
+
+    Its squared Mahalanobis distance less its mean, in standard deviations of chi-square.
+    """
+    n = best.point.space.nuisance
+    square = 2.0 * best.point.space.base_cost(best.point.z)
+    return (square - n) / float(np.sqrt(2.0 * n)) if n else 0.0
+
+
+def _is_at_bound(library: Library, best: Hypothesis, name: str) -> bool:
+    values = best.point.parameters[library.likelihood.engine.superset.places(name)]
+    return library.effect(name).is_at_bound(values.tolist())
+
+
+def _cause(library: Library, found: Findings, name: str) -> Cause:
+    effect, best = library.effect(name), found.best
+    free, superset = best.point.space.chart.free, library.likelihood.engine.superset
+    sd = np.sqrt(np.diag(best.posterior.covariance))
+    values = best.point.parameters[superset.places(name)]
+    parameters = {
+        p.name: (float(value), float(sd[free.index(f"{name}.{p.name}")]), p.unit)
+        for p, value in zip(effect.parameters, values, strict=True)
+    }
+    alias = effect.confounded_with.note if effect.confounded_with else ""
+    confidence = found.probability(name)
+    others = _stand_ins(found.hypotheses, best, name)
+    if not effect.nameable_alone and effect.confounded_with is not None:
+        others = tuple(dict.fromkeys([*others, *effect.confounded_with.effects]))
+    return Cause(name, effect.stage.value, effect.family, parameters, confidence, others, alias)
+
+
+def _stand_ins(hypotheses: Sequence[Hypothesis], best: Hypothesis, name: str) -> tuple[str, ...]:
+    """Effects of hypotheses without the named one that are not much less likely."""
+    names = [
+        other
+        for h in hypotheses
+        if name not in h.effects and h.probability > c.STANDS_IN * best.probability
+        for other in h.effects
+        if other not in best.effects
+    ]
+    return tuple(dict.fromkeys(names))
