@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model
-from steerd.sim_gap.healthy_drives import learn_healthy, refine
-from steerd.sim_gap.hypotheses import Findings, Hypothesis, Library, explain
 from steerd.sim_gap.verdict.evidence import Cause, Verdict, judge_case
 from steerd.sim_gap.verdict.horizons import Horizon, cross_check
 from steerd.sim_gap.verdict.next_manoeuvre import Manoeuvre, next_manoeuvre
@@ -28,7 +26,9 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.base_fit import open_engine
+from steerd.sysid.inference.car_posterior import learn_healthy, refine
 from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.hypotheses import Findings, Hypothesis, Library, explain
 from steerd.sysid.inference.levenberg_marquardt import Fitted
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.noise import (

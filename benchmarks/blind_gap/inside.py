@@ -20,11 +20,11 @@ from steerd.car_model.car_file import CarFile, default_car_path, load_car
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.params import Car
 from steerd.sim_gap.diagnosis import Options, diagnose
-from steerd.sim_gap.healthy_drives import refine
 from steerd.sim_gap.report.to_json import to_json
 from steerd.sysid.data.dataset import Run, load_run
 from steerd.sysid.estimation.fit import Options as FitOptions
 from steerd.sysid.estimation.fit import fit
+from steerd.sysid.inference.car_posterior import refine
 
 HORIZONS = (0.5, 2.0)
 """Windows of the identification [s]: over whole drives, disturbances bias it."""

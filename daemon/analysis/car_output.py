@@ -141,8 +141,8 @@ def teach_car(model: Model[float], runs: "Sequence[Run]", stated: "Stated") -> "
         FloatingPointError: the car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    from steerd.sim_gap.healthy_drives import taught_car, teach_with_limits
     from steerd.sysid.estimation.taught import TaughtModel
+    from steerd.sysid.inference.car_posterior import taught_car, teach_with_limits
 
     file = CarFile(
         Path("taught.toml"), "taught", model.car, model.effects, model.values,
@@ -182,9 +182,9 @@ def with_knowledge(
 
 
 def _learnt(car: CarFile, runs: "tuple[Run, ...]") -> "dict[str, dict[str, Any]]":
-    from steerd.sim_gap.healthy_drives import learn_sections
     from steerd.sysid.data.segments import moving_segments
     from steerd.sysid.estimation.prediction_horizon import add_command_history
+    from steerd.sysid.inference.car_posterior import learn_sections
 
     return learn_sections(car, moving_segments(add_command_history(runs, car.model, asked=True)))
 

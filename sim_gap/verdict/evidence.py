@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from steerd.sim_gap.hypotheses import Findings, Hypothesis, Library
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.hypotheses import Findings, Hypothesis, Library
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
-from steerd.sim_gap.verdict.places import suspicious_discs
 from steerd.sysid.compiler.codegen import SENSITIVITIES
 from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.estimation.objective import STATES
@@ -21,6 +20,7 @@ from steerd.sysid.inference.levenberg_marquardt import (
     is_curved,
     total,
 )
+from steerd.sysid.inference.places import suspicious_discs
 from steerd.sysid.inference.space import Space, make_space
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.sysid.inference.disturbance_response import responses
-from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear
+from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear, take_windows
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
 
 Array = NDArray[np.float64]
@@ -28,6 +28,9 @@ DISCREPANCY = (0.3, 0.3, 2.0)
 """A discrepancy of size 1: pushes along, across [m/s^2] and about the car [rad/s^2]."""
 DISCREPANCY_MEMORY = 0.3
 """Its correlation time [s]: what a wrong model misses lasts as long as a manoeuvre's phase."""
+SPUN = 12.0
+"""Squared error per degree of freedom from which a window counts as spun: a car that spins is
+chaotic, its derivatives point nowhere, and no hypothesis shall win or lose by it."""
 SIZES: Array = np.concatenate([[0.0], np.geomspace(0.02, 40.0, 25)])
 """Sizes that are tried; a factor of 1.37 between them changes no decision."""
 
@@ -38,10 +41,12 @@ class Rotated(NamedTuple):
     Attributes:
         by_z: (W, D, n) by the coordinates.
         by_x: (W, D, 7) by the window's start.
+        held: (W,) windows whose start is held: so bent that no step of it keeps its promise.
     """
 
     by_z: Array
     by_x: Array
+    held: NDArray[np.bool_]
 
 
 class Reduced(NamedTuple):
@@ -67,13 +72,19 @@ class Reduced(NamedTuple):
 
     @property
     def weight(self) -> Array:
-        """(W,) weight of each window under Student's t: what nothing explains pulls less."""
-        return np.asarray(2.0 / (1.0 + self.square / self.dof))
+        """(W,) weight of each window under Student's t; a window that spins pulls at nothing."""
+        ratio = self.square / self.dof
+        return np.where(ratio < SPUN, 2.0 / (1.0 + ratio), 0.0)
 
     @property
     def loss(self) -> Array:
         """(W,) negative log likelihood, the start marginalised (Laplace) [nats]."""
-        return np.asarray(self.dof * np.log1p(self.square / self.dof) + self.volume)
+        return loss_of(self.square, self.dof) + self.volume
+
+
+def loss_of(square: Array, dof: Array) -> Array:
+    """(W,) negative log of Student's t of as many degrees as rows, bounded [nats]."""
+    return np.asarray(dof * np.log1p(np.minimum(np.maximum(square, 0.0) / dof, SPUN)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +115,8 @@ class Likelihood:
 
     def rotate(self, linear: Linear) -> Rotated:
         """Derivatives about a point, rotated."""
-        return Rotated(self.rotation @ linear.by_z, self.rotation @ linear.by_x)
+        held = np.zeros(len(linear.by_z), bool)
+        return Rotated(self.rotation @ linear.by_z, self.rotation @ linear.by_x, held)
 
     def rotate_error(self, error: Array) -> Array:
         """(W, D) errors, rotated."""
@@ -114,8 +126,18 @@ class Likelihood:
         """(W, D) precision of each rotated row."""
         return np.asarray(1.0 / (1.0 + size**2 * self.spectrum))
 
+    def squares(self, error: Array, x: Array, size: float) -> Array:
+        """(W,) whitened squared errors with the starts where they are, priors included."""
+        away = self.engine.readings.layout.guess - x
+        row = self.rotate_error(error)
+        white = (self.weights(size) * row**2).sum(axis=1)
+        return np.asarray(white + (self.start_precision * away**2).sum(axis=1))
+
     def reduce(self, at: Rotated, error: Array, x: Array, size: float) -> Reduced:
-        """Losses for errors (W, D) at starts `x`; derivatives may be of a near point."""
+        """Losses for errors (W, D) at starts `x`; derivatives may be of a near point.
+
+        The starts of windows that are `at.held` stay where they are.
+        """
         weight, row = self.weights(size), self.rotate_error(error)
         turned = (at.by_x * weight[:, :, None]).transpose(0, 2, 1)
         d, volume = self._starts(turned @ at.by_x, weight)
@@ -123,7 +145,8 @@ class Likelihood:
         pull = (turned @ row[:, :, None])[:, :, 0] + away * self.start_precision
         cross = turned @ at.by_z
         solved = np.linalg.solve(d, np.concatenate([pull[:, :, None], cross], axis=2))
-        dx, kx = solved[:, :, 0], solved[:, :, 1:]
+        free = ~at.held
+        dx, kx = solved[:, :, 0] * free[:, None], solved[:, :, 1:] * free[:, None, None]
         square = (weight * row**2).sum(axis=1) + (self.start_precision * away**2).sum(axis=1)
         square = np.maximum(square - (pull * dx).sum(axis=1), 0.0)
         heavy = (at.by_z * weight[:, :, None]).transpose(0, 2, 1)
@@ -131,16 +154,17 @@ class Likelihood:
         h = heavy @ at.by_z - cross.transpose(0, 2, 1) @ kx
         return Reduced(square, self.dof, volume, g, h, dx, kx)
 
-    def losses(self, by_x: Array, error: Array, x: Array, size: float) -> Array:
+    def losses(self, at: Rotated, error: Array, x: Array, size: float) -> Array:
         """(W,) losses at a point, without derivatives by the coordinates."""
         weight, row = self.weights(size), self.rotate_error(error)
-        turned = (by_x * weight[:, :, None]).transpose(0, 2, 1)
-        d, volume = self._starts(turned @ by_x, weight)
+        turned = (at.by_x * weight[:, :, None]).transpose(0, 2, 1)
+        d, volume = self._starts(turned @ at.by_x, weight)
         away = self.engine.readings.layout.guess - x
         pull = (turned @ row[:, :, None])[:, :, 0] + away * self.start_precision
         square = (weight * row**2).sum(axis=1) + (self.start_precision * away**2).sum(axis=1)
-        square = square - (pull * np.linalg.solve(d, pull[:, :, None])[:, :, 0]).sum(axis=1)
-        return np.asarray(self.dof * np.log1p(np.maximum(square, 0.0) / self.dof) + volume)
+        taken = (pull * np.linalg.solve(d, pull[:, :, None])[:, :, 0]).sum(axis=1)
+        square = square - np.where(at.held, 0.0, taken)
+        return loss_of(square, self.dof) + volume
 
     def _starts(self, d: Array, weight: Array) -> tuple[Array, Array]:
         """Curvature of the starts, and half the log determinants with it."""
@@ -153,7 +177,7 @@ class Likelihood:
         sizes = SIZES[least - 1e-12 <= SIZES]
         best, lowest = float(sizes[-1]), np.inf
         for size in sizes:
-            cost = float(self.losses(at.by_x, error, x, float(size)).sum())
+            cost = float(self.losses(at, error, x, float(size)).sum())
             if cost < lowest:
                 best, lowest = float(size), cost
             elif cost > lowest + 50.0:
@@ -164,6 +188,14 @@ class Likelihood:
         """Share of the variance that a discrepancy of this size is, mean over all rows."""
         rows = self.engine.padded.there.sum()
         return float((1.0 - self.weights(size)).sum() / rows)
+
+
+def take_some(likelihood: Likelihood, chosen: NDArray[np.bool_]) -> Likelihood:
+    """The likelihood of some windows (mask (W,))."""
+    engine = take_windows(likelihood.engine, chosen)
+    width = engine.padded.there.shape[1]
+    rotation = likelihood.rotation[chosen][:, :, :width]
+    return Likelihood(engine, rotation, likelihood.spectrum[chosen], likelihood.pushed[chosen])
 
 
 def make_likelihood(engine: Engine, parameters: Array, x: Array, noise: Noise) -> Likelihood:

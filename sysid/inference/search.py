@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.inference.engine import Linear
-from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated
+from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, take_some
 from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
@@ -22,6 +22,14 @@ FALL = 2.2
 ENOUGH = 0.3
 """A step that promises and gains less than this many nats at the last size ends the search."""
 STEPS = 24
+_LIMITS = {"accel_max": 0.3, "decel_max": 0.3, "steer_rate": 0.05}
+"""Steps over which limits are differenced: [m/s^2], and relative for the slew rate."""
+_LOST = 4.0
+"""A window that leaves more than this of its whitened error may sit in a wrong start ..."""
+_SOFT = 3.0
+"""... and is taken up anew from the poses, at first under a discrepancy of this size."""
+_ENOUGH_LOST = 1.0
+"""Nats that a window must gain by it."""
 _TRUST = 0.4
 """Derivatives are taken anew where a step gains this much more or less than it promised ..."""
 _FAR = 30.0
@@ -29,6 +37,14 @@ _FAR = 30.0
 _DAMPING_MAX = 1e4
 _BEHIND = 80.0
 """A search that is so many nats behind another hypothesis is given up."""
+_RESCUES = 2
+"""Times that windows are taken up anew and the search goes on."""
+_ROUNDS = 4
+"""Steps of every window's start about one point ..."""
+_OWED = 0.1
+"""... and what such a step may then still promise to take off a window's square."""
+_SHORTER = 0.25
+"""A start's step that led up is tried again so much shorter."""
 _UNTIL = 4
 """Steps before a search may be given up."""
 
@@ -64,10 +80,11 @@ class Point:
 
 
 def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
-    """Errors and derivatives, those of the dead times as secants over a step of the grid each way.
+    """Errors and derivatives, those of dead times and limits as secants.
 
-    A servo at its slew limit starts on the step in which a command arrives, whatever the fraction:
-    the likelihood has kinks in the dead times, and a slope between two of them leads nowhere.
+    A servo at its slew limit starts on the step in which a command arrives, whatever the fraction;
+    a limit acts only where something meets it. The likelihood has kinks in both, and a slope
+    between two of them leads nowhere.
 
     Raises:
         FloatingPointError: the simulation diverges there.
@@ -76,11 +93,9 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
     linear = engine.linear(space, z, x)
     if not linear.finite:
         raise FloatingPointError("the simulation diverges")
-    step = engine.readings.layout.h / engine.substeps
     for i, name in enumerate(space.chart.free):
-        if not (name.endswith("_delay") or name.endswith("_delay.delay")):
-            continue
-        if name == "pose_delay":
+        step = _secant(name, engine.readings.layout.h / engine.substeps)
+        if step == 0.0:
             continue
         ends = [float(np.clip(z[i] + s, space.low[i], space.high[i])) for s in (-step, step)]
         error = []
@@ -92,6 +107,14 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
     return linear
 
 
+def _secant(name: str, grid: float) -> float:
+    """Step over which a coordinate is differenced; 0 where its derivative serves."""
+    own = name.rpartition(".")[2]
+    if own == "delay" or name in ("steer_delay", "drive_delay"):
+        return grid
+    return _LIMITS.get(name, 0.0)
+
+
 def stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float) -> Point:
     """A hypothesis at given coordinates.
 
@@ -101,7 +124,36 @@ def stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float)
     linear = derive(likelihood, space, z, x)
     rotated = likelihood.rotate(linear)
     at = likelihood.reduce(rotated, linear.error, x, size)
-    return Point(space, z, x, size, linear, rotated, at, _cost(space, at, z))
+    point = Point(space, z, x, size, linear, rotated, at, _cost(space, at, z))
+    return _settled(likelihood, point)
+
+
+def _settled(likelihood: Likelihood, point: Point) -> Point:
+    """The windows' starts stepped, each for itself, until a further step promises nothing.
+
+    Losses count what a start's next step promises as taken. Where a window is so bent that no step
+    keeps that promise its start is held: else the search would compare every step with a cost that
+    nothing reaches, and stop where it stands (docs/decisions/diagnosis.md#d91).
+    """
+    space, z, size, at = point.space, point.z, point.size, point.at
+    x, error, rotated = point.x.copy(), point.linear.error.copy(), point.rotated
+    square, share = likelihood.squares(error, x, size), np.ones(len(point.x))
+    for _ in range(_ROUNDS):
+        if not (square - at.square > _OWED).any():
+            break
+        tried = x + share[:, None] * at.dx
+        off, _ = likelihood.engine.missed(space, z, tried)
+        left = likelihood.squares(off, tried, size)
+        better = left < square
+        x[better], error[better], square[better] = tried[better], off[better], left[better]
+        share = np.where(better, 1.0, _SHORTER * share)
+        at = likelihood.reduce(rotated, error, x, size)
+    held = square - at.square > _OWED
+    if held.any():
+        rotated = rotated._replace(held=held)
+        at = likelihood.reduce(rotated, error, x, size)
+    linear = point.linear._replace(error=error)
+    return replace(point, x=x, linear=linear, rotated=rotated, at=at, cost=_cost(space, at, z))
 
 
 def _cost(space: Space, at: Reduced, z: Array) -> float:
@@ -111,6 +163,30 @@ def _cost(space: Space, at: Reduced, z: Array) -> float:
 def curvature(space: Space, at: Reduced) -> Array:
     """(n, n) Gauss-Newton curvature of the cost."""
     return np.asarray(np.einsum("w,wij->ij", at.weight, at.h) + space.precision)
+
+
+def rescue(likelihood: Likelihood, point: Point) -> Point:
+    """Windows with large errors taken up anew from the poses' own starts, where that is better.
+
+    The likelihood forgives a spun window, so nothing pulls its start back by itself.
+    """
+    lost = point.at.square > _LOST * point.at.dof
+    if not lost.any():
+        return point
+    part = take_some(likelihood, lost)
+    x = part.engine.readings.layout.guess.copy()
+    try:
+        soft = stand(part, point.space, point.z, x, _SOFT + point.size)
+        found = fresh(part, replace(fresh(part, soft), size=point.size))
+    except FloatingPointError:
+        return point
+    better = found.at.loss < point.at.loss[lost] - _ENOUGH_LOST
+    if not better.any():
+        return point
+    x = point.x.copy()
+    x[np.flatnonzero(lost)[better]] = found.x[better]
+    again = stand(likelihood, point.space, point.z, x, point.size)
+    return again if again.cost < point.cost else point
 
 
 def with_size(likelihood: Likelihood, point: Point, size: float) -> Point:
@@ -174,6 +250,19 @@ def minimise(
         steps: how many at most.
         fall: factor by which the size may fall a step.
     """
+    now, ended = _walk(likelihood, start, beat, steps, fall)
+    for _ in range(_RESCUES if ended else 0):
+        again = rescue(likelihood, now)
+        if again is now:
+            break
+        now, ended = _walk(likelihood, again, beat, steps, fall)
+    return replace(now, whole=ended)
+
+
+def _walk(
+    likelihood: Likelihood, start: Point, beat: float, steps: int, fall: float
+) -> tuple[Point, bool]:
+    """Steps to the nearest optimum, and whether it was reached."""
     now, stale, damping = start, 0.0, 1e-4
     for number in range(steps):
         dz, promised = newton(now.space, now.at, now.z, damping)
@@ -184,19 +273,20 @@ def minimise(
         elif stale > 0.0:
             now, stale = fresh(likelihood, now), 0.0
             continue
-        elif promised >= ENOUGH and damping < _DAMPING_MAX:
+        elif damping < _DAMPING_MAX and newton(now.space, now.at, now.z)[1] >= ENOUGH:
             damping *= 20.0
             continue
         size = likelihood.best_size(now.rotated, now.linear.error, now.x, now.size / fall)
-        if max(promised, gained) < ENOUGH and size >= now.size * 0.99 and size <= now.size * 1.01:
-            return _ended(likelihood, now, stale)
+        there = abs(size - now.size) <= 0.01 * now.size
+        if there and max(promised, gained) < ENOUGH:
+            return _ended(likelihood, now, stale), True
         lower = with_size(likelihood, now, size)
-        if number >= _UNTIL and size >= now.size * 0.99 and lower.cost > beat + _BEHIND:
-            return replace(lower, whole=False)
+        if number >= _UNTIL and there and lower.cost > beat + _BEHIND:
+            return lower, False
         now = lower
         if abs(gained - promised) > _TRUST * max(promised, ENOUGH) or stale > _FAR:
             now, stale = fresh(likelihood, now), 0.0
-    return replace(_ended(likelihood, now, stale), whole=False)
+    return _ended(likelihood, now, stale), False
 
 
 def _ended(likelihood: Likelihood, point: Point, stale: float) -> Point:

@@ -5,8 +5,8 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sim_gap.diagnosis import Options, diagnose
-from steerd.sim_gap.healthy_drives import refine
 from steerd.sysid.estimation.taught import Stated
+from steerd.sysid.inference.car_posterior import refine
 
 pytestmark = pytest.mark.slow
 

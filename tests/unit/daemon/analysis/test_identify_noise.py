@@ -23,7 +23,7 @@ def _half_standing() -> Run:
 def test_noise_is_learnt_where_the_car_moves(monkeypatch):
     seen = []
     monkeypatch.setattr(
-        "steerd.sim_gap.healthy_drives.learn_sections",
+        "steerd.sysid.inference.car_posterior.learn_sections",
         lambda car, runs: (seen.extend(runs), {"noise": noise_section(NOISE)})[1],
     )
     run = _half_standing()

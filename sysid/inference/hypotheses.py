@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect, Role
-from steerd.sim_gap.verdict.places import suspicious_discs
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.likelihood import Likelihood
+from steerd.sysid.inference.likelihood import Likelihood, loss_of
+from steerd.sysid.inference.places import suspicious_discs
 from steerd.sysid.inference.posterior import (
     Posterior,
     design_effect,
@@ -356,7 +356,7 @@ def _expected(
         h = np.einsum("w,wij->ij", at.weight, at.h) + precision
         dz = np.linalg.solve(h, at.weight @ at.g)
         square = at.square - 2.0 * at.g @ dz + np.einsum("i,wij,j->w", dz, at.h, dz)
-        loss = at.dof * np.log1p(np.maximum(square, 0.0) / at.dof) + at.volume
+        loss = loss_of(square, at.dof) + at.volume
         best = min(best, float(loss.sum()) + 0.5 * float(dz @ precision @ dz))
     return best
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerd.sim_gap.verdict.places import DISCS, RADII, suspicious_discs
+from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
 
 
 def drive(rng, count=120):

@@ -1,10 +1,10 @@
-"""What drives without a gap teach: the base car with all that every car has, and how sure of it.
+"""The posterior of a car: what drives without a gap say of it, and how sure.
 
-`steerd.sysid.estimation.fit` weighs errors as instruments' noise; over whole drives what disturbs
-the car on its way adds up and biases it. Here errors of one second are weighed by instruments and
-disturbances both, the same measure by which the diagnosis judges, so that a healthy car has no gap
-to it. Base parameters and the structure that every car has (tyres that level off, a bent linkage)
-are free together under weak priors: their joint covariance is what the diagnosis may move.
+Errors of one second are weighed by instruments and disturbances both, the same measure by which a
+diagnosis judges, so that a healthy car has no gap to it. The search begins under a discrepancy as
+large as the start is wrong. Base parameters and the structure that every car has (tyres that level
+off, a bent linkage) are free together under weak priors: their joint covariance is what a diagnosis
+may move.
 """
 
 # Why: docs/decisions/diagnosis.md#d50
@@ -22,15 +22,6 @@ from numpy.typing import NDArray
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
-from steerd.sim_gap.verdict.candidates import (
-    Score,
-    better_base,
-    blocks_of,
-    gain_of,
-    refit_all,
-    scored,
-)
-from steerd.sim_gap.verdict.screen import screen
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.estimation.chart import make_chart
@@ -39,26 +30,26 @@ from steerd.sysid.estimation.outcome import Step
 from steerd.sysid.estimation.robust_covariance import Spread, inflate_each
 from steerd.sysid.estimation.taught import NOTHING, Stated
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.base_fit import null_fit, open_engine
-from steerd.sysid.inference.dead_times import try_other_dead_times
-from steerd.sysid.inference.engine import Engine, Reduced
+from steerd.sysid.inference.base_fit import open_engine
+from steerd.sysid.inference.hypotheses import Library, begin, explain
 from steerd.sysid.inference.knowledge import (
-    EDGES,
     Knowledge,
     excess_by_regime,
     knowledge_section,
     numbers_of,
 )
-from steerd.sysid.inference.levenberg_marquardt import Fitted, curvature, minimise
+from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
     Noise,
     calibrated,
     learn_noise,
     noise_section,
     noise_share,
-    whitened,
+    usual_noise,
 )
-from steerd.sysid.inference.residuals import ratios, robust_mean
+from steerd.sysid.inference.posterior import posterior_of
+from steerd.sysid.inference.residuals import blocks_of, robust_mean
+from steerd.sysid.inference.search import Point, minimise, stand, with_size
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
 from steerd.sysid.inference.superset import Superset, make_superset
 
@@ -75,13 +66,6 @@ A car comes with a wheelbase (the coordinate of `lf`) known to 15 mm, a centre o
 to 2 cm, markers placed to 5 mm and a gain known to 0.1. A tyre's friction falls by a few tenths at
 most where its load doubles, which makes `k` 0.15 on a car as low as these; a larger one stands in
 for tyres that slide, and says too much of bends harder than the drives'.
-"""
-FIRST: dict[str, float] = {**ORDINARY, "lf": 0.015}
-"""The same while noise is not known yet, with the wheelbase near where it was.
-
-Larger cars that steer more, slide more and have more inertia drive almost alike. Weighed by a first
-guess of the noise, what the model misses would decide about that scale, and the search would not
-come back: it ends 45 nats above the optimum on a car whose model is right.
 """
 MEASURED = 5e-4
 """The wheelbase's share where it was measured: it stays within 0.1 mm of what was stated."""
@@ -115,29 +99,32 @@ _ROUNDS = 2
 
 @dataclass(frozen=True, eq=False)
 class Taught:
-    """A base at its best on healthy drives.
+    """A car at its best on healthy drives.
 
     Attributes:
-        superset: the car that was fitted.
-        engine: the windows, whitened by `noise`.
-        fitted: the base there.
+        likelihood: the windows under what was learnt to be random.
+        point: the car there.
         noise: how large what is random is.
-        nuisance: names of the base's free parameters.
+        nuisance: names of the car's free parameters.
         shares: of identification's weak priors, by parameter (see `ORDINARY`).
         selected: effects beyond those of every car that the drives show, the surest first.
     """
 
-    superset: Superset
-    engine: Engine
-    fitted: Fitted
+    likelihood: Likelihood
+    point: Point
     noise: Noise
     nuisance: tuple[str, ...]
     shares: Mapping[str, float]
     selected: tuple[Step, ...] = ()
 
+    @property
+    def superset(self) -> Superset:
+        """The car that was fitted."""
+        return self.likelihood.engine.superset
+
 
 def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NOTHING) -> Taught:
-    """Fit base and noise in turn, under weak priors about the base's values.
+    """Fit car and noise in turn, under weak priors about the base's values.
 
     Args:
         base: where it starts.
@@ -152,52 +139,64 @@ def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NO
     superset = make_superset(base, runs)
     names = (*nuisance_names(superset, runs), *structure_names(superset, runs))
     nuisance = tuple(name for name in names if not stated.holds(name))
-    length = {"lf": MEASURED} if stated.wheelbase else {}
-    superset = replace(superset, knowledge=_weak(superset, nuisance, {**FIRST, **length}))
-    engine = open_engine(superset, runs)
-    shares = {**ORDINARY, **length}
-    return _in_turn(engine, null_fit(engine, nuisance), None, (nuisance, shares), runs)
+    shares = {**ORDINARY, **({"lf": MEASURED} if stated.wheelbase else {})}
+    superset = replace(superset, knowledge=_weak(superset, nuisance, shares))
+    engine, noise = open_engine(superset, runs), usual_noise(estimate_noise(runs))
+    x = engine.readings.layout.guess.copy()
+    likelihood = make_likelihood(engine, superset.base, x, noise)
+    point = minimise(likelihood, begin(Library(likelihood, nuisance, ()), (), (), x))
+    return _in_turn(Taught(likelihood, point, noise, nuisance, shares), runs, _ROUNDS)
 
 
-def _in_turn(
-    engine: Engine,
-    fitted: Fitted,
-    noise: Noise | None,
-    free: tuple[tuple[str, ...], Mapping[str, float]],
-    runs: Sequence[Run],
-) -> Taught:
-    """Noise and base, each given the other; `free` are names and their priors' shares."""
-    nuisance, shares = free
-    for _ in range(_ROUNDS if noise is None else 1):
-        noise = learn_noise(engine, fitted, noise)
-        engine = whitened(engine, fitted, noise)
-        fitted = try_other_dead_times(engine, null_fit(engine, nuisance, fitted))
-    noise = _calibrated(engine, fitted, learn_noise(engine, fitted, noise), runs)
-    engine = whitened(engine, fitted, noise)
-    fitted = null_fit(engine, nuisance, fitted)
-    excess = _excess(engine, fitted)
-    known = replace(
-        _weak(engine.superset, nuisance, shares), excess=tuple(e / excess[0] for e in excess)
-    )
-    superset = replace(engine.superset, knowledge=known)
-    engine = whitened(replace(engine, superset=superset), fitted, noise)
-    return Taught(superset, engine, null_fit(engine, nuisance, fitted), noise, nuisance, shares)
+def _again(taught: Taught, noise: Noise) -> Taught:
+    """The car at its best under another noise, its responses taken where the car is now."""
+    engine, old = taught.likelihood.engine, taught.point
+    likelihood = make_likelihood(engine, old.parameters, old.x, noise)
+    space = make_space(engine.superset, taught.nuisance)
+    z = np.clip(space.chart.coordinates(old.parameters), space.low, space.high)
+    begun = stand(likelihood, space, z, old.x, max(old.size, c.SIZE_SMALL))
+    return replace(taught, likelihood=likelihood, point=minimise(likelihood, begun), noise=noise)
 
 
-def _excess(engine: Engine, fitted: Fitted, should: float = 1.0) -> tuple[float, ...]:
+def _in_turn(taught: Taught, runs: Sequence[Run], rounds: int) -> Taught:
+    """Noise and car, each given the other; then what regimes are allowed beyond the noise."""
+    for _ in range(rounds):
+        noise = learn_noise(taught.likelihood.engine, taught.point, taught.noise)
+        taught = _again(taught, noise)
+    noise = learn_noise(taught.likelihood.engine, taught.point, taught.noise)
+    taught = _again(taught, noise)
+    left, should = robust_mean(unweighed(taught)), noise_share_of(taught, runs)
+    taught = _again(taught, calibrated(noise, left, should))
+    excess = _excess(taught)
+    weak = _weak(taught.superset, taught.nuisance, taught.shares)
+    known = replace(weak, excess=tuple(e / excess[0] for e in excess))
+    engine = replace(taught.likelihood.engine, superset=replace(taught.superset, knowledge=known))
+    likelihood = replace(taught.likelihood, engine=engine)
+    return _again(replace(taught, likelihood=likelihood), taught.noise)
+
+
+def noise_share_of(taught: Taught, runs: Sequence[Run]) -> float:
+    """What noise should leave of these drives' whitened error."""
+    return noise_share(taught.likelihood.engine, float(estimate_noise(runs)[2]))
+
+
+def ratios(taught: Taught) -> Array:
+    """(W,) whitened squared errors per degree of freedom, no discrepancy allowed."""
+    at = with_size(taught.likelihood, taught.point, 0.0).at
+    return np.asarray(at.square / at.dof)
+
+
+def unweighed(taught: Taught) -> Array:
+    """(W,) the same without what regimes are allowed beyond the noise."""
+    return ratios(taught) * taught.likelihood.engine.excess
+
+
+def _excess(taught: Taught, should: float = 1.0) -> tuple[float, ...]:
     """How much larger than noise errors are by lateral acceleration, whatever they are weighed by.
 
     Hard bends, in which the model misses most, shall not decide about values that gentle ones show.
     """
-    return excess_by_regime(_unweighed(engine, fitted) / should, engine.lateral)
-
-
-def _unweighed(engine: Engine, fitted: Fitted) -> Array:
-    """(W,) squared errors over noise, without what regimes are allowed beyond it."""
-    known = engine.superset.knowledge
-    assert known is not None  # noqa: S101 -- every teacher's superset has weak knowledge
-    allowed: Array = np.array(known.excess)[np.digitize(engine.lateral, EDGES)]
-    return ratios(fitted) * allowed
+    return excess_by_regime(unweighed(taught) / should, taught.likelihood.engine.lateral)
 
 
 def structure_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
@@ -216,12 +215,6 @@ def _weak(superset: Superset, names: Sequence[str], shares: Mapping[str, float])
     chart = make_chart(superset.effects, superset.base, names)
     own = [shares.get(name, 1.0) for name in chart.free]
     return Knowledge(tuple(names), np.diag(np.square(own * chart.spread)))
-
-
-def _calibrated(engine: Engine, fitted: Fitted, noise: Noise, runs: Sequence[Run]) -> Noise:
-    """Noise under which these drives leave just what the diagnosis takes for noise."""
-    should = noise_share(engine, float(estimate_noise(runs)[2]))
-    return calibrated(noise, robust_mean(_unweighed(engine, fitted)), should)
 
 
 def learn_healthy(base: CarFile | Model[float], runs: Sequence[Run]) -> Noise:
@@ -259,27 +252,30 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
 def teach_with_limits(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHING) -> Taught:
     """`teach`, once more with the limits and the play that the drives show, free like the rest."""
     taught = teach(base, runs, stated)
-    shown = _shown(taught, runs, stated)
-    better = better_base(taught.engine, taught.fitted, shown, c.BUILT_IN_GAIN)
-    if better is not None:
-        taught = replace(taught, fitted=better)
-        shown = _shown(taught, runs, stated)
-    if not shown:
-        return taught
-    null, blocks = scored(taught.engine, taught.fitted), blocks_of(taught.engine)
-    steps = tuple(Step(score.name, *gain_of(score, null, blocks)) for score in shown)
-    values = {
-        score.name: tuple(score.fitted.parameters[taught.superset.places(score.name)].tolist())
-        for score in shown
-    }
-    return replace(_with_effects(taught, values, runs), selected=steps)
+    shown = informative_effects(taught.superset, runs)
+    free = {name.partition(".")[0] for name in taught.nuisance if "." in name}
+    effects = tuple(
+        e
+        for e in taught.superset.effects
+        if e.name in shown
+        and e.name not in free
+        and not stated.holds(e.name)
+        and e.selectable_in_base is not BaseSelection.NEVER
+    )
+    found = explain(Library(taught.likelihood, taught.nuisance, effects), c.BUILT_IN)
+    if not found.best.effects:
+        better = found.best.point
+        return replace(taught, point=better) if better.cost < taught.point.cost else taught
+    gain = found.best.posterior.evidence - found.null.posterior.evidence
+    steps = tuple(Step(name, gain / found.temper, 0.0) for name in found.best.effects)
+    return replace(_with_effects(taught, found.best.point, runs), selected=steps)
 
 
 def taught_car(base: CarFile, taught: Taught) -> CarFile:
     """The car file that says what was taught; effects that may as well be absent are left out."""
     known = knowledge_of(taught)
     z, kept = _without_small(taught, known.covariance)
-    chart = taught.fitted.space.chart
+    chart = taught.point.space.chart
     p, slopes = chart.parameters(z), chart.slopes(z)
     spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, known.covariance, slopes))
     free = {name: chart.names.index(name) for name in taught.nuisance}
@@ -324,8 +320,8 @@ def _without_small(taught: Taught, covariance: Array) -> tuple[Array, list[str]]
 
     The smallest goes first; what moves with it moves to where it lies given that null.
     """
-    space, superset = taught.fitted.space, taught.superset
-    labels, z = list(space.chart.free), taught.fitted.z.copy()
+    space, superset = taught.point.space, taught.superset
+    labels, z = list(space.chart.free), taught.point.z.copy()
     nulls = {e.name: e.nulls for e in superset.effects}
     names = {name: [i for i, n in enumerate(labels) if n.startswith(f"{name}.")]
              for name in _structures(taught)}  # fmt: skip
@@ -342,8 +338,8 @@ def _without_small(taught: Taught, covariance: Array) -> tuple[Array, list[str]]
         gone += names.pop(least)
         held = np.array([nulls[labels[i].partition(".")[0]][_place(labels, i)] for i in gone])
         rest = [i for i in range(len(z)) if i not in gone]
-        pull = np.linalg.solve(covariance[np.ix_(gone, gone)], held - taught.fitted.z[gone])
-        z[rest] = taught.fitted.z[rest] + covariance[np.ix_(rest, gone)] @ pull
+        pull = np.linalg.solve(covariance[np.ix_(gone, gone)], held - taught.point.z[gone])
+        z[rest] = taught.point.z[rest] + covariance[np.ix_(rest, gone)] @ pull
         z[gone] = held
     return np.clip(z, space.low, space.high), list(names)
 
@@ -355,80 +351,38 @@ def _place(labels: Sequence[str], i: int) -> int:
 
 
 def knowledge_of(taught: Taught) -> Knowledge:
-    """Joint covariance and discrepancy of a base.
+    """Joint covariance and discrepancy of a car.
 
     Scores that vary more from block to block than noise makes them widen the errors (White, 1982):
-    that is how a model that is wrong a little everywhere shows.
+    that is how a model that is wrong a little everywhere shows. The covariance is positive
+    definite: a direction that the drives do not show keeps its prior's width.
     """
-    engine, fitted = taught.engine, taught.fitted
-    blocks, at = blocks_of(engine), _with_secants(taught)
-    inverse = np.asarray(np.linalg.inv(curvature(fitted.space, at)))
+    likelihood, point = taught.likelihood, taught.point
+    blocks, at = blocks_of(likelihood.engine), point.at
     pulls = at.weight[:, None] * at.g
     sums = np.zeros((int(blocks.max()) + 1, pulls.shape[1]))
     np.add.at(sums, blocks, pulls)
     sums -= sums.mean(axis=0)
+    inverse = posterior_of(point, 1.0).covariance
     covariance = inflate_each(inverse, Spread(sums.T @ sums, float(len(sums))))
-    excess = _excess(engine, fitted, robust_mean(ratios(fitted)))
-    p, names = fitted.parameters, taught.superset.kernels.names
+    excess = _excess(taught, robust_mean(ratios(taught)))
+    p, names = point.parameters, taught.superset.kernels.names
     values = tuple(float(p[names.index(name)]) for name in taught.nuisance)
     return Knowledge(taught.nuisance, covariance, excess, values)
 
 
-def _with_secants(taught: Taught) -> Reduced:
-    """Losses about the best point, dead times differenced over a step each way.
-
-    A servo at its slew limit starts on the step in which a command arrives, whatever the fraction:
-    the likelihood has steps in the delays, and its slope at one says too much.
-    """
-    engine, fitted, space = taught.engine, taught.fitted, taught.fitted.space
-    linear = engine.linear(space, fitted.z, fitted.x)
-    by_z, step = linear.by_z.copy(), engine.readings.layout.h / engine.substeps
-    for i, name in enumerate(space.chart.free):
-        if not name.endswith("_delay"):
-            continue
-        ends = [np.clip(fitted.z[i] + s, space.low[i], space.high[i]) for s in (-step, step)]
-        errors = []
-        for end in ends:
-            z = fitted.z.copy()
-            z[i] = end
-            errors.append(engine.missed(space, z, fitted.x)[0])
-        by_z[:, :, i] = (errors[0] - errors[1]) / (ends[1] - ends[0])
-    tangent = engine.tangent(linear._replace(by_z=by_z))
-    return engine.reduce_by(tangent, linear.error, fitted.x)._replace(limit=fitted.at.limit)
-
-
-def _shown(taught: Taught, runs: Sequence[Run], stated: Stated) -> list[Score]:
-    """Further effects that healthy drives show: this car has them, so later they are no gap."""
-    engine, null, nuisance = taught.engine, taught.fitted, taught.nuisance
-    shown = informative_effects(taught.superset, runs)
-    free = {name.partition(".")[0] for name in nuisance if "." in name}
-    only = [
-        e.name
-        for e in taught.superset.effects
-        if e.name in shown
-        and e.name not in free
-        and not stated.holds(e.name)
-        and e.selectable_in_base is not BaseSelection.NEVER
-    ]
-    promises = [p for p in screen(engine, null, nuisance, only) if p.gain > c.BUILT_IN_GAIN]
-    ranked = refit_all(engine, null, nuisance, promises)
-    likely = sorted(ranked, key=lambda score: score.fitted.cost)[: c.BUILT_IN]
-    return [score for score in likely if null.cost - score.fitted.cost > c.BUILT_IN_GAIN]
-
-
-def _with_effects(
-    taught: Taught, more: dict[str, tuple[float, ...]], runs: Sequence[Run]
-) -> Taught:
-    """What was taught, with more effects free about these values."""
-    old, before = taught.superset, taught.fitted
-    centre, start = old.base.copy(), before.parameters.copy()
-    for name, values in more.items():
-        centre[old.places(name)] = start[old.places(name)] = values
-    own = tuple(name for name in old.kernels.names if name.partition(".")[0] in more)
+def _with_effects(taught: Taught, point: Point, runs: Sequence[Run]) -> Taught:
+    """What was taught, with the effects of a hypothesis free about its values."""
+    old, start = taught.superset, point.parameters
+    centre, nulls = old.base.copy(), dict(old.nulls)
+    for name in point.space.effects:
+        centre[old.places(name)] = start[old.places(name)]
+        nulls[name] = tuple(start[old.places(name)].tolist())
+    own = tuple(n for n in old.kernels.names if n.partition(".")[0] in point.space.effects)
     nuisance = (*taught.nuisance, *own)
-    superset = replace(old, base=centre, nulls={**old.nulls, **more})
+    superset = replace(old, base=centre, nulls=nulls)
     superset = replace(superset, knowledge=_weak(superset, nuisance, taught.shares))
-    engine, space = replace(taught.engine, superset=superset), make_space(superset, nuisance)
-    z = np.clip(space.chart.coordinates(start), space.low, space.high)
-    fitted = minimise(engine, space, z, before.x.copy())
-    return _in_turn(engine, fitted, taught.noise, (nuisance, taught.shares), runs)
+    engine = replace(taught.likelihood.engine, superset=superset)
+    likelihood = replace(taught.likelihood, engine=engine)
+    grown = replace(taught, likelihood=likelihood, point=point, nuisance=nuisance)
+    return _in_turn(grown, runs, 0)
