@@ -84,14 +84,40 @@ def _run(command: Sequence[str]) -> None:
         raise BuildError(f"{shlex.join(command[:4])} … failed:\n{done.stderr[-4000:]}")
 
 
-def _compile(compiler: Compiler, source: Path, label: str, level: str, options: str) -> Path:
+def compile_model(
+    compiler: Compiler, source: Path, label: str, level: str, name: str, *more: str
+) -> Path:
+    """Compile one model for a processor level.
+
+    Args:
+        compiler: by which.
+        source: the model's C file; the object file is written beside it.
+        label: what its functions begin with.
+        level: what follows; see `LEVELS`.
+        name: the compilers' name of it, none for their default.
+        more: further options.
+
+    Raises:
+        BuildError: the compiler fails.
+    """
     target = source.with_name(f"{label}_{level}.o")
-    own = options.replace("-", "_") if compiler.underscores else options
+    own = name.replace("-", "_") if compiler.underscores else name
     chosen = [compiler.level.format(own)] if own else []
     export = f"-DEXPORT(name)={label}_{level}_##name"
-    _run([*compiler.command, *OPTIONS, *chosen, export, f"-I{HERE}", "-c", str(source),
-          "-o", str(target)])  # fmt: skip
+    command = [*compiler.command, *OPTIONS, *chosen, *more, export, f"-I{HERE}"]
+    _run([*command, "-c", str(source), "-o", str(target)])
     return target
+
+
+def link(compiler: Compiler, objects: Sequence[Path], target: Path) -> None:
+    """Make a library of object files; one that a process has loaded keeps its file.
+
+    Raises:
+        BuildError: the compiler fails.
+    """
+    made = target.with_name(f"{target.name}.new")
+    _run([*compiler.command, "-shared", "-s", *map(str, objects), "-o", str(made)])
+    made.replace(target)
 
 
 def build(target: Path = LIBRARY, compiler: Compiler | None = None) -> Path:
@@ -113,13 +139,8 @@ def build(target: Path = LIBRARY, compiler: Compiler | None = None) -> Path:
             source = Path(folder) / f"{label}.c"
             source.write_text(model_text(effects, chassis), encoding="ascii")
             for level, options in levels.items():
-                jobs.append(pool.submit(_compile, compiler, source, label, level, options))
-        objects = [str(job.result()) for job in jobs]
-        made = Path(folder) / target.name
-        _run([*compiler.command, "-shared", "-s", *objects, "-o", str(made)])
-        beside = target.with_name(f"{target.name}.new")
-        beside.write_bytes(made.read_bytes())
-        beside.replace(target)
+                jobs.append(pool.submit(compile_model, compiler, source, label, level, options))
+        link(compiler, [job.result() for job in jobs], target)
     return target
 
 
