@@ -125,8 +125,8 @@ class Printer:
         """Operations that all need, then those that only some parameters' derivatives do."""
         groups: dict[frozenset[int], list[int]] = {}
         for place in rows:
-            by = frozenset({ALWAYS}) if ALWAYS in need[place] else frozenset(need[place])
-            groups.setdefault(by, []).append(place)
+            whose = {ALWAYS} if ALWAYS in need[place] else need[place]
+            groups.setdefault(frozenset(whose), []).append(place)
         for _, _, by in targets:
             groups.setdefault(frozenset({by}), [])
         always = frozenset({ALWAYS})
@@ -136,15 +136,15 @@ class Printer:
         self._write(targets, ALWAYS, numbers, "    ")
         for at in range(0, len(shared), 8):
             self.lines.append(f"    vec {', '.join(f'v{p}' for p in shared[at : at + 8])};")
-        for by in sorted(groups, key=lambda by: (-len(by), sorted(by))):
-            asked = " | ".join(f"moved[{k}]" for k in sorted(by))
+        for group in sorted(groups, key=lambda group: (-len(group), sorted(group))):
+            asked = " | ".join(f"moved[{k}]" for k in sorted(group))
             self.lines.append(f"    if ({asked}) {{")
-            kind = "" if len(by) > 1 else "const vec "
-            for place in groups[by]:
+            kind = "" if len(group) > 1 else "const vec "
+            for place in groups[group]:
                 text = self.operation(place, True, numbers)
                 self.lines.append(f"        {kind}v{place} = {text};")
-            if len(by) == 1:
-                self._write(targets, min(by), numbers, "        ")
+            if len(group) == 1:
+                self._write(targets, min(group), numbers, "        ")
             self.lines.append("    }")
 
     def _write(

@@ -462,7 +462,7 @@ def compute_readings(
     car = _held_car(kernels, parameters, held)
     wide, start = kernels.spread(seeds), np.ascontiguousarray(dfirst)
     late = _delays(kernels, parameters)[1] @ seeds / held.fine
-    moved = wide.any(axis=1).astype(np.uint8)
+    moved: NDArray[np.uint8] = np.any(wide, axis=1).astype(np.uint8)
     directions = Directions(count, _at(moved), _at(wide), _at(start), _at(late))
     ranges = np.column_stack([stations.spans[:-1], stations.spans[1:]])
     blocks = _in_blocks(np.lexsort((windows.spans[:, 4], windows.spans[:, 3])))
