@@ -11,18 +11,19 @@ steps and multiplied, as said in the names.
 import argparse
 import json
 import logging
+import os
 import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from plain_c import make_plain_c
 from timing import Timed, timed
 
+from steerd.car_model.native.threads import threads
 from steerd.car_model.params import Car
 from steerd.sysid.compiler.kernels import (
     HeldCommands,
@@ -169,8 +170,7 @@ def main() -> int:
     parser.add_argument("--figure", metavar="FILE.svg")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    settings: Any = numba.config
-    cores, settings.NUMBA_NUM_THREADS = settings.NUMBA_NUM_THREADS, 1
+    os.environ["OMP_NUM_THREADS"] = "1"
     kernels, plain = make_kernels(), make_plain_c()
     parameters, task = np.array(CAR), make_task(RUNS, STEPS)
     found = {
@@ -182,8 +182,8 @@ def main() -> int:
     if plain is not None:
         found["plain C loop"] = timed(lambda: plain(parameters, H, *task))
     growth = grow(kernels)
-    settings.NUMBA_NUM_THREADS = cores
-    found[f"kernel through torch, {cores} threads, wall"] = timed(
+    del os.environ["OMP_NUM_THREADS"]
+    found[f"kernel through torch, {threads()} threads, wall"] = timed(
         kernel(kernels, RUNS, STEPS), clock=time.perf_counter
     )
     if args.figure:

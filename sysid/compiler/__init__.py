@@ -9,7 +9,7 @@ of functions compiled by Numba, used through `kernels`:
     compute_readings    instrument readings (rows,) and their forward sensitivities (rows, n)
     delays_of           dead times of steer, drive and pose [s]
 
-The stages, one file each:
+The stages, one file each (trace, specialised, layout and threads in `car_model.native`):
 
     trace                   runs `car_model` on symbols: five recorded pieces (actuators, rates,
                             remember, observe, delays)

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple
 
+from steerd.car_model.native.layout import row_layout
+from steerd.car_model.native.specialised import SPECIALISED_SPEED, Range, specialise
+from steerd.car_model.native.trace import CHASSIS, Piece, Traced
 from steerd.car_model.tape import Entry, Node, gradient, needed, source_of
-from steerd.sysid.compiler.layout import row_layout
 from steerd.sysid.compiler.simd_rows import SLOTS
-from steerd.sysid.compiler.specialised import SPECIALISED_SPEED, Range, specialise
-from steerd.sysid.compiler.trace import CHASSIS, Piece, Traced
 
 SENSITIVITIES = 72
 """Most sensitivities of a number; a row is 9 cache lines, so that rows do not share cache sets."""

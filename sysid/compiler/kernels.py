@@ -16,6 +16,8 @@ import numpy as np
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model, memory_size
+from steerd.car_model.native.threads import share_out, threads
+from steerd.car_model.native.trace import parameter_names
 from steerd.car_model.params import Car
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import State
@@ -34,8 +36,6 @@ from steerd.sysid.compiler.arguments import (
 from steerd.sysid.compiler.codegen import SENSITIVITIES
 from steerd.sysid.compiler.modules import load_module
 from steerd.sysid.compiler.simd_rows import SLOTS
-from steerd.sysid.compiler.threads import share_out, threads
-from steerd.sysid.compiler.trace import parameter_names
 
 STATES = len(State._fields)
 """Numbers of a state before the effects' memory."""

@@ -16,6 +16,7 @@ import numba
 
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
+from steerd.car_model.native.trace import trace
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.steer_bus.atomic_file import write_atomically
 from steerd.sysid.compiler import (
@@ -31,7 +32,6 @@ from steerd.sysid.compiler import (
 )
 from steerd.sysid.compiler.codegen import generate
 from steerd.sysid.compiler.disk import at_place, cache_folder, replace_folder, spare_failures
-from steerd.sysid.compiler.trace import trace
 
 
 def _text(module: ModuleType) -> str:

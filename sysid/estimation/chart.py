@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
+from steerd.car_model.native.trace import parameter_names
 from steerd.car_model.params import PARAMETERS
-from steerd.sysid.compiler.trace import parameter_names
 
 Array = NDArray[np.float64]
 

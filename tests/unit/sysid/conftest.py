@@ -153,7 +153,7 @@ def rich_model() -> Model[float]:
     from steerd.car_model.effects import parse_effects
 
     settings = parse_effects(
-        "steer_delay=0.011,tyre_relaxation=0.07,steer_backlash=0.02,grip_drift=0.5,mocap_latency=0.0021"
+        "grip_drift=0.5,mocap_latency=0.0021,steer_backlash=0.02,steer_delay=0.011,tyre_relaxation=0.07"
     )
     car = DEFAULT_CAR._replace(steer_delay=0.013, drive_delay=0.004, pose_delay=0.0033)
     effects: Any = tuple(effect for effect, _ in settings)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from steerd.car_model.model import Model
+from steerd.car_model.native.specialised import SPECIALISED_SPEED
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.rollout import euler, start
@@ -25,7 +26,6 @@ from steerd.sysid.compiler.kernels import (
     settle,
     view_by_window,
 )
-from steerd.sysid.compiler.specialised import SPECIALISED_SPEED
 from steerd.sysid.paper.torch_kernel import simulate
 from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, PAPER_STEP, simulate_reference
 

@@ -3,9 +3,9 @@
 import pytest
 
 from steerd.car_model.effects import find_effect
+from steerd.car_model.native.layout import row_layout
+from steerd.car_model.native.trace import CHASSIS, trace
 from steerd.car_model.state import State
-from steerd.sysid.compiler.layout import row_layout
-from steerd.sysid.compiler.trace import CHASSIS, trace
 
 
 @pytest.mark.parametrize("names", [(), ("tyre_relaxation",), ("steer_backlash", "tyre_relaxation")])

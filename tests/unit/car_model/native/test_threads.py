@@ -1,11 +1,10 @@
 """Pieces of compiled work on several threads."""
 
-import numba
 import numpy as np
 import pytest
 
-from steerd.car_model.params import DEFAULT_CAR
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.threads import WORTHWHILE, share_out
+from steerd.car_model.native.windows import (
     HeldCommands,
     make_kernels,
     make_window_blocks,
@@ -13,12 +12,12 @@ from steerd.sysid.compiler.kernels import (
     march_back,
     view_by_window,
 )
-from steerd.sysid.compiler.threads import WORTHWHILE, share_out
+from steerd.car_model.params import DEFAULT_CAR
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_every_piece_is_done_once_by_a_worker_with_a_number(monkeypatch, threads):
-    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", threads)
+    monkeypatch.setenv("OMP_NUM_THREADS", str(threads))
     done = []
     share_out(lambda piece, worker: done.append((piece, worker)), 40, WORTHWHILE)
     assert sorted(piece for piece, _ in done) == list(range(40))
@@ -26,14 +25,14 @@ def test_every_piece_is_done_once_by_a_worker_with_a_number(monkeypatch, threads
 
 
 def test_short_work_wakes_nobody(monkeypatch):
-    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
     done = []
     share_out(lambda piece, worker: done.append((piece, worker)), 3, WORTHWHILE // 10)
     assert done == [(0, 0), (1, 0), (2, 0)]
 
 
 def test_what_fails_in_another_thread_fails_here(monkeypatch):
-    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
 
     def work(piece: int, _worker: int) -> None:
         raise ZeroDivisionError(piece)
@@ -52,7 +51,7 @@ def test_two_threads_give_the_numbers_of_one(monkeypatch):
     first[:, 3] = 1.0
     held, found = HeldCommands(rows, 0.005), []
     for threads in (1, 2):
-        monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", threads)
+        monkeypatch.setenv("OMP_NUM_THREADS", str(threads))
         path = march(kernels, p, first, held, blocks, steps)
         seen = view_by_window(path, count)
         assert np.shares_memory(seen, path)

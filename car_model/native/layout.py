@@ -4,8 +4,8 @@ A piece's workspace holds its inputs in the order in which `trace` lists them, t
 names below are printed into every compiled module, so that no loop counts states itself.
 """
 
+from steerd.car_model.native.trace import Traced
 from steerd.car_model.state import State
-from steerd.sysid.compiler.trace import Traced
 
 
 def row_layout(traced: Traced) -> dict[str, int]:

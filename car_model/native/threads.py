@@ -1,9 +1,9 @@
 """Independent pieces of compiled work on several threads of this process.
 
-Compiled kernels release Python's lock (GIL). As many threads as Numba would take: all cores unless
-`NUMBA_NUM_THREADS` says otherwise; joblib and Dask set that for their workers, so that workers on
-all cores do not start threads on all cores each. A thread that is ready takes the next piece, and
-none waits by spinning: on a busy machine this costs little more than one thread.
+Compiled functions release Python's lock (GIL). As many threads as there are cores for this process,
+unless `OMP_NUM_THREADS` says otherwise: joblib and Dask set that for their workers, so that workers
+on all cores do not start threads on all cores each. A thread that is ready takes the next piece,
+and none waits by spinning: on a busy machine this costs little more than one thread.
 """
 
 # Why: docs/decisions/kernels.md#d57
@@ -12,9 +12,6 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from typing import Any
-
-import numba
 
 WORTHWHILE = 1000
 """Steps for each thread below which waking it (some 50 us) costs more than it saves."""
@@ -22,8 +19,8 @@ WORTHWHILE = 1000
 
 def threads() -> int:
     """How many threads may work."""
-    settings: Any = numba.config
-    return int(settings.NUMBA_NUM_THREADS)
+    stated = os.environ.get("OMP_NUM_THREADS", "")
+    return max(1, int(stated)) if stated.isdigit() else len(os.sched_getaffinity(0))
 
 
 @lru_cache(maxsize=1)

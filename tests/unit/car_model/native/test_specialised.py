@@ -6,12 +6,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steerd.car_model.native.specialised import SPECIALISED_SPEED, Range, specialise
+from steerd.car_model.native.trace import trace
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.straight_line import compiled
 from steerd.car_model.tape import TAPE, Tape, gradient, needed
 from steerd.sysid.compiler.codegen import specialised_rates
-from steerd.sysid.compiler.specialised import SPECIALISED_SPEED, Range, specialise
-from steerd.sysid.compiler.trace import trace
 
 OPS = ("add", "sub", "mul", "min", "max", "select", "neg")
 

@@ -1,0 +1,127 @@
+"""Loads the compiled library, with the functions that suit this processor."""
+
+import ctypes
+import platform
+from ctypes import POINTER, c_double, c_int64, c_void_p
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from steerd.car_model.chassis import Chassis
+from steerd.car_model.effect import Effect
+
+LIBRARY = Path(__file__).with_name("equations.so")
+LEVELS: dict[str, dict[str, str]] = {
+    "x86_64": {"v4": "x86-64-v4", "v3": "x86-64-v3", "v1": "x86-64"},
+}
+"""Processor levels by machine, best first: name in the library, the compilers' name."""
+_FEATURES = {
+    "v4": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
+    "v3": {"avx2", "bmi2", "fma"},
+}
+"""What a level needs, as Linux calls it."""
+_SIZE = ctypes.sizeof(c_void_p)
+
+Structure = ctypes.Structure
+
+
+class LibraryError(Exception):
+    """The library cannot be used; the message says what to do."""
+
+
+class Integration(Structure):
+    """The car's numbers and how it is integrated; see `march.h`, like the others."""
+
+    _fields_ = (
+        ("p", c_void_p), ("q", c_void_p), ("tableau", c_void_p),
+        ("h", c_double), ("stages", c_int64), ("substeps", c_int64),
+    )  # fmt: skip
+
+
+class Block(Structure):
+    """Windows side by side."""
+
+    _fields_ = (("commands", c_void_p), ("spans", c_void_p), ("t", c_void_p))
+
+
+class Directions(Structure):
+    """What derivatives are taken by."""
+
+    _fields_ = (
+        ("n", c_int64), ("moved", c_void_p), ("seeds", c_void_p),
+        ("first", c_void_p), ("delays", c_void_p),
+    )  # fmt: skip
+
+
+class Readings(Structure):
+    """Where windows are read, and where to."""
+
+    _fields_ = (
+        ("stations", c_void_p), ("shares", c_void_p), ("ranges", c_void_p), ("scale", c_void_p),
+        ("y", c_void_p), ("jy", c_void_p), ("width", c_int64), ("start_pose", c_int64),
+    )  # fmt: skip
+
+
+class Loss(Structure):
+    """Derivatives of a loss by every state."""
+
+    _fields_ = (
+        ("values", c_void_p), ("by_window", c_int64), ("by_moment", c_int64),
+        ("by_state", c_int64), ("windows", c_int64), ("slot", c_int64),
+    )  # fmt: skip
+
+
+_ARGUMENTS: dict[str, list[Any]] = {
+    "march": [POINTER(Integration), POINTER(Block), c_int64, c_int64, c_void_p],
+    "march_back": [
+        POINTER(Integration), POINTER(Block), c_int64, c_int64, c_void_p, POINTER(Loss),
+        *[c_void_p] * 4,
+    ],
+    "settled": [POINTER(Integration), POINTER(Block), c_void_p],
+    "readings": [
+        POINTER(Integration), POINTER(Block), POINTER(Directions), c_void_p, POINTER(Readings)
+    ],
+    "delays": [c_void_p] * 4,
+    "constants": [c_void_p, c_double, c_void_p],
+    "constant_count": [],
+}  # fmt: skip
+
+
+def model_label(effects: tuple[Effect, ...], chassis: Chassis) -> str:
+    """What a model's functions begin with: those of a car with any effect hold every one."""
+    return f"{chassis.label}_{'every' if effects else 'plain'}"
+
+
+@cache
+def _level() -> str:
+    levels = LEVELS.get(platform.machine())
+    if levels is None:
+        return "plain"
+    text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    flags = set(next((line for line in text.splitlines() if line.startswith("flags")), "").split())
+    return next(level for level in levels if _FEATURES.get(level, set()) <= flags)
+
+
+@cache
+def load_library(path: Path = LIBRARY) -> ctypes.CDLL:
+    """The library.
+
+    Raises:
+        LibraryError: it was not built.
+    """
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError:
+        raise LibraryError(
+            f"the compiled equations {path} cannot be loaded; "
+            "build them with: python -m steerd.car_model.native.build"
+        ) from None
+
+
+@cache
+def load_function(label: str, name: str, level: str = "", path: Path = LIBRARY) -> Any:
+    """A model's function for this processor, or for a level of one's own choice."""
+    function = getattr(load_library(path), f"{label}_{level or _level()}_{name}")
+    function.argtypes = _ARGUMENTS[name]
+    function.restype = c_int64 if name == "constant_count" else None
+    return function

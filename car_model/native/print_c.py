@@ -1,0 +1,262 @@
+"""From recorded equations to C with vectors of eight windows: values, derivatives, products.
+
+Each piece of a model is printed three times: `name` computes its outputs for eight windows side by
+side, `name_jac` their derivatives as well, `name_push` multiplies one direction of eight windows by
+the derivatives by inputs, `name_pull` is its transpose. Derivatives by a parameter are
+computed where some direction moves the parameter (`moved`). What depends on parameters and step
+alone is computed once per call, in `constants`. `march.h` has the loops around the pieces.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from math import inf
+from typing import NamedTuple
+
+from steerd.car_model.native.layout import row_layout
+from steerd.car_model.native.specialised import SPECIALISED_SPEED, Range, specialise
+from steerd.car_model.native.trace import CHASSIS, Piece, Traced
+from steerd.car_model.tape import Entry, Node, gradient, needed
+
+ALWAYS = -1
+"""Stands for a parameter that is always moved: what outputs and derivatives by inputs need."""
+_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+
+
+class Slope(NamedTuple):
+    """A derivative that is not zero everywhere: of an output by a source.
+
+    Sources are inputs, then parameters; a formula for each form of the piece.
+    """
+
+    output: int
+    source: int
+    formulas: tuple[Node, ...]
+
+
+@dataclass
+class Printer:
+    """Prints the pieces of one recorded model."""
+
+    traced: Traced
+    prefix: str
+    lines: list[str] = field(default_factory=list)
+    hoisted: dict[int, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        tape = self.traced.tape
+        self.entries: list[Entry] = tape.entries
+        self.fixed = {node.place for node in (*self.traced.symbols, self.traced.h)}
+
+    # -- what is a number, what a row ----------------------------------------------------------
+
+    def numbers(self, places: Iterable[int]) -> set[int]:
+        """Places that depend on parameters and step alone."""
+        known = set(self.fixed)
+        for place in places:
+            entry = self.entries[place]
+            if entry.op == "const" or (entry.args and all(a in known for a in entry.args)):
+                known.add(place)
+        return known
+
+    def operation(self, place: int, row: bool, numbers: set[int]) -> str:
+        """C of one operation, on rows or on numbers."""
+        entry = self.entries[place]
+        args = [f"v{a}" for a in entry.args]
+        match entry.op:
+            case "add" | "sub" | "mul" | "div":
+                return f"{args[0]} {_INFIX[entry.op]} {args[1]}"
+            case "neg":
+                return f"-{args[0]}"
+            case "inverse":
+                return f"1.0 / {args[0]}"
+        wide = [
+            f"all({text})" if a in numbers else text
+            for text, a in zip(args, entry.args, strict=True)
+        ]
+        called = f"{entry.op}8({', '.join(wide)})"
+        return called if row else f"{called}[0]"
+
+    def slot(self, place: int) -> int:
+        """The place among the constants of what is computed once per call."""
+        return self.hoisted.setdefault(place, len(self.hoisted))
+
+    # -- functions -------------------------------------------------------------------------------
+
+    def block(
+        self,
+        head: str,
+        inputs: Sequence[Node],
+        targets: Sequence[tuple[str, Node, int]],
+    ) -> None:
+        """A function that computes targets: (place to write, formula, parameter it is by)."""
+        need: dict[int, set[int]] = {}
+        for _, node, by in targets:
+            for place in needed([node]):
+                need.setdefault(place, set()).add(by)
+        places = sorted(need)
+        numbers = self.numbers(places)
+        rows = [p for p in places if p not in numbers and self.entries[p].args]
+        used = {a for p in rows for a in self.entries[p].args} | {n.place for _, n, _ in targets}
+        self.lines.append(f"static void {self.prefix}_{head} {{")
+        for k, symbol in enumerate(self.traced.symbols):
+            if symbol.place in used:
+                self.lines.append(f"    const double v{symbol.place} = p[{k}];")
+        for place in sorted(used & numbers):
+            entry = self.entries[place]
+            if entry.op == "const":
+                self.lines.append(f"    const double v{place} = {entry.value!r};")
+            elif place == self.traced.h.place:
+                self.lines.append(f"    const double v{place} = h;")
+            elif entry.args:
+                self.lines.append(f"    const double v{place} = q[{self.slot(place)}];")
+        for k, node in enumerate(inputs):
+            if node.place in used:
+                self.lines.append(f"    const vec v{node.place} = in[{k}];")
+        self._grouped(rows, need, numbers, targets)
+        self.lines += ["}", ""]
+
+    def _grouped(
+        self,
+        rows: Sequence[int],
+        need: dict[int, set[int]],
+        numbers: set[int],
+        targets: Sequence[tuple[str, Node, int]],
+    ) -> None:
+        """Operations that all need, then those that only some parameters' derivatives do."""
+        groups: dict[frozenset[int], list[int]] = {}
+        for place in rows:
+            whose = {ALWAYS} if ALWAYS in need[place] else need[place]
+            groups.setdefault(frozenset(whose), []).append(place)
+        for _, _, by in targets:
+            groups.setdefault(frozenset({by}), [])
+        always = frozenset({ALWAYS})
+        shared = [p for by, own in groups.items() if len(by) > 1 for p in own]
+        for place in groups.pop(always, []):
+            self.lines.append(f"    const vec v{place} = {self.operation(place, True, numbers)};")
+        self._write(targets, ALWAYS, numbers, "    ")
+        for at in range(0, len(shared), 8):
+            self.lines.append(f"    vec {', '.join(f'v{p}' for p in shared[at : at + 8])};")
+        for group in sorted(groups, key=lambda group: (-len(group), sorted(group))):
+            asked = " | ".join(f"moved[{k}]" for k in sorted(group))
+            self.lines.append(f"    if ({asked}) {{")
+            kind = "" if len(group) > 1 else "const vec "
+            for place in groups[group]:
+                text = self.operation(place, True, numbers)
+                self.lines.append(f"        {kind}v{place} = {text};")
+            if len(group) == 1:
+                self._write(targets, min(group), numbers, "        ")
+            self.lines.append("    }")
+
+    def _write(
+        self, targets: Sequence[tuple[str, Node, int]], by: int, numbers: set[int], indent: str
+    ) -> None:
+        for to, node, whose in targets:
+            if whose == by:
+                text = f"v{node.place}"
+                self.lines.append(
+                    f"{indent}{to} = {f'all({text})' if node.place in numbers else text};"
+                )
+
+    def piece(self, name: str, forms: dict[str, Piece]) -> None:
+        """A piece in all its forms, which share one table of derivatives."""
+        first = next(iter(forms.values()))
+        slopes = self.slopes(tuple(forms.values()))
+        split = len(first.inputs)
+        arguments = "const double *restrict p, const double *restrict q, double h"
+        for at, (form, piece) in enumerate(forms.items()):
+            out = [(f"out[{i}]", node, ALWAYS) for i, node in enumerate(piece.outputs)]
+            rows = "const vec *restrict in, vec *restrict out"
+            self.block(f"{form}({rows}, {arguments})", piece.inputs, out)
+            by = [
+                (f"j[{k}]", s.formulas[at], ALWAYS if s.source < split else s.source - split)
+                for k, s in enumerate(slopes)
+            ]
+            rows = f"{rows}, vec *restrict j, const uint8_t *restrict moved"
+            self.block(f"{form}_jac({rows}, {arguments})", piece.inputs, [*out, *by])
+        self._products(name, len(first.outputs), split, slopes)
+
+    def slopes(self, forms: Sequence[Piece]) -> list[Slope]:
+        """The derivatives of a piece; time has no sensitivity."""
+        first = forms[0]
+        sources = (*first.inputs, *self.traced.symbols)
+        found = []
+        for i in range(len(first.outputs)):
+            by = [gradient([(form.outputs[i], 1.0)], sources) for form in forms]
+            for k, formulas in enumerate(zip(*by, strict=True)):
+                if sources[k].place != self.traced.t.place and not all(map(_zero, formulas)):
+                    found.append(Slope(i, k, formulas))
+        return sorted(found, key=lambda s: s.source >= len(first.inputs))
+
+    def _products(self, name: str, outputs: int, split: int, slopes: Sequence[Slope]) -> None:
+        """Jacobian-vector product, its transpose, and the table of derivatives by parameters."""
+        where = {(s.output, s.source): k for k, s in enumerate(slopes)}
+        sources = sorted({s.source for s in slopes})
+        head = "const vec *restrict j, const vec *restrict in, vec *restrict out"
+        self.lines.append(f"INLINE void {self.prefix}_{name}_push({head}) {{")
+        for i in range(outputs):
+            inner = [k for k in sources if k < split and (i, k) in where]
+            self._sum(f"out[{i}]", [f"j[{where[i, k]}] * in[{k}]" for k in inner])
+        head = f"{head}, vec *restrict by"
+        self.lines += ["}", f"INLINE void {self.prefix}_{name}_pull({head}) {{"]
+        for k in sources:
+            terms = [f"j[{where[i, k]}] * in[{i}]" for i in range(outputs) if (i, k) in where]
+            self._sum(f"out[{k}]" if k < split else f"by[{k - split}]", terms)
+        outer = [(k, s) for k, s in enumerate(slopes) if s.source >= split]
+        table = ", ".join(f"{{{k}, {s.output}, {s.source - split}}}" for k, s in outer)
+        upper = f"{self.prefix}_{name}_by"
+        self.lines += [
+            "}",
+            f"static const by_t {upper}[] = {{{table or '{0, 0, 0}'}}};",
+            f"enum {{ {self.prefix}_{name}_BY = {len(outer)}, "
+            f"{self.prefix}_{name}_SLOPES = {len(slopes)} }};",
+            "",
+        ]
+
+    def _sum(self, to: str, terms: Sequence[str]) -> None:
+        """Add terms to a row."""
+        if terms:
+            self.lines.append(f"    {to} += {' + '.join(terms)};")
+
+    def constants(self) -> None:
+        """What depends on parameters and step alone."""
+        places = needed(Node(self.traced.tape, place) for place in self.hoisted)
+        self.lines.append(
+            f"static void {self.prefix}_constants(const double *p, double h, double *q) {{"
+        )
+        for k, symbol in enumerate(self.traced.symbols):
+            if symbol.place in places:
+                self.lines.append(f"    const double v{symbol.place} = p[{k}];")
+        numbers = set(places)
+        for place in places:
+            entry = self.entries[place]
+            if entry.op == "const":
+                self.lines.append(f"    const double v{place} = {entry.value!r};")
+            elif place == self.traced.h.place:
+                self.lines.append(f"    const double v{place} = h;")
+            elif entry.args:
+                text = self.operation(place, False, numbers)
+                self.lines.append(f"    const double v{place} = {text};")
+        self.lines += [f"    q[{slot}] = v{place};" for place, slot in self.hoisted.items()]
+        self.lines += ["}", f"enum {{ {self.prefix}_CONSTANTS = {len(self.hoisted)} }};", ""]
+
+
+def _zero(node: Node) -> bool:
+    return node.entry.op == "const" and node.entry.value == 0.0
+
+
+def print_model(traced: Traced, prefix: str) -> str:
+    """The C text of a model's pieces; every name begins with `prefix`."""
+    printer = Printer(traced, prefix)
+    rates = traced.rates
+    speed = rates.inputs[CHASSIS.index("speed")]
+    fast = specialise(rates.outputs, {speed.place: Range(SPECIALISED_SPEED, inf)})
+    printer.piece("delays", {"delays": Piece((), traced.delays)})
+    printer.piece("actuators", {"actuators": traced.actuators})
+    printer.piece("rates", {"rates": rates, "fast": Piece(rates.inputs, fast)})
+    printer.piece("remember", {"remember": traced.remember})
+    printer.piece("observe", {"observe": traced.observe})
+    printer.constants()
+    layout = {**row_layout(traced), "REMEMBERS": int(traced.remembers)}
+    sizes = ", ".join(f"{prefix}_{name} = {row}" for name, row in layout.items())
+    head = [f"#define FAST_SPEED {SPECIALISED_SPEED}", f"enum {{ {sizes} }};"]
+    return "\n".join([*head, *printer.lines])

@@ -1,0 +1,176 @@
+"""The compiled library: Python's numbers, and the same bits from every compiler and processor."""
+
+import hashlib
+import importlib.util
+import shutil
+import sys
+from functools import partial
+
+import numpy as np
+import pytest
+
+from steerd.car_model.effects import EFFECTS, find_effect
+from steerd.car_model.model import Model, memory_size
+from steerd.car_model.native import windows
+from steerd.car_model.native.build import (
+    BuildError,
+    Compiler,
+    compile_model,
+    link,
+    model_text,
+)
+from steerd.car_model.native.library import LibraryError, load_function, load_library, model_label
+from steerd.car_model.native.windows import (
+    STATES,
+    HeldCommands,
+    Stations,
+    Windows,
+    compute_readings,
+    make_kernels,
+    make_window_blocks,
+    march,
+    march_back,
+    parameter_vector,
+    settle,
+)
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.planar import CHASSIS, PLANAR
+from steerd.car_model.rollout import simulate, start
+from steerd.car_model.state import Command, State
+
+H, STEPS, COUNT, N = 0.01, 60, 11, 13
+EVERY = tuple(EFFECTS.values())
+APART = ("grip_patch", "tyre_relaxation")
+"""Beside others, their record differs from the floats' step: the friction under each stage, and the
+slip angles of the car without its effects."""
+
+
+def _model(effects, chassis, seed=0):
+    """A car whose effects all do something."""
+    rng = np.random.default_rng(seed)
+    values = tuple(
+        e.nulls
+        if e.name in APART and len(effects) > 1
+        else tuple(
+            float(np.clip(p.null + 0.05 * rng.random(), p.low, p.high)) for p in e.parameters
+        )
+        for e in effects
+    )
+    return Model(DEFAULT_CAR, effects, values, chassis)
+
+
+def _drive(model, speed):
+    rng = np.random.default_rng(1)
+    rows = np.stack([rng.uniform(-0.3, 0.3, STEPS), speed + rng.uniform(-0.3, 0.3, STEPS)], 1)
+    first = np.zeros((COUNT, STATES + make_kernels(model.effects, model.chassis).memory))
+    first[:, 2:4] = np.stack([rng.normal(size=COUNT), np.full(COUNT, speed)], 1)
+    return HeldCommands(rows, H), first
+
+
+@pytest.mark.parametrize("speed", [0.3, 1.5])
+@pytest.mark.parametrize("chassis", CHASSIS, ids=lambda chassis: chassis.label)
+@pytest.mark.parametrize("effects", [(), EVERY, (find_effect("tyre_relaxation"),)], ids=len)
+def test_a_drive_is_that_of_python_on_floats(effects, chassis, speed):
+    model = _model(effects, chassis)
+    held, first = _drive(model, speed)
+    runs = np.tile(np.array([0, STEPS, 0]), (COUNT, 1))
+    kernels = make_kernels(effects, chassis)
+    blocks = make_window_blocks(runs, np.zeros(COUNT))
+    path = march(kernels, parameter_vector(model), first, held, blocks, STEPS)
+    orders = [Command(*row) for row in held.rows.tolist()]
+    for w in (0, COUNT - 1):
+        begin = start(model, State(*first[w, :STATES].tolist()), 0.0)
+        found = np.array([m.state for m in simulate(FLOAT, model, begin, orders, H)])
+        assert np.abs(path[:, :STATES, w] - found).max() < 1e-12 * max(1.0, np.abs(found).max())
+
+
+def _digest(effects, chassis):
+    """Of everything that the library computes, on the move and at walking pace."""
+    seen = hashlib.sha256()
+    for speed in (0.3, 1.5):
+        model = _model(effects, chassis)
+        held, first = _drive(model, speed)
+        kernels, p = make_kernels(effects, chassis), parameter_vector(model)
+        rng = np.random.default_rng(2)
+        begin = 20 + np.arange(COUNT) % 3
+        spans = np.column_stack([0 * begin, 0 * begin + STEPS, begin, 30 + begin % 3, begin % 2])
+        reading = Windows(spans, H * begin)
+        places = [
+            (k, 3 * (k % 2), w * 120 + 3 * k, 1 - k % 2) for w in range(COUNT) for k in range(30)
+        ]
+        at = Stations(
+            np.array(places), rng.random(len(places)), 30 * np.arange(COUNT + 1), 120 * COUNT
+        )
+        seeds, dfirst = rng.normal(size=(len(p), N)), rng.normal(size=(STATES, N))
+        y, jy = compute_readings(kernels, p, seeds, first[:, :STATES], dfirst, held, reading, at)
+        rows = np.unique(
+            np.concatenate([r + np.arange(3 if pose else 1) for _, _, r, pose in places])
+        )
+        blocks = make_window_blocks(np.ascontiguousarray(spans[:, :3]), reading.t)
+        path = march(kernels, p, first, held, blocks, 30)
+        back = march_back(kernels, p, path, rng.normal(size=(COUNT, *path.shape[:2])), held, blocks)
+        assert np.isfinite(path).all()
+        assert np.isfinite(jy[rows]).all()
+        for array in (y[rows], jy[rows], path, *back, settle(kernels, p, first, held, reading)):
+            seen.update(np.ascontiguousarray(array).tobytes())
+    return seen.hexdigest()
+
+
+def _compilers():
+    if shutil.which("gcc"):
+        yield "gcc", Compiler(("gcc",), "-march={}", underscores=False)
+    if importlib.util.find_spec("ziglang"):
+        command = (sys.executable, "-m", "ziglang", "cc", "-fno-sanitize=all")
+        yield "clang", Compiler(command, "-mcpu={}", underscores=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", [((), CHASSIS[0]), (EVERY, PLANAR)], ids=["plain", "every"])
+def test_every_compiler_and_optimisation_gives_the_same_bits(model, tmp_path, monkeypatch):
+    expected, label = _digest(*model), model_label(*model)
+    for name, compiler in _compilers():
+        for more in ("-O1", "-O3"):
+            source = tmp_path / f"{name}{more}.c"
+            source.write_text(model_text(*model))
+            made = compile_model(compiler, source, label, "own", "", more)
+            link(compiler, [made], source.with_suffix(".so"))
+            own = partial(load_function, level="own", path=source.with_suffix(".so"))
+            monkeypatch.setattr(windows, "load_function", own)
+            assert _digest(*model) == expected, (name, more)
+
+
+@pytest.mark.parametrize("model", [((), CHASSIS[0]), (EVERY, PLANAR)], ids=["plain", "every"])
+def test_every_processor_level_gives_the_same_bits(model, monkeypatch):
+    expected = _digest(*model)
+    for level in ("v3", "v1"):
+        try:
+            load_function(model_label(*model), "march", level)
+        except AttributeError:
+            pytest.skip("this machine's library has one level")
+        monkeypatch.setattr(windows, "load_function", partial(load_function, level=level))
+        assert _digest(*model) == expected, level
+
+
+def test_effects_out_of_order_are_refused():
+    backwards = EVERY[::-1][:2]
+    with pytest.raises(ValueError, match="order"):
+        make_kernels(backwards)
+
+
+def test_a_car_with_some_effects_remembers_what_every_effect_does():
+    assert make_kernels().memory == 0
+    assert make_kernels(EVERY[:1]).memory == memory_size(EVERY)
+
+
+def test_a_library_that_was_not_built_names_the_command(tmp_path):
+    with pytest.raises(LibraryError, match=r"python -m steerd\.car_model\.native\.build"):
+        load_library(tmp_path / "none.so")
+
+
+def test_a_missing_compiler_names_the_one_to_install(tmp_path):
+    source = tmp_path / "x.c"
+    source.write_text("int x;\n")
+    nobody = Compiler((str(tmp_path / "nobody"),), "", underscores=False)
+    with pytest.raises(BuildError, match="pip install ziglang"):
+        compile_model(nobody, source, "x", "own", "")
