@@ -22,7 +22,7 @@ from steerd.sysid.inference.posterior import (
     log_share_beyond,
     posterior_of,
 )
-from steerd.sysid.inference.search import Point, fresh, minimise, newton, settle, stand
+from steerd.sysid.inference.search import Point, explore, fresh, minimise, newton, settle, stand
 from steerd.sysid.inference.space import Space, make_space
 
 Array = NDArray[np.float64]
@@ -122,6 +122,8 @@ class _Search:
     library: Library
     pool: dict[frozenset[str], Point] = field(default_factory=dict)
     untested: set[str] = field(default_factory=set)
+    explored: set[tuple[str, ...]] = field(default_factory=set)
+    exchanged: set[tuple[tuple[str, ...], tuple[str, ...], int]] = field(default_factory=set)
 
     @property
     def likelihood(self) -> Likelihood:
@@ -172,25 +174,45 @@ class _Search:
             self.keep(point)
             beat = min(beat, np.inf if point is None else point.cost)
         self.exchange()
+        self.explore()
+
+    def explore(self) -> None:
+        """Hypotheses that compete for the first place, from more starts."""
+        ranked = self.hypotheses()
+        rivals = [h for h in ranked if ranked[0].log_odds - h.log_odds < c.NEARLY]
+        if len(rivals) < 2:
+            return
+        for h in rivals:
+            if h.effects not in self.explored:
+                self.explored.add(h.effects)
+                self.keep(explore(self.likelihood, h.point))
+        self.exchange()
 
     def exchange(self) -> None:
-        """Bases exchanged until no hypothesis is worse than one nested in it."""
+        """Bases exchanged until no hypothesis is worse than one nested in it.
+
+        What is nested in the best is tried from the best's base as well: what the base alone gains
+        there is no effect's.
+        """
         for _ in range(3):
-            changed = False
             best = min(self.pool.values(), key=lambda point: point.cost)
-            for names, point in sorted(self.pool.items(), key=lambda item: len(item[0])):
-                if names < frozenset(best.space.effects):
-                    changed |= self._improve(point, best)
+            whole = frozenset(best.space.effects)
+            inner = [point for names, point in self.pool.items() if names < whole]
+            changed = [self._improve(point, best) for point in inner]
             for names, point in list(self.pool.items()):
                 nested = [p for other, p in self.pool.items() if other < names]
                 lower = min(nested, key=lambda p: p.cost, default=None)
                 if lower is not None and point.cost > lower.cost - _WORSE:
-                    changed |= self._improve(point, lower)
-            if not changed:
+                    changed.append(self._improve(point, lower))
+            if not any(changed):
                 return
 
     def _improve(self, point: Point, other: Point) -> bool:
         """A hypothesis from another's base; whether that is better."""
+        key = (point.space.effects, other.space.effects, round(other.cost))
+        if key in self.exchanged:
+            return False
+        self.exchanged.add(key)
         space = point.space
         z = carry(space, other, point)
         begun = _stand(self.likelihood, space, z, other.x, max(1.5 * other.size, c.SIZE_SMALL))

@@ -22,6 +22,12 @@ FALL = 2.2
 ENOUGH = 0.3
 """A step that promises and gains less than this many nats at the last size ends the search."""
 STEPS = 24
+DRAWS = 4
+"""Starts along the valley of an optimum that counts."""
+_BLUNT = 30.0
+"""Factor by which windows count for less while such starts are drawn."""
+_EXPLORED = 0.15
+"""Least discrepancy's size under which such a search begins."""
 _LIMITS = {"accel_max": 0.3, "decel_max": 0.3, "steer_rate": 0.05}
 """Steps over which limits are differenced: [m/s^2], and relative for the slew rate."""
 _LOST = 4.0
@@ -257,6 +263,34 @@ def minimise(
             break
         now, ended = _walk(likelihood, again, beat, steps, fall)
     return replace(now, whole=ended)
+
+
+def explore(likelihood: Likelihood, point: Point, draws: int = DRAWS) -> Point:
+    """The best optimum from starts drawn along the valley that a point lies in.
+
+    Kinks leave small minima in it. The draws follow the posterior under a likelihood so blunt that
+    it spans them; they are the same each time.
+    """
+    rng = np.random.default_rng(0)
+    space, best = point.space, point
+    lower = np.linalg.cholesky(np.linalg.inv(curvature_at(point, 1.0 / _BLUNT)))
+    for _ in range(draws):
+        z = point.z + lower @ rng.standard_normal(len(point.z))
+        z = np.clip(z, space.low, space.high)
+        try:
+            begun = stand(likelihood, space, z, best.x, max(2.0 * point.size, _EXPLORED))
+            found = minimise(likelihood, begun, best.cost)
+        except (FloatingPointError, np.linalg.LinAlgError):
+            continue
+        if found.cost < best.cost:
+            best = found
+    return best
+
+
+def curvature_at(point: Point, share: float) -> Array:
+    """(n, n) curvature with the drives counting for a share of themselves."""
+    drives = np.einsum("w,wij->ij", point.at.weight, point.at.h)
+    return np.asarray(share * drives + point.space.precision)
 
 
 def _walk(

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.model import Model, observe
-from steerd.car_model.numpy_ops import NUMPY
-from steerd.car_model.state import State
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     STATES,
     HeldCommands,
     Kernels,
+    compute_readings,
     delays_of,
     make_window_blocks,
     march,
@@ -23,6 +22,8 @@ from steerd.sysid.compiler.kernels import (
     settle,
     view_by_window,
 )
+from steerd.car_model.numpy_ops import NUMPY
+from steerd.car_model.state import State
 from steerd.sysid.inference.readings import Readings
 
 Array = NDArray[np.float64]
@@ -97,5 +98,12 @@ def predicted(
     kernels: Kernels, readings: Readings, parameters: Array, x: Array, substeps: int
 ) -> Array:
     """(R,) readings of all windows from starts `x` (W, 7)."""
-    path = paths(kernels, readings, parameters, x, substeps)
-    return readings_of(kernels, readings, parameters, path, readings.layout.h / substeps)
+    layout = readings.layout
+    held = HeldCommands(layout.commands, layout.h, substeps, INTEGRATOR)
+    late = float(delays_of(kernels, parameters)[2])
+    none = np.zeros((len(parameters), 0))
+    y, _ = compute_readings(
+        kernels, parameters, none, x, np.zeros((STATES, 0)), held,
+        layout.kernel_windows(substeps), layout.stations(late, held.fine),
+    )  # fmt: skip
+    return y
