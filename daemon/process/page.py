@@ -60,11 +60,13 @@ class PageServer:
 
     Attributes:
         word: the secret part of the address.
+        operators: those whose pages are open.
     """
 
     def __init__(self, view: CarView, page: str) -> None:
         self.word = secrets.token_urlsafe(12)
         self._view, self._page = view, page.encode()
+        self.operators: set[PageOperator] = set()
         self.port = 0
 
     @property
@@ -116,6 +118,7 @@ class PageServer:
     async def _talk(self, connection: ServerConnection) -> None:
         """Show the car to one page, and pass on what it asks for."""
         operator = PageOperator(self._view)
+        self.operators.add(operator)
         shown = asyncio.create_task(self._show(connection, operator))
         try:
             async for word in connection:
@@ -125,6 +128,9 @@ class PageServer:
             pass
         finally:
             shown.cancel()
+            while operator.repeat():  # the last word of a page that is left may be a stop
+                await asyncio.sleep(_POLL_S)
+            self.operators.discard(operator)
 
     async def _show(self, connection: ServerConnection, operator: PageOperator) -> None:
         with contextlib.suppress(ConnectionClosed):
@@ -151,6 +157,8 @@ async def run_page(
     try:
         while not ended.is_set():
             view.poll()
+            for operator in pages.operators:
+                operator.repeat()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(ended.wait(), _POLL_S)
     finally:
