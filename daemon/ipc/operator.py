@@ -58,12 +58,15 @@ class Operator:
         )
         return encode(request)
 
-    def make_parameters(self, wanted: Mapping[str, float], realtime_ns: int) -> bytes:
+    def make_parameters(
+        self, wanted: Mapping[str, float], realtime_ns: int, name: str = ""
+    ) -> bytes:
         """The next request as one for other live parameters, encoded.
 
         Args:
             wanted: `speed` [m/s], `offset` [m], `gain`; what is not named stays.
             realtime_ns: now.
+            name: who asks under this lease, where it is not its holder.
         """
         self.seq += 1
         values = {"speed": nan, "offset": nan, "gain": nan, **wanted}
@@ -71,7 +74,7 @@ class Operator:
         who = (self.boot_id, self.lease_id, self.seq)
         return encode(
             ParameterRequest(
-                header, *who, values["speed"], values["offset"], values["gain"], self.name
+                header, *who, values["speed"], values["offset"], values["gain"], name or self.name
             )
         )
 
