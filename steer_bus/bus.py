@@ -57,11 +57,6 @@ Keep = Callable[[bytes], bool]
 """Whether a message is worth its place in a ring; never raises, may run in another thread."""
 
 
-def keep_all(_data: bytes) -> bool:
-    """Keep every message."""
-    return True
-
-
 class Bus(Protocol):
     """One participant. Keys to listen to may hold ``*`` (one chunk) and ``**`` (any).
 
@@ -78,7 +73,7 @@ class Bus(Protocol):
             BusError: if the key holds a wildcard, the message is too long or the bus is closed.
         """
 
-    def subscribe(self, key: str, depth: int = 1, keep: Keep = keep_all) -> Subscription:
+    def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> Subscription:
         """Receive a key's newest ``depth`` samples; what is not kept displaces none."""
 
     def has_subscriber(self, key: str) -> bool:

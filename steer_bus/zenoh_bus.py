@@ -7,7 +7,6 @@ BLOCK can hold ``put`` for 5 s, an undrained FIFO stalls the sender, and a sessi
 the process from exiting (`docs/reference/sessions-and-bus.md#b2`).
 """
 
-import contextlib
 import ipaddress
 import json
 import struct
@@ -29,7 +28,6 @@ from steerd.steer_bus.bus import (
     Token,
     check_key,
     check_size,
-    keep_all,
 )
 from steerd.steer_bus.clock import Clock, MonotonicClock
 from steerd.steer_bus.codec import type_name
@@ -166,19 +164,24 @@ class ZenohBus:
         except zenoh.ZError as error:
             raise BusError(f"cannot publish {key}: {error}") from error
 
-    def subscribe(self, key: str, depth: int = 1, keep: Keep = keep_all) -> Subscription:
+    def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> Subscription:
         """See `steerd.steer_bus.bus.Bus.subscribe`; ``keep`` runs in a thread of its own.
 
         Whoever sends faster than it decides is held back on their own connection.
         """
-        samples: deque[Sample] = deque(maxlen=depth)
+        if keep is None:
+            ring: Any = zenoh.handlers.RingChannel(depth)
+            handle = self._ask(lambda: self._session.declare_subscriber(key, ring))
+            return _Ring(handle, handle.try_recv)
+        kept: deque[zenoh.Sample] = deque(maxlen=depth)
 
         def take(sample: zenoh.Sample) -> None:
             if keep(sample.payload.to_bytes()):
-                samples.append(_make_sample(sample))
+                kept.append(sample)
 
         handler: Any = zenoh.handlers.Callback(take)
-        return _Ring(self._ask(lambda: self._session.declare_subscriber(key, handler)), samples)
+        handle = self._ask(lambda: self._session.declare_subscriber(key, handler))
+        return _Ring(handle, lambda: kept.popleft() if kept else None)
 
     def has_subscriber(self, key: str) -> bool:
         """See `steerd.steer_bus.bus.Bus.has_subscriber`."""
@@ -273,14 +276,13 @@ class _Declared:
 
 
 class _Ring:
-    def __init__(self, handle: Any, samples: deque[Sample]) -> None:
-        self._handle, self._samples = handle, samples
+    def __init__(self, handle: Any, take: Callable[[], zenoh.Sample | None]) -> None:
+        self._handle, self._take = handle, take
 
     def poll(self) -> list[Sample]:
         taken = []
-        with contextlib.suppress(IndexError):
-            while True:
-                taken.append(self._samples.popleft())
+        while (sample := self._take()) is not None:
+            taken.append(_make_sample(sample))
         return taken
 
     def close(self) -> None:

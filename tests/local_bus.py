@@ -13,7 +13,6 @@ from steerd.steer_bus.bus import (
     Token,
     check_key,
     check_size,
-    keep_all,
 )
 
 
@@ -34,7 +33,7 @@ def _chunks_match(pattern: list[str], key: list[str]) -> bool:
 class _Ring:
     pattern: str
     samples: deque[Sample]
-    keep: Keep
+    keep: Keep | None
 
     def poll(self) -> list[Sample]:
         taken = []
@@ -90,10 +89,10 @@ class LocalBus:
         seq = self._seqs[key] = self._seqs.get(check_key(key), 0) + 1
         sample = Sample(key, bytes(check_size(data)), seq)
         for ring in self._hub.rings:
-            if key_matches(ring.pattern, key) and ring.keep(sample.data):
+            if key_matches(ring.pattern, key) and (not ring.keep or ring.keep(sample.data)):
                 ring.samples.append(sample)
 
-    def subscribe(self, key: str, depth: int = 1, keep: Keep = keep_all) -> Subscription:
+    def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> Subscription:
         """See :meth:`Bus.subscribe`."""
         self._check_open()
         ring = _Ring(key, deque(maxlen=depth), keep)
