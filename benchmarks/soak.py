@@ -188,16 +188,16 @@ def drive(minutes: float, session: Path, rate: float, every: float | None) -> Dr
             if every is not None and t < limit:
                 strangers.start(os.pread(said.fileno(), 1 << 16, 0).decode())
             if t > limit:
-                told = strangers.end()
+                events = strangers.end()
                 run.send_signal(signal.SIGTERM)
                 limit = inf
         said.seek(0)
         return Driven(
-            samples, run.returncode, said.read(), told if limit == inf else strangers.end()
+            samples, run.returncode, said.read(), events if limit == inf else strangers.end()
         )
 
 
-def judge_stops(session: Path, told: list[dict[str, Any]]) -> dict[str, Any]:
+def judge_stops(session: Path, events: list[dict[str, Any]]) -> dict[str, Any]:
     """How long each stop took, which were missed, and what else stopped the car."""
     from steerd.daemon.loop.transitions import SupervisorState
     from steerd.steer_bus.session import open_session
@@ -207,7 +207,7 @@ def judge_stops(session: Path, told: list[dict[str, Any]]) -> dict[str, Any]:
     left = [(r.log_ns, r.decode()) for r in records]
     left = [(t, c) for t, c in left if c.from_state == SupervisorState.RUNNING]
     took: list[float] = []
-    for sent in (each for each in told if "kind" in each):
+    for sent in (each for each in events if "kind" in each):
         answers = [t for t, _ in left if 0 <= t - sent["t_ns"] <= STOP_S * 1e9]
         took.append((answers[0] - sent["t_ns"]) * 1e-6 if answers else inf)
         left = [(t, c) for t, c in left if t not in answers]
@@ -218,7 +218,7 @@ def judge_stops(session: Path, told: list[dict[str, Any]]) -> dict[str, Any]:
         "worst_ms": max((ms for ms in took if ms < inf), default=inf),
         "median_ms": median(took) if took else inf,
         "false": end[:-1] if end and end[-1].startswith("disarm") else end,
-        "nonsense": [each for each in told if "kind" not in each],
+        "nonsense": [each for each in events if "kind" not in each],
     }
 
 
@@ -306,9 +306,9 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         session = Path(folder) / "soak.mcap"
         every = args.stop_every if args.fuzz else None
-        samples, code, said, told = drive(args.minutes, session, args.rate, every)
+        samples, code, said, events = drive(args.minutes, session, args.rate, every)
         ticks = read_ticks(session)
-        stops = judge_stops(session, told) if args.fuzz else None
+        stops = judge_stops(session, events) if args.fuzz else None
     processes = compare(samples)
     driven = max((s.t for s in samples), default=0.0)
     result = {

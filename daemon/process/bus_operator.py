@@ -1,6 +1,6 @@
 """An operator on the bus: a lease of their own with each run of the car, and stops that arrive."""
 
-# Why: docs/decisions/safety.md#d111
+# Why: docs/decisions/safety.md#d112
 
 import contextlib
 import secrets

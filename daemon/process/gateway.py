@@ -5,7 +5,7 @@ socket that the core reads. What decodes is passed on, stops first, under the ba
 whether it is obeyed is the core's to decide.
 """
 
-# Why: docs/decisions/safety.md#d111
+# Why: docs/decisions/safety.md#d112
 
 import contextlib
 import json
