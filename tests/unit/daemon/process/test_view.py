@@ -1,10 +1,13 @@
 """The viewer: what is drawn, what is advertised, what is refused. Decoded by protobuf itself."""
 
+import asyncio
 import json
 import os
 from dataclasses import fields
 from math import nan
 from types import SimpleNamespace
+
+import pytest
 
 from steerd.daemon.ipc.live_setting import parse_setting
 from steerd.daemon.ipc.outbox import Outbox
@@ -99,3 +102,43 @@ def test_every_topic_has_a_channel_with_its_schema():
             assert (channel.encoding, channel.schema_encoding) == ("cdr", "ros2msg")
             assert "std_msgs/Header" in channel.schema or topic is topics.LOG
     assert len(channels) == sum(topic.on_bus for topic in topics.TOPICS) + 2
+
+
+class Client:
+    """A client that says these words and is gone; keeps what it was sent."""
+
+    def __init__(self, *words):
+        self._words, self.sent = list(words), []
+
+    async def send(self, message):
+        self.sent.append(message)
+
+    def __aiter__(self):
+        return self
+
+    async def __anext__(self):
+        await asyncio.sleep(0)
+        if not self._words:
+            raise StopAsyncIteration
+        return self._words.pop(0)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "", "{", "[]", "7", "null", b"\0\xff", "[" * 50_000, '{"op": 5}', '{"op": "subscribe"}',
+        '{"op": "subscribe", "subscriptions": [{"id": {}, "channelId": "x"}]}',
+        '{"op": "unsubscribe", "subscriptionIds": [[]]}',
+        '{"op": "setParameters", "parameters": [{"name": [], "value": 1e999}, 3]}',
+        '{"op": "subscribeParameterUpdates", "parameterNames": 3}',
+    ],
+)  # fmt: skip
+def test_no_word_of_a_client_ends_its_connection(words):
+    asked = '{"op": "getParameters", "parameterNames": ["a", "b"], "id": "1"}'
+    client = Client(words, asked, *["{}"] * 9)
+    server = ViewServer("x", make_channels("car1"), ViewParameters({"a": 1.5, "b": nan}))
+    asyncio.run(server.talk(client))
+    said = [json.loads(text) for text in client.sent]
+    assert [each["op"] for each in said[:2]] == ["serverInfo", "advertise"]
+    assert said[-1]["parameters"] == [{"name": "a", "value": 1.5, "type": "float64"}]
+    assert said[-1]["id"] == "1"
