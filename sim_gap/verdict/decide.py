@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effects import find_effect
+from steerd.car_model.native.windows import SENSITIVITIES
 from steerd.sim_gap.verdict.candidates import Score, gain_of, refit, scored
 from steerd.sim_gap.verdict.screen import Promise, extended, screen
 from steerd.sim_gap.verdict.where import conditions, turn_sign
-from steerd.sysid.compiler.codegen import SENSITIVITIES
 from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.estimation.objective import STATES
 from steerd.sysid.inference import constants as c

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
-from steerd.sysid.compiler.codegen import SENSITIVITIES
+from steerd.car_model.native.windows import SENSITIVITIES
 from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.estimation.objective import STATES
 from steerd.sysid.inference.engine import Engine, Reduced

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     HeldCommands,
     delays_of,
     make_window_blocks,

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     HeldCommands,
     Stations,
     compute_readings,

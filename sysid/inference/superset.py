@@ -16,8 +16,8 @@ from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
+from steerd.car_model.native.windows import Kernels, make_kernels, parameter_vector
 from steerd.car_model.params import Car
-from steerd.sysid.compiler.kernels import Kernels, make_kernels, parameter_vector
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.estimation.fit import prescribe_speed
 from steerd.sysid.inference.knowledge import Knowledge, knowledge_of_section

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.model import Model, observe
-from steerd.car_model.numpy_ops import NUMPY
-from steerd.car_model.state import State
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     STATES,
     HeldCommands,
     Kernels,
@@ -23,6 +21,8 @@ from steerd.sysid.compiler.kernels import (
     settle,
     view_by_window,
 )
+from steerd.car_model.numpy_ops import NUMPY
+from steerd.car_model.state import State
 from steerd.sysid.inference.readings import Readings
 
 Array = NDArray[np.float64]
