@@ -2,6 +2,7 @@
 
     python benchmarks/soak.py --minutes 20
     python benchmarks/soak.py --minutes 60 --log soak.jsonl
+    python benchmarks/soak.py --minutes 120 --fuzz
 
 Simulated hardware at 200 Hz with recorder, gateway and view, as `steerd run --sim --view`. Every
 five seconds: descriptors, threads, resident memory of each process, bytes that wait in its pipes
@@ -9,6 +10,11 @@ and sockets. Afterwards the session is read: whole or not, late ticks in each qu
 compared is the second quarter with the last. With `--log` each run is one line more: slices of a
 long soak, on different days if need be, are summed up. A machine that is busy stops the car (a
 simulated one tolerates 250 ms); the slice then ends, with its reason.
+
+`--fuzz` starts two strangers (`soak_strangers.py`): one sends 1000 messages a second of nonsense to
+bus, page and viewer, one stops the car for real once a minute and starts it again. A stop counts as
+missed when the car's state has not changed 0.2 s after it was sent; whatever else stops the car is
+a false stop.
 """
 
 import argparse
@@ -39,6 +45,8 @@ WARM_S = 20.0
 RSS_MIB_PER_H = 1.0
 """Growth of resident memory that counts as flat."""
 NAMES = ("core", "guardian", "recorder", "gateway", "view", "hardware", "world")
+STOP_S = 0.2
+"""A stop that takes longer, from its sending to the tick that brakes, is missed."""
 PAGE_KIB = os.sysconf("SC_PAGE_SIZE") // 1024
 
 
@@ -111,32 +119,107 @@ def free_port() -> int:
         return int(listener.getsockname()[1])
 
 
-def drive(minutes: float, session: Path, rate: float) -> tuple[list[Sample], int, str]:
-    """Drive, and look every few seconds; samples, exit code and what was printed."""
+class Driven(NamedTuple):
+    """A drive: samples, exit code, what was printed, and what the strangers printed."""
+
+    samples: list[Sample]
+    code: int
+    said: str
+    strangers: list[dict[str, Any]]
+
+
+class Strangers:
+    """The processes of `--fuzz`, from the moment in which the car's page and viewer are there."""
+
+    def __init__(self, endpoint: str, seconds: float, every: float) -> None:
+        self._endpoint, self._seconds, self._every = endpoint, f"{seconds:g}", f"{every:g}"
+        self._started: list[subprocess.Popen[str]] = []
+        self._out = tempfile.TemporaryFile("w+")  # noqa: SIM115
+
+    def start(self, said: str) -> None:
+        """Start them once; nothing before both addresses were printed."""
+        page, view = (re.search(rf"{what}: (\S+)", said) for what in ("page", "view"))
+        if self._started or page is None or view is None or "RUNNING" not in said:
+            return
+        for what in (
+            ("fuzz", self._endpoint, page[1], view[1], self._seconds, "29"),
+            ("stops", self._endpoint, page[1], self._seconds, self._every),
+        ):
+            command = [sys.executable, str(ROOT / "benchmarks" / "soak_strangers.py"), *what]
+            self._started.append(
+                subprocess.Popen(command, stdin=subprocess.PIPE, stdout=self._out, text=True)
+            )
+
+    def end(self) -> list[dict[str, Any]]:
+        """End them; what they printed."""
+        for process in self._started:
+            process.communicate(timeout=30)
+        self._out.seek(0)
+        return [json.loads(line) for line in self._out]
+
+
+def drive(minutes: float, session: Path, rate: float, every: float | None) -> Driven:
+    """Drive, and look every few seconds; with strangers where there is a time between stops."""
+    endpoint, view = (f"127.0.0.1:{free_port()}" for _ in range(2))
     command = [
         sys.executable, "-m", "steerd", "run", "--sim", "--auto-arm", "--path", "figure8",
-        "--speed", "1.5", "--rate", f"{rate:g}", "--record", str(session), "--view",
-        f"127.0.0.1:{free_port()}", "--listen",
-        f"tcp/127.0.0.1:{free_port()}",
+        "--speed", "1.5", "--rate", f"{rate:g}", "--record", str(session), "--view", view,
+        "--listen", f"tcp/{endpoint}", *(() if every is None else ("--page",)),
     ]  # fmt: skip
     samples: list[Sample] = []
+    limit = minutes * 60  # no --duration: a drive that ends by itself was stopped
+    strangers = Strangers(f"tcp/{endpoint}", limit, every or 0.0)
     with tempfile.TemporaryFile("w+") as said:
         began = time.monotonic()
         run = subprocess.Popen(
-            command, cwd=ROOT, stdout=said, stderr=said, stdin=subprocess.DEVNULL
+            command,
+            cwd=ROOT,
+            stdout=said,
+            stderr=said,
+            stdin=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
-        limit = minutes * 60  # no --duration: a drive that ends by itself was stopped
         while run.poll() is None:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 run.wait(SAMPLE_S)
             t = time.monotonic() - began
             with contextlib.suppress(OSError):  # a process that is just ending
                 samples += [measure(pid, name, t) for pid, name in list_processes(run.pid)]
+            if every is not None and t < limit:
+                strangers.start(os.pread(said.fileno(), 1 << 16, 0).decode())
             if t > limit:
+                events = strangers.end()
                 run.send_signal(signal.SIGTERM)
                 limit = inf
         said.seek(0)
-        return samples, run.returncode, said.read()
+        return Driven(
+            samples, run.returncode, said.read(), events if limit == inf else strangers.end()
+        )
+
+
+def judge_stops(session: Path, events: list[dict[str, Any]]) -> dict[str, Any]:
+    """How long each stop took, which were missed, and what else stopped the car."""
+    from steerd.daemon.loop.transitions import SupervisorState
+    from steerd.steer_bus.session import open_session
+
+    path = session if session.exists() else session.with_name(session.name + ".partial")
+    records = open_session(path).messages("/steerd/car1/transition")
+    left = [(r.log_ns, r.decode()) for r in records]
+    left = [(t, c) for t, c in left if c.from_state == SupervisorState.RUNNING]
+    took: list[float] = []
+    for sent in (each for each in events if "kind" in each):
+        answers = [t for t, _ in left if 0 <= t - sent["t_ns"] <= STOP_S * 1e9]
+        took.append((answers[0] - sent["t_ns"]) * 1e-6 if answers else inf)
+        left = [(t, c) for t, c in left if t not in answers]
+    end = [c.text for _, c in left]
+    return {
+        "stops": len(took),
+        "missed": sum(ms == inf for ms in took),
+        "worst_ms": max((ms for ms in took if ms < inf), default=inf),
+        "median_ms": median(took) if took else inf,
+        "false": end[:-1] if end and end[-1].startswith("disarm") else end,
+        "nonsense": [each for each in events if "kind" not in each],
+    }
 
 
 def read_ticks(session: Path) -> dict[str, Any]:
@@ -214,20 +297,33 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=20.0, help="of this slice")
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ")
+    parser.add_argument("--fuzz", action="store_true", help="strangers, and a real stop a minute")
+    parser.add_argument(
+        "--stop-every", type=float, default=60.0, metavar="S", help="with --fuzz (default 60)"
+    )
     parser.add_argument("--log", type=Path, help="slices so far; this one is added")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         session = Path(folder) / "soak.mcap"
-        samples, code, said = drive(args.minutes, session, args.rate)
+        every = args.stop_every if args.fuzz else None
+        samples, code, said, events = drive(args.minutes, session, args.rate, every)
         ticks = read_ticks(session)
+        stops = judge_stops(session, events) if args.fuzz else None
     processes = compare(samples)
     driven = max((s.t for s in samples), default=0.0)
     result = {
         "minutes": args.minutes, "driven_s": driven, "exit": code, "ticks": ticks,
-        "processes": processes, "said": said.splitlines()[-6:],
+        "processes": processes, "said": said.splitlines()[-6:], "stops": stops,
     }  # fmt: skip
     show(result)
-    good = code == 0 and ticks["whole"] and all(map(is_flat, processes.values()))
+    ended = code == 0  # an emergency stop, which strangers call, is a safety stop: 5
+    if stops is not None:
+        print(
+            "{stops} stops, {missed} missed, median {median_ms:.1f} ms, worst {worst_ms:.1f} ms;"
+            " false stops: {false}; nonsense: {nonsense}".format(**stops)
+        )
+        ended = code in (0, 5) and not stops["missed"] and not stops["false"] and stops["stops"] > 0
+    good = ended and ticks["whole"] and all(map(is_flat, processes.values()))
     if not good:
         print("\n".join(result["said"]))
     if args.log:

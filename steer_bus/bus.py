@@ -2,7 +2,7 @@
 
 Receiving is polling: a subscription is a ring that keeps the newest samples, so neither side can
 ever stall the other, and nothing runs in a thread the caller did not start (the answers of
-:meth:`Bus.serve` excepted).
+:meth:`Bus.serve` and what a subscription keeps excepted).
 """
 
 from collections.abc import Callable
@@ -53,9 +53,18 @@ class Token(Protocol):
 Answer = Callable[[str], bytes | None]
 """Gives the value of a key, or None if there is none; may run in another thread."""
 
+Keep = Callable[[bytes], bool]
+"""Whether a message is worth its place in a ring; never raises, may run in another thread."""
+
 
 class Bus(Protocol):
-    """One participant. Keys to listen to may hold ``*`` (one chunk) and ``**`` (any)."""
+    """One participant. Keys to listen to may hold ``*`` (one chunk) and ``**`` (any).
+
+    Attributes:
+        who: the name in this participant's certificate; empty without one.
+    """
+
+    who: str
 
     def publish(self, key: str, data: bytes) -> None:
         """Send to whoever listens; never waits for a slow receiver.
@@ -64,8 +73,8 @@ class Bus(Protocol):
             BusError: if the key holds a wildcard, the message is too long or the bus is closed.
         """
 
-    def subscribe(self, key: str, depth: int = 1) -> Subscription:
-        """Receive a key's newest ``depth`` samples."""
+    def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> Subscription:
+        """Receive a key's newest ``depth`` samples; what is not kept displaces none."""
 
     def has_subscriber(self, key: str) -> bool:
         """Say whether anybody listens to a key."""

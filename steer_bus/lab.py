@@ -3,6 +3,7 @@
 A folder made by ``steerd keys`` holds ``ca.pem``, ``cert.pem``, ``key.pem`` and ``lab.toml``. Both
 ends of a connection show a certificate of the lab's own authority (mutual TLS); the hub then
 allows by the certificate's common name: operators command and read, viewers read, others nothing.
+An operator's requests go under keys that end with the own name, so that the car knows who sent one.
 """
 
 # Why: docs/decisions/safety.md#d25
@@ -15,7 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from steerd.steer_bus.bus import BusError
-from steerd.steer_bus.topics import ROOT, TOPICS, Direction, alive_key, make_key
+from steerd.steer_bus.topics import (
+    EXTERNAL_POSE,
+    ROOT,
+    TOPICS,
+    Direction,
+    alive_key,
+    make_key,
+)
 
 DEFAULT_PORT = 7447
 _TLS = "transport/link/tls/"
@@ -32,6 +40,7 @@ class Lab:
         endpoint: where the hub listens and everybody dials, such as ``tls/192.168.1.20:7447``.
         operators: common names that may command and read.
         viewers: common names that may read.
+        name: this participant's common name.
     """
 
     folder: Path
@@ -39,6 +48,7 @@ class Lab:
     endpoint: str
     operators: tuple[str, ...] = ()
     viewers: tuple[str, ...] = ()
+    name: str = ""
 
 
 def load_lab(folder: Path) -> Lab:
@@ -60,6 +70,7 @@ def load_lab(folder: Path) -> Lab:
             _text(table["endpoint"]),
             tuple(map(_text, table["operators"])),
             tuple(map(_text, table["viewers"])),
+            _text(table.get("name", folder.name)),
         )
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise BusError(f"{folder / 'lab.toml'}: {error!s}") from None
@@ -91,10 +102,11 @@ def make_access_settings(lab: Lab, pose_key: str | None = None) -> dict[str, Any
         lab: who may do what.
         pose_key: a key beside the car's own under which operators may publish poses.
     """
-    inputs = [make_key(lab.car, t) for t in TOPICS if t.direction is Direction.IN and t.on_bus]
-    inputs += [pose_key] if pose_key else []
+    named = [t for t in TOPICS if t.direction is Direction.IN and t is not EXTERNAL_POSE]
+    poses = [make_key(lab.car, EXTERNAL_POSE), *([pose_key] if pose_key else [])]
     queried = [f"{ROOT}/*/alive", alive_key(lab.car), make_key(lab.car, "schema/**")]
     published = [make_key(lab.car, "*"), make_key(lab.car, "schema/**")]
+    heard = [*poses, *(make_key(lab.car, topic, "**") for topic in named)]
     rules = [
         _rule("listen", "ingress", ["declare_subscriber"], [f"{ROOT}/{lab.car}/**"]),
         _rule("query", "ingress", _QUERYING, queried),
@@ -104,25 +116,48 @@ def make_access_settings(lab: Lab, pose_key: str | None = None) -> dict[str, Any
             ["put", "reply", "liveliness_token", "declare_queryable"],
             published,
         ),
-        _rule("command", "ingress", ["put"], inputs),
-        _rule("expect", "egress", ["declare_subscriber"], inputs),
+        _rule("expect", "egress", ["declare_subscriber"], heard),
     ]
     reading = ["listen", "query", "publish"]
-    named = (
-        ("operators", lab.operators, [*reading, "command", "expect"]),
-        ("viewers", lab.viewers, reading),
-    )
+    roles = [("viewers", lab.viewers, reading)] if lab.viewers else []
+    for name in lab.operators:
+        own = [*poses, *(make_key(lab.car, topic, name) for topic in named)]
+        rules.append(_rule(f"command as {name}", "ingress", ["put"], own))
+        roles.append((name, (name,), [*reading, "expect", f"command as {name}"]))
+    return _access("deny", rules, roles)
+
+
+def make_plain_access() -> dict[str, Any]:
+    """Make the access control of a hub without certificates, on loopback.
+
+    All is allowed but two things: to hear requests, whose lease ids are secrets, and to speak under
+    the keys of a car, whose gateway is the hub itself.
+    """
+    spoken = [f"{ROOT}/*/{t.name}" for t in TOPICS if t.direction is Direction.OUT]
+    rules = [
+        _rule("requests", "egress", ["put"], [f"{ROOT}/*/cmd/**"], "deny"),
+        _rule("forged", "ingress", ["put"], spoken, "deny"),
+    ]
+    return _access("allow", rules, [("everybody", None, ["requests", "forged"])])
+
+
+def _access(
+    default: str,
+    rules: list[dict[str, Any]],
+    roles: Iterable[tuple[str, tuple[str, ...] | None, list[str]]],
+) -> dict[str, Any]:
+    """Access control by role: its id, its common names (None for everybody), its rules."""
+    roles = list(roles)
     return {
         "access_control": {
             "enabled": True,
-            "default_permission": "deny",
+            "default_permission": default,
             "rules": rules,
             "subjects": [
-                {"id": role, "cert_common_names": list(names)} for role, names, _ in named if names
+                {"id": role, **({"cert_common_names": list(names)} if names is not None else {})}
+                for role, names, _ in roles
             ],
-            "policies": [
-                {"rules": allowed, "subjects": [role]} for role, names, allowed in named if names
-            ],
+            "policies": [{"rules": given, "subjects": [role]} for role, _, given in roles],
         }
     }
 
@@ -130,12 +165,14 @@ def make_access_settings(lab: Lab, pose_key: str | None = None) -> dict[str, Any
 _QUERYING = ["query", "liveliness_query", "declare_liveliness_subscriber"]
 
 
-def _rule(name: str, flow: str, messages: list[str], keys: Iterable[str]) -> dict[str, Any]:
+def _rule(
+    name: str, flow: str, messages: list[str], keys: Iterable[str], permission: str = "allow"
+) -> dict[str, Any]:
     return {
         "id": name,
         "messages": messages,
         "flows": [flow],
-        "permission": "allow",
+        "permission": permission,
         "key_exprs": list(keys),
     }
 

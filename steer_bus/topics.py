@@ -85,6 +85,7 @@ TRANSITION = Topic("transition", Transition)
 CLOCK = Topic("clock", ClockSample, rate_hz=1.0)
 DRIVE = Topic("cmd/drive", DriveCommand, Direction.IN, Priority.REAL_TIME, rate_hz=100.0)
 OPERATOR = Topic("cmd/operator", OperatorRequest, Direction.IN, Priority.REAL_TIME)
+STOP = Topic("cmd/stop", OperatorRequest, Direction.IN, Priority.REAL_TIME, logged=False)
 ODOM = Topic("odom", Odometry, logged=False, rate_hz=50.0)
 POSE = Topic("pose", PoseStamped, logged=False, rate_hz=50.0)
 EXTERNAL_POSE = Topic("in/pose", PoseStamped, Direction.IN, Priority.REAL_TIME, rate_hz=200.0)
@@ -104,7 +105,7 @@ LAST_MODEL = "param/model"
 TOPICS = (
     TICK, MOCAP, VESC, IDENTITY, IMU, ACTUATION, STATE, TRANSITION, CLOCK, DRIVE, OPERATOR, ODOM,
     POSE, EXTERNAL_POSE, VESC_STATE, DIAGNOSTICS, LOG, WHEEL, THROTTLE,
-    SET_PARAMETERS, PARAMETERS, MODEL, DESIGN,
+    SET_PARAMETERS, PARAMETERS, MODEL, DESIGN, STOP,
 )  # fmt: skip
 
 
@@ -119,14 +120,19 @@ def check_car_name(car: str) -> str:
     return car
 
 
-def make_key(car: str, topic: Topic | str) -> str:
+def make_key(car: str, topic: Topic | str, who: str = "") -> str:
     """Make the bus key of a car's topic (or of a name such as ``"alive"``).
+
+    Args:
+        car: the car.
+        topic: what travels under it.
+        who: the sender's name, which stands in the key where certificates prove it.
 
     Raises:
         ValueError: on a bad car name.
     """
     name = topic.name if isinstance(topic, Topic) else topic
-    return f"{ROOT}/{check_car_name(car)}/{name}"
+    return "/".join((ROOT, check_car_name(car), name, *((who,) if who else ())))
 
 
 def make_session_topic(car: str, topic: Topic) -> str:
@@ -146,9 +152,10 @@ def split_key(key: str) -> tuple[str, str] | None:
 
 
 def find_topic(key: str) -> Topic | None:
-    """Give the table's row for a bus key or a session topic, or None."""
+    """Give the table's row for a bus key, with a sender's name or without, or a session topic."""
     parts = split_key(key)
-    return next((t for t in TOPICS if parts and t.name == parts[1]), None)
+    name = "/".join(parts[1].split("/")[:2]) if parts else ""
+    return next((t for t in TOPICS if t.name == name), None)
 
 
 def alive_key(car: str) -> str:

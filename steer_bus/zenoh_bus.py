@@ -11,6 +11,7 @@ import ipaddress
 import json
 import struct
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from hashlib import blake2b
@@ -21,6 +22,7 @@ import zenoh  # noqa: TID251
 from steerd.steer_bus.bus import (
     Answer,
     BusError,
+    Keep,
     Sample,
     Subscription,
     Token,
@@ -29,7 +31,13 @@ from steerd.steer_bus.bus import (
 )
 from steerd.steer_bus.clock import Clock, MonotonicClock
 from steerd.steer_bus.codec import type_name
-from steerd.steer_bus.lab import DEFAULT_PORT, Lab, make_access_settings, make_tls_settings
+from steerd.steer_bus.lab import (
+    DEFAULT_PORT,
+    Lab,
+    make_access_settings,
+    make_plain_access,
+    make_tls_settings,
+)
 from steerd.steer_bus.topics import Priority, find_topic
 
 _ATTACHMENT = struct.Struct("<qqB16s")  # rmw_zenoh's: sequence, UNIX ns, 16, publisher id
@@ -53,6 +61,7 @@ class Profile:
         lease_ms: after how long a silent peer counts as dead. Not the command watchdog.
         insecure_lan: allow a plain-text hub on an address that others can reach.
         settings: further zenoh settings (TLS, access control) by their ``/`` path.
+        who: the name in this participant's certificate; empty without one.
     """
 
     hub: bool
@@ -60,6 +69,7 @@ class Profile:
     lease_ms: int = 1000
     insecure_lan: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
+    who: str = ""
 
 
 def make_hub_profile(
@@ -71,7 +81,7 @@ def make_hub_profile(
 ) -> Profile:
     """Make the profile of a car's hub: plain on loopback, or the lab's with mutual TLS."""
     if lab is None:
-        return Profile(True, endpoint, insecure_lan=insecure_lan)
+        return Profile(True, endpoint, insecure_lan=insecure_lan, settings=make_plain_access())
     access = make_access_settings(lab, pose_key)
     settings = {**make_tls_settings(lab, hub=True), **access}
     return Profile(True, endpoint, settings=settings)
@@ -79,7 +89,9 @@ def make_hub_profile(
 
 def make_spoke_profile(endpoint: str, lab: Lab | None) -> Profile:
     """Make the profile of who dials a hub."""
-    return Profile(False, endpoint, settings=make_tls_settings(lab, hub=False) if lab else {})
+    if lab is None:
+        return Profile(False, endpoint)
+    return Profile(False, endpoint, settings=make_tls_settings(lab, hub=False), who=lab.name)
 
 
 def make_settings(profile: Profile) -> dict[str, Any]:
@@ -118,6 +130,7 @@ class ZenohBus:
             BusError: if the hub's port is taken, no hub answers, or a setting is unknown.
         """
         self._clock = clock or MonotonicClock()
+        self.who = profile.who
         self._session = _open(profile)
         self._zid = str(self._session.info.zid()).encode()
         self._publishers: dict[str, _Publisher] = {}
@@ -151,10 +164,24 @@ class ZenohBus:
         except zenoh.ZError as error:
             raise BusError(f"cannot publish {key}: {error}") from error
 
-    def subscribe(self, key: str, depth: int = 1) -> Subscription:
-        """See `steerd.steer_bus.bus.Bus.subscribe`."""
-        ring: Any = zenoh.handlers.RingChannel(depth)
-        return _Ring(self._ask(lambda: self._session.declare_subscriber(key, ring)))
+    def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> Subscription:
+        """See `steerd.steer_bus.bus.Bus.subscribe`; ``keep`` runs in a thread of its own.
+
+        Whoever sends faster than it decides is held back on their own connection.
+        """
+        if keep is None:
+            ring: Any = zenoh.handlers.RingChannel(depth)
+            handle = self._ask(lambda: self._session.declare_subscriber(key, ring))
+            return _Ring(handle, handle.try_recv)
+        kept: deque[zenoh.Sample] = deque(maxlen=depth)
+
+        def take(sample: zenoh.Sample) -> None:
+            if keep(sample.payload.to_bytes()):
+                kept.append(sample)
+
+        handler: Any = zenoh.handlers.Callback(take)
+        handle = self._ask(lambda: self._session.declare_subscriber(key, handler))
+        return _Ring(handle, lambda: kept.popleft() if kept else None)
 
     def has_subscriber(self, key: str) -> bool:
         """See `steerd.steer_bus.bus.Bus.has_subscriber`."""
@@ -249,12 +276,12 @@ class _Declared:
 
 
 class _Ring:
-    def __init__(self, handle: Any) -> None:
-        self._handle = handle
+    def __init__(self, handle: Any, take: Callable[[], zenoh.Sample | None]) -> None:
+        self._handle, self._take = handle, take
 
     def poll(self) -> list[Sample]:
         taken = []
-        while (sample := self._handle.try_recv()) is not None:
+        while (sample := self._take()) is not None:
             taken.append(_make_sample(sample))
         return taken
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from steerd.steer_bus.bus import (
     Answer,
     BusError,
+    Keep,
     Sample,
     Subscription,
     Token,
@@ -32,6 +33,7 @@ def _chunks_match(pattern: list[str], key: list[str]) -> bool:
 class _Ring:
     pattern: str
     samples: deque[Sample]
+    keep: Keep | None
 
     def poll(self) -> list[Sample]:
         taken = []
@@ -75,8 +77,8 @@ class _LocalSubscription:
 class LocalBus:
     """A participant of an in-process bus."""
 
-    def __init__(self, hub: LocalHub) -> None:
-        self._hub = hub
+    def __init__(self, hub: LocalHub, who: str = "") -> None:
+        self._hub, self.who = hub, who
         self._held: list[_Held] = []
         self._seqs: dict[str, int] = {}
         self._closed = False
@@ -87,13 +89,13 @@ class LocalBus:
         seq = self._seqs[key] = self._seqs.get(check_key(key), 0) + 1
         sample = Sample(key, bytes(check_size(data)), seq)
         for ring in self._hub.rings:
-            if key_matches(ring.pattern, key):
+            if key_matches(ring.pattern, key) and (not ring.keep or ring.keep(sample.data)):
                 ring.samples.append(sample)
 
-    def subscribe(self, key: str, depth: int = 1) -> Subscription:
+    def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> Subscription:
         """See :meth:`Bus.subscribe`."""
         self._check_open()
-        ring = _Ring(key, deque(maxlen=depth))
+        ring = _Ring(key, deque(maxlen=depth), keep)
         self._hub.rings.append(ring)
         return _LocalSubscription(ring, self._hold(lambda: self._hub.rings.remove(ring)))
 

@@ -154,6 +154,7 @@ class RunProcesses:
         session: file of the recording.
         core_report: what the core reported when it was ready.
         report_fd: the learner's reports for this terminal, with `--learn`.
+        view_url: where a viewer connects, with `--view`.
     """
 
     core: Child
@@ -168,6 +169,7 @@ class RunProcesses:
     viewer_requests: socket.socket | None = None
     learner: Child | None = None
     report_fd: int | None = None
+    view_url: str = ""
 
     def end(self) -> int:
         """Wait for the core, then for the others, which end when its pipes close.
@@ -263,8 +265,9 @@ def start_processes(
         recording = True
         core_report = _read_core_report(driver)
         _expect_ready(gateway, "gateway", ExitCode.UNREACHABLE)
-        for other in others:
-            _expect_ready(other, "viewer", ExitCode.UNREADABLE)
+        view_url = others[0].wait_ready("viewer") if others else ""
+        if others and not view_url.startswith("ws:"):
+            raise SteerdError(view_url, "", ExitCode.UNREADABLE)
         page = None if plan.options.page is None else start_page(plan)
     except SteerdError:
         ends = (gateway_end, gateway_core_end, terminal_end, terminal_core_end, *designs)
@@ -282,7 +285,7 @@ def start_processes(
     return RunProcesses(
         driver, recorder, gateway, others[0] if others else None, terminal_end, pipes["status"][0],
         session, core_report, page, viewer_requests, learner,
-        reader_fds(pipes, "terminal").get("report_terminal"),
+        reader_fds(pipes, "terminal").get("report_terminal"), view_url,
     )  # fmt: skip
 
 

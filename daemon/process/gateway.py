@@ -1,8 +1,11 @@
 """The gateway process: the car's messages onto the bus, operators' and controllers' requests back.
 
 The core never waits for it: messages come through a pipe that drops when full, requests go into a
-socket that the core reads. Requests are not checked here but in the core.
+socket that the core reads. What decodes is passed on, stops first, under the badge of its lease;
+whether it is obeyed is the core's to decide.
 """
+
+# Why: docs/decisions/safety.md#d112
 
 import contextlib
 import json
@@ -11,19 +14,22 @@ import select
 import socket
 import sys
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, pack_request
+from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, make_badge, pack_request
 from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
 from steerd.daemon.ipc.report_pipe import ReportPipe
 from steerd.daemon.ipc.signals import ignore_terminal_signals
+from steerd.daemon.process.bus_operator import STOPS
 from steerd.daemon.process.ros_bridge import RosBridge
 from steerd.daemon.process.views import Views
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import Bus, BusError, Subscription
+from steerd.steer_bus.bus import Bus, BusError, Keep, Subscription
+from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import load_lab
-from steerd.steer_bus.topics import LAST_MODEL, alive_key, make_key, schema_replies
+from steerd.steer_bus.topics import LAST_MODEL, Topic, alive_key, make_key, schema_replies
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
 
 _POLL_MS = 4
@@ -31,6 +37,31 @@ _POLL_MS = 4
 _READ_BYTES = 1 << 20
 _DEPTH = 16
 """Requests kept of each topic between two polls."""
+_INWARD = (topics.STOP, topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS)
+"""What comes from the bus, in the order in which it is passed on."""
+
+
+def make_keep(topic: Topic) -> Keep:
+    """Which bytes are requests of a topic: those that decode; under `STOP`, stops."""
+
+    def keep(data: bytes) -> bool:
+        if len(data) > REQUEST_MAX:
+            return False
+        try:
+            request = decode(topic.message, data)
+        except CodecError:
+            return False
+        return topic is not topics.STOP or request.kind in STOPS
+
+    return keep
+
+
+def seal(topic: Topic, data: bytes, who: str) -> bytes:
+    """A request for the core: with its lease's badge, and the name that a certificate proves."""
+    request = decode(topic.message, data)
+    request = replace(request, lease_id=make_badge(who, request.lease_id))
+    named = who and hasattr(request, "operator")
+    return encode(replace(request, operator=who) if named else request)
 
 
 class Gateway:
@@ -43,12 +74,11 @@ class Gateway:
         self._ros = ros
         self._car = car
         self._views = Views()
-        self._requests: list[tuple[str, Subscription]] = [
-            (topic.name, bus.subscribe(make_key(car, topic), _DEPTH))
-            for topic in (topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS)
+        self._requests: list[tuple[Topic, Subscription]] = [
+            (topic, bus.subscribe(make_key(car, topic, "**"), _DEPTH, make_keep(topic)))
+            for topic in _INWARD
         ]
-        if pose_key is not None:
-            self._requests.append((topics.EXTERNAL_POSE.name, bus.subscribe(pose_key, _DEPTH)))
+        self._poses = bus.subscribe(pose_key, _DEPTH) if pose_key is not None else None
         self._tokens = [bus.declare_alive(alive_key(car))]
         schemas = schema_replies(car)
         self._tokens.append(bus.serve(make_key(car, "schema/**"), schemas.get))
@@ -73,11 +103,19 @@ class Gateway:
 
     def forward_requests(self, core: socket.socket) -> None:
         """Send what arrived to the core; what does not fit is dropped."""
-        for name, subscription in self._requests:
+        for topic, subscription in self._requests:
+            known = topics.OPERATOR if topic is topics.STOP else topic
             for sample in subscription.poll():
-                if len(sample.data) <= REQUEST_MAX:
-                    with contextlib.suppress(BlockingIOError):
-                        core.send(pack_request(name, sample.data))
+                who = sample.key.removeprefix(make_key(self._car, topic)).removeprefix("/")
+                _send(core, known, seal(topic, sample.data, who))
+        for sample in self._poses.poll() if self._poses is not None else ():
+            if len(sample.data) <= REQUEST_MAX:
+                _send(core, topics.EXTERNAL_POSE, sample.data)
+
+
+def _send(core: socket.socket, topic: Topic, data: bytes) -> None:
+    with contextlib.suppress(BlockingIOError):
+        core.send(pack_request(topic.name, data))
 
 
 def run_gateway(

@@ -1,8 +1,4 @@
-"""The live page: one file over HTTP and a WebSocket, on this machine's loopback only.
-
-`websockets` lives here. A page of another origin cannot talk to it: the address holds a random
-word, and the WebSocket asks where it comes from.
-"""
+"""The live page: one file over HTTP and a WebSocket, on this machine's loopback only."""
 
 # Why: docs/decisions/safety.md#d69
 
@@ -10,21 +6,19 @@ import asyncio
 import contextlib
 import json
 import os
-import secrets
 import sys
 from collections.abc import Callable, Mapping
-from http import HTTPStatus
 from pathlib import Path
 from typing import Any
-
-from websockets.asyncio.server import Server, ServerConnection, serve  # noqa: TID251
-from websockets.datastructures import Headers  # noqa: TID251
-from websockets.exceptions import ConnectionClosed  # noqa: TID251
-from websockets.http11 import Request, Response  # noqa: TID251
 
 from steerd.daemon.ipc.operator import read_lab
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.page_link import CarView, PageOperator
+from steerd.daemon.process.secret_server import (
+    ConnectionClosed,
+    SecretServer,
+    ServerConnection,
+)
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
@@ -39,10 +33,6 @@ _WORD_MAX = 64
 """A page's message is a word."""
 _NICE = 5
 _FILES = Path(__file__).parent / "live_page"
-_POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
-    "connect-src 'self' ws://{host}; frame-ancestors 'none'"
-)
 
 
 def make_page(job: Mapping[str, Any]) -> str:
@@ -55,67 +45,21 @@ def make_page(job: Mapping[str, Any]) -> str:
     )
 
 
-class PageServer:
-    """One car's page and those who look at it.
+class PageTalk:
+    """Those who look at one car's page.
 
     Attributes:
-        word: the secret part of the address.
+        operators: of the pages that are open.
     """
 
-    def __init__(self, view: CarView, page: str) -> None:
-        self.word = secrets.token_urlsafe(12)
-        self._view, self._page = view, page.encode()
-        self.port = 0
+    def __init__(self, view: CarView) -> None:
+        self._view = view
+        self.operators: set[PageOperator] = set()
 
-    @property
-    def url(self) -> str:
-        """Where the page is."""
-        return f"http://{HOST}:{self.port}/{self.word}/"
-
-    async def open(self, port: int) -> Server:
-        """Listen.
-
-        Raises:
-            OSError: the port is taken.
-        """
-        server = await serve(
-            self._talk,
-            HOST,
-            port,
-            process_request=self._answer,
-            max_size=_WORD_MAX,
-            compression=None,
-            server_header=None,
-        )
-        self.port = next(iter(server.sockets)).getsockname()[1]
-        return server
-
-    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """The page itself, or nothing where a WebSocket may open."""
-        host = f"{HOST}:{self.port}"
-        if request.headers.get("Host") != host:  # another name for this machine: DNS rebinding
-            return connection.respond(HTTPStatus.FORBIDDEN, "not here\n")
-        if request.path == f"/{self.word}/":
-            headers = Headers(
-                {
-                    "Content-Type": "text/html; charset=utf-8",
-                    "Content-Length": str(len(self._page)),
-                    "Content-Security-Policy": _POLICY.format(host=host),
-                    "Cache-Control": "no-store",
-                    "Referrer-Policy": "no-referrer",
-                    "Connection": "close",
-                }
-            )
-            return Response(HTTPStatus.OK, "OK", headers, self._page)
-        if request.path != f"/{self.word}/live":
-            return connection.respond(HTTPStatus.NOT_FOUND, "nothing here\n")
-        if request.headers.get("Origin") != f"http://{host}":
-            return connection.respond(HTTPStatus.FORBIDDEN, "another page\n")
-        return None
-
-    async def _talk(self, connection: ServerConnection) -> None:
+    async def talk(self, connection: ServerConnection) -> None:
         """Show the car to one page, and pass on what it asks for."""
         operator = PageOperator(self._view)
+        self.operators.add(operator)
         shown = asyncio.create_task(self._show(connection, operator))
         try:
             async for word in connection:
@@ -125,6 +69,9 @@ class PageServer:
             pass
         finally:
             shown.cancel()
+            while operator.repeat():  # the last word of a page that is left may be a stop
+                await asyncio.sleep(_POLL_S)
+            self.operators.discard(operator)
 
     async def _show(self, connection: ServerConnection, operator: PageOperator) -> None:
         with contextlib.suppress(ConnectionClosed):
@@ -145,12 +92,15 @@ async def run_page(
     Raises:
         OSError: the port is taken.
     """
-    pages = PageServer(view, page)
-    server = await pages.open(port)
-    on_open(pages.url)
+    pages = PageTalk(view)
+    secret = SecretServer(HOST, pages.talk, page)
+    server = await secret.open(port, _WORD_MAX)
+    on_open(secret.url)
     try:
         while not ended.is_set():
             view.poll()
+            for operator in pages.operators:
+                operator.repeat()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(ended.wait(), _POLL_S)
     finally:

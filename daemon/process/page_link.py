@@ -11,8 +11,8 @@ from typing import Any
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.daemon.ipc.live_setting import LIVE, parse_setting
-from steerd.daemon.ipc.operator import BusOperator
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.bus_operator import BusOperator
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock
@@ -83,7 +83,23 @@ class CarView:
                 except (ValueError, SteerdError):
                     continue
 
+    @property
+    def boot_id(self) -> int:
+        """Of the car's run; 0 before it is known."""
+        return int(self.values.get("boot_id", "0") or 0)
+
+    @property
+    def mode(self) -> SupervisorState | None:
+        """The supervisor's state; None before it is known."""
+        return None if self.state is None else SupervisorState(self.state.mode)
+
+    @property
+    def mode_name(self) -> str:
+        """The state's name; `?` before it is known."""
+        return "?" if self.mode is None else self.mode.name
+
     def _take_state(self, state: StateMessage) -> None:
+        SupervisorState(state.mode)  # a state of another version is not taken
         self.state = state
 
     def _take_vesc(self, vesc: VescTelemetry) -> None:
@@ -94,7 +110,9 @@ class CarView:
         self.events = [*self.events, f"{name.lower().replace('_', ' ')}: {change.text}"][-EVENTS:]
 
     def _take_values(self, message: DiagnosticArray) -> None:
-        self.values = read_diagnostics(message)
+        values = read_diagnostics(message)
+        int(values.get("boot_id", "0") or 0)  # what is no number is not taken
+        self.values = values
 
     def _take_parameters(self, message: Parameters) -> None:
         self.parameters = message
@@ -132,8 +150,9 @@ def _finite(value: float) -> float | None:
 class PageOperator:
     """One open page: an operator as any other, alive only as long as its browser says so.
 
-    Nothing here sends by itself: every keepalive on the bus is one that the browser sent. A tab
-    that is closed, hidden, frozen or cut off is silent, and the lease ends 0.3 s later.
+    Nothing here sends by itself, but a stop again until it is seen: every keepalive on the bus is
+    one that the browser sent. A tab that is closed, hidden, frozen or cut off is silent, and the
+    lease ends 0.3 s later.
     """
 
     def __init__(self, view: CarView) -> None:
@@ -149,11 +168,15 @@ class PageOperator:
         """Send a request of the page: one of its words, or `set NAME VALUE`.
 
         Returns:
-            Whether it was sent; not for words that are no request, or before the car was heard.
+            Whether it was sent; not for words that are no request, and only a stop before the car
+            was heard.
         """
-        boot_id = int(self._view.values.get("boot_id", "0") or 0)
         wanted = parse_setting(what)
         if wanted is not None:
-            return self._operator.tune(boot_id, wanted)
+            return self._operator.tune(self._view.boot_id, wanted)
         kind = _KINDS.get(what)
-        return kind is not None and self._operator.ask(boot_id, kind)
+        return kind is not None and self._operator.ask(self._view.boot_id, kind)
+
+    def repeat(self) -> bool:
+        """Send a stop again that the car has not shown yet; whether there is one."""
+        return self._operator.repeat(self._view.mode)

@@ -71,7 +71,7 @@ class RemoteKeeper:
 def serve(bus: Bus, car: str, keeper: RemoteKeeper, clock: Clock, end_ns: int | None) -> None:
     """Publish a command for every estimate until the time is over or a signal comes."""
     estimates = bus.subscribe(make_key(car, topics.STATE))
-    key = make_key(car, topics.DRIVE)
+    key = make_key(car, topics.DRIVE, bus.who)
     while end_ns is None or clock.now_ns() < end_ns:
         for sample in estimates.poll():
             command = keeper.compute_command(decode(StateMessage, sample.data), clock.realtime_ns())

@@ -1,6 +1,7 @@
 """A gamepad as an operator and an external controller on the bus.
 
-Nothing is sent while the deadman's button is not held, but one stop when it is released.
+Nothing is sent while the deadman's button is not held, but a stop when it is released, until the
+car shows it.
 """
 
 # Why: docs/decisions/safety.md#d75
@@ -9,8 +10,9 @@ import secrets
 from collections.abc import Mapping
 from dataclasses import replace
 
-from steerd.daemon.ipc.operator import KEEPALIVE_NS, BusOperator
+from steerd.daemon.ipc.operator import KEEPALIVE_NS
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.bus_operator import BusOperator
 from steerd.daemon.process.gamepad import AxisRange, PadEvent
 from steerd.daemon.process.pad_map import PadMap, PadState, is_silent, take_event
 from steerd.daemon.process.page_link import CarView
@@ -41,15 +43,6 @@ class Teleop:
         self._seq = view.clock.realtime_ns() // 1_000_000 % 2_000_000_000
         self._alive_ns = 0
 
-    @property
-    def _boot_id(self) -> int:
-        return int(self.view.values.get("boot_id", "0") or 0)
-
-    @property
-    def _mode(self) -> SupervisorState | None:
-        state = self.view.state
-        return None if state is None else SupervisorState(state.mode)
-
     def take(self, events: list[PadEvent]) -> None:
         """Take in the gamepad's events."""
         for event in events:
@@ -59,43 +52,46 @@ class Teleop:
             if before and not self.pad.held:
                 self.release()
             if pressed == self._pads.estop:
-                self._operator.ask(self._boot_id, RequestKind.ESTOP)
+                self._operator.ask(self.view.boot_id, RequestKind.ESTOP)
             if pressed == self._pads.go and self.pad.held:
                 self._go()
 
     def _go(self) -> None:
         """Arm a car that is ready, start one that is armed."""
         wanted = {SupervisorState.READY: RequestKind.ARM, SupervisorState.ARMED: RequestKind.START}
-        kind = wanted.get(self._mode) if self._mode is not None else None
+        kind = wanted.get(self.view.mode) if self.view.mode is not None else None
         if kind is not None:
-            self._operator.ask(self._boot_id, kind)
+            self._operator.ask(self.view.boot_id, kind)
 
     def release(self) -> None:
         """Stop the car, and be silent until the deadman's button is pressed again."""
         self.pad = replace(self.pad, held=False)
-        self._operator.ask(self._boot_id, RequestKind.STOP)
+        self._operator.ask(self.view.boot_id, RequestKind.STOP)
 
     def step(self) -> str:
         """Every `PERIOD_NS`: hold the car and command it; gives what was released and why."""
         now = self.view.clock.now_ns()
+        self._operator.repeat(self.view.mode)
         if is_silent(self.pad, self._pads, now):
             self.release()
             return f"no event of the gamepad for {self._pads.quiet_ns * 1e-9:g} s: released"
-        if not (self.pad.held and self._boot_id):
+        if not (self.pad.held and self.view.boot_id):
             return ""
         if now - self._alive_ns >= KEEPALIVE_NS:
             self._alive_ns = now
-            self._operator.ask(self._boot_id, RequestKind.KEEPALIVE)
-        self.view.bus.publish(make_key(self.view.car, topics.DRIVE), encode(self._command(now)))
+            self._operator.ask(self.view.boot_id, RequestKind.KEEPALIVE)
+        self.view.bus.publish(
+            make_key(self.view.car, topics.DRIVE, self.view.bus.who), encode(self._command(now))
+        )
         return ""
 
     def _command(self, now_ns: int) -> DriveCommand:
         """The command of the axes; a car that is not driving stands straight."""
         self._seq += 1
-        driving = self._mode is SupervisorState.RUNNING
+        driving = self.view.mode is SupervisorState.RUNNING
         header = make_header(self.view.clock.realtime_ns(), BODY)
         return DriveCommand(
-            header, self._boot_id, self._lease, now_ns, self._seq, VALID_MS,
+            header, self.view.boot_id, self._lease, now_ns, self._seq, VALID_MS,
             self.pad.steer * self._pads.steer_max if driving else 0.0,
             self.pad.speed * self._pads.speed_max if driving else 0.0,
         )  # fmt: skip

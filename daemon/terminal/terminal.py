@@ -111,7 +111,7 @@ class Terminal:
         packet = viewer.recv(SETTING_MAX)
         wanted = parse_setting(packet.decode("ascii", "replace"))
         if wanted is not None:
-            self._tune(wanted)
+            self._tune(wanted, "viewer")
         return bool(packet)
 
     def _on_key(self, key: str) -> None:
@@ -127,8 +127,8 @@ class Terminal:
         request = self._operator.make_request(kind, self._clock.realtime_ns())
         self._send(topics.OPERATOR, request)
 
-    def _tune(self, wanted: Mapping[str, float]) -> None:
-        request = self._operator.make_parameters(wanted, self._clock.realtime_ns())
+    def _tune(self, wanted: Mapping[str, float], name: str = "") -> None:
+        request = self._operator.make_parameters(wanted, self._clock.realtime_ns(), name)
         self._send(topics.SET_PARAMETERS, request)
 
     def _send(self, topic: topics.Topic, request: bytes) -> None:

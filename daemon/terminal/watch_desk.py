@@ -1,9 +1,9 @@
 """The keys of `steerd watch`: an operator on the bus like any other."""
 
 import getpass
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
-from steerd.daemon.ipc.operator import BusOperator
+from steerd.daemon.process.bus_operator import BusOperator
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.key_desk import KEY_HELP, KEYS, NUDGE_HELP, KeyDesk
 from steerd.steer_bus.bus import Bus
@@ -11,8 +11,14 @@ from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.messages import RequestKind
 
 
-def make_desk(board: Dashboard, bus: Bus, car: str, clock: Clock, *, operate: bool) -> KeyDesk:
-    """The keys of a car on the bus; without `operate` they change live parameters alone."""
+def make_desk(
+    board: Dashboard, bus: Bus, car: str, clock: Clock, *, operate: bool
+) -> tuple[KeyDesk, Callable[[], bool]]:
+    """The keys of a car on the bus; without `operate` they change live parameters alone.
+
+    Returns:
+        The keys, and what goes on with a stop that was called for there.
+    """
     operator = BusOperator(bus, car, clock, getpass.getuser())
 
     def run_of_the_car() -> int:
@@ -24,7 +30,10 @@ def make_desk(board: Dashboard, bus: Bus, car: str, clock: Clock, *, operate: bo
     def tune(wanted: Mapping[str, float]) -> bool:
         return operator.tune(run_of_the_car(), wanted)
 
-    return KeyDesk(board, clock, ask, tune, KEYS if operate else {})
+    def repeat() -> bool:
+        return operator.repeat(board.state.mode if board.state else None)
+
+    return KeyDesk(board, clock, ask, tune, KEYS if operate else {}), repeat
 
 
 def desk_help(operate: bool) -> str:

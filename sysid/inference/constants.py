@@ -110,3 +110,5 @@ HALF = 0.5
 """Share of the gap's size beyond which it counts as not explained."""
 STANDS_IN = 0.03
 """A hypothesis this many times as likely as the best names what may be the cause instead."""
+NEARLY = 4.0
+"""Hypotheses whose log odds lie this near to the best's are searched from more starts."""

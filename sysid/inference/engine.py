@@ -36,7 +36,7 @@ FREE_STATES = 6
 """States of a start that the window itself determines: what they take is no degree of freedom."""
 WILD = 1e3
 """Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s]."""
-WILD_SHARE = 0.1
+WILD_SHARE = 0.5
 """Share of such windows above which the whole simulation counts as diverged."""
 WILD_ERROR = 1.0
 """What every reading of such a window is taken to be off by, whatever is changed [m, rad, ...]."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect, Role
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.likelihood import Likelihood, loss_of
+from steerd.sysid.inference.likelihood import Likelihood, Weighed, loss_of
 from steerd.sysid.inference.places import suspicious_discs
 from steerd.sysid.inference.posterior import (
     Posterior,
@@ -22,7 +22,16 @@ from steerd.sysid.inference.posterior import (
     log_share_beyond,
     posterior_of,
 )
-from steerd.sysid.inference.search import Point, fresh, minimise, newton, settle, stand
+from steerd.sysid.inference.search import (
+    Point,
+    explore,
+    fresh,
+    minimise,
+    newton,
+    settle,
+    stand,
+    with_size,
+)
 from steerd.sysid.inference.space import Space, make_space
 
 Array = NDArray[np.float64]
@@ -122,6 +131,8 @@ class _Search:
     library: Library
     pool: dict[frozenset[str], Point] = field(default_factory=dict)
     untested: set[str] = field(default_factory=set)
+    explored: set[tuple[str, ...]] = field(default_factory=set)
+    exchanged: set[tuple[tuple[str, ...], tuple[str, ...], int]] = field(default_factory=set)
 
     @property
     def likelihood(self) -> Likelihood:
@@ -172,25 +183,45 @@ class _Search:
             self.keep(point)
             beat = min(beat, np.inf if point is None else point.cost)
         self.exchange()
+        self.explore()
+
+    def explore(self) -> None:
+        """Hypotheses that compete for the first place, from more starts."""
+        ranked = self.hypotheses()
+        rivals = [h for h in ranked if ranked[0].log_odds - h.log_odds < c.NEARLY]
+        if len(rivals) < 2:
+            return
+        for h in rivals:
+            if h.effects not in self.explored:
+                self.explored.add(h.effects)
+                self.keep(explore(self.likelihood, h.point))
+        self.exchange()
 
     def exchange(self) -> None:
-        """Bases exchanged until no hypothesis is worse than one nested in it."""
+        """Bases exchanged until no hypothesis is worse than one nested in it.
+
+        What is nested in the best is tried from the best's base as well: what the base alone gains
+        there is no effect's.
+        """
         for _ in range(3):
-            changed = False
             best = min(self.pool.values(), key=lambda point: point.cost)
-            for names, point in sorted(self.pool.items(), key=lambda item: len(item[0])):
-                if names < frozenset(best.space.effects):
-                    changed |= self._improve(point, best)
+            whole = frozenset(best.space.effects)
+            inner = [point for names, point in self.pool.items() if names < whole]
+            changed = [self._improve(point, best) for point in inner]
             for names, point in list(self.pool.items()):
                 nested = [p for other, p in self.pool.items() if other < names]
                 lower = min(nested, key=lambda p: p.cost, default=None)
                 if lower is not None and point.cost > lower.cost - _WORSE:
-                    changed |= self._improve(point, lower)
-            if not changed:
+                    changed.append(self._improve(point, lower))
+            if not any(changed):
                 return
 
     def _improve(self, point: Point, other: Point) -> bool:
         """A hypothesis from another's base; whether that is better."""
+        key = (point.space.effects, other.space.effects, round(other.cost))
+        if key in self.exchanged:
+            return False
+        self.exchanged.add(key)
         space = point.space
         z = carry(space, other, point)
         begun = _stand(self.likelihood, space, z, other.x, max(1.5 * other.size, c.SIZE_SMALL))
@@ -251,8 +282,7 @@ def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Ar
     point = stand(likelihood, space, np.clip(z, space.low, space.high), x, 1.0)
     for _ in range(3):
         size = likelihood.best_size(point.rotated, point.linear.error, point.x)
-        at = likelihood.reduce(point.rotated, point.linear.error, point.x, size)
-        point = settle(likelihood, replace(point, size=size, at=at, cost=np.inf), 2)
+        point = settle(likelihood, with_size(likelihood, point, size), 2)
     return fresh(likelihood, point)
 
 
@@ -307,12 +337,13 @@ class Look:
 
 def look_at_all(library: Library, start: Point) -> tuple[list[Look], float]:
     """Every effect that the start lacks, the most promising first, and the start's own cost."""
+    views = [library.likelihood.weigh(start.rotated, share * start.size) for share in _LOOKS]
     every = np.arange(len(start.z))
-    level = _expected(library, start, start.space, every, start.linear.error)
+    level = _expected(library, start, views, start.space, every, start.linear.error)
     left = [e for e in library.effects if e.name not in start.space.effects]
     found = []
     for effect in left:
-        looks = _looks(library, start, effect)
+        looks = _looks(library, start, views, effect)
         none = Look(effect.name, effect.nulls, np.inf)
         found.append(min(looks, key=lambda look: look.cost, default=none))
     return sorted(found, key=lambda look: look.cost), level
@@ -327,7 +358,9 @@ def _with_effect(library: Library, start: Point, look: Look) -> Point | None:
     return _stand(library.likelihood, space, z, start.x, start.size)
 
 
-def _looks(library: Library, start: Point, effect: Effect) -> Iterable[Look]:
+def _looks(
+    library: Library, start: Point, views: Sequence[Weighed], effect: Effect
+) -> Iterable[Look]:
     """An effect at several values, the base stepped once beside each."""
     space = library.space([*start.space.effects, effect.name])
     own = slice(len(space.centre) - len(effect.parameters), None)
@@ -340,22 +373,26 @@ def _looks(library: Library, start: Point, effect: Effect) -> Iterable[Look]:
         z = np.clip(z, space.low, space.high)
         error, finite = library.likelihood.engine.missed(space, z, start.x)
         if finite:
-            cost = _expected(library, start, space, keep, error)
+            cost = _expected(library, start, views, space, keep, error)
             yield Look(effect.name, tuple(z[own].tolist()), cost)
 
 
 def _expected(
-    library: Library, start: Point, space: Space, keep: NDArray[np.int64], error: Array
+    library: Library,
+    start: Point,
+    views: Sequence[Weighed],
+    space: Space,
+    keep: NDArray[np.int64],
+    error: Array,
 ) -> float:
     """Cost at the best of a few sizes after one step of the base, with the start's derivatives."""
-    rotated = start.rotated._replace(by_z=start.rotated.by_z[:, :, keep])
     precision = np.linalg.inv(space.covariance[: len(keep), : len(keep)])
     best = np.inf
-    for share in _LOOKS:
-        at = library.likelihood.reduce(rotated, error, start.x, share * start.size)
-        h = np.einsum("w,wij->ij", at.weight, at.h) + precision
-        dz = np.linalg.solve(h, at.weight @ at.g)
-        square = at.square - 2.0 * at.g @ dz + np.einsum("i,wij,j->w", dz, at.h, dz)
+    for view in views:
+        at = library.likelihood.reduce(view, error, start.x)
+        g, h = at.g[:, keep], at.h[:, keep[:, None], keep]
+        dz = np.linalg.solve(np.tensordot(at.weight, h, 1) + precision, at.weight @ g)
+        square = at.square - 2.0 * g @ dz + ((h @ dz) * dz).sum(axis=1)
         loss = loss_of(square, at.dof) + at.volume
         best = min(best, float(loss.sum()) + 0.5 * float(dz @ precision @ dz))
     return best
@@ -401,7 +438,8 @@ def _linear(
     by_own = likelihood.rotation @ np.stack(columns, axis=2)
     by_z = np.concatenate([start.rotated.by_z[:, :, keep], by_own], axis=2)
     rotated = start.rotated._replace(by_z=by_z)
-    at = likelihood.reduce(rotated, start.linear.error, start.x, start.size)
+    view = likelihood.weigh(rotated, start.size)
+    at = likelihood.reduce(view, start.linear.error, start.x)
     dz, _ = newton(space, at, z)
     return [tuple((z + dz)[own.start :].tolist())]
 

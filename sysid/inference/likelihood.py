@@ -49,6 +49,30 @@ class Rotated(NamedTuple):
     held: NDArray[np.bool_]
 
 
+class Weighed(NamedTuple):
+    """Rotated derivatives under one size, with the starts' part solved.
+
+    Attributes:
+        size: of the discrepancy.
+        weight: (W, D) precision of each row.
+        turned: (W, 7, D) derivatives by the starts, weighed; `heavy` (W, n, D) by the coordinates.
+        inverse: (W, 7, 7) inverse curvature of the starts, priors included; zero where held.
+        cross: (W, 7, n) between starts and coordinates; `kx` the starts' step per coordinate's.
+        h: (W, n, n) curvature with the starts eliminated.
+        volume: (W,) see `Reduced`.
+    """
+
+    size: float
+    weight: Array
+    turned: Array
+    heavy: Array
+    inverse: Array
+    cross: Array
+    kx: Array
+    h: Array
+    volume: Array
+
+
 class Reduced(NamedTuple):
     """Windows' losses as functions of the coordinates alone, about one point at one size.
 
@@ -133,26 +157,29 @@ class Likelihood:
         white = (self.weights(size) * row**2).sum(axis=1)
         return np.asarray(white + (self.start_precision * away**2).sum(axis=1))
 
-    def reduce(self, at: Rotated, error: Array, x: Array, size: float) -> Reduced:
-        """Losses for errors (W, D) at starts `x`; derivatives may be of a near point.
-
-        The starts of windows that are `at.held` stay where they are.
-        """
-        weight, row = self.weights(size), self.rotate_error(error)
-        turned = (at.by_x * weight[:, :, None]).transpose(0, 2, 1)
+    def weigh(self, at: Rotated, size: float) -> "Weighed":
+        """Derivatives under a discrepancy of this size, ready for any errors near their point."""
+        weight = self.weights(size)
+        turned = np.ascontiguousarray((at.by_x * weight[:, :, None]).transpose(0, 2, 1))
         d, volume = self._starts(turned @ at.by_x, weight)
-        away = self.engine.readings.layout.guess - x
-        pull = (turned @ row[:, :, None])[:, :, 0] + away * self.start_precision
         cross = turned @ at.by_z
-        solved = np.linalg.solve(d, np.concatenate([pull[:, :, None], cross], axis=2))
-        free = ~at.held
-        dx, kx = solved[:, :, 0] * free[:, None], solved[:, :, 1:] * free[:, None, None]
-        square = (weight * row**2).sum(axis=1) + (self.start_precision * away**2).sum(axis=1)
-        square = np.maximum(square - (pull * dx).sum(axis=1), 0.0)
+        free = (~at.held)[:, None, None]
+        inverse: Array = np.asarray(np.linalg.inv(d) * free, np.float64)
+        kx = inverse @ cross
         heavy = (at.by_z * weight[:, :, None]).transpose(0, 2, 1)
-        g = (heavy @ row[:, :, None])[:, :, 0] - (dx[:, None, :] @ cross)[:, 0]
         h = heavy @ at.by_z - cross.transpose(0, 2, 1) @ kx
-        return Reduced(square, self.dof, volume, g, h, dx, kx)
+        return Weighed(size, weight, turned, heavy, inverse, cross, kx, h, volume)
+
+    def reduce(self, by: "Weighed", error: Array, x: Array) -> Reduced:
+        """Losses for errors (W, D) at starts `x`; derivatives may be of a near point."""
+        row = self.rotate_error(error)
+        away = self.engine.readings.layout.guess - x
+        pull = (by.turned @ row[:, :, None])[:, :, 0] + away * self.start_precision
+        dx = (by.inverse @ pull[:, :, None])[:, :, 0]
+        square = (by.weight * row**2).sum(axis=1) + (self.start_precision * away**2).sum(axis=1)
+        square = np.maximum(square - (pull * dx).sum(axis=1), 0.0)
+        g = (by.heavy @ row[:, :, None])[:, :, 0] - (dx[:, None, :] @ by.cross)[:, 0]
+        return Reduced(square, self.dof, by.volume, g, by.h, dx, by.kx)
 
     def losses(self, at: Rotated, error: Array, x: Array, size: float) -> Array:
         """(W,) losses at a point, without derivatives by the coordinates."""

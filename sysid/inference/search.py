@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.sysid.estimation.bounded_step import step_within
-from steerd.sysid.inference.engine import Linear
-from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, take_some
+from steerd.sysid.inference.engine import Engine, Linear
+from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed, take_some
 from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
@@ -22,6 +22,12 @@ FALL = 2.2
 ENOUGH = 0.3
 """A step that promises and gains less than this many nats at the last size ends the search."""
 STEPS = 24
+DRAWS = 4
+"""Starts along the valley of an optimum that counts."""
+_BLUNT = 30.0
+"""Factor by which windows count for less while such starts are drawn."""
+_EXPLORED = 0.15
+"""Least discrepancy's size under which such a search begins."""
 _LIMITS = {"accel_max": 0.3, "decel_max": 0.3, "steer_rate": 0.05}
 """Steps over which limits are differenced: [m/s^2], and relative for the slew rate."""
 _LOST = 4.0
@@ -58,6 +64,7 @@ class Point:
         z: (n,) their values; x: (W, 7) the windows' starts.
         size: of the discrepancy.
         linear: errors here and derivatives here or near; `rotated` the derivatives, rotated.
+        weighed: the same under the size.
         at: losses here.
         cost: losses and prior [nats].
         whole: whether the search came to its end, not to its limit of steps.
@@ -69,6 +76,7 @@ class Point:
     size: float
     linear: Linear
     rotated: Rotated
+    weighed: Weighed
     at: Reduced
     cost: float
     whole: bool = True
@@ -97,14 +105,22 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
         step = _secant(name, engine.readings.layout.h / engine.substeps)
         if step == 0.0:
             continue
-        ends = [float(np.clip(z[i] + s, space.low[i], space.high[i])) for s in (-step, step)]
-        error = []
-        for end in ends:
-            moved = z.copy()
-            moved[i] = end
-            error.append(engine.missed(space, moved, x)[0])
+        low, high = (float(np.clip(z[i] + s, space.low[i], space.high[i])) for s in (-step, step))
+        if name in _LIMITS:  # one side is enough where nothing jumps
+            low, high = (z[i], high) if high > z[i] else (low, z[i])
+        ends = low, high
+        error = [
+            linear.error if end == z[i] else _error(engine, space, z, x, i, end) for end in ends
+        ]
         linear.by_z[:, :, i] = (error[0] - error[1]) / (ends[1] - ends[0])
     return linear
+
+
+def _error(engine: Engine, space: Space, z: Array, x: Array, place: int, value: float) -> Array:
+    """(W, D) errors with one coordinate elsewhere."""
+    moved = z.copy()
+    moved[place] = value
+    return engine.missed(space, moved, x)[0]
 
 
 def _secant(name: str, grid: float) -> float:
@@ -123,8 +139,9 @@ def stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float)
     """
     linear = derive(likelihood, space, z, x)
     rotated = likelihood.rotate(linear)
-    at = likelihood.reduce(rotated, linear.error, x, size)
-    point = Point(space, z, x, size, linear, rotated, at, _cost(space, at, z))
+    weighed = likelihood.weigh(rotated, size)
+    at = likelihood.reduce(weighed, linear.error, x)
+    point = Point(space, z, x, size, linear, rotated, weighed, at, _cost(space, at, z))
     return _settled(likelihood, point)
 
 
@@ -136,7 +153,7 @@ def _settled(likelihood: Likelihood, point: Point) -> Point:
     nothing reaches, and stop where it stands (docs/decisions/diagnosis.md#d91).
     """
     space, z, size, at = point.space, point.z, point.size, point.at
-    x, error, rotated = point.x.copy(), point.linear.error.copy(), point.rotated
+    x, error, weighed = point.x.copy(), point.linear.error.copy(), point.weighed
     square, share = likelihood.squares(error, x, size), np.ones(len(point.x))
     for _ in range(_ROUNDS):
         if not (square - at.square > _OWED).any():
@@ -147,13 +164,13 @@ def _settled(likelihood: Likelihood, point: Point) -> Point:
         better = left < square
         x[better], error[better], square[better] = tried[better], off[better], left[better]
         share = np.where(better, 1.0, _SHORTER * share)
-        at = likelihood.reduce(rotated, error, x, size)
-    held = square - at.square > _OWED
-    if held.any():
-        rotated = rotated._replace(held=held)
-        at = likelihood.reduce(rotated, error, x, size)
-    linear = point.linear._replace(error=error)
-    return replace(point, x=x, linear=linear, rotated=rotated, at=at, cost=_cost(space, at, z))
+        at = likelihood.reduce(weighed, error, x)
+    rotated = point.rotated._replace(held=square - at.square > _OWED)
+    if rotated.held.any():
+        weighed = likelihood.weigh(rotated, size)
+        at = likelihood.reduce(weighed, error, x)
+    linear, cost = point.linear._replace(error=error), _cost(space, at, z)
+    return replace(point, x=x, linear=linear, rotated=rotated, weighed=weighed, at=at, cost=cost)
 
 
 def _cost(space: Space, at: Reduced, z: Array) -> float:
@@ -162,7 +179,7 @@ def _cost(space: Space, at: Reduced, z: Array) -> float:
 
 def curvature(space: Space, at: Reduced) -> Array:
     """(n, n) Gauss-Newton curvature of the cost."""
-    return np.asarray(np.einsum("w,wij->ij", at.weight, at.h) + space.precision)
+    return np.asarray(np.tensordot(at.weight, at.h, 1) + space.precision)
 
 
 def rescue(likelihood: Likelihood, point: Point) -> Point:
@@ -193,8 +210,10 @@ def with_size(likelihood: Likelihood, point: Point, size: float) -> Point:
     """The same point under another size."""
     if size == point.size:
         return point
-    at = likelihood.reduce(point.rotated, point.linear.error, point.x, size)
-    return replace(point, size=size, at=at, cost=_cost(point.space, at, point.z))
+    weighed = likelihood.weigh(point.rotated, size)
+    at = likelihood.reduce(weighed, point.linear.error, point.x)
+    cost = _cost(point.space, at, point.z)
+    return replace(point, size=size, weighed=weighed, at=at, cost=cost)
 
 
 def fresh(likelihood: Likelihood, point: Point) -> Point:
@@ -219,7 +238,7 @@ def _moved(likelihood: Likelihood, point: Point, dz: Array) -> Point | None:
     error, finite = likelihood.engine.missed(point.space, z, x)
     if not finite:
         return None
-    at = likelihood.reduce(point.rotated, error, x, point.size)
+    at = likelihood.reduce(point.weighed, error, x)
     return replace(
         point, z=z, x=x, at=at, cost=_cost(point.space, at, z),
         linear=point.linear._replace(error=error),
@@ -257,6 +276,34 @@ def minimise(
             break
         now, ended = _walk(likelihood, again, beat, steps, fall)
     return replace(now, whole=ended)
+
+
+def explore(likelihood: Likelihood, point: Point, draws: int = DRAWS) -> Point:
+    """The best optimum from starts drawn along the valley that a point lies in.
+
+    Kinks leave small minima in it. The draws follow the posterior under a likelihood so blunt that
+    it spans them; they are the same each time.
+    """
+    rng = np.random.default_rng(0)
+    space, best = point.space, point
+    lower = np.linalg.cholesky(np.linalg.inv(curvature_at(point, 1.0 / _BLUNT)))
+    for _ in range(draws):
+        z = point.z + lower @ rng.standard_normal(len(point.z))
+        z = np.clip(z, space.low, space.high)
+        try:
+            begun = stand(likelihood, space, z, best.x, max(2.0 * point.size, _EXPLORED))
+            found = minimise(likelihood, begun, best.cost)
+        except (FloatingPointError, np.linalg.LinAlgError):
+            continue
+        if found.cost < best.cost:
+            best = found
+    return best
+
+
+def curvature_at(point: Point, share: float) -> Array:
+    """(n, n) curvature with the drives counting for a share of themselves."""
+    drives = np.tensordot(point.at.weight, point.at.h, 1)
+    return np.asarray(share * drives + point.space.precision)
 
 
 def _walk(

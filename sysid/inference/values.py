@@ -14,6 +14,7 @@ from steerd.car_model.native.windows import (
     STATES,
     HeldCommands,
     Kernels,
+    compute_readings,
     delays_of,
     make_window_blocks,
     march,
@@ -97,5 +98,12 @@ def predicted(
     kernels: Kernels, readings: Readings, parameters: Array, x: Array, substeps: int
 ) -> Array:
     """(R,) readings of all windows from starts `x` (W, 7)."""
-    path = paths(kernels, readings, parameters, x, substeps)
-    return readings_of(kernels, readings, parameters, path, readings.layout.h / substeps)
+    layout = readings.layout
+    held = HeldCommands(layout.commands, layout.h, substeps, INTEGRATOR)
+    late = float(delays_of(kernels, parameters)[2])
+    none = np.zeros((len(parameters), 0))
+    y, _ = compute_readings(
+        kernels, parameters, none, x, np.zeros((STATES, 0)), held,
+        layout.kernel_windows(substeps), layout.stations(late, held.fine),
+    )  # fmt: skip
+    return y

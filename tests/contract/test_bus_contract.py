@@ -11,7 +11,13 @@ import pytest
 
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import MAX_BYTES
-from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_settings
+from steerd.steer_bus.zenoh_bus import (
+    Profile,
+    ZenohBus,
+    make_hub_profile,
+    make_settings,
+    make_spoke_profile,
+)
 from tests.local_bus import LocalBus, LocalHub, key_matches
 
 STATE = "steerd/car1/state"
@@ -120,6 +126,17 @@ def test_wildcards_receive_and_never_send(pair):
     for key in ("steerd/*/state", "steerd/**", "", "/a", "a/", "a//b", "a?b", "a#", "$*"):
         with pytest.raises(BusError):
             sender.publish(key, b"")
+
+
+def test_what_is_not_kept_displaces_nothing(pair):
+    sender, receiver = pair
+    ring = receiver.subscribe(STATE, 2, lambda data: len(data) == 1)
+    assert until(lambda: sender.has_subscriber(STATE))
+    for data in (b"a", b"b", *[b"no"] * 50, b"c"):
+        sender.publish(STATE, data)
+    taken = []
+    until(lambda: taken.extend(ring.poll()) or b"c" in {s.data for s in taken})
+    assert b"no" not in {s.data for s in taken}
 
 
 def test_closing_a_subscription_ends_it(pair):
@@ -232,6 +249,32 @@ def test_what_keeps_zenoh_from_starting_is_said():
         ZenohBus(Profile(hub=True, endpoint=endpoint))
     with pytest.raises(BusError, match="does not start"):
         ZenohBus(Profile(hub=True, endpoint=endpoint, settings={"no/such": 1}))
+
+
+@pytest.mark.realtime
+def test_at_a_plain_hub_nobody_hears_requests_or_speaks_as_the_car():
+    """The lease ids in requests are secrets; of the car only its own gateway speaks."""
+    endpoint = free_endpoint()
+    requests = "steerd/car1/cmd/operator"
+    with (
+        ZenohBus(make_hub_profile(endpoint, None)) as hub,
+        ZenohBus(make_spoke_profile(endpoint, None)) as operator,
+        ZenohBus(make_spoke_profile(endpoint, None)) as stranger,
+    ):
+        spied, heard = stranger.subscribe("**", 64), hub.subscribe(f"{requests}/**", 64)
+        forged = operator.subscribe("steerd/car1/*", 64)
+        assert until(lambda: operator.has_subscriber(requests))
+        operator.publish(requests, b"secret")
+        stranger.publish(STATE, b"forged")
+        stranger.publish("steerd/car1/in/pose", b"pose")
+        hub.publish(STATE, b"true")
+        assert [s.data for s in collect(heard, 1)] == [b"secret"]
+        assert [s.data for s in collect(forged, 1)] == [b"true"]
+        hub.publish(STATE, b"last")
+        own = {b"forged", b"pose"}
+        rest = []
+        until(lambda: rest.extend(spied.poll()) or (rest and rest[-1].data == b"last"))
+        assert {s.data for s in rest} - own == {b"true", b"last"}
 
 
 HOLDER = """

@@ -15,6 +15,7 @@ from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile, make
 pytest.importorskip("cryptography")
 pytestmark = pytest.mark.realtime
 STATE, ORDER = "steerd/car1/state", "steerd/car1/cmd/operator"
+HEARD = f"{ORDER}/**"
 SCHEMA, ALIVE = "steerd/car1/schema/x", "steerd/car1/alive"
 POSE = "lab/pose/car1"
 QUIET_S = 0.3
@@ -59,9 +60,9 @@ def join(folder):
     return ZenohBus(make_spoke_profile(lab.endpoint, lab))
 
 
-def orders(hub, sender, key=ORDER):
+def orders(hub, sender, key):
     """How many of twenty orders arrive, from one who learns that somebody listens."""
-    inbox = hub.subscribe(key, 64)
+    inbox = hub.subscribe(key if key == POSE else HEARD, 64)
     assert until(lambda: sender.has_subscriber(key))
     for _ in range(20):
         sender.publish(key, b"go")
@@ -93,7 +94,7 @@ def reads(hub, reader, key, sent=STATE):
 
 def test_an_operator_commands_and_reads(hub, labs):
     with join(labs / "ours" / "desk") as desk:
-        assert orders(hub, desk) == 20
+        assert orders(hub, desk, f"{ORDER}/desk") == 20
         assert orders(hub, desk, POSE) == 20
         assert reads(hub, desk, STATE)
         assert reads(hub, desk, "steerd/car1/*")
@@ -107,13 +108,13 @@ def test_a_viewer_reads_and_cannot_command(hub, labs):
         assert reads(hub, screen, "steerd/car1/*")
         assert until(lambda: screen.alive("steerd/*/alive")) == {ALIVE}
         assert screen.query(SCHEMA) == {SCHEMA: b"text"}
-        for key in (ORDER, "steerd/car1/cmd/drive", POSE):
+        for key in (ORDER, f"{ORDER}/screen", f"{ORDER}/desk", "steerd/car1/cmd/drive", POSE):
             assert not screen.has_subscriber(key)
             assert orders_given_anyway(hub, screen, key) == 0
 
 
 def orders_given_anyway(hub, sender, key):
-    inbox = hub.subscribe(key, 64)
+    inbox = hub.subscribe(f"{key}/**", 64)
     select.select([], [], [], QUIET_S)
     for _ in range(20):
         sender.publish(key, b"go")
@@ -121,6 +122,15 @@ def orders_given_anyway(hub, sender, key):
     got = inbox.poll()
     inbox.close()
     return len(got)
+
+
+def test_no_operator_speaks_in_another_s_name(hub, labs):
+    with join(labs / "ours" / "desk") as desk, join(labs / "ours" / "tablet") as tablet:
+        spied = tablet.subscribe("steerd/car1/**", 64)
+        assert orders(hub, desk, f"{ORDER}/desk") == 20
+        assert spied.poll() == [], "nor hears what it says"
+        for key in (ORDER, f"{ORDER}/desk", f"{ORDER}/tablet/desk"):
+            assert orders_given_anyway(hub, tablet, key) == 0
 
 
 def test_a_viewer_sees_no_orders_and_nobody_fakes_the_car(hub, labs):
@@ -181,8 +191,8 @@ def test_who_is_taken_out_of_the_list_is_out(labs, tmp_path):
         ZenohBus(make_spoke_profile(endpoint, load_lab(labs / "ours" / "desk"))) as desk,
         ZenohBus(make_spoke_profile(endpoint, load_lab(labs / "ours" / "tablet"))) as tablet,
     ):
-        assert orders(hub, tablet) == 20
-        assert orders_given_anyway(hub, desk, ORDER) == 0
+        assert orders(hub, tablet, f"{ORDER}/tablet") == 20
+        assert orders_given_anyway(hub, desk, f"{ORDER}/desk") == 0
         inbox = desk.subscribe("steerd/car1/*", 64)
         assert reads(hub, tablet, STATE)
         assert inbox.poll() == []

@@ -19,6 +19,8 @@ IN_A_TERMINAL = (
     "-c", "import pty, sys; pty.spawn([sys.executable, '-m', 'steerd', *sys.argv[1:]])"
 )  # fmt: skip
 """Starts a command whose output is a terminal too."""
+EVIL = "http://evil.example"
+"""Where a page of somebody else comes from."""
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 
 
@@ -56,10 +58,10 @@ def test_from_the_page_and_back_in_a_replay(steerd, tmp_path, capsys):
     ]  # fmt: skip
 
 
-async def set_in_foxglove(port, name, value):
+async def set_in_foxglove(url, name, value, **headers):
     """What a viewer does to set a parameter; the value that the car confirms."""
-    url, protocol = f"ws://127.0.0.1:{port}", [websockets.Subprotocol("foxglove.sdk.v1")]
-    async with websockets.connect(url, subprotocols=protocol, max_size=None) as client:
+    protocol = [websockets.Subprotocol("foxglove.sdk.v1")]
+    async with websockets.connect(url, subprotocols=protocol, max_size=None, **headers) as client:
         await client.send(json.dumps({"op": "subscribeParameterUpdates", "parameterNames": [name]}))
         wanted = {"op": "setParameters", "parameters": [{"name": name, "value": value}]}
         await client.send(json.dumps(wanted))
@@ -79,10 +81,16 @@ def test_from_foxglove_where_the_run_allows_it(steerd, tmp_path, capsys):
     run.expect("RUNNING")
     with contextlib.closing(Watcher(steerd.endpoint)) as watcher:
         watcher.driving(run, 2.0)
-        assert asyncio.run(set_in_foxglove(port, "live.speed", 0.5))
+        url = run.expect(r"view: (\S+)")[1]
+        stranger = set_in_foxglove(f"ws://127.0.0.1:{port}", "live.speed", 0.3, origin=EVIL)
+        with pytest.raises(websockets.InvalidStatus, match="404"):
+            asyncio.run(stranger)
+        assert asyncio.run(set_in_foxglove(url, "live.speed", 0.5))
         assert watcher.driving(run, 2.0).speed == pytest.approx(0.5, abs=0.05)
     end_and_replay(run, record, capsys)
     assert answers(record) == [(True, 0.5, 0.0, 1.0)]
+    said = open_session(record).messages("/steerd/car1/parameters")
+    assert "set by viewer" in {r.decode().text for r in said}
 
 
 def test_from_watch_by_its_keys(steerd, tmp_path, capsys):

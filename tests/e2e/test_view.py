@@ -21,9 +21,8 @@ WANTED = ("/steerd/car1/state", "/steerd/car1/odom", "/scene", "/tf")
 LATE_MODES = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
 
 
-async def look(port, seconds):
+async def look(url, seconds):
     """What a client sees: server info, channels, messages by topic, parameters."""
-    url = f"ws://127.0.0.1:{port}"
     received, heard = {}, {topic: [] for topic in WANTED}
     protocol = [websockets.Subprotocol("foxglove.sdk.v1")]
     async with websockets.connect(url, subprotocols=protocol, max_size=None) as client:
@@ -69,9 +68,12 @@ def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, t
         "run", "--sim", "--auto-arm", "--path", "circle:radius=2", "--duration", "4",
         "--view", port, "--listen", steerd.endpoint, "--record", record,
     )  # fmt: skip
-    run.expect(f"view: ws://127.0.0.1:{port}")
+    url = run.expect(rf"view: (ws://127.0.0.1:{port}/\S+)")[1]
     run.expect("RUNNING")
-    received, heard = asyncio.run(look(port, 20.0))
+    for guess in (url[: url.index("/", 5 + 8)], url[:-4], url + "live"):
+        with pytest.raises(websockets.InvalidStatus, match="404"):
+            asyncio.run(look(guess, 5.0))
+    received, heard = asyncio.run(look(url, 20.0))
     channels = {c["topic"]: c for c in received["advertise"]["channels"]}
     state = decode_ros(channels[WANTED[0]], heard[WANTED[0]][-1][1])
     assert state.mode == SupervisorState.RUNNING

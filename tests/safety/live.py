@@ -68,6 +68,7 @@ class Live:
         transitions: (from, to, reason) so far.
         speed: as last reported [m/s].
         alive: whether the operator keeps the lease alive.
+        endpoint: of the bus.
     """
 
     processes: RunProcesses
@@ -78,6 +79,7 @@ class Live:
     speed: float = 0.0
     alive: bool = True
     ended: bool = False
+    endpoint: str = ""
     _buffer: bytearray = field(default_factory=bytearray)
     _sent_ns: int = 0
 
@@ -198,7 +200,8 @@ def start_live(folder: Path) -> Iterator[Live]:
         make_plan(options), folder / "drive.mcap", BOOT_ID, epoch_ns, leased=True
     )
     try:
-        yield Live(processes, ours, Operator(BOOT_ID, LEASE_ID, "test"))
+        operator = Operator(BOOT_ID, LEASE_ID, "test")
+        yield Live(processes, ours, operator, endpoint=options.listen)
     finally:
         for child in (processes.core, processes.gateway, processes.recorder):
             with contextlib.suppress(ProcessLookupError):

@@ -19,15 +19,15 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import encode
-from steerd.steer_bus.lab import load_lab, make_tls_settings
+from steerd.steer_bus.lab import load_lab
 from steerd.steer_bus.topics import make_key
-from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile, make_spoke_profile
 
 CAR, PORT, ORDERS = "10.9.0.1", 7447, 50
 ORDER = encode(
     m.OperatorRequest(m.make_header(0, m.BODY), 1, 1, 1, int(m.RequestKind.START), "stranger")
 )
-DRIVE_KEY, ORDER_KEY = (make_key("car1", topic) for topic in (topics.DRIVE, topics.OPERATOR))
+COMMAND = encode(m.DriveCommand(m.make_header(0, m.BODY), 1, 1, 0, 1, 100, 0.0, 1.0))
 
 
 def pause(seconds):
@@ -121,8 +121,8 @@ def by_scouting():
         held = session.declare_subscriber("**", lambda sample: got.append(str(sample.key_expr)))
         end = time.monotonic() + 1.5
         while time.monotonic() < end:
-            session.put(ORDER_KEY, ORDER)
-            session.put(DRIVE_KEY, ORDER)
+            session.put(make_key("car1", topics.OPERATOR), ORDER)
+            session.put(make_key("car1", topics.DRIVE), COMMAND)
             pause(0.02)
         held.undeclare()
     return sum(key.endswith("/state") for key in got)
@@ -130,7 +130,7 @@ def by_scouting():
 
 def by_folder(folder):
     lab = load_lab(folder)
-    return by_profile(Profile(False, lab.endpoint, settings=make_tls_settings(lab, hub=False)))
+    return by_profile(make_spoke_profile(lab.endpoint, lab))
 
 
 def by_profile(profile):
@@ -142,8 +142,8 @@ def by_profile(profile):
     with bus:
         every = [bus.subscribe(key, 1000) for key in ("steerd/car1/*", "steerd/**")]
         for _ in range(ORDERS):
-            bus.publish(ORDER_KEY, ORDER)
-            bus.publish(DRIVE_KEY, ORDER)
+            bus.publish(make_key("car1", topics.OPERATOR, bus.who), ORDER)
+            bus.publish(make_key("car1", topics.DRIVE, bus.who), COMMAND)
             pause(0.01)
         for subscription in every:
             got += sum(sample.data == b"secret" for sample in subscription.poll())

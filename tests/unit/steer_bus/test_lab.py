@@ -1,5 +1,6 @@
 """A participant's folder, and the rules that a hub derives from it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,9 @@ def folder(tmp_path):
 
 
 def test_a_folder_is_read(folder):
-    assert load_lab(folder) == Lab(folder, "car1", ENDPOINT, ("desk",), ("screen",))
+    assert load_lab(folder) == Lab(folder, "car1", ENDPOINT, ("desk",), ("screen",), folder.name)
+    (folder / "lab.toml").write_text(GOOD + 'name = "desk"\n')
+    assert load_lab(folder).name == "desk"
 
 
 @pytest.mark.parametrize("name", ["ca.pem", "cert.pem", "key.pem", "lab.toml"])
@@ -71,7 +74,7 @@ def test_all_is_denied_but_what_is_listed():
     assert access["default_permission"] == "deny"
     assert {rule["permission"] for rule in access["rules"]} == {"allow"}
     subjects = {s["id"]: s["cert_common_names"] for s in access["subjects"]}
-    assert subjects == {"operators": ["desk"], "viewers": ["screen"]}
+    assert subjects == {"desk": ["desk"], "viewers": ["screen"]}
 
 
 def test_a_viewer_may_send_nothing_and_an_operator_requests_only():
@@ -82,10 +85,11 @@ def test_a_viewer_may_send_nothing_and_an_operator_requests_only():
         return {key for r in sent if "put" in r["messages"] for key in r["key_exprs"]}
 
     assert may_put("viewers") == set()
-    assert may_put("operators") == {
-        "steerd/car1/cmd/drive",
-        "steerd/car1/cmd/operator",
-        "steerd/car1/cmd/parameters",
+    assert may_put("desk") == {
+        "steerd/car1/cmd/drive/desk",
+        "steerd/car1/cmd/operator/desk",
+        "steerd/car1/cmd/parameters/desk",
+        "steerd/car1/cmd/stop/desk",
         "steerd/car1/in/pose",
         "lab/pose/car1",
     }
@@ -102,8 +106,8 @@ def test_what_is_published_holds_no_requests():
 
 def test_a_role_that_nobody_has_is_left_out():
     access = make_access_settings(Lab(Path("x"), "car1", ENDPOINT, ("desk",)))["access_control"]
-    assert [s["id"] for s in access["subjects"]] == ["operators"]
-    assert [p["subjects"] for p in access["policies"]] == [["operators"]]
+    assert [s["id"] for s in access["subjects"]] == ["desk"]
+    assert [p["subjects"] for p in access["policies"]] == [["desk"]]
 
 
 @pytest.mark.parametrize(("hub", "side"), [(True, "listen"), (False, "connect")])
@@ -121,6 +125,7 @@ def test_profiles():
     assert make_settings(make_hub_profile(ENDPOINT, LAB))["transport/link/protocols"] == ["tls"]
     assert make_settings(make_spoke_profile(ENDPOINT, LAB))["listen/endpoints"] == []
     assert make_spoke_profile(ENDPOINT, None).settings == {}
+    assert make_spoke_profile(ENDPOINT, replace(LAB, name="desk")).who == "desk"
     assert make_hub_profile("tcp/10.0.0.5:1", None, insecure_lan=True).insecure_lan is True
     with pytest.raises(BusError, match="--lab"):
         make_settings(make_hub_profile("tcp/10.0.0.5:1", LAB))

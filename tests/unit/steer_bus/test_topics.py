@@ -32,6 +32,8 @@ def test_names_are_unique_and_valid_ros_names():
 
 def test_keys():
     assert make_key("car1", STATE) == "steerd/car1/state"
+    assert make_key("car1", DRIVE, "desk") == "steerd/car1/cmd/drive/desk"
+    assert find_topic("steerd/car1/cmd/drive/desk") is DRIVE
     assert make_session_topic("car1", DRIVE) == "/steerd/car1/cmd/drive"
     assert alive_key("car1") == "steerd/car1/alive"
     assert schema_key("car1", StateMessage) == "steerd/car1/schema/steerd_msgs/msg/State"

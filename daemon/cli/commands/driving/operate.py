@@ -6,35 +6,42 @@ car is armed and holds it armed until Ctrl-C or until somebody starts it.
 
 A car that nobody holds stops after 0.3 s, so two short commands cannot hand
 it over: `--no-hold` is refused unless it is simulated or has no deadman.
+
+`steerd stop` and `steerd estop` work for everybody, whoever holds the car:
+they ask at once and again until the car is seen to stop; exit code 0 says so.
 """
 
 # Why: docs/decisions/safety.md#d27
 
 import argparse
+import contextlib
 import getpass
-import secrets
 import sys
 from collections.abc import Callable
 
 from steerd.daemon.cli.bus_options import add_bus_arguments
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.ipc.diagnostics import read_diagnostics
-from steerd.daemon.ipc.operator import (
-    KEEPALIVE_NS,
-    Operator,
-    connect,
-    read_status,
-)
+from steerd.daemon.ipc.gateway_wire import make_badge
+from steerd.daemon.ipc.operator import KEEPALIVE_NS, connect
 from steerd.daemon.ipc.signals import raise_on_stop_signals
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.bus_operator import (
+    CALL_NS,
+    REPEAT_NS,
+    STOPS,
+    BusOperator,
+    keep_lease,
+    recall_lease,
+)
+from steerd.daemon.process.page_link import CarView
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import Bus
-from steerd.steer_bus.clock import Clock, MonotonicClock
+from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.messages import RequestKind, Transition
-from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import make_key
 
+STATUS_NS = 2_000_000_000
+"""A car on the bus says how it is within this [ns]."""
 ANSWER_NS = 1_500_000_000
 """A request that has no effect after this was refused [ns]."""
 REST_NS = 5_000_000_000
@@ -50,18 +57,18 @@ _KINDS = {
     "estop": RequestKind.ESTOP,
 }
 _WANTED = {
-    "arm": (SupervisorState.ARMED,),
-    "start": (SupervisorState.RUNNING,),
-    "stop": (
+    RequestKind.ARM: (SupervisorState.ARMED,),
+    RequestKind.START: (SupervisorState.RUNNING,),
+    RequestKind.DISARM: (
         SupervisorState.STOPPING,
-        SupervisorState.ARMED,
         SupervisorState.DISARMED,
         SupervisorState.READY,
     ),
-    "disarm": (SupervisorState.STOPPING, SupervisorState.DISARMED, SupervisorState.READY),
-    "clear": (SupervisorState.DISARMED, SupervisorState.READY),
-    "estop": (SupervisorState.ESTOP,),
+    RequestKind.CLEAR: (SupervisorState.DISARMED, SupervisorState.READY),
+    **STOPS,
 }
+
+
 _OVER = (
     SupervisorState.DISARMED,
     SupervisorState.READY,
@@ -89,40 +96,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 class _Link:
-    """One operator on the bus: sends requests, receives states, keeps the lease alive."""
+    """One operator on the bus and what they see of the car."""
 
-    def __init__(self, bus: Bus, car: str, operator: Operator, clock: Clock) -> None:
-        self._bus = bus
-        self._operator = operator
-        self._key = make_key(car, topics.OPERATOR)
-        self._changes = bus.subscribe(make_key(car, topics.TRANSITION), 32)
-        self._status = bus.subscribe(make_key(car, topics.DIAGNOSTICS))
-        self._clock = clock
-        self.state = SupervisorState.INIT
-        self.values: dict[str, str] = {}
-        self._show: Callable[[str], None] = lambda line: print(line, file=sys.stderr)
+    def __init__(self, view: CarView, operator: BusOperator) -> None:
+        self.view, self._operator, self._clock = view, operator, view.clock
+        self._changes = view.bus.subscribe(make_key(view.car, topics.TRANSITION), 32)
+        self._alive_ns = 0
+
+    @property
+    def state(self) -> SupervisorState | None:
+        return self.view.mode
 
     def send(self, kind: RequestKind) -> None:
-        self._bus.publish(self._key, self._operator.make_request(kind, self._clock.realtime_ns()))
+        self._operator.ask(self.view.boot_id, kind)
 
     def receive(self) -> None:
+        """Take in what has come; what cannot be read, of another version, is left out."""
         for sample in self._changes.poll():
-            change = decode(Transition, sample.data)
-            self.state = SupervisorState(change.to_state)
-            self._show(f"{self.state.name:<14}{change.text}")
-        for sample in self._status.poll():
-            self.values = read_diagnostics(decode(DiagnosticArray, sample.data))
-            self.state = SupervisorState[self.values["state"]]
+            with contextlib.suppress(ValueError):
+                change = decode(Transition, sample.data)
+                name = SupervisorState(change.to_state).name
+                print(f"{name:<14}{change.text}", file=sys.stderr)
+        self.view.poll()
 
-    def wait(self, done: Callable[[], bool], limit_ns: int | None) -> bool:
-        """Keep the lease alive and receive until `done` or the time is over."""
+    def wait(self, done: Callable[[], bool], limit_ns: int | None, *, hold: bool = True) -> bool:
+        """Keep the lease alive, repeat a stop and receive until `done` or the time is over."""
         end = None if limit_ns is None else self._clock.now_ns() + limit_ns
         while not done():
             now = self._clock.now_ns()
             if end is not None and now > end:
                 return False
-            self.send(RequestKind.KEEPALIVE)
-            self._clock.sleep_until_ns(now + KEEPALIVE_NS)
+            if hold and now - self._alive_ns >= KEEPALIVE_NS:
+                self._alive_ns = now
+                self.send(RequestKind.KEEPALIVE)
+            self._operator.repeat(self.state)
+            self._clock.sleep_until_ns(now + REPEAT_NS // 2)
             self.receive()
         return True
 
@@ -132,20 +140,38 @@ def run(args: argparse.Namespace) -> int:
     # A closed terminal means that the operator has left: end at once, the deadman stops the car.
     raise_on_stop_signals()
     clock, name = MonotonicClock(), str(args.command)
+    kind = _KINDS[name]
     with connect(args.connect, args.lab) as bus:
-        status = read_status(bus, args.name, clock)
-        holder = int(status.get("holder", "0"))
-        shared = name == "start" and status["state"] == SupervisorState.ARMED.name and holder
-        lease = holder if shared else secrets.randbits(62) + 1
-        operator = Operator(int(status["boot_id"]), lease, getpass.getuser())
-        operator.seq = clock.realtime_ns() // 1_000_000 % 2_000_000_000
-        link = _Link(bus, args.name, operator, clock)
-        link.state, link.values = SupervisorState[status["state"]], status
-        if name in _HOLDING and args.no_hold and status.get("leased") == "1":
+        if kind in STOPS:
+            operator = BusOperator(bus, args.name, clock, getpass.getuser())
+            operator.ask(0, kind)  # before anything is known of the car, and whatever it says
+            return _stop(_Link(CarView(bus, args.name, clock), operator), operator, name)
+        view = CarView(bus, args.name, clock)
+        _expect_car(view)
+        leased = view.values.get("leased") == "1"
+        if name in _HOLDING and args.no_hold and leased:
             _refuse_unheld(name)
-        if name == "start" and link.state is not SupervisorState.ARMED:
-            _refuse_unarmed(link)
-        return _request(link, name, hold=not args.no_hold)
+        if name == "start" and view.mode is not SupervisorState.ARMED:
+            _refuse_unarmed(view)
+        holder, kept = view.values.get("holder", "0"), recall_lease(args.name)
+        shared = name == "start" and holder == str(make_badge(bus.who, kept))
+        operator = BusOperator(bus, args.name, clock, getpass.getuser(), kept if shared else 0)
+        return _request(_Link(view, operator), operator, name, hold=not args.no_hold)
+
+
+def _expect_car(view: CarView) -> None:
+    """Wait until a car has said how it is.
+
+    Raises:
+        SteerdError: none did, in time.
+    """
+    end = view.clock.now_ns() + STATUS_NS
+    while not (view.boot_id and view.state):
+        if view.clock.now_ns() > end:
+            hint = f"is the car called {view.car!r}? name it with --name"
+            raise SteerdError(f"no car {view.car!r} on the bus", hint, ExitCode.UNREACHABLE)
+        view.clock.sleep_until_ns(view.clock.now_ns() + REPEAT_NS // 2)
+        view.poll()
 
 
 def _refuse_unheld(name: str) -> None:
@@ -157,27 +183,46 @@ def _refuse_unheld(name: str) -> None:
     )
 
 
-def _refuse_unarmed(link: _Link) -> None:
+def _refuse_unarmed(view: CarView) -> None:
     raise SteerdError(
-        f"the car is {link.state.name}, not ARMED; it is waiting for {link.values.get('waiting')}",
+        f"the car is {view.mode_name}, not ARMED; it is waiting for {view.values.get('waiting')}",
         "steerd arm",
         ExitCode.STOPPED,
     )
 
 
-def _request(link: _Link, name: str, *, hold: bool) -> int:
-    kind, wanted = _KINDS[name], _WANTED[name]
+def _stop(link: _Link, operator: BusOperator, name: str) -> int:
+    """Call for a stop until the car shows it; the request is out before anything was received."""
+    link.wait(lambda: not operator.repeat(link.state), None, hold=False)
+    if link.state in STOPS[_KINDS[name]]:
+        print(link.view.mode_name)
+        return ExitCode.OK
+    if link.state is None:
+        what = f"{name} was sent for {CALL_NS * 1e-9:.0f} s, and no car {link.view.car!r} shows it"
+        hint = "look at the car; is it called so? name it with --name"
+        raise SteerdError(what, hint, ExitCode.UNREACHABLE)
+    raise _make_refusal(link.view, name)
+
+
+def _make_refusal(view: CarView, name: str) -> SteerdError:
+    return SteerdError(
+        f"{name}: the car stays {view.mode_name}: {view.values.get('reason', '')}; "
+        f"it is waiting for {view.values.get('waiting', '')}",
+        "steerd status",
+        ExitCode.STOPPED,
+    )
+
+
+def _request(link: _Link, operator: BusOperator, name: str, *, hold: bool) -> int:
+    kind = _KINDS[name]
     link.send(kind)
-    if not link.wait(lambda: link.state in wanted, ANSWER_NS):
-        raise SteerdError(
-            f"{name}: the car stays {link.state.name}: {link.values.get('reason', '')}; "
-            f"it is waiting for {link.values.get('waiting', '')}",
-            "steerd status",
-            ExitCode.STOPPED,
-        )
+    if not link.wait(lambda: link.state in _WANTED[kind], ANSWER_NS):
+        raise _make_refusal(link.view, name)
+    if name == "arm":
+        keep_lease(link.view.car, operator.secret)
     if name in _HOLDING and hold:
         return _hold(link, name)
-    print(link.state.name)
+    print(link.view.mode_name)
     return ExitCode.OK
 
 
@@ -192,7 +237,7 @@ def _hold(link: _Link, name: str) -> int:
         link.send(RequestKind.DISARM if name == "arm" else RequestKind.STOP)
         link.wait(lambda: link.state is not stay, ANSWER_NS)
         link.wait(lambda: link.state is not SupervisorState.STOPPING, REST_NS)
-    print(link.state.name)
+    print(link.view.mode_name)
     return (
         ExitCode.STOPPED
         if link.state in (SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)

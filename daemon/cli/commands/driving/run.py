@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from steerd.daemon.cli.inputs import reads_car, reads_lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.process.prepared import CORE, Prepared, prepared
-from steerd.daemon.process.view_job import DEFAULT_PORT, check_view, parse_view
+from steerd.daemon.process.view_job import DEFAULT_PORT, check_view
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def _add_network_arguments(run: argparse._ArgumentGroup) -> None:
         nargs="?",
         const=str(DEFAULT_PORT),
         metavar="[HOST:]PORT",
-        help=f"show it live in Foxglove or Lichtblick (ws://127.0.0.1:{DEFAULT_PORT})",
+        help="show it live in Foxglove or Lichtblick, at the address that is printed",
     )
     run.add_argument(
         "--view-sets",
@@ -340,8 +340,7 @@ def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
     for line in processes.core_report.get("realtime", ()):
         print(f"note: {line}", file=sys.stderr)
     if processes.viewer is not None:
-        host, port = parse_view(plan.options.view, plan.options.insecure_lan)
-        print(f"view: ws://{host}:{port} (Foxglove or Lichtblick: Open connection)")
+        print(f"view: {processes.view_url} (Foxglove or Lichtblick: Open connection)")
     if processes.page is not None:
         print(f"page: {processes.page.url} (in a browser on this machine)")
     where = "simulated hardware" if plan.options.simulated else str(plan.options.port)

@@ -39,13 +39,14 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: no daemon or no such car is there.
     """
-    from steerd.daemon.ipc.operator import KEEPALIVE_NS, connect, read_lab
+    from steerd.daemon.ipc.operator import connect, read_lab
 
     if args.lab is not None:
         read_lab(args.lab)  # a folder that is none is refused before anything heavy is loaded
     from rich.console import Console
     from rich.live import Live
 
+    from steerd.daemon.process.bus_operator import REPEAT_NS
     from steerd.daemon.terminal.dashboard import Dashboard
     from steerd.daemon.terminal.keyboard import keys_one_by_one, wait_for_key
     from steerd.daemon.terminal.watch import DEPTH, SECOND, Watch, find_car
@@ -64,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
             if not console.is_terminal:
                 _print_lines(watch, received, clock, end)
                 return ExitCode.OK
-            desk = make_desk(watch.board, bus, car, clock, operate=args.operate)
+            desk, repeat = make_desk(watch.board, bus, car, clock, operate=args.operate)
             with keys_one_by_one() as keys, Live(console=console, auto_refresh=False) as live:
                 watch.board.keys = "" if keys is None else desk_help(args.operate)
                 shown_ns = 0
@@ -75,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
                         shown_ns = now
                         live.update(watch.render(now), refresh=True)
                     desk.keep_alive()
-                    for key in wait_for_key(keys, KEEPALIVE_NS, clock):
+                    repeat()
+                    for key in wait_for_key(keys, REPEAT_NS, clock):
                         desk.on_key(key)
         except KeyboardInterrupt:
             pass

@@ -148,12 +148,10 @@ def _write_roster(folder: Path, roster: Roster, added: tuple[str, ...], *, car_n
     text = "# Made by steerd keys. The car admits only the names in its copy of this list.\n"
     for key, value in roster._asdict().items():
         text += f"{key} = {json.dumps(value)}\n"
-    data = text.encode()
-    for name in added:
-        write_private(folder / name / ROSTER, data)
-    for name in (AUTHORITY, roster.car):
+    for name in (*added, AUTHORITY, roster.car):
         if (folder / name).is_dir():
-            write_private(folder / name / ROSTER, data, new=car_new)
+            data = f"{text}name = {json.dumps(name)}\n".encode()
+            write_private(folder / name / ROSTER, data, new=car_new or name in added)
 
 
 def explain(folder: Path, roster: Roster, *, began: bool, added: tuple[str, ...]) -> str:

@@ -1,61 +1,197 @@
-"""What `steerd arm` and `steerd start` refuse before anything moves."""
-
-import contextlib
+"""`steerd arm`, `start`, `stop` and `estop` on an in-process bus; time passes in sleeps alone."""
 
 import pytest
 
 from steerd.daemon.cli.commands.driving import operate
 from steerd.daemon.cli.main import run_cli
+from steerd.daemon.ipc.gateway_wire import make_badge
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process import bus_operator
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, make_header
+from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
+from steerd.steer_bus.topics import make_key
+from tests.local_bus import LocalBus, LocalHub
+
+HEADER = make_header(0, BODY)
+OBEYED = {
+    RequestKind.ARM: SupervisorState.ARMED,
+    RequestKind.START: SupervisorState.RUNNING,
+    RequestKind.STOP: SupervisorState.STOPPING,
+    RequestKind.ESTOP: SupervisorState.ESTOP,
+}
 
 
-class QuietBus:
-    """A bus on which nobody else talks; keeps what is sent."""
+class Bench:
+    """A car on a bus, and the clock of whoever operates it.
 
-    def __init__(self):
-        self.sent = []
+    Attributes:
+        state: the car's.
+        deaf: so many requests it does not hear.
+        speaks: whether it says how it is.
+        garbles: bytes that come instead of what it says, by topic.
+        asked: requests so far, with their times [s] and keys.
+    """
 
-    def publish(self, key, data):
-        self.sent.append(key)
+    def __init__(self, state="READY", **status):
+        self._hub = LocalHub()
+        self._bus = LocalBus(self._hub)
+        self._heard = self._bus.subscribe("steerd/car1/cmd/**", 4096)
+        self.state, self.deaf, self.speaks, self.garbles = SupervisorState[state], 0, True, {}
+        self._status = {"boot_id": "7", "waiting": "arm", "holder": "0", "leased": "1", **status}
+        self.asked, self.t_ns = [], 0
 
-    def subscribe(self, key, depth=1):
+    def connect(self, *_given):
         return self
 
-    def poll(self):
-        return []
+    def __enter__(self):
+        return LocalBus(self._hub)
+
+    def __exit__(self, *_exc):
+        pass
+
+    def now_ns(self):
+        return self.t_ns
+
+    def realtime_ns(self):
+        return self.t_ns + 10**18
+
+    def sleep_until_ns(self, deadline_ns):
+        self.t_ns = deadline_ns
+        for sample in self._heard.poll():
+            request = decode(OperatorRequest, sample.data)
+            kind = RequestKind(request.kind)
+            self.asked.append((self.t_ns * 1e-9, sample.key, kind, request.lease_id))
+            if self.deaf:
+                self.deaf -= 1
+            else:
+                self.state = OBEYED.get(kind, self.state)
+        if self.speaks:
+            self._speak()
+
+    def _speak(self):
+        numbers = dict.fromkeys(m.StateMessage.__dataclass_fields__, 0.0)
+        numbers |= {"header": HEADER, "mono_ns": 0, "seq": 0, "flags": 0, "mode": self.state}
+        values = {"state": self.state.name, **self._status}
+        pairs = tuple(KeyValue(key, value) for key, value in values.items())
+        status = DiagnosticStatus(0, "steerd: supervisor", "", "", pairs)
+        for topic, message in (
+            (topics.STATE, m.StateMessage(**numbers)),
+            (topics.DIAGNOSTICS, DiagnosticArray(HEADER, (status,))),
+        ):
+            data = self.garbles.get(topic.name, encode(message))
+            self._bus.publish(make_key("car1", topic), data)
+
+    def kinds(self):
+        return [kind for _, _, kind, _ in self.asked]
 
 
 @pytest.fixture
-def bus(monkeypatch):
-    """A bus with a car whose status the test gives."""
+def bench(monkeypatch):
+    """A car with this status."""
 
     def with_car(**status):
-        made = QuietBus()
-        values = {"boot_id": "7", "state": "READY", "waiting": "arm", "holder": "0", **status}
-        monkeypatch.setattr(operate, "connect", lambda *_: contextlib.nullcontext(made))
-        monkeypatch.setattr(operate, "read_status", lambda *_: values)
+        made = Bench(**status)
+        monkeypatch.setattr(operate, "connect", made.connect)
+        monkeypatch.setattr(operate, "MonotonicClock", lambda: made)
         return made
 
     return with_car
 
 
 @pytest.mark.parametrize(("name", "state"), [("arm", "READY"), ("start", "ARMED")])
-def test_a_car_with_a_deadman_is_not_armed_by_a_command_that_leaves(bus, capsys, name, state):
-    quiet = bus(leased="1", state=state)
+def test_a_car_with_a_deadman_is_not_armed_by_a_command_that_leaves(bench, capsys, name, state):
+    car = bench(state=state)
     assert run_cli([name, "--no-hold"]) == 2
     said = capsys.readouterr().err
     assert f"{name} --no-hold: this car has a deadman" in said
     assert "deadman = false" in said
-    assert quiet.sent == []
+    assert car.kinds() == []
 
 
-def test_without_a_deadman_it_is(bus):
-    quiet = bus(leased="0", state="ARMED")
+def test_without_a_deadman_it_is(bench):
+    car = bench(leased="0")
     assert run_cli(["arm", "--no-hold"]) == 0
-    assert len(quiet.sent) == 1
+    assert car.kinds()[0] is RequestKind.ARM
 
 
-def test_a_car_that_is_not_armed_is_not_started(bus, capsys):
-    quiet = bus(leased="1", state="READY")
+def test_a_car_that_is_not_armed_is_not_started(bench, capsys):
+    car = bench()
     assert run_cli(["start"]) == 5
     assert "the car is READY, not ARMED" in capsys.readouterr().err
-    assert quiet.sent == []
+    assert car.kinds() == []
+
+
+STOPPING = pytest.mark.parametrize("name", ["stop", "estop"])
+
+
+@STOPPING
+def test_a_stop_is_out_before_anything_is_known_and_until_it_is_seen(bench, name):
+    car = bench(state="RUNNING")
+    assert run_cli([name]) == 0
+    (first, key, kind, _), *rest = car.asked
+    assert (first, key) == (0.01, "steerd/car1/cmd/stop")
+    assert kind.name.lower() == name
+    assert 4 <= len(rest) <= 6, "for a tenth of a second it is repeated in any case"
+
+
+@STOPPING
+def test_a_stop_is_repeated_every_20_ms_for_a_car_that_does_not_hear(bench, name):
+    car = bench(state="RUNNING")
+    car.deaf = 40
+    assert run_cli([name]) == 0
+    times = [t for t, _, _, _ in car.asked]
+    assert times[40] == pytest.approx(0.81, abs=0.02)
+    assert len(times) <= 42
+
+
+@STOPPING
+@pytest.mark.parametrize("garbage", [b"", b"\0\1\0\0", b"\xff" * 400])
+def test_no_garbled_status_ends_a_stop(bench, capsys, name, garbage):
+    """A version mismatch is enough to make every message unreadable."""
+    car = bench(state="RUNNING")
+    car.garbles = {topics.STATE.name: garbage, topics.DIAGNOSTICS.name: garbage}
+    assert run_cli([name]) == 6
+    assert f"{name} was sent for 5 s, and no car 'car1' shows it" in capsys.readouterr().err
+    assert len(car.asked) == pytest.approx(250, abs=2)
+    assert car.state in (SupervisorState.STOPPING, SupervisorState.ESTOP)
+
+
+@STOPPING
+def test_a_state_of_another_version_does_not_end_a_stop(bench, name):
+    bench(state="RUNNING", boot_id="seven")
+    assert run_cli([name]) == 0, "the state alone confirms it"
+
+
+@STOPPING
+def test_a_stop_that_is_not_obeyed_is_not_confirmed(bench, capsys, name):
+    car = bench(state="RUNNING")
+    car.deaf = 10_000
+    assert run_cli([name]) == 5
+    assert f"{name}: the car stays RUNNING" in capsys.readouterr().err
+
+
+def test_nobody_there_is_said(bench, capsys):
+    car = bench()
+    car.speaks = False
+    assert run_cli(["arm", "--no-hold"]) == 6
+    assert "no car 'car1' on the bus" in capsys.readouterr().err
+    assert run_cli(["estop"]) == 6
+
+
+def test_start_shares_the_lease_of_this_user_s_arm_alone(bench, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    car = bench(leased="0")
+    assert run_cli(["arm", "--no-hold"]) == 0
+    ((_, _, _, drawn), *_) = car.asked
+    (file,) = tmp_path.rglob("lease-car1")
+    assert file.stat().st_mode & 0o777 == 0o600
+    assert bus_operator.recall_lease("car1") == drawn
+    for holder, shares in ((make_badge("", drawn), True), (drawn, False), (5, False)):
+        car = bench(state="ARMED", leased="0", holder=str(holder))
+        assert run_cli(["start", "--no-hold"]) == 0
+        assert (car.asked[0][3] == drawn) is shares
+    file.write_text("no number")
+    assert bus_operator.recall_lease("car1") == 0

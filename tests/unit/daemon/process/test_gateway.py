@@ -5,12 +5,12 @@ import socket
 
 import pytest
 
-from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, unpack_request
+from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, make_badge, unpack_request
 from steerd.daemon.ipc.pipe_records import PipeRecord, pack_record
 from steerd.daemon.process.gateway import Gateway, run_gateway
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.codec import encode
+from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.topics import alive_key, make_key
 from tests.local_bus import LocalBus, LocalHub
 
@@ -71,21 +71,94 @@ def test_what_comes_from_the_bus_is_not_sent_back_to_it(hub):
     assert heard.poll() == []
 
 
-def test_requests_and_poses_go_to_the_core_and_oversized_ones_do_not(hub, ends):
+def ask(kind, seq=1, lease_id=7, operator="ada"):
+    """An operator's request, encoded."""
+    return encode(
+        m.OperatorRequest(m.make_header(1, m.BODY), 5, lease_id, seq, int(kind), operator)
+    )
+
+
+ARM, STOP, ESTOP, ALIVE = (
+    m.RequestKind[name] for name in ("ARM", "STOP", "ESTOP", "KEEPALIVE")
+)  # fmt: skip
+
+
+def kinds(core):
+    """The operators' requests that have arrived at the core."""
+    got = [decode(m.OperatorRequest, data) for name, data in packets(core)]
+    return [m.RequestKind(request.kind) for request in got]
+
+
+def test_requests_and_poses_go_to_the_core_stops_first(hub, ends):
     ours, core = ends
     gateway = Gateway(LocalBus(hub), "car1", POSE_KEY)
     other = LocalBus(hub)
-    other.publish(make_key("car1", topics.OPERATOR), b"arm")
-    other.publish(make_key("car1", topics.DRIVE), bytes(REQUEST_MAX + 1))
-    other.publish(make_key("car1", topics.DRIVE), bytes(REQUEST_MAX))
-    other.publish(make_key("car2", topics.DRIVE), b"another car's")
+    drive = encode(m.DriveCommand(m.make_header(1, m.BODY), 5, 0, 1, 2, 100, 0.1, 1.0))
+    other.publish(make_key("car1", topics.OPERATOR), ask(ARM, lease_id=0))
+    other.publish(make_key("car1", topics.DRIVE), drive)
+    other.publish(make_key("car2", topics.DRIVE), drive)
+    other.publish(make_key("car1", topics.STOP), ask(ESTOP, lease_id=0))
     other.publish(POSE_KEY, b"pose")
     gateway.forward_requests(ours)
     assert packets(core) == [
-        (topics.OPERATOR.name, b"arm"),
-        (topics.DRIVE.name, bytes(REQUEST_MAX)),
+        (topics.OPERATOR.name, ask(ESTOP, lease_id=0)),
+        (topics.OPERATOR.name, ask(ARM, lease_id=0)),
+        (topics.DRIVE.name, drive),
         (topics.EXTERNAL_POSE.name, b"pose"),
     ]
+
+
+@pytest.mark.parametrize("topic", [topics.STOP, topics.OPERATOR])
+def test_what_does_not_decode_displaces_no_request(hub, ends, topic):
+    ours, core = ends
+    gateway, other = Gateway(LocalBus(hub), "car1", None), LocalBus(hub)
+    other.publish(make_key("car1", topic), ask(STOP))
+    for size in (0, 1, 40, 200, REQUEST_MAX + 1) * 200:
+        other.publish(make_key("car1", topic), bytes([size % 251]) * size)
+    gateway.forward_requests(ours)
+    assert kinds(core) == [STOP]
+
+
+def test_no_other_request_displaces_a_stop(hub, ends):
+    ours, core = ends
+    gateway, other = Gateway(LocalBus(hub), "car1", None), LocalBus(hub)
+    other.publish(make_key("car1", topics.STOP), ask(ESTOP))
+    for seq in range(1000):
+        other.publish(make_key("car1", topics.OPERATOR), ask(ALIVE, seq))
+        other.publish(make_key("car1", topics.STOP), ask(ALIVE, seq))
+    gateway.forward_requests(ours)
+    assert kinds(core)[0] is ESTOP
+    assert kinds(core) == []
+
+
+def test_a_lease_is_known_by_a_badge_that_opens_nothing(hub, ends):
+    """Whoever sends under the name that the car publishes is another."""
+    ours, core = ends
+    gateway, other = Gateway(LocalBus(hub), "car1", None), LocalBus(hub)
+    known = []
+    for lease_id in (7, 7, 8, 0):
+        other.publish(make_key("car1", topics.OPERATOR), ask(ALIVE, lease_id=lease_id))
+    gateway.forward_requests(ours)
+    known = [decode(m.OperatorRequest, data).lease_id for _, data in packets(core)]
+    assert known[0] == known[1] == make_badge("", 7)
+    assert len({*known, 7, 8}) == 5
+    assert known[3] == 0, "nobody stays nobody"
+    other.publish(make_key("car1", topics.OPERATOR), ask(ALIVE, lease_id=known[0]))
+    gateway.forward_requests(ours)
+    ((_, data),) = packets(core)
+    assert decode(m.OperatorRequest, data).lease_id not in known
+
+
+def test_in_a_lab_the_certificate_names_the_operator_and_the_lease(hub, ends):
+    ours, core = ends
+    gateway = Gateway(LocalBus(hub), "car1", None)
+    desk, tablet = (LocalBus(hub, who=name) for name in ("desk", "tablet"))
+    for bus in (desk, tablet):
+        bus.publish(make_key("car1", topics.OPERATOR, bus.who), ask(ALIVE, operator="desk"))
+    gateway.forward_requests(ours)
+    got = [decode(m.OperatorRequest, data) for _, data in packets(core)]
+    assert [request.operator for request in got] == ["desk", "tablet"]
+    assert got[0].lease_id != got[1].lease_id, "one secret, two people"
 
 
 def test_a_core_that_does_not_read_costs_requests_and_never_blocks(hub, ends):
@@ -93,8 +166,9 @@ def test_a_core_that_does_not_read_costs_requests_and_never_blocks(hub, ends):
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1)
     gateway, other = Gateway(LocalBus(hub), "car1", None), LocalBus(hub)
     sent = 64
-    for _ in range(sent):
-        other.publish(make_key("car1", topics.OPERATOR), bytes(REQUEST_MAX))
+    for seq in range(sent):
+        request = ask(ALIVE, seq, operator="x" * (REQUEST_MAX - 100))
+        other.publish(make_key("car1", topics.OPERATOR), request)
         gateway.forward_requests(ours)
     assert 0 < len(packets(core)) < sent
 

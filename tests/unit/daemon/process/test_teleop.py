@@ -26,6 +26,7 @@ class Desk:
         hub = LocalHub()
         car = LocalBus(hub)
         self._asked = car.subscribe(make_key("car1", topics.OPERATOR), 4096)
+        self._stops = car.subscribe(make_key("car1", topics.STOP), 4096)
         self._driven = car.subscribe(make_key("car1", topics.DRIVE), 4096)
         self.now_ns = 9 * S
         clock = SimpleNamespace(now_ns=lambda: self.now_ns, realtime_ns=lambda: self.now_ns)
@@ -55,6 +56,9 @@ class Desk:
         requests = [decode(OperatorRequest, s.data) for s in self._asked.poll()]
         assert [r.seq for r in requests] == sorted({r.seq for r in requests})
         return [RequestKind(r.kind) for r in requests]
+
+    def stops(self):
+        return [RequestKind(decode(OperatorRequest, s.data).kind) for s in self._stops.poll()]
 
     def driven(self):
         return [decode(DriveCommand, s.data) for s in self._driven.poll()]
@@ -124,18 +128,25 @@ def test_a_release_is_a_stop_and_then_silence(let_go):
     desk.move("rz", 1023)
     desk.wait(0.5)
     let_go(desk)
-    assert desk.asked()[-1] is RequestKind.STOP
+    assert set(desk.stops()) == {RequestKind.STOP}
+    desk.wait(0.2)
+    assert len(desk.stops()) == 10, "again every 20 ms, until the car shows it"
+    desk.show(SupervisorState.STOPPING)
+    desk.wait(0.1)
+    assert desk.stops() == []
+    assert RequestKind.KEEPALIVE in desk.asked()
     desk.driven()
     desk.move("rz", 1023)
     desk.press(GO)
     assert desk.wait(3.0) == []
-    assert (desk.asked(), desk.driven()) == ([], [])
+    assert (desk.asked(), desk.stops(), desk.driven()) == ([], [], [])
 
 
-def test_an_emergency_stop_needs_no_deadman():
+def test_an_emergency_stop_needs_no_deadman_and_no_status():
     desk = Desk()
+    desk.show(SupervisorState.READY, boot_id="")
     desk.press(ESTOP)
-    assert desk.asked() == [RequestKind.ESTOP]
+    assert desk.stops() == [RequestKind.ESTOP]
 
 
 def test_another_run_of_the_car_gets_a_lease_of_its_own():

@@ -81,6 +81,7 @@ def test_a_viewers_setting_goes_out_under_the_terminals_lease():
     gain, speed = (decode(ParameterRequest, data) for _, data in out)
     assert (gain.gain, speed.speed) == (1.1, 1.1)
     assert [(r.boot_id, r.lease_id, r.seq) for r in (gain, speed)] == [(1, 77, 1), (1, 77, 2)]
+    assert [r.operator for r in (gain, speed)] == ["viewer", "desk"], "who set it is said"
 
 
 @pytest.mark.parametrize("operate", [False, True])
@@ -88,9 +89,14 @@ def test_the_keys_of_a_watch(operate):
     hub = LocalHub()
     car = LocalBus(hub)
     asked = car.subscribe(make_key("car1", topics.OPERATOR), 9)
+    stops = car.subscribe(make_key("car1", topics.STOP), 9)
     tuned = car.subscribe(make_key("car1", topics.SET_PARAMETERS), 9)
     board = Dashboard("watch", parameters=LIVE)
-    desk = make_desk(board, LocalBus(hub), "car1", MonotonicClock(), operate=operate)
+    desk, repeat = make_desk(board, LocalBus(hub), "car1", MonotonicClock(), operate=operate)
+    desk.on_key("e")
+    kinds = [decode(OperatorRequest, sample.data).kind for sample in stops.poll()]
+    assert kinds == ([KEYS["e"]] if operate else []), "a stop needs to know nothing of the car"
+    assert repeat() is operate
     desk.on_key("+")
     assert tuned.poll() == [], "not before the car's run is known"
     board.status["boot_id"] = "5"
@@ -101,7 +107,7 @@ def test_the_keys_of_a_watch(operate):
     board.parameters = replace(LIVE, speed=0.7)
     desk.on_key("+")
     assert [decode(ParameterRequest, sample.data).speed for sample in tuned.poll()] == [0.8]
-    kinds = [decode(OperatorRequest, sample.data).kind for sample in asked.poll()]
+    kinds = [decode(OperatorRequest, s.data).kind for s in (*asked.poll(), *stops.poll())]
     assert kinds == ([KEYS["a"], KEYS[" "]] if operate else [])
     assert desk.holding is operate
     assert ("[a]rm" in desk_help(operate)) is operate

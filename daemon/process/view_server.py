@@ -1,0 +1,199 @@
+"""Foxglove's WebSocket protocol, as far as a viewer that only looks needs it.
+
+A channel is a topic with its schema; a client subscribes to channels and reads parameters. Setting
+one asks; services and publishing by clients are not offered. See
+https://github.com/foxglove/ws-protocol.
+"""
+
+import asyncio
+import base64
+import contextlib
+import json
+import struct
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Any, NamedTuple
+
+from steerd.daemon.ipc.live_setting import LIVE, format_setting
+from steerd.daemon.process.secret_server import ConnectionClosed, ServerConnection
+
+PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+WORDS_MAX = 1 << 16
+"""Longest message of a client [bytes]; a subscription to all channels is some 2 kB."""
+_BACKLOG = 1024
+"""Messages that wait for a slow client; the oldest give way."""
+_DATA = struct.Struct("<BIQ")
+_MESSAGE_DATA = 1
+_ODD = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
+"""What a client's message that is none may raise."""
+
+Value = float | str
+
+
+class Channel(NamedTuple):
+    """A topic as it is advertised; `schema` is text, or bytes where its encoding is binary."""
+
+    topic: str
+    encoding: str
+    schema_name: str
+    schema_encoding: str
+    schema: str | bytes
+
+
+class ViewParameters:
+    """Parameters that can be read; setting one changes nothing here.
+
+    Where the run allows it (`--view-sets`), setting a live parameter asks the run's terminal for
+    it. Its new value comes back from the car, if it is accepted.
+    """
+
+    def __init__(
+        self, values: Mapping[str, Value], ask: Callable[[str], object] | None = None
+    ) -> None:
+        self._values = dict(values)
+        self._ask = ask
+
+    def take(self, live: Mapping[str, Value]) -> dict[str, Value]:
+        """Take in live parameters; those that are new or have changed."""
+        changed = {n: v for n, v in live.items() if self._values.get(n) != v}
+        self._values |= changed
+        return changed
+
+    def get(self, names: Iterable[str]) -> dict[str, Value]:
+        """Those named, or all."""
+        wanted = list(names) or list(self._values)
+        return {n: self._values[n] for n in wanted if n in self._values}
+
+    def set(self, wanted: Mapping[str, object]) -> dict[str, Value]:
+        """Ask for live parameters; a car file does not change during a drive. What they are now."""
+        for full, value in wanted.items():
+            group, _, name = full.partition(".")
+            if self._ask is None or group != "live" or name not in LIVE:
+                continue
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                self._ask(format_setting(name, float(value)))
+        return self.get(wanted)
+
+
+@dataclass(eq=False)
+class _Client:
+    """One who looks: subscription by channel, parameters that are followed, what waits."""
+
+    subscribed: dict[int, int] = field(default_factory=dict)
+    followed: set[str] = field(default_factory=set)
+    waiting: deque[str | bytes] = field(default_factory=lambda: deque(maxlen=_BACKLOG))
+    ready: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def give(self, message: str | bytes) -> None:
+        self.waiting.append(message)
+        self.ready.set()
+
+
+class ViewServer:
+    """Channels, parameters and clients of one car."""
+
+    def __init__(self, name: str, channels: Iterable[Channel], parameters: ViewParameters) -> None:
+        self._name, self._parameters = name, parameters
+        self._channels = list(channels)
+        self._ids = {channel.topic: number for number, channel in enumerate(self._channels, 1)}
+        self._clients: set[_Client] = set()
+
+    def log(self, topic: str, data: bytes, log_ns: int) -> None:
+        """Send a message to those who subscribed to its channel."""
+        channel = self._ids[topic]
+        for client in self._clients:
+            number = client.subscribed.get(channel)
+            if number is not None:
+                client.give(_DATA.pack(_MESSAGE_DATA, number, log_ns) + data)
+
+    def show(self, values: Mapping[str, Value]) -> None:
+        """Take in parameters and send those that changed to those who follow them."""
+        changed = self._parameters.take(values)
+        for client in self._clients:
+            followed = {n: v for n, v in changed.items() if n in client.followed}
+            if followed:
+                client.give(_encode_values(followed))
+
+    async def talk(self, connection: ServerConnection) -> None:
+        """Serve one client until it leaves."""
+        client = _Client()
+        client.give(_encode("serverInfo", **self._info()))
+        client.give(_encode("advertise", channels=self._advertised()))
+        self._clients.add(client)
+        sending = asyncio.create_task(_send(connection, client))
+        try:
+            async for words in connection:
+                with contextlib.suppress(*_ODD):
+                    self._obey(client, json.loads(words))
+        except ConnectionClosed:
+            pass
+        finally:
+            self._clients.discard(client)
+            sending.cancel()
+
+    def _info(self) -> dict[str, Any]:
+        can = ["parameters", "parametersSubscribe"]
+        return {"name": self._name, "capabilities": can, "supportedEncodings": [], "metadata": {}}
+
+    def _advertised(self) -> list[dict[str, Any]]:
+        return [
+            {
+                "id": self._ids[c.topic],
+                "topic": c.topic,
+                "encoding": c.encoding,
+                "schemaName": c.schema_name,
+                "schemaEncoding": c.schema_encoding,
+                "schema": c.schema
+                if isinstance(c.schema, str)
+                else base64.b64encode(c.schema).decode(),
+            }
+            for c in self._channels
+        ]
+
+    def _obey(self, client: _Client, said: Any) -> None:
+        match said["op"]:
+            case "subscribe":
+                for each in said["subscriptions"]:
+                    client.subscribed[int(each["channelId"])] = int(each["id"]) & 0xFFFFFFFF
+            case "unsubscribe":
+                ended = set(said["subscriptionIds"])
+                kept = {c: n for c, n in client.subscribed.items() if n not in ended}
+                client.subscribed = kept
+            case "getParameters":
+                values = self._parameters.get(map(str, said["parameterNames"]))
+                client.give(_encode_values(values, said.get("id")))
+            case "setParameters":
+                wanted = {str(p["name"]): p.get("value") for p in said["parameters"]}
+                client.give(_encode_values(self._parameters.set(wanted), said.get("id")))
+            case "subscribeParameterUpdates":
+                names = self._parameters.get(map(str, said["parameterNames"]))
+                client.followed |= {*names, *map(str, said["parameterNames"])}
+            case "unsubscribeParameterUpdates":
+                client.followed -= set(map(str, said["parameterNames"]))
+
+
+async def _send(connection: ServerConnection, client: _Client) -> None:
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            await client.ready.wait()
+            client.ready.clear()
+            while client.waiting:
+                await connection.send(client.waiting.popleft())
+
+
+def _encode(op: str, **said: Any) -> str:
+    return json.dumps({"op": op, **said}, allow_nan=False)
+
+
+def _encode_values(values: Mapping[str, Value], answer_to: object = None) -> str:
+    """Parameters; a number that is none is left without a value."""
+    parameters: list[dict[str, object]] = []
+    for name, value in values.items():
+        if isinstance(value, str):
+            parameters.append({"name": name, "value": value})
+        elif isfinite(value):
+            parameters.append({"name": name, "value": value, "type": "float64"})
+    answered = {"id": str(answer_to)} if answer_to is not None else {}
+    return _encode("parameterValues", parameters=parameters, **answered)

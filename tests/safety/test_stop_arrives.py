@@ -1,0 +1,157 @@
+"""A stop arrives: under a flood of garbage, under garbled status, with the holder frozen.
+
+Real processes on a pty, a stranger's process that floods the bus, and the byte log of the wire.
+Nothing but the outside world is changed.
+"""
+
+import contextlib
+import json
+import os
+import re
+import select
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import pytest
+from websockets.exceptions import InvalidStatus  # noqa: TID251
+from websockets.sync.client import connect  # noqa: TID251
+
+from steerd.daemon.ipc.operator import Operator
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.sim_hw.judge import find_stop
+from steerd.steer_bus import topics
+from steerd.steer_bus.messages import RequestKind
+from steerd.steer_bus.topics import make_key
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
+from tests.safety.live import BOOT_ID, CLOCK, LEASE_ID, Live, free_port, start_live
+
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
+FLOOD = Path(__file__).parent / "flood.py"
+RATE, BOUND_S = 40_000, 0.2
+REQUESTS = ["steerd/car1/cmd/operator", "steerd/car1/cmd/stop", "steerd/car1/cmd/parameters"]
+STATUS = ["steerd/car1/diagnostics", "steerd/car1/transition", "steerd/car1/state"]
+
+
+def first_line(live: Live, out: IO[str]) -> str:
+    """What a process says first; the car is held meanwhile."""
+    live.until(lambda: bool(select.select([out], [], [], 0.0)[0]))
+    return out.readline()
+
+
+@contextlib.contextmanager
+def flood(live: Live, keys: list[str]) -> Iterator[None]:
+    """40 000 messages a second of garbage under these keys, by a process that stands aside."""
+    command = ["nice", sys.executable, str(FLOOD), live.endpoint, str(RATE), *keys]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, **pipes) as process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        assert first_line(live, process.stdout) == "flooding\n"
+        try:
+            yield
+        finally:
+            process.stdin.close()
+            print("flooded with", process.stdout.read().strip(), "a second")
+
+
+@contextlib.contextmanager
+def page(live: Live) -> Iterator[str]:
+    """`steerd page` beside the car: where its WebSocket is."""
+    command = [sys.executable, "-m", "steerd", "page", "--connect", live.endpoint]
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout is not None
+        found = re.search(r"http:(\S+)", first_line(live, process.stdout))
+        assert found is not None
+        try:
+            yield f"ws:{found[1]}live"
+        finally:
+            process.terminate()
+
+
+def brake_bytes(live: Live, since_ns: int) -> float:
+    """Seconds until the first brake bytes, once the car is stopped."""
+    live.until(lambda: live.state is SupervisorState.ESTOP, 10.0)
+    live.live(0.1)
+    stop = find_stop(live.frames(), since_ns)
+    assert stop is not None
+    return (stop.t_ns - since_ns) * 1e-9
+
+
+@pytest.mark.parametrize("keys", [REQUESTS, STATUS], ids=["requests", "status"])
+def test_the_page_s_stop_button_brakes_within_200_ms(tmp_path, keys):
+    """The page opens in the flood: of the status it has hardly heard anything true."""
+    with start_live(tmp_path) as live:
+        live.reach("P5")
+        with flood(live, keys), page(live) as address:
+            origin = address.replace("ws:", "http:")
+            with connect(address, origin=origin[: origin.index("/", 8)], max_queue=None) as socket:
+                assert live.state is SupervisorState.RUNNING, live.transitions
+                now_ns = CLOCK.now_ns()
+                socket.send("estop")
+                live.alive = False  # the holder's terminal is frozen in this very moment
+                took = brake_bytes(live, now_ns)
+        print(f"brake bytes after {took * 1e3:.1f} ms")
+        assert took <= BOUND_S
+        assert "emergency stop called" in live.transitions[-1][2]
+
+
+@pytest.mark.parametrize("name", ["stop", "estop"])
+@pytest.mark.parametrize("keys", [REQUESTS, STATUS], ids=["requests", "status"])
+def test_the_command_stops_and_says_so(tmp_path, keys, name):
+    with start_live(tmp_path) as live:
+        live.reach("P5")
+        with flood(live, keys):
+            live.live(0.5)
+            command = [sys.executable, "-m", "steerd", name, "--connect", live.endpoint]
+            with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+                live.until(lambda: process.poll() is not None, 20.0)
+                assert process.stderr is not None
+                said = process.stderr.read()
+            assert process.returncode == 0, said
+        assert live.state is not SupervisorState.RUNNING
+
+
+def test_nobody_s_keepalives_but_the_holder_s_keep_the_car_driving(tmp_path):
+    """What is known of the holder is known to everybody: its name in the status, and the run's."""
+    thief = Operator(BOOT_ID, LEASE_ID, "terminal", seq=2_000_000_000)
+    with start_live(tmp_path) as live, ZenohBus(Profile(False, live.endpoint)) as bus:
+        live.reach("P5")
+        key = make_key("car1", topics.OPERATOR)
+
+        def steal() -> bool:
+            bus.publish(key, thief.make_request(RequestKind.KEEPALIVE, CLOCK.realtime_ns()))
+            return live.state is not SupervisorState.RUNNING
+
+        live.alive = False
+        live.until(steal, 3.0)
+        assert "lease" in live.transitions[-1][2]
+
+
+def test_who_knows_the_viewer_s_port_alone_sees_nothing(tmp_path):
+    port = free_port()
+    options = ["--sim", "--view", str(port), "--view-sets", "--record", str(tmp_path / "a.mcap")]
+    bus = ["--listen", f"tcp/127.0.0.1:{free_port()}"]
+    command = [sys.executable, "-m", "steerd", "run", *options, *bus]
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "stdin": subprocess.DEVNULL}
+    with subprocess.Popen(command, env=environment, text=True, **pipes) as run:
+        assert run.stdout is not None
+        while "view: " not in (line := run.stdout.readline()):
+            assert line, "ended before it showed anything"
+        try:
+            for origin in ("http://evil.example", "null", None):
+                with pytest.raises(InvalidStatus, match="404"):
+                    connect(
+                        f"ws://127.0.0.1:{port}", origin=origin, subprotocols=["foxglove.sdk.v1"]
+                    )
+            with connect(line.split()[1], subprotocols=["foxglove.sdk.v1"]) as own:
+                assert json.loads(own.recv())["op"] == "serverInfo"
+        finally:
+            run.terminate()
+            run.stdout.read()
