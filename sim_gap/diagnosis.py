@@ -37,7 +37,7 @@ from steerd.sysid.inference.noise import (
     noise_of_section,
     usual_noise,
 )
-from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled
+from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled, spun_windows
 from steerd.sysid.inference.search import Point
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
 from steerd.sysid.inference.superset import Superset, make_superset
@@ -277,6 +277,7 @@ def _conclude(
     before = settled(case.likelihood, fixed, fixed.centre)
     chosen = found.best if verdict.causes else found.null
     after = case.settle(chosen)
+    spun = spun_windows(after)
     options.progress("where", 0.75)
     where = locate(case.likelihood, before, after, case.noise, case.blocks, names)
     options.progress("shrinkage", 0.85)
@@ -288,8 +289,8 @@ def _conclude(
         following = next_manoeuvre(case.likelihood, after, case.library.nuisance, case.noise, pair)
     return Diagnosis(
         verdict=verdict.name,
-        before=gap_of(engine, before, case.blocks),
-        after=gap_of(engine, after, case.blocks),
+        before=gap_of(engine, before, case.blocks, spun),
+        after=gap_of(engine, after, case.blocks, spun),
         where=where,
         causes=verdict.causes,
         something_else=verdict.something_else,
@@ -300,7 +301,7 @@ def _conclude(
         moved=_moved(found.null),
         noise=case.noise,
         noise_known=case.known,
-        notes=(*notes, *_notes(case)),
+        notes=(*notes, *_notes(case, int(spun.sum()))),
         values=_values(engine, chosen),
         timeline=timeline_of(engine, before, after, names),
     )
@@ -359,8 +360,11 @@ def _base_notes(superset: Superset, base: CarFile | Model[float]) -> tuple[str, 
     return ()
 
 
-def _notes(case: _Case) -> tuple[str, ...]:
+def _notes(case: _Case, spun: int) -> tuple[str, ...]:
     notes = []
+    if spun:
+        count = case.engine.readings.count
+        notes.append(f"the car spun in {spun} of {count} windows: left out of the millimetres")
     if not case.known:
         notes.append("noise was learnt from these drives: a gap like noise is not identifiable")
     if len(np.unique(case.engine.readings.layout.run)) < 4:

@@ -13,7 +13,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.engine import Engine, open_engine
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.noise import Noise
-from steerd.sysid.inference.residuals import Gap, blocks_of, gap_of, settled
+from steerd.sysid.inference.residuals import Gap, blocks_of, gap_of, settled, spun_windows
 from steerd.sysid.inference.search import Point
 
 CROSS: tuple[float, ...] = (0.25, 3.0)
@@ -53,7 +53,8 @@ def cross_check(
         except (FloatingPointError, ValueError, np.linalg.LinAlgError):
             continue
         lead = seconds if seconds > 1.0 else 0.25
-        there = [gap_of(other, fit, blocks_of(other), (lead,)) for fit in fits]
+        spun, blocks = spun_windows(fits[1]), blocks_of(other)
+        there = [gap_of(other, fit, blocks, spun, (lead,)) for fit in fits]
         found.append(Horizon(seconds, there[0].whitened, there[1].whitened))
         if seconds > 1.0:
             gaps = (_longer(gaps[0], there[0]), _longer(gaps[1], there[1]))

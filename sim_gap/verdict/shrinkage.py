@@ -19,6 +19,7 @@ from steerd.sysid.inference.residuals import (
     ratios,
     robust_mean,
     settled,
+    spun_windows,
 )
 from steerd.sysid.inference.search import Point, newton
 from steerd.sysid.inference.space import make_space
@@ -156,7 +157,8 @@ def measure(
     before = settled(likelihood, base, base.centre)
     after = settled(likelihood, chosen.space, chosen.z)
     blocks = blocks_of(engine)
-    gaps = gap_of(engine, before, blocks), gap_of(engine, after, blocks)
+    spun = spun_windows(after)
+    gaps = gap_of(engine, before, blocks, spun), gap_of(engine, after, blocks, spun)
     found = _shares(ratios(before), ratios(after), _at_best(after), floor, blocks)
     share = found.share if found.identifiable else None
     return Shrinkage(predicted[0], share, predicted[1], predicted[2], digest, text, *gaps)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.sysid.inference.engine import Engine
-from steerd.sysid.inference.likelihood import Likelihood
+from steerd.sysid.inference.likelihood import SPUN, Likelihood
 from steerd.sysid.inference.readings import SPACING
 from steerd.sysid.inference.search import Point, fresh, newton, settle, stand, with_size
 from steerd.sysid.inference.space import Space
@@ -19,6 +19,8 @@ LEADS: tuple[float, ...] = (0.1, 0.5, 1.0)
 _SOFT = 3.0
 """Size of the discrepancy under which starts are sought first."""
 _BOOTSTRAPS = 200
+_FEW = 0.2
+"""Share of the windows that may be spun; of more the model is to blame."""
 _HALF_SLOT = 0.5 * SPACING
 FOLDS = 4
 BLOCK = 3
@@ -76,16 +78,29 @@ def ratios(fitted: Point) -> Array:
     return np.asarray(fitted.at.square / fitted.at.dof)
 
 
+def spun_windows(fitted: Point) -> NDArray[np.bool_]:
+    """(W,) windows in which the car spins whatever explains the others; none where all are far off.
+
+    A chaotic second says nothing in millimetres.
+    """
+    spun = ratios(fitted) >= SPUN
+    return np.asarray(spun & (spun.mean() < _FEW))
+
+
 def gap_of(
-    engine: Engine, fitted: Point, blocks: NDArray[np.int64], leads: Sequence[float] = LEADS
+    engine: Engine,
+    fitted: Point,
+    blocks: NDArray[np.int64],
+    spun: NDArray[np.bool_],
+    leads: Sequence[float] = LEADS,
 ) -> Gap:
-    """The gap under a fit."""
+    """The gap under a fit; windows that are `spun` count in the whitened error alone."""
     draws = interval_of(ratios(fitted), blocks)
     low, high = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
     rows, bounds = [], []
     error = fitted.linear.error
     for lead in leads:
-        each = _at_lead(engine, error, lead)
+        each = _at_lead(engine, error, lead, ~spun)
         a, b, d = (float(np.sqrt(np.mean(v**2))) if len(v) else 0.0 for v in each)
         rows.append((lead, a, b, d))
         bounds.append(tuple(_rms_interval(c) for c in each))
@@ -101,11 +116,13 @@ def _rms_interval(errors: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _at_lead(engine: Engine, error: Array, lead: float) -> tuple[Array, Array, Array]:
+def _at_lead(
+    engine: Engine, error: Array, lead: float, kept: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
     """Position, yaw and speed errors of all windows near `lead` (speed from the wheel)."""
     padded, readings = engine.padded, engine.readings
     t, channel = readings.t[padded.row], readings.channel[padded.row]
-    away = np.where(padded.there > 0.0, np.abs(t - lead), np.inf)
+    away = np.where((padded.there > 0.0) & kept[:, None], np.abs(t - lead), np.inf)
     planar = _nearest(away, channel <= 1)
     count = np.maximum(planar.sum(axis=1), 1) / 2.0
     position = np.sqrt((error**2 * planar).sum(axis=1) / count)[planar.any(axis=1)]
