@@ -83,10 +83,15 @@ _ARGUMENTS: dict[str, list[Any]] = {
     "readings": [
         POINTER(Integration), POINTER(Block), POINTER(Directions), c_void_p, POINTER(Readings)
     ],
+    "follow": [POINTER(Integration), c_void_p, c_void_p],
+    "actuated": [POINTER(Integration), c_void_p, c_void_p],
+    "glide": [POINTER(Integration), c_void_p, c_void_p],
     "delays": [c_void_p] * 4,
     "constants": [c_void_p, c_double, c_void_p],
     "constant_count": [],
 }  # fmt: skip
+_SHORT = ("follow", "actuated", "glide")
+"""Functions that keep Python's lock: another thread would not give it back before milliseconds."""
 
 
 def model_label(effects: tuple[Effect, ...], chassis: Chassis) -> str:
@@ -138,7 +143,10 @@ def _unusable(path: Path, why: str) -> LibraryError:
 @cache
 def load_function(label: str, name: str, level: str = "", path: Path = LIBRARY) -> Any:
     """A model's function for this processor, or for a level of one's own choice."""
-    function = getattr(load_library(path), f"{label}_{level or _level()}_{name}")
+    library: Any = load_library(path)
+    if name in _SHORT:
+        library = ctypes.PyDLL(str(path), handle=library._handle)  # noqa: SLF001
+    function = getattr(library, f"{label}_{level or _level()}_{name}")
     function.argtypes = _ARGUMENTS[name]
     function.restype = c_int64 if name == "constant_count" else None
     return function

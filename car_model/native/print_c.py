@@ -19,6 +19,9 @@ from steerd.car_model.tape import Entry, Node, gradient, needed
 
 ALWAYS = -1
 """Stands for a parameter that is always moved: what outputs and derivatives by inputs need."""
+ROWS = "const vec *restrict in, vec *restrict out"
+NUMBERS = "const double *restrict p, const double *restrict q, double h"
+"""Arguments of the printed functions: rows of windows, then what is the same for all."""
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
@@ -157,22 +160,25 @@ class Printer:
                     f"{indent}{to} = {f'all({text})' if node.place in numbers else text};"
                 )
 
+    def values(self, form: str, piece: Piece) -> list[tuple[str, Node, int]]:
+        """A function that computes a piece's outputs; what it writes."""
+        out = [(f"out[{i}]", node, ALWAYS) for i, node in enumerate(piece.outputs)]
+        self.block(f"{form}({ROWS}, {NUMBERS})", piece.inputs, out)
+        return out
+
     def piece(self, name: str, forms: dict[str, Piece]) -> None:
         """A piece in all its forms, which share one table of derivatives."""
         first = next(iter(forms.values()))
         slopes = self.slopes(tuple(forms.values()))
         split = len(first.inputs)
-        arguments = "const double *restrict p, const double *restrict q, double h"
         for at, (form, piece) in enumerate(forms.items()):
-            out = [(f"out[{i}]", node, ALWAYS) for i, node in enumerate(piece.outputs)]
-            rows = "const vec *restrict in, vec *restrict out"
-            self.block(f"{form}({rows}, {arguments})", piece.inputs, out)
+            out = self.values(form, piece)
             by = [
                 (f"j[{k}]", s.formulas[at], ALWAYS if s.source < split else s.source - split)
                 for k, s in enumerate(slopes)
             ]
-            rows = f"{rows}, vec *restrict j, const uint8_t *restrict moved"
-            self.block(f"{form}_jac({rows}, {arguments})", piece.inputs, [*out, *by])
+            rows = f"{ROWS}, vec *restrict j, const uint8_t *restrict moved"
+            self.block(f"{form}_jac({rows}, {NUMBERS})", piece.inputs, [*out, *by])
         self._products(name, len(first.outputs), split, slopes)
 
     def slopes(self, forms: Sequence[Piece]) -> list[Slope]:
@@ -258,6 +264,7 @@ def print_model(traced: Traced, prefix: str) -> str:
     printer = Printer(traced, prefix)
     printer.piece("delays", {"delays": Piece((), traced.delays)})
     printer.piece("actuators", {"actuators": traced.actuators})
+    printer.values("linkage", traced.linkage)
     printer.piece("rates", {"rates": traced.rates, "fast": fast_rates(traced)})
     printer.piece("remember", {"remember": traced.remember})
     printer.piece("observe", {"observe": traced.observe})
