@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from scipy.linalg.lapack import dpotrf
 
-from steerd.estimator.kalman import Array, Belief
+from steerd.estimator.belief import Array, Belief
 from steerd.estimator.sensors import Kind
 from steerd.steer_bus.quick_values import quick_init, quick_value
 

@@ -13,8 +13,8 @@ from scipy.special import chdtri
 
 from steerd.car_model.chassis import SPEED_DYNAMIC
 from steerd.car_model.state import State
+from steerd.estimator.belief import Array, Belief
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.kalman import Array, Belief
 from steerd.estimator.sensors import Measurement
 
 SECONDS = 1e-9

@@ -9,8 +9,8 @@ from scipy.special import chdtri
 
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
+from steerd.estimator.belief import Array
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.kalman import Array
 
 _FIELDS = State._fields
 

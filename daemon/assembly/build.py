@@ -12,7 +12,6 @@ from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import Car
 from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path
-from steerd.daemon.assembly.machine_code import build_all
 from steerd.daemon.assembly.sim_car import load_sim_car, make_true_model
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.near import find_near
@@ -184,7 +183,6 @@ def make_plan(
         plan = RunPlan(options, add_drill_fence(settings, drill), path, drill)
     if design:
         _ = plan.controller
-    build_all()
     return plan
 
 
