@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from steerd.car_model.native.library import load_function, model_label
 from steerd.car_model.params import GRAVITY, Car, wheelbase
@@ -24,6 +23,8 @@ NAMES: tuple[str, ...] = (*State._fields[:6], "wheel", "accel")
 _YAW_RATE, _SLIP, _WHEEL = 4, 5, 6
 _NEWTON_STEPS = 50
 _NEWTON_TOLERANCE = 1e-11
+_TAYLOR_TERMS = 14
+"""Of a matrix whose norm is at most a half: the rest is below 1e-16."""
 
 
 class Turn(NamedTuple):
@@ -193,8 +194,21 @@ def _held(a: Matrix, b: Matrix, span: float) -> tuple[Matrix, Matrix]:
     n, m = b.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = a, b
-    grown = expm(block * span)
+    grown = _exponential(block * span)
     return grown[:n, :n], grown[:n, n:]
+
+
+def _exponential(matrix: Matrix) -> Matrix:
+    """By scaling, Taylor's series and squaring; SciPy's takes half a second to load."""
+    halvings = max(0, math.frexp(float(np.abs(matrix).sum(axis=1).max(initial=0.0)))[1] + 1)
+    part = matrix / 2.0**halvings
+    term = total = np.eye(len(matrix))
+    for k in range(1, _TAYLOR_TERMS + 1):
+        term = term @ part / k
+        total = total + term
+    for _ in range(halvings):
+        total = total @ total
+    return total
 
 
 def augmented(sampled: Sampled) -> tuple[Matrix, Matrix]:
