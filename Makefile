@@ -22,7 +22,6 @@ $(STAMP): pyproject.toml constraints.txt
 	  { rm -rf $(VENV); echo "could not make a virtual environment; on Debian/Ubuntu: sudo apt install python3-venv"; exit 3; }
 	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
 	$(BIN)/python -m pip install --quiet --progress-bar off -c constraints.txt -e '.[bag,baselines]' --group dev --group docs
-	$(BIN)/python -m steerd.daemon.assembly.machine_code
 	@touch $(STAMP)
 
 demo: install     ## drive 20 s of simulated figure-eight with a live status, record it

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
-from steerd.car_model.jacobian_generated import Jacobian, rates_and_jacobian
+from steerd.car_model.native.library import load_function, model_label
 from steerd.car_model.params import GRAVITY, Car, wheelbase
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, State
 
 Matrix = NDArray[np.float64]
@@ -23,6 +23,8 @@ NAMES: tuple[str, ...] = (*State._fields[:6], "wheel", "accel")
 _YAW_RATE, _SLIP, _WHEEL = 4, 5, 6
 _NEWTON_STEPS = 50
 _NEWTON_TOLERANCE = 1e-11
+_TAYLOR_TERMS = 14
+"""Of a matrix whose norm is at most a half: the rest is below 1e-16."""
 
 
 class Turn(NamedTuple):
@@ -59,6 +61,29 @@ class Sampled(NamedTuple):
     """Full periods of dead time."""
 
 
+def rates_and_jacobian(
+    car: Car[float], state: State[float], wheel: float, accel: float
+) -> tuple[list[float], Matrix]:
+    """Rates of the single-track car's chassis states, and their derivatives.
+
+    Args:
+        car: The car's parameters.
+        state: Where it is; `state.steer` plays no part (`wheel` does).
+        wheel: Road-wheel angle [rad].
+        accel: Longitudinal acceleration [m/s^2].
+
+    Returns:
+        The six rates, as `chassis.derivative` gives them, and the 6 x 8 derivatives by `NAMES`.
+
+    Raises:
+        LibraryError: The library was not built.
+    """
+    p, given, found = np.array(car), np.array([*state, wheel, accel]), np.empty((9, 6))
+    tangent = load_function(model_label((), SINGLE_TRACK), "tangent")
+    tangent(p.ctypes.data, given.ctypes.data, found.ctypes.data)
+    return found[0].tolist(), found[1:].reshape(6, 8)
+
+
 def steady_turn(car: Car[float], speed: float, curvature: float) -> Turn:
     """The steady turn of a given path curvature [1/m] at a speed [m/s].
 
@@ -71,7 +96,7 @@ def steady_turn(car: Car[float], speed: float, curvature: float) -> Turn:
     for _ in range(_NEWTON_STEPS):
         state = ORIGIN._replace(speed=speed, yaw_rate=yaw_rate, slip_angle=slip)
         rates, jacobian = rates_and_jacobian(car, state, wheel, 0.0)
-        (a, b), (c, d) = ((jacobian[i][_SLIP], jacobian[i][_WHEEL]) for i in (_YAW_RATE, _SLIP))
+        (a, b), (c, d) = jacobian[_YAW_RATE : _SLIP + 1, [_SLIP, _WHEEL]].tolist()
         determinant = a * d - b * c
         if abs(determinant) <= 1e-12 * (abs(a * d) + abs(b * c)):
             break
@@ -101,9 +126,9 @@ def linearise(
     return _part(jacobian, states, states), _part(jacobian, states, inputs)
 
 
-def _part(jacobian: Jacobian, rows: tuple[str, ...], columns: tuple[str, ...]) -> Matrix:
+def _part(jacobian: Matrix, rows: tuple[str, ...], columns: tuple[str, ...]) -> Matrix:
     """The named rows and columns of the Jacobian."""
-    return np.array([[jacobian[NAMES.index(r)][NAMES.index(c)] for c in columns] for r in rows])
+    return jacobian[np.ix_([*map(NAMES.index, rows)], [*map(NAMES.index, columns)])]
 
 
 def lane_error_model(car: Car[float], speed: float, curvature: float = 0.0) -> LaneErrorModel:
@@ -169,8 +194,21 @@ def _held(a: Matrix, b: Matrix, span: float) -> tuple[Matrix, Matrix]:
     n, m = b.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = a, b
-    grown = expm(block * span)
+    grown = _exponential(block * span)
     return grown[:n, :n], grown[:n, n:]
+
+
+def _exponential(matrix: Matrix) -> Matrix:
+    """By scaling, Taylor's series and squaring; SciPy's takes half a second to load."""
+    halvings = max(0, math.frexp(float(np.abs(matrix).sum(axis=1).max(initial=0.0)))[1] + 1)
+    part = matrix / 2.0**halvings
+    term = total = np.eye(len(matrix))
+    for k in range(1, _TAYLOR_TERMS + 1):
+        term = term @ part / k
+        total = total + term
+    for _ in range(halvings):
+        total = total @ total
+    return total
 
 
 def augmented(sampled: Sampled) -> tuple[Matrix, Matrix]:

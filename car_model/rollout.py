@@ -79,16 +79,16 @@ def step(
     car = car_now(ops, model, moment.state, t)
     ref = aim(ops, model, car, command, t)
     out = drive_actuators(ops, model, car, moment.state, ref, h)
-    return glide(ops, model, car, moment, out.steer, out.accel, h, integrate)
+    return glide(ops, model, moment, out.steer, out.accel, t, h, integrate)
 
 
 def glide(
     ops: Ops[T],
     model: Model[T],
-    car: Car[T],
     moment: Moment[T],
     steer: T,
     accel: T,
+    t: float,
     h: float,
     integrate: Integrator[T] = rk4,
 ) -> Moment[T]:
@@ -103,10 +103,12 @@ def glide(
     wheel_move = wheel_end - wheel_start
 
     def rates_at(at: State[T], share: float) -> Rates[T]:
+        car = car_now(ops, model, at, t)
         return model_rates(ops, model, car, memory, at, wheel_start + share * wheel_move, accel)
 
     after = integrate(rates_at, state, h)._replace(steer=steer)
     if bound_hooks(model.effects, "remember"):
+        car = car_now(ops, model, state, t)
         rest = 0.0 * accel  # the build-up of a force does not ask how hard the wheels push
         ends = (
             model.chassis.slip_angles(ops, car, state, wheel_start, rest),

@@ -1,11 +1,11 @@
 """The equations as straight-line programs: `Ops` over nodes of a graph, with exact derivatives.
 
 Running the generic equations over `Node`s records every operation once (equal operations share a
-node). From the record come straight-line Python (`steerd.car_model.straight_line`), the compiled
-library (`steerd.car_model.native`) and, by the chain rule over the record in reverse, exact
-Jacobians: no derivative is written by hand and none is approximated. Compared with a
-computer-algebra system the formulas are never expanded, so the printed code costs what the
-equations cost, and a derivative about three times that.
+node). From the record come the compiled library (`steerd.car_model.native`) and, by the chain rule
+over the record in reverse, exact Jacobians: no derivative is written by hand and none is
+approximated. Compared with a computer-algebra system the formulas are never expanded, so the
+printed code costs what the equations cost, and a derivative about three times that. Divisions
+become products with shared inverses, and what a zero makes superfluous goes.
 
 Source of the method: Griewank and Walther, Evaluating Derivatives (reverse accumulation).
 """
@@ -13,7 +13,7 @@ Source of the method: Griewank and Walther, Evaluating Derivatives (reverse accu
 # Why: docs/decisions/rooms-and-code.md#d3
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -38,11 +38,8 @@ class Tape:
 
     Attributes:
         entries: the operations, each after its arguments.
-        exact: whether running the record gives the bits that the equations give on floats. If not,
-            divisions become products with shared inverses, and what a zero makes superfluous goes.
     """
 
-    exact: bool = False
     entries: list[Entry] = field(default_factory=list)
     _places: dict[Entry, int] = field(default_factory=dict)
 
@@ -93,8 +90,6 @@ class Node:
         return apply("mul", self, other)
 
     def __truediv__(self, other: Any, /) -> "Node":
-        if self.tape.exact:
-            return apply("div", self, other)
         # As a product with the inverse: inverses are shared, and hoisted out of loops.
         return self * apply("inverse", self.tape.node(other))
 
@@ -117,7 +112,6 @@ _FOLD: dict[str, Any] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
     "mul": lambda a, b: a * b,
-    "div": lambda a, b: a / b,
     "inverse": lambda a: 1.0 / a if a else math.inf,
     "neg": lambda a: -a,
     "min": FLOAT.minimum,
@@ -135,7 +129,7 @@ def apply(op: str, first: Node, *others: Any) -> Node:
     entries = [node.entry for node in nodes]
     if all(entry.op == "const" for entry in entries):
         return tape.constant(_FOLD[op](*(entry.value for entry in entries)))
-    plain = None if tape.exact else _plain(op, nodes, entries)
+    plain = _plain(op, nodes, entries)
     if plain is not None:
         return plain
     places = tuple(node.place for node in nodes)
@@ -221,9 +215,7 @@ class TapeOps:
         return apply("max", a, b)
 
     def clip(self, a: Node, low: Node | float, high: Node | float, /) -> Node:
-        """Record `a` kept within [low, high]; an exact record keeps `a` itself on a bound."""
-        if a.tape.exact:
-            return apply("min", a.tape.node(high), apply("max", a.tape.node(low), a))
+        """Record `a` kept within [low, high]."""
         return apply("min", apply("max", a, low), high)
 
     def where_positive(
@@ -248,8 +240,6 @@ def contributions(node: Node, bar: Node) -> tuple[Node | None, ...]:
             return bar, -bar
         case "mul":
             return bar * b, bar * a
-        case "div":
-            return bar / b, -(bar * node / b)
         case "min":
             return _chosen(b - a, bar)
         case "max":
@@ -326,3 +316,23 @@ def needed(targets: Iterable[Node]) -> list[int]:
             seen.add(place)
             todo.extend(tape.entries[place].args)
     return sorted(seen)
+
+
+def program(inputs: Sequence[Node], outputs: Sequence[Node]) -> Callable[..., tuple[float, ...]]:
+    """The record as a function of the inputs' values, evaluated number by number.
+
+    For tests and references; what must be fast is printed (`steerd.car_model.native`).
+    """
+    entries = outputs[0].tape.entries if outputs else []
+    todo = [(place, entries[place]) for place in needed(outputs)]
+
+    def run(*numbers: float) -> tuple[float, ...]:
+        values = dict(zip((node.place for node in inputs), numbers, strict=True))
+        for place, entry in todo:
+            if entry.args:
+                values[place] = _FOLD[entry.op](*(values[a] for a in entry.args))
+            elif entry.op == "const":
+                values[place] = entry.value
+        return tuple(values[node.place] for node in outputs)
+
+    return run

@@ -8,13 +8,12 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
-from steerd.car_model.actuators import actuate, references
 from steerd.car_model.params import Car
-from steerd.car_model.state import Command, State
-from steerd.car_model.straight_line import compiled
-from steerd.car_model.tape import TAPE, Node, Tape, apply, gradient
+from steerd.car_model.prediction import ActuatorMotion, recorded_piece
+from steerd.car_model.state import Command
+from steerd.car_model.tape import Tape, program
 
 NS = 1_000_000_000
 SECONDS = 1e-9
@@ -31,22 +30,6 @@ class History(NamedTuple):
 
 
 NO_HISTORY = History()
-
-
-class ActuatorMotion(NamedTuple):
-    """What steering and drive did over an interval, and how that depends on where they began."""
-
-    steer: float
-    """Steering angle at the end [rad]."""
-    wheel: float
-    """Its mean over the interval [rad]."""
-    accel: float
-    """Mean longitudinal acceleration [m/s^2]."""
-    steer_by_steer: float
-    wheel_by_steer: float
-    accel_by_speed: float
-    steered: bool = True
-    """False while nothing drives the servo, which then holds where it is."""
 
 
 def add_command(history: History, t_ns: int, command: Command[float] | None) -> History:
@@ -124,46 +107,8 @@ def drive(
     )
 
 
-GIVEN = ("steer_cmd", "steered", "speed_cmd", "driven", "speed", "h")
-"""What a piece of an interval is given: orders, 1 or 0 for whether they were given, the speed at
-the interval's beginning, and how long the piece is."""
-SO_FAR = ("steer", "turned", "gained", "by_steer", "by_speed", "turned_by_steer")
-"""What goes from piece to piece: angle, its integral, speed gained, and their derivatives."""
-
-
-def recorded_piece(tape: Tape, car: Car[Node]) -> tuple[list[Node], list[Node]]:
-    """`actuate` over a piece of an interval without a change of order, and its derivatives.
-
-    Returns:
-        The inputs, `GIVEN` and then `SO_FAR`, and the outputs: `SO_FAR` after the piece.
-    """
-    inputs = [tape.symbol(name) for name in (*GIVEN, *SO_FAR)]
-    steer_cmd, steered, speed_cmd, driven, speed, h = inputs[: len(GIVEN)]
-    steer, turned, gained, by_steer, by_speed, turned_by_steer = inputs[len(GIVEN) :]
-    fast = speed + gained
-    still: State[Any] = State(*map(tape.constant, [0.0] * 7))
-    now = still._replace(speed=fast, steer=steer)
-    ref = references(TAPE, car, Command(steer_cmd, speed_cmd))
-    out = actuate(TAPE, car, now, ref, cast("float", h))
-    (after_by_steer,) = gradient([(out.steer, 1.0)], [steer])
-    (accel_by_speed,) = gradient([(out.accel, 1.0)], [fast])
-    after = apply("select", steered, out.steer, steer)
-    after_by_steer = apply("select", steered, after_by_steer, 1.0)
-    accel = apply("select", driven, out.accel, 0.0)
-    accel_by_speed = apply("select", driven, accel_by_speed, 0.0)
-    half = 0.5 * h
-    return inputs, [
-        after,
-        turned + half * (steer + after),
-        gained + h * accel,
-        by_steer * after_by_steer,
-        by_speed * (1.0 + h * accel_by_speed),
-        turned_by_steer + half * by_steer * (1.0 + after_by_steer),
-    ]
-
-
 @lru_cache(maxsize=32)
 def _piece(car: Car[float]) -> Callable[..., tuple[float, ...]]:
-    """A piece of an interval for this car, recorded and compiled."""
+    """A piece of an interval for this car, recorded."""
     tape = Tape()
-    return compiled(*recorded_piece(tape, Car(*map(tape.constant, car))))
+    return program(*recorded_piece(tape, Car(*map(tape.constant, car))))

@@ -9,9 +9,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from scipy.linalg.lapack import dpotrf
+import numpy as np
 
-from steerd.estimator.kalman import Array, Belief
+from steerd.estimator.belief import Array, Belief
 from steerd.estimator.sensors import Kind
 from steerd.steer_bus.quick_values import quick_init, quick_value
 
@@ -114,12 +114,14 @@ def make_health(
 def is_sound(belief: Belief) -> bool:
     """Whether the belief is finite and its covariance positive definite (Cholesky's test).
 
-    LAPACK is called directly: it stops at the first pivot that is not positive, NaN included, and a
-    positive definite matrix with a finite diagonal is finite.
+    A positive definite matrix with a finite diagonal is finite.
     """
-    _, failed = dpotrf(belief.covariance)
     numbers = (*belief.mean.tolist(), *belief.covariance.diagonal().tolist())
-    return not failed and all(map(math.isfinite, numbers))
+    try:
+        np.linalg.cholesky(belief.covariance)
+    except np.linalg.LinAlgError:
+        return False
+    return all(map(math.isfinite, numbers))
 
 
 def worst_sd(block: Array) -> float:

@@ -9,12 +9,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import chdtri
 
 from steerd.car_model.chassis import SPEED_DYNAMIC
 from steerd.car_model.state import State
+from steerd.estimator.belief import Array, Belief
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.kalman import Array, Belief
+from steerd.estimator.gates import chi_square_above
 from steerd.estimator.sensors import Measurement
 
 SECONDS = 1e-9
@@ -53,7 +53,7 @@ def initial_belief(
     inverse = np.linalg.inv(design.T @ design)
     fit = inverse @ design.T @ values
     misfit = float((((values - design @ fit) ** 2) / noise).sum())
-    if misfit > chdtri(3 * (len(poses) - 2), 1.0 - config.gate_probability):
+    if chi_square_above(3 * (len(poses) - 2), misfit) < 1.0 - config.gate_probability:
         return None
     variance = np.outer(np.diag(inverse), noise)
     variance[1] += (0.5 * bend * span) ** 2

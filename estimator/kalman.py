@@ -14,19 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter  # noqa: TID251
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
-Array = NDArray[np.float64]
-
-
-class Belief(NamedTuple):
-    """A Gaussian belief about the state. Never changed in place."""
-
-    mean: Array
-    """(n,), in the order of `steerd.car_model.state.State`."""
-    covariance: Array
-    """(n, n), symmetric."""
+from steerd.estimator.belief import Array, Belief
 
 
 class Fused(NamedTuple):

@@ -5,12 +5,12 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri
 
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
+from steerd.estimator.belief import Array
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.kalman import Array
+from steerd.estimator.gates import chi_square_gate
 
 _FIELDS = State._fields
 
@@ -90,6 +90,6 @@ def _sensor(
     return Sensor(
         matrix=matrix,
         noise=np.diag(np.square(sds)),
-        gate=float(chdtri(len(names), 1.0 - config.gate_probability)),
+        gate=chi_square_gate(len(names), config.gate_probability),
         yaw_row=names.index("yaw") if "yaw" in names else None,
     )

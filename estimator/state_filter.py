@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from steerd.car_model.actuators import references
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import Car
+from steerd.car_model.prediction import SIZE
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
 from steerd.estimator.actuation import (
@@ -32,6 +33,8 @@ from steerd.estimator.actuation import (
     dead_times,
     drop_older,
 )
+from steerd.estimator.belief import Array, Belief
+from steerd.estimator.compiled import Kernel, Link
 from steerd.estimator.config import HEALTH_WINDOW_S, FilterConfig
 from steerd.estimator.health import (
     Count,
@@ -42,18 +45,18 @@ from steerd.estimator.health import (
     make_health,
 )
 from steerd.estimator.initial import LONGEST_S, initial_belief
-from steerd.estimator.kalman import Array, Belief, Kalman
-from steerd.estimator.motion import SIZE, predict_belief
-from steerd.estimator.native.choice import make_kernel
-from steerd.estimator.native.kernel import Kernel, Link
+from steerd.estimator.motion import predict_belief
 from steerd.estimator.sensors import Kind, Measurement, Sensor, make_sensors, residual
 from steerd.steer_bus.quick_values import quick_init
+
+if TYPE_CHECKING:
+    from steerd.estimator.kalman import Kalman
 
 FUTURE_NS = 2_000_000
 """A measurement from further ahead than this has a broken clock behind it."""
 
 ABSURD = 1e6
-"""No reading of any instrument, in any SI unit, is this large."""
+"""No reading of any instrument, in any SI unit, is this large; `filter.h` has it too."""
 
 
 class Node(NamedTuple):
@@ -86,11 +89,17 @@ class StateFilter:
 
     car: Car[float]
     config: FilterConfig
-    kalman: Kalman
     sensors: Mapping[Kind, Sensor]
     chassis: Chassis = SINGLE_TRACK
     kernel: Kernel | None = None
-    """The same in machine code, bit for bit; without it, Python computes."""
+    """What computes; without it the reference does, in Python."""
+
+    @cached_property
+    def kalman(self) -> "Kalman":
+        """The reference's algebra, which nothing but a comparison loads."""
+        from steerd.estimator.kalman import Kalman
+
+        return Kalman(SIZE)
 
     @cached_property
     def soonest_ns(self) -> int:
@@ -142,7 +151,7 @@ def make_state_filter(
     config: FilterConfig | None = None,
     *,
     chassis: Chassis = SINGLE_TRACK,
-    native: bool = False,
+    reference: bool = False,
 ) -> StateFilter:
     """A filter for a car; shorter lags than it can believe are taken for the shortest.
 
@@ -150,15 +159,18 @@ def make_state_filter(
         car: the car's parameters.
         config: noise and gates.
         chassis: the equations that the parameters belong to.
-        native: in machine code where there is any; the numbers are the same.
+        reference: compute in Python, number by number: what the library is held against.
+
+    Raises:
+        LibraryError: the library was not built.
     """
     config = config or FilterConfig()
     car = car._replace(
         steer_lag=max(car.steer_lag, STEER_LAG_MIN), speed_lag=max(car.speed_lag, SPEED_LAG_MIN)
     )
     sensors = make_sensors(car, config)
-    kernel = make_kernel(car, chassis, config, sensors) if native else None
-    return StateFilter(car, config, Kalman(SIZE), sensors, chassis, kernel)
+    kernel = None if reference else Kernel(car, chassis, config, sensors)
+    return StateFilter(car, config, sensors, chassis, kernel)
 
 
 def step(
@@ -280,10 +292,9 @@ def _follow(
     flt: StateFilter, history: History, node: Node, chain: Sequence[Measurement]
 ) -> list[Node]:
     """The nodes after `node` for a chain of measurements."""
-    if flt.kernel is not None and all(map(_plausible, chain)):
+    if flt.kernel is not None:
         found = flt.kernel.fuse(history, node.belief, _time(node), chain)
-        if found is not None:
-            return _nodes(node.tally, chain, found)
+        return _nodes(node.tally, chain, found)
     nodes = [node]
     for measurement in chain:
         nodes.append(_next(flt, history, nodes[-1], measurement))
@@ -291,7 +302,7 @@ def _follow(
 
 
 def _nodes(tally: Tally, chain: Sequence[Measurement], found: Sequence[Link]) -> list[Node]:
-    """Nodes of what the machine code found."""
+    """Nodes of what the library found."""
     nodes = []
     for measurement, (belief, innovation, nis, believed) in zip(chain, found, strict=True):
         tally = count_measurement(tally, measurement.kind, measurement.t_ns, nis, believed)
@@ -302,9 +313,7 @@ def _nodes(tally: Tally, chain: Sequence[Measurement], found: Sequence[Link]) ->
 def _look_ahead(flt: StateFilter, history: History, node: Node, t_ns: int) -> tuple[Belief, bool]:
     """The belief at `t_ns`, and whether it is sound."""
     if flt.kernel is not None:
-        found = flt.kernel.predict(history, node.belief, _time(node), t_ns)
-        if found is not None:
-            return found
+        return flt.kernel.predict(history, node.belief, _time(node), t_ns)
     belief = _predict(flt, history, node.belief, _time(node), t_ns)
     return belief, is_sound(belief)
 

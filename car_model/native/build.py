@@ -22,7 +22,7 @@ from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.native.library import LEVELS, LIBRARY, fingerprint, model_label
-from steerd.car_model.native.print_c import print_model
+from steerd.car_model.native.print_c import print_filter, print_model
 from steerd.car_model.native.trace import trace
 from steerd.car_model.planar import CHASSIS
 
@@ -80,7 +80,8 @@ def models() -> Iterator[tuple[tuple[Effect, ...], Chassis]]:
 def model_text(effects: tuple[Effect, ...], chassis: Chassis) -> str:
     """The C file of one model; `EXPORT(name)` is what its functions are called."""
     pieces = print_model(trace(effects, chassis), "car")
-    return f'#include "vectors.h"\n{pieces}\n#include "march.h"\n'
+    text = f'#include "vectors.h"\n{pieces}\n#include "march.h"\n'
+    return text if effects else f'{text}{print_filter(chassis)}\n#include "filter.h"\n'
 
 
 def _run(command: Sequence[str]) -> None:
@@ -128,7 +129,7 @@ def link(compiler: Compiler, objects: Sequence[Path], target: Path) -> None:
     made, mark = target.with_name(f"{target.name}.new"), objects[0].with_name("fingerprint.c")
     mark.write_text(f'const char *const fingerprint = "{fingerprint()}";\n', encoding="ascii")
     files = map(str, (mark, *objects))
-    _run([*compiler.command, *OPTIONS, "-shared", "-s", *files, "-o", str(made)])
+    _run([*compiler.command, *OPTIONS, "-shared", "-s", *files, "-lm", "-o", str(made)])
     made.replace(target)
 
 

@@ -13,7 +13,7 @@ def row_layout(traced: Traced) -> dict[str, int]:
 
     Actuators: state, memory, command, time -> wheel at start and end, steer, accel, memory.
     Rates: chassis, wheel, accel, memory, time -> rates of the chassis.
-    Remember: state before, state after, memory -> memory.
+    Remember: state before, state after, memory, time -> memory.
     Observe: state -> readings.
     """
     states, chassis, memory = len(State._fields), len(traced.rates.outputs), traced.memory
@@ -41,6 +41,7 @@ def row_layout(traced: Traced) -> dict[str, int]:
         "RATES_INPUTS": len(traced.rates.inputs),
         "REMEMBER_AFTER": states,
         "REMEMBER_MEMORY": 2 * states,
+        "REMEMBER_TIME": 2 * states + memory,
         "REMEMBER_INPUTS": len(traced.remember.inputs),
         "READINGS": len(traced.observe.outputs),
         "PARAMETER_COUNT": len(traced.parameters),

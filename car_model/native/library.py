@@ -64,6 +64,15 @@ class Readings(Structure):
     )  # fmt: skip
 
 
+class Filter(Structure):
+    """What does not change while a filter runs; see `filter.h`."""
+
+    _fields_ = (
+        ("p", c_void_p), ("q", c_void_p), ("density", c_void_p), ("sensors", c_void_p),
+        ("steer_late", c_int64), ("drive_late", c_int64),
+    )  # fmt: skip
+
+
 class Loss(Structure):
     """Derivatives of a loss by every state."""
 
@@ -83,10 +92,20 @@ _ARGUMENTS: dict[str, list[Any]] = {
     "readings": [
         POINTER(Integration), POINTER(Block), POINTER(Directions), c_void_p, POINTER(Readings)
     ],
+    "follow": [POINTER(Integration), c_void_p, c_void_p],
+    "actuated": [POINTER(Integration), c_void_p, c_void_p],
+    "glide": [POINTER(Integration), c_void_p, c_void_p],
     "delays": [c_void_p] * 4,
     "constants": [c_void_p, c_double, c_void_p],
     "constant_count": [],
+    "fuse": [POINTER(Filter), c_void_p, c_void_p],
+    "predict": [POINTER(Filter), c_void_p, c_void_p],
+    "tangent": [c_void_p] * 3,
+    "filter_constants": [c_void_p, c_double, c_void_p],
+    "filter_constant_count": [],
 }  # fmt: skip
+_SHORT = ("follow", "actuated", "glide", "fuse", "predict", "tangent")
+"""Functions that keep Python's lock: another thread would not give it back before milliseconds."""
 
 
 def model_label(effects: tuple[Effect, ...], chassis: Chassis) -> str:
@@ -138,7 +157,10 @@ def _unusable(path: Path, why: str) -> LibraryError:
 @cache
 def load_function(label: str, name: str, level: str = "", path: Path = LIBRARY) -> Any:
     """A model's function for this processor, or for a level of one's own choice."""
-    function = getattr(load_library(path), f"{label}_{level or _level()}_{name}")
+    library: Any = load_library(path)
+    if name in _SHORT:
+        library = ctypes.PyDLL(str(path), handle=library._handle)  # noqa: SLF001
+    function = getattr(library, f"{label}_{level or _level()}_{name}")
     function.argtypes = _ARGUMENTS[name]
-    function.restype = c_int64 if name == "constant_count" else None
+    function.restype = c_int64 if name.endswith("constant_count") else None
     return function

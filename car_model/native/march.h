@@ -146,6 +146,7 @@ INLINE void remember(const integration_t *m, step_t *s, vec *after) {
     r[STEER] = s->out[car_WHEEL_START];
     r[car_REMEMBER_AFTER + STEER] = s->out[car_WHEEL_END];
     for (int i = 0; i < MEMORY; i++) r[car_REMEMBER_MEMORY + i] = s->out[car_MEMORY_END + i];
+    r[car_REMEMBER_TIME] = s->in[car_ACTUATORS_TIME];
     if (s->moved)
         car_remember_jac(r, s->remember_out, s->remember_j, s->moved, m->p, m->q, m->h);
     else
@@ -553,3 +554,57 @@ void EXPORT(delays)(const double *p, const double *q, double *delays, double *sl
 
 void EXPORT(constants)(const double *p, double h, double *q) { car_constants(p, h, q); }
 int64_t EXPORT(constant_count)(void) { return car_CONSTANTS; }
+
+/* -- one car, step by step: the simulated plant ------------------------------------------------------ */
+
+/* Every slot is the car. in: (N + 3,) state and memory, two numbers, time into the run. */
+INLINE void take(step_t *s, const double *in) {
+    s->moved = 0;
+    for (int i = 0; i < car_ACTUATORS_INPUTS; i++) s->in[i] = all(in[i]);
+}
+
+INLINE void move(const integration_t *m, step_t *s, double *out) {
+    vec after[N];
+    march_step(m, s, after);
+    remember(m, s, after);
+    for (int i = 0; i < N; i++) out[i] = after[i][0];
+}
+
+/* Under a servo angle and a speed to aim at; written: (N,). */
+void EXPORT(follow)(const integration_t *m, const double *in, double *out) {
+    step_t s;
+    take(&s, in);
+    car_actuators(s.in, s.out, m->p, m->q, m->h);
+    move(m, &s, out);
+}
+
+/* Where the actuators get to under them; written: steering angle at the end, acceleration. */
+void EXPORT(actuated)(const integration_t *m, const double *in, double *out) {
+    step_t s;
+    take(&s, in);
+    car_actuators(s.in, s.out, m->p, m->q, m->h);
+    out[0] = s.out[car_STEER_END][0];
+    out[1] = s.out[car_ACCEL][0];
+}
+
+/* `substeps` steps to a steering angle at the end with an acceleration held; written: (N,). */
+void EXPORT(glide)(const integration_t *m, const double *in, double *out) {
+    step_t s;
+    take(&s, in);
+    const vec begun = s.in[STEER], way = s.in[car_ACTUATORS_COMMAND] - begun, t = s.in[car_ACTUATORS_TIME];
+    s.out[car_ACCEL] = s.in[car_ACTUATORS_COMMAND + 1];
+    for (int64_t i = 0; i < m->substeps; i++) {
+        vec given[2 + M], linked[2 + M];
+        given[0] = s.in[STEER];
+        given[1] = begun + way * (double)(i + 1) / (double)m->substeps;
+        for (int j = 0; j < MEMORY; j++) given[2 + j] = s.in[STATES + j];
+        car_linkage(given, linked, m->p, m->q, m->h);
+        s.out[car_WHEEL_START] = linked[0];
+        s.out[car_WHEEL_END] = linked[1];
+        s.out[car_STEER_END] = given[1];
+        for (int j = 0; j < MEMORY; j++) s.out[car_MEMORY_END + j] = linked[2 + j];
+        move(m, &s, out);
+        for (int j = 0; j < N; j++) s.in[j] = all(out[j]);
+        s.in[car_ACTUATORS_TIME] = t + (double)(i + 1) * m->h;
+    }
+}

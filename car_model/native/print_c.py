@@ -12,14 +12,29 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple
 
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.native.layout import row_layout
 from steerd.car_model.native.specialised import SPECIALISED_SPEED, Range, specialise
 from steerd.car_model.native.trace import CHASSIS, Piece, Traced
-from steerd.car_model.tape import Entry, Node, gradient, needed
+from steerd.car_model.params import Car
+from steerd.car_model.prediction import (
+    GIVEN,
+    LONGEST_STEP_NS,
+    MOST_STEPS,
+    SO_FAR,
+    STEEPEST,
+    recorded_piece,
+    recorded_step,
+    recorded_tangent,
+)
+from steerd.car_model.tape import Entry, Node, Tape, gradient, needed
 
 ALWAYS = -1
 """Stands for a parameter that is always moved: what outputs and derivatives by inputs need."""
-_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+ROWS = "const vec *restrict in, vec *restrict out"
+NUMBERS = "const double *restrict p, const double *restrict q, double h"
+"""Arguments of the printed functions: rows of windows, then what is the same for all."""
+_INFIX = {"add": "+", "sub": "-", "mul": "*"}
 
 
 class Slope(NamedTuple):
@@ -35,17 +50,29 @@ class Slope(NamedTuple):
 
 @dataclass
 class Printer:
-    """Prints the pieces of one recorded model."""
+    """Prints pieces of one record.
 
-    traced: Traced
+    Attributes:
+        tape: the record.
+        symbols: the parameters.
+        h: the step.
+        prefix: of every name.
+        timeless: inputs by which no derivative is taken.
+        lines: what is printed.
+        hoisted: places among the constants.
+    """
+
+    tape: Tape
+    symbols: tuple[Node, ...]
+    h: Node
     prefix: str
+    timeless: frozenset[int] = frozenset()
     lines: list[str] = field(default_factory=list)
     hoisted: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        tape = self.traced.tape
-        self.entries: list[Entry] = tape.entries
-        self.fixed = {node.place for node in (*self.traced.symbols, self.traced.h)}
+        self.entries: list[Entry] = self.tape.entries
+        self.fixed = {node.place for node in (*self.symbols, self.h)}
 
     # -- what is a number, what a row ----------------------------------------------------------
 
@@ -63,7 +90,7 @@ class Printer:
         entry = self.entries[place]
         args = [f"v{a}" for a in entry.args]
         match entry.op:
-            case "add" | "sub" | "mul" | "div":
+            case "add" | "sub" | "mul":
                 return f"{args[0]} {_INFIX[entry.op]} {args[1]}"
             case "neg":
                 return f"-{args[0]}"
@@ -98,14 +125,14 @@ class Printer:
         rows = [p for p in places if p not in numbers and self.entries[p].args]
         used = {a for p in rows for a in self.entries[p].args} | {n.place for _, n, _ in targets}
         self.lines.append(f"static void {self.prefix}_{head} {{")
-        for k, symbol in enumerate(self.traced.symbols):
+        for k, symbol in enumerate(self.symbols):
             if symbol.place in used:
                 self.lines.append(f"    const double v{symbol.place} = p[{k}];")
         for place in sorted(used & numbers):
             entry = self.entries[place]
             if entry.op == "const":
                 self.lines.append(f"    const double v{place} = {entry.value!r};")
-            elif place == self.traced.h.place:
+            elif place == self.h.place:
                 self.lines.append(f"    const double v{place} = h;")
             elif entry.args:
                 self.lines.append(f"    const double v{place} = q[{self.slot(place)}];")
@@ -157,33 +184,36 @@ class Printer:
                     f"{indent}{to} = {f'all({text})' if node.place in numbers else text};"
                 )
 
+    def values(self, form: str, piece: Piece) -> list[tuple[str, Node, int]]:
+        """A function that computes a piece's outputs; what it writes."""
+        out = [(f"out[{i}]", node, ALWAYS) for i, node in enumerate(piece.outputs)]
+        self.block(f"{form}({ROWS}, {NUMBERS})", piece.inputs, out)
+        return out
+
     def piece(self, name: str, forms: dict[str, Piece]) -> None:
         """A piece in all its forms, which share one table of derivatives."""
         first = next(iter(forms.values()))
         slopes = self.slopes(tuple(forms.values()))
         split = len(first.inputs)
-        arguments = "const double *restrict p, const double *restrict q, double h"
         for at, (form, piece) in enumerate(forms.items()):
-            out = [(f"out[{i}]", node, ALWAYS) for i, node in enumerate(piece.outputs)]
-            rows = "const vec *restrict in, vec *restrict out"
-            self.block(f"{form}({rows}, {arguments})", piece.inputs, out)
+            out = self.values(form, piece)
             by = [
                 (f"j[{k}]", s.formulas[at], ALWAYS if s.source < split else s.source - split)
                 for k, s in enumerate(slopes)
             ]
-            rows = f"{rows}, vec *restrict j, const uint8_t *restrict moved"
-            self.block(f"{form}_jac({rows}, {arguments})", piece.inputs, [*out, *by])
+            rows = f"{ROWS}, vec *restrict j, const uint8_t *restrict moved"
+            self.block(f"{form}_jac({rows}, {NUMBERS})", piece.inputs, [*out, *by])
         self._products(name, len(first.outputs), split, slopes)
 
     def slopes(self, forms: Sequence[Piece]) -> list[Slope]:
         """The derivatives of a piece; time has no sensitivity."""
         first = forms[0]
-        sources = (*first.inputs, *self.traced.symbols)
+        sources = (*first.inputs, *self.symbols)
         found = []
         for i in range(len(first.outputs)):
             by = [gradient([(form.outputs[i], 1.0)], sources) for form in forms]
             for k, formulas in enumerate(zip(*by, strict=True)):
-                if sources[k].place != self.traced.t.place and not all(map(_zero, formulas)):
+                if sources[k].place not in self.timeless and not all(map(_zero, formulas)):
                     found.append(Slope(i, k, formulas))
         return sorted(found, key=lambda s: s.source >= len(first.inputs))
 
@@ -219,11 +249,11 @@ class Printer:
 
     def constants(self) -> None:
         """What depends on parameters and step alone."""
-        places = needed(Node(self.traced.tape, place) for place in self.hoisted)
+        places = needed(Node(self.tape, place) for place in self.hoisted)
         self.lines.append(
             f"static void {self.prefix}_constants(const double *p, double h, double *q) {{"
         )
-        for k, symbol in enumerate(self.traced.symbols):
+        for k, symbol in enumerate(self.symbols):
             if symbol.place in places:
                 self.lines.append(f"    const double v{symbol.place} = p[{k}];")
         numbers = set(places)
@@ -231,13 +261,34 @@ class Printer:
             entry = self.entries[place]
             if entry.op == "const":
                 self.lines.append(f"    const double v{place} = {entry.value!r};")
-            elif place == self.traced.h.place:
+            elif place == self.h.place:
                 self.lines.append(f"    const double v{place} = h;")
             elif entry.args:
                 text = self.operation(place, False, numbers)
                 self.lines.append(f"    const double v{place} = {text};")
         self.lines += [f"    q[{slot}] = v{place};" for place, slot in self.hoisted.items()]
         self.lines += ["}", f"enum {{ {self.prefix}_CONSTANTS = {len(self.hoisted)} }};", ""]
+
+
+def print_filter(chassis: Chassis) -> str:
+    """The C text of a filter's programs for a chassis (`car_model.prediction`)."""
+    tape = Tape()
+    car: Car[Node] = Car(*map(tape.symbol, Car._fields))
+    printer = Printer(tape, tuple(car), tape.symbol("no step"), "filter")
+    programs = {
+        "piece": recorded_piece(tape, car),
+        "propagate": recorded_step(tape, car, chassis),
+        "tangent": recorded_tangent(tape, car, chassis),
+    }
+    for name, (inputs, outputs) in programs.items():
+        printer.values(name, Piece(tuple(inputs), tuple(outputs)))
+    printer.constants()
+    sizes = {
+        "GIVEN": len(GIVEN), "SO_FAR": len(SO_FAR), "LONGEST_STEP_NS": LONGEST_STEP_NS,
+        "MOST_STEPS": MOST_STEPS, "STEEPEST": STEEPEST,
+    }  # fmt: skip
+    listed = ", ".join(f"{name} = {size}" for name, size in sizes.items())
+    return "\n".join([f"enum {{ {listed} }};", *printer.lines])
 
 
 def fast_rates(traced: Traced) -> Piece:
@@ -255,9 +306,11 @@ def _zero(node: Node) -> bool:
 
 def print_model(traced: Traced, prefix: str) -> str:
     """The C text of a model's pieces; every name begins with `prefix`."""
-    printer = Printer(traced, prefix)
+    timeless = frozenset({traced.t.place})
+    printer = Printer(traced.tape, traced.symbols, traced.h, prefix, timeless)
     printer.piece("delays", {"delays": Piece((), traced.delays)})
     printer.piece("actuators", {"actuators": traced.actuators})
+    printer.values("linkage", traced.linkage)
     printer.piece("rates", {"rates": traced.rates, "fast": fast_rates(traced)})
     printer.piece("remember", {"remember": traced.remember})
     printer.piece("observe", {"observe": traced.observe})

@@ -52,7 +52,9 @@ class Traced(NamedTuple):
         actuators: (states, memory, command, time) -> wheel at start and end, steer at end, accel,
             memory.
         rates: (chassis states, wheel, accel, memory, time) -> rates of the chassis states.
-        remember: (chassis before, wheel before, chassis after, wheel after, memory) -> memory.
+        linkage: (steer at start and end, memory) -> wheel at start and end, memory.
+        remember: (chassis before, wheel before, chassis after, wheel after, memory,
+            time) -> memory.
         remembers: whether `remember` does anything.
         observe: states -> x, y, yaw, wheel speed, yaw rate.
         delays: dead times of steer, drive and pose, in the parameters.
@@ -64,6 +66,7 @@ class Traced(NamedTuple):
     memory: int
     actuators: Piece
     rates: Piece
+    linkage: Piece
     remember: Piece
     remembers: bool
     observe: Piece
@@ -114,6 +117,13 @@ def _trace_actuators(s: _Symbols) -> Piece:
     )
 
 
+def _trace_linkage(s: _Symbols) -> Piece:
+    (end,) = _inputs(s.tape, "steer_end")
+    wheel_start, linked = link(TAPE, s.model, s.memory, s.state.steer)
+    wheel_end, linked = link(TAPE, s.model, linked, end)
+    return Piece((s.state.steer, end, *s.memory), (wheel_start, wheel_end, *linked))
+
+
 def _trace_rates(s: _Symbols) -> Piece:
     wheel, accel = _inputs(s.tape, "wheel", "accel")
     rolling = s.state._replace(steer=wheel)
@@ -127,9 +137,10 @@ def _trace_remember(s: _Symbols) -> Piece:
     slip_angles = s.model.chassis.slip_angles
     before: State[Node] = State(*_inputs(s.tape, *(f"{n}_before" for n in State._fields)))
     after: State[Node] = State(*_inputs(s.tape, *(f"{n}_after" for n in State._fields)))
-    ends = tuple(slip_angles(TAPE, s.model.car, at, at.steer, rest) for at in (before, after))
+    car = car_now(TAPE, s.model, before, s.t)
+    ends = tuple(slip_angles(TAPE, car, at, at.steer, rest) for at in (before, after))
     later = remember(TAPE, s.model, s.memory, after.speed, ends, s.h)
-    return Piece((*before, *after, *s.memory), later)
+    return Piece((*before, *after, *s.memory, s.t), later)
 
 
 def trace(effects: tuple[Effect, ...] = (), chassis: Chassis = SINGLE_TRACK) -> Traced:
@@ -146,6 +157,7 @@ def trace(effects: tuple[Effect, ...] = (), chassis: Chassis = SINGLE_TRACK) -> 
         memory=len(memory),
         actuators=_trace_actuators(symbols),
         rates=_trace_rates(symbols),
+        linkage=_trace_linkage(symbols),
         remember=_trace_remember(symbols),
         remembers=bool(bound_hooks(effects, "remember")),
         observe=Piece(tuple(state), tuple(observe(TAPE, model, state))),

@@ -83,7 +83,11 @@ class Kernels:
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Call a function of the library, without Python's lock."""
-        return load_function(model_label(self.effects, self.chassis), name)(*arguments)
+        return self.function(name)(*arguments)
+
+    def function(self, name: str) -> Any:
+        """A function of the library."""
+        return load_function(model_label(self.effects, self.chassis), name)
 
     def spread(self, rows: Array) -> Array:
         """(P, ...) rows by parameter among those of the library's car, zero elsewhere."""
@@ -123,9 +127,9 @@ class HeldCommands(NamedTuple):
 def _make_kernels(effects: tuple[Effect, ...], chassis: Chassis) -> Kernels:
     own, every = parameter_names(effects), tuple(EFFECTS.values()) if effects else ()
     names = {name: place for place, name in enumerate(parameter_names(every))}
-    unknown = [name for name in own if name not in names]
+    unknown = [effect.name for effect in effects if effect.name not in EFFECTS]
     if unknown:
-        raise ValueError(f"the library was built without {unknown[0].partition('.')[0]}")
+        raise ValueError(f"the library was built without {unknown[0]}")
     places = np.array([names[name] for name in own])
     nulls = np.array([*[0.0] * len(Car._fields), *(v for e in every for v in e.nulls)])
     return Kernels(effects, own, memory_size(every), chassis, nulls, places)
@@ -154,7 +158,7 @@ def model_of(kernels: Kernels, parameters: Array) -> Model[float]:
     )
 
 
-class _Car(NamedTuple):
+class CarNumbers(NamedTuple):
     """What the library's functions take of a car; the arrays live as long as this.
 
     Attributes:
@@ -168,16 +172,19 @@ class _Car(NamedTuple):
     integration: Integration
 
 
-def _car(kernels: Kernels, parameters: Array, h: float, integrator: str, substeps: int) -> _Car:
+def car_numbers(
+    kernels: Kernels, parameters: Array, h: float, integrator: str, substeps: int
+) -> CarNumbers:
+    """A car's numbers for steps of `h` seconds."""
     p, tableau = kernels.full(parameters), TABLEAUS[integrator]
     q = np.empty(kernels.call("constant_count") + 1)
     kernels.call("constants", _at(p), h, _at(q))
     stages = tableau.shape[1]
-    return _Car(p, q, Integration(_at(p), _at(q), _at(tableau), h, stages, substeps))
+    return CarNumbers(p, q, Integration(_at(p), _at(q), _at(tableau), h, stages, substeps))
 
 
-def _held_car(kernels: Kernels, parameters: Array, held: HeldCommands) -> _Car:
-    return _car(kernels, parameters, held.fine, held.integrator, held.substeps)
+def _held_car(kernels: Kernels, parameters: Array, held: HeldCommands) -> CarNumbers:
+    return car_numbers(kernels, parameters, held.fine, held.integrator, held.substeps)
 
 
 def _at(array: Array | Indices | NDArray[np.uint8]) -> int:
@@ -392,7 +399,7 @@ def delays_of(kernels: Kernels, parameters: Array) -> Array:
 
 def _delays(kernels: Kernels, parameters: Array) -> tuple[Array, Array]:
     """Dead times (3,) [s] and their derivatives by the parameters (3, P)."""
-    car = _car(kernels, parameters, 1.0, "euler", 1)
+    car = car_numbers(kernels, parameters, 1.0, "euler", 1)
     found, slopes = np.empty(3), np.zeros((3, len(car.p)))
     kernels.call("delays", _at(car.p), _at(car.q), _at(found), _at(slopes))
     return found, slopes[:, kernels.places]

@@ -8,11 +8,11 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 from steerd.car_model.car_file import default_car_path
+from steerd.car_model.native.library import load_library
 from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import Car
 from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path
-from steerd.daemon.assembly.machine_code import build_all
 from steerd.daemon.assembly.sim_car import load_sim_car, make_true_model
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.near import find_near
@@ -25,8 +25,8 @@ from steerd.sim_hw.vesc.vesc_config import VescConfig
 from steerd.sim_hw.world import WorldConfig
 from steerd.steer_bus.topics import check_car_name
 
-# python-control and filterpy take a second to import. `steerd run` leaves both to the core's
-# process, which needs them anyway; its terminal and its children start without.
+# The loop takes half a second to import. `steerd run` leaves it to the core's process, which needs
+# it anyway; its terminal and its children start without.
 if TYPE_CHECKING:
     from steerd.controller.acceptance import Acceptance
     from steerd.controller.config import ControllerConfig
@@ -157,6 +157,7 @@ def make_plan(
 
     Raises:
         SteerdError: any of them is refused, with the reason.
+        LibraryError: the compiled equations were not built.
     """
     slowest = SLOWEST_HZ if options.port and not options.simulated else SLOWEST_SIMULATED_HZ
     if not slowest <= options.rate_hz <= FASTEST_HZ:
@@ -182,9 +183,9 @@ def make_plan(
         except PlanError as error:
             raise SteerdError(str(error), "", ExitCode.USAGE) from None
         plan = RunPlan(options, add_drill_fence(settings, drill), path, drill)
+    load_library()  # a missing one is said here, before any process is started
     if design:
         _ = plan.controller
-    build_all()
     return plan
 
 

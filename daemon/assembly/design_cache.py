@@ -18,6 +18,7 @@ from typing import Any
 
 import platformdirs
 
+from steerd.car_model.native.library import fingerprint
 from steerd.car_model.params import Car
 from steerd.controller.build import compute_table
 from steerd.controller.config import ControllerConfig
@@ -59,7 +60,7 @@ def digest_design(
     """All that the gains depend on, as the name of a file."""
     found = hashlib.sha256()
     found.update(repr((tuple(car), asdict(config), tuple(timing), speed_max)).encode())
-    found.update(metadata.version("control").encode())
+    found.update(metadata.version("control").encode() + fingerprint().encode())
     for name in _CODE:
         spec = util.find_spec(f"steerd.{name}")
         if spec is not None and spec.origin is not None:

@@ -57,7 +57,7 @@ class Perception:
         thresholds: Thresholds,
         scaling: Scaling,
     ) -> None:
-        self._filter = make_state_filter(car, config, chassis=chassis, native=True)
+        self._filter = make_state_filter(car, config, chassis=chassis)
         self._state = FilterState()
         self._thresholds = thresholds
         self._scaling = scaling

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
-from steerd.car_model.model import Model, delays, hooked, memory_size, observe
+from steerd.car_model.model import Model, delays, hooked, observe
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import GRAVITY
 from steerd.car_model.rollout import stiffness_rate
 from steerd.car_model.state import ORIGIN, Observation, State
 from steerd.sim_hw.plant.delay import DelayLine
 from steerd.sim_hw.plant.noise import NoiseSource
-from steerd.sim_hw.plant.unrolled import make_steps
+from steerd.sim_hw.plant.steps import make_steps
 from steerd.steer_bus.quick_values import quick_value
 
 NS = 1_000_000_000
@@ -93,8 +93,10 @@ class SimCar:
         self._noisy = any(setup.noise)
         self._step_ns = setup.step_ns
         self._watched = "observe" in hooked(model.effects)
-        self._steps = make_steps(model)
-        self._memory: tuple[float, ...] = (0.0,) * memory_size(model.effects)
+        h = setup.step_ns / NS
+        self._h = h
+        self._steps = make_steps(model, h)
+        self._memory: tuple[float, ...] = (0.0,) * self._steps.memory
         late = delays(model)
         self._pose_delay_ns = round(late.pose * NS)
         self._steer_delay_ns = max(0, round((late.steer - setup.servo_wait) * NS))
@@ -102,8 +104,6 @@ class SimCar:
         self._drive_delay_ns = round(late.drive * NS)
         self._value = DelayLine(self._drive_delay_ns, 0.0)
         self._mode = DelayLine(self._drive_delay_ns, float(Drive.BRAKE))
-        h = setup.step_ns / NS
-        self._h = h
         # decay rates of yaw rate and slip go with 1/v: RK4 steps per physics step at 1 m/s
         self._substeps = h * stiffness_rate(model.car, SPEED_KINEMATIC) * SPEED_KINEMATIC / 2.0
         length = math.ceil((_HISTORY + late.pose) / h)
@@ -122,10 +122,10 @@ class SimCar:
             demand = self._delay_demand(demand, t0, t1)
         drive, value = demand.drive, demand.value
         if drive is _SPEED and abs(before.speed) >= self._substeps:
-            numbers = self._steps.follow(*before, *self._memory, steer, value, t, h)
+            numbers = self._steps.follow(*before, *self._memory, steer, value, t)
         else:
             target = value if drive is _SPEED else before.speed
-            end, accel = self._steps.actuate(*before, *self._memory, steer, target, t, h)
+            end, accel = self._steps.actuate(*before, *self._memory, steer, target, t)
             if drive is not _SPEED:
                 accel = self._free_acceleration(demand)
             numbers = self._glide(before, end, accel, t)
@@ -153,12 +153,7 @@ class SimCar:
     ) -> tuple[float, ...]:
         """The chassis' step; more, shorter ones where the yaw mode is stiff."""
         count = max(1, math.ceil(self._substeps / max(abs(before.speed), SPEED_KINEMATIC)))
-        numbers: tuple[float, ...] = (*before, *self._memory)
-        part = self._h / count
-        for i in range(count):
-            steer = before.steer + (steer_end - before.steer) * (i + 1) / count
-            numbers = self._steps.glide(*numbers, steer, accel, t + i * part, part)
-        return numbers
+        return self._steps.glide(count, *before, *self._memory, steer_end, accel, t)
 
     def _grip(self) -> float:
         return self.model.car.mu * GRAVITY

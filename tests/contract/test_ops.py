@@ -13,8 +13,7 @@ from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
-from steerd.car_model.straight_line import compiled
-from steerd.car_model.tape import TAPE, Node, Tape
+from steerd.car_model.tape import TAPE, Node, Tape, program
 
 ONE = ("sin", "cos", "tan", "atan", "tanh", "exp", "absolute")
 VALUES = (-1.3, -0.25, 0.0, 0.25, 1.3)
@@ -26,7 +25,6 @@ def kinds(torch_ops: Any) -> dict[str, tuple[Any, Any]]:
         "numpy": (NUMPY, np.float64),
         "torch": (torch_ops, lambda v: torch.tensor(v, dtype=torch.float64)),
         "tape": (TAPE, Tape().constant),
-        "exact tape": (TAPE, Tape(exact=True).constant),
     }
 
 
@@ -35,7 +33,7 @@ def value(number: Any) -> float:
     return number.entry.value if isinstance(number, Node) else float(number)
 
 
-@pytest.fixture(params=["numpy", "torch", "tape", "exact tape"])
+@pytest.fixture(params=["numpy", "torch", "tape"])
 def kind(request: pytest.FixtureRequest, torch_ops: Any) -> tuple[Any, Any]:
     return kinds(torch_ops)[request.param]
 
@@ -98,9 +96,8 @@ def test_lanes_of_an_array_are_cars_of_their_own() -> None:
         assert [v[i] for v in found] == pytest.approx(list(expected), rel=1e-12, abs=1e-12)
 
 
-@pytest.mark.parametrize("exact", [False, True])
-def test_recorded_programs_give_the_floats(exact: bool) -> None:
-    tape = Tape(exact)
+def test_recorded_programs_give_the_floats() -> None:
+    tape = Tape()
     names = (*Car._fields, *State._fields, "wheel", "accel", "ref_steer", "ref_speed", "h")
     inputs = [tape.symbol(name) for name in names]
     car, rest = Car(*inputs[: len(Car._fields)]), inputs[len(Car._fields) :]
@@ -108,11 +105,11 @@ def test_recorded_programs_give_the_floats(exact: bool) -> None:
     rates = derivative(SINGLE_TRACK, TAPE, car, state, wheel, accel)
     ref, step = Command(steer, speed), cast("float", h)
     moved = actuate(TAPE, car, state, ref, step)
-    program = compiled(inputs, [*rates, *moved])
+    run = program(inputs, [*rates, *moved])
     for at, w, a in points(20):
-        found = program(*DEFAULT_CAR, *at, w, a, 0.3, 2.0, 0.01)
+        found = run(*DEFAULT_CAR, *at, w, a, 0.3, 2.0, 0.01)
         expected = (
             *derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, at, w, a),
             *actuate(FLOAT, DEFAULT_CAR, at, Command(0.3, 2.0), 0.01),
         )
-        assert found == (expected if exact else pytest.approx(expected, rel=1e-11, abs=1e-12))
+        assert found == pytest.approx(expected, rel=1e-11, abs=1e-12)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerd.car_model.chassis import SPEED_DYNAMIC, SPEED_KINEMATIC, derivative
-from steerd.car_model.jacobian_generated import rates_and_jacobian
+from steerd.car_model.linear import rates_and_jacobian
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, GRAVITY, PARAMETERS, Car

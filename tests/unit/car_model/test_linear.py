@@ -19,8 +19,7 @@ from steerd.car_model.params import DEFAULT_CAR, Car, wheelbase
 from steerd.car_model.planar import CHASSIS
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, State
-from steerd.car_model.straight_line import compiled
-from steerd.car_model.tape import TAPE, Tape, jacobian
+from steerd.car_model.tape import TAPE, Tape, jacobian, program
 from tests.textbook import axle_stiffness, feedforward_steer, steady_slip
 
 CAR = DEFAULT_CAR
@@ -113,7 +112,7 @@ def test_about_straight_driving_every_chassis_has_the_same_linear_model(
     rates = derivative(chassis, TAPE, car._make(map(tape.constant, car)), state, wheel, accel)
     slopes = jacobian((rates.yaw_rate, rates.slip_angle), inputs)
     outputs = [tape.node(number) for row in slopes for number in row]
-    found = np.reshape(compiled(inputs, outputs)(0.0, 0.0, speed, 0.0, 0.0), (2, 5))
+    found = np.reshape(program(inputs, outputs)(0.0, 0.0, speed, 0.0, 0.0), (2, 5))
     straight = steady_turn(car, speed, 0.0)
     names = ("yaw_rate", "slip_angle")
     expected = linearise(car, straight, names, (*names, "speed", "wheel", "accel"))[1]

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter  # noqa: TID251
 
-from steerd.estimator.kalman import Belief, Kalman
+from steerd.estimator.belief import Belief
+from steerd.estimator.kalman import Kalman
 
 
 def random_problem(seed: int, width: int) -> tuple[Belief, np.ndarray, np.ndarray, np.ndarray]:

@@ -6,16 +6,17 @@ from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
 from steerd.car_model.planar import CHASSIS
+from steerd.car_model.prediction import ActuatorMotion, implicit_solver, slip_density
 from steerd.car_model.rollout import simulate as simulate_car
 from steerd.car_model.rollout import start
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
-from steerd.car_model.straight_line import compiled
-from steerd.car_model.tape import TAPE, Tape, jacobian
-from steerd.estimator.actuation import NO_HISTORY, ActuatorMotion, add_command, drive
+from steerd.car_model.tape import TAPE, Tape, jacobian, program
+from steerd.estimator.actuation import NO_HISTORY, add_command, drive
+from steerd.estimator.belief import Belief
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.kalman import Belief, Kalman
-from steerd.estimator.motion import implicit_solver, noise_density, predict_belief, propagate
+from steerd.estimator.kalman import Kalman
+from steerd.estimator.motion import noise_density, predict_belief, propagate
 
 CAR = DEFAULT_CAR
 QUIET = [0.0] * 7
@@ -40,7 +41,7 @@ def rates_and_jacobian(chassis: Chassis, car, state, wheel: float, accel: float)
     )
     slopes = jacobian(rates, (*inputs[:6], *inputs[7:]))
     outputs = [tape.node(number) for row in (rates, *slopes) for number in row]
-    numbers = np.array(compiled(inputs, outputs)(*state, wheel, accel))
+    numbers = np.array(program(inputs, outputs)(*state, wheel, accel))
     return numbers[:6], numbers[6:].reshape(6, 8)
 
 
@@ -148,21 +149,22 @@ def test_no_time_no_motion() -> None:
 
 def test_noise_is_that_of_accelerations() -> None:
     config = FilterConfig()
-    fast, slow = noise_density(config, 2.0), noise_density(config, 0.0)
-    assert fast[3] == config.longitudinal_accel_density**2
-    assert fast[5] == pytest.approx((config.lateral_accel_density / 2.0) ** 2)
-    assert slow[5] == pytest.approx((config.lateral_accel_density / 0.5) ** 2)
-    assert noise_density(config, -2.0) == fast
-    assert noise_density(config, 2.0, steered=False) == [*fast[:6], 0.0]
+    density = noise_density(config)
+    assert density[3] == config.longitudinal_accel_density**2
+    assert noise_density(config, steered=False) == [*density[:6], 0.0]
+    lateral = config.lateral_accel_density
+    for speed, divisor in ((2.0, 2.0), (-2.0, 2.0), (0.0, 0.5)):
+        assert slip_density(FLOAT, lateral, speed) == pytest.approx((lateral / divisor) ** 2)
 
 
 @pytest.mark.parametrize("state", STATES)
 def test_noise_enters_evenly_along_the_step(state) -> None:
     """`Q` is the integral of noise carried on by an `F` that grows linearly, summed in pieces."""
-    density = noise_density(FilterConfig(), state.speed)
+    density = noise_density(FilterConfig())
     h, pieces = 0.008, 2000
     driven = ActuatorMotion(0.13, 0.11, 0.7, 0.9, 0.95, -8.0)
     _, F, Q = propagate(CAR, SINGLE_TRACK, state, driven, density, h)
+    density[5] = slip_density(FLOAT, density[5], state.speed)
     total = np.zeros((7, 7))
     for s in (np.arange(pieces) + 0.5) / pieces:
         carried = np.eye(7) + s * (F - np.eye(7))

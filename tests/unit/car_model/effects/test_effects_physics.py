@@ -166,7 +166,7 @@ def test_drag_is_the_deceleration_of_a_car_left_to_roll() -> None:
     model = Model(CAR, (EFFECTS["rolling_drag"],), ((0.8,),))
     moment = start(model, ORIGIN._replace(speed=3.0), 0.0)
     for _ in range(100):
-        moment = glide(FLOAT, model, CAR, moment, 0.0, 0.0, 0.01)
+        moment = glide(FLOAT, model, moment, 0.0, 0.0, 0.0, 0.01)
     assert moment.state.speed == pytest.approx(3.0 - 0.8, abs=1e-6)
 
 
@@ -186,7 +186,7 @@ def test_slope_pulls_downhill_whatever_the_heading() -> None:
     model = Model(CAR, (EFFECTS["floor_slope"],), ((0.01, 0.0, 0.0),))
     for yaw, sign in ((0.0, 1.0), (math.pi, -1.0), (math.pi / 2, 0.0)):
         moment = start(model, ORIGIN._replace(speed=2.0, yaw=yaw), 0.0)
-        moment = glide(FLOAT, model, CAR, moment, 0.0, 0.0, 0.01)
+        moment = glide(FLOAT, model, moment, 0.0, 0.0, 0.0, 0.01)
         gained = (moment.state.speed - 2.0) / 0.01
         assert gained == pytest.approx(sign * 0.01 * GRAVITY, abs=1e-3)
 
@@ -197,7 +197,7 @@ def test_slope_spins_the_wheels_up_along_the_path_and_not_across() -> None:
     rates = {}
     for yaw in (0.0, math.pi / 2):
         moment = start(model, ORIGIN._replace(speed=2.0, yaw=yaw), 0.0)
-        rates[yaw] = glide(FLOAT, model, CAR, moment, 0.0, 0.0, 0.001).state
+        rates[yaw] = glide(FLOAT, model, moment, 0.0, 0.0, 0.0, 0.001).state
     assert (rates[0.0].speed - 2.0) / 0.001 == pytest.approx(0.01 * GRAVITY / 1.25, rel=1e-2)
     across = 2.0 * rates[math.pi / 2].slip_angle / 0.001
     assert across == pytest.approx(-0.01 * GRAVITY, rel=0.1)
@@ -207,7 +207,7 @@ def test_slip_leaves_the_car_behind_its_wheels_while_they_accelerate_it() -> Non
     model = Model(CAR, (EFFECTS["wheel_slip"],), ((0.01,),))
     for accel in (3.0, -3.0):
         moment = start(model, ORIGIN._replace(speed=2.0), 0.0)
-        moved = glide(FLOAT, model, CAR, moment, 0.0, accel, 0.001).state
+        moved = glide(FLOAT, model, moment, 0.0, accel, 0.0, 0.001).state
         speed = (moved.x - ORIGIN.x) / 0.001
         assert speed == pytest.approx(2.0 * (1.0 - 0.01 * accel), rel=2e-3)
 

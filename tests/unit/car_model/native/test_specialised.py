@@ -10,8 +10,7 @@ from steerd.car_model.native.print_c import fast_rates
 from steerd.car_model.native.specialised import SPECIALISED_SPEED, Range, specialise
 from steerd.car_model.native.trace import trace
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.car_model.straight_line import compiled
-from steerd.car_model.tape import TAPE, Tape, gradient, needed
+from steerd.car_model.tape import TAPE, Tape, gradient, needed, program
 
 OPS = ("add", "sub", "mul", "min", "max", "select", "neg")
 
@@ -20,7 +19,7 @@ def test_above_walking_pace_both_forms_give_the_same_rates():
     traced = trace(())
     fast = fast_rates(traced)
     inputs = [*fast.inputs, *traced.symbols, traced.h]
-    one, other = (compiled(inputs, list(p.outputs)) for p in (traced.rates, fast))
+    one, other = (program(inputs, list(p.outputs)) for p in (traced.rates, fast))
     rng = np.random.default_rng(3)
     for _ in range(200):
         x = rng.normal(size=len(fast.inputs)) * 0.2
@@ -54,7 +53,7 @@ def test_any_expression_keeps_its_value_within_the_bounds(seed, low, width):
             nodes.append((plain.get(op) or choices[op])(a, b))
     outputs = nodes[-4:]
     short = specialise(outputs, {inputs[0].place: Range(low, low + width)})
-    before, after = (compiled(inputs, list(each)) for each in (outputs, short))
+    before, after = (program(inputs, list(each)) for each in (outputs, short))
     for a in np.linspace(low, low + width, 5):
         numbers = [float(a), *rng.normal(size=2).tolist()]
         got, wanted = after(*numbers), before(*numbers)

@@ -42,20 +42,13 @@ from steerd.car_model.state import Command, State
 
 H, STEPS, COUNT, N = 0.01, 60, 11, 13
 EVERY = tuple(EFFECTS.values())
-APART = ("grip_patch", "tyre_relaxation")
-"""Beside others, their record differs from the floats' step: the friction under each stage, and the
-slip angles of the car without its effects."""
 
 
 def _model(effects, chassis, seed=0):
     """A car whose effects all do something."""
     rng = np.random.default_rng(seed)
     values = tuple(
-        e.nulls
-        if e.name in APART and len(effects) > 1
-        else tuple(
-            float(np.clip(p.null + 0.05 * rng.random(), p.low, p.high)) for p in e.parameters
-        )
+        tuple(float(np.clip(p.null + 0.05 * rng.random(), p.low, p.high)) for p in e.parameters)
         for e in effects
     )
     return Model(DEFAULT_CAR, effects, values, chassis)

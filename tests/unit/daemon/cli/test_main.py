@@ -9,7 +9,6 @@ import warnings
 
 import pytest
 
-from steerd.car_model.machine_code import CodeNotKept
 from steerd.car_model.native.library import load_library
 from steerd.daemon.cli import main
 from steerd.daemon.cli.main import COMMANDS, run_cli
@@ -51,12 +50,18 @@ def test_equations_that_were_not_compiled_are_a_line_with_the_command(
     assert line.endswith("build them with: python -m steerd.car_model.native.build")
 
 
+class Told(UserWarning):
+    """A warning of steerd's own."""
+
+    __module__ = "steerd.somewhere"
+
+
 def test_own_warnings_are_told_as_errors_are_and_others_with_their_place(monkeypatch, capsys):
     def warned(args):
         with warnings.catch_warnings():
             warnings.simplefilter("always")
             warnings.showwarning = main.show_warning
-            warnings.warn("/srv/cache: full", CodeNotKept, stacklevel=1)
+            warnings.warn("/srv/cache: full", Told, stacklevel=1)
             warnings.warn("of a library", RuntimeWarning, stacklevel=1)
         return 0
 

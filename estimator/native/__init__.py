@@ -1,1 +1,0 @@
-"""The filter's numeric inside in machine code, bit for bit what the Python filter computes."""

@@ -1,1 +1,0 @@
-"""The simulated car's step in machine code, bit for bit what its equations give on floats."""
