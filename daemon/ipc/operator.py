@@ -3,7 +3,7 @@
 import contextlib
 import secrets
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab, load_lab
 from steerd.steer_bus.messages import (
     BODY,
+    Heartbeat,
     Model,
     OperatorRequest,
     ParameterRequest,
@@ -77,11 +78,29 @@ class Operator:
         )
 
 
+class Pulse:
+    """A car's heartbeats, which whoever keeps a lease alive sends back."""
+
+    def __init__(self, bus: Bus, car: str) -> None:
+        self._bus, self._key = bus, make_key(car, topics.HEARTBEAT_BACK)
+        self._beats = bus.subscribe(make_key(car, topics.HEARTBEAT))
+        self._newest: Heartbeat | None = None
+
+    def send_back(self, lease_id: int) -> None:
+        """Send the newest back; nothing from a car that has none."""
+        for sample in self._beats.poll():
+            with contextlib.suppress(CodecError):
+                self._newest = decode(Heartbeat, sample.data)
+        if self._newest is not None:
+            self._bus.publish(self._key, encode(replace(self._newest, lease_id=lease_id)))
+
+
 class BusOperator:
     """An operator on the bus who begins a lease of their own with each run of the car."""
 
-    def __init__(self, bus: Bus, car: str, clock: Clock, name: str) -> None:
+    def __init__(self, bus: Bus, car: str, clock: Clock, name: str, pulse: Pulse) -> None:
         self._bus, self._car, self._clock, self._name = bus, car, clock, name
+        self._pulse = pulse
         self._operator: Operator | None = None
 
     @property
@@ -91,9 +110,12 @@ class BusOperator:
 
     def ask(self, boot_id: int, kind: RequestKind) -> bool:
         """Send a request; False before the car's run is known (`boot_id` 0)."""
-        return self._send(
+        sent = self._send(
             boot_id, topics.OPERATOR, lambda op: op.make_request(kind, self._clock.realtime_ns())
         )
+        if self._operator is not None and kind is RequestKind.KEEPALIVE:
+            self._pulse.send_back(self._operator.lease_id)
+        return sent
 
     def tune(self, boot_id: int, wanted: Mapping[str, float]) -> bool:
         """Send a request for other live parameters; False before the car's run is known."""

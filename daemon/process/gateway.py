@@ -45,7 +45,13 @@ class Gateway:
         self._views = Views()
         self._requests: list[tuple[str, Subscription]] = [
             (topic.name, bus.subscribe(make_key(car, topic), _DEPTH))
-            for topic in (topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS)
+            for topic in (
+                topics.OPERATOR,
+                topics.DRIVE,
+                topics.SET_PARAMETERS,
+                topics.HEARTBEAT,
+                topics.HEARTBEAT_BACK,
+            )
         ]
         if pose_key is not None:
             self._requests.append((topics.EXTERNAL_POSE.name, bus.subscribe(pose_key, _DEPTH)))

@@ -11,7 +11,7 @@ from typing import Any
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.daemon.ipc.live_setting import LIVE, parse_setting
-from steerd.daemon.ipc.operator import BusOperator
+from steerd.daemon.ipc.operator import BusOperator, Pulse
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus
@@ -68,6 +68,7 @@ class CarView:
             (topics.TRANSITION, self._take_change), (topics.DIAGNOSTICS, self._take_values),
             (topics.PARAMETERS, self._take_parameters),
         )  # fmt: skip
+        self.pulse = Pulse(self.bus, self.car)
         self._wanted = [
             (self.bus.subscribe(make_key(self.car, topic)), topic.message, take)
             for topic, take in wanted
@@ -138,7 +139,7 @@ class PageOperator:
 
     def __init__(self, view: CarView) -> None:
         self._view = view
-        self._operator = BusOperator(view.bus, view.car, view.clock, NAME)
+        self._operator = BusOperator(view.bus, view.car, view.clock, NAME, view.pulse)
 
     @property
     def lease(self) -> str:

@@ -3,7 +3,7 @@
 import getpass
 from collections.abc import Mapping
 
-from steerd.daemon.ipc.operator import BusOperator
+from steerd.daemon.ipc.operator import BusOperator, Pulse
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.key_desk import KEY_HELP, KEYS, NUDGE_HELP, KeyDesk
 from steerd.steer_bus.bus import Bus
@@ -13,7 +13,7 @@ from steerd.steer_bus.messages import RequestKind
 
 def make_desk(board: Dashboard, bus: Bus, car: str, clock: Clock, *, operate: bool) -> KeyDesk:
     """The keys of a car on the bus; without `operate` they change live parameters alone."""
-    operator = BusOperator(bus, car, clock, getpass.getuser())
+    operator = BusOperator(bus, car, clock, getpass.getuser(), Pulse(bus, car))
 
     def run_of_the_car() -> int:
         return int(board.status.get("boot_id", "0") or 0)

@@ -84,6 +84,7 @@ def test_a_viewer_may_send_nothing_and_an_operator_requests_only():
     assert may_put("viewers") == set()
     assert may_put("operators") == {
         "steerd/car1/cmd/drive",
+        "steerd/car1/cmd/heartbeat",
         "steerd/car1/cmd/operator",
         "steerd/car1/cmd/parameters",
         "steerd/car1/in/pose",

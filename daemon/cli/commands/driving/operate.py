@@ -22,6 +22,7 @@ from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.daemon.ipc.operator import (
     KEEPALIVE_NS,
     Operator,
+    Pulse,
     connect,
     read_status,
 )
@@ -97,6 +98,7 @@ class _Link:
         self._key = make_key(car, topics.OPERATOR)
         self._changes = bus.subscribe(make_key(car, topics.TRANSITION), 32)
         self._status = bus.subscribe(make_key(car, topics.DIAGNOSTICS))
+        self._pulse = Pulse(bus, car)
         self._clock = clock
         self.state = SupervisorState.INIT
         self.values: dict[str, str] = {}
@@ -122,6 +124,7 @@ class _Link:
             if end is not None and now > end:
                 return False
             self.send(RequestKind.KEEPALIVE)
+            self._pulse.send_back(self._operator.lease_id)
             self._clock.sleep_until_ns(now + KEEPALIVE_NS)
             self.receive()
         return True

@@ -1,5 +1,6 @@
 """The runner: what it watches itself (W8, W16, W26 to W29), its deadlines, its order of work."""
 
+import os
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,9 +8,9 @@ import numpy as np
 import pytest
 
 from steerd.daemon.assembly.build import make_core, make_plan
-from steerd.daemon.ipc.pipe_records import PipeWriter, read_message
+from steerd.daemon.ipc.pipe_records import PipeWriter, make_pipe, read_message
 from steerd.daemon.loop.flags import CAUSES, Flag
-from steerd.daemon.loop.supervisor import NEVER
+from steerd.daemon.loop.supervisor import NEVER, STILL_NS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import runner as runner_module
 from steerd.daemon.process.pacing import MARGIN
@@ -147,25 +148,59 @@ def test_w16_a_silent_guardian(plan):
     assert r.core.flags == Flag.LINKED | Flag.GUARDIAN_TRIPPED
 
 
+@pytest.fixture
+def read_fds():
+    """The readers' ends of the core's two pipes; closed at the end, but for those of the test."""
+    fds = []
+    yield fds
+    for fd in fds:
+        os.close(fd)
+
+
+def piped(plan, read_fds, **record):
+    """A runner with real pipes to a recorder and a gateway."""
+    r = make_runner(plan, **record)
+    for pipe in r.pipes:
+        read_fd, pipe.fd = make_pipe()
+        read_fds.append(read_fd)
+    return r
+
+
+def write_until_lost(r, which, size, most_s=60):
+    """Write a batch every 10 ms: when nothing was taken any more, and when a flag was set [ns]."""
+    pipe, full_ns = r.pipes[which], None
+    for t_ns in range(0, most_s * SECOND, 10 * MS):
+        if pipe.dropped and full_ns is None:
+            full_ns = t_ns - 10 * MS
+        r.it._watch_processes(t_ns)
+        if r.core.flags != Flag.LINKED:
+            return full_ns, t_ns
+        pipe.write([bytes(size)], t_ns)
+    raise AssertionError("a reader that reads nothing is not missed")
+
+
 @pytest.mark.parametrize(("which", "flag"), [(0, Flag.RECORDER_LOST), (1, Flag.GATEWAY_LOST)])
-def test_w26_w27_a_reader_that_is_dead_or_takes_nothing_for_a_second(plan, which, flag):
-    r = make_runner(plan)
-    r.pipes[which].full_since_ns = 0
-    r.it._watch_processes(SECOND)
-    assert r.core.flags == Flag.LINKED
-    r.it._watch_processes(SECOND + 1)
+@pytest.mark.parametrize("size", [600, 1400, 4000, 4200])
+def test_w26_w27_a_reader_that_takes_nothing_for_a_second(plan, read_fds, which, flag, size):
+    r = piped(plan, read_fds)
+    full_ns, lost_ns = write_until_lost(r, which, size)
     assert r.core.flags == Flag.LINKED | flag
-    r = make_runner(plan)
-    r.pipes[which].dead = True
-    r.it._watch_processes(0)
+    assert SECOND < lost_ns - full_ns <= SECOND + 20 * MS
+
+
+@pytest.mark.parametrize(("which", "flag"), [(0, Flag.RECORDER_LOST), (1, Flag.GATEWAY_LOST)])
+def test_w26_w27_a_reader_that_is_gone(plan, read_fds, which, flag):
+    r = piped(plan, read_fds)
+    os.close(read_fds.pop(which))
+    assert write_until_lost(r, which, 600)[1] == 10 * MS
     assert r.core.flags == Flag.LINKED | flag
 
 
-def test_w26_a_car_file_may_do_without_the_recorder(plan):
-    r = make_runner(plan, required=False)
-    r.pipes[0].dead = True
-    r.it._watch_processes(0)
-    assert r.core.flags == Flag.LINKED
+def test_w26_a_car_file_may_do_without_the_recorder(plan, read_fds):
+    r = piped(plan, read_fds, required=False)
+    os.close(read_fds.pop(0))
+    with pytest.raises(AssertionError, match="is not missed"):
+        write_until_lost(r, 0, 600, most_s=2)
 
 
 @pytest.mark.parametrize(("slept_ns", "flag"), [(50_000_000, 0), (50_000_001, Flag.SUSPENDED)])
@@ -229,9 +264,9 @@ def test_the_guardian_frees_a_lost_port_unless_the_car_is_armed(plan, state, fre
 @pytest.mark.parametrize(
     ("state", "still_ns", "opened"),
     [
-        (SupervisorState.ESTOP, 5, True),
+        (SupervisorState.ESTOP, -STILL_NS, True),
         (SupervisorState.ESTOP, NEVER, False),
-        (SupervisorState.RUNNING, 5, False),
+        (SupervisorState.RUNNING, -STILL_NS, False),
     ],
 )
 def test_a_port_comes_back_after_an_emergency_stop_at_rest(plan, state, still_ns, opened):
@@ -396,7 +431,7 @@ def test_a_mocap_of_another_rate_leaves_the_ticks_alone(monkeypatch):
 def runner_with(monkeypatch, world: World, notes: list[str]) -> Runner:
     """A runner whose core only notes its calls."""
     core = SimpleNamespace(
-        loop=SimpleNamespace(setup=SimpleNamespace(period_ns=10 * MS)),
+        loop=SimpleNamespace(setup=SimpleNamespace(period_ns=10 * MS, boot_id=1)),
         tick=lambda *_: notes.append("decided") or b"order",
         post_tick=lambda written: notes.append(f"posted {written.decode()}"),
         on_poses=lambda _samples: None,
