@@ -281,7 +281,7 @@ class Runner:
     def _housekeeping(self, now_ns: int) -> None:
         """Work that can wait until after the tick."""
         if self._port is None and now_ns >= self._reopen_ns:
-            self._try_open(now_ns)
+            self._try(self._try_open, now_ns)
         if now_ns >= self._mocap_ns:
             self._mocap_ns = now_ns + MOCAP_TIMER_NS
             self._try(self._step_mocap, now_ns)
