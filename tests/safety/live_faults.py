@@ -42,6 +42,7 @@ class LiveFault:
         phases: where it is tried.
         wire: whether bytes still reach the VESC.
         reported: phases in which a process is left that reports the reason.
+        named: how the reason begins in P5; a machine that stalls stops the car for another one.
         start: what it is tried on.
         watch_s: how long it is watched, beyond the usual.
     """
@@ -51,6 +52,7 @@ class LiveFault:
     phases: str = "P1 P3 P5 P7"
     wire: bool = True
     reported: str = "P3 P5"
+    named: str = ""
     start: Start = start_live
     watch_s: float = 0.0
 
@@ -150,24 +152,24 @@ FAULTS = {
     "SIGSEGV core": LiveFault(send("core", signal.SIGSEGV), 0.3, "P5 P7", reported=""),
     "SIGKILL core": LiveFault(send("core", KILL), 0.3, reported=""),
     "SIGSTOP core": LiveFault(freeze_core, 0.5, reported=""),
-    "SIGKILL guardian": LiveFault(send("guardian", KILL), 0.6),
-    "SIGSTOP guardian": LiveFault(send("guardian", STOP), 0.6),
-    "SIGKILL recorder": LiveFault(send("recorder", KILL), 0.6),
-    "SIGSTOP recorder": LiveFault(send("recorder", STOP), 18.0, watch_s=18.0),
-    "SIGKILL gateway": LiveFault(send("gateway", KILL), 0.6),
-    "SIGSTOP gateway": LiveFault(send("gateway", STOP), 1.6, watch_s=1.0),
+    "SIGKILL guardian": LiveFault(send("guardian", KILL), 0.6, named="W16"),
+    "SIGSTOP guardian": LiveFault(send("guardian", STOP), 0.6, named="W16"),
+    "SIGKILL recorder": LiveFault(send("recorder", KILL), 0.6, named="W26"),
+    "SIGSTOP recorder": LiveFault(send("recorder", STOP), 18.0, named="W26", watch_s=18.0),
+    "SIGKILL gateway": LiveFault(send("gateway", KILL), 0.6, named="W27"),
+    "SIGSTOP gateway": LiveFault(send("gateway", STOP), 1.6, named="W27", watch_s=1.0),
     "SIGKILL learner": LiveFault(send("learner", KILL), None, start=options(learn=True)),
     "SIGSTOP learner": LiveFault(send("learner", STOP), None, start=options(learn=True)),
-    "SIGKILL page": LiveFault(send("page", KILL), 1.0, start=held_by_page),
-    "SIGSTOP page": LiveFault(send("page", STOP), 1.0, start=held_by_page),
+    "SIGKILL page": LiveFault(send("page", KILL), 1.0, named="W25", start=held_by_page),
+    "SIGSTOP page": LiveFault(send("page", STOP), 1.0, named="W25", start=held_by_page),
     "SIGKILL controller": LiveFault(
-        send("controller", KILL), 0.8, reported="P5", start=driven_by_another
+        send("controller", KILL), 0.8, named="W25", reported="P5", start=driven_by_another
     ),
     "SIGSTOP controller": LiveFault(
-        send("controller", STOP), 0.8, reported="P5", start=driven_by_another
+        send("controller", STOP), 0.8, named="W25", reported="P5", start=driven_by_another
     ),
-    "SIGKILL terminal": LiveFault(send("terminal", KILL), 1.0, start=at_terminal),
-    "SIGSTOP terminal": LiveFault(send("terminal", STOP), 1.0, start=at_terminal),
+    "SIGKILL terminal": LiveFault(send("terminal", KILL), 1.0, named="disarm", start=at_terminal),
+    "SIGSTOP terminal": LiveFault(send("terminal", STOP), 1.0, named="W25", start=at_terminal),
     "mocap silent": LiveFault(hardware("M1"), 1.0, "P3 P5 P7"),
     "mocap frozen": LiveFault(hardware("M2"), 0.8, "P5"),
     "mocap jumps": LiveFault(hardware("M4"), 0.6, "P3 P5"),
@@ -211,6 +213,8 @@ def judge(
     yield from judge_frames(fault, phase, fault_ns, frames, states)
     if SupervisorState.RUNNING in states:
         yield f"went up by itself: {states}"
+    if phase == "P5" and not (followed[:1] or [("", "", "")])[0][2].startswith(fault.named):
+        yield f"not {fault.named}: {followed}"
     said = bool(followed) and all(reason for _, _, reason in followed)
     if fault.bound_s is not None and phase in fault.reported.split() and not said:
         yield f"no reason: {followed}"
