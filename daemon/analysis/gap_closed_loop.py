@@ -199,7 +199,7 @@ def _simulated(
     run = make_virtual_run(plan, (sink,), World(config))
     drive(run)
     if run.core.loop.faulted:
-        remarks.append(f"{label} the simulation is stopped: {run.core.loop.supervisor.reason}")
+        remarks.append(f"{label} the simulation is stopped: {run.core.loop.fault}")
     try:
         return _lane_drive(np.array(rows).reshape(-1, 5), plan)
     except NotALaneDriveError:

@@ -89,7 +89,7 @@ class PipeWriter:
         fd: non-blocking write end.
         dropped: records lost to a full or dead pipe.
         dead: whether the reader is gone.
-        full_since_ns: since when nothing fits, or None.
+        full_since_ns: since when it has taken nothing that was offered, or None.
     """
 
     fd: int
@@ -105,26 +105,25 @@ class PipeWriter:
         is torn.
         """
         if self._rest:
-            self._rest = self._push(self._rest)
-        if self._rest or self.dead:
-            self.dropped += len(packed)
-            if self.full_since_ns is None:
-                self.full_since_ns = t_ns
-            return
-        self.full_since_ns = None
+            self._rest = self._push(self._rest, t_ns)
         batch = b"".join(packed)
-        left = self._push(batch) if batch else b""
-        if left and len(left) == len(batch):
+        if not batch:
+            return
+        left = batch if self._rest or self.dead else self._push(batch, t_ns)
+        if len(left) == len(batch):
             self.dropped += len(packed)
-            self.full_since_ns = t_ns
         else:
             self._rest = left
 
-    def _push(self, data: bytes) -> bytes:
+    def _push(self, data: bytes, t_ns: int) -> bytes:
+        """What the pipe did not take; it is full from the first refusal until it takes a byte."""
+        taken = 0
         try:
-            return data[os.write(self.fd, data) :]
+            taken = os.write(self.fd, data)
         except BlockingIOError:
-            return data
+            self.full_since_ns = t_ns if self.full_since_ns is None else self.full_since_ns
         except OSError:
             self.dead = True
-            return b""
+        if taken:
+            self.full_since_ns = None
+        return data[taken:]

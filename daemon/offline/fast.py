@@ -134,7 +134,7 @@ def run_fast(plan: RunPlan) -> int:
     print("\n".join(hints))
     loop = run.core.loop
     if loop.faulted:
-        print(f"stopped: {loop.supervisor.reason}")
+        print(f"stopped: {loop.fault}")
         return ExitCode.STOPPED
     check_driven(run)
     return ExitCode.OK

@@ -21,6 +21,8 @@ SETTLE_NS = 3_000_000_000
 """The first seconds of a drive are the approach to the lane and are left out of its errors [ns]."""
 _COLOURS = {"RUNNING": "green", "ARMED": "yellow", "FAULT_STOP": "red", "FAULT_LATCHED": "red",
             "ESTOP": "red", "STOPPING": "yellow"}  # fmt: skip
+_ARMED = (SupervisorState.ARMED, SupervisorState.RUNNING)
+_HARD = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
 
 
 @dataclass
@@ -88,6 +90,7 @@ class Dashboard:
         model: what the learner reported last; None without one.
         status: latest diagnostics by name.
         events: latest transitions, one line each.
+        stop: why the car was stopped last.
         tally: figures of the drive so far.
         keys: help line of the keys; empty where there is no keyboard.
     """
@@ -99,6 +102,7 @@ class Dashboard:
     model: m.Model | None = None
     status: dict[str, str] = field(default_factory=dict)
     events: deque[str] = field(default_factory=lambda: deque(maxlen=6))
+    stop: str = ""
     tally: Tally = field(default_factory=Tally)
     keys: str = ""
 
@@ -120,6 +124,10 @@ class Dashboard:
             change: m.Transition = read_message(record)
             line = f"{SupervisorState(change.to_state).name:<14}{change.text}"
             self.events.append(line)
+            if change.to_state == SupervisorState.RUNNING:
+                self.stop = ""
+            elif change.from_state in _ARMED or change.to_state in _HARD:
+                self.stop = change.text
             return line
         return None
 

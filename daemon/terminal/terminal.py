@@ -6,6 +6,7 @@ import select
 import signal
 import socket
 from collections.abc import Mapping
+from math import inf
 
 from rich.console import Console
 from rich.live import Live
@@ -25,6 +26,8 @@ from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.messages import RequestKind
 
 _POLL_MS = 50
+KILL_NS = 4_000_000_000
+"""A core that has not ended so long after a second signal is killed; its guardian brakes."""
 
 
 class Terminal:
@@ -39,6 +42,7 @@ class Terminal:
         self._clock = clock
         self._buffer = bytearray()
         self._waiting = ""
+        self._signals, self._kill_ns = 0, inf
         self._reports = ReportPipe(processes.report_fd)
         self._desk = KeyDesk(board, clock, self._ask, self._tune)
 
@@ -81,6 +85,8 @@ class Terminal:
                 os.close(core)
                 return
             self._keep_alive()
+            if self._clock.now_ns() > self._kill_ns:
+                self._processes.core.process.kill()
 
     def _show(self, live: Live | None, console: Console) -> bool:
         data = os.read(self._processes.status_fd, 1 << 16)
@@ -101,6 +107,9 @@ class Terminal:
             console.print(line, highlight=False, soft_wrap=True)
 
     def _pass_signal(self, number: int) -> None:
+        self._signals += 1
+        if self._signals > 1:
+            self._kill_ns = min(self._kill_ns, self._clock.now_ns() + KILL_NS)
         with contextlib.suppress(ProcessLookupError):
             self._processes.core.process.send_signal(
                 signal.SIGTERM if number == signal.SIGHUP else number
