@@ -1,6 +1,5 @@
 """Build hook: the compiled equations are part of the package (`car_model/native/build.py`)."""
 
-import platform
 import sys
 from pathlib import Path
 from typing import Any
@@ -17,11 +16,11 @@ class EquationsHook(BuildHookInterface):
             return
         sys.path.insert(0, self.root)
         try:
-            from steerd.car_model.native.build import build
+            from steerd.car_model.native.build import build, find_compiler, wheel_tag
 
             made = build()
+            build_data["tag"] = wheel_tag(find_compiler())
         finally:
             sys.path.remove(self.root)
         build_data["pure_python"] = False
-        build_data["tag"] = f"py3-none-linux_{platform.machine()}"
         build_data["artifacts"].append(f"steerd/car_model/native/{Path(made).name}")

@@ -10,15 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.car_model.params import DEFAULT_CAR, Car
-from steerd.daemon.imports.csv_log import import_csv
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     HeldCommands,
     make_kernels,
     make_window_blocks,
     march,
     view_by_window,
 )
+from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.daemon.imports.csv_log import import_csv
 
 STEP, SECONDS, DAY = 0.01, 20.0, 86_400.0
 FIRST = 1_772_366_400.0

@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.model import Model
-from steerd.car_model.params import GRAVITY, Car
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     HeldCommands,
     Kernels,
     make_kernels,
@@ -33,6 +32,7 @@ from steerd.sysid.compiler.kernels import (
     march,
     view_by_window,
 )
+from steerd.car_model.params import GRAVITY, Car
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.estimation.fit import TYRES, Fit, Options, fit
 from steerd.sysid.estimation.objective import Evaluation, Problem

@@ -2,8 +2,8 @@
 
 CasADi is no dependency: `pip install casadi` (3.8) and a C compiler first. The equations are
 `car_model`'s own, recorded in CasADi's SX numbers; step, windows, parameters and derivatives are
-those of `steerd.sysid.compiler.kernels.compute_readings`. Results must agree to 1e-9. One thread
-each. Outcome: docs/explanation/kernel-compiler.md.
+those of `steerd.car_model.native.windows.compute_readings`. Results must agree to 1e-9. One thread
+each. Outcome: docs/explanation/compiled-library.md.
 
     python benchmarks/perf_casadi.py [--windows 16] [--steps 200] [--rounds 15]
 """
@@ -25,10 +25,7 @@ import casadi as ca
 import numpy as np
 
 from steerd.car_model.model import Model, Moment, delays, observe
-from steerd.car_model.params import DEFAULT_CAR, Car
-from steerd.car_model.rollout import step
-from steerd.car_model.state import Command, State
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     HeldCommands,
     Stations,
     Windows,
@@ -36,6 +33,9 @@ from steerd.sysid.compiler.kernels import (
     make_kernels,
     parameter_vector,
 )
+from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.car_model.rollout import step
+from steerd.car_model.state import Command, State
 
 H = 0.005
 CAR = DEFAULT_CAR._replace(steer_delay=0.013, drive_delay=0.004)

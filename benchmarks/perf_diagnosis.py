@@ -15,9 +15,9 @@ from identify import drive
 
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
+from steerd.car_model.native.windows import Kernels, make_kernels
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sim_gap.diagnosis import Options, diagnose
-from steerd.sysid.compiler.kernels import Kernels, make_kernels
 from steerd.sysid.data.dataset import Run, Signal, make_run
 
 H, SECONDS, DRIVES, LATE = 0.01, 15.0, 4, 3

@@ -18,14 +18,14 @@ import numpy as np
 from batch_drives import MAP, NOISE, STEP, make_car
 from numpy.typing import NDArray
 
-from steerd.daemon.imports.csv_log import import_csv
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     HeldCommands,
     make_kernels,
     make_window_blocks,
     march,
     view_by_window,
 )
+from steerd.daemon.imports.csv_log import import_csv
 
 SESSION = 600.0
 """Length of a session, at most [s]."""

@@ -24,8 +24,7 @@ from plain_c import make_plain_c
 from timing import Timed, timed
 
 from steerd.car_model.native.threads import threads
-from steerd.car_model.params import Car
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     HeldCommands,
     Kernels,
     make_kernels,
@@ -34,6 +33,7 @@ from steerd.sysid.compiler.kernels import (
     march_back,
     view_by_window,
 )
+from steerd.car_model.params import Car
 from steerd.sysid.paper.torch_kernel import simulate
 from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, simulate_reference
 

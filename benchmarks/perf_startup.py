@@ -93,7 +93,7 @@ def main() -> int:
                 [
                     sys.executable,
                     "-c",
-                    "from steerd.sysid.compiler.kernels import make_kernels; make_kernels()",
+                    "from steerd.car_model.native.windows import make_kernels; make_kernels()",
                 ]
             )
             for _ in range(3)

@@ -7,10 +7,13 @@ from typing import Generic, NamedTuple
 from steerd.car_model.actuators import Actuated, actuate, references
 from steerd.car_model.chassis import Axles, Chassis, Rates, lateral_forces
 from steerd.car_model.effect import HOOKS, BoundHook, Effect
+from steerd.car_model.effects import EFFECTS
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, Delays, Observation, State
+
+_RANK = {name: place for place, name in enumerate(EFFECTS)}
 
 
 class Model(NamedTuple, Generic[T]):
@@ -31,7 +34,10 @@ class Moment(NamedTuple, Generic[T]):
 
 @lru_cache(maxsize=4096)
 def bound_hooks(effects: tuple[Effect, ...], name: str) -> tuple[BoundHook, ...]:
-    """The hooks called `name` of all effects, in order, each with its slice of the memory."""
+    """The hooks called `name` of all effects, each with its slice of the memory.
+
+    They act in the order of `EFFECTS`, in whatever order a car names them: it is one car.
+    """
     bound: list[BoundHook] = []
     start = 0
     for index, effect in enumerate(effects):
@@ -40,7 +46,7 @@ def bound_hooks(effects: tuple[Effect, ...], name: str) -> tuple[BoundHook, ...]
         if hook is not None:
             bound.append(BoundHook(hook, index, start, stop))
         start = stop
-    return tuple(bound)
+    return tuple(sorted(bound, key=lambda b: _RANK.get(effects[b.position].name, len(_RANK))))
 
 
 def memory_size(effects: tuple[Effect, ...]) -> int:

@@ -1,9 +1,8 @@
 """The equations as straight-line programs: `Ops` over nodes of a graph, with exact derivatives.
 
 Running the generic equations over `Node`s records every operation once (equal operations share a
-node). From the record come straight-line Python (`steerd.car_model.straight_line`), the source of
-compiled kernels (`steerd.sysid.compiler.codegen`) and, by the chain rule over the record in
-reverse, exact
+node). From the record come straight-line Python (`steerd.car_model.straight_line`), the compiled
+library (`steerd.car_model.native`) and, by the chain rule over the record in reverse, exact
 Jacobians: no derivative is written by hand and none is approximated. Compared with a
 computer-algebra system the formulas are never expanded, so the printed code costs what the
 equations cost, and a derivative about three times that.
@@ -14,7 +13,7 @@ Source of the method: Griewank and Walther, Evaluating Derivatives (reverse accu
 # Why: docs/decisions/rooms-and-code.md#d3
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -327,21 +326,3 @@ def needed(targets: Iterable[Node]) -> list[int]:
             seen.add(place)
             todo.extend(tape.entries[place].args)
     return sorted(seen)
-
-
-_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
-
-
-def source_of(entry: Entry, names: Mapping[int, str]) -> str:
-    """Source of one operation, choices as calls of `min`, `max` and `select`."""
-    args = [names[place] for place in entry.args]
-    match entry.op:
-        case "const":
-            return repr(entry.value)
-        case "add" | "sub" | "mul" | "div":
-            return f"{args[0]} {_INFIX[entry.op]} {args[1]}"
-        case "neg":
-            return f"-{args[0]}"
-        case "inverse":
-            return f"1.0 / {args[0]}"
-    return f"{entry.op}({', '.join(args)})"

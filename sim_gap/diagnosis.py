@@ -25,12 +25,10 @@ from steerd.sim_gap.verdict.where import Where, locate
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.base_fit import open_engine
 from steerd.sysid.inference.car_posterior import learn_healthy, refine
-from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.engine import Engine, open_engine
 from steerd.sysid.inference.hypotheses import Findings, Hypothesis, Library, explain
-from steerd.sysid.inference.levenberg_marquardt import Fitted
-from steerd.sysid.inference.likelihood import make_likelihood
+from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
     Noise,
     learn_noise,
@@ -38,9 +36,9 @@ from steerd.sysid.inference.noise import (
     noise_floor,
     noise_of_section,
     usual_noise,
-    whitened,
 )
-from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled
+from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled, spun_windows
+from steerd.sysid.inference.search import Point
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
 from steerd.sysid.inference.superset import Superset, make_superset
 
@@ -63,7 +61,7 @@ class Options:
         held_out: drives that are only opened after the prediction is written; or how to get them,
             which is then called after it.
         healthy: drives of the base car without the gap; they show how large noise is, and
-            refine a base that is a car file (see `healthy.refine`).
+            refine a base that is a car file (see `car_posterior.refine`).
         noise: how large noise is, if it is known (also read from the car file's `[noise]`).
         only: effects to look at; None takes the library.
         without: effects to leave out.
@@ -141,7 +139,7 @@ class _Case:
 
     Attributes:
         library: windows, free parameters of the base, effects.
-        engine: the windows, whitened about the likeliest hypothesis.
+        likelihood: the windows, their responses taken about the likeliest hypothesis.
         noise: what was taken as random; `known` if not from these drives.
         floor: what noise leaves of the whitened error.
         found: every hypothesis; `verdict` of them.
@@ -149,7 +147,7 @@ class _Case:
     """
 
     library: Library
-    engine: Engine
+    likelihood: Likelihood
     noise: Noise
     known: bool
     floor: float
@@ -157,10 +155,15 @@ class _Case:
     verdict: Verdict
     blocks: NDArray[np.int64]
 
-    def settle(self, hypothesis: Hypothesis) -> Fitted:
-        """A hypothesis in the windows as whitened."""
+    @property
+    def engine(self) -> Engine:
+        """The windows."""
+        return self.likelihood.engine
+
+    def settle(self, hypothesis: Hypothesis) -> Point:
+        """A hypothesis without any discrepancy allowed."""
         point = hypothesis.point
-        return settled(self.engine, point.space, point.z, point.x)
+        return settled(self.likelihood, point.space, point.z, point.x)
 
 
 def diagnose(
@@ -232,15 +235,16 @@ def _search(
         lambda share: options.progress("pairs", 0.2 + 0.5 * share),
     )
     verdict = judge_case(library, found, given is not None)
-    white = whitened(engine, found.best.point, noise)
+    best = found.best.point
+    white = make_likelihood(engine, best.parameters, best.x, noise)
     floor = noise_floor(engine, float(signals[2]))
-    return _Case(library, white, noise, given is not None, floor, found, verdict, blocks_of(white))
+    return _Case(library, white, noise, given is not None, floor, found, verdict, blocks_of(engine))
 
 
 def _with_horizons(case: _Case, found: Diagnosis, runs: Sequence[Run]) -> Diagnosis:
     """The gap over other horizons, and what it forbids to say."""
     fixed = make_space(case.library.likelihood.engine.superset, ())
-    before = settled(case.engine, fixed, fixed.centre)
+    before = settled(case.likelihood, fixed, fixed.centre)
     best = case.settle(case.found.best if found.causes else case.found.null)
     horizons, gap, after = cross_check(
         case.engine, runs, before, best, case.noise, (found.before, found.after)
@@ -270,33 +274,34 @@ def _conclude(
     """Everything that follows from the hypotheses."""
     engine, verdict, found = case.engine, case.verdict, case.found
     fixed = make_space(engine.superset, ())
-    before = settled(engine, fixed, fixed.centre)
+    before = settled(case.likelihood, fixed, fixed.centre)
     chosen = found.best if verdict.causes else found.null
     after = case.settle(chosen)
+    spun = spun_windows(after)
     options.progress("where", 0.75)
-    where = locate(engine, before, after, case.noise, case.blocks, names)
+    where = locate(case.likelihood, before, after, case.noise, case.blocks, names)
     options.progress("shrinkage", 0.85)
     shrinkage = _shrinkage(case, before, after, options)
     ambiguous = [cause for cause in verdict.causes if cause.ambiguous_with]
     following = None
     if ambiguous:
         pair = (ambiguous[0].effect, ambiguous[0].ambiguous_with[0])
-        following = next_manoeuvre(engine, after, case.library.nuisance, case.noise, pair)
+        following = next_manoeuvre(case.likelihood, after, case.library.nuisance, case.noise, pair)
     return Diagnosis(
         verdict=verdict.name,
-        before=gap_of(engine, before, case.blocks),
-        after=gap_of(engine, after, case.blocks),
+        before=gap_of(engine, before, case.blocks, spun),
+        after=gap_of(engine, after, case.blocks, spun),
         where=where,
         causes=verdict.causes,
         something_else=verdict.something_else,
         candidates=_table(found),
         shrinkage=shrinkage,
         next_manoeuvre=following,
-        shape=shape_of(engine, after, case.noise),
+        shape=shape_of(case.likelihood, after),
         moved=_moved(found.null),
         noise=case.noise,
         noise_known=case.known,
-        notes=(*notes, *_notes(case)),
+        notes=(*notes, *_notes(case, int(spun.sum()))),
         values=_values(engine, chosen),
         timeline=timeline_of(engine, before, after, names),
     )
@@ -317,7 +322,7 @@ def _values(engine: Engine, chosen: Hypothesis) -> dict[str, tuple[float, ...]]:
     return {e: tuple(float(p[i]) for i in engine.superset.places(e)) for e in chosen.effects}
 
 
-def _shrinkage(case: _Case, before: Fitted, after: Fitted, options: Options) -> Shrinkage:
+def _shrinkage(case: _Case, before: Point, after: Point, options: Options) -> Shrinkage:
     """Predict, hand the prediction out, then measure on the reserved drives."""
     share, low, high = predict(before, after, case.floor, case.blocks, folds_of(case.engine))
     effects = after.space.effects
@@ -355,8 +360,11 @@ def _base_notes(superset: Superset, base: CarFile | Model[float]) -> tuple[str, 
     return ()
 
 
-def _notes(case: _Case) -> tuple[str, ...]:
+def _notes(case: _Case, spun: int) -> tuple[str, ...]:
     notes = []
+    if spun:
+        count = case.engine.readings.count
+        notes.append(f"the car spun in {spun} of {count} windows: left out of the millimetres")
     if not case.known:
         notes.append("noise was learnt from these drives: a gap like noise is not identifiable")
     if len(np.unique(case.engine.readings.layout.run)) < 4:

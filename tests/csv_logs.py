@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from steerd.car_model.params import Car
-from steerd.daemon.cli.main import run_cli
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     HeldCommands,
     make_kernels,
     make_window_blocks,
     march,
     view_by_window,
 )
+from steerd.car_model.params import Car
+from steerd.daemon.cli.main import run_cli
 
 STEP = 0.01
 """Time between two rows [s]."""

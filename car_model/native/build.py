@@ -21,7 +21,7 @@ from typing import NamedTuple
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.effects import EFFECTS
-from steerd.car_model.native.library import LEVELS, LIBRARY, model_label
+from steerd.car_model.native.library import LEVELS, LIBRARY, fingerprint, model_label
 from steerd.car_model.native.print_c import print_model
 from steerd.car_model.native.trace import trace
 from steerd.car_model.planar import CHASSIS
@@ -32,6 +32,9 @@ OPTIONS = (
     "-w", "-g0",
 )  # fmt: skip
 """Nothing may be contracted to FMA: the same bits from every compiler on every processor."""
+
+OLDEST_LIBC = "2.28"
+"""The GNU C library that suffices, where ziglang compiles: what the wheel's name says."""
 
 
 class Compiler(NamedTuple):
@@ -55,9 +58,16 @@ class BuildError(Exception):
 def find_compiler() -> Compiler:
     """The compiler that the environment names (`CC`), or ziglang, or the machine's own."""
     if "CC" not in os.environ and importlib.util.find_spec("ziglang"):
-        command = (sys.executable, "-m", "ziglang", "cc", "-fno-sanitize=all")
+        target = f"-target {platform.machine()}-linux-gnu.{OLDEST_LIBC}".split()
+        command = (sys.executable, "-m", "ziglang", "cc", *target, "-fno-sanitize=all")
         return Compiler(command, "-mcpu={}", underscores=True)
     return Compiler(tuple(shlex.split(os.environ.get("CC", "cc"))), "-march={}", underscores=False)
+
+
+def wheel_tag(compiler: Compiler) -> str:
+    """What a wheel with the library is called."""
+    libc = f"many{platform.system()}_{OLDEST_LIBC}" if compiler.underscores else platform.system()
+    return f"py3-none-{libc}_{platform.machine()}".lower().replace(".", "_")
 
 
 def models() -> Iterator[tuple[tuple[Effect, ...], Chassis]]:
@@ -115,8 +125,10 @@ def link(compiler: Compiler, objects: Sequence[Path], target: Path) -> None:
     Raises:
         BuildError: the compiler fails.
     """
-    made = target.with_name(f"{target.name}.new")
-    _run([*compiler.command, "-shared", "-s", *map(str, objects), "-o", str(made)])
+    made, mark = target.with_name(f"{target.name}.new"), objects[0].with_name("fingerprint.c")
+    mark.write_text(f'const char *const fingerprint = "{fingerprint()}";\n', encoding="ascii")
+    files = map(str, (mark, *objects))
+    _run([*compiler.command, *OPTIONS, "-shared", "-s", *files, "-o", str(made)])
     made.replace(target)
 
 

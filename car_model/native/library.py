@@ -1,6 +1,7 @@
 """Loads the compiled library, with the functions that suit this processor."""
 
 import ctypes
+import hashlib
 import platform
 from ctypes import POINTER, c_double, c_int64, c_void_p
 from functools import cache
@@ -20,7 +21,8 @@ _FEATURES = {
     "v3": {"avx2", "bmi2", "fma"},
 }
 """What a level needs, as Linux calls it."""
-_SIZE = ctypes.sizeof(c_void_p)
+_OTHERS = {"car_file.py", "library.py", "threads.py", "windows.py"}
+"""Files of `car_model` that the library is not made from."""
 
 Structure = ctypes.Structure
 
@@ -102,20 +104,35 @@ def _level() -> str:
     return next(level for level in levels if _FEATURES.get(level, set()) <= flags)
 
 
+def fingerprint() -> str:
+    """A digest of all that the library is made from."""
+    folder, found = LIBRARY.parent.parent, hashlib.sha256()
+    parts = (*folder.glob("*.py"), *folder.glob("effects/**/*.py"), *folder.glob("native/*.[hp]*"))
+    for part in sorted(part for part in parts if part.name not in _OTHERS):
+        found.update(b"%s\0%s" % (part.name.encode(), part.read_bytes()))
+    return found.hexdigest()
+
+
 @cache
 def load_library(path: Path = LIBRARY) -> ctypes.CDLL:
     """The library.
 
     Raises:
-        LibraryError: it was not built.
+        LibraryError: it was not built, or is that of other equations.
     """
     try:
-        return ctypes.CDLL(str(path))
-    except OSError:
-        raise LibraryError(
-            f"the compiled equations {path} cannot be loaded; "
-            "build them with: python -m steerd.car_model.native.build"
-        ) from None
+        library = ctypes.CDLL(str(path))
+        made_from = ctypes.c_char_p.in_dll(library, "fingerprint").value
+    except (OSError, ValueError):
+        raise _unusable(path, "were not built for this machine") from None
+    if made_from != fingerprint().encode():
+        raise _unusable(path, "are older than the equations")
+    return library
+
+
+def _unusable(path: Path, why: str) -> LibraryError:
+    command = "python -m steerd.car_model.native.build"
+    return LibraryError(f"the compiled equations ({path}) {why}; build them with: {command}")
 
 
 @cache

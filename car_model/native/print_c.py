@@ -240,6 +240,15 @@ class Printer:
         self.lines += ["}", f"enum {{ {self.prefix}_CONSTANTS = {len(self.hoisted)} }};", ""]
 
 
+def fast_rates(traced: Traced) -> Piece:
+    """The rates above walking pace: without the kinematic equations."""
+    rates = traced.rates
+    speed = rates.inputs[CHASSIS.index("speed")]
+    return Piece(
+        rates.inputs, specialise(rates.outputs, {speed.place: Range(SPECIALISED_SPEED, inf)})
+    )
+
+
 def _zero(node: Node) -> bool:
     return node.entry.op == "const" and node.entry.value == 0.0
 
@@ -247,12 +256,9 @@ def _zero(node: Node) -> bool:
 def print_model(traced: Traced, prefix: str) -> str:
     """The C text of a model's pieces; every name begins with `prefix`."""
     printer = Printer(traced, prefix)
-    rates = traced.rates
-    speed = rates.inputs[CHASSIS.index("speed")]
-    fast = specialise(rates.outputs, {speed.place: Range(SPECIALISED_SPEED, inf)})
     printer.piece("delays", {"delays": Piece((), traced.delays)})
     printer.piece("actuators", {"actuators": traced.actuators})
-    printer.piece("rates", {"rates": rates, "fast": Piece(rates.inputs, fast)})
+    printer.piece("rates", {"rates": traced.rates, "fast": fast_rates(traced)})
     printer.piece("remember", {"remember": traced.remember})
     printer.piece("observe", {"observe": traced.observe})
     printer.constants()

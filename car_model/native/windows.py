@@ -127,8 +127,6 @@ def _make_kernels(effects: tuple[Effect, ...], chassis: Chassis) -> Kernels:
     if unknown:
         raise ValueError(f"the library was built without {unknown[0].partition('.')[0]}")
     places = np.array([names[name] for name in own])
-    if np.any(np.diff(places) < 0):  # what acts first matters
-        raise ValueError("effects must stand in the order of `EFFECTS`")
     nulls = np.array([*[0.0] * len(Car._fields), *(v for e in every for v in e.nulls)])
     return Kernels(effects, own, memory_size(every), chassis, nulls, places)
 
@@ -137,7 +135,7 @@ def make_kernels(effects: Sequence[Effect] = (), chassis: Chassis = SINGLE_TRACK
     """The compiled car with these effects, always the same value for the same car.
 
     Raises:
-        ValueError: an effect is not one of the library's, or they are not in its order.
+        ValueError: an effect is not one of the library's.
     """
     return _make_kernels(tuple(effects), chassis)
 

@@ -168,6 +168,9 @@ def run_cli(argv: Sequence[str]) -> int:
     except Exception as error:
         if isinstance(error, OSError) and _takes_nothing(error):
             return _end_unwritten(error)
+        if type(error).__name__ == "LibraryError":  # which a command that computes has loaded
+            _print_error(SteerdError(str(error)))
+            return ExitCode.UNREADABLE
         traceback.print_exc()
         print("steerd: this is a bug in steerd; please report the lines above", file=sys.stderr)
         return ExitCode.INTERNAL

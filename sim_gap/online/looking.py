@@ -16,17 +16,16 @@ from steerd.car_model.effect import BaseSelection
 from steerd.sim_gap.online.samples import WINDOW
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import speed_range
-from steerd.sysid.inference.engine import Engine, Reduced, make_engine
-from steerd.sysid.inference.noise import Noise, whitened
+from steerd.sysid.inference.engine import Engine, make_engine
+from steerd.sysid.inference.likelihood import Likelihood, Reduced, make_likelihood
+from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.readings import make_readings
 from steerd.sysid.inference.residuals import settled
+from steerd.sysid.inference.search import stand
 from steerd.sysid.inference.space import Space, informative_effects, make_space
 from steerd.sysid.inference.superset import Superset
 
 Array = NDArray[np.float64]
-
-ROUGH = np.array([5e-3, 0.01, 0.05, 0.05])
-"""Instrument noise before it is learnt: [m], [rad], [m/s], [rad/s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +63,7 @@ class Look:
         dof: its degrees of freedom.
         g: (n,) pull on the coordinates (direction of steepest improvement).
         h: (n, n) information about them.
-        engine: the window with its whitening, to look at it again.
+        likelihood: of the window, to look at it again.
         x: (1, 7) its start.
     """
 
@@ -73,7 +72,7 @@ class Look:
     dof: int
     g: Array
     h: Array
-    engine: Engine | None = None
+    likelihood: Likelihood | None = None
     x: Array | None = None
 
     @property
@@ -120,12 +119,12 @@ def make_anchor(
 
 
 def open_windows(superset: Superset, runs: Sequence[Run], late: float) -> Engine:
-    """Windows with rough noise; each run is one.
+    """Windows; each run is one.
 
     Raises:
         ValueError: no window sees enough poses.
     """
-    return make_engine(superset, make_readings(runs, late, speed_range(runs), WINDOW), ROUGH)
+    return make_engine(superset, make_readings(runs, late, speed_range(runs), WINDOW))
 
 
 def look(anchor: Anchor, run: Run, t: float) -> Look | None:
@@ -139,13 +138,13 @@ def look(anchor: Anchor, run: Run, t: float) -> Look | None:
     try:
         engine = open_windows(anchor.superset, [run], anchor.late)
         fixed = make_space(anchor.superset, ())
-        found = settled(engine, fixed, fixed.centre)
-        engine = whitened(engine, found, anchor.noise)
-        found = settled(engine, fixed, fixed.centre, found.x)
+        guess = engine.readings.layout.guess.copy()
+        likelihood = make_likelihood(engine, anchor.superset.base, guess, anchor.noise)
+        found = settled(likelihood, fixed, fixed.centre)
+        point = stand(likelihood, anchor.space, anchor.space.centre, found.x, 0.0)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None
-    at = engine.reduce(anchor.space, anchor.space.centre, found.x)
-    return replace(looks_of(at, [t])[0], engine=engine, x=found.x) if at.finite else None
+    return replace(looks_of(point.at, [t])[0], likelihood=likelihood, x=point.x)
 
 
 def looks_of(at: Reduced, times: Sequence[float]) -> list[Look]:
@@ -175,11 +174,12 @@ def look_again(anchor: Anchor, seen: Look, effect: str, z: Array) -> Look:
     """
     n = anchor.space.nuisance
     old = cut(seen, [*range(n), *anchor.places(effect)])
-    if seen.engine is None or seen.x is None:
+    if seen.likelihood is None or seen.x is None:
         return old
     space = make_space(anchor.superset, anchor.space.chart.free[:n], [effect])
-    at = seen.engine.reduce(space, space.centre + z, seen.x)
-    if not at.finite:
+    try:
+        at = stand(seen.likelihood, space, space.centre + z, seen.x, 0.0).at
+    except FloatingPointError:
         return old
     g, h = at.g[0], at.h[0]
     square = float(at.square[0] + 2.0 * g @ z + z @ h @ z)

@@ -16,8 +16,11 @@ from steerd.sim_gap.online.looking import (
 )
 from steerd.sim_gap.online.tracking import Track
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.inference.base_fit import null_fit
-from steerd.sysid.inference.noise import Noise, learn_noise, whitened
+from steerd.sysid.data.windows import estimate_noise
+from steerd.sysid.inference.hypotheses import Library, begin
+from steerd.sysid.inference.likelihood import make_likelihood
+from steerd.sysid.inference.noise import Noise, learn_noise, usual_noise
+from steerd.sysid.inference.search import minimise, stand
 from steerd.sysid.inference.space import nuisance_names
 from steerd.sysid.inference.superset import Superset
 
@@ -50,16 +53,22 @@ def learn_reference(
     late = float(superset.base[superset.kernels.names.index("pose_delay")])
     try:
         engine = open_windows(superset, runs, late)
-        fitted = null_fit(engine, nuisance, effects=built_in)
+        x = engine.readings.layout.guess.copy()
+        rough = noise or usual_noise(estimate_noise(runs))
+        likelihood = make_likelihood(engine, superset.base, x, rough)
+        library = Library(likelihood, nuisance, ())
+        fitted = minimise(likelihood, begin(library, built_in, (), x))
         noise = learn_noise(engine, fitted, noise)
-        engine = whitened(engine, fitted, noise)
-        fitted = null_fit(engine, nuisance, fitted, effects=built_in)
+        likelihood = make_likelihood(engine, fitted.parameters, fitted.x, noise)
+        begun = stand(likelihood, fitted.space, fitted.z, fitted.x, fitted.size)
+        fitted = minimise(likelihood, begun)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None
     learnt = anchored(superset, fitted.parameters)
     anchor = make_anchor(learnt, nuisance, may_change(learnt, runs), noise)
-    at = engine.reduce(anchor.space, anchor.space.centre, fitted.x)
-    if not at.finite:
+    try:
+        at = stand(likelihood, anchor.space, anchor.space.centre, fitted.x, 0.0).at
+    except FloatingPointError:
         return None
     looks = looks_of(at, times)
     n = anchor.space.nuisance

@@ -10,16 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.inference.engine import Engine, make_engine
-from steerd.sysid.inference.levenberg_marquardt import Fitted
-from steerd.sysid.inference.noise import Noise, whitened
-from steerd.sysid.inference.readings import make_readings
-from steerd.sysid.inference.residuals import Gap, blocks_of, gap_of, settled
+from steerd.sysid.inference.engine import Engine, open_engine
+from steerd.sysid.inference.likelihood import make_likelihood
+from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.residuals import Gap, blocks_of, gap_of, settled, spun_windows
+from steerd.sysid.inference.search import Point
 
 CROSS: tuple[float, ...] = (0.25, 3.0)
 """Horizons of the cross-check [s]."""
-_WHEEL, _GYRO = 0.05, 0.05
-"""Instruments' noise before whitening [m/s], [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -31,18 +29,11 @@ class Horizon:
     after: float
 
 
-def _engine(engine: Engine, runs: Sequence[Run], noise: Noise, seconds: float) -> Engine:
-    late = float(engine.superset.base[engine.superset.kernels.names.index("pose_delay")])
-    readings = make_readings(runs, late, engine.readings.speeds, seconds)
-    rough = np.array([*noise.instruments[:2], _WHEEL, _GYRO])
-    return make_engine(engine.superset, readings, rough)
-
-
 def cross_check(
     engine: Engine,
     runs: Sequence[Run],
-    before: Fitted,
-    after: Fitted,
+    before: Point,
+    after: Point,
     noise: Noise,
     gaps: tuple[Gap, Gap],
 ) -> tuple[tuple[Horizon, ...], Gap, Gap]:
@@ -55,14 +46,15 @@ def cross_check(
         if seconds > 0.5 * min(run.driven for run in runs):
             continue
         try:
-            other = _engine(engine, runs, noise, seconds)
-            best = settled(other, after.space, after.z)
-            other = whitened(other, best, noise)
-            fits = [settled(other, f.space, f.z) for f in (before, after)]
+            other = open_engine(engine.superset, runs, seconds)
+            guess = other.readings.layout.guess.copy()
+            likelihood = make_likelihood(other, after.parameters, guess, noise)
+            fits = [settled(likelihood, f.space, f.z) for f in (before, after)]
         except (FloatingPointError, ValueError, np.linalg.LinAlgError):
             continue
         lead = seconds if seconds > 1.0 else 0.25
-        there = [gap_of(other, fit, blocks_of(other), (lead,)) for fit in fits]
+        spun, blocks = spun_windows(fits[1]), blocks_of(other)
+        there = [gap_of(other, fit, blocks, spun, (lead,)) for fit in fits]
         found.append(Horizon(seconds, there[0].whitened, there[1].whitened))
         if seconds > 1.0:
             gaps = (_longer(gaps[0], there[0]), _longer(gaps[1], there[1]))

@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import Command, State
-from steerd.sim_gap.verdict.decide import signature_cosines
-from steerd.sim_gap.verdict.screen import extended
 from steerd.sysid.data.dataset import GRID, Run, Signal
-from steerd.sysid.inference.engine import Engine, make_engine
-from steerd.sysid.inference.levenberg_marquardt import Fitted, curvature
-from steerd.sysid.inference.noise import Noise, whitened
-from steerd.sysid.inference.readings import make_readings
+from steerd.sysid.inference.engine import Engine, open_engine
+from steerd.sysid.inference.hypotheses import carry
+from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
+from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.residuals import settled
+from steerd.sysid.inference.search import Point, curvature, stand
+from steerd.sysid.inference.space import make_space
+from steerd.sysid.inference.superset import Superset
 from steerd.sysid.inference.values import active_model
 
 Array = NDArray[np.float64]
@@ -89,7 +90,7 @@ MENU: Mapping[str, _Drive] = {
 the plans; a test holds both together."""
 
 
-def _drive(engine: Engine, fitted: Fitted, name: str) -> Run:
+def _drive(engine: Engine, fitted: Point, name: str) -> Run:
     """The manoeuvre as the explained car would drive it, without noise."""
     t: Array = np.arange(round(SECONDS / GRID), dtype=np.float64) * GRID
     steer, speed = MENU[name].drive(t)
@@ -104,35 +105,53 @@ def _drive(engine: Engine, fitted: Fitted, name: str) -> Run:
     return Run(name, GRID, np.column_stack([steer, speed]), Signal(t, pose))
 
 
-def margin(engine: Engine, fitted: Fitted, nuisance: Sequence[str], pair: tuple[str, str]) -> float:
-    """Expected lead of the first over the second suspect on these windows [nats]."""
-    cosines = signature_cosines(engine, fitted, nuisance, [pair[1]])
-    space, z = extended(engine, fitted, nuisance, [])
-    at = engine.reduce(space, z, fitted.x)
-    if not at.finite:
-        return 0.0
+def margin(
+    likelihood: Likelihood, point: Point, nuisance: Sequence[str], pair: tuple[str, str]
+) -> float:
+    """Expected lead of the first over the second suspect on these windows [nats].
+
+    Half the square of the first's effect on the readings, less what the second can make of it (the
+    largest canonical correlation of both, the base eliminated).
+    """
+    superset = likelihood.engine.superset
+    names = [*point.space.effects, *(n for n in pair if n not in point.space.effects)]
+    space = make_space(superset, [n for n in nuisance if n not in _twins(superset, names)], names)
+    at = stand(likelihood, space, carry(space, point), point.x, 0.0).at
     h, n = curvature(space, at), space.nuisance
     s = h[n:, n:] - h[n:, :n] @ np.linalg.solve(h[:n, :n], h[:n, n:])
-    size = fitted.own - np.concatenate([engine.superset.nulls[e] for e in space.effects])
-    mine = slice(0, len(engine.superset.places(pair[0])))
-    square = float(size[mine] @ s[mine, mine] @ size[mine])
-    return 0.5 * square * (1.0 - cosines.get(pair[1], 1.0) ** 2)
+    free = space.chart.free[n:]
+    mine, theirs = ([i for i, f in enumerate(free) if f.startswith(f"{p}.")] for p in pair)
+    size = carry(space, point)[n:][mine] - np.array(superset.nulls[pair[0]])
+    cross = s[np.ix_(mine, theirs)]
+    left = np.linalg.solve(s[np.ix_(mine, mine)], cross)
+    right = np.linalg.solve(s[np.ix_(theirs, theirs)], cross.T)
+    alike = float(np.clip(np.max(np.real(np.linalg.eigvals(left @ right))), 0.0, 1.0))
+    return 0.5 * float(size @ s[np.ix_(mine, mine)] @ size) * (1.0 - alike)
+
+
+def _twins(superset: Superset, names: Sequence[str]) -> set[str]:
+    """Base parameters that are the same quantity as an effect."""
+    return {same for e in superset.effects if e.name in names for same in e.same_as}
 
 
 def next_manoeuvre(
-    engine: Engine,
-    fitted: Fitted,
+    likelihood: Likelihood,
+    point: Point,
     nuisance: Sequence[str],
     noise: Noise,
     pair: tuple[str, str],
 ) -> Manoeuvre | None:
     """The manoeuvre of the menu with the largest expected lead, None if all diverge."""
-    seconds = float((engine.readings.layout.spans[:, 3] * engine.readings.layout.h).sum())
-    now = margin(engine, fitted, nuisance, pair) * SECONDS / max(seconds, 1e-9)
+    layout = likelihood.engine.readings.layout
+    seconds = float((layout.spans[:, 3] * layout.h).sum())
+    try:
+        now = margin(likelihood, point, nuisance, pair) * SECONDS / max(seconds, 1e-9)
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None
     best: Manoeuvre | None = None
     for name, drive in MENU.items():
         try:
-            gained = margin(*_on(engine, fitted, noise, name), nuisance, pair)
+            gained = margin(*_on(likelihood.engine, point, noise, name), nuisance, pair)
         except (FloatingPointError, OverflowError, ValueError, np.linalg.LinAlgError):
             continue
         if best is None or gained > best.expected_nats:
@@ -140,15 +159,9 @@ def next_manoeuvre(
     return best
 
 
-def _on(engine: Engine, fitted: Fitted, noise: Noise, name: str) -> tuple[Engine, Fitted]:
-    """The engine and the hypothesis on a manoeuvre not driven yet."""
-    run = _drive(engine, fitted, name)
-    late = float(engine.superset.base[engine.superset.kernels.names.index("pose_delay")])
-    speeds = (float(run.commands[:, 1].min()), float(run.commands[:, 1].max()))
-    rough = np.array([*noise.instruments[:2], 1.0, 1.0])
-    other = make_engine(engine.superset, make_readings([run], late, speeds), rough)
-    at = settled(other, fitted.space, fitted.z)
-    if not at.at.finite:
-        raise FloatingPointError(name)
-    other = whitened(other, at, noise)
-    return other, settled(other, fitted.space, fitted.z, at.x)
+def _on(engine: Engine, point: Point, noise: Noise, name: str) -> tuple[Likelihood, Point]:
+    """The windows and the hypothesis of a manoeuvre not driven yet."""
+    other = open_engine(engine.superset, [_drive(engine, point, name)])
+    guess = other.readings.layout.guess.copy()
+    likelihood = make_likelihood(other, point.parameters, guess, noise)
+    return likelihood, settled(likelihood, point.space, point.z)

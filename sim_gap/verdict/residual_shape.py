@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.sim_gap.verdict.where import conditions
-from steerd.sysid.inference.engine import Engine
-from steerd.sysid.inference.levenberg_marquardt import Fitted
-from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.residuals import ratios
+from steerd.sysid.inference.search import Point
 
 Array = NDArray[np.float64]
 
@@ -33,22 +32,23 @@ class Shape:
     noise_like: bool
 
 
-def shape_of(engine: Engine, fitted: Fitted, noise: Noise) -> Shape:
+def shape_of(likelihood: Likelihood, fitted: Point) -> Shape:
     """Describe the error that a fit leaves."""
-    peak, prominence = _spectrum(engine, fitted)
+    peak, prominence = _spectrum(likelihood, fitted)
     each = ratios(fitted)
     found = {
-        name: _rank_correlation(values, each) for name, values in conditions(engine, fitted).items()
+        name: _rank_correlation(values, each)
+        for name, values in conditions(likelihood.engine, fitted).items()
     }
     strong = {k: v for k, v in sorted(found.items(), key=lambda i: -abs(i[1])) if abs(v) > 0.15}
     grows = found.get("speed", 0.0) > _CORRELATED
     return Shape(peak, prominence, strong, grows and prominence < _WHITE)
 
 
-def _spectrum(engine: Engine, fitted: Fitted) -> tuple[float, float]:
+def _spectrum(likelihood: Likelihood, fitted: Point) -> tuple[float, float]:
     """Peak of the mean spectrum of whitened yaw errors [Hz], and its height over the mean."""
-    error, _ = engine.missed(fitted.space, fitted.z, fitted.x)
-    white = np.einsum("wij,wj->wi", engine.whiten, error)
+    engine = likelihood.engine
+    white = fitted.linear.error * np.sqrt(likelihood.precision)
     channel = engine.readings.channel[engine.padded.row]
     rows = [w[(c == 2) & (t > 0)] for w, c, t in zip(
         white, channel, engine.padded.there, strict=True

@@ -6,11 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.engine import Engine
-from steerd.sysid.inference.levenberg_marquardt import Fitted, curvature
-from steerd.sysid.inference.noise import Noise, whitened
+from steerd.sysid.inference.likelihood import make_likelihood
+from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.residuals import (
     Gap,
     blocks_of,
@@ -20,7 +19,9 @@ from steerd.sysid.inference.residuals import (
     ratios,
     robust_mean,
     settled,
+    spun_windows,
 )
+from steerd.sysid.inference.search import Point, newton
 from steerd.sysid.inference.space import make_space
 
 Array = NDArray[np.float64]
@@ -122,30 +123,28 @@ def _shares(
 
 
 def predict(
-    before: Fitted,
-    chosen: Fitted,
+    before: Point,
+    chosen: Point,
     floor: float,
     blocks: NDArray[np.int64],
     folds: NDArray[np.int64],
 ) -> tuple[float, float, float]:
     """Expected share on unseen drives with its 90 % interval, from windows left out."""
-    after = np.expm1(held_out(chosen, folds) / before.at.dof)
-    found = _shares(ratios(before), after, ratios(chosen), floor, blocks)
+    found = _shares(ratios(before), held_out(chosen, folds), ratios(chosen), floor, blocks)
     return found.share, found.low, found.high
 
 
-def _at_best(fitted: Fitted) -> Array:
+def _at_best(fitted: Point) -> Array:
     """Windows' whitened errors were the hypothesis fitted to them: one Newton step on."""
-    space, at = fitted.space, fitted.at
-    slope = at.weight @ at.g + space.prior_pull(fitted.z)
-    dz = step_within(curvature(space, at), slope, fitted.z, space.low, space.high)
+    at = fitted.at
+    dz, _ = newton(fitted.space, at, fitted.z)
     square = at.square - 2.0 * at.g @ dz + np.einsum("i,wij,j->w", dz, at.h, dz)
     return np.asarray(np.maximum(square, 0.0) / at.dof)
 
 
 def measure(
     engine: Engine,
-    chosen: Fitted,
+    chosen: Point,
     noise: Noise,
     floor: float,
     predicted: tuple[float, float, float],
@@ -153,14 +152,13 @@ def measure(
     text: str,
 ) -> Shrinkage:
     """The same share on reserved drives; nothing is refitted but the windows' starts."""
-    base = make_space(engine.superset, ())
-    rough = settled(engine, base, base.centre)
-    best = settled(engine, chosen.space, chosen.z, rough.x)
-    engine = whitened(engine, best, noise)
-    before = settled(engine, base, base.centre, rough.x)
-    after = settled(engine, chosen.space, chosen.z, best.x)
+    base, guess = make_space(engine.superset, ()), engine.readings.layout.guess.copy()
+    likelihood = make_likelihood(engine, chosen.parameters, guess, noise)
+    before = settled(likelihood, base, base.centre)
+    after = settled(likelihood, chosen.space, chosen.z)
     blocks = blocks_of(engine)
-    gaps = gap_of(engine, before, blocks), gap_of(engine, after, blocks)
+    spun = spun_windows(after)
+    gaps = gap_of(engine, before, blocks, spun), gap_of(engine, after, blocks, spun)
     found = _shares(ratios(before), ratios(after), _at_best(after), floor, blocks)
     share = found.share if found.identifiable else None
     return Shrinkage(predicted[0], share, predicted[1], predicted[2], digest, text, *gaps)

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.sysid.inference.engine import Engine
-from steerd.sysid.inference.levenberg_marquardt import Fitted
 from steerd.sysid.inference.residuals import ratios
+from steerd.sysid.inference.search import Point
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class Timeline:
     after: Array
 
 
-def timeline_of(engine: Engine, before: Fitted, after: Fitted, names: Sequence[str]) -> Timeline:
+def timeline_of(engine: Engine, before: Point, after: Point, names: Sequence[str]) -> Timeline:
     """The time line of two fits; `names` are those of the runs."""
     layout = engine.readings.layout
     return Timeline(

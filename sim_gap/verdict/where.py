@@ -12,9 +12,10 @@ from scipy.optimize import minimize
 from steerd.sim_gap.verdict.moments import moments_words
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
 from steerd.sysid.inference.engine import Engine
-from steerd.sysid.inference.levenberg_marquardt import Fitted
+from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
 from steerd.sysid.inference.residuals import interval_of, ratios, robust_mean
+from steerd.sysid.inference.search import Point
 
 Array = NDArray[np.float64]
 
@@ -90,7 +91,7 @@ class Where:
     sentence: str
 
 
-def equation_shares(engine: Engine, fitted: Fitted, noise: Noise) -> tuple[Share, ...]:
+def equation_shares(engine: Engine, fitted: Point, noise: Noise) -> tuple[Share, ...]:
     """Share of the removable error that hidden inputs to each equation would take away.
 
     Each of the five inputs gets a variance of its own by maximum likelihood (automatic relevance
@@ -98,7 +99,7 @@ def equation_shares(engine: Engine, fitted: Fitted, noise: Noise) -> tuple[Share
     """
     seen = responses(engine, fitted.parameters, fitted.x)
     shaped = shapes(engine, seen, range(len(INPUTS)))
-    at = engine.linear(fitted.space, fitted.z, fitted.x)
+    at = fitted.linear
     wide = at.by_x * engine.start_spread[:, None, :]
     known = covariance(engine, noise, [*shaped[:3], slip_shape(engine, at.error)])
     known += wide @ wide.transpose(0, 2, 1)
@@ -141,13 +142,10 @@ def _evidence(
     return value, np.array(slope) * squares
 
 
-def channel_shares(engine: Engine, before: Fitted, after: Fitted) -> tuple[Share, ...]:
+def channel_shares(likelihood: Likelihood, before: Point, after: Point) -> tuple[Share, ...]:
     """Share of each channel in what the explanation removes (or in the error where none does)."""
-    white = []
-    for fitted in (before, after):
-        error, _ = engine.missed(fitted.space, fitted.z, fitted.x)
-        scale = np.abs(np.diagonal(engine.whiten, axis1=1, axis2=2))
-        white.append((error * scale) ** 2)
+    precision, engine = likelihood.precision, likelihood.engine
+    white = [fitted.linear.error**2 * precision for fitted in (before, after)]
     channel = engine.readings.channel[engine.padded.row]
     removed = white[0] - white[1] if before is not after else white[0]
     parts = np.array([removed[channel == c].clip(-1e4, 1e4).sum() for c in range(5)]).clip(0.0)
@@ -156,7 +154,7 @@ def channel_shares(engine: Engine, before: Fitted, after: Fitted) -> tuple[Share
     return tuple(sorted(shares, key=lambda s: -s.share))
 
 
-def conditions(engine: Engine, fitted: Fitted) -> dict[str, Array]:
+def conditions(engine: Engine, fitted: Point) -> dict[str, Array]:
     """What the car was doing in each window (W,), by variable."""
     layout = engine.readings.layout
     x, spans = fitted.x, layout.spans
@@ -189,18 +187,7 @@ def _mean_lateral(engine: Engine) -> Array:
     return out
 
 
-def turn_sign(engine: Engine) -> Array:
-    """(W,) net turn of each window [rad], left positive."""
-    readings = engine.readings
-    out = np.zeros(readings.count)
-    for w in range(readings.count):
-        rows = readings.rows(w)
-        yaw = np.unwrap(readings.layout.values[rows][readings.channel[rows] == 2])
-        out[w] = yaw[-1] - yaw[0] if len(yaw) else 0.0
-    return out
-
-
-def regimes(engine: Engine, fitted: Fitted, blocks: NDArray[np.int64]) -> tuple[Regime, ...]:
+def regimes(engine: Engine, fitted: Point, blocks: NDArray[np.int64]) -> tuple[Regime, ...]:
     """Bins of every variable in which the error differs from elsewhere, strongest first."""
     each, found = ratios(fitted), []
     excess = np.maximum(np.minimum(each, 100.0) - 1.0, 0.0)
@@ -225,7 +212,7 @@ def regimes(engine: Engine, fitted: Fitted, blocks: NDArray[np.int64]) -> tuple[
 
 
 def stretches(
-    engine: Engine, fitted: Fitted, names: Sequence[str], least: float = 2.0
+    engine: Engine, fitted: Point, names: Sequence[str], least: float = 2.0
 ) -> tuple[Stretch, ...]:
     """Stretches in which the error stands out: windows above `least` medians, neighbours merged."""
     layout, each = engine.readings.layout, np.minimum(ratios(fitted), 1e3)
@@ -277,14 +264,15 @@ def sentence_of(equation: Sequence[Share], found: Sequence[Regime], moments: str
 
 
 def locate(
-    engine: Engine,
-    before: Fitted,
-    after: Fitted,
+    likelihood: Likelihood,
+    before: Point,
+    after: Point,
     noise: Noise,
     blocks: NDArray[np.int64],
     names: Sequence[str],
 ) -> Where:
     """All of it: `before` is the base, `after` the explanation (or the base again)."""
+    engine = likelihood.engine
     equation = equation_shares(engine, before, noise)
     found = regimes(engine, before, blocks)
     layout = engine.readings.layout
@@ -292,6 +280,6 @@ def locate(
         ratios(before), [names[run] for run in layout.run], layout.t, before.x[:, :2]
     )
     return Where(
-        STAGE_OF[equation[0].name], equation, channel_shares(engine, before, after),
+        STAGE_OF[equation[0].name], equation, channel_shares(likelihood, before, after),
         stretches(engine, before, names), found[:6], sentence_of(equation, found, moments),
     )  # fmt: skip

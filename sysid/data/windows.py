@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sysid.compiler.kernels import Stations, Windows
+from steerd.car_model.native.windows import Stations, Windows
 from steerd.sysid.data.data_checks import noise_of
 from steerd.sysid.data.dataset import HISTORY, Run, Signal, pose_speed
 

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.model import Model
-from steerd.car_model.params import Car
-from steerd.car_model.planar import make_planar
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     Kernels,
     delays_of,
     make_kernels,
     model_of,
     parameter_vector,
 )
+from steerd.car_model.params import Car
+from steerd.car_model.planar import make_planar
 from steerd.sysid.data.data_checks import DataError, check_excited
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.windows import (

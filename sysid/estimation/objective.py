@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     START_POSE,
     HeldCommands,
     Kernels,

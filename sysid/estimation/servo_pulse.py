@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.model import Model
-from steerd.sysid.compiler.kernels import delays_of, make_kernels
+from steerd.car_model.native.windows import delays_of, make_kernels
 from steerd.sysid.data.dataset import Run, Signal, hold_means
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.data.windows import make_layout, speed_range

@@ -14,8 +14,8 @@ import numpy as np
 
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
+from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.params import PARAMETERS, Car
-from steerd.sysid.compiler.kernels import parameter_vector
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.estimation.chart import make_chart
 from steerd.sysid.estimation.fit import Fit

@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     HeldCommands,
     compute_readings,
     delays_of,
@@ -91,7 +90,7 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
         ValueError: no window sees enough poses.
     """
     check_sources(runs)
-    model = among_all_effects(prescribe_speed(model, runs))
+    model = prescribe_speed(model, runs)
     kernels, parameters = make_kernels(model.effects, model.chassis), parameter_vector(model)
     late = float(delays_of(kernels, parameters)[2])
     layout = make_layout(runs, _ROOM * (PAST + horizon), late)
@@ -105,20 +104,6 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
 
     sigma = np.maximum(estimate_noise(runs), _FLOORS)
     return _traces(layout, look(_settle(layout, sigma, look))[0])
-
-
-def among_all_effects(model: Model[float]) -> Model[float]:
-    """The same car with the library's other effects at their nulls, if it has any.
-
-    Each set of effects is compiled for half a minute when it is first met, and identified cars have
-    all sorts of sets. This one is compiled anyway.
-    """
-    own = dict(zip((e.name for e in model.effects), model.values, strict=True))
-    if not own or not own.keys() <= EFFECTS.keys():
-        return model
-    effects = tuple(EFFECTS.values())
-    values = tuple(own.get(e.name, e.nulls) for e in effects)
-    return Model(model.car, effects, values, model.chassis)
 
 
 def _settle(layout: Layout, sigma: Array, look: Callable[[Array], tuple[Array, Array]]) -> Array:

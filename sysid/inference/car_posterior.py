@@ -30,7 +30,7 @@ from steerd.sysid.estimation.outcome import Step
 from steerd.sysid.estimation.robust_covariance import Spread, inflate_each
 from steerd.sysid.estimation.taught import NOTHING, Stated
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.base_fit import open_engine
+from steerd.sysid.inference.engine import open_engine
 from steerd.sysid.inference.hypotheses import Library, begin, explain
 from steerd.sysid.inference.knowledge import (
     Knowledge,

@@ -1,12 +1,11 @@
-"""The prediction error of windows: whitened, with each window's start eliminated.
+"""The prediction error of windows, and its derivatives.
 
-Unknown are the coordinates `z` (n,) of a hypothesis and each window's start `x` (W, 7). The start
-is eliminated by variable projection; the whitening holds everything random: the instruments' noise
-and what disturbs the car on its way (`noise`).
+Unknown are the coordinates `z` (n,) of a hypothesis and each window's start `x` (W, 7).
 """
 
 # Why: docs/decisions/diagnosis.md#d51
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -20,10 +19,12 @@ from steerd.car_model.native.windows import (
     delays_of,
     model_of,
 )
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.windows import speed_range
 from steerd.sysid.estimation.objective import STATE_SPREAD, STATES, STEER_SPREAD_UNKNOWN
 from steerd.sysid.estimation.stability import stable_substeps
 from steerd.sysid.inference.knowledge import EDGES
-from steerd.sysid.inference.readings import Readings
+from steerd.sysid.inference.readings import HORIZON, Readings, make_readings
 from steerd.sysid.inference.space import Space
 from steerd.sysid.inference.superset import Superset
 from steerd.sysid.inference.values import INTEGRATOR, predicted
@@ -65,73 +66,6 @@ class Linear(NamedTuple):
     finite: bool
 
 
-class Tangent(NamedTuple):
-    """Whitened derivatives about one point, with the starts' part solved.
-
-    Attributes:
-        by_z: (W, D, n) whitened.
-        by_x: (W, D, 7) whitened.
-        inverse: (W, 7, 7) inverse curvature of the starts, priors included.
-        cross: (W, 7, n).
-        kx: (W, 7, n) starts' step per coordinate's.
-        h: (W, n, n) curvature with the starts eliminated.
-    """
-
-    by_z: Array
-    by_x: Array
-    inverse: Array
-    cross: Array
-    kx: Array
-    h: Array
-
-    def holding(self, held: NDArray[np.bool_]) -> "Tangent":
-        """The same with the starts of some windows (mask (W,)) where they are."""
-        free = ~held[:, None, None]
-        whole = self.by_z.transpose(0, 2, 1) @ self.by_z
-        return self._replace(
-            inverse=self.inverse * free, cross=self.cross * free, kx=self.kx * free,
-            h=np.where(free, self.h, whole),
-        )  # fmt: skip
-
-
-class Reduced(NamedTuple):
-    """Windows' losses as functions of the coordinates alone, about one point.
-
-    Attributes:
-        square: (W,) whitened squared error, the start's prior included, at its best start.
-        dof: (W,) measurements of each window.
-        g: (W, n) Gauss-Newton gradient of half the square (minus: where the square falls).
-        h: (W, n, n) its curvature.
-        dx: (W, 7) step of the start; minus `kx` (W, 7, n) per step of the coordinates.
-        kx: see `dx`.
-        finite: whether the simulation stayed finite.
-        limit: squared error per degree of freedom from which a window is lost: a car that spins
-            is chaotic, and its derivatives point nowhere.
-    """
-
-    square: Array
-    dof: Array
-    g: Array
-    h: Array
-    dx: Array
-    kx: Array
-    finite: bool
-    limit: float = np.inf
-
-    @property
-    def weight(self) -> Array:
-        """(W,) weight of each window: those that nothing explains pull less, lost ones not."""
-        ratio = self.square / self.dof
-        weight: Array = np.where(ratio < self.limit, 2.0 / (1.0 + ratio), 0.0)
-        return weight
-
-    @property
-    def loss(self) -> Array:
-        """(W,) negative log-likelihood [nats] under Student's t of as many degrees as rows."""
-        loss: Array = self.dof * np.log1p(np.minimum(self.square / self.dof, self.limit))
-        return loss
-
-
 @dataclass(frozen=True, eq=False)
 class Engine:
     """Windows of a session seen by the superset of all effects.
@@ -140,14 +74,12 @@ class Engine:
         superset: the car.
         readings: the windows.
         padded: rows by window.
-        whiten: (W, D, D) inverse square root of each window's noise covariance.
         substeps: integration steps to a command.
     """
 
     superset: Superset
     readings: Readings
     padded: Padded
-    whiten: Array
     substeps: int
 
     @property
@@ -237,58 +169,6 @@ class Engine:
         error = self.pad(self._off(y))
         return self._without(~(np.abs(error).max(axis=1) < WILD), error)
 
-    def reduce(self, space: Space, z: Array, x: Array) -> Reduced:
-        """Losses at coordinates `z`, with the starts eliminated about `x`."""
-        return self.eliminate(self.linear(space, z, x), x)
-
-    def eliminate(self, at: Linear, x: Array) -> Reduced:
-        """The starts taken out of whitened errors."""
-        if not at.finite:
-            return self.lost(at.by_z.shape[2])
-        return self.reduce_by(self.tangent(at), at.error, x)
-
-    def tangent(self, at: Linear) -> Tangent:
-        """Whitened derivatives of a point, ready for any errors near it."""
-        by_z, by_x = self.whiten @ at.by_z, self.whiten @ at.by_x
-        turned = by_x.transpose(0, 2, 1)
-        d = turned @ by_x
-        d[:, range(STATES), range(STATES)] += self.start_spread**-2
-        inverse: Array = np.linalg.inv(d).astype(float)
-        cross = turned @ by_z
-        kx = inverse @ cross
-        h = by_z.transpose(0, 2, 1) @ by_z - cross.transpose(0, 2, 1) @ kx
-        return Tangent(by_z, by_x, inverse, cross, kx, h)
-
-    def reduce_by(self, tangent: Tangent, error: Array, x: Array) -> Reduced:
-        """Losses for errors (W, D) at starts `x`, with derivatives that may be of a near point."""
-        white = np.matmul(self.whiten, error[:, :, None])[:, :, 0]
-        spread = self.start_spread
-        away = (self.readings.layout.guess - x) / spread
-        pull = np.matmul(white[:, None, :], tangent.by_x)[:, 0] + away / spread
-        dx = np.matmul(tangent.inverse, pull[:, :, None])[:, :, 0]
-        square = (white**2).sum(axis=1) + (away**2).sum(axis=1) - (pull * dx).sum(axis=1)
-        g = np.matmul(white[:, None, :], tangent.by_z)[:, 0]
-        g = g - np.matmul(dx[:, None, :], tangent.cross)[:, 0]
-        dof = self.padded.there.sum(axis=1) - FREE_STATES
-        return Reduced(np.maximum(square, 0.0), dof, g, tangent.h, dx, tangent.kx, True)
-
-    def square_at(self, error: Array, x: Array) -> Array:
-        """(W,) whitened squared errors (W, D) and starts (W, 7) as they are, priors included."""
-        white = np.matmul(self.whiten, error[:, :, None])[:, :, 0]
-        away = (self.readings.layout.guess - x) / self.start_spread
-        square: Array = (white**2).sum(axis=1) + (away**2).sum(axis=1)
-        return square
-
-    def lost(self, n: int) -> Reduced:
-        """What a simulation that left the map counts as."""
-        count = self.readings.count
-        nothing = np.zeros((count, STATES))
-        return Reduced(
-            np.full(count, np.inf), self.padded.there.sum(axis=1) - FREE_STATES,
-            np.zeros((count, n)), np.zeros((count, n, n)), nothing,
-            np.zeros((count, STATES, n)), False,
-        )  # fmt: skip
-
 
 def pad_rows(readings: Readings) -> Padded:
     """Where the rows of each window lie."""
@@ -300,14 +180,21 @@ def pad_rows(readings: Readings) -> Padded:
     return Padded(index, there.astype(float))
 
 
-def make_engine(superset: Superset, readings: Readings, sigma: Array) -> Engine:
-    """An engine that knows the instruments' noise alone: `sigma` (4,) by `windows.GROUPS`."""
-    padded = pad_rows(readings)
-    per_row = (1.0 / sigma)[readings.layout.group][padded.row] * padded.there
-    white = per_row[:, :, None] * np.eye(padded.there.shape[1])
+def make_engine(superset: Superset, readings: Readings) -> Engine:
+    """The windows as the superset is simulated over them."""
     car = model_of(superset.kernels, superset.base).car
     substeps = stable_substeps(car, *readings.speeds, readings.layout.h, INTEGRATOR)
-    return Engine(superset, readings, padded, white, substeps)
+    return Engine(superset, readings, pad_rows(readings), substeps)
+
+
+def open_engine(superset: Superset, runs: Sequence[Run], horizon: float = HORIZON) -> Engine:
+    """The windows of some drives.
+
+    Raises:
+        ValueError: the runs' grids differ, or no window sees enough poses.
+    """
+    late = float(superset.base[superset.kernels.names.index("pose_delay")])
+    return make_engine(superset, make_readings(runs, late, speed_range(runs), horizon))
 
 
 def take_windows(engine: Engine, chosen: NDArray[np.bool_]) -> Engine:
@@ -336,8 +223,4 @@ def take_windows(engine: Engine, chosen: NDArray[np.bool_]) -> Engine:
         t=engine.readings.t[rows],
         channel=engine.readings.channel[rows],
     )
-    padded = pad_rows(readings)
-    width = padded.there.shape[1]
-    return replace(
-        engine, readings=readings, padded=padded, whiten=engine.whiten[index][:, :width, :width]
-    )
+    return replace(engine, readings=readings, padded=pad_rows(readings))

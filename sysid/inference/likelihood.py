@@ -137,6 +137,11 @@ class Likelihood:
         """(W,) degrees of freedom."""
         return np.asarray(self.engine.padded.there.sum(axis=1) - FREE_STATES)
 
+    @property
+    def precision(self) -> Array:
+        """(W, D) precision of each reading given all others, no discrepancy allowed."""
+        return np.asarray((self.rotation**2).sum(axis=1))
+
     def rotate(self, linear: Linear) -> Rotated:
         """Derivatives about a point, rotated."""
         held = np.zeros(len(linear.by_z), bool)

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from steerd.sysid.inference.constants import NOISE_KEPT
-from steerd.sysid.inference.disturbance_response import INPUTS, Responses, responses
+from steerd.sysid.inference.disturbance_response import Responses, responses
 from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear
-from steerd.sysid.inference.knowledge import EDGES
 from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
@@ -158,14 +157,6 @@ def covariance(engine: Engine, noise: Noise, pushed: Sequence[Array]) -> Array:
     return np.asarray(out)
 
 
-def whitening(cov: Array, there: Array) -> Array:
-    """(W, D, D) with `L^-1` of each covariance; rows that are not there stay out."""
-    lower = np.linalg.cholesky(cov)
-    eye = np.broadcast_to(np.eye(cov.shape[1]), cov.shape)
-    white: Array = np.linalg.solve(lower, eye) * there[:, :, None]
-    return white
-
-
 def learn_noise(engine: Engine, fitted: Optimum, guess: Noise | None = None) -> Noise:
     """Sizes under which the errors of a fitted hypothesis are most likely.
 
@@ -230,23 +221,6 @@ def _likelihood(
         bent = (np.matmul(v, pulled[:, :, None])[:, :, 0] * pulled).sum(axis=1)
         slope[_INSTRUMENTS + i] = (trace - weight * bent).sum()
     return value, slope * squares
-
-
-def whitened(engine: Engine, fitted: Optimum, noise: Noise) -> Engine:
-    """The engine that weighs errors by this noise, through the car's response about a fit."""
-    seen = responses(engine, fitted.parameters, fitted.x, (0, 1, 2))
-    error, _ = engine.missed(fitted.space, fitted.z, fitted.x)
-    pushed = [*shapes(engine, seen, (0, 1, 2)), slip_shape(engine, error)]
-    cov = covariance(engine, noise, pushed)
-    white = whitening(cov, engine.padded.there)
-    known = engine.superset.knowledge
-    if known is not None:
-        excess = np.array(known.excess)[np.digitize(engine.lateral, EDGES)]
-        white = white / np.sqrt(excess)[:, None, None]
-    return replace(engine, whiten=white)
-
-
-assert INPUTS[:3] == ("accel", "lateral", "yaw")  # noqa: S101
 
 
 def louder(noise: Noise, signals: Array) -> Noise:

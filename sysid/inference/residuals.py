@@ -6,20 +6,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.inference.engine import Engine
-from steerd.sysid.inference.levenberg_marquardt import Fitted, covariance_of, curvature, total
+from steerd.sysid.inference.likelihood import SPUN, Likelihood
 from steerd.sysid.inference.readings import SPACING
+from steerd.sysid.inference.search import Point, fresh, newton, settle, stand, with_size
 from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
 
 LEADS: tuple[float, ...] = (0.1, 0.5, 1.0)
 """Times after a window's start at which errors are reported [s]."""
-_SETTLE_ROUNDS = 4
-_SETTLED = 0.5
-"""Starts are at their best when a step takes no more than this off the squares."""
+_SOFT = 3.0
+"""Size of the discrepancy under which starts are sought first."""
 _BOOTSTRAPS = 200
+_FEW = 0.2
+"""Share of the windows that may be spun; of more the model is to blame."""
 _HALF_SLOT = 0.5 * SPACING
 FOLDS = 4
 BLOCK = 3
@@ -47,29 +48,15 @@ class Gap:
         return next((row[1] for row in self.errors if row[0] == lead), float("nan"))
 
 
-def settled(engine: Engine, space: Space, z: Array, x: Array | None = None) -> Fitted:
-    """Fixed coordinates with the starts at their best.
+def settled(likelihood: Likelihood, space: Space, z: Array, x: Array | None = None) -> Point:
+    """Fixed coordinates with the starts at their best, no discrepancy allowed.
 
     Raises:
-        FloatingPointError: the simulation is not finite there.
+        FloatingPointError: the simulation diverges there.
     """
-    x = engine.readings.layout.guess.copy() if x is None else x.copy()
-    linear = engine.linear(space, z, x)
-    if not linear.finite:
-        raise FloatingPointError("the simulation diverges")
-    tangent = engine.tangent(linear)
-    at = engine.reduce_by(tangent, linear.error, x)
-    for _ in range(_SETTLE_ROUNDS):
-        error, finite = engine.missed(space, z, x + at.dx)
-        moved = engine.reduce_by(tangent, error, x + at.dx)
-        if not finite or moved.square.sum() > at.square.sum():
-            break
-        gained = float(at.square.sum() - moved.square.sum())
-        x, at = x + at.dx, moved
-        if gained < _SETTLED:
-            break
-    here = linear._replace(error=engine.missed(space, z, x)[0])
-    return Fitted(space, z, x, at, total(space, at, z), covariance_of(space, at), tangent, here)
+    x = likelihood.engine.readings.layout.guess.copy() if x is None else x
+    soft = stand(likelihood, space, z, x, _SOFT)
+    return settle(likelihood, fresh(likelihood, with_size(likelihood, soft, 0.0)))
 
 
 def robust_mean(ratios: Array) -> float:
@@ -86,21 +73,34 @@ def interval_of(values: Array, blocks: NDArray[np.int64], seed: int = 0) -> Arra
     return np.array([robust_mean(values[np.concatenate([members[i] for i in d])]) for d in drawn])
 
 
-def ratios(fitted: Fitted) -> Array:
+def ratios(fitted: Point) -> Array:
     """(W,) whitened squares per degree of freedom."""
     return np.asarray(fitted.at.square / fitted.at.dof)
 
 
+def spun_windows(fitted: Point) -> NDArray[np.bool_]:
+    """(W,) windows in which the car spins whatever explains the others; none where all are far off.
+
+    A chaotic second says nothing in millimetres.
+    """
+    spun = ratios(fitted) >= SPUN
+    return np.asarray(spun & (spun.mean() < _FEW))
+
+
 def gap_of(
-    engine: Engine, fitted: Fitted, blocks: NDArray[np.int64], leads: Sequence[float] = LEADS
+    engine: Engine,
+    fitted: Point,
+    blocks: NDArray[np.int64],
+    spun: NDArray[np.bool_],
+    leads: Sequence[float] = LEADS,
 ) -> Gap:
-    """The gap under a fit."""
+    """The gap under a fit; windows that are `spun` count in the whitened error alone."""
     draws = interval_of(ratios(fitted), blocks)
     low, high = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
     rows, bounds = [], []
-    error, _ = engine.missed(fitted.space, fitted.z, fitted.x)
+    error = fitted.linear.error
     for lead in leads:
-        each = _at_lead(engine, error, lead)
+        each = _at_lead(engine, error, lead, ~spun)
         a, b, d = (float(np.sqrt(np.mean(v**2))) if len(v) else 0.0 for v in each)
         rows.append((lead, a, b, d))
         bounds.append(tuple(_rms_interval(c) for c in each))
@@ -116,11 +116,13 @@ def _rms_interval(errors: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _at_lead(engine: Engine, error: Array, lead: float) -> tuple[Array, Array, Array]:
+def _at_lead(
+    engine: Engine, error: Array, lead: float, kept: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
     """Position, yaw and speed errors of all windows near `lead` (speed from the wheel)."""
     padded, readings = engine.padded, engine.readings
     t, channel = readings.t[padded.row], readings.channel[padded.row]
-    away = np.where(padded.there > 0.0, np.abs(t - lead), np.inf)
+    away = np.where((padded.there > 0.0) & kept[:, None], np.abs(t - lead), np.inf)
     planar = _nearest(away, channel <= 1)
     count = np.maximum(planar.sum(axis=1), 1) / 2.0
     position = np.sqrt((error**2 * planar).sum(axis=1) / count)[planar.any(axis=1)]
@@ -153,25 +155,21 @@ def blocks_of(engine: Engine) -> NDArray[np.int64]:
     return np.asarray(block)
 
 
-def held_out(fitted: Fitted, folds: NDArray[np.int64]) -> Array:
-    """(W,) loss of each window under the fit without its fold.
+def held_out(fitted: Point, folds: NDArray[np.int64]) -> Array:
+    """(W,) whitened squares per degree of freedom under the fit without each window's fold.
 
     Leaving a fold out moves the optimum by one Newton step; the losses are those of the windows'
     own quadratic forms, so nothing is simulated again.
     """
     space, at = fitted.space, fitted.at
-    everything = curvature(space, at)
-    losses = np.empty(len(folds))
+    left = np.empty(len(folds))
     for fold in np.unique(folds):
         out = folds == fold
-        weight = at.weight * out
-        h = everything - np.einsum("w,wij->ij", weight, at.h)
-        slope = weight @ at.g
-        dz = step_within(
-            h, (at.weight @ at.g + space.prior_pull(fitted.z)) - slope,
-            fitted.z, space.low, space.high,
+        kept = at._replace(
+            square=at.square[~out], dof=at.dof[~out], g=at.g[~out], h=at.h[~out],
+            volume=at.volume[~out],
         )  # fmt: skip
+        dz, _ = newton(space, kept, fitted.z)
         bent = np.einsum("i,wij,j->w", dz, at.h[out], dz)
-        square = np.maximum(at.square[out] - 2.0 * at.g[out] @ dz + bent, 0.0)
-        losses[out] = at.dof[out] * np.log1p(square / at.dof[out])
-    return losses
+        left[out] = np.maximum(at.square[out] - 2.0 * at.g[out] @ dz + bent, 0.0) / at.dof[out]
+    return left

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from steerd.car_model.native.windows import Kernels, make_kernels
 from steerd.car_model.params import Car
-from steerd.sysid.compiler.kernels import Kernels, make_kernels
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import guess_state
 from steerd.sysid.paper.chamfer import chamfer

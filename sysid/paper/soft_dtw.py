@@ -5,9 +5,9 @@ minimum `-gamma log sum exp(-cost / gamma)` over all monotone alignments (algori
 exact gradient by the table of expected alignments (algorithm 2). It may be negative.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -62,39 +62,49 @@ class _SoftDtw(torch.autograd.Function):
         return torch.from_numpy(expect(*ctx.state)) * bars[:, None, None], None
 
 
-@numba.njit(cache=True)
+def _diagonals(rows: int, columns: int) -> Iterator[tuple[int, int, int]]:
+    """Cells (i, total - i), which do not need each other: total, first and last i, from 1."""
+    for total in range(2, rows + columns + 1):
+        yield total, max(1, total - columns), min(rows, total - 1)
+
+
+def _along(table: Array, row: int, column: int, count: int) -> Array:
+    """View (B, count) of the cells of a diagonal that runs down and to the left."""
+    width = table.shape[2]
+    start = row * width + column
+    return table.reshape(len(table), -1)[:, start : start + count * (width - 1) : width - 1]
+
+
 def accumulate(cost: Array, gamma: float) -> Array:
     """Soft-DTW of every pair of beginnings (B, N + 2, M + 2), with a border around."""
     count, rows, columns = cost.shape
     reached = np.full((count, rows + 2, columns + 2), np.inf)
-    for b in range(count):
-        r = reached[b]
-        r[0, 0] = 0.0
-        for i in range(1, rows + 1):
-            for j in range(1, columns + 1):
-                least = min(r[i - 1, j - 1], r[i - 1, j], r[i, j - 1])
-                total = np.exp((least - r[i - 1, j - 1]) / gamma)
-                total += np.exp((least - r[i - 1, j]) / gamma)
-                total += np.exp((least - r[i, j - 1]) / gamma)
-                r[i, j] = cost[b, i - 1, j - 1] + least - gamma * np.log(total)
+    reached[:, 0, 0] = 0.0
+    costs = np.zeros_like(reached)
+    costs[:, 1:-1, 1:-1] = cost
+    for total, i, last in _diagonals(rows, columns):
+        j, size = total - i, last - i + 1
+        before = [_along(reached, i - a, j - b, size) for a, b in ((1, 1), (1, 0), (0, 1))]
+        least = np.minimum(np.minimum(before[0], before[1]), before[2])
+        weights = sum(np.exp((least - each) / gamma) for each in before)
+        _along(reached, i, j, size)[:] = _along(costs, i, j, size) + least - gamma * np.log(weights)
     return reached
 
 
-@numba.njit(cache=True)
 def expect(cost: Array, reached: Array, gamma: float) -> Array:
     """How often each pair (B, N, M) is aligned: the gradient by the costs."""
-    count, rows, columns = cost.shape
-    expected = np.zeros((count, rows + 2, columns + 2))
-    for b in range(count):
-        e, r, d = expected[b], reached[b].copy(), np.zeros((rows + 2, columns + 2))
-        d[1 : rows + 1, 1 : columns + 1] = cost[b]
-        r[rows + 1, :], r[:, columns + 1] = -np.inf, -np.inf
-        r[rows + 1, columns + 1] = r[rows, columns]
-        e[rows + 1, columns + 1] = 1.0
-        for i in range(rows, 0, -1):
-            for j in range(columns, 0, -1):
-                down = np.exp((r[i + 1, j] - r[i, j] - d[i + 1, j]) / gamma)
-                right = np.exp((r[i, j + 1] - r[i, j] - d[i, j + 1]) / gamma)
-                both = np.exp((r[i + 1, j + 1] - r[i, j] - d[i + 1, j + 1]) / gamma)
-                e[i, j] = e[i + 1, j] * down + e[i, j + 1] * right + e[i + 1, j + 1] * both
-    return expected[:, 1 : rows + 1, 1 : columns + 1].copy()
+    rows, columns = cost.shape[1:]
+    expected, r, d = np.zeros_like(reached), reached.copy(), np.zeros_like(reached)
+    d[:, 1:-1, 1:-1] = cost
+    r[:, -1, :], r[:, :, -1] = -np.inf, -np.inf
+    r[:, -1, -1] = r[:, rows, columns]
+    expected[:, -1, -1] = 1.0
+    for total, i, last in reversed(list(_diagonals(rows, columns))):
+        j, size = total - i, last - i + 1
+        here = _along(r, i, j, size)
+        _along(expected, i, j, size)[:] = sum(
+            _along(expected, i + a, j + b, size)
+            * np.exp((_along(r, i + a, j + b, size) - here - _along(d, i + a, j + b, size)) / gamma)
+            for a, b in ((1, 0), (0, 1), (1, 1))
+        )
+    return expected[:, 1:-1, 1:-1].copy()

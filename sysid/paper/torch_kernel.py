@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     STATES,
     HeldCommands,
     Kernels,

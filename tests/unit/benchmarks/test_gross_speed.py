@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from steerd.car_model.native.windows import make_kernels
 from steerd.car_model.params import Car
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.offline.virtual import make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.sysid.compiler.kernels import make_kernels
 from steerd.sysid.paper.torch_kernel import simulate
 from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, simulate_reference
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from steerd.car_model.straight_line import compiled, written
-from steerd.car_model.tape import TAPE, Node, Tape, apply, gradient, needed, source_of
+from steerd.car_model.tape import TAPE, Node, Tape, apply, gradient, needed
 
 
 def inputs(*names: str, exact: bool = False) -> list[Node]:
@@ -172,21 +172,3 @@ def test_a_deep_formula_is_broken_into_statements() -> None:
     for i in range(400):
         value = value * 0.5 + float(i)
     assert compiled([a], [total])(1.0) == (value,)
-
-
-def test_source_of_an_operation() -> None:
-    a, b = inputs("a", "b", exact=True)
-    names = {a.place: "p", b.place: "q"}
-    nodes = (a + b, a - b, a * b, a / b, -a, TAPE.minimum(a, b), TAPE.where_positive(a, b, a))
-    assert [source_of(node.entry, names) for node in nodes] == [
-        "p + q",
-        "p - q",
-        "p * q",
-        "p / q",
-        "-p",
-        "min(p, q)",
-        "select(p, q, p)",
-    ]
-    (c,) = inputs("c")
-    assert source_of((1.0 / c).entry, {c.place: "r"}) == "1.0 / r"
-    assert source_of(c.tape.constant(2.5).entry, {}) == "2.5"

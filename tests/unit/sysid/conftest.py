@@ -8,8 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from steerd.car_model.model import Model
-from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     HeldCommands,
     make_kernels,
     make_window_blocks,
@@ -17,6 +16,7 @@ from steerd.sysid.compiler.kernels import (
     parameter_vector,
     view_by_window,
 )
+from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
 from steerd.sysid.data.dataset import Run, Signal, make_run
 
 Array = NDArray[np.float64]

@@ -7,14 +7,14 @@ import pytest
 from joblib import Parallel, delayed
 from joblib.externals.loky import process_executor
 
-from steerd.car_model.params import DEFAULT_CAR
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     HeldCommands,
     make_kernels,
     make_window_blocks,
     march,
     view_by_window,
 )
+from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.parallel import map_jobs, on_cluster
 
 

@@ -6,19 +6,19 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steerd.car_model.native.print_c import fast_rates
 from steerd.car_model.native.specialised import SPECIALISED_SPEED, Range, specialise
 from steerd.car_model.native.trace import trace
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.straight_line import compiled
 from steerd.car_model.tape import TAPE, Tape, gradient, needed
-from steerd.sysid.compiler.codegen import specialised_rates
 
 OPS = ("add", "sub", "mul", "min", "max", "select", "neg")
 
 
 def test_above_walking_pace_both_forms_give_the_same_rates():
     traced = trace(())
-    fast = specialised_rates(traced)
+    fast = fast_rates(traced)
     inputs = [*fast.inputs, *traced.symbols, traced.h]
     one, other = (compiled(inputs, list(p.outputs)) for p in (traced.rates, fast))
     rng = np.random.default_rng(3)

@@ -3,6 +3,7 @@
 import hashlib
 import importlib.util
 import shutil
+import subprocess
 import sys
 from functools import partial
 
@@ -152,10 +153,23 @@ def test_every_processor_level_gives_the_same_bits(model, monkeypatch):
         assert _digest(*model) == expected, level
 
 
-def test_effects_out_of_order_are_refused():
-    backwards = EVERY[::-1][:2]
-    with pytest.raises(ValueError, match="order"):
-        make_kernels(backwards)
+def test_a_car_is_the_same_in_whatever_order_its_effects_are_named():
+    """Some act on the same number, such as the steering angle; memory is laid out anew."""
+    forth = _model(EVERY, PLANAR)
+    back = forth._replace(effects=EVERY[::-1], values=forth.values[::-1])
+    held, first = _drive(forth, 1.5)
+    begin, orders = State(*first[0, :STATES].tolist()), [Command(*r) for r in held.rows.tolist()]
+    driven = [
+        [m.state for m in simulate(FLOAT, model, start(model, begin, 0.0), orders, H)]
+        for model in (forth, back)
+    ]
+    assert driven[0] == driven[1]
+    blocks = make_window_blocks(np.tile(np.array([0, STEPS, 0]), (COUNT, 1)), np.zeros(COUNT))
+    paths = [
+        march(make_kernels(m.effects, PLANAR), parameter_vector(m), first, held, blocks, STEPS)
+        for m in (forth, back)
+    ]
+    np.testing.assert_array_equal(*paths)
 
 
 def test_a_car_with_some_effects_remembers_what_every_effect_does():
@@ -166,6 +180,18 @@ def test_a_car_with_some_effects_remembers_what_every_effect_does():
 def test_a_library_that_was_not_built_names_the_command(tmp_path):
     with pytest.raises(LibraryError, match=r"python -m steerd\.car_model\.native\.build"):
         load_library(tmp_path / "none.so")
+
+
+def test_a_library_of_other_equations_is_refused(tmp_path):
+    compiler = next((each for _, each in _compilers()), None)
+    if compiler is None:
+        pytest.skip("no C compiler")
+    other = tmp_path / "other.c"
+    other.write_text('const char *const fingerprint = "of other equations";\n')
+    made = tmp_path / "other.so"
+    subprocess.run([*compiler.command, "-shared", "-fPIC", other, "-o", made], check=True)
+    with pytest.raises(LibraryError, match=r"older than the equations.*car_model\.native\.build"):
+        load_library(made)
 
 
 def test_a_missing_compiler_names_the_one_to_install(tmp_path):

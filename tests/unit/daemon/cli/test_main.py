@@ -10,6 +10,7 @@ import warnings
 import pytest
 
 from steerd.car_model.machine_code import CodeNotKept
+from steerd.car_model.native.library import load_library
 from steerd.daemon.cli import main
 from steerd.daemon.cli.main import COMMANDS, run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -37,6 +38,17 @@ def test_a_place_that_refuses_is_no_bug(number, monkeypatch, capsys):
     what, hint = capsys.readouterr().err.splitlines()
     assert what == f"steerd: /srv/cache: {os.strerror(number)}"
     assert "its owner, its rights and its mount" in hint
+
+
+def test_equations_that_were_not_compiled_are_a_line_with_the_command(
+    tmp_path, monkeypatch, capsys
+):
+    target = "steerd.daemon.cli.commands.analysis.effects.run"
+    monkeypatch.setattr(target, lambda args: load_library(tmp_path / "none.so"))
+    assert run_cli(["effects"]) == ExitCode.UNREADABLE
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("steerd: the compiled equations")
+    assert line.endswith("build them with: python -m steerd.car_model.native.build")
 
 
 def test_own_warnings_are_told_as_errors_are_and_others_with_their_place(monkeypatch, capsys):

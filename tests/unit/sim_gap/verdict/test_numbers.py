@@ -4,10 +4,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-from steerd.car_model.effects import find_effect
-from steerd.sim_gap.diagnosis import is_practical, limit_verdict, share_of_most, verdict_of
-from steerd.sim_gap.report.summary_text import headline, manoeuvre_words, share_words
 from steerd.sim_gap.verdict.candidates import Score, gain_of, held_out
 from steerd.sim_gap.verdict.decide import (
     _are_all_large,
@@ -21,6 +17,10 @@ from steerd.sim_gap.verdict.decide import (
     needs_both,
     se_of_lead,
 )
+
+from steerd.car_model.effects import find_effect
+from steerd.sim_gap.diagnosis import is_practical, limit_verdict, share_of_most, verdict_of
+from steerd.sim_gap.report.summary_text import headline, manoeuvre_words, share_words
 from steerd.sim_gap.verdict.shrinkage import _shares, explained_share, floor_of, noise_margin
 from steerd.sim_gap.verdict.where import Regime, Share, range_words, sentence_of
 from steerd.sysid.inference import constants as c

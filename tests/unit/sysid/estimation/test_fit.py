@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from steerd.car_model.chassis import derivative
 from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model
+from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
 from steerd.car_model.planar import make_planar
 from steerd.car_model.state import State
-from steerd.sysid.compiler.kernels import parameter_vector
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.estimation.chart import make_chart

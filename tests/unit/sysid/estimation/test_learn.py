@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from steerd.car_model.effects import EFFECTS, find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.data_checks import DataError
@@ -19,7 +18,6 @@ from steerd.sysid.data.segments import (
     smooth_speed,
     with_wheel_speed,
 )
-from steerd.sysid.estimation import validation
 from steerd.sysid.estimation.fit import Options, fit
 from steerd.sysid.estimation.learn import (
     Task,
@@ -32,7 +30,6 @@ from steerd.sysid.estimation.learn import (
 from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
 from steerd.sysid.estimation.validation import (
     HORIZONS,
-    among_all_effects,
     errors_at,
     trace_windows,
 )
@@ -104,18 +101,6 @@ def test_the_true_car_predicts_to_the_noise_and_a_wrong_one_does_not(run, truth)
         assert a < b
     assert wrong[-1].position > 10.0 * true[-1].position
     assert all(p.poses > 0 for p in true)
-
-
-def test_a_car_with_effects_predicts_the_same_among_all_others(run, truth, monkeypatch):
-    chosen = find_effect("steer_backlash"), find_effect("rolling_drag")
-    model = Model(truth.car, chosen, ((0.02,), (0.1,)), truth.chassis)
-    wide = among_all_effects(model)
-    assert len(wide.effects) == len(EFFECTS)
-    assert among_all_effects(truth._replace(effects=(), values=())).effects == ()
-    among = trace_windows(model, [run], 1.0)
-    monkeypatch.setattr(validation, "among_all_effects", lambda model: model)
-    for one, other in zip(among, trace_windows(model, [run], 1.0), strict=True):
-        np.testing.assert_allclose(one.predicted, other.predicted, atol=1e-6)
 
 
 def test_excitation_tells_rich_from_poor(run, make_circles):

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from steerd.sim_gap.verdict.candidates import blocks_of, folds_of, held_out
+from steerd.sysid.inference.levenberg_marquardt import minimise, settle_starts
+
 from steerd.sysid.data.windows import speed_range
 from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.inference.constants import NOISE_KEPT
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
 from steerd.sysid.inference.engine import make_engine, take_windows
-from steerd.sysid.inference.levenberg_marquardt import minimise, settle_starts
 from steerd.sysid.inference.noise import (
     Noise,
     calibrated,

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
+from steerd.sysid.inference.levenberg_marquardt import LOST_LEAST, LOST_RATIO, lost_from
 
 from steerd.sysid.estimation.bounded_step import step_within
 from steerd.sysid.inference.engine import Reduced
-from steerd.sysid.inference.levenberg_marquardt import LOST_LEAST, LOST_RATIO, lost_from
 
 
 def _quadratic(seed: int, n: int) -> tuple[np.ndarray, ...]:

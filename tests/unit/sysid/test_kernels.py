@@ -6,12 +6,7 @@ import torch
 
 from steerd.car_model.model import Model
 from steerd.car_model.native.specialised import SPECIALISED_SPEED
-from steerd.car_model.ops import FLOAT
-from steerd.car_model.params import DEFAULT_CAR
-from steerd.car_model.rollout import euler, start
-from steerd.car_model.rollout import simulate as simulate_floats
-from steerd.car_model.state import Command, State
-from steerd.sysid.compiler.kernels import (
+from steerd.car_model.native.windows import (
     HeldCommands,
     Kernels,
     Stations,
@@ -26,6 +21,11 @@ from steerd.sysid.compiler.kernels import (
     settle,
     view_by_window,
 )
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.rollout import euler, start
+from steerd.car_model.rollout import simulate as simulate_floats
+from steerd.car_model.state import Command, State
 from steerd.sysid.paper.torch_kernel import simulate
 from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, PAPER_STEP, simulate_reference
 
