@@ -8,7 +8,6 @@ allows by the certificate's common name: operators command and read, viewers rea
 # Why: docs/decisions/safety.md#d25
 
 import stat
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.topics import ROOT, TOPICS, Direction, alive_key, make_key
+from steerd.toml_text import load_toml
 
 DEFAULT_PORT = 7447
 _TLS = "transport/link/tls/"
@@ -53,7 +53,7 @@ def load_lab(folder: Path) -> Lab:
     if stat.S_IMODE((folder / "key.pem").stat().st_mode) & 0o077:
         raise BusError(f"others can read the private key: chmod 600 {folder / 'key.pem'}")
     try:
-        table = tomllib.loads((folder / "lab.toml").read_text(encoding="utf-8"))
+        table = load_toml(folder / "lab.toml")
         lab = Lab(
             folder,
             _text(table["car"]),

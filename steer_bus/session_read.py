@@ -6,6 +6,7 @@ files too, with warnings; the :class:`Session` it gives is a value that reads it
 
 # Why: docs/decisions/messages-and-sessions.md#d17
 
+import math
 import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -223,6 +224,22 @@ class Session:
                 return _read_attachment(self._path, item)
         text = f"{self._path.name} has no attachment {name!r}"
         raise SessionError("missing_attachment", text, exit_code=WRONG_CONTENT)
+
+    def number(self, record: str, key: str, default: float) -> float:
+        """A number of the metadata; the default where it does not say.
+
+        Raises:
+            SessionError: what it says is no finite number.
+        """
+        text = self.contents.metadata.get(record, {}).get(key)
+        try:
+            value = default if text is None else float(text)
+        except ValueError:
+            value = math.nan
+        if math.isfinite(value):
+            return value
+        what = f"{self._path.name}: {record} {key} is {str(text)[:40]!r}, which is no number"
+        raise SessionError("bad_number", what, exit_code=WRONG_CONTENT)
 
     def check_layouts(self) -> None:
         """Refuse messages of steerd's types whose fields another version recorded.

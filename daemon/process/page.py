@@ -93,7 +93,7 @@ class PageServer:
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The page itself, or nothing where a WebSocket may open."""
         host = f"{HOST}:{self.port}"
-        if request.headers.get("Host") != host:  # another name for this machine: DNS rebinding
+        if request.headers.get_all("Host") != [host]:  # another name of this machine: DNS rebinding
             return connection.respond(HTTPStatus.FORBIDDEN, "not here\n")
         if request.path == f"/{self.word}/":
             headers = Headers(
@@ -109,7 +109,7 @@ class PageServer:
             return Response(HTTPStatus.OK, "OK", headers, self._page)
         if request.path != f"/{self.word}/live":
             return connection.respond(HTTPStatus.NOT_FOUND, "nothing here\n")
-        if request.headers.get("Origin") != f"http://{host}":
+        if request.headers.get_all("Origin") != [f"http://{host}"]:
             return connection.respond(HTTPStatus.FORBIDDEN, "another page\n")
         return None
 

@@ -4,7 +4,7 @@
 a typed error that says what is wrong and what to do.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -263,7 +263,7 @@ def load_run(path: Path | str, h: float = GRID) -> Run:
         **_signals(session, columns),
         h=h,
         servo_frame=SERVO_FRAME if ours else 0.0,
-        speed_ramp=_speed_ramp(scaling) if ours else 0.0,
+        speed_ramp=_speed_ramp(session) if ours else 0.0,
     )
 
 
@@ -306,15 +306,14 @@ def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]
     return found
 
 
-def _speed_ramp(scaling: Mapping[str, str]) -> float:
+def _speed_ramp(session: Session) -> float:
     """Limit of the motor controller's setpoint [m/s^2] under the session's scaling."""
-    return RAMP_ERPM / abs(float(scaling.get("erpm_gain", F1TENTH.erpm_gain)))
+    return RAMP_ERPM / abs(session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain))
 
 
 def _wheel_speed(session: Session, erpm: NDArray[Any]) -> Array:
     """Reported speed [m/s] with the scaling that the session was driven with."""
-    scaling = session.contents.metadata.get("steerd.scaling", {})
-    gain = float(scaling.get("erpm_gain", F1TENTH.erpm_gain))
-    offset = float(scaling.get("erpm_offset", F1TENTH.erpm_offset))
+    gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
+    offset = session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
     speed: Array = (erpm.astype(float) - offset) / gain
     return speed
