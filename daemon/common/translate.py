@@ -49,7 +49,7 @@ def reading(name: object, hint: str = "") -> Iterator[None]:
     except SessionError as error:
         raise make_session_error(error, hint) from error
     except (ValueError, LookupError, RecursionError, MemoryError, csv.Error) as error:
-        kind = {RecursionError: "nested too deeply", MemoryError: "more than memory holds"}
-        text = kind.get(type(error), str(error)[:200] or type(error).__name__)
-        what = f"lacks {text}" if isinstance(error, KeyError) else f"holds what is wrong: {text}"
-        raise SteerdError(f"{name} {what}", hint) from error
+        known = {RecursionError: "nested too deeply", MemoryError: "more than memory holds"}
+        text = known.get(type(error), str(error)[:200] or type(error).__name__)
+        text = f"it lacks {error.args[0]}" if isinstance(error, KeyError) else text
+        raise SteerdError(f"{name}: {text}", hint) from error

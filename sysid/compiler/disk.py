@@ -7,20 +7,24 @@ process; a disk that fills while code is written to it ends the keeping and not 
 # Why: docs/decisions/kernels.md#d55
 
 import atexit
-import contextlib
+import hashlib
 import os
 import pickle
 import shutil
 import tempfile
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+import numba
 import platformdirs
 from numba.core.caching import FunctionCache
+from numba.core.serialize import dumps
 
 from steerd.car_model.machine_code import CodeNotKept
+from steerd.sealed_file import make_own_folder, read_sealed, seal
+from steerd.steer_bus.atomic_file import write_atomically
 
 CACHE_VARIABLE = "STEERD_CACHE"
 """Environment variable that names another cache folder."""
@@ -62,40 +66,36 @@ def _remove(folder: str, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-class _Kept:
-    """Numba's cache of one function, whose failures cost time and nothing else.
-
-    Attributes:
-        own: Numba's, whose other attributes are this one's.
-    """
+class _SealedFiles:
+    """Stands in for Numba's index and data: a sealed file for each signature of a function."""
 
     def __init__(self, own: Any) -> None:
-        self.own = own
+        self._stem = Path(own.cache_path) / own._impl.filename_base  # noqa: SLF001
+        self._source = numba.__version__, own._impl.locator.get_source_stamp()  # noqa: SLF001
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.own, name)
+    def _path(self, key: Any) -> Path:
+        digest = hashlib.sha256(repr((key, self._source)).encode()).hexdigest()[:24]
+        return self._stem.with_name(f"{self._stem.name}.{digest}.nbc")
 
-    def load_overload(self, *asked: Any) -> Any:
-        """The kept code; None where there is none or it is damaged, as a power cut leaves it."""
-        try:
-            return self.own.load_overload(*asked)
-        except (OSError, EOFError, pickle.UnpicklingError):
-            with contextlib.suppress(OSError):
-                self.own.flush()
-            return None
+    def load(self, key: Any) -> Any:
+        """The kept code; None where there is none that can be believed."""
+        data = read_sealed(self._path(key))
+        return None if data is None else pickle.loads(data)
 
-    def save_overload(self, *made: Any) -> None:
+    def save(self, key: Any, made: Any) -> None:
         """Keep the code, or say that it is not kept."""
+        path = self._path(key)
         try:
-            self.own.save_overload(*made)
+            make_own_folder(path.parent)
+            write_atomically(path, seal(path.name, dumps(made)))
         except OSError as error:
-            text = f"{self.own.cache_path}: {error.strerror}; compiled code is not kept"
+            text = f"{path.parent}: {error.strerror}; compiled code is not kept"
             warnings.warn(text, CodeNotKept, stacklevel=2)
 
 
-def spare_failures(module: ModuleType) -> None:
-    """Let no entry point of a compiled module fail because its code cannot be read or kept."""
-    for function in vars(module).values():
+def seal_caches(functions: Mapping[str, Any]) -> None:
+    """Let compiled functions load no code that is not as it was kept, and fail for none."""
+    for function in functions.values():
         own: Any = getattr(function, "_cache", None)  # Numba has no public way
         if isinstance(own, FunctionCache):
-            vars(function)["_cache"] = _Kept(own)
+            vars(own)["_cache_file"] = _SealedFiles(own)

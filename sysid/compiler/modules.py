@@ -1,11 +1,11 @@
 """Prints compiled models into the user's cache folder and loads them.
 
 The name of a printed module holds a hash of everything that its compiled code depends on, so a
-cache that is older than the equations is never used. Numba keeps the machine code beside it.
+cache that is older than the equations is never used. Numba's machine code is kept beside it.
 """
 
+import builtins
 import hashlib
-import importlib.util
 import sys
 from collections.abc import Sequence
 from functools import lru_cache
@@ -17,6 +17,7 @@ import numba
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.single_track import SINGLE_TRACK
+from steerd.sealed_file import make_own_folder
 from steerd.steer_bus.atomic_file import write_atomically
 from steerd.sysid.compiler import (
     arguments,
@@ -30,7 +31,7 @@ from steerd.sysid.compiler import (
     simd_rows,
 )
 from steerd.sysid.compiler.codegen import generate
-from steerd.sysid.compiler.disk import at_place, cache_folder, replace_folder, spare_failures
+from steerd.sysid.compiler.disk import at_place, cache_folder, replace_folder, seal_caches
 from steerd.sysid.compiler.trace import trace
 
 
@@ -53,25 +54,6 @@ def _fingerprint(source: str) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 
-def write_module(effects: Sequence[Effect] = (), chassis: Chassis = SINGLE_TRACK) -> Path:
-    """Write a model's module unless it is there; several processes may do so at once.
-
-    Raises:
-        OSError: the cache folder cannot be written.
-    """
-    source = module_source(effects, chassis)
-    folder = cache_folder() / "kernels"
-    path = folder / f"model_{_fingerprint(source)}.py"
-    if path.exists():
-        return path
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, source)
-    except OSError as error:
-        raise at_place(error, folder) from None
-    return path
-
-
 @lru_cache(maxsize=256)
 def load_module(effects: tuple[Effect, ...] = (), chassis: Chassis = SINGLE_TRACK) -> ModuleType:
     """The compiled module of a car with these effects (compiled on its first calls).
@@ -79,20 +61,27 @@ def load_module(effects: tuple[Effect, ...] = (), chassis: Chassis = SINGLE_TRAC
     Raises:
         OSError: neither the cache folder nor a temporary one can be written.
     """
+    source = module_source(effects, chassis)
     try:
-        return _run_module(write_module(effects, chassis))
+        return _run_module(source)
     except (OSError, RuntimeError) as error:  # Numba's RuntimeError: no place for machine code
         replace_folder(error)
-    return _run_module(write_module(effects, chassis))
+    return _run_module(source)
 
 
-def _run_module(path: Path) -> ModuleType:
-    name = f"steerd_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{path} cannot be loaded")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    spare_failures(module)
+def _run_module(source: str) -> ModuleType:
+    """The module of a source; it is written for Numba, which wants a file, and never read back."""
+    folder = cache_folder() / "kernels"
+    path = folder / f"model_{_fingerprint(source)}.py"
+    try:
+        make_own_folder(folder)
+        if not path.exists():
+            write_atomically(path, source)
+    except OSError as error:
+        raise at_place(error, folder) from None
+    module = ModuleType(f"steerd_{path.stem}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module
+    exec(builtins.compile(source, path, "exec"), vars(module))
+    seal_caches(vars(module))
     return module

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch.autograd.function import once_differentiable
 
+from steerd.sysid.compiler.disk import seal_caches
 from steerd.sysid.paper.torch_ops import Tensor
 
 Array = NDArray[np.float64]
@@ -98,3 +99,6 @@ def expect(cost: Array, reached: Array, gamma: float) -> Array:
                 both = np.exp((r[i + 1, j + 1] - r[i, j] - d[i + 1, j + 1]) / gamma)
                 e[i, j] = e[i + 1, j] * down + e[i, j + 1] * right + e[i + 1, j + 1] * both
     return expected[:, 1 : rows + 1, 1 : columns + 1].copy()
+
+
+seal_caches(globals())

@@ -19,9 +19,9 @@ GOLDEN = Path(__file__).parents[1] / "golden" / "circle.mcap"
 SOON = 20.0
 """Processor time of one command [s]: what the imports cost on a loaded machine, and no more."""
 DOTTED = "a" + ".a" * 200_000 + " = 1\n"
-QUOTED = '"\\"."' + '."\\"."' * 20_000 + " = 1\n"
+QUOTED = '"\\"."' + '."\\"."' * 150_000 + " = 1\n"
+HEAD = "[" + "a." * 200_000 + "a]\n"
 NESTED = "x = " + "[" * 100_000
-DEEP = "x = " + "[" * 40 + "]" * 40 + "\n"
 CAR = (Path(__file__).parents[2] / "config" / "f1tenth.toml").read_text()
 SIM = ("run", "--sim", "--fast", "--duration", "0.5")
 
@@ -86,8 +86,10 @@ def refuses(capsys, *words, code=4):
     is_one_line(capsys.readouterr().err)
 
 
-@pytest.mark.parametrize("text", [DOTTED, f"[{DOTTED[:-5]}]", QUOTED, NESTED, DEEP])
-@pytest.mark.parametrize("what", ["car", "map", "sweep"])
+PAGES = [(what, text) for what in ("car", "map", "sweep") for text in (DOTTED, HEAD, QUOTED)]
+
+
+@pytest.mark.parametrize(("what", "text"), [*PAGES, ("sweep", NESTED)])
 def test_a_page_of_settings_that_hangs_or_crashes_a_parser(tmp_path, what, text):
     page = tmp_path / "page.toml"
     page.write_text(CAR + text if what == "car" else text)
@@ -102,7 +104,7 @@ def test_a_page_of_settings_that_hangs_or_crashes_a_parser(tmp_path, what, text)
     is_one_line(said)
 
 
-@pytest.mark.parametrize("text", [DOTTED, NESTED, DEEP], ids=["dotted", "nested", "deep"])
+@pytest.mark.parametrize("text", [DOTTED, NESTED], ids=["dotted", "nested"])
 def test_a_car_file_inside_a_session(tmp_path, text):
     path = alter(tmp_path / "x.mcap", attachments={"car.toml": text.encode()})
     code, _, said = command("replay", path)

@@ -1,23 +1,26 @@
 """Where compiled models live: names that follow the equations, writers side by side."""
 
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 
 from steerd.car_model.effects import find_effect
 from steerd.sysid.compiler import simd_math
-from steerd.sysid.compiler.modules import module_source, write_module
+from steerd.sysid.compiler.modules import load_module, module_source
 
 
 def test_one_file_per_model_whoever_writes_it(tmp_path, monkeypatch):
     monkeypatch.setenv("STEERD_CACHE", str(tmp_path))
+    load = load_module.__wrapped__
     with ThreadPoolExecutor(8) as pool:
-        paths = set(pool.map(lambda _: write_module(), range(16)))
+        paths = {made.__file__ for made in pool.map(lambda _: load(), range(16))}
     assert len(paths) == 1
-    assert [p.name for p in (tmp_path / "kernels").iterdir()] == [paths.pop().name]
-    other = write_module((find_effect("steer_bias"),))
+    files = [p for p in (tmp_path / "kernels").iterdir() if p.is_file()]
+    assert [str(p) for p in files] == list(paths)
+    other = load((find_effect("steer_bias"),)).__file__
     assert other not in paths
-    assert other.read_text(encoding="utf-8") == module_source((find_effect("steer_bias"),))
+    assert Path(other).read_text(encoding="utf-8") == module_source((find_effect("steer_bias"),))
 
 
 def test_simd_functions_are_good_to_the_last_places():
