@@ -6,6 +6,7 @@ files too, with warnings; the :class:`Session` it gives is a value that reads it
 
 # Why: docs/decisions/messages-and-sessions.md#d17
 
+import json
 import math
 import stat
 from collections.abc import Iterator, Mapping
@@ -224,6 +225,20 @@ class Session:
                 return _read_attachment(self._path, item)
         text = f"{self._path.name} has no attachment {name!r}"
         raise SessionError("missing_attachment", text, exit_code=WRONG_CONTENT)
+
+    def holes(self) -> tuple[tuple[int, int], ...]:
+        """Stretches in which the recorder did not get everything [UNIX ns], in order.
+
+        Raises:
+            SessionError: what the session says of them makes no sense.
+        """
+        text = self.contents.metadata.get("steerd.end", {}).get("holes", "[]")
+        try:
+            found = tuple((int(first), int(last)) for first, last in json.loads(text))
+        except (ValueError, TypeError, RecursionError):
+            what = f"{self._path.name}: holes is {text[:40]!r}, which is no list of times"
+            raise SessionError("bad_holes", what, exit_code=WRONG_CONTENT) from None
+        return found
 
     def number(self, record: str, key: str, default: float) -> float:
         """A number of the metadata; the default where it does not say.

@@ -24,7 +24,7 @@ from steerd.daemon.common.translate import reading
 from steerd.daemon.common.whole_file import write_whole
 from steerd.toml_text import load_toml
 
-_SCHEMA = 1
+_SCHEMA = 2
 """Of the remembered rows: others are read anew."""
 _FAULTS = ("FAULT_STOP", "FAULT_LATCHED", "ESTOP")
 _TAG_MAX, _NOTE_MAX = 40, 500
@@ -42,6 +42,7 @@ class Entry:
         seconds, metres: length.
         e1_rms, e1_max: lateral error after the approach [m].
         verdict: `ok`, or why it was stopped or cannot be used.
+        missing_s: how long the recorder did not get everything.
         tags, note: what people wrote about it.
     """
 
@@ -55,6 +56,7 @@ class Entry:
     e1_rms: float | None = None
     e1_max: float | None = None
     verdict: str = ""
+    missing_s: float = 0.0
     tags: tuple[str, ...] = ()
     note: str = ""
 
@@ -212,6 +214,7 @@ def summarise(path: Path) -> Entry:
         )
         with reading(path):
             tables = session.tables({name: topics.STATE.message}) if name else {}
+            missing_s = 1e-9 * sum(last - first for first, last in session.holes())
             lane, followed = _lane(report.info.metadata.get("steerd.session", {}))
     except SteerdError as error:
         return Entry(path, changed_ns, verdict=clean(f"unreadable: {error}", 60))
@@ -231,6 +234,7 @@ def summarise(path: Path) -> Entry:
         e1_rms=rms(errors) if driven and errors is not None else None,
         e1_max=float(errors.max()) if driven and errors is not None else None,
         verdict=clean(stops[0], 60) if stops else "ok" if end else "no end",
+        missing_s=missing_s,
     )
 
 

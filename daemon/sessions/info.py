@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.holes import describe_holes
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.motion import (
@@ -137,7 +138,7 @@ def _make_report(session: Session) -> SessionReport:
     track, signals = _motion(tables, times)
     states = _states(session, info.start_ns)
     steer, wheel, gyro, speed, lateral = signals
-    about = info.metadata.get("steerd.session", {})
+    about, end = (info.metadata.get(f"steerd.{name}", {}) for name in ("session", "end"))
     cars = sorted({key[0] for topic in info.topics if (key := split_key(topic.name))})
     steer_range, speed_range, lateral_range = map(make_range, (steer.value, speed, lateral))
     return SessionReport(
@@ -147,7 +148,7 @@ def _make_report(session: Session) -> SessionReport:
         topics=tuple(_topic(topic, tables, info.start_ns) for topic in info.topics if topic.count),
         empty_topics=tuple(topic.name for topic in info.topics if not topic.count),
         states=states,
-        end=info.metadata.get("steerd.end", {}).get("reason", ""),
+        end=end.get("reason", ""),
         length_m=track.length if track else None,
         speed=speed_range,
         steer=steer_range,
@@ -155,6 +156,7 @@ def _make_report(session: Session) -> SessionReport:
         excitation=_find_unidentifiable(track, speed_range, steer_range, lateral_range),
         warnings=(
             *(warning.message for warning in info.warnings),
+            *filter(None, [describe_holes(end.get("dropped", ""), session.holes(), info.start_ns)]),
             *unreadable,
             *find_implausible(track, _nonempty(steer), _nonempty(wheel), _nonempty(gyro)),
             *_check_erpm(tables, times, track, session),

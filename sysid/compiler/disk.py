@@ -19,8 +19,8 @@ from typing import Any
 
 import numba
 import platformdirs
+from numba.core import serialize
 from numba.core.caching import FunctionCache
-from numba.core.serialize import dumps
 
 from steerd.car_model.machine_code import CodeNotKept
 from steerd.sealed_file import make_own_folder, read_sealed, seal
@@ -66,16 +66,19 @@ def _remove(folder: str, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+_dumps: Any = serialize.dumps
+
+
 class _SealedFiles:
     """Stands in for Numba's index and data: a sealed file for each signature of a function."""
 
     def __init__(self, own: Any) -> None:
-        self._stem = Path(own.cache_path) / own._impl.filename_base  # noqa: SLF001
+        self._folder, self._base = Path(own.cache_path), own._impl.filename_base  # noqa: SLF001
         self._source = numba.__version__, own._impl.locator.get_source_stamp()  # noqa: SLF001
 
     def _path(self, key: Any) -> Path:
         digest = hashlib.sha256(repr((key, self._source)).encode()).hexdigest()[:24]
-        return self._stem.with_name(f"{self._stem.name}.{digest}.nbc")
+        return self._folder / f"{self._base}.{digest}.nbc"
 
     def load(self, key: Any) -> Any:
         """The kept code; None where there is none that can be believed."""
@@ -87,7 +90,8 @@ class _SealedFiles:
         path = self._path(key)
         try:
             make_own_folder(path.parent)
-            write_atomically(path, seal(path.name, dumps(made)))
+            data: bytes = _dumps(made)
+            write_atomically(path, seal(path.name, data))
         except OSError as error:
             text = f"{path.parent}: {error.strerror}; compiled code is not kept"
             warnings.warn(text, CodeNotKept, stacklevel=2)
