@@ -169,6 +169,11 @@ def run_cli(argv: Sequence[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.OK
     except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and not str(error.name).startswith("steerd"):
+            what = f"`steerd {argv[0]}` needs {error.name}, which a car's computer does without"
+            hint = "pip install -c constraints.txt -e . (in the checkout)"
+            _print_error(SteerdError(what, hint))
+            return ExitCode.USAGE
         if isinstance(error, OSError) and _takes_nothing(error):
             return _end_unwritten(error)
         traceback.print_exc()

@@ -154,9 +154,9 @@ class Gaps:
             self.add(before_ns, log_ns)
 
     def add(self, first_ns: int, last_ns: int) -> None:
-        """Take in a stretch with missing records; what several topics tell of one is what all say.
+        """Take in a stretch with missing records; what several topics say of one is what all agree on.
 
-        A pipe loses whole ticks, so a frequent topic tells more precisely where than a rare one.
+        A pipe loses whole ticks, so a frequent topic shows where more precisely than a rare one.
         """
         if self._spans and self._spans[-1][1] > first_ns:
             other = self._spans.pop()
