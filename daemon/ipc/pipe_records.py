@@ -154,7 +154,7 @@ class Gaps:
             self.add(before_ns, log_ns)
 
     def add(self, first_ns: int, last_ns: int) -> None:
-        """Take in a stretch with missing records; what several topics say of one is what all agree on.
+        """Take in a stretch with missing records; of one that several topics name, the common part.
 
         A pipe loses whole ticks, so a frequent topic shows where more precisely than a rare one.
         """
