@@ -29,6 +29,7 @@ import platformdirs
 from steerd.car_model.params import Car
 from steerd.car_model.straight_line import C_FORMS, FUNCTIONS, written
 from steerd.car_model.tape import Node
+from steerd.sealed_file import make_own_folder, read_sealed, seal
 
 FLAGS = (
     "-O2", "-std=c11", "-fPIC", "-shared", "-ffp-contract=off",
@@ -36,6 +37,8 @@ FLAGS = (
 )  # fmt: skip
 _COMPILE_S = 60.0
 """Longest time that compiling is given [s]; it takes one."""
+_READ = 0o644
+"""A compiler's file may be written by whom the shell's mask lets."""
 _ANGLES = tuple(0.37 * k + 0.01 for k in range(17))
 
 _TRIED = "".join(f"    out[{i}] = {name}(a);\n" for i, name in enumerate(FUNCTIONS))
@@ -87,7 +90,9 @@ def printed_function(
 
 def library_path(source: Source) -> Path:
     """Where the machine code lies, named after all that it is made from."""
-    found = hashlib.sha256(" ".join((platform.machine(), *platform.libc_ver(), *FLAGS)).encode())
+    found = hashlib.sha256(
+        " ".join(("sealed", platform.machine(), *platform.libc_ver(), *FLAGS)).encode()
+    )
     for name in source.files:
         found.update((source.folder / name).read_bytes())
     folder = platformdirs.user_cache_path("steerd") / "machine-code"
@@ -110,23 +115,31 @@ def build_library(source: Source) -> Path | None:
     Several processes may do so at once: each moves a whole file into place.
     """
     path, compiler = library_path(source), find_compiler()
-    if path.exists() or not compiler:
-        return path if path.exists() else None
+    if read_sealed(path) is not None:
+        return path
+    if not compiler:
+        return None
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_own_folder(path.parent)
         with tempfile.TemporaryDirectory(prefix="build-", dir=path.parent) as folder:
             made = Path(folder) / path.name
             text = str(source.folder / source.files[0])
             command = [*compiler, *FLAGS, "-o", str(made), text, "-lm"]
             subprocess.run(command, check=True, capture_output=True, timeout=_COMPILE_S)
+            with made.open("r+b") as file:
+                file.write(seal(path.name, made.read_bytes()))
+                file.flush()
+                os.fsync(file.fileno())
+            made.chmod(_READ)
             made.replace(path)
+            return path
     except OSError as error:
         _report(path.parent, str(error.strerror))
     except subprocess.SubprocessError as error:
         full = os.strerror(errno.ENOSPC)
         if full.encode() in (getattr(error, "stderr", b"") or b""):
             _report(path.parent, full)
-    return path if path.exists() else None
+    return None
 
 
 def _report(folder: Path, why: str) -> None:
@@ -147,7 +160,10 @@ def load_library(
         check: whether what else it computes agrees.
     """
     try:
-        library = ctypes.PyDLL(str(library_path(source)))
+        path = library_path(source)
+        if read_sealed(path) is None:
+            return None
+        library = ctypes.PyDLL(str(path))
         return library if same_functions(library) and check(library) else None
     except (OSError, AttributeError, KeyError):
         return None

@@ -1,4 +1,4 @@
-"""Making a controller at start: design, check, refuse. Only this leads to python-control."""
+"""Making a controller at start: design, check, refuse. Only this leads to SciPy."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -38,7 +38,7 @@ DesignTable = Callable[[Car[float], ControllerConfig, Timing, float], GainTable]
 def compute_table(
     car: Car[float], config: ControllerConfig, timing: Timing, speed_max: float
 ) -> GainTable:
-    """The gains by python-control, which takes a second to import."""
+    """The gains, see `steerd.controller.gains`; SciPy is loaded with them."""
     from steerd.controller.gains import design_table
 
     return design_table(car, config, timing, speed_max)

@@ -1,4 +1,4 @@
-"""The two designs, through python-control, over a grid of speeds. Runs at start, never per tick.
+"""The two designs, through SciPy, over a grid of speeds. Runs at start, never per tick.
 
 `pole_placement` is the paper's: continuous state feedback on Rajamani's error dynamics, blind to
 the servo, the dead time and the loop's rate. `lqr` (default) minimises a quadratic cost of the
@@ -8,8 +8,8 @@ yet.
 
 import math
 
-import control  # noqa: TID251
 import numpy as np
+from scipy.linalg import solve, solve_discrete_are
 
 from steerd.car_model.chassis import SPEED_DYNAMIC
 from steerd.car_model.linear import lane_error_model
@@ -26,9 +26,12 @@ def pole_placement_gains(car: Car[float], speed: float, poles: tuple[complex, ..
     Raises:
         DesignRefused: the poles cannot be placed.
     """
+    from scipy.signal import place_poles  # half a second, which the other design does not need
+
     model = lane_error_model(car, speed)
     try:
-        gains: Matrix = np.asarray(control.place(model.a, model.b_steer[:, None], poles))
+        placed = place_poles(model.a, model.b_steer[:, None], poles, method="YT")
+        gains: Matrix = np.asarray(placed.gain_matrix)
     except ValueError as error:
         raise DesignRefused(
             f"pole_placement at {speed:.2f} m/s: {error}; try other poles, a higher grid_speed_min "
@@ -47,8 +50,10 @@ def lqr_gains(car: Car[float], speed: float, timing: Timing, weights: LqrWeights
     lane = 5 if timing.lagging else 4
     cost = np.zeros(len(a))
     cost[:lane] = weights[:lane]
+    effort = np.array([[weights.effort]])
     try:
-        gains: Matrix = np.asarray(control.dlqr(a, b, np.diag(cost), [[weights.effort]])[0])
+        x = solve_discrete_are(a, b, np.diag(cost), effort)
+        gains: Matrix = np.asarray(solve(b.T @ x @ b + effort, b.T @ x @ a))
     except (ValueError, np.linalg.LinAlgError) as error:
         raise DesignRefused(
             f"lqr at {speed:.2f} m/s, {timing.rate_hz:g} Hz: {error}; try other weights"

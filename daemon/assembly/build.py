@@ -25,7 +25,7 @@ from steerd.sim_hw.vesc.vesc_config import VescConfig
 from steerd.sim_hw.world import WorldConfig
 from steerd.steer_bus.topics import check_car_name
 
-# python-control and filterpy take a second to import. `steerd run` leaves both to the core's
+# SciPy and filterpy take a second to import. `steerd run` leaves both to the core's
 # process, which needs them anyway; its terminal and its children start without.
 if TYPE_CHECKING:
     from steerd.controller.acceptance import Acceptance
@@ -140,9 +140,8 @@ def _design(
     car: Car[float], path: Path, config: ControllerConfig, rate_hz: float
 ) -> LaneController:
     from steerd.controller.build import make_controller
-    from steerd.daemon.assembly.design_cache import recall_table
 
-    return make_controller(car, path, config, rate_hz, design=recall_table)
+    return make_controller(car, path, config, rate_hz)
 
 
 def make_plan(

@@ -8,7 +8,7 @@ import fcntl
 import os
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from steerd.steer_bus.codec import decode
@@ -19,6 +19,8 @@ PIPE_BYTES = 1 << 20
 """Room for about 4 s of messages at 200 Hz (`docs/reference/safety-requirements.md#s2.3`)."""
 _HEAD = struct.Struct("<IHHIqq")
 _F_SETPIPE_SZ = 1031
+_JOINED_NS = 100_000_000
+"""Holes closer to each other are one."""
 _INDEX = {topic.name: index for index, topic in enumerate(TOPICS)}
 
 
@@ -127,3 +129,45 @@ class PipeWriter:
         if taken:
             self.full_since_ns = None
         return data[taken:]
+
+
+@dataclass
+class Gaps:
+    """Records that were dropped on the way, by their numbers.
+
+    Attributes:
+        missed: how many so far.
+    """
+
+    missed: int = 0
+    _spans: list[tuple[int, int]] = field(default_factory=list)
+    _last: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    def take(self, record: PipeRecord) -> None:
+        """Count what is missing before a record; the first of a topic misses nothing."""
+        log_ns = record.log_time_ns
+        number, before_ns = self._last.get(record.topic.name, (record.sequence - 1, log_ns))
+        self._last[record.topic.name] = record.sequence, log_ns
+        if record.sequence > number + 1:
+            self.missed += record.sequence - number - 1
+            self.add(before_ns, log_ns)
+
+    def add(self, first_ns: int, last_ns: int) -> None:
+        """Take in a stretch with missing records; of one that several topics name, the common part.
+
+        A pipe loses whole ticks, so a frequent topic shows where more precisely than a rare one.
+        """
+        if self._spans and self._spans[-1][1] > first_ns:
+            other = self._spans.pop()
+            first_ns, last_ns = max(first_ns, other[0]), min(last_ns, other[1])
+        self._spans.append((first_ns, last_ns))
+
+    @property
+    def spans(self) -> list[tuple[int, int]]:
+        """Stretches with missing records [UNIX ns], those that nearly touch as one."""
+        joined: list[tuple[int, int]] = []
+        for first, last in self._spans:
+            if joined and first - joined[-1][1] < _JOINED_NS:
+                first = joined.pop()[0]
+            joined.append((first, last))
+        return joined

@@ -11,6 +11,7 @@ from steerd.daemon.assembly.session_meta import (
     make_metadata,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.streams import raw
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
@@ -158,7 +159,7 @@ def with_progress(
     from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
+    console = Console(file=raw(sys.stderr))
     with Progress(console=console, disable=not sys.stderr.isatty(), transient=True) as progress:
         task = progress.add_task("driving", total=duration_s)
 

@@ -5,12 +5,14 @@ import os
 import select
 import signal
 import socket
+import sys
 from collections.abc import Mapping
 from math import inf
 
 from rich.console import Console
 from rich.live import Live
 
+from steerd.daemon.common.streams import raw
 from steerd.daemon.ipc.gateway_wire import pack_request
 from steerd.daemon.ipc.live_setting import SETTING_MAX, parse_setting
 from steerd.daemon.ipc.operator import Operator
@@ -48,7 +50,7 @@ class Terminal:
 
     def run(self) -> None:
         """Show records and pass on keys and signals until the core has ended."""
-        console = Console(stderr=True)
+        console = Console(file=raw(sys.stderr))
         block_stop_signals()
         signals = make_stop_signal_pipe()
         with keys_one_by_one() as keys:

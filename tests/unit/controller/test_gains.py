@@ -1,5 +1,6 @@
 """The designs against what they promise, and the table's lookup."""
 
+import control as reference  # noqa: TID251
 import numpy as np
 import pytest
 
@@ -21,6 +22,20 @@ def test_pole_placement_puts_the_continuous_poles(speed: float) -> None:
     gains = pole_placement_gains(PAPER_CAR, speed, PAPER_POLES)
     poles = np.linalg.eigvals(errors.a - errors.b_steer[:, None] @ gains)
     np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(PAPER_POLES), rtol=1e-6)
+
+
+@pytest.mark.parametrize("speed", [0.7, 1.5, 6.0])
+@pytest.mark.parametrize("timing", [TIMING, Timing(50.0, 0.0, 0.0)])
+def test_both_designs_give_the_bits_of_python_control(speed: float, timing: Timing) -> None:
+    errors, weights = lane_error_model(DEFAULT_CAR, speed), LqrWeights()
+    placed = reference.place(errors.a, errors.b_steer[:, None], PAPER_POLES)
+    assert np.array_equal(pole_placement_gains(DEFAULT_CAR, speed, PAPER_POLES), placed)
+    a, b = sampled_loop(DEFAULT_CAR, speed, timing)
+    cost = np.zeros(len(a))
+    lane = 5 if timing.lagging else 4
+    cost[:lane] = weights[:lane]
+    optimal = reference.dlqr(a, b, np.diag(cost), [[weights.effort]])[0]
+    assert np.array_equal(lqr_gains(DEFAULT_CAR, speed, timing, weights), optimal)
 
 
 def test_poles_that_cannot_be_placed_are_refused() -> None:

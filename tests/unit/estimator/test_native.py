@@ -31,6 +31,7 @@ from steerd.estimator.state_filter import (
     predict_to,
     step,
 )
+from steerd.sealed_file import CacheRefused
 
 MS = 1_000_000
 T0 = 10**12
@@ -233,15 +234,28 @@ def test_a_disk_that_fills_while_compiling_is_named(monkeypatch: Any, tmp_path: 
         assert machine_code.build_library(FILTER) is None
 
 
-def test_a_damaged_library_is_not_used(both: Any, monkeypatch: Any, tmp_path: Any) -> None:
+@pytest.mark.parametrize("damage", ["cut", "zeros", "a bit", "no library"])
+def test_a_damaged_library_is_made_anew(monkeypatch: Any, tmp_path: Any, damage: str) -> None:
+    """Loaded as they are, most of these end the process with SIGBUS or SIGSEGV."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    path = machine_code.library_path(FILTER)
-    path.parent.mkdir(parents=True)
-    path.write_bytes(b"no library")
-    choice._checked_library.cache_clear()
-    flt = make_state_filter(DEFAULT_CAR, native=True)
-    choice._checked_library.cache_clear()
-    assert flt.kernel is None
+    path = machine_code.build_library(FILTER)
+    assert path is not None
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    path.write_bytes(
+        {
+            "cut": whole[:middle],
+            "zeros": whole[:middle] + bytes(len(whole) - middle),
+            "a bit": whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :],
+            "no library": b"no library",
+        }[damage]
+    )
+    with pytest.warns(CacheRefused, match="is damaged or was changed"):
+        assert machine_code.load_library(FILTER) is None
+    with pytest.warns(CacheRefused, match="it is made anew"):
+        assert machine_code.build_library(FILTER) == path
+    assert path.read_bytes() == whole
+    assert machine_code.load_library(FILTER) is not None
 
 
 def test_another_configuration_is_another_kernel(both: Any, simulate: Any, run_filter: Any) -> None:
