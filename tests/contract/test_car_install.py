@@ -55,7 +55,7 @@ def test_the_lock_holds_the_car_and_a_hash_of_every_file():
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
     path = tmp_path_factory.mktemp("drive") / "drive.mcap"
-    words = ["run", "--sim", "--fast", "--speed", "1", "--duration", "2", "--record", path]
+    words = ["run", "--sim", "--fast", "--speed", "1", "--duration", "6", "--record", path]
     done = steerd(*words)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
