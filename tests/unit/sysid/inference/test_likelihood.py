@@ -107,9 +107,7 @@ def test_gradient_and_curvature_are_difference_quotients(likelihood, small, size
     for i in range(len(small.centre)):
         step = np.zeros(len(small.centre))
         step[i] = 0.02 * small.spread[i]
-        ends = [
-            stand(likelihood, small, point.z + way * step, point.x, size).at for way in (-1, 1)
-        ]
+        ends = [stand(likelihood, small, point.z + way * step, point.x, size).at for way in (-1, 1)]
         low, high = (float(loss_of(at.square, at.dof).sum()) for at in ends)
         slope = -float(point.at.weight @ point.at.g[:, i])
         assert high - low == pytest.approx(2.0 * slope * step[i], rel=0.03, abs=2e-3)

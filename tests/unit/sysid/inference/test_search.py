@@ -139,11 +139,11 @@ def test_a_spun_window_is_taken_up_anew_from_the_poses(likelihood, small, settle
     assert rescue(likelihood, settled_base) is settled_base
 
 
-def test_a_search_far_behind_another_is_given_up(late, found):
-    library = Library(late, FEW, ())
-    start = begin(library, (), (), late.engine.readings.layout.guess)
-    end = minimise(late, start, beat=found.cost - 1e4)
-    assert not end.whole
+def test_a_search_that_ends_at_its_limit_of_steps_is_not_whole(late):
+    start = begin(
+        Library(late, FEW, ()), ("steer_delay",), (0.0,), late.engine.readings.layout.guess
+    )
+    assert not minimise(late, start, steps=2).whole
 
 
 def test_a_start_that_diverges_is_said(likelihood, small):
