@@ -5,6 +5,9 @@ yet, under the discrepancy that the base at its prior needs; the likeliest are b
 optimum. No hypothesis may be worse than one nested in it: bases are exchanged until none is.
 """
 
+# Why: docs/decisions/diagnosis.md#d117
+# Why: docs/decisions/diagnosis.md#d118
+
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -188,10 +191,10 @@ class _Search:
     def explore(self) -> None:
         """Hypotheses that compete for the first place, from more starts."""
         ranked = self.hypotheses()
-        rivals = [h for h in ranked if ranked[0].log_odds - h.log_odds < c.NEARLY]
-        if len(rivals) < 2:
+        near = [h for h in ranked if ranked[0].log_odds - h.log_odds < c.NEARLY]
+        if len(near) < 2:
             return
-        for h in rivals:
+        for h in near:
             if h.effects not in self.explored:
                 self.explored.add(h.effects)
                 self.keep(explore(self.likelihood, h.point))
