@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # The tests start Python hundreds of times: let it keep what it compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install demo test lint types layers docs unit all-tests safety bench clean
+.PHONY: help install demo test lint types layers docs unit all-tests safety bench size clean
 help:            ## this list
 	@grep -hE '^[a-z]+: .*##|^[a-z]+:  +##' Makefile | sed 's/:.*##/\t/'
 
@@ -59,6 +59,9 @@ bench: install     ## measure everything; writes docs/results/performance.md (20
 safety: install   ## all of the fault matrix and its real-time cells; writes the tables of the safety pages
 	$(BIN)/python -m tests.safety.report
 	STEERD_LIVE=all $(PYTEST) -m realtime --reruns 2 tests/safety
+
+size: install     ## lines of each room against its goal; no room may grow
+	$(BIN)/python -m tests.contract.size
 
 clean:            ## remove what was made here
 	rm -rf $(VENV) site .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -154,7 +154,8 @@ class _Search:
     def hypotheses(self) -> list[Hypothesis]:
         """All of them with their odds, the likeliest first."""
         temper = self.temper()
-        found = [judge(self.library, point, temper) for point in self.pool.values()]
+        lowest = min(self.pool.values(), key=lambda point: point.cost)
+        found = [judge(self.library, point, temper, lowest) for point in self.pool.values()]
         return sorted(found, key=lambda h: -h.log_odds)
 
     def keep(self, point: Point | None) -> None:
@@ -447,10 +448,17 @@ def _linear(
     return [tuple((z + dz)[own.start :].tolist())]
 
 
-def judge(library: Library, point: Point, temper: float) -> Hypothesis:
-    """An optimum's evidence with its prior odds, and the probability that its effects matter."""
+def judge(library: Library, point: Point, temper: float, lowest: Point) -> Hypothesis:
+    """An optimum's evidence with its prior odds, and the probability that its effects matter.
+
+    Against the hypothesis of lowest cost no window changes the odds by more than a factor of e: a
+    car that nearly spins multiplies any small change, and one such second shall not name a cause.
+    """
     effects = point.space.effects
     posterior = posterior_of(point, temper)
+    behind = point.at.loss - lowest.at.loss
+    beyond = float((behind - np.clip(behind, -temper, temper)).sum())
+    posterior = replace(posterior, evidence=posterior.evidence + beyond)
     odds = posterior.evidence / temper - len(effects) * np.log(len(library.effects))
     odds -= max(len(effects) - 1, 0) * np.log(c.FURTHER_ODDS)
     for name in effects:
