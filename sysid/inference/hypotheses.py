@@ -221,19 +221,29 @@ class _Search:
                 return
 
     def _improve(self, point: Point, other: Point) -> bool:
-        """A hypothesis from another's base; whether that is better."""
+        """A hypothesis from another's base; whether that is better.
+
+        Where the other is nested in it and stays better, effects begin at what the base has too.
+        """
         key = (point.space.effects, other.space.effects, round(other.cost))
         if key in self.exchanged:
             return False
         self.exchanged.add(key)
-        space = point.space
-        z = carry(space, other, point)
-        begun = _stand(self.likelihood, space, z, other.x, max(1.5 * other.size, c.SIZE_SMALL))
-        found = None if begun is None else _try(self.likelihood, begun)
+        space, wider = point.space, max(1.5 * other.size, c.SIZE_SMALL)
+        found = self._from(space, carry(space, other, point), other, wider)
+        lowest = min(point.cost, np.inf if found is None else found.cost)
+        if set(other.space.effects) < set(space.effects) and lowest > other.cost + _WORSE:
+            again = self._from(space, carry(space, other), other, other.size)
+            found = min((p for p in (found, again) if p), key=lambda p: p.cost, default=None)
         if found is None or found.cost > point.cost - _WORSE:
             return False
         self.keep(found)
         return True
+
+    def _from(self, space: Space, z: Array, other: Point, size: float) -> Point | None:
+        """The optimum from coordinates at another hypothesis' starts."""
+        begun = _stand(self.likelihood, space, z, other.x, size)
+        return None if begun is None else _try(self.likelihood, begun)
 
 
 def explain(

@@ -191,13 +191,6 @@ class Likelihood:
 
     def losses(self, at: Rotated, error: Array, x: Array, size: float) -> Array:
         """(W,) losses at a point, without derivatives by the coordinates."""
-        square, volume = self._settled_squares(at, error, x, size)
-        return loss_of(square, self.dof) + volume
-
-    def _settled_squares(
-        self, at: Rotated, error: Array, x: Array, size: float
-    ) -> tuple[Array, Array]:
-        """(W,) squared errors with every start at its best, and half the log determinants."""
         weight, row = self.weights(size), self.rotate_error(error)
         turned = (at.by_x * weight[:, :, None]).transpose(0, 2, 1)
         d, volume = self._starts(turned @ at.by_x, weight)
@@ -205,7 +198,8 @@ class Likelihood:
         pull = (turned @ row[:, :, None])[:, :, 0] + away * self.start_precision
         square = (weight * row**2).sum(axis=1) + (self.start_precision * away**2).sum(axis=1)
         taken = (pull * np.linalg.solve(d, pull[:, :, None])[:, :, 0]).sum(axis=1)
-        return square - np.where(at.held, 0.0, taken), volume
+        square = square - np.where(at.held, 0.0, taken)
+        return loss_of(square, self.dof) + volume
 
     def _starts(self, d: Array, weight: Array) -> tuple[Array, Array]:
         """Curvature of the starts, and half the log determinants with it."""
@@ -214,17 +208,11 @@ class Likelihood:
         return d, np.asarray(volume)
 
     def best_size(self, at: Rotated, error: Array, x: Array, least: float = 0.0) -> float:
-        """The size of `SIZES` under which these errors are most likely, `least` at least.
-
-        Under which most windows would count as spun is none: there no error costs anything more.
-        """
+        """The size of `SIZES` under which these errors are most likely, `least` at least."""
         sizes = SIZES[least - 1e-12 <= SIZES]
         best, lowest = float(sizes[-1]), np.inf
         for size in sizes:
-            square, volume = self._settled_squares(at, error, x, float(size))
-            if np.median(square / self.dof) >= SPUN:
-                continue
-            cost = float((loss_of(square, self.dof) + volume).sum())
+            cost = float(self.losses(at, error, x, float(size)).sum())
             if cost < lowest:
                 best, lowest = float(size), cost
             elif cost > lowest + 50.0:

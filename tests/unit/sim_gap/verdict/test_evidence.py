@@ -1,5 +1,6 @@
 """From hypotheses to a verdict: no car is simulated here."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -32,15 +33,23 @@ def _hypothesis(
     size: float = SMALL,
     moved: float = 0.0,
     values: dict[str, tuple[float, ...]] | None = None,
+    spun: int = 0,
 ) -> Hypothesis:
-    """A hypothesis whose base of 20 parameters costs `moved` nats beyond its mean."""
+    """A hypothesis whose base of 20 parameters costs `moved` nats beyond its mean.
+
+    Of its ten windows `spun` leave more than counts.
+    """
     given = {**VALUES, **(values or {})}
     free = [n for n in NAMES if n.partition(".")[0] in effects]
     space = SimpleNamespace(
         nuisance=20, base_cost=lambda z: 10.0 + moved, chart=SimpleNamespace(free=free)
     )
     point = SimpleNamespace(
-        space=space, z=np.zeros(20), size=size, parameters=np.concatenate(list(given.values()))
+        space=space,
+        z=np.zeros(20),
+        size=size,
+        parameters=np.concatenate(list(given.values())),
+        at=SimpleNamespace(square=np.where(np.arange(10) < spun, 1e5, 30.0), dof=np.full(10, 30.0)),
     )
     posterior = SimpleNamespace(point=point, covariance=1e-6 * np.eye(len(free)))
     return Hypothesis(effects, posterior, 0.0, probability)
@@ -89,6 +98,8 @@ def test_the_base_alone_is_no_gap_or_one_without_a_name(size, known, verdict):
         ({}, "explained"),
         ({"size": 1.2 * c.GAP_SIZE}, "partial"),
         ({"size": 0.9 * LARGE}, "unexplained"),
+        ({"size": 0.0, "spun": 6}, "unexplained"),
+        ({"size": 0.0, "spun": 2}, "explained"),
         ({"moved": 0.6 * c.STRAINED * np.sqrt(40.0)}, "partial"),
         ({"moved": 0.4 * c.STRAINED * np.sqrt(40.0)}, "explained"),
     ],
@@ -97,6 +108,12 @@ def test_what_stays_and_what_the_base_gave_limit_the_verdict(changes, verdict):
     told = judge_case(LIBRARY, _found(_hypothesis("steer_delay", **changes)), True)
     assert told.name == verdict
     assert bool(told.causes) is (verdict != "unexplained")
+
+
+def test_where_most_windows_are_far_off_there_is_a_gap_whatever_the_size():
+    """Losses are bounded: where all are far off, no discrepancy costs least."""
+    far = replace(_found(), hypotheses=(_hypothesis(size=0.0, spun=9),))
+    assert judge_case(LIBRARY, far, True).name == "unexplained"
 
 
 def test_what_stays_is_no_gap_while_noise_is_not_known():

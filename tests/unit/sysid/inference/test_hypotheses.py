@@ -1,5 +1,6 @@
 """Which effects: what is free, what may not be worse than what, and what is named."""
 
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -134,17 +135,32 @@ def test_of_a_healthy_drive_the_base_alone_is_the_likeliest(fine):
     assert found.null.point.size < c.GAP_SIZE
 
 
-def test_an_effect_costs_its_share_of_the_library_and_a_second_one_more(late):
+def test_an_effect_costs_its_share_of_the_library(late):
     """Odds are the tempered evidence, less what a name costs before any data."""
     library, found = late
-    temper = found.temper
-    for h in found.hypotheses:
-        count = len(h.effects)
-        price = count * np.log(len(LOOKED_AT)) + max(count - 1, 0) * np.log(c.FURTHER_ODDS)
-        evidence = posterior_of(h.point, temper).evidence / temper
-        assert h.log_odds <= evidence - price + 1e-9
-    one = judge(library, found.best.point, 1e6)
-    assert one.log_odds < 0.0, "drives that say next to nothing leave the prior's odds"
+    best, temper = found.best, found.temper
+    evidence = posterior_of(best.point, temper).evidence / temper
+    assert best.log_odds == pytest.approx(evidence - np.log(len(LOOKED_AT)), abs=1e-3)
+
+
+def test_a_second_effect_costs_ten_times_more(both):
+    library, found = both
+    best, temper = found.best, found.temper
+    price = 2.0 * np.log(len(LOOKED_AT)) + np.log(c.FURTHER_ODDS)
+    evidence = posterior_of(best.point, temper).evidence / temper
+    assert best.log_odds == pytest.approx(evidence - price, abs=1e-3)
+
+
+def test_no_single_window_changes_odds_by_more_than_a_factor_of_e(late):
+    """A car that nearly spins multiplies any small change: one such second names no cause."""
+    library, found = late
+    best, null, temper = found.best.point, found.null.point, found.temper
+    loss = null.at.loss
+    worse = replace(null, at=null.at._replace(volume=null.at.volume + 100.0 * (loss == loss.max())))
+    worse = replace(worse, cost=null.cost + 100.0)
+    odds = [judge(library, point, temper, best).log_odds for point in (null, worse)]
+    assert 0.0 <= odds[0] - odds[1] <= 1.0 + 2.0 * 1.0
+    assert 100.0 / temper > 3.0
 
 
 def test_what_an_effect_gains_the_base_cannot_gain_alone(late):

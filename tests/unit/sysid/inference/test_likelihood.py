@@ -159,17 +159,6 @@ def test_the_size_is_that_from_which_errors_were_drawn(likelihood, linear, size)
     assert likelihood.best_size(rotated, error, guess, 2.0 * size + 1.0) >= 2.0 * size + 1.0
 
 
-def test_a_size_under_which_most_windows_would_be_spun_is_none(likelihood, linear):
-    """Losses are bounded: where all windows are far off, the smallest size would cost least."""
-    rotated, guess = likelihood.rotate(linear), likelihood.engine.readings.layout.guess
-    error = linear.error + 0.1 * (-1.0) ** np.arange(linear.error.shape[1])
-    error *= likelihood.engine.padded.there
-    costs = [float(likelihood.losses(rotated, error, guess, s).sum()) for s in SIZES]
-    assert np.argmin(costs) == 0
-    found = likelihood.best_size(rotated, error, guess)
-    assert found > 1.0
-
-
 def test_the_share_of_a_discrepancy_grows_from_nothing_to_nearly_all(likelihood):
     shares = [likelihood.share(float(size)) for size in SIZES]
     assert shares[0] == 0.0
