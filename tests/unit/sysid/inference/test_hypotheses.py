@@ -137,14 +137,14 @@ def test_of_a_healthy_drive_the_base_alone_is_the_likeliest(fine):
 
 def test_an_effect_costs_its_share_of_the_library(late):
     """Odds are the tempered evidence, less what a name costs before any data."""
-    library, found = late
+    _, found = late
     best, temper = found.best, found.temper
     evidence = posterior_of(best.point, temper).evidence / temper
     assert best.log_odds == pytest.approx(evidence - np.log(len(LOOKED_AT)), abs=1e-3)
 
 
 def test_a_second_effect_costs_ten_times_more(both):
-    library, found = both
+    _, found = both
     best, temper = found.best, found.temper
     price = 2.0 * np.log(len(LOOKED_AT)) + np.log(c.FURTHER_ODDS)
     evidence = posterior_of(best.point, temper).evidence / temper
