@@ -7,6 +7,8 @@ import numpy as np
 
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.hypotheses import Findings, Hypothesis, Library
+from steerd.sysid.inference.likelihood import SPUN
+from steerd.sysid.inference.search import Point
 
 
 @dataclass(frozen=True)
@@ -61,8 +63,9 @@ def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
     """
     best, before = found.best, found.start.size
     after = best.point.size
-    left = after / before if before > 0.0 else 1.0
-    stays = after > c.GAP_SIZE and known
+    lost = _is_lost(best.point)
+    left = after / before if before > 0.0 and not lost else 1.0
+    stays = (after > c.GAP_SIZE or lost) and known
     strain = base_strain(best)
     extreme = tuple(n for n in best.effects if _is_at_bound(library, best, n))
     if not best.effects:
@@ -75,6 +78,11 @@ def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
     causes = tuple(_cause(library, found, effect) for effect in best.effects)
     return Verdict(name, causes if name != "unexplained" else (), found.null.probability, left,
                    strain, extreme)  # fmt: skip
+
+
+def _is_lost(point: Point) -> bool:
+    """Whether most windows leave more than counts: then the smallest discrepancy costs least."""
+    return float((point.at.square >= SPUN * point.at.dof).mean()) > c.HALF
 
 
 def base_strain(best: Hypothesis) -> float:

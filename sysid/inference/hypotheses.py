@@ -5,6 +5,9 @@ yet, under the discrepancy that the base at its prior needs; the likeliest are b
 optimum. No hypothesis may be worse than one nested in it: bases are exchanged until none is.
 """
 
+# Why: docs/decisions/diagnosis.md#d117
+# Why: docs/decisions/diagnosis.md#d118
+
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -189,10 +192,10 @@ class _Search:
     def explore(self) -> None:
         """Hypotheses that compete for the first place, from more starts."""
         ranked = self.hypotheses()
-        rivals = [h for h in ranked if ranked[0].log_odds - h.log_odds < c.NEARLY]
-        if len(rivals) < 2:
+        near = [h for h in ranked if ranked[0].log_odds - h.log_odds < c.NEARLY]
+        if len(near) < 2:
             return
-        for h in rivals:
+        for h in near:
             if h.effects not in self.explored:
                 self.explored.add(h.effects)
                 self.keep(explore(self.likelihood, h.point))
@@ -218,19 +221,29 @@ class _Search:
                 return
 
     def _improve(self, point: Point, other: Point) -> bool:
-        """A hypothesis from another's base; whether that is better."""
+        """A hypothesis from another's base; whether that is better.
+
+        Where the other is nested in it and stays better, effects begin at what the base has too.
+        """
         key = (point.space.effects, other.space.effects, round(other.cost))
         if key in self.exchanged:
             return False
         self.exchanged.add(key)
-        space = point.space
-        z = carry(space, other, point)
-        begun = _stand(self.likelihood, space, z, other.x, max(1.5 * other.size, c.SIZE_SMALL))
-        found = None if begun is None else _try(self.likelihood, begun)
+        space, wider = point.space, max(1.5 * other.size, c.SIZE_SMALL)
+        found = self._from(space, carry(space, other, point), other, wider)
+        lowest = min(point.cost, np.inf if found is None else found.cost)
+        if set(other.space.effects) < set(space.effects) and lowest > other.cost + _WORSE:
+            again = self._from(space, carry(space, other), other, other.size)
+            found = min((p for p in (found, again) if p), key=lambda p: p.cost, default=None)
         if found is None or found.cost > point.cost - _WORSE:
             return False
         self.keep(found)
         return True
+
+    def _from(self, space: Space, z: Array, other: Point, size: float) -> Point | None:
+        """The optimum from coordinates at another hypothesis' starts."""
+        begun = _stand(self.likelihood, space, z, other.x, size)
+        return None if begun is None else _try(self.likelihood, begun)
 
 
 def explain(

@@ -11,6 +11,9 @@ One size does three jobs. It softens the likelihood while a search is far from i
 it measures what is left beside an explanation (Kennedy and O'Hagan, 2001).
 """
 
+# Why: docs/decisions/diagnosis.md#d115
+# Why: docs/decisions/diagnosis.md#d119
+
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple

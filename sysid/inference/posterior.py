@@ -5,6 +5,8 @@ worth less than their number: the evidence is tempered by Kish's design effect (
 1965, 8.2), once for a whole case.
 """
 
+# Why: docs/decisions/diagnosis.md#d116
+
 from dataclasses import dataclass
 
 import numpy as np

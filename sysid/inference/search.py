@@ -5,6 +5,9 @@ blunt and nearly quadratic, so the search begins there and lets the size fall a 
 step until it reaches the size that the errors themselves ask for (graduated optimisation).
 """
 
+# Why: docs/decisions/diagnosis.md#d66
+# Why: docs/decisions/diagnosis.md#d91
+
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -64,7 +64,8 @@ def test_the_screen_names_the_cause_on_one_screen(diagnosed):
 def test_json_has_exactly_the_shape_of_the_schema(diagnosed):
     data = json.loads((diagnosed[0] / "gap.json").read_text())
     assert list(data) == [
-        "schema", "verdict", "gap", "where", "causes", "candidates", "next_manoeuvre", "residual"
+        "schema", "verdict", "gap", "where", "causes", "candidates", "something_else",
+        "next_manoeuvre", "residual",
     ]  # fmt: skip
     assert data["schema"] == "steerd.gap/1"
     assert data["verdict"] in ("explained", "partial")
@@ -84,7 +85,7 @@ def test_json_has_exactly_the_shape_of_the_schema(diagnosed):
     delay = cause["parameters"]["delay"]
     assert delay["value"] == pytest.approx(0.05, abs=0.006)
     assert delay["unit"] == "s"
-    assert all(set(each) == {"effect", "gain", "se"} for each in data["candidates"])
+    assert all(set(each) == {"effect", "probability", "gain"} for each in data["candidates"])
     assert data["residual"]["closed_loop"] is None
     assert any("closed loop not compared" in note for note in data["residual"]["notes"])
 

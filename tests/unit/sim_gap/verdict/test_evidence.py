@@ -1,0 +1,171 @@
+"""From hypotheses to a verdict: no car is simulated here."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from steerd.car_model.effects import EFFECTS
+from steerd.sim_gap.verdict.evidence import base_strain, judge_case
+from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.hypotheses import Findings, Hypothesis
+
+SMALL, LARGE = 0.5 * c.GAP_SIZE, 4.0 * c.GAP_SIZE
+VALUES = {"steer_delay": (0.03,), "steer_lag": (0.05,), "mass": (1.5,), "yaw_inertia": (1.5,),
+          "lateral_load_transfer": (0.1, 1.0)}  # fmt: skip
+NAMES = [f"{name}.{p.name}" for name in VALUES for p in EFFECTS[name].parameters]
+LIBRARY = SimpleNamespace(
+    effect=EFFECTS.get,
+    likelihood=SimpleNamespace(
+        engine=SimpleNamespace(
+            superset=SimpleNamespace(
+                places=lambda name: [i for i, n in enumerate(NAMES) if n.startswith(f"{name}.")]
+            )
+        )
+    ),
+)
+
+
+def _hypothesis(
+    *effects: str,
+    probability: float = 1.0,
+    size: float = SMALL,
+    moved: float = 0.0,
+    values: dict[str, tuple[float, ...]] | None = None,
+    spun: int = 0,
+) -> Hypothesis:
+    """A hypothesis whose base of 20 parameters costs `moved` nats beyond its mean.
+
+    Of its ten windows `spun` leave more than counts.
+    """
+    given = {**VALUES, **(values or {})}
+    free = [n for n in NAMES if n.partition(".")[0] in effects]
+    space = SimpleNamespace(
+        nuisance=20, base_cost=lambda z: 10.0 + moved, chart=SimpleNamespace(free=free)
+    )
+    point = SimpleNamespace(
+        space=space,
+        z=np.zeros(20),
+        size=size,
+        parameters=np.concatenate(list(given.values())),
+        at=SimpleNamespace(square=np.where(np.arange(10) < spun, 1e5, 30.0), dof=np.full(10, 30.0)),
+    )
+    posterior = SimpleNamespace(point=point, covariance=1e-6 * np.eye(len(free)))
+    return Hypothesis(effects, posterior, 0.0, probability)
+
+
+def _found(*hypotheses: Hypothesis, before: float = LARGE) -> Findings:
+    """Hypotheses, and the base alone with what probability they leave."""
+    left = 1.0 - sum(h.probability for h in hypotheses)
+    every = sorted(
+        [*hypotheses, _hypothesis(probability=left, size=before)], key=lambda h: -h.probability
+    )
+    return Findings(tuple(every), SimpleNamespace(size=before), 8.0, ())
+
+
+def test_a_cause_that_leaves_nothing_explains():
+    told = judge_case(LIBRARY, _found(_hypothesis("steer_delay", probability=0.9)), True)
+    assert told.name == "explained"
+    (cause,) = told.causes
+    assert (cause.effect, cause.stage, cause.family) == ("steer_delay", "command", "timing")
+    assert cause.parameters == {"delay": (0.03, pytest.approx(1e-3), "s")}
+    assert cause.confidence == 0.9
+    assert told.something_else == pytest.approx(0.1)
+    assert told.left == pytest.approx(SMALL / LARGE)
+
+
+def test_confidence_is_the_probability_of_every_hypothesis_that_has_the_effect():
+    alone = _hypothesis("steer_delay", probability=0.6)
+    pair = _hypothesis("steer_delay", "mass", probability=0.3)
+    (cause,) = judge_case(LIBRARY, _found(alone, pair), True).causes
+    assert cause.confidence == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize(
+    ("size", "known", "verdict"),
+    [(SMALL, True, "none"), (LARGE, True, "unexplained"), (LARGE, False, "none")],
+)
+def test_the_base_alone_is_no_gap_or_one_without_a_name(size, known, verdict):
+    """Noise that was learnt from the same drives lets a gap pass for noise."""
+    told = judge_case(LIBRARY, _found(before=size), known)
+    assert (told.name, told.causes) == (verdict, ())
+
+
+@pytest.mark.parametrize(
+    ("changes", "verdict"),
+    [
+        ({}, "explained"),
+        ({"size": 1.2 * c.GAP_SIZE}, "partial"),
+        ({"size": 0.9 * LARGE}, "unexplained"),
+        ({"size": 0.0, "spun": 6}, "unexplained"),
+        ({"size": 0.0, "spun": 2}, "explained"),
+        ({"moved": 0.6 * c.STRAINED * np.sqrt(40.0)}, "partial"),
+        ({"moved": 0.4 * c.STRAINED * np.sqrt(40.0)}, "explained"),
+    ],
+)
+def test_what_stays_and_what_the_base_gave_limit_the_verdict(changes, verdict):
+    told = judge_case(LIBRARY, _found(_hypothesis("steer_delay", **changes)), True)
+    assert told.name == verdict
+    assert bool(told.causes) is (verdict != "unexplained")
+
+
+def test_where_most_windows_are_far_off_there_is_a_gap_whatever_the_size():
+    """Losses are bounded: where all are far off, no discrepancy costs least."""
+    far = replace(_found(), hypotheses=(_hypothesis(size=0.0, spun=9),))
+    assert judge_case(LIBRARY, far, True).name == "unexplained"
+
+
+def test_what_stays_is_no_gap_while_noise_is_not_known():
+    found = _found(_hypothesis("steer_delay", size=0.9 * LARGE))
+    assert judge_case(LIBRARY, found, False).name == "explained"
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "told"),
+    [
+        ("yaw_inertia", (EFFECTS["yaw_inertia"].parameters[0].high,), True),
+        ("yaw_inertia", (1.5,), False),
+        ("yaw_inertia", EFFECTS["yaw_inertia"].nulls, False),
+        (
+            "lateral_load_transfer",
+            (1.0, EFFECTS["lateral_load_transfer"].parameters[1].high),
+            False,
+        ),
+        ("lateral_load_transfer", (EFFECTS["lateral_load_transfer"].parameters[0].high, 0.6), True),
+    ],
+)
+def test_a_value_at_its_bound_explains_a_part_at_most(name, values, told):
+    """The form of an effect may lie at its bound, its size may not."""
+    found = judge_case(LIBRARY, _found(_hypothesis(name, values={name: values})), True)
+    assert found.at_bound == ((name,) if told else ())
+    assert found.name == ("partial" if told else "explained")
+
+
+def test_what_may_be_the_cause_instead_stands_beside_the_name():
+    best = _hypothesis("steer_delay", probability=0.85)
+    near = _hypothesis("steer_lag", probability=0.12)
+    far = _hypothesis("yaw_inertia", probability=0.5 * c.STANDS_IN * 0.85)
+    (cause,) = judge_case(LIBRARY, _found(best, near, far), True).causes
+    assert cause.ambiguous_with == ("steer_lag",)
+
+
+def test_an_effect_beside_the_named_ones_stands_in_for_none_of_them():
+    pair = _hypothesis("steer_delay", "lateral_load_transfer", probability=0.8)
+    other = _hypothesis("steer_lag", "lateral_load_transfer", probability=0.15)
+    first, second = judge_case(LIBRARY, _found(pair, other), True).causes
+    assert first.ambiguous_with == ("steer_lag",)
+    assert second.ambiguous_with == ()
+
+
+def test_mass_is_never_named_alone():
+    (cause,) = judge_case(LIBRARY, _found(_hypothesis("mass")), True).causes
+    assert cause.ambiguous_with == ("yaw_inertia",)
+
+
+def test_strain_is_a_distance_in_the_bases_own_uncertainty():
+    assert base_strain(_hypothesis("mass")) == pytest.approx(0.0)
+    assert base_strain(_hypothesis("mass", moved=40.0)) == pytest.approx(80.0 / np.sqrt(40.0))
+    held = _hypothesis("mass")
+    held.point.space.nuisance = 0
+    assert base_strain(held) == 0.0

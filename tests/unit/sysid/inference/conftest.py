@@ -1,0 +1,32 @@
+"""Windows of a healthy drive and how they are weighed, for the tests of likelihood and search."""
+
+import pytest
+
+from steerd.sysid.inference.engine import Engine, open_engine
+from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
+from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.space import Space, make_space
+from steerd.sysid.inference.superset import make_superset
+
+NOISE = Noise((7e-4, 2e-3, 0.02, 0.05), (0.4, 0.4, 2.5), 1e-4)
+"""What `tests/unit/conftest.py` adds to its drives."""
+FEW = ("lf", "c_sf", "steer_gain", "steer_bias", "speed_gain")
+"""Base parameters without kinks."""
+
+
+@pytest.fixture(scope="session")
+def healthy(drive, base) -> Engine:
+    runs = drive("", runs=2, seconds=6.0, seed=7)
+    return open_engine(make_superset(base, runs), runs)
+
+
+@pytest.fixture(scope="session")
+def likelihood(healthy) -> Likelihood:
+    guess = healthy.readings.layout.guess.copy()
+    return make_likelihood(healthy, healthy.superset.base, guess, NOISE)
+
+
+@pytest.fixture(scope="session")
+def small(healthy) -> Space:
+    """A base with a few free parameters."""
+    return make_space(healthy.superset, FEW)

@@ -1,0 +1,180 @@
+"""Which effects: what is free, what may not be worse than what, and what is named."""
+
+from dataclasses import replace
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+
+from steerd.car_model.effects import EFFECTS
+from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.engine import open_engine
+from steerd.sysid.inference.hypotheses import Library, begin, carry, explain, judge
+from steerd.sysid.inference.likelihood import make_likelihood
+from steerd.sysid.inference.posterior import posterior_of
+from steerd.sysid.inference.search import minimise, stand
+from steerd.sysid.inference.space import FLOORS, nuisance_names
+from steerd.sysid.inference.superset import make_superset
+from tests.unit.sysid.inference.conftest import NOISE
+
+LOOKED_AT = ("steer_delay", "steer_lag", "mocap_latency", "speed_scale", "marker_offset",
+             "tyre_friction", "rolling_drag")  # fmt: skip
+SAME = {e.name: e.same_as for e in EFFECTS.values() if e.same_as}
+
+
+def _library(runs, base, names=LOOKED_AT):
+    engine = open_engine(make_superset(base, runs), runs)
+    guess = engine.readings.layout.guess.copy()
+    likelihood = make_likelihood(engine, engine.superset.base, guess, NOISE)
+    return Library(
+        likelihood, nuisance_names(engine.superset, runs), tuple(map(EFFECTS.get, names))
+    )
+
+
+@pytest.fixture(scope="module")
+def late(drive, base):
+    """All hypotheses of up to two effects about drives whose steering is late."""
+    library = _library(drive("steer_delay=0.03", runs=3, seconds=6.0, seed=21), base)
+    return library, explain(library)
+
+
+@pytest.fixture(scope="module")
+def both(drive, base):
+    """The same of drives with two causes."""
+    text = "steer_delay=0.04,speed_scale=0.93"
+    library = _library(drive(text, runs=3, seconds=6.0, seed=8), base)
+    return library, explain(library)
+
+
+@pytest.fixture(scope="module")
+def fine(drive, base):
+    """The same of healthy drives."""
+    library = _library(drive("", runs=3, seconds=6.0, seed=2), base)
+    return library, explain(library)
+
+
+# --- what is free
+
+
+@pytest.mark.parametrize("names", [(name,) for name in SAME] + list(combinations(SAME, 2)))
+def test_nothing_is_free_twice(likelihood, names):
+    """A base parameter that is the same quantity as an effect is held while the effect is free."""
+    library = Library(likelihood, tuple(FLOORS), ())
+    free = library.space(names).chart.free
+    assert len(set(free)) == len(free)
+    assert not set(free) & {same for name in names for same in SAME[name]}
+    assert {name.partition(".")[0] for name in free if "." in name} == set(names)
+    assert set(library.space(()).chart.free) == set(FLOORS)
+
+
+def test_an_effect_that_the_base_has_is_freed_once(likelihood):
+    library = Library(likelihood, ("lf", "steer_nonlinearity.cubic"), ())
+    free = library.space(("steer_nonlinearity",)).chart.free
+    assert sorted(set(free)) == sorted(free)
+    assert "lf" in free
+
+
+def test_values_are_carried_by_their_names(likelihood):
+    library = Library(likelihood, ("lf", "steer_gain"), ())
+    guess = likelihood.engine.readings.layout.guess
+    wide, narrow = library.space(("steer_lag",)), library.space(("steer_gain",))
+    z = wide.centre + 0.1 * wide.spread
+    point = stand(likelihood, wide, np.clip(z, wide.low, wide.high), guess, 1.0)
+    own = stand(likelihood, narrow, narrow.centre + 0.02, guess, 1.0)
+    moved = dict(zip(narrow.chart.free, carry(narrow, point, own), strict=True))
+    assert moved["lf"] == point.z[wide.chart.free.index("lf")]
+    assert moved["steer_gain.gain"] == own.z[narrow.chart.free.index("steer_gain.gain")]
+    assert carry(narrow, point)[-1] == narrow.centre[-1]
+
+
+# --- what comes out
+
+
+@pytest.mark.parametrize("case", ["late", "both", "fine"])
+def test_no_hypothesis_is_worse_than_one_nested_in_it(case, request):
+    _, found = request.getfixturevalue(case)
+    assert len(found.hypotheses) > (0 if case == "fine" else 2)
+    for h, other in product(found.hypotheses, repeat=2):
+        if set(other.effects) < set(h.effects):
+            assert h.point.cost < other.point.cost + 0.5, (h.effects, other.effects)
+
+
+@pytest.mark.parametrize("case", ["late", "both", "fine"])
+def test_probabilities_are_a_posterior(case, request):
+    library, found = request.getfixturevalue(case)
+    assert sum(h.probability for h in found.hypotheses) == pytest.approx(1.0)
+    odds = [h.log_odds for h in found.hypotheses]
+    assert odds == sorted(odds, reverse=True)
+    assert len({frozenset(h.effects) for h in found.hypotheses}) == len(found.hypotheses)
+    assert 2.0 <= found.temper <= len(library.likelihood.pushed) + 1.0
+    assert found.untested == ()
+
+
+def test_the_hidden_effect_is_named_and_no_second_invented(late):
+    library, found = late
+    assert found.best.effects == ("steer_delay",)
+    assert found.probability("steer_delay") > 0.95
+    assert found.best.point.size < c.GAP_SIZE < found.start.size
+    place = library.likelihood.engine.superset.places("steer_delay")
+    assert found.best.point.parameters[place] == pytest.approx(0.03, abs=0.003)
+
+
+def test_two_hidden_effects_are_both_named(both):
+    library, found = both
+    assert set(found.best.effects) == {"steer_delay", "speed_scale"}
+    values = found.best.point.parameters
+    places = library.likelihood.engine.superset.places
+    assert values[places("steer_delay")] == pytest.approx(0.04, abs=0.004)
+    assert values[places("speed_scale")] == pytest.approx(0.93, abs=0.01)
+
+
+def test_of_a_healthy_drive_the_base_alone_is_the_likeliest(fine):
+    _, found = fine
+    assert found.best is found.null
+    assert found.null.probability > 0.5
+    assert found.null.point.size < c.GAP_SIZE
+
+
+def test_an_effect_costs_its_share_of_the_library(late):
+    """Odds are the tempered evidence, less what a name costs before any data."""
+    _, found = late
+    best, temper = found.best, found.temper
+    evidence = posterior_of(best.point, temper).evidence / temper
+    assert best.log_odds == pytest.approx(evidence - np.log(len(LOOKED_AT)), abs=1e-3)
+
+
+def test_a_second_effect_costs_ten_times_more(both):
+    _, found = both
+    best, temper = found.best, found.temper
+    price = 2.0 * np.log(len(LOOKED_AT)) + np.log(c.FURTHER_ODDS)
+    evidence = posterior_of(best.point, temper).evidence / temper
+    assert best.log_odds == pytest.approx(evidence - price, abs=1e-3)
+
+
+def test_no_single_window_changes_odds_by_more_than_a_factor_of_e(late):
+    """A car that nearly spins multiplies any small change: one such second names no cause."""
+    library, found = late
+    best, null, temper = found.best.point, found.null.point, found.temper
+    loss = null.at.loss
+    worse = replace(null, at=null.at._replace(volume=null.at.volume + 100.0 * (loss == loss.max())))
+    worse = replace(worse, cost=null.cost + 100.0)
+    odds = [judge(library, point, temper, best).log_odds for point in (null, worse)]
+    assert 0.0 <= odds[0] - odds[1] <= 1.0 + 2.0 * 1.0
+    assert 100.0 / temper > 3.0
+
+
+def test_what_an_effect_gains_the_base_cannot_gain_alone(late):
+    """The base alone, from where the best effect left it."""
+    library, found = late
+    best, null = found.best.point, found.null.point
+    space = null.space
+    start = stand(library.likelihood, space, carry(space, best), best.x, 2.0)
+    assert minimise(library.likelihood, start).cost > null.cost - 0.5
+
+
+def test_a_search_begins_with_the_base_where_it_was(late):
+    library, found = late
+    guess = library.likelihood.engine.readings.layout.guess.copy()
+    start = begin(library, (), (), guess)
+    assert start.z == pytest.approx(start.space.centre)
+    assert start.size == found.start.size

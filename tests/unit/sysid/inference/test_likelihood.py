@@ -1,0 +1,176 @@
+"""Losses of windows against dense covariances and joint least squares."""
+
+import numpy as np
+import pytest
+
+from steerd.sysid.inference.disturbance_response import responses
+from steerd.sysid.inference.likelihood import (
+    DISCREPANCY,
+    DISCREPANCY_MEMORY,
+    SIZES,
+    SPUN,
+    loss_of,
+    take_some,
+)
+from steerd.sysid.inference.noise import covariance, shapes, slip_shape
+from steerd.sysid.inference.search import stand, with_size
+from tests.unit.sysid.inference.conftest import NOISE
+
+BODY = (0, 1, 2)
+
+
+@pytest.fixture(scope="module")
+def dense(healthy):
+    """(W, D, D) covariances of healthy windows and of a discrepancy of size 1, 0 in padding."""
+    parameters, x = healthy.superset.base, healthy.readings.layout.guess
+    seen = responses(healthy, parameters, x, BODY)
+    slip = slip_shape(healthy, healthy.error_at(parameters, x))
+    own = covariance(healthy, NOISE, [*shapes(healthy, seen, BODY), slip])
+    pushes = shapes(healthy, seen, BODY, DISCREPANCY_MEMORY)
+    return own, sum(size**2 * p for size, p in zip(DISCREPANCY, pushes, strict=True))
+
+
+@pytest.fixture(scope="module")
+def linear(likelihood, small):
+    """Errors and derivatives a little off the base, at starts that are not settled."""
+    z = small.centre + 0.5 * small.spread
+    return likelihood.engine.linear(small, z, likelihood.engine.readings.layout.guess)
+
+
+@pytest.fixture(scope="module")
+def x(healthy):
+    """Starts away from their first guesses: their prior counts."""
+    rng = np.random.default_rng(3)
+    guess = healthy.readings.layout.guess
+    return guess + 0.3 * healthy.start_spread * rng.standard_normal(guess.shape)
+
+
+def test_one_rotation_diagonalises_both_covariances(likelihood, dense):
+    own, unknown = dense
+    turned = likelihood.rotation.transpose(0, 2, 1)
+    there = likelihood.engine.padded.there
+    assert likelihood.rotation @ own @ turned == pytest.approx(
+        np.eye(there.shape[1]) * there[:, :, None], abs=1e-7
+    )
+    spectrum = likelihood.rotation @ unknown @ turned
+    assert spectrum == pytest.approx(
+        np.einsum("wi,ij->wij", likelihood.spectrum, np.eye(there.shape[1])), abs=1e-6
+    )
+
+
+@pytest.mark.parametrize("size", [0.0, 0.07, 1.0, 40.0])
+def test_squares_and_determinants_are_those_of_the_dense_covariance(
+    likelihood, dense, linear, x, size
+):
+    own, unknown = dense
+    by = likelihood.weigh(likelihood.rotate(linear), size)
+    square = likelihood.squares(linear.error, x, size)
+    prior = np.diag(likelihood.start_precision[0])
+    for w in range(len(x)):
+        whole = own[w] + size**2 * unknown[w]
+        away = likelihood.engine.readings.layout.guess[w] - x[w]
+        error, by_x = linear.error[w], linear.by_x[w]
+        prior = np.diag(likelihood.start_precision[w])
+        expected = error @ np.linalg.solve(whole, error) + away @ prior @ away
+        assert square[w] == pytest.approx(expected, rel=1e-7)
+        start = by_x.T @ np.linalg.solve(whole, by_x) + prior
+        logs = [np.linalg.slogdet(m)[1] for m in (whole, own[w], start)]
+        assert by.volume[w] == pytest.approx(0.5 * (logs[0] - logs[1] + logs[2]), rel=1e-7)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.5])
+def test_the_eliminated_start_is_that_of_a_joint_least_squares(likelihood, dense, linear, x, size):
+    own, unknown = dense
+    at = likelihood.reduce(likelihood.weigh(likelihood.rotate(linear), size), linear.error, x)
+    for w in (0, 3, len(x) - 1):
+        root = np.linalg.inv(np.linalg.cholesky(own[w] + size**2 * unknown[w]))
+        prior = np.diag(np.sqrt(likelihood.start_precision[w]))
+        away = likelihood.engine.readings.layout.guess[w] - x[w]
+        rows = np.vstack([root @ linear.by_x[w], prior])
+        error = np.concatenate([root @ linear.error[w], prior @ away])
+        dx, *_ = np.linalg.lstsq(rows, error, rcond=None)
+        assert at.dx[w] == pytest.approx(dx, rel=1e-5, abs=1e-9)
+        assert at.square[w] == pytest.approx(np.sum((error - rows @ dx) ** 2), rel=1e-7)
+        by_z = np.vstack([root @ linear.by_z[w], np.zeros((7, linear.by_z.shape[2]))])
+        kept = by_z - rows @ np.linalg.lstsq(rows, by_z, rcond=None)[0]
+        assert at.h[w] == pytest.approx(kept.T @ kept, rel=1e-5, abs=1e-6 * np.abs(at.h[w]).max())
+        assert at.g[w] == pytest.approx(kept.T @ error, rel=1e-5, abs=1e-6 * np.abs(at.g[w]).max())
+
+
+@pytest.mark.parametrize("size", [0.0, 0.5])
+def test_gradient_and_curvature_are_difference_quotients(likelihood, small, size):
+    """Of the losses with every start at its best, simulated anew."""
+    guess = likelihood.engine.readings.layout.guess
+    point = stand(likelihood, small, small.centre + 0.3 * small.spread, guess, size)
+    for _ in range(3):
+        point = stand(likelihood, small, point.z, point.x + point.at.dx, size)
+    for i in range(len(small.centre)):
+        step = np.zeros(len(small.centre))
+        step[i] = 0.02 * small.spread[i]
+        ends = [stand(likelihood, small, point.z + way * step, point.x, size).at for way in (-1, 1)]
+        low, high = (float(loss_of(at.square, at.dof).sum()) for at in ends)
+        slope = -float(point.at.weight @ point.at.g[:, i])
+        assert high - low == pytest.approx(2.0 * slope * step[i], rel=0.03, abs=2e-3)
+        bent = float((ends[0].g[:, i] - ends[1].g[:, i]).sum()) / (2.0 * step[i])
+        assert bent == pytest.approx(float(point.at.h[:, i, i].sum()), rel=0.1)
+
+
+def test_derivatives_of_a_near_point_give_the_same_losses(likelihood, linear, x):
+    rotated = likelihood.rotate(linear)
+    for size in (0.0, 0.7):
+        at = likelihood.reduce(likelihood.weigh(rotated, size), linear.error, x)
+        assert likelihood.losses(rotated, linear.error, x, size) == pytest.approx(at.loss)
+
+
+def test_another_size_is_a_change_of_weights_alone(likelihood, small):
+    guess = likelihood.engine.readings.layout.guess
+    point = stand(likelihood, small, small.centre, guess, 2.0)
+    other = with_size(likelihood, point, 0.3)
+    again = likelihood.reduce(likelihood.weigh(point.rotated, 0.3), point.linear.error, point.x)
+    assert other.at.square == pytest.approx(again.square)
+    assert other.size == 0.3
+    assert with_size(likelihood, point, 2.0) is point
+
+
+def test_a_window_in_which_the_car_spins_pulls_at_nothing_and_decides_nothing(likelihood, small):
+    guess = likelihood.engine.readings.layout.guess
+    at = stand(likelihood, small, small.centre, guess, 0.0).at
+    spun = at._replace(square=at.square * np.where(np.arange(len(guess)) == 2, 1e6, 1.0))
+    assert spun.weight[2] == 0.0
+    assert (np.delete(spun.weight, 2) > 0.0).all()
+    assert loss_of(spun.square, spun.dof)[2] == pytest.approx(spun.dof[2] * np.log1p(SPUN))
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0, 5.0])
+def test_the_size_is_that_from_which_errors_were_drawn(likelihood, linear, size):
+    """Errors of a known covariance, the starts fitted to them."""
+    rng = np.random.default_rng(11)
+    there, guess = likelihood.engine.padded.there, likelihood.engine.readings.layout.guess
+    own = rng.standard_normal(there.shape) * np.sqrt(1.0 + size**2 * likelihood.spectrum) * there
+    error = np.stack([
+        np.linalg.lstsq(t, e, rcond=None)[0]
+        for t, e in zip(likelihood.rotation, own, strict=True)
+    ])  # fmt: skip
+    rotated = likelihood.rotate(linear)
+    found = likelihood.best_size(rotated, error, guess)
+    costs = [float(likelihood.losses(rotated, error, guess, s).sum()) for s in SIZES]
+    assert found == SIZES[int(np.argmin(costs))]
+    assert 0.7 * size <= found <= max(1.45 * size, 0.3)
+    assert likelihood.best_size(rotated, error, guess, 2.0 * size + 1.0) >= 2.0 * size + 1.0
+
+
+def test_the_share_of_a_discrepancy_grows_from_nothing_to_nearly_all(likelihood):
+    shares = [likelihood.share(float(size)) for size in SIZES]
+    assert shares[0] == 0.0
+    assert (np.diff(shares) > 0.0).all()
+    assert shares[-1] < 1.0
+    assert ((likelihood.pushed > 0.0) & (likelihood.pushed < 1.0)).all()
+
+
+def test_some_windows_have_the_losses_that_they_have_among_all(likelihood, small):
+    guess = likelihood.engine.readings.layout.guess
+    chosen = np.arange(len(guess)) % 3 == 1
+    part = take_some(likelihood, chosen)
+    whole = stand(likelihood, small, small.centre, guess, 0.3)
+    taken = stand(part, small, small.centre, guess[chosen], 0.3)
+    assert taken.at.loss == pytest.approx(whole.at.loss[chosen], rel=1e-6)

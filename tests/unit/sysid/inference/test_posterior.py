@@ -1,0 +1,117 @@
+"""Evidence and covariance against exact ones; the design effect and the share beyond a size."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal, norm
+
+from steerd.sysid.inference.likelihood import SIZES
+from steerd.sysid.inference.posterior import design_effect, log_share_beyond, posterior_of
+
+ROWS = 30
+
+
+def _linear(seed: int, n: int, flat: int = 0) -> tuple[SimpleNamespace, np.ndarray, np.ndarray]:
+    """A linear Gaussian model at its optimum, its data and its derivatives.
+
+    The last `flat` directions do nothing; priors' widths differ by four decades.
+    """
+    rng = np.random.default_rng(seed)
+    by_z = rng.standard_normal((ROWS, n)) * 10.0 ** rng.uniform(-2.0, 2.0, n)
+    by_z[:, n - flat :] = 0.0
+    root = rng.standard_normal((n, n)) + 2.0 * np.eye(n)
+    scale = 10.0 ** rng.uniform(-2.0, 2.0, n)
+    covariance = scale[:, None] * (root @ root.T) * scale
+    precision, centre = np.linalg.inv(covariance), rng.standard_normal(n)
+    data = by_z @ (centre + np.linalg.cholesky(covariance) @ rng.standard_normal(n))
+    data += rng.standard_normal(ROWS)
+    fisher = by_z.T @ by_z
+    z = np.linalg.solve(fisher + precision, by_z.T @ data + precision @ centre)
+    error, away = data - by_z @ z, z - centre
+    point = SimpleNamespace(
+        space=SimpleNamespace(covariance=covariance, precision=precision, centre=centre),
+        at=SimpleNamespace(weight=np.ones(1), h=fisher[None]),
+        z=z, cost=0.5 * float(error @ error + away @ precision @ away),
+    )  # fmt: skip
+    return point, data, by_z
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(seed: int) -> None:
+    point, data, by_z = _linear(seed, 4)
+    space = point.space
+    marginal = np.eye(ROWS) + by_z @ space.covariance @ by_z.T
+    exact = multivariate_normal(by_z @ space.centre, marginal).logpdf(data)
+    exact += 0.5 * ROWS * np.log(2.0 * np.pi)
+    assert posterior_of(point, 1.0).evidence == pytest.approx(exact, rel=1e-6)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    seed=st.integers(0, 10**6), n=st.integers(1, 8), flat=st.integers(0, 2), temper=st.floats(1, 30)
+)
+def test_a_covariance_is_positive_definite(seed: int, n: int, flat: int, temper: float) -> None:
+    point, _, _ = _linear(seed, n, min(flat, n))
+    covariance = posterior_of(point, temper).covariance
+    sd = np.sqrt(np.diag(covariance))
+    spread = np.sqrt(np.diag(point.space.covariance))
+    assert np.linalg.eigvalsh(covariance / np.outer(sd, sd)).min() > -1e-9
+    assert (sd > 0.0).all()
+    assert (sd <= spread * (1.0 + 1e-6)).all(), "drives cannot make a prior wider"
+
+
+@pytest.mark.parametrize("temper", [1.0, 9.0])
+def test_a_covariance_is_that_of_the_tempered_curvature(temper: float) -> None:
+    point, _, by_z = _linear(2, 5)
+    expected = np.linalg.inv(point.space.precision + by_z.T @ by_z / temper)
+    assert posterior_of(point, temper).covariance == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_direction_that_nothing_shows_keeps_its_priors_width() -> None:
+    point, _, _ = _linear(4, 3)
+    flat = np.zeros((3, 3))
+    point.at.h = flat[None]
+    assert posterior_of(point, 5.0).covariance == pytest.approx(point.space.covariance)
+    point.at.h = -1e-12 * np.eye(3)[None]  # rounding, seen by a curvature that is none
+    assert posterior_of(point, 5.0).covariance == pytest.approx(point.space.covariance)
+
+
+def test_a_parameter_that_does_nothing_costs_no_evidence() -> None:
+    point, _, _ = _linear(6, 4, flat=1)
+    space = point.space
+    other = SimpleNamespace(**vars(point))
+    other.space = SimpleNamespace(**vars(space))
+    scale = np.array([1.0, 1.0, 1.0, 10.0])
+    other.space.covariance = space.covariance * np.outer(scale, scale)
+    other.space.precision = np.linalg.inv(other.space.covariance)
+    # The others' own priors are the same, so only what is flat has another width.
+    assert posterior_of(other, 1.0).evidence == pytest.approx(posterior_of(point, 1.0).evidence)
+
+
+def test_the_design_effect_lies_between_two_and_all_windows(likelihood) -> None:
+    count = len(likelihood.pushed)
+    found = [design_effect(likelihood, float(size)) for size in SIZES]
+    assert found[0] == pytest.approx(2.0 + (count - 1) * 0.5 * likelihood.pushed.mean())
+    assert (np.diff(found) > 0.0).all()
+    assert found[0] >= 2.0
+    assert found[-1] <= count + 1.0
+    assert design_effect(likelihood, 0.0, repeats=0.0) == 2.0
+    assert design_effect(likelihood, 0.0, repeats=1.0) > found[0]
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "null", "least"), [(0.03, 0.01, 0.0, 0.002), (-0.4, 0.5, 0.1, 0.6)]
+)
+def test_the_share_beyond_a_size_is_that_of_a_normal_value(value, sd, null, least) -> None:
+    drawn = norm(value, sd).rvs(200_000, random_state=1)
+    share = float(np.mean(np.abs(drawn - null) >= least))
+    assert np.exp(log_share_beyond(value, sd, null, least)) == pytest.approx(share, abs=0.004)
+
+
+def test_an_effect_that_is_surely_small_has_hardly_a_share() -> None:
+    assert log_share_beyond(1e-4, 1e-5, 0.0, 0.002) < -20.0
+    assert log_share_beyond(0.02, 1e-5, 0.0, 0.002) == pytest.approx(0.0, abs=1e-9)
+    assert log_share_beyond(0.02, 0.0, 0.0, 0.002) == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,153 @@
+"""The search as a search: what it promises it keeps, and no start finds a better optimum."""
+
+import numpy as np
+import pytest
+
+from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.engine import open_engine
+from steerd.sysid.inference.hypotheses import Library, begin
+from steerd.sysid.inference.likelihood import make_likelihood
+from steerd.sysid.inference.search import (
+    derive,
+    explore,
+    fresh,
+    minimise,
+    newton,
+    rescue,
+    settle,
+    stand,
+    with_size,
+)
+from steerd.sysid.inference.space import make_space
+from steerd.sysid.inference.superset import make_superset
+from tests.unit.sysid.inference.conftest import FEW, NOISE
+
+LATE = 0.03
+MOST_SPREADS = 2.5
+"""Prior standard deviations over which random starts are drawn, each way."""
+
+
+@pytest.fixture(scope="module")
+def late(drive, base):
+    """The likelihood of a car whose steering is late."""
+    runs = drive(f"steer_delay={LATE}", runs=2, seconds=6.0, seed=21)
+    engine = open_engine(make_superset(base, runs), runs)
+    return make_likelihood(engine, engine.superset.base, engine.readings.layout.guess, NOISE)
+
+
+@pytest.fixture(scope="module")
+def found(late):
+    """The optimum with the effect, from the base at its prior."""
+    library = Library(late, FEW, ())
+    guess = late.engine.readings.layout.guess
+    return minimise(late, begin(library, ("steer_delay",), (0.0,), guess))
+
+
+@pytest.fixture(scope="module")
+def settled_base(likelihood, small):
+    point = stand(likelihood, small, small.centre, likelihood.engine.readings.layout.guess, 0.0)
+    return settle(likelihood, fresh(likelihood, point))
+
+
+def test_the_effect_is_found_with_its_size(found):
+    assert found.z[-1] == pytest.approx(LATE, abs=0.002)
+    assert found.whole
+    assert found.size < c.GAP_SIZE
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_random_start_ends_lower(late, found, seed):
+    """From anywhere in the prior, under the discrepancy that the start needs."""
+    rng, space = np.random.default_rng([30, seed]), found.space
+    z = space.centre + space.spread * rng.uniform(-MOST_SPREADS, MOST_SPREADS, len(space.centre))
+    z[-1] = rng.uniform(0.0, 0.08)
+    z = np.clip(z, space.low, space.high)
+    start = stand(late, space, z, late.engine.readings.layout.guess, 20.0)
+    size = late.best_size(start.rotated, start.linear.error, start.x)
+    other = minimise(late, with_size(late, start, size))
+    assert other.cost > found.cost - 0.5
+    assert other.cost == pytest.approx(found.cost, abs=0.5)
+
+
+def test_more_starts_along_the_valley_end_no_lower(late, found):
+    assert explore(late, found).cost > found.cost - 0.5
+
+
+def test_a_cost_is_what_is_simulated_at_the_optimum(late, found):
+    """No cost rests on derivatives of another point, or on a start's unfulfilled promise."""
+    again = stand(late, found.space, found.z, found.x, found.size)
+    assert again.cost == pytest.approx(found.cost, abs=0.1)
+    assert (late.squares(again.linear.error, again.x, again.size) - again.at.square < 0.11).all()
+
+
+def test_nothing_leaves_its_bounds(late, found):
+    space = found.space
+    assert (found.z >= space.low).all()
+    assert (found.z <= space.high).all()
+
+
+def test_a_step_of_newton_gains_what_it_promises(likelihood, small):
+    guess = likelihood.engine.readings.layout.guess
+    point = stand(likelihood, small, small.centre + 0.3 * small.spread, guess, 1.0)
+    dz, promised = newton(small, point.at, point.z)
+    after = stand(likelihood, small, point.z + dz, point.x, 1.0)
+    assert promised > 0.0
+    assert point.cost - after.cost == pytest.approx(promised, rel=0.3, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["steer_delay", "drive_delay", "accel_max", "steer_rate"])
+def test_dead_times_and_limits_are_differenced_over_a_step(healthy, likelihood, name):
+    """A slope between two kinks leads nowhere: the derivative is the quotient over a grid step."""
+    space = make_space(healthy.superset, (name,))
+    z, guess = np.clip(space.centre + 1e-3, space.low, space.high), healthy.readings.layout.guess
+    grid = healthy.readings.layout.h / healthy.substeps
+    step = {"accel_max": 0.3, "steer_rate": 0.05}.get(name, grid)
+    below = z if name in ("accel_max", "steer_rate") else z - step
+    below, above = (np.clip(v, space.low, space.high) for v in (below, z + step))
+    errors = [healthy.missed(space, v, guess)[0] for v in (below, above)]
+    expected = (errors[0] - errors[1]) / (above - below)
+    assert derive(likelihood, space, z, guess).by_z[:, :, 0] == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, small, settled_base):
+    """Else a search compares its steps with a cost that nothing reaches, and stops anywhere."""
+    rng = np.random.default_rng(5)
+    x = settled_base.x.copy()
+    x += rng.standard_normal(x.shape) * [0.05, 0.05, 0.1, 0.3, 1.0, 0.1, 0.1]
+    x[::4] += [0.3, -0.3, 1.5, 2.0, 20.0, 1.2, 0.0]
+    before, _ = likelihood.engine.missed(small, small.centre, x)
+    found = stand(likelihood, small, small.centre, x, 0.0)
+    error, _ = likelihood.engine.missed(small, small.centre, found.x)
+    actual, held = likelihood.squares(error, found.x, 0.0), found.rotated.held
+    assert held.any(), "some windows are too bent to be settled from so far"
+    assert not held.all()
+    assert np.all(actual[~held] - found.at.square[~held] < 0.11)
+    assert np.allclose(actual[held], found.at.square[held], rtol=1e-9)
+    assert not found.at.dx[held].any()
+    assert not found.at.kx[held].any()
+    assert np.all(actual <= likelihood.squares(before, x, 0.0) * (1.0 + 1e-9))
+
+
+def test_a_spun_window_is_taken_up_anew_from_the_poses(likelihood, small, settled_base):
+    x = settled_base.x.copy()
+    x[3] += [2.0, -2.0, 3.0, -2.0, 40.0, 2.0, 0.0]
+    spun = stand(likelihood, small, small.centre, x, 0.0)
+    assert spun.cost > settled_base.cost + 20.0
+    again = rescue(likelihood, spun)
+    assert again.cost == pytest.approx(settled_base.cost, abs=1.0)
+    assert again.at.square[3] == pytest.approx(settled_base.at.square[3], rel=0.1)
+    assert rescue(likelihood, settled_base) is settled_base
+
+
+def test_a_search_that_ends_at_its_limit_of_steps_is_not_whole(late):
+    start = begin(
+        Library(late, FEW, ()), ("steer_delay",), (0.0,), late.engine.readings.layout.guess
+    )
+    assert not minimise(late, start, steps=2).whole
+
+
+def test_a_start_that_diverges_is_said(likelihood, small):
+    x = likelihood.engine.readings.layout.guess.copy()
+    x[:, 3] = np.nan
+    with pytest.raises(FloatingPointError, match="diverges"):
+        stand(likelihood, small, small.centre, x, 1.0)
