@@ -10,19 +10,32 @@ export OPENBLAS_NUM_THREADS ?= 1
 # The tests start Python hundreds of times: let it keep what it compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install demo test lint types layers docs unit all-tests safety bench size clean
+.PHONY: help install car lock demo test lint types layers docs unit all-tests safety bench size clean
 help:            ## this list
 	@grep -hE '^[a-z]+: .*##|^[a-z]+:  +##' Makefile | sed 's/:.*##/\t/'
 
 install: $(STAMP) ## make .venv and install steerd with its development tools
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): pyproject.toml constraints.txt car.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "steerd needs Python 3.11 or newer; set one with: make PYTHON=python3.12 install"; exit 3; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || \
 	  { rm -rf $(VENV); echo "could not make a virtual environment; on Debian/Ubuntu: sudo apt install python3-venv"; exit 3; }
 	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
+	$(BIN)/python -m pip install --quiet --progress-bar off --no-deps --require-hashes -r car.lock
 	$(BIN)/python -m pip install --quiet --progress-bar off -c constraints.txt -e '.[bag,baselines]' --group dev --group docs
 	@touch $(STAMP)
+
+car:             ## make .venv with what drives a car, and nothing else: the locked versions, by hash
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --progress-bar off --no-deps --require-hashes -r car.lock
+	$(BIN)/python -m pip install --quiet --progress-bar off --no-deps -e .
+
+lock:            ## write car.lock anew: the newest versions of what drives a car, with hashes
+	$(PYTHON) -m venv .lock
+	.lock/bin/python -m pip install --quiet uv
+	.lock/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --upgrade \
+	  --group car --custom-compile-command 'make lock' -o car.lock
+	rm -rf .lock
 
 demo: install     ## drive 20 s of simulated figure-eight with a live status, record it
 	$(BIN)/steerd run --sim --auto-arm --path figure8 --speed 1.5 --duration 20

@@ -145,7 +145,7 @@ def stop_often(endpoint: str, page: str, seconds: float, every: float) -> None:
     began, stopped_ns, asked_ns = clock.now_ns(), clock.now_ns(), 0
     with ZenohBus(make_spoke_profile(endpoint, None)) as bus:
         view = CarView(bus, CAR, clock)
-        operator = BusOperator(bus, CAR, clock, "soak")
+        operator = BusOperator(bus, CAR, clock, "soak", view.pulse)
         while (now := clock.now_ns()) - began < seconds * 1e9:
             if select.select([sys.stdin], [], [], PAUSE_S)[0]:
                 return

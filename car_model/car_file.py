@@ -6,7 +6,6 @@ handed on as it stands, for the room that it configures. Writing keeps comments,
 
 import difflib
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -24,11 +23,8 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import PARAMETERS, Car, Parameter
 from steerd.car_model.planar import CHASSIS_NAMES, find_chassis
 from steerd.car_model.single_track import SINGLE_TRACK
+from steerd.toml_text import TomlError, parse_toml, read_toml
 
-SIZE_MAX = 1_000_000
-"""A car file is a page; what is larger than this is something else [bytes]."""
-MESSAGE_MAX = 200
-"""A parser's message may quote the file; no more than this is repeated [characters]."""
 _OWN = ("car", "effects")
 _LATER = frozenset({"c_x"})
 """Parameters that files from before the planar chassis do not have."""
@@ -101,18 +97,12 @@ def load_car(path: Path | str) -> CarFile:
     """
     path = Path(path)
     try:
-        with path.open("rb") as file:
-            raw = file.read(SIZE_MAX + 1)
+        return parse_car(read_toml(path), path)
     except OSError as error:
         hint = "check the path; `steerd config` prints a complete car file"
         raise CarFileError(path, "", f"cannot be read ({error.strerror})", hint) from error
-    if len(raw) > SIZE_MAX:
-        raise CarFileError(path, "", "is larger than 1 MB", "name a car file (TOML)")
-    try:
-        return parse_car(raw.decode("utf-8"), path)
-    except UnicodeDecodeError as error:
-        what = f"byte {error.start} is not UTF-8"
-        raise CarFileError(path, "", what, "save it as UTF-8 text") from error
+    except TomlError as error:
+        raise CarFileError(path, "", str(error), "name a car file: TOML, as UTF-8") from error
 
 
 def parse_car(text: str, path: Path) -> CarFile:
@@ -122,14 +112,11 @@ def parse_car(text: str, path: Path) -> CarFile:
         CarFileError: It is no TOML, or says something impossible.
     """
     try:
-        tables = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        what = (
-            "nested too deeply" if isinstance(error, RecursionError) else str(error)[:MESSAGE_MAX]
-        )
-        where = re.search(r"line \d+", what)
+        tables = parse_toml(text)
+    except TomlError as error:
+        where = re.search(r"line \d+", str(error))
         hint = "write `key = value` lines under `[section]` heads"
-        raise CarFileError(path, where[0] if where else "", what, hint) from error
+        raise CarFileError(path, where[0] if where else "", str(error), hint) from error
     for name, table in tables.items():
         if not isinstance(table, dict):
             raise CarFileError(path, name, "is not a section", "put keys under a [section] head")

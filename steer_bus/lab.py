@@ -9,7 +9,6 @@ An operator's requests go under keys that end with the own name, so that the car
 # Why: docs/decisions/safety.md#d25
 
 import stat
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from steerd.steer_bus.topics import (
     alive_key,
     make_key,
 )
+from steerd.toml_text import load_toml
 
 DEFAULT_PORT = 7447
 _TLS = "transport/link/tls/"
@@ -63,7 +63,7 @@ def load_lab(folder: Path) -> Lab:
     if stat.S_IMODE((folder / "key.pem").stat().st_mode) & 0o077:
         raise BusError(f"others can read the private key: chmod 600 {folder / 'key.pem'}")
     try:
-        table = tomllib.loads((folder / "lab.toml").read_text(encoding="utf-8"))
+        table = load_toml(folder / "lab.toml")
         lab = Lab(
             folder,
             _text(table["car"]),

@@ -38,9 +38,10 @@ from steerd.steer_bus.standard import Header, make_header, make_time, stamp_ns
 
 __all__ = [
     "BODY", "OWN_MESSAGES", "WORLD", "Actuation", "ActuationMode", "ClockSample", "Design",
-    "DriveCommand", "Header", "MocapPose", "Model", "OperatorRequest", "ParameterRequest",
-    "Parameters", "RequestKind", "StateMessage", "Throttle", "Tick", "Transition", "VescIdentity",
-    "VescImu", "VescTelemetry", "WheelSpeed", "make_header", "make_time", "stamp_ns",
+    "DriveCommand", "Header", "Heartbeat", "MocapPose", "Model", "OperatorRequest",
+    "ParameterRequest", "Parameters", "RequestKind", "StateMessage", "Throttle", "Tick",
+    "Transition", "VescIdentity", "VescImu", "VescTelemetry", "WheelSpeed", "make_header",
+    "make_time", "stamp_ns",
 ]  # fmt: skip
 
 WORLD = "map"
@@ -268,6 +269,20 @@ class OperatorRequest:
     operator: String
 
 
+@message("steerd_msgs/msg/Heartbeat")
+class Heartbeat:
+    """A sign of life that left the core at ``mono_ns``, and comes back from who holds the lease.
+
+    Whoever keeps a lease alive sends the newest back under it with each keepalive; ``lease_id`` is
+    0 until then. Back in the core, it has gone the whole way that a stop goes.
+    """
+
+    header: Header
+    boot_id: UInt64
+    lease_id: UInt64
+    mono_ns: Nanosecond
+
+
 @message("steerd_msgs/msg/ParameterRequest")
 class ParameterRequest:
     """A person's request for other live parameters, under a lease; NaN leaves one as it is.
@@ -445,5 +460,5 @@ class Design:
 OWN_MESSAGES = (
     Tick, MocapPose, VescTelemetry, VescIdentity, VescImu, Actuation, StateMessage, DriveCommand,
     OperatorRequest, Transition, ClockSample, WheelSpeed, Throttle, ParameterRequest, Parameters,
-    Model, Design,
+    Model, Design, Heartbeat,
 )  # fmt: skip

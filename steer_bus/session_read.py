@@ -6,6 +6,8 @@ files too, with warnings; the :class:`Session` it gives is a value that reads it
 
 # Why: docs/decisions/messages-and-sessions.md#d17
 
+import json
+import math
 import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -223,6 +225,36 @@ class Session:
                 return _read_attachment(self._path, item)
         text = f"{self._path.name} has no attachment {name!r}"
         raise SessionError("missing_attachment", text, exit_code=WRONG_CONTENT)
+
+    def holes(self) -> tuple[tuple[int, int], ...]:
+        """Stretches in which the recorder did not get everything [UNIX ns], in order.
+
+        Raises:
+            SessionError: what the session says of them makes no sense.
+        """
+        text = self.contents.metadata.get("steerd.end", {}).get("holes", "[]")
+        try:
+            found = tuple((int(first), int(last)) for first, last in json.loads(text))
+        except (ValueError, TypeError, RecursionError):
+            what = f"{self._path.name}: holes is {text[:40]!r}, which is no list of times"
+            raise SessionError("bad_holes", what, exit_code=WRONG_CONTENT) from None
+        return found
+
+    def number(self, record: str, key: str, default: float) -> float:
+        """A number of the metadata; the default where it does not say.
+
+        Raises:
+            SessionError: what it says is no finite number.
+        """
+        text = self.contents.metadata.get(record, {}).get(key)
+        try:
+            value = default if text is None else float(text)
+        except ValueError:
+            value = math.nan
+        if math.isfinite(value):
+            return value
+        what = f"{self._path.name}: {record} {key} is {str(text)[:40]!r}, which is no number"
+        raise SessionError("bad_number", what, exit_code=WRONG_CONTENT)
 
     def check_layouts(self) -> None:
         """Refuse messages of steerd's types whose fields another version recorded.

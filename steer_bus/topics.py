@@ -16,6 +16,7 @@ from steerd.steer_bus.messages import (
     ClockSample,
     Design,
     DriveCommand,
+    Heartbeat,
     MocapPose,
     Model,
     OperatorRequest,
@@ -99,13 +100,18 @@ LOG = Topic("rosout", Log, priority=Priority.DATA_LOW)
 MODEL = Topic("model", Model, priority=Priority.DATA_LOW, rate_hz=1.0)
 DESIGN = Topic("design", Design, priority=Priority.DATA_LOW, rate_hz=1.0)
 
+HEARTBEAT = Topic("heartbeat", Heartbeat, Direction.OUT, Priority.REAL_TIME, False, rate_hz=20.0)
+HEARTBEAT_BACK = Topic(
+    "cmd/heartbeat", Heartbeat, Direction.IN, Priority.REAL_TIME, False, rate_hz=20.0
+)
+
 LAST_MODEL = "param/model"
 """Key under which a car answers with its newest `model` message."""
 
 TOPICS = (
     TICK, MOCAP, VESC, IDENTITY, IMU, ACTUATION, STATE, TRANSITION, CLOCK, DRIVE, OPERATOR, ODOM,
     POSE, EXTERNAL_POSE, VESC_STATE, DIAGNOSTICS, LOG, WHEEL, THROTTLE,
-    SET_PARAMETERS, PARAMETERS, MODEL, DESIGN, STOP,
+    SET_PARAMETERS, PARAMETERS, MODEL, DESIGN, STOP, HEARTBEAT, HEARTBEAT_BACK,
 )  # fmt: skip
 
 

@@ -6,18 +6,20 @@ pyserial's ``write`` spins for ever once the transmit buffer is full
 at once is a fault of the link.
 """
 
+import contextlib
 import errno
 import fcntl
 import os
 import struct
-import tempfile
 import termios
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import platformdirs
 import serial  # noqa: TID251
 
+from steerd.sealed_file import make_own_folder
 from steerd.vesc_link.frames import FLUSH
 
 READ_LIMIT = 4096
@@ -189,7 +191,7 @@ def open_port(url: str, flush: bool = True, lock_dir: Path | None = None) -> Por
         url: a device path, or ``spy:///dev/ttyACM0?file=trace.txt`` to log all traffic.
         flush: write 520 zeros first, which frees the VESC's parser from a frame that a dead
             predecessor left half sent (`docs/reference/vesc-serial.md#v1.7`).
-        lock_dir: where lock files live; default the system's directory for temporary files.
+        lock_dir: where lock files live; default a folder of the user's own.
 
     Raises:
         NotFound: there is no such device, or it is no serial port.
@@ -197,7 +199,7 @@ def open_port(url: str, flush: bool = True, lock_dir: Path | None = None) -> Por
         Busy: someone else has it open.
         LinkDown: it went away while it was opened.
     """
-    lock_fd = _take_lock(url, _device_path(url), lock_dir or Path(tempfile.gettempdir()))
+    lock_fd = _take_lock(url, _device_path(url), lock_dir or _own_locks())
     device = None
     try:
         device = _open_device(url)
@@ -223,13 +225,22 @@ def _device_path(url: str) -> Path:
     return Path(parts.netloc + parts.path)
 
 
+def _own_locks() -> Path:
+    """Where nobody else can put a link or a file of the lock's name."""
+    folder = platformdirs.user_cache_path("steerd") / "locks"
+    with contextlib.suppress(OSError):
+        make_own_folder(folder)
+    return folder
+
+
 def _take_lock(url: str, device: Path, lock_dir: Path) -> int | None:
     """Lock a file named after the real device; None where no such file can be made."""
     name = str(device.resolve()).strip("/").replace("/", "_")
+    flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
     try:
-        fd = os.open(lock_dir / f"steerd-{name}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        fd = os.open(lock_dir / f"steerd-{name}.lock", flags, 0o600)
     except OSError:
-        return None  # another user's file in a sticky directory: the device's own locks remain
+        return None  # no such folder, or a link lies there: the device's own locks remain
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:

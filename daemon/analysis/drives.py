@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.translate import make_car_file_error, make_session_error
+from steerd.daemon.common.translate import make_car_file_error, reading
 
 if TYPE_CHECKING:
     from steerd.car_model.car_file import CarFile
@@ -41,7 +41,6 @@ def load_drive(path: Path, speed: Speed = "command", warn: Warn = _ignore) -> "R
         SteerdError: it cannot be read, or is not fit for a fit.
     """
     from steerd.daemon.sessions.info import load_session, make_session_report
-    from steerd.steer_bus.session_read import SessionError
     from steerd.sysid.data.data_checks import DataError
     from steerd.sysid.data.dataset import load_run
     from steerd.sysid.data.jitter_correction import correct_log_jitter
@@ -51,13 +50,12 @@ def load_drive(path: Path, speed: Speed = "command", warn: Warn = _ignore) -> "R
     damage = [warning.message for warning in session.warnings]
     warn([f"{path.name}: {each}" for each in damage])
     try:
-        run = correct_log_jitter(load_run(path))
+        with reading(path):
+            run = correct_log_jitter(load_run(path))
         _check_angles(run)
         doubtful = [each for each in make_session_report(session).warnings if each not in damage]
         warn([f"{path.name}: {each}" for each in doubtful])
         return with_wheel_speed(run) if speed == "wheel" else run
-    except SessionError as error:
-        raise make_session_error(error) from None
     except DataError as error:
         raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
     except OSError as error:

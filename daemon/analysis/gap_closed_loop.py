@@ -5,10 +5,9 @@ exchanged. The noise of the simulated hardware is another than that of a simulat
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from steerd.car_model.effect import Effect
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.state import ORIGIN, State
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
-from steerd.daemon.assembly.session_meta import csv_file
+from steerd.daemon.assembly.session_meta import csv_file, recorded_path
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
@@ -90,15 +89,12 @@ def _planned(session: Session) -> Iterator[RunPlan]:
         settings = replace(settings, brakes=replace(settings.brakes, uuid=""))
     except (SessionError, CarFileError, UnicodeDecodeError) as error:
         raise NotALaneDriveError(f"its car file cannot be used ({error})") from None
-    with TemporaryDirectory() as folder:
-        if csv_file(options.path) is not None:
-            copy = Path(folder) / "path.csv"
-            try:
-                copy.write_bytes(session.attachment("path.csv"))
-            except SessionError:
-                raise NotALaneDriveError("its path file is not in the session") from None
-            options = replace(options, path=",".join([f"csv:{copy}", *options.path.split(",")[1:]]))
-        yield make_plan(options, settings)
+    with ExitStack() as stack:
+        try:
+            spec = stack.enter_context(recorded_path(session, options.path))
+        except SessionError:
+            raise NotALaneDriveError("its path file is not in the session") from None
+        yield make_plan(replace(options, path=spec), settings)
 
 
 def _options_of(session: Session) -> RunOptions:
@@ -199,7 +195,7 @@ def _simulated(
     run = make_virtual_run(plan, (sink,), World(config))
     drive(run)
     if run.core.loop.faulted:
-        remarks.append(f"{label} the simulation is stopped: {run.core.loop.supervisor.reason}")
+        remarks.append(f"{label} the simulation is stopped: {run.core.loop.fault}")
     try:
         return _lane_drive(np.array(rows).reshape(-1, 5), plan)
     except NotALaneDriveError:

@@ -9,7 +9,7 @@ from typing import Any
 from steerd.daemon.analysis.diagnose_case import find_base
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
-from steerd.daemon.common.translate import make_session_error
+from steerd.daemon.common.translate import make_session_error, reading
 from steerd.daemon.learning.feed import learn_all, make_feed, read_memory
 from steerd.daemon.learning.kept import METADATA
 from steerd.daemon.learning.samples import NEEDED, Wiring
@@ -64,12 +64,10 @@ def learn_session(
     """
     session = load_session(path)
     base, source, _ = find_base(car, (path,))
-    try:
+    with reading(path, "steerd identify writes it anew"):
         # What an earlier drive taught is of the session's own car.
         memory = session.info().metadata.get(METADATA, {}).get("memory", "") if car is None else ""
         feed = make_feed(base, wiring_of_session(session), read_memory(memory))
-    except ValueError as error:
-        raise SteerdError(str(error), "steerd identify writes it anew", ExitCode.INVALID) from None
     recorded: list[bytes] = []
     made, report = [], None
     count = max(session.info().count, 1)
@@ -88,9 +86,8 @@ def learn_session(
 def wiring_of_session(session: Session) -> Wiring:
     """How a session's numbers are read: its own scaling, and its clocks."""
     metadata = session.info().metadata
-    scaling = metadata.get("steerd.scaling", {})
-    gain = float(scaling.get("erpm_gain", F1TENTH.erpm_gain))
-    offset = float(scaling.get("erpm_offset", F1TENTH.erpm_offset))
+    gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
+    offset = session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
     epoch = metadata.get("steerd.session", {}).get("epoch_ns")
     if epoch is not None:
         return Wiring(int(epoch), gain, offset)

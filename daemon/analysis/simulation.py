@@ -85,7 +85,7 @@ def _record(plan: RunPlan, file: Path) -> Session:
 def _warn_stopped(run: VirtualRun) -> None:
     loop = run.core.loop
     if loop.faulted:
-        warnings.warn(f"the drive was stopped: {loop.supervisor.reason}", stacklevel=4)
+        warnings.warn(f"the drive was stopped: {loop.fault}", stacklevel=4)
 
 
 def _format_effects(effects: EffectValues) -> tuple[str, ...]:

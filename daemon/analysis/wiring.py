@@ -4,7 +4,6 @@ A drive knows its motor's ERPM per m/s, its mocap body and its limits. A car fil
 instead would send the driven car off with another car's wiring.
 """
 
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from steerd.car_model.car_file import CarFile, default_car_path
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.settings.car_edit import Values, edit_text
 from steerd.steer_bus.session import Session, SessionError, open_session
+from steerd.toml_text import TomlError, decode_toml, parse_toml
 
 _LEARNT = ("car", "effects", "noise", "knowledge")
 """Sections that the identification itself writes, or that are about another car's numbers."""
@@ -38,7 +38,7 @@ def find_wiring(base: CarFile, sessions: Sequence[Path]) -> Values:
     if base.path != default_car_path():
         return {}
     found = [_read_wiring(path) for path in sessions]
-    known = _flatten(tomllib.loads(base.text))
+    known = _flatten(parse_toml(base.text))
     same = found[0] if found and all(each == found[0] for each in found) else {}
     return {key: value for key, value in same.items() if known.get(key) != value}
 
@@ -49,15 +49,15 @@ def _read_wiring(path: Path) -> Values:
     except SessionError:
         return {}
     try:
-        return _flatten(tomllib.loads(session.attachment("car.toml").decode()))
-    except (SessionError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return _flatten(parse_toml(decode_toml(session.attachment("car.toml"))))
+    except (SessionError, TomlError):
         return dict(_stated(session))
 
 
 def _stated(session: Session) -> Iterable[tuple[tuple[str, str], float]]:
     """What somebody stated about the motor at an import."""
-    for key, value in session.info().metadata.get("steerd.scaling", {}).items():
-        yield ("vesc", key), float(value)
+    for key in session.info().metadata.get("steerd.scaling", {}):
+        yield ("vesc", key), session.number("steerd.scaling", key, 0.0)
 
 
 def _flatten(document: Mapping[str, Any]) -> Values:

@@ -1,8 +1,9 @@
 """Designed gains, remembered: python-control takes a second to import, for a few numbers.
 
-The file's name is a digest of all that the gains depend on, the code that computes them included.
-What is remembered is checked like what was just computed: every start looks at the closed loop of
-the gains that it will use (`steerd.controller.build`). The folder may be deleted at any time.
+The file's name is a digest of all that the gains depend on, the code that computes them included,
+and the file is sealed under that name (`steerd.sealed_file`): gains that were changed, or made for
+another car, are computed again. Every start looks at the closed loop of the gains that it will use
+(`steerd.controller.build`). The folder may be deleted at any time.
 """
 
 # Why: docs/decisions/filter-and-controller.md#d81
@@ -12,9 +13,7 @@ import hashlib
 import json
 from dataclasses import asdict
 from importlib import metadata, util
-from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import platformdirs
 
@@ -22,8 +21,9 @@ from steerd.car_model.native.library import fingerprint
 from steerd.car_model.params import Car
 from steerd.controller.build import compute_table
 from steerd.controller.config import ControllerConfig
-from steerd.controller.gain_table import N_LANE, N_TURNING, GainTable
+from steerd.controller.gain_table import GainTable
 from steerd.controller.loop_model import Timing
+from steerd.sealed_file import make_own_folder, read_sealed, seal
 from steerd.steer_bus.atomic_file import write_atomically
 
 _CODE = ("controller.gains", "controller.loop_model", "car_model.linear", "car_model.params")
@@ -49,8 +49,8 @@ def recall_table(
         return known
     table = compute_table(car, config, timing, speed_max)
     with contextlib.suppress(OSError):  # a read-only or full disk: computed again next time
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, json.dumps(table))
+        make_own_folder(path.parent)
+        write_atomically(path, seal(path.name, json.dumps(table).encode()))
     return table
 
 
@@ -58,7 +58,7 @@ def digest_design(
     car: Car[float], config: ControllerConfig, timing: Timing, speed_max: float
 ) -> str:
     """All that the gains depend on, as the name of a file."""
-    found = hashlib.sha256()
+    found = hashlib.sha256(b"sealed")
     found.update(repr((tuple(car), asdict(config), tuple(timing), speed_max)).encode())
     found.update(metadata.version("control").encode() + fingerprint().encode())
     for name in _CODE:
@@ -69,19 +69,9 @@ def digest_design(
 
 
 def _read(path: Path) -> GainTable | None:
-    """A remembered table; None where there is none, or it is none."""
-    try:
-        speed_min, spacing, rows = json.loads(path.read_text(encoding="ascii"))
-        table = GainTable(float(speed_min), float(spacing), tuple(map(_row, rows)))
-    except (OSError, ValueError, TypeError):
+    """A remembered table; None where there is none that can be believed."""
+    data = read_sealed(path)
+    if data is None:
         return None
-    widths = {len(row) for row in table.rows}
-    whole = len(widths) == 1 and min(widths) >= N_LANE + N_TURNING and table.spacing > 0.0
-    return table if whole and isfinite(table.speed_min) else None
-
-
-def _row(values: Any) -> tuple[float, ...]:
-    row = tuple(float(value) for value in values)
-    if not all(map(isfinite, row)):
-        raise ValueError("a gain is not finite")
-    return row
+    speed_min, spacing, rows = json.loads(data)
+    return GainTable(speed_min, spacing, tuple(map(tuple, rows)))

@@ -3,14 +3,18 @@
 import os
 import platform
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import platformdirs
 
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.sim_car import make_true_model, make_truth
 from steerd.daemon.settings.run_options import encode_options
+from steerd.steer_bus.session_read import Session
 
 VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000
 """UNIX time at which every drive in virtual time begins: the same drive has the same bytes."""
@@ -91,6 +95,22 @@ def make_attachments(plan: RunPlan) -> dict[str, str]:
     if path_file is not None:
         texts["path.csv"] = Path(path_file).read_text()
     return texts
+
+
+@contextmanager
+def recorded_path(session: Session, spec: str) -> Iterator[str]:
+    """The path's spec, with the file that it names taken from the session, never from this disk.
+
+    Raises:
+        SessionError: the session does not hold the file.
+    """
+    if csv_file(spec) is None:
+        yield spec
+        return
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / "path.csv"
+        copy.write_bytes(session.attachment(copy.name))
+        yield ",".join([f"csv:{copy}", *spec.split(",")[1:]])
 
 
 def csv_file(spec: str) -> str | None:

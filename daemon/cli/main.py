@@ -8,6 +8,7 @@ Nothing here imports NumPy or torch, so `steerd --help` takes 30 ms.
 
 import argparse
 import contextlib
+import errno
 import importlib
 import os
 import sys
@@ -18,6 +19,7 @@ from typing import TextIO
 
 from steerd.daemon.cli.inputs import check_inputs
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.streams import prepare_streams
 
 # OpenBLAS's threads slow small matrices down: a controller design took 3 s instead of 0.05 s.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -141,6 +143,7 @@ def _refuse(name: str, parser: argparse.ArgumentParser, unknown: list[str]) -> S
 
 def main() -> int:
     """Entry point of the console script."""
+    prepare_streams()
     warnings.showwarning = show_warning
     code = run_cli(sys.argv[1:])
     if "zenoh" in sys.modules:
@@ -166,6 +169,11 @@ def run_cli(argv: Sequence[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.OK
     except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and not str(error.name).startswith("steerd"):
+            what = f"`steerd {argv[0]}` needs {error.name}, which a car's computer does without"
+            hint = "pip install -c constraints.txt -e . (in the checkout)"
+            _print_error(SteerdError(what, hint))
+            return ExitCode.USAGE
         if isinstance(error, OSError) and _takes_nothing(error):
             return _end_unwritten(error)
         if type(error).__name__ == "LibraryError":  # which a command that computes has loaded
@@ -179,13 +187,19 @@ def run_cli(argv: Sequence[str]) -> int:
 def _takes_nothing(error: OSError) -> bool:
     from steerd.steer_bus.atomic_file import takes_nothing
 
-    return takes_nothing(error)
+    return takes_nothing(error) or error.errno in _NO_FILES
+
+
+_NO_FILES = (errno.EMFILE, errno.ENFILE)
 
 
 def _end_unwritten(error: OSError) -> int:
     """A disk that took no more, wherever that was: a cache, a temporary file, the output itself."""
     from steerd.steer_bus.atomic_file import is_full
 
+    if error.errno in _NO_FILES:
+        _print_error(SteerdError(f"{error.strerror}", "raise the limit: `ulimit -n 1024`"))
+        return ExitCode.UNREADABLE
     where = error.filename or "a cache, a temporary file or the output"
     hint = "free some space" if is_full(error) else "look at its owner, its rights and its mount"
     _print_error(SteerdError(f"{where}: {error.strerror}", hint))

@@ -44,24 +44,34 @@ StateDirectory=steerd
 Environment=OPENBLAS_NUM_THREADS=1 PYTHONUNBUFFERED=1
 LimitRTPRIO=80
 LimitMEMLOCK=infinity
-
+NoNewPrivileges=yes
+UMask=0077
+{protected}
 [Install]
 WantedBy={wanted}
 """
 
 
-def make_unit(command: Sequence[str], car: str, *, user: bool) -> str:
+_PROTECTED = """\
+# The car's port needs no root: the account is of the group that the udev file names.
+User={account}
+ProtectSystem=full
+"""
+"""Of the system's manager alone: a user's own cannot change accounts or mounts."""
+
+
+def make_unit(command: Sequence[str], car: str, *, account: str = "") -> str:
     """The unit file's text.
 
     Args:
         command: what is run, program first.
         car: its name, for the description.
-        user: whether it is for the user's own service manager or the system's.
+        account: who it runs as under the system's service manager; empty for one's own.
 
     Raises:
         SteerdError: an argument cannot be written in a unit file.
     """
-    for text in (*command, car):
+    for text in (*command, car, account):
         if any(c in text for c in "\n\r\0"):
             raise SteerdError(f"{text!r} cannot be written in a unit file", "", ExitCode.USAGE)
     return _UNIT.format(
@@ -69,7 +79,8 @@ def make_unit(command: Sequence[str], car: str, *, user: bool) -> str:
         command=" ".join(_quote(part) for part in command),
         watchdog=WATCHDOG_S,
         stop=STOP_S,
-        wanted="default.target" if user else "multi-user.target",
+        protected=_PROTECTED.format(account=account) if account else "",
+        wanted="multi-user.target" if account else "default.target",
     )
 
 
@@ -112,8 +123,12 @@ def _pair_up(parts: Sequence[str]) -> list[str]:
 
 
 def _quote(part: str) -> str:
-    """An argument in systemd's syntax, which gives `%` and `$` special meanings."""
-    return shlex.quote(part.replace("%", "%%").replace("$", "$$"))
+    """An argument in systemd's syntax: `%` and `$` are special, and escapes hold in all quotes."""
+    plain = part.replace("%", "%%").replace("$", "$$")
+    if shlex.quote(plain) == plain:
+        return plain
+    escaped = plain.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
 
 
 def unit_path(user: bool, environment: Mapping[str, str] = os.environ) -> Path:

@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Protocol, TypeVar
 
+from steerd.daemon.common.streams import raw
+
 T = TypeVar("T")
 Advance = Callable[[float], None]
 """Called with the amount of work done, in the unit of the total."""
@@ -35,7 +37,7 @@ def show_progress(label: str, total: float) -> Iterator[Step]:
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn()
-    console = Console(stderr=True)
+    console = Console(file=raw(sys.stderr))
     # The elapsed time moves on during a long step that reports no share of its own.
     with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as progress:
         task = progress.add_task(label, total=total)

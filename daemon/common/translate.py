@@ -1,5 +1,8 @@
 """Errors of other rooms as the command line reports them: what, what to try, which exit code."""
 
+import csv
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -26,3 +29,27 @@ def make_session_error(error: "SessionError", hint: str = "") -> SteerdError:
     """
     what = str(error).removesuffix(f" ({error.hint})") if error.hint else str(error)
     return SteerdError(what, error.hint or hint, ExitCode(error.exit_code))
+
+
+@contextmanager
+def reading(name: object, hint: str = "") -> Iterator[None]:
+    """The one guard around what reads a file from elsewhere: its content raises one line.
+
+    Args:
+        name: of the file, for people.
+        hint: what to try where the error has no hint of its own.
+
+    Raises:
+        SteerdError: it holds what cannot be read.
+    """
+    from steerd.steer_bus.session_read import SessionError
+
+    try:
+        yield
+    except SessionError as error:
+        raise make_session_error(error, hint) from error
+    except (ValueError, LookupError, RecursionError, MemoryError, csv.Error) as error:
+        known = {RecursionError: "nested too deeply", MemoryError: "more than memory holds"}
+        text = known.get(type(error), str(error)[:200] or type(error).__name__)
+        text = f"it lacks {error.args[0]}" if isinstance(error, KeyError) else text
+        raise SteerdError(f"{name}: {text}", hint) from error

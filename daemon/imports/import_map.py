@@ -8,7 +8,6 @@ is not the car's centre of gravity, `[session]` for what the log does not say.
 import datetime
 import math
 import re
-import tomllib
 from dataclasses import dataclass, field
 from math import radians
 from pathlib import Path
@@ -21,10 +20,10 @@ from steerd.daemon.common.near import did_you_mean
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.mocap_link.frame import FrameConfig
 from steerd.steer_bus.topics import check_car_name
+from steerd.toml_text import parse_toml, read_toml
 from steerd.vesc_link.scaling import F1TENTH
 
 NS = 1_000_000_000
-MAP_BYTES_MAX = 1_000_000
 STREAM_COLUMNS = (
     "x", "y", "yaw", "steer_cmd", "speed_cmd", "throttle", "wheel_speed", "erpm", "yaw_rate",
 )  # fmt: skip
@@ -116,18 +115,10 @@ def load_map(path: Path) -> ImportMap:
         SteerdError: it cannot be read, is no TOML, or says something impossible.
     """
     try:
-        with path.open("rb") as file:
-            raw = file.read(MAP_BYTES_MAX + 1)
+        return parse_map(read_toml(path))
     except OSError as error:
         what = f"map {path} cannot be read: {error.strerror}"
         raise SteerdError(what, "name a map with --map", ExitCode.UNREADABLE) from error
-    if len(raw) > MAP_BYTES_MAX:
-        raise SteerdError(f"map {path} is larger than 1 MB", _HINT)
-    try:
-        return parse_map(raw.decode())
-    except UnicodeDecodeError as error:
-        what = f"map {path}: byte {error.start} is not UTF-8"
-        raise SteerdError(what, "save it as UTF-8 text") from error
     except ValueError as error:
         raise SteerdError(f"map {path}: {error}", _HINT) from error
 
@@ -139,9 +130,7 @@ def parse_map(text: str) -> ImportMap:
         ValueError: it is no TOML, or says something impossible; one line.
     """
     try:
-        tables = msgspec.convert(tomllib.loads(text), _Tables)
-    except RecursionError as error:
-        raise ValueError("nested too deeply") from error
+        tables = msgspec.convert(parse_toml(text), _Tables)
     except msgspec.ValidationError as error:
         raise ValueError(_readable(str(error))) from error
     return ImportMap(

@@ -1,6 +1,7 @@
 """Reading of the core's diagnostics message, for terminals."""
 
 from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.streams import remove_controls
 from steerd.steer_bus.standard import DiagnosticArray
 
 
@@ -12,5 +13,5 @@ def read_diagnostics(message: DiagnosticArray) -> dict[str, str]:
     """
     for status in message.status:
         if status.name == "steerd: supervisor":
-            return {value.key: value.value for value in status.values}
+            return {value.key: remove_controls(value.value) for value in status.values}
     raise SteerdError("this is no steerd diagnostics message")

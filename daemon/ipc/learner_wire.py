@@ -1,6 +1,4 @@
-"""What the learner's process is sent, and how it knows what it missed."""
-
-from dataclasses import dataclass, field
+"""What the learner's process is sent."""
 
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.steer_bus import topics
@@ -13,21 +11,3 @@ _WANTED = frozenset(topic.name for topic in (*LEARNT_FROM, topics.DESIGN))
 def is_learnt_from(record: PipeRecord) -> bool:
     """Whether the learner wants a record: of the drive, or what became of its proposals."""
     return record.topic.name in _WANTED
-
-
-@dataclass
-class Gaps:
-    """Records that were dropped on the way, by their numbers.
-
-    Attributes:
-        missed: how many so far.
-    """
-
-    missed: int = 0
-    _next: dict[str, int] = field(default_factory=dict)
-
-    def take(self, record: PipeRecord) -> None:
-        """Count what is missing before a record; the first of a topic misses nothing."""
-        due = self._next.get(record.topic.name, record.sequence)
-        self.missed += max(record.sequence - due, 0)
-        self._next[record.topic.name] = record.sequence + 1

@@ -8,7 +8,7 @@ import fcntl
 import os
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from steerd.steer_bus.codec import decode
@@ -19,6 +19,8 @@ PIPE_BYTES = 1 << 20
 """Room for about 4 s of messages at 200 Hz (`docs/reference/safety-requirements.md#s2.3`)."""
 _HEAD = struct.Struct("<IHHIqq")
 _F_SETPIPE_SZ = 1031
+_JOINED_NS = 100_000_000
+"""Holes closer to each other are one."""
 _INDEX = {topic.name: index for index, topic in enumerate(TOPICS)}
 
 
@@ -89,7 +91,7 @@ class PipeWriter:
         fd: non-blocking write end.
         dropped: records lost to a full or dead pipe.
         dead: whether the reader is gone.
-        full_since_ns: since when nothing fits, or None.
+        full_since_ns: since when it has taken nothing that was offered, or None.
     """
 
     fd: int
@@ -105,26 +107,67 @@ class PipeWriter:
         is torn.
         """
         if self._rest:
-            self._rest = self._push(self._rest)
-        if self._rest or self.dead:
-            self.dropped += len(packed)
-            if self.full_since_ns is None:
-                self.full_since_ns = t_ns
-            return
-        self.full_since_ns = None
+            self._rest = self._push(self._rest, t_ns)
         batch = b"".join(packed)
-        left = self._push(batch) if batch else b""
-        if left and len(left) == len(batch):
+        if not batch:
+            return
+        left = batch if self._rest or self.dead else self._push(batch, t_ns)
+        if len(left) == len(batch):
             self.dropped += len(packed)
-            self.full_since_ns = t_ns
         else:
             self._rest = left
 
-    def _push(self, data: bytes) -> bytes:
+    def _push(self, data: bytes, t_ns: int) -> bytes:
+        """What the pipe did not take; it is full from the first refusal until it takes a byte."""
+        taken = 0
         try:
-            return data[os.write(self.fd, data) :]
+            taken = os.write(self.fd, data)
         except BlockingIOError:
-            return data
+            self.full_since_ns = t_ns if self.full_since_ns is None else self.full_since_ns
         except OSError:
             self.dead = True
-            return b""
+        if taken:
+            self.full_since_ns = None
+        return data[taken:]
+
+
+@dataclass
+class Gaps:
+    """Records that were dropped on the way, by their numbers.
+
+    Attributes:
+        missed: how many so far.
+    """
+
+    missed: int = 0
+    _spans: list[tuple[int, int]] = field(default_factory=list)
+    _last: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    def take(self, record: PipeRecord) -> None:
+        """Count what is missing before a record; the first of a topic misses nothing."""
+        log_ns = record.log_time_ns
+        number, before_ns = self._last.get(record.topic.name, (record.sequence - 1, log_ns))
+        self._last[record.topic.name] = record.sequence, log_ns
+        if record.sequence > number + 1:
+            self.missed += record.sequence - number - 1
+            self.add(before_ns, log_ns)
+
+    def add(self, first_ns: int, last_ns: int) -> None:
+        """Take in a stretch with missing records; of one that several topics name, the common part.
+
+        A pipe loses whole ticks, so a frequent topic shows where more precisely than a rare one.
+        """
+        if self._spans and self._spans[-1][1] > first_ns:
+            other = self._spans.pop()
+            first_ns, last_ns = max(first_ns, other[0]), min(last_ns, other[1])
+        self._spans.append((first_ns, last_ns))
+
+    @property
+    def spans(self) -> list[tuple[int, int]]:
+        """Stretches with missing records [UNIX ns], those that nearly touch as one."""
+        joined: list[tuple[int, int]] = []
+        for first, last in self._spans:
+            if joined and first - joined[-1][1] < _JOINED_NS:
+                first = joined.pop()[0]
+            joined.append((first, last))
+        return joined

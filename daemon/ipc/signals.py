@@ -4,16 +4,23 @@ A Python handler runs only when the main thread is back in the interpreter (1.9 
 during a long C call); a thread in sigwait needs 0.2 ms.
 """
 
+import ctypes
 import os
 import signal
 import threading
 
+_PR_SET_PDEATHSIG = 1
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def block_stop_signals() -> None:
     """Block stop signals in this thread and all that it starts; call before any thread runs."""
     signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+
+
+def wake_at_parents_end() -> None:
+    """Go on when the parent ends, even if stopped: only who runs can see that its pipes closed."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT, 0, 0, 0)
 
 
 def make_stop_signal_pipe() -> int:
@@ -34,6 +41,7 @@ def make_stop_signal_pipe() -> int:
 
 def ignore_terminal_signals() -> None:
     """For a process that ends when its pipe closes: Ctrl-C reaches the whole group."""
+    wake_at_parents_end()
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
 

@@ -9,7 +9,6 @@ rest, so a torn or edited page is recognised.
 
 import hashlib
 import json
-import tomllib
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -17,6 +16,7 @@ from steerd.car_model.car_file import CarFile
 from steerd.daemon.learning.reported import reported_changes, reported_values
 from steerd.daemon.learning.text import describe_change
 from steerd.steer_bus import messages as m
+from steerd.toml_text import parse_toml
 
 METADATA = "steerd.learner"
 """Metadata of a session whose learner began with an earlier drive's numbers."""
@@ -108,7 +108,7 @@ def parse_kept(data: bytes) -> Kept:
         head, _, body = data.decode().partition("\n")
         if len(data) > SIZE_MAX or head != _HEAD + _digest(body):
             raise KeptError("is torn or was edited; this drive writes it anew")
-        page: dict[str, Any] = tomllib.loads(body)
+        page: dict[str, Any] = parse_toml(body)
         about = About(*(str(page[name]) for name in About._fields))
         values = {name: (float(v), float(sd)) for name, (v, sd) in page["values"].items()}
         return Kept(about, int(page["written_ns"]), values)

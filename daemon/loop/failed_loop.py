@@ -43,7 +43,8 @@ def make_failed_tick(loop: "Loop", error: BaseException, now_ns: int, linked: bo
     old = loop.supervisor.state
     conditions = Conditions(int(facts), speed, 0, text)
     loop.supervisor, action = step_supervisor(loop.supervisor, conditions, 0, now_ns)
-    loop.faulted = loop.faulted or loop.supervisor.state is SupervisorState.FAULT_STOP
+    if loop.supervisor.state is SupervisorState.FAULT_STOP:
+        loop.fault = loop.supervisor.reason
     loop.ran = loop.ran or (old in _DRIVING and loop.supervisor.state not in _DRIVING)
     limiter = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
     order = make_order(

@@ -69,14 +69,14 @@ from steerd.daemon.loop.orders import Order, make_order
 from steerd.daemon.loop.perception import Perception, best_speed
 from steerd.daemon.loop.plans import Drill
 from steerd.daemon.loop.supervisor import (
-    NEVER,
     Action,
     Conditions,
     SupervisorMemory,
     make_supervisor_memory,
+    stands,
     step_supervisor,
 )
-from steerd.daemon.loop.transitions import Fact, Request, SupervisorState
+from steerd.daemon.loop.transitions import Fact, Request, SupervisorState, is_engaged
 from steerd.daemon.loop.watchdog_input import make_watchdog_input
 from steerd.daemon.loop.watchdogs import WatchdogState, is_slowing, step_watchdogs
 from steerd.daemon.settings.thresholds import LAUNCH_SPEED
@@ -87,6 +87,7 @@ from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link.events import ImuSample, Telemetry
 
 _DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
+_HARD = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
 _PARKED = (
     SupervisorState.INIT,
     SupervisorState.DISARMED,
@@ -144,7 +145,7 @@ class Loop:
         live: what may be changed while the car drives.
         adapting: which design steers.
         vesc: what the VESC reported about itself, or None.
-        faulted: a fault stop or an emergency stop has happened in this run.
+        fault: why a watchdog, a fault stop or an emergency stop ended the last drive, or nothing.
         ran: a drive has ended in this run.
     """
 
@@ -159,7 +160,7 @@ class Loop:
         self.live = make_live(setup.live)
         self.adapting = make_adapting(setup.controller, setup.learnt, s.thresholds.lateral)
         self.vesc: VescInfo | None = None
-        self.faulted = False
+        self.fault = ""
         self.ran = False
         self._limiter = make_limiter_state(s.limits, Command(0.0, 0.0), 0)
         self._issued: Command[float] | None = None
@@ -244,7 +245,7 @@ class Loop:
             self.supervisor, conditions, self._merge_requests(flags), now_ns
         )
         self._requests_pending = Request.NONE
-        self._apply_transition(old, estimate, now_ns)
+        self._apply_transition(old, estimate, now_ns, text)
         order = make_order(
             self.setup.settings.limits,
             self.setup.settings.brakes,
@@ -451,18 +452,20 @@ class Loop:
         return requests
 
     def _apply_transition(
-        self, old: SupervisorState, estimate: StateEstimate | None, now_ns: int
+        self, old: SupervisorState, estimate: StateEstimate | None, now_ns: int, tripped: str
     ) -> None:
-        """Start or end what a change of state starts or ends."""
+        """Start or end what a change of state starts or ends; `tripped`: the worst trip's text."""
         new = self.supervisor.state
         if new is SupervisorState.RUNNING and old is not SupervisorState.RUNNING:
-            self._started_ns, self._launch = now_ns, None
+            self._started_ns, self._launch, self.fault = now_ns, None, ""
             if estimate is not None:
                 self._control = start_controller(self.adapting.controller, estimate.state, now_ns)
         if old in _DRIVING and new not in _DRIVING:
             self.ran, self._launch = True, None
-        if new in (SupervisorState.FAULT_STOP, SupervisorState.ESTOP):
-            self.faulted = True
+        reason, hard = self.supervisor.reason, new in _HARD
+        if new is not old and (hard or (is_engaged(old) and reason == tripped)):
+            self.fault = reason
+        if hard:
             self.live = relax(self.live, "a fault: path and gains as designed")
         rolling = abs(self.perception.wheel_speed) > STANDING_SPEED
         self.perception.may_rebase = new in _PARKED and not rolling
@@ -485,6 +488,11 @@ class Loop:
         self._issued = order.command
 
     @property
+    def faulted(self) -> bool:
+        """Whether a safety stop ended the last drive."""
+        return bool(self.fault)
+
+    @property
     def parked(self) -> bool:
         """Whether no motor command is sent: disarmed, or latched."""
         return self.supervisor.state in _PARKED
@@ -492,7 +500,5 @@ class Loop:
     @property
     def at_rest(self) -> bool:
         """Whether this process may end: parked, or stopped by an emergency stop and standing."""
-        stopped = (
-            self.supervisor.state is SupervisorState.ESTOP and self.supervisor.still_ns != NEVER
-        )
-        return self.parked or stopped
+        s = self.supervisor
+        return self.parked or (s.state is SupervisorState.ESTOP and stands(s, s.t_ns))

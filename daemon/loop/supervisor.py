@@ -33,12 +33,12 @@ PROOF_NS = 210_000_000  # longer than the 200 ms between the ALIVEs of a forgott
 PROOF_SLACK_NS = 50_000_000
 CENTRE_NS = 500_000_000  # full lock to centre takes 0.1 s; the rest is for lost frames
 GAP_NS = 100_000_000  # after a longer gap between two ticks all timers start again
+BLIND_NS = 2 * 10**9 - STILL_NS  # braking for so long, without a speed, counts as slow
 NEVER = -1
 """Value of a timer whose condition does not hold."""
 DURATIONS_NS = {
     SupervisorState.ARMED: 30 * 10**9,
     SupervisorState.STOPPING: 4 * 10**9,
-    SupervisorState.FAULT_STOP: 2 * 10**9,
     SupervisorState.ESTOP: 2 * 10**9,
 }
 
@@ -138,6 +138,9 @@ def make_supervisor_memory(t_ns: int) -> SupervisorMemory:
     )
 
 
+_BRAKING = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
+
+
 def _since(holds: object, began: int, t_ns: int) -> int:
     """When a condition was first seen to hold, ``NEVER`` while it does not."""
     if not holds:
@@ -149,7 +152,8 @@ def _renew_timers(s: SupervisorMemory, c: Conditions, t_ns: int) -> tuple[int, i
     """Return since when the car stands, the checks pass, the timeout is shown."""
     if not 0 <= t_ns - s.t_ns <= GAP_NS:
         return NEVER, NEVER, NEVER
-    still = -STILL_SPEED < c.speed < STILL_SPEED
+    blind = s.state in _BRAKING and not isfinite(c.speed) and t_ns - s.since_ns >= BLIND_NS
+    still = blind or -STILL_SPEED < c.speed < STILL_SPEED
     proof = c.facts & _FW_TIMEOUT and s.state == SupervisorState.SELF_TEST
     return (
         _since(still, s.still_ns, t_ns),
@@ -162,6 +166,11 @@ def _held(began: int, t_ns: int, duration_ns: int) -> bool:
     return began != NEVER and t_ns - began >= duration_ns
 
 
+def stands(s: SupervisorMemory, t_ns: int) -> bool:
+    """Whether the car stands, or has been braked for 2 s without a speed."""
+    return _held(s.still_ns, t_ns, STILL_NS)
+
+
 def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -> int:
     """Return all guard bits (``Is``); the timers in ``s`` must be those of this tick."""
     requests = int(requests)
@@ -170,7 +179,7 @@ def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -
         bits |= _UNKNOWN
     if _held(s.checks_ns, t_ns, CHECKS_HOLD_NS):
         bits |= _CHECKS_HELD
-    if _held(s.still_ns, t_ns, STILL_NS):
+    if stands(s, t_ns):
         bits |= _STILL
     if isfinite(c.speed):
         bits |= _MEASURED

@@ -80,7 +80,7 @@ class Fact(IntFlag):
     ESTIMATED = 1 << 10  # the estimator is healthy
     SLOWING = 1 << 11  # the stop works, by the check of W24
     CHECKS_HELD = 1 << 12  # CHECKS_PASS for 1 s
-    STILL = 1 << 13  # |v| < 0.05 m/s for 0.3 s
+    STILL = 1 << 13  # |v| < 0.05 m/s for 0.3 s, or braked for 2 s without a speed
     MEASURED = 1 << 14  # the speed is known, from any source
     PROVEN = 1 << 15  # FW_TIMEOUT through 210 ms of silence
     ELAPSED = 1 << 16  # the state has lasted as long as it may
@@ -157,7 +157,6 @@ TABLE: tuple[TransitionRow, ...] = tuple(
         ((STOPPING,), Fact.STILL, _0, _0, DISARMED, "stopped"),
         ((STOPPING,), Fact.ELAPSED, _0, _0, FAULT_STOP, "not stopped after 4 s: braking hard"),
         ((FAULT_STOP,), Fact.STILL, _0, _0, FAULT_LATCHED, ""),
-        ((FAULT_STOP,), Fact.ELAPSED, _0, Fact.MEASURED, FAULT_LATCHED, ""),
         ((FAULT_LATCHED,), Fact.CLEAR | Fact.STILL, _0, _TRIPPED, DISARMED, "fault cleared"),
         (
             (ESTOP,),

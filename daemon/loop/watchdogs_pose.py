@@ -120,19 +120,21 @@ def step_pose(
         frame: the frame.
         wheel_speed: speed by the VESC [m/s]; a standing car may well repeat its pose bit by bit.
         may_rebase: the car is disarmed or latched, and stands: frames that are sane but contradict
-            the last good one (carried by hand, server restarted) become the new truth when enough
-            of them arrive in a row. Never while the motor may turn.
+            the last good one (carried by hand, server restarted), or the filter (it was blind while
+            the car drove), become the new truth when enough of them arrive in a row. Never while
+            the motor may turn.
 
     Returns:
         The new memory and the verdict.
     """
     verdict = _check_frame(th, w, frame, wheel_speed)
-    if verdict == PoseVerdict.ACCEPTED:
+    astray = may_rebase and w.rejected >= th.nis_frames
+    if verdict == PoseVerdict.ACCEPTED and not astray:
         before = w.base if w.base is not None and frame.t_ns > w.base.t_ns else w.before
         good = PoseWatch(frame, before, 0, 0, 0, w.jump_times, w.rejected, w.rejections)
         return good, verdict
-    if verdict == PoseVerdict.REBASED:
-        return PoseWatch(frame), verdict
+    if verdict in (PoseVerdict.ACCEPTED, PoseVerdict.REBASED):
+        return PoseWatch(frame), PoseVerdict.REBASED
     if verdict == PoseVerdict.FROZEN:
         return changed(w, frozen=w.frozen + 1), verdict
     if verdict == PoseVerdict.JUMP:

@@ -11,6 +11,7 @@ from steerd.daemon.assembly.session_meta import (
     make_metadata,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.streams import raw
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
@@ -134,7 +135,7 @@ def run_fast(plan: RunPlan) -> int:
     print("\n".join(hints))
     loop = run.core.loop
     if loop.faulted:
-        print(f"stopped: {loop.supervisor.reason}")
+        print(f"stopped: {loop.fault}")
         return ExitCode.STOPPED
     check_driven(run)
     return ExitCode.OK
@@ -158,7 +159,7 @@ def with_progress(
     from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
+    console = Console(file=raw(sys.stderr))
     with Progress(console=console, disable=not sys.stderr.isatty(), transient=True) as progress:
         task = progress.add_task("driving", total=duration_s)
 

@@ -4,21 +4,18 @@ The loop has no clock and no randomness, so the orders must be the recorded ones
 the code has changed since the drive, or the loop has an input that is not recorded.
 """
 
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from steerd.car_model.car_file import CarFileError, parse_car
 from steerd.daemon.assembly.build import RunPlan, make_loop_setup, make_plan
-from steerd.daemon.assembly.session_meta import csv_file
+from steerd.daemon.assembly.session_meta import recorded_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
-from steerd.daemon.common.translate import make_car_file_error, make_session_error
+from steerd.daemon.common.translate import make_car_file_error, make_session_error, reading
 from steerd.daemon.loop.core import read_identity
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.loop import Loop
@@ -114,27 +111,16 @@ def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bo
         SteerdError: the session was not recorded by `steerd run`.
     """
     meta: dict[str, Any] = dict(session.info().metadata.get("steerd.session", {}))
-    try:
+    with reading(name, "only sessions of `steerd run` hold what a replay needs"):
         options = decode_options(meta["options"])
         boot_id, epoch_ns = int(meta["boot_id"]), int(meta["epoch_ns"])
         text = session.attachment("car.toml").decode()
-    except (KeyError, ValueError, msgspec.ValidationError, SessionError) as error:
-        hint = "only sessions of `steerd run` hold what a replay needs"
-        why = f"it lacks {error.args[0]}" if isinstance(error, KeyError) else error
-        raise SteerdError(f"{name} cannot be replayed: {why}", hint) from None
-    try:
-        settings = make_settings(parse_car(text, Path(f"{name}:car.toml")), options.speed)
-    except CarFileError as error:
-        raise make_car_file_error(error) from None
-    if csv_file(options.path) is not None:
-        with tempfile.TemporaryDirectory() as folder:
-            copy = Path(folder) / "path.csv"
-            copy.write_bytes(session.attachment("path.csv"))
-            rest = options.path.split(",")[1:]
-            spec = ",".join([f"csv:{copy}", *rest])
+        try:
+            settings = make_settings(parse_car(text, Path(f"{name}:car.toml")), options.speed)
+        except CarFileError as error:
+            raise make_car_file_error(error) from None
+        with recorded_path(session, options.path) as spec:
             plan = make_plan(replace(options, path=spec), settings)
-    else:
-        plan = make_plan(options, settings)
     return plan, boot_id, epoch_ns, meta.get("leased") == "1"
 
 

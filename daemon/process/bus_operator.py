@@ -5,6 +5,7 @@
 import contextlib
 import secrets
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import platformdirs
@@ -16,7 +17,8 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.atomic_file import write_atomically
 from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock
-from steerd.steer_bus.messages import RequestKind
+from steerd.steer_bus.codec import CodecError, decode, encode
+from steerd.steer_bus.messages import Heartbeat, RequestKind
 from steerd.steer_bus.topics import Topic, check_car_name, make_key
 
 STOPS = {
@@ -37,6 +39,23 @@ CALL_NS = 5_000_000_000
 """A call for a stop ends after this time, seen or not."""
 
 
+class Pulse:
+    """A car's heartbeats, which whoever keeps a lease alive sends back."""
+
+    def __init__(self, bus: Bus, car: str) -> None:
+        self._bus, self._key = bus, make_key(car, topics.HEARTBEAT_BACK, bus.who)
+        self._beats = bus.subscribe(make_key(car, topics.HEARTBEAT))
+        self._newest: Heartbeat | None = None
+
+    def send_back(self, lease_id: int) -> None:
+        """Send the newest back; nothing from a car that has none."""
+        for sample in self._beats.poll():
+            with contextlib.suppress(CodecError):
+                self._newest = decode(Heartbeat, sample.data)
+        if self._newest is not None:
+            self._bus.publish(self._key, encode(replace(self._newest, lease_id=lease_id)))
+
+
 class BusOperator:
     """Requests of one person at one place; a lease begins with the first of each run.
 
@@ -45,12 +64,15 @@ class BusOperator:
         car: its name.
         clock: of this machine.
         name: of the operator, for the recording.
+        pulse: the car's, at this place.
         lease_id: of a lease that is shared; 0 draws one.
     """
 
-    def __init__(self, bus: Bus, car: str, clock: Clock, name: str, lease_id: int = 0) -> None:
+    def __init__(
+        self, bus: Bus, car: str, clock: Clock, name: str, pulse: Pulse, lease_id: int = 0
+    ) -> None:
         self._bus, self._car, self._clock, self._name = bus, car, clock, name
-        self._lease_id = lease_id
+        self._pulse, self._lease_id = pulse, lease_id
         self._operator: Operator | None = None
         self._stop: RequestKind | None = None
         self._called_ns = self._sent_ns = 0
@@ -77,9 +99,12 @@ class BusOperator:
             return True
         if kind is not RequestKind.KEEPALIVE:
             self._stop = None
-        return self._send(
+        sent = self._send(
             boot_id, topics.OPERATOR, lambda op: op.make_request(kind, self._clock.realtime_ns())
         )
+        if sent and kind is RequestKind.KEEPALIVE:
+            self._pulse.send_back(self.secret)
+        return sent
 
     def repeat(self, state: int | None) -> bool:
         """Go on with the call for a stop, if there is one: whether it goes on.

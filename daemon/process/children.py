@@ -175,9 +175,12 @@ class RunProcesses:
         """Wait for the core, then for the others, which end when its pipes close.
 
         Returns:
-            The core's exit code, or the recorder's where the session is not whole.
+            The core's exit code, or the recorder's where the session is not whole; a process that
+            was killed is a safety stop.
         """
         code = self.core.process.wait()
+        if code < 0:
+            print(f"stopped: signal {-code} ended the control core", file=sys.stderr)
         for end in (self.requests, self.viewer_requests):
             if end is not None:
                 end.close()
@@ -186,11 +189,13 @@ class RunProcesses:
                 child.process.wait(END_S)
             except subprocess.TimeoutExpired:
                 child.process.kill()
+                child.process.wait()
         _end_guest(self.viewer, "viewer")
         _end_guest(self.learner, "learner")
         if self.page is not None:
             self.page.end()
-        return code or self.recorder.process.returncode or 0
+        code = code or self.recorder.process.returncode
+        return ExitCode.STOPPED if code < 0 else code
 
 
 def _end_guest(child: Child | None, name: str) -> None:

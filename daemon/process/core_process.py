@@ -19,8 +19,9 @@ from steerd.daemon.ipc.learner_wire import is_learnt_from
 from steerd.daemon.ipc.outbox import Sink
 from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, pack_record
 from steerd.daemon.ipc.sd_notify import make_notify
-from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
+from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe, wake_at_parents_end
 from steerd.daemon.loop.core import Core
+from steerd.daemon.loop.flags import Flag
 from steerd.daemon.process.guard import ProcessGuard
 from steerd.daemon.process.prepared import receive_job
 from steerd.daemon.process.realtime import enter_realtime, settle_memory
@@ -178,6 +179,7 @@ def _report(fd: int, what: Mapping[str, Any]) -> None:
 def main() -> int:
     """Process entry: job and descriptors come through the socket on standard input."""
     block_stop_signals()
+    wake_at_parents_end()
     gc.freeze()  # what imports made stays: no need to search it for garbage again
     if (given := receive_job()) is None:
         return ExitCode.OK
@@ -198,7 +200,8 @@ def main() -> int:
 def _exit_code(core: Core) -> ExitCode:
     if core.error is not None:
         return ExitCode.INTERNAL
-    return ExitCode.STOPPED if core.loop.faulted else ExitCode.OK
+    lost = core.flags & (Flag.RECORDER_LOST | Flag.GATEWAY_LOST)
+    return ExitCode.STOPPED if core.loop.faulted or lost else ExitCode.OK
 
 
 if __name__ == "__main__":

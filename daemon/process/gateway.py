@@ -37,7 +37,7 @@ _POLL_MS = 4
 _READ_BYTES = 1 << 20
 _DEPTH = 16
 """Requests kept of each topic between two polls."""
-_INWARD = (topics.STOP, topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS)
+_INWARD = (topics.STOP, topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS, topics.HEARTBEAT_BACK)
 """What comes from the bus, in the order in which it is passed on."""
 
 
@@ -78,7 +78,9 @@ class Gateway:
             (topic, bus.subscribe(make_key(car, topic, "**"), _DEPTH, make_keep(topic)))
             for topic in _INWARD
         ]
-        self._poses = bus.subscribe(pose_key, _DEPTH) if pose_key is not None else None
+        self._plain = [(topics.HEARTBEAT, bus.subscribe(make_key(car, topics.HEARTBEAT)))]
+        if pose_key is not None:
+            self._plain.append((topics.EXTERNAL_POSE, bus.subscribe(pose_key, _DEPTH)))
         self._tokens = [bus.declare_alive(alive_key(car))]
         schemas = schema_replies(car)
         self._tokens.append(bus.serve(make_key(car, "schema/**"), schemas.get))
@@ -108,9 +110,10 @@ class Gateway:
             for sample in subscription.poll():
                 who = sample.key.removeprefix(make_key(self._car, topic)).removeprefix("/")
                 _send(core, known, seal(topic, sample.data, who))
-        for sample in self._poses.poll() if self._poses is not None else ():
-            if len(sample.data) <= REQUEST_MAX:
-                _send(core, topics.EXTERNAL_POSE, sample.data)
+        for topic, subscription in self._plain:
+            for sample in subscription.poll():
+                if len(sample.data) <= REQUEST_MAX:
+                    _send(core, topic, sample.data)
 
 
 def _send(core: socket.socket, topic: Topic, data: bytes) -> None:

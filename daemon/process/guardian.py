@@ -15,6 +15,7 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 
+from steerd.daemon.ipc.signals import wake_at_parents_end
 from steerd.daemon.process.heartbeat import STALE_NS, HeartbeatPage
 from steerd.daemon.process.lifeline import Lifeline
 
@@ -59,6 +60,7 @@ def guardian_main(
 
     ``serial_fd`` is a non-blocking duplicate of the core's, ``frame`` a whole brake frame.
     """
+    wake_at_parents_end()
     for quiet in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(quiet, signal.SIG_IGN)  # they reach the whole group; the core stops the car
     with contextlib.suppress(OSError):

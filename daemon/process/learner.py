@@ -20,8 +20,7 @@ from steerd.controller.build import compute_table
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.whole_file import write_whole
 from steerd.daemon.common.written import write_output
-from steerd.daemon.ipc.learner_wire import Gaps
-from steerd.daemon.ipc.pipe_records import PipeWriter, pack_record, unpack_records
+from steerd.daemon.ipc.pipe_records import Gaps, PipeWriter, pack_record, unpack_records
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.learning.feed import Feed, make_feed, make_record, read_memory
 from steerd.daemon.learning.keeping import Keeper

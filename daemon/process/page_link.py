@@ -12,7 +12,7 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.daemon.ipc.live_setting import LIVE, parse_setting
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.process.bus_operator import BusOperator
+from steerd.daemon.process.bus_operator import BusOperator, Pulse
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock
@@ -68,6 +68,7 @@ class CarView:
             (topics.TRANSITION, self._take_change), (topics.DIAGNOSTICS, self._take_values),
             (topics.PARAMETERS, self._take_parameters),
         )  # fmt: skip
+        self.pulse = Pulse(self.bus, self.car)
         self._wanted = [
             (self.bus.subscribe(make_key(self.car, topic)), topic.message, take)
             for topic, take in wanted
@@ -157,7 +158,7 @@ class PageOperator:
 
     def __init__(self, view: CarView) -> None:
         self._view = view
-        self._operator = BusOperator(view.bus, view.car, view.clock, NAME)
+        self._operator = BusOperator(view.bus, view.car, view.clock, NAME, view.pulse)
 
     @property
     def lease(self) -> str:

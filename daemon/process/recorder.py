@@ -14,7 +14,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
+from steerd.daemon.common.holes import describe_holes
+from steerd.daemon.ipc.pipe_records import Gaps, PipeRecord, unpack_records
 from steerd.daemon.ipc.report_pipe import ReportPipe
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.views import Views
@@ -29,6 +30,8 @@ _READ_BYTES = 1 << 20
 _REPORTS_MS = 2000
 """Longest pause after which the learner's last reports are not waited for [ms]."""
 _DISK_CHECK_NS = 1_000_000_000
+_BEHIND_NS = 1_000_000_000
+"""A pipe that ends so long after its last record was full before [ns]."""
 _NEARLY_FULL = "disk nearly full"
 _UNREADABLE = 3
 """Exit code; its parent knows it by the name."""
@@ -40,6 +43,8 @@ class Recording:
     Attributes:
         writer: of the file.
         written: records so far.
+        gaps: what the pipe did not take.
+        start_ns: when the first record was sent [UNIX ns].
     """
 
     def __init__(self, path: Path, car: str, meta: Mapping[str, Any]) -> None:
@@ -58,7 +63,26 @@ class Recording:
             int(meta.get("flush_ns", FLUSH_NS)),
         )
         self.written = 0
+        self.gaps = Gaps()
+        self.start_ns = 0
         self._views = Views()
+
+    def take(self, record: PipeRecord) -> None:
+        """Write one record of the core's pipe, and note what is missing before it."""
+        self.gaps.take(record)
+        self.start_ns = self.start_ns or record.log_time_ns
+        self.add(record)
+
+    def finish(self, reason: str) -> str:
+        """End the file with why it ended and what is missing in it; say the latter in words.
+
+        Raises:
+            SessionError: the disk does not take it.
+        """
+        dropped, holes = str(self.gaps.missed), self.gaps.spans
+        end = {"reason": reason, "written": str(self.written), "dropped": dropped}
+        self.writer.finish(end | ({"holes": json.dumps(holes)} if holes else {}))
+        return describe_holes(dropped, holes, self.start_ns)
 
     def add(self, record: PipeRecord) -> None:
         """Write one record, and the standard ROS message made of it."""
@@ -94,17 +118,20 @@ def record_pipe(
     clock, buffer = MonotonicClock(), bytearray()
     poll = select.poll()
     poll.register(fd, select.POLLIN | select.POLLHUP)
-    disk_due_ns = 0
+    began_ns = last_ns = disk_due_ns = 0
     while True:
         if poll.poll(_POLL_MS):
             data = os.read(fd, _READ_BYTES)
             if not data:
+                _note_end(recording, clock.now_ns() - began_ns, last_ns)
                 for record in reports.rest(_REPORTS_MS):
                     recording.add(record)
                 return "end of the run"
             buffer += data
             for record in unpack_records(buffer):
-                recording.add(record)
+                recording.take(record)
+                began_ns = began_ns or clock.now_ns()
+                last_ns = record.log_time_ns
         _take_reports(recording, reports)
         now = clock.now_ns()
         if recording.writer.tick(now):
@@ -114,6 +141,13 @@ def record_pipe(
             disk_due_ns = now + _DISK_CHECK_NS
             if shutil.disk_usage(recording.writer.partial.parent).free < disk_free_min:
                 return _NEARLY_FULL
+
+
+def _note_end(recording: Recording, since_ns: int, last_ns: int) -> None:
+    """Records can be missing behind the last: a recorder that stood still reads old ones only."""
+    left_ns = since_ns - (last_ns - recording.start_ns)
+    if recording.start_ns and left_ns > _BEHIND_NS:
+        recording.gaps.add(last_ns, last_ns + left_ns)
 
 
 def _take_reports(recording: Recording, reports: ReportPipe) -> None:
@@ -149,10 +183,12 @@ def main() -> int:
     try:
         reason = record_pipe(recording, fd, disk_free_min, ReportPipe(next(iter(reported), None)))
         os.close(fd)
-        recording.writer.finish({"reason": reason, "written": str(recording.written)})
+        missing = recording.finish(reason)
     except SessionError as error:
         print(f"steerd recorder: {error}", file=sys.stderr)
         return _UNREADABLE
+    if missing:
+        print(f"steerd recorder: {missing}", file=sys.stderr)
     if reason == _NEARLY_FULL:
         print(f"steerd recorder: {reason}; {recording.writer.path} is whole", file=sys.stderr)
         return _UNREADABLE

@@ -18,9 +18,11 @@ from steerd.daemon.ipc.sd_notify import ALIVE, READY, STOPPING, Notify, notify_n
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.design_message import DESIGN_BYTES
 from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.lease import lease_age
 from steerd.daemon.loop.transitions import is_engaged
 from steerd.daemon.process.guard import Guard, sleep_lag_ns
 from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
+from steerd.daemon.process.remote_path import RemotePath
 from steerd.daemon.process.stall import find_cause
 from steerd.daemon.process.steal import read_steal_ns
 from steerd.mocap_link.sessions import BusPoseSource
@@ -45,6 +47,10 @@ _KEY_BYTES = 64
 """Room for the topic name in a request."""
 LEAVE_SIGNALS = 3
 """So many stop signals end the process at once; the guardian brakes what still moves."""
+ABORT_NS, ORPHAN_NS = 2_000_000_000, 6_000_000_000
+"""A second signal, or the parent's end, ends the process after this, whatever its state."""
+
+_HEARTBEATS = (topics.HEARTBEAT.name, topics.HEARTBEAT_BACK.name)
 
 OpenPort = Callable[[], Port]
 """Opens the serial port; raises PortError."""
@@ -102,6 +108,8 @@ class Runner:
         self._clogged = 0
         self._pose_ns = -1
         self._slept_ns, self._stolen_ns = sleep_lag_ns(), read_steal_ns()
+        self._path = RemotePath(core.loop.setup.boot_id)
+        self._leave_ns: int | None = None
         self.signals = 0
         self.error: PortError | None = None
 
@@ -133,14 +141,24 @@ class Runner:
 
         So is a drive without an operator whose recorder or gateway is gone.
 
-        The third signal ends it at once; the guardian then brakes a car that moves.
+        The third signal ends it at once, the second and the parent's end within a bound; the
+        guardian then brakes a car that moves.
         """
         loop = self._core.loop
         planned = loop.setup.duration_ns is not None and loop.ran
         # Nobody stands by to restart a drive by itself, and a process that is lost stays lost.
         lost = loop.setup.auto_arm and self._core.flags & (Flag.RECORDER_LOST | Flag.GATEWAY_LOST)
         over = self.signals > 0 or planned or bool(lost)
-        return self.signals >= LEAVE_SIGNALS or (over and loop.at_rest)
+        late = self._leave_ns is not None and self._clock.now_ns() >= self._leave_ns
+        return late or self.signals >= LEAVE_SIGNALS or (over and loop.at_rest)
+
+    def _take_signals(self, count: int, within_ns: int | None) -> None:
+        """Stop; leave within so long at the latest, with the second signal after a hard stop's."""
+        self.signals += count
+        within_ns = ABORT_NS if self.signals > 1 else within_ns
+        if within_ns is not None:
+            due_ns = self._clock.now_ns() + within_ns
+            self._leave_ns = min(due_ns, self._leave_ns or due_ns)
 
     def _wait(self, due_ns: int, early_ns: int) -> None:
         """Handle what arrives until the deadline, or until a pose has come since `early_ns`."""
@@ -178,7 +196,7 @@ class Runner:
             self._read_serial()
         elif fd == self._links.stop_fd:
             with contextlib.suppress(BlockingIOError):
-                self.signals += len(os.read(fd, 16))
+                self._take_signals(len(os.read(fd, 16)), None)
         elif not isinstance(self._mocap, BusPoseSource) and fd in self._mocap.fds():
             self._on_poses(self._mocap.read_ready(fd))
         else:
@@ -199,22 +217,27 @@ class Runner:
                     if not packet:
                         self._close_requests(end)
                         return
-                    self._on_request(packet)
+                    self._on_request(packet, end)
 
-    def _on_request(self, packet: bytes) -> None:
+    def _on_request(self, packet: bytes, end: socket.socket) -> None:
         name, data = unpack_request(packet)
         now = self._clock.now_ns()
         if name == topics.EXTERNAL_POSE.name and isinstance(self._mocap, BusPoseSource):
             sample = self._mocap.on_message(data, now)
             self._on_poses([sample] if sample else [])
+        elif name in _HEARTBEATS:
+            self._path.take(data, now)
         else:
+            before = self._core.loop.lease.holder
             self._core.on_request(name, data, now)
+            if (holder := self._core.loop.lease.holder) != before:
+                self._path.holder = 0 if end is self._parent else holder
 
     def _close_requests(self, end: socket.socket) -> None:
         """A process that sends requests has ended: the gateway, or the parent, which means quit."""
         rest = tuple(other for other in self._links.requests if other is not end)
         if end is self._parent:
-            self.signals += 1
+            self._take_signals(1, ORPHAN_NS)
         else:
             self._core.flags |= Flag.GATEWAY_LOST
         end.close()
@@ -258,7 +281,7 @@ class Runner:
     def _housekeeping(self, now_ns: int) -> None:
         """Work that can wait until after the tick."""
         if self._port is None and now_ns >= self._reopen_ns:
-            self._try_open(now_ns)
+            self._try(self._try_open, now_ns)
         if now_ns >= self._mocap_ns:
             self._mocap_ns = now_ns + MOCAP_TIMER_NS
             self._try(self._step_mocap, now_ns)
@@ -266,6 +289,9 @@ class Runner:
             self._clock_ns = now_ns + CLOCK_NS
             self._post_clock(now_ns)
             self._stolen_ns = read_steal_ns()
+        beat = self._path.make_beat(now_ns, self._core.outbox.epoch_ns)
+        if beat is not None:
+            self._core.outbox.post(topics.HEARTBEAT, beat, now_ns)
         self._try(self._read_designs, now_ns)
         self._watch_processes(now_ns)
 
@@ -290,12 +316,21 @@ class Runner:
         th = settings.thresholds
         if settings.record.required and _is_lost(links.recorder, th.recorder_full, now_ns):
             core.flags |= Flag.RECORDER_LOST
-        if _is_lost(links.gateway, th.gateway_full, now_ns):
+        if _is_lost(links.gateway, th.gateway_full, now_ns) or self._is_cut_off(now_ns):
             core.flags |= Flag.GATEWAY_LOST
+        elif not is_engaged(core.loop.supervisor.state):
+            core.flags &= ~Flag.GATEWAY_LOST
         if self._port is not None:
             self._watch_guardian(now_ns)
         if self._guard.has_tripped():
             core.flags |= Flag.GUARDIAN_TRIPPED
+
+    def _is_cut_off(self, now_ns: int) -> bool:
+        """Whether a stop from the bus would not arrive (W27); simulated cars stand in no lane."""
+        loop = self._core.loop
+        th, setup = loop.setup.settings.thresholds, loop.setup
+        held = setup.leased and lease_age(loop.lease, now_ns) <= th.lease
+        return self._path.is_silent(held, th.gateway_full, now_ns) and not setup.simulated
 
     def _watch_guardian(self, now_ns: int) -> None:
         """A guardian that is slow to start is a failed pre-arm check, no fault."""

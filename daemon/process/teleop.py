@@ -38,7 +38,7 @@ class Teleop:
     def __init__(self, view: CarView, pads: PadMap, axes: Mapping[int, AxisRange]) -> None:
         self.pad = PadState()
         self.view, self._pads, self._axes = view, pads, axes
-        self._operator = BusOperator(view.bus, view.car, view.clock, "gamepad")
+        self._operator = BusOperator(view.bus, view.car, view.clock, "gamepad", view.pulse)
         self._lease = secrets.randbits(62) + 1
         self._seq = view.clock.realtime_ns() // 1_000_000 % 2_000_000_000
         self._alive_ns = 0

@@ -1,11 +1,11 @@
 """The job of the viewer's process: address, lane, car, values of the car file."""
 
 import ipaddress
-import tomllib
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.toml_text import parse_toml
 
 if TYPE_CHECKING:
     from steerd.daemon.assembly.build import RunPlan
@@ -80,6 +80,6 @@ def make_view_job(plan: "RunPlan") -> dict[str, Any]:
         "parameters": {
             "run": run,
             "car": settings.file.car._asdict(),
-            "file": tomllib.loads(settings.file.text),
+            "file": parse_toml(settings.file.text),
         },
     }

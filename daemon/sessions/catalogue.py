@@ -10,8 +10,7 @@ people write about a session lies beside it, in `NAME.notes.toml`, and goes wher
 import contextlib
 import json
 import sqlite3
-import tomllib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -21,9 +20,11 @@ import tomlkit
 from steerd.daemon.assembly.session_meta import default_session_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import clean
+from steerd.daemon.common.translate import reading
 from steerd.daemon.common.whole_file import write_whole
+from steerd.toml_text import load_toml
 
-_SCHEMA = 1
+_SCHEMA = 2
 """Of the remembered rows: others are read anew."""
 _FAULTS = ("FAULT_STOP", "FAULT_LATCHED", "ESTOP")
 _TAG_MAX, _NOTE_MAX = 40, 500
@@ -41,6 +42,7 @@ class Entry:
         seconds, metres: length.
         e1_rms, e1_max: lateral error after the approach [m].
         verdict: `ok`, or why it was stopped or cannot be used.
+        missing_s: how long the recorder did not get everything.
         tags, note: what people wrote about it.
     """
 
@@ -54,6 +56,7 @@ class Entry:
     e1_rms: float | None = None
     e1_max: float | None = None
     verdict: str = ""
+    missing_s: float = 0.0
     tags: tuple[str, ...] = ()
     note: str = ""
 
@@ -108,7 +111,7 @@ def notes_file(session: Path) -> Path:
 def read_notes(session: Path) -> tuple[tuple[str, ...], str]:
     """Tags and note of a session; none where there is no such file, or it is none of ours."""
     try:
-        table = tomllib.loads(notes_file(session).read_text(encoding="utf-8"))
+        table = load_toml(notes_file(session))
         tags = tuple(clean(str(tag), _TAG_MAX) for tag in table.get("tags", []))
         return tags, clean(str(table.get("note", "")), _NOTE_MAX)
     except (OSError, ValueError, TypeError):
@@ -201,7 +204,6 @@ def summarise(path: Path) -> Entry:
     from steerd.daemon.sessions.info import Times, find_table, load_session, make_session_report
     from steerd.daemon.sessions.lane_error import rms, settled_errors
     from steerd.steer_bus import topics
-    from steerd.steer_bus.session_read import SessionError
 
     changed_ns = path.stat().st_mtime_ns
     try:
@@ -210,12 +212,14 @@ def summarise(path: Path) -> Entry:
         name = next(
             (t.name for t in report.topics if topics.find_topic(t.name) is topics.STATE), ""
         )
-        tables = session.tables({name: topics.STATE.message}) if name else {}
-    except (SteerdError, SessionError) as error:
+        with reading(path):
+            tables = session.tables({name: topics.STATE.message}) if name else {}
+            missing_s = 1e-9 * sum(last - first for first, last in session.holes())
+            lane, followed = _lane(report.info.metadata.get("steerd.session", {}))
+    except SteerdError as error:
         return Entry(path, changed_ns, verdict=clean(f"unreadable: {error}", 60))
     state = find_table(tables, topics.STATE)
     errors = None if state is None else settled_errors(state, Times(report.info.start_ns))
-    lane, followed = _lane(report.info.metadata.get("steerd.session", {}).get("options", ""))
     driven = followed and errors is not None and errors.size > 0
     stops = [change.reason for change in report.states if change.state in _FAULTS]
     end = report.end if report.info.finished else "the recorder was killed"
@@ -230,15 +234,16 @@ def summarise(path: Path) -> Entry:
         e1_rms=rms(errors) if driven and errors is not None else None,
         e1_max=float(errors.max()) if driven and errors is not None else None,
         verdict=clean(stops[0], 60) if stops else "ok" if end else "no end",
+        missing_s=missing_s,
     )
 
 
-def _lane(options_text: str) -> tuple[str, bool]:
+def _lane(about: Mapping[str, str]) -> tuple[str, bool]:
     """What was driven, a plan or a path with its speed, and whether a lane was followed."""
     from steerd.daemon.settings.run_options import decode_options
 
     try:
-        options = decode_options(options_text)
+        options = decode_options(about.get("options", ""))
     except ValueError:
         return "", True
     if options.drill:

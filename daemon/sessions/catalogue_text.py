@@ -38,6 +38,7 @@ def format_entries(entries: Sequence[Entry], numbers: Sequence[int]) -> Iterator
 def _remarks(e: Entry) -> Iterator[str]:
     """What is not ordinary about a drive, and what people wrote."""
     parts = [] if e.verdict == "ok" else [e.verdict]
+    parts += [f"records dropped within {e.missing_s:.1f} s"] if e.missing_s else []
     parts += [" ".join(f"#{tag}" for tag in e.tags)] if e.tags else []
     parts += [e.note] if e.note else []
     if parts:
@@ -53,7 +54,7 @@ def make_json(entries: Iterable[Entry]) -> dict[str, Any]:
     """The drives as JSON values."""
     names = (
         "changed_ns", "car", "mode", "lane", "seconds", "metres", "e1_rms", "e1_max", "verdict",
-        "note",
+        "missing_s", "note",
     )  # fmt: skip
     return {
         "schema": "steerd.sessions/1",

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.translate import make_session_error
+from steerd.daemon.common.holes import describe_holes
+from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.motion import (
     Array,
@@ -112,10 +113,8 @@ def load_session(path: Path) -> Session:
     Raises:
         SteerdError: it cannot be opened, or holds nothing at all.
     """
-    try:
+    with reading(path):
         session = open_session(path)
-    except SessionError as error:
-        raise make_session_error(error) from error
     if not session.info().count and not session.info().metadata:
         why = session.warnings[0].message if session.warnings else "no messages"
         raise SteerdError(f"{path} holds no session ({why})", "", ExitCode.INVALID)
@@ -128,16 +127,18 @@ def make_session_report(session: Session) -> SessionReport:
     Raises:
         SteerdError: the file has changed since it was opened.
     """
+    with reading(session.info().path):
+        return _make_report(session)
+
+
+def _make_report(session: Session) -> SessionReport:
     info = session.info()
-    try:
-        tables, unreadable = read_tables(session)
-        times = Times(info.start_ns)
-        track, signals = _motion(tables, times)
-        states = _states(session, info.start_ns)
-    except SessionError as error:
-        raise make_session_error(error) from error
+    tables, unreadable = read_tables(session)
+    times = Times(info.start_ns)
+    track, signals = _motion(tables, times)
+    states = _states(session, info.start_ns)
     steer, wheel, gyro, speed, lateral = signals
-    about = info.metadata.get("steerd.session", {})
+    about, end = (info.metadata.get(f"steerd.{name}", {}) for name in ("session", "end"))
     cars = sorted({key[0] for topic in info.topics if (key := split_key(topic.name))})
     steer_range, speed_range, lateral_range = map(make_range, (steer.value, speed, lateral))
     return SessionReport(
@@ -147,7 +148,7 @@ def make_session_report(session: Session) -> SessionReport:
         topics=tuple(_topic(topic, tables, info.start_ns) for topic in info.topics if topic.count),
         empty_topics=tuple(topic.name for topic in info.topics if not topic.count),
         states=states,
-        end=info.metadata.get("steerd.end", {}).get("reason", ""),
+        end=end.get("reason", ""),
         length_m=track.length if track else None,
         speed=speed_range,
         steer=steer_range,
@@ -155,9 +156,10 @@ def make_session_report(session: Session) -> SessionReport:
         excitation=_find_unidentifiable(track, speed_range, steer_range, lateral_range),
         warnings=(
             *(warning.message for warning in info.warnings),
+            *filter(None, [describe_holes(end.get("dropped", ""), session.holes(), info.start_ns)]),
             *unreadable,
             *find_implausible(track, _nonempty(steer), _nonempty(wheel), _nonempty(gyro)),
-            *_check_erpm(tables, times, track, info),
+            *_check_erpm(tables, times, track, session),
         ),
     )
 
@@ -228,14 +230,14 @@ def _nonempty(signal: Signal) -> Signal | None:
 
 
 def _check_erpm(
-    tables: dict[str, Columns], times: Times, track: Track | None, info: SessionInfo
+    tables: dict[str, Columns], times: Times, track: Track | None, session: Session
 ) -> list[str]:
     """Doubts about the ERPM of another system's log; steerd's own have their car file's figures."""
-    if info.metadata.get("steerd.session", {}).get("mode") != "import":
+    if session.info().metadata.get("steerd.session", {}).get("mode") != "import":
         return []
-    scaling = info.metadata.get("steerd.scaling", {})
     erpm = _signal(tables, VESC, "erpm", times)
-    return check_erpm(track, _nonempty(erpm), float(scaling.get("erpm_gain", F1TENTH.erpm_gain)))
+    gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
+    return check_erpm(track, _nonempty(erpm), gain)
 
 
 def _motion(

@@ -1,17 +1,15 @@
 """The contents of the plot page: panels of curves, track and lane of a session."""
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import degrees
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from steerd.car_model.path.path import Path as Lane
 from steerd.car_model.path.path_spec import parse_path
-from steerd.daemon.assembly.session_meta import csv_file
+from steerd.daemon.assembly.session_meta import recorded_path
+from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import Times, find_table, make_track_of, read_tables
 from steerd.daemon.sessions.lane_error import rms, settled_errors
@@ -22,6 +20,7 @@ from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session, SessionError
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import Topic
+from steerd.toml_text import decode_toml, parse_toml
 from steerd.vesc_link.scaling import F1TENTH
 
 NIS_95 = 7.815
@@ -113,8 +112,13 @@ def make_drawing(session: Session) -> Drawing:
     """Read a session once and make its panels.
 
     Raises:
-        SteerdError: the file has changed since it was opened.
+        SteerdError: the file has changed since it was opened, or says what makes no sense.
     """
+    with reading(session.info().path):
+        return _make_drawing(session)
+
+
+def _make_drawing(session: Session) -> Drawing:
     tables = _Tables(read_tables(session)[0], session.info().start_ns)
     track = tables.track()
     found = [
@@ -143,12 +147,8 @@ def load_lane(session: Session) -> Lane | None:
         options = decode_options(text)
         if options.drill and "closed" not in options.drill:
             return None
-        if csv_file(options.path) is None:
-            return parse_path(options.path)
-        with TemporaryDirectory() as folder:
-            copy = Path(folder) / "path.csv"
-            copy.write_bytes(session.attachment("path.csv"))
-            return parse_path(",".join([f"csv:{copy}", *options.path.split(",")[1:]]))
+        with recorded_path(session, options.path) as spec:
+            return parse_path(spec)
     except (ValueError, SessionError):
         return None
 
@@ -156,7 +156,7 @@ def load_lane(session: Session) -> Lane | None:
 def _half_width(session: Session) -> float:
     """The lateral watchdog's bound in the car file that the session carries [m]."""
     try:
-        table = tomllib.loads(session.attachment("car.toml").decode())
+        table = parse_toml(decode_toml(session.attachment("car.toml")))
         return float(table["safety"]["lateral"])
     except (SessionError, ValueError, KeyError, TypeError):
         return LANE_HALF_WIDTH
@@ -205,10 +205,10 @@ def _command(s: _Tables, field: str, scale: float = 1.0) -> Iterator[Curve]:
 
 def _speed(s: _Tables, session: Session, track: Track | None) -> Panel:
     curves = [*_command(s, "speed")]
-    table, scaling = s.table(topics.VESC), session.info().metadata.get("steerd.scaling", {})
+    table = s.table(topics.VESC)
     if table is not None:
-        gain = float(scaling.get("erpm_gain", F1TENTH.erpm_gain))
-        offset = float(scaling.get("erpm_offset", F1TENTH.erpm_offset))
+        gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
+        offset = session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
         speed = (table["erpm"].astype(float) - offset) / gain
         curves += make_curve("wheels", "measured", s.times(table), speed)
     curves += s.curve(topics.WHEEL, "speed", "wheels", "measured")

@@ -182,7 +182,7 @@ def _judge_end(run: VirtualRun) -> dict[str, Any]:
     if not loop.faulted and loop.ran:
         return {"outcome": DRIVEN, "watchdog": "", "reason": ""}
     waiting = run.core.last.waiting if run.core.last else ""
-    reason = loop.supervisor.reason if loop.faulted else f"never driven: waiting for {waiting}"
+    reason = loop.fault or f"never driven: waiting for {waiting}"
     return {
         "outcome": STOPPED,
         "watchdog": reason.split()[0] if loop.faulted else "",

@@ -17,7 +17,6 @@ A sweep file is TOML:
 import hashlib
 import itertools
 import json
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -33,6 +32,7 @@ from steerd.daemon.sweep.distributions import (
     parse_distribution,
 )
 from steerd.daemon.sweep.quantities import Quantity, find_quantity
+from steerd.toml_text import TomlError, load_toml
 
 DURATION_MAX = 3600.0
 """Longest drive of a sweep [s]."""
@@ -137,10 +137,10 @@ def read_sweep_file(path: Path) -> dict[str, Any]:
         SteerdError: it cannot be read, or is no TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return load_toml(path)
     except OSError as error:
         raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except TomlError as error:
         raise SteerdError(f"{path}: {error}", "", ExitCode.INVALID) from None
 
 

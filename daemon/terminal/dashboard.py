@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from steerd.daemon.common.screen import NBSP, show
+from steerd.daemon.common.streams import remove_controls
 from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.learning.text import QUIET, design_text, gap_text
@@ -21,6 +22,8 @@ SETTLE_NS = 3_000_000_000
 """The first seconds of a drive are the approach to the lane and are left out of its errors [ns]."""
 _COLOURS = {"RUNNING": "green", "ARMED": "yellow", "FAULT_STOP": "red", "FAULT_LATCHED": "red",
             "ESTOP": "red", "STOPPING": "yellow"}  # fmt: skip
+_ARMED = (SupervisorState.ARMED, SupervisorState.RUNNING)
+_HARD = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
 
 
 @dataclass
@@ -88,6 +91,7 @@ class Dashboard:
         model: what the learner reported last; None without one.
         status: latest diagnostics by name.
         events: latest transitions, one line each.
+        stop: why the car was stopped last.
         tally: figures of the drive so far.
         keys: help line of the keys; empty where there is no keyboard.
     """
@@ -99,6 +103,7 @@ class Dashboard:
     model: m.Model | None = None
     status: dict[str, str] = field(default_factory=dict)
     events: deque[str] = field(default_factory=lambda: deque(maxlen=6))
+    stop: str = ""
     tally: Tally = field(default_factory=Tally)
     keys: str = ""
 
@@ -118,8 +123,12 @@ class Dashboard:
             self.status = read_diagnostics(read_message(record))
         elif record.topic is topics.TRANSITION:
             change: m.Transition = read_message(record)
-            line = f"{SupervisorState(change.to_state).name:<14}{change.text}"
+            line = f"{SupervisorState(change.to_state).name:<14}{remove_controls(change.text)}"
             self.events.append(line)
+            if change.to_state == SupervisorState.RUNNING:
+                self.stop = ""
+            elif change.from_state in _ARMED or change.to_state in _HARD:
+                self.stop = change.text
             return line
         return None
 
@@ -129,7 +138,7 @@ class Dashboard:
         reported = [(each.verdict, each.effect) for each in (before, model) if each is not None]
         if model.verdict in QUIET or (reported[0] == reported[-1] and len(reported) > 1):
             return None
-        line = f"{'GAP':<14}{gap_text(model)}".replace(NBSP, " ")
+        line = remove_controls(f"{'GAP':<14}{gap_text(model)}".replace(NBSP, " "))
         self.events.append(line)
         return line
 
@@ -147,7 +156,7 @@ class Dashboard:
             parts += _describe_live(self.parameters)
         if self.model is not None:
             style = "" if self.model.verdict in QUIET else "bold yellow"
-            parts.append(Text(f"gap    {gap_text(self.model)}", style=style))
+            parts.append(Text(remove_controls(f"gap    {gap_text(self.model)}"), style=style))
         if "design" in self.status:
             parts.append(Text(f"design {design_text(self.status)}"))
         parts += [Text(), *(Text(line, style="dim") for line in self.events)]
@@ -198,7 +207,8 @@ def _describe_live(p: m.Parameters) -> list[RenderableType]:
         f"   gain {show(p.gain, '.2f')}"
     )
     refused = bool(p.seq) and not p.accepted
-    return [Text(line), *([Text(f"! {p.text}", style="yellow")] if refused else [])]
+    why = Text(remove_controls(f"! {p.text}"), style="yellow")
+    return [Text(line), *([why] if refused else [])]
 
 
 def _format_command(name: str, value: float, digits: str, unit: str) -> str:

@@ -6,6 +6,7 @@ import sys
 from dataclasses import dataclass, replace
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.streams import raw
 from steerd.daemon.terminal.keyboard import keys_one_by_one
 from steerd.steer_bus.clock import Clock
 from steerd.vesc_link import commands as c
@@ -105,4 +106,4 @@ def _show(servo: Servo) -> None:
         f"\rposition {servo.position:.3f}   centre {s.servo_offset:.3f}   "
         f"low {s.servo_min:.3f}   high {s.servo_max:.3f} "
     )
-    print(line, end="", file=sys.stderr, flush=True)
+    print(line, end="", file=raw(sys.stderr), flush=True)

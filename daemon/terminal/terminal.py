@@ -5,11 +5,14 @@ import os
 import select
 import signal
 import socket
+import sys
 from collections.abc import Mapping
+from math import inf
 
 from rich.console import Console
 from rich.live import Live
 
+from steerd.daemon.common.streams import raw
 from steerd.daemon.ipc.gateway_wire import pack_request
 from steerd.daemon.ipc.live_setting import SETTING_MAX, parse_setting
 from steerd.daemon.ipc.operator import Operator
@@ -25,6 +28,8 @@ from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.messages import RequestKind
 
 _POLL_MS = 50
+KILL_NS = 4_000_000_000
+"""A core that has not ended so long after a second signal is killed; its guardian brakes."""
 
 
 class Terminal:
@@ -39,12 +44,13 @@ class Terminal:
         self._clock = clock
         self._buffer = bytearray()
         self._waiting = ""
+        self._signals, self._kill_ns = 0, inf
         self._reports = ReportPipe(processes.report_fd)
         self._desk = KeyDesk(board, clock, self._ask, self._tune)
 
     def run(self) -> None:
         """Show records and pass on keys and signals until the core has ended."""
-        console = Console(stderr=True)
+        console = Console(file=raw(sys.stderr))
         block_stop_signals()
         signals = make_stop_signal_pipe()
         with keys_one_by_one() as keys:
@@ -81,6 +87,8 @@ class Terminal:
                 os.close(core)
                 return
             self._keep_alive()
+            if self._clock.now_ns() > self._kill_ns:
+                self._processes.core.process.kill()
 
     def _show(self, live: Live | None, console: Console) -> bool:
         data = os.read(self._processes.status_fd, 1 << 16)
@@ -101,6 +109,9 @@ class Terminal:
             console.print(line, highlight=False, soft_wrap=True)
 
     def _pass_signal(self, number: int) -> None:
+        self._signals += 1
+        if self._signals > 1:
+            self._kill_ns = min(self._kill_ns, self._clock.now_ns() + KILL_NS)
         with contextlib.suppress(ProcessLookupError):
             self._processes.core.process.send_signal(
                 signal.SIGTERM if number == signal.SIGHUP else number

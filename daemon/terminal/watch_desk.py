@@ -3,7 +3,7 @@
 import getpass
 from collections.abc import Callable, Mapping
 
-from steerd.daemon.process.bus_operator import BusOperator
+from steerd.daemon.process.bus_operator import BusOperator, Pulse
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.key_desk import KEY_HELP, KEYS, NUDGE_HELP, KeyDesk
 from steerd.steer_bus.bus import Bus
@@ -19,7 +19,7 @@ def make_desk(
     Returns:
         The keys, and what goes on with a stop that was called for there.
     """
-    operator = BusOperator(bus, car, clock, getpass.getuser())
+    operator = BusOperator(bus, car, clock, getpass.getuser(), Pulse(bus, car))
 
     def run_of_the_car() -> int:
         return int(board.status.get("boot_id", "0") or 0)

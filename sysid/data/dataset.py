@@ -4,7 +4,7 @@
 a typed error that says what is wrong and what to do.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,6 +35,9 @@ POSE_SPEED_NOISE_MAX = 0.02
 """Poses whose speed is less noisy than this measure it better than a wheel that slips [m/s]."""
 HISTORY = 0.5
 """Known commands that the actuators are simulated over before a window [s]."""
+PAUSE, PAUSE_STEPS = 0.3, 5.0
+"""Poses that stay away so long [s], and so many times longer than they usually do, are a pause of
+the log: no window reaches across one, where everything would hang on the start."""
 HALF_SPAN = 2
 """Samples to either side over which rates of a pose are differences."""
 
@@ -131,6 +134,20 @@ def hold_means(signal: Signal, edges: Array) -> Array:
     area_all = np.concatenate([[before], area, [area[-1] + values[-1] * (last - t[-1])]])
     means: Array = np.diff(np.interp(edges, t_all, area_all)) / np.diff(edges)
     return means
+
+
+def least_pause(t: Array) -> float:
+    """How long poses at these times must stay away to be a pause of the log [s]."""
+    return max(PAUSE, PAUSE_STEPS * float(np.median(np.diff(t)))) if len(t) > 1 else np.inf
+
+
+def leave_out(pose: Signal, holes: Array) -> Signal:
+    """Poses without those within holes of the recording: a pause of the log, at which it is cut."""
+    kept = np.ones(len(pose.t), bool)
+    for first, last in holes:
+        wider = 0.505 * max(0.0, least_pause(pose.t) - (last - first))
+        kept &= (pose.t < first - wider) | (pose.t > last + wider)
+    return Signal(pose.t[kept], pose.values[kept])
 
 
 def pose_speed(pose: Signal) -> Signal:
@@ -263,7 +280,7 @@ def load_run(path: Path | str, h: float = GRID) -> Run:
         **_signals(session, columns),
         h=h,
         servo_frame=SERVO_FRAME if ours else 0.0,
-        speed_ramp=_speed_ramp(scaling) if ours else 0.0,
+        speed_ramp=_speed_ramp(session) if ours else 0.0,
     )
 
 
@@ -284,8 +301,9 @@ def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]
 
     t_steer = seconds(actuation["stamp_ns"][driven], 0)
     pose: Array = np.column_stack([mocap[c][accepted] for c in ("x", "y", "yaw")]).astype(float)
+    holes = seconds(np.array(session.holes(), np.int64).reshape(-1, 2), 0)
     found = {
-        "pose": Signal(seconds(mocap["t_valid_ns"][accepted], epoch), pose),
+        "pose": leave_out(Signal(seconds(mocap["t_valid_ns"][accepted], epoch), pose), holes),
         "steer": Signal(t_steer, actuation["steer"][driven].astype(float)),
         "speed": Signal(t_steer, actuation["speed"][driven].astype(float)),
     }
@@ -306,15 +324,14 @@ def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]
     return found
 
 
-def _speed_ramp(scaling: Mapping[str, str]) -> float:
+def _speed_ramp(session: Session) -> float:
     """Limit of the motor controller's setpoint [m/s^2] under the session's scaling."""
-    return RAMP_ERPM / abs(float(scaling.get("erpm_gain", F1TENTH.erpm_gain)))
+    return RAMP_ERPM / abs(session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain))
 
 
 def _wheel_speed(session: Session, erpm: NDArray[Any]) -> Array:
     """Reported speed [m/s] with the scaling that the session was driven with."""
-    scaling = session.contents.metadata.get("steerd.scaling", {})
-    gain = float(scaling.get("erpm_gain", F1TENTH.erpm_gain))
-    offset = float(scaling.get("erpm_offset", F1TENTH.erpm_offset))
+    gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
+    offset = session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
     speed: Array = (erpm.astype(float) - offset) / gain
     return speed

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.sysid.data.data_checks import DataError
-from steerd.sysid.data.dataset import HISTORY, Run, Signal, pose_speed
+from steerd.sysid.data.dataset import HISTORY, Run, Signal, least_pause, pose_speed
 
 Array = NDArray[np.float64]
 
@@ -24,9 +24,6 @@ DURATION_MIN = 2.0
 """Shorter segments are left out [s]."""
 SHORT_REPORTED = 0.5
 """Shorter ones are starts and stops, and nobody misses them [s]."""
-PAUSE, PAUSE_STEPS = 0.3, 5.0
-"""Poses that stay away so long [s], and so many times longer than they usually do, are a pause of
-the log: no window reaches across one, where everything would hang on the start."""
 SMOOTH = 0.3
 """Width of the Hann window that smooths a prescribed speed [s]."""
 BLOCK = 5.4
@@ -145,9 +142,7 @@ def _spans(run: Run) -> list[tuple[float, float]]:
 
 def pauses(run: Run) -> list[tuple[float, float]]:
     """Stretches without poses: last pose before and first after each [s]."""
-    steps = np.diff(run.pose.t)
-    least = max(PAUSE, PAUSE_STEPS * float(np.median(steps))) if len(steps) else np.inf
-    places = np.flatnonzero(steps > least)
+    places = np.flatnonzero(np.diff(run.pose.t) > least_pause(run.pose.t))
     return [(float(run.pose.t[i]), float(run.pose.t[i + 1])) for i in places]
 
 

@@ -10,8 +10,6 @@ FITTED_FURTHER = 3
 """... and with a further one."""
 NEARLY = 4.0
 """Hypotheses whose log odds lie this near to the best's are searched from more starts [nats]."""
-WINSOR = 20.0
-"""Nats that one window may count for in a comparison of hypotheses, before tempering."""
 FURTHER_ODDS = 10.0
 """Odds against each further cause, beside its share of the library."""
 BUILT_IN = 3

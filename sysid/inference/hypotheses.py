@@ -448,13 +448,13 @@ def _linear(
 def judge(library: Library, point: Point, temper: float, lowest: Point) -> Hypothesis:
     """An optimum's evidence with its prior odds, and the probability that its effects matter.
 
-    Against the hypothesis of lowest cost no window counts for more than `WINSOR`: a car that nearly
-    spins multiplies any small change, and one such second shall not name a cause.
+    Against the hypothesis of lowest cost no window changes the odds by more than a factor of e: a
+    car that nearly spins multiplies any small change, and one such second shall not name a cause.
     """
     effects = point.space.effects
     posterior = posterior_of(point, temper)
     behind = point.at.loss - lowest.at.loss
-    beyond = float((behind - np.clip(behind, -c.WINSOR, c.WINSOR)).sum())
+    beyond = float((behind - np.clip(behind, -temper, temper)).sum())
     posterior = replace(posterior, evidence=posterior.evidence + beyond)
     odds = posterior.evidence / temper - len(effects) * np.log(len(library.effects))
     odds -= max(len(effects) - 1, 0) * np.log(c.FURTHER_ODDS)

@@ -1,6 +1,6 @@
 """A command looks at its arguments before it loads what it needs for the work.
 
-Loading torch, SciPy, Matplotlib, Numba or python-control takes seconds on a cold machine. Nobody
+Loading torch, SciPy, Matplotlib or Numba takes seconds on a cold machine. Nobody
 should wait for them to read that a file does not exist.
 """
 
@@ -14,7 +14,7 @@ import pytest
 from steerd.daemon.cli.inputs import is_input, list_actions
 from steerd.daemon.cli.main import COMMANDS
 
-HEAVY = ("torch", "scipy", "matplotlib", "numba", "control", "filterpy", "joblib", "pyarrow")
+HEAVY = ("torch", "scipy", "matplotlib", "numba", "filterpy", "joblib", "pyarrow")
 HEAVY += ("jinja2", "rich", "distributed", "zenoh")
 SIM = "run --sim --fast --duration 1"
 MISSING = {

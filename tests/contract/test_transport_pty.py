@@ -216,6 +216,28 @@ def test_another_name_of_the_same_device_is_the_same_lock(
         open_port(str(link), lock_dir=tmp_path)
 
 
+def test_a_link_in_the_locks_place_is_not_followed(device: Device, tmp_path: Path) -> None:
+    """A lock opened through it would make a file of somebody else's choice, or change it."""
+    name = str(Path(device.path).resolve()).strip("/").replace("/", "_")
+    target = tmp_path / "target"
+    (tmp_path / f"steerd-{name}.lock").symlink_to(target)
+    port = open_port(device.path, lock_dir=tmp_path)
+    assert not target.exists()
+    with pytest.raises(Busy):  # the device's own locks hold
+        open_port(device.path, lock_dir=tmp_path / "other")
+    port.close()
+
+
+def test_locks_lie_in_a_folder_of_the_users_own(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    port = open_port(device.path)
+    (lock,) = (tmp_path / "steerd" / "locks").iterdir()
+    assert [p.stat().st_mode & 0o777 for p in (lock, lock.parent)] == [0o600, 0o700]
+    port.close()
+
+
 def test_missing_lock_directory_leaves_the_device_locks(device: Device, tmp_path: Path) -> None:
     port = open_port(device.path, lock_dir=tmp_path / "absent")
     with pytest.raises(Busy):

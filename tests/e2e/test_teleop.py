@@ -120,7 +120,8 @@ def test_a_gamepad_that_goes_stops_the_car_within_the_lease(undisturbed, end):
             assert teleop.wait() == 3
             assert "is gone; the car stops" in teleop.text
         run.send(signal.SIGINT)
-        assert run.wait() == 0, run.text
+        # Who lets go asks for a stop; a process that is gone or hangs is W25.
+        assert run.wait() == (5 if end in ("killed", "frozen") else 0), run.text
         commands = [r.decode() for r in open_session(record).messages("/steerd/car1/cmd/drive")]
         assert max(c.speed for c in commands) <= 1.0
         table = open_session(record).columns(m.StateMessage)

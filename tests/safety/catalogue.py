@@ -64,6 +64,7 @@ class FaultCase:
         decel: how hard the car can slow down at all [m/s^2].
         cold: what happens to an operator who arms and drives with this fault there from the start:
             ``red`` is never armed, ``launch`` is stopped in the launch window.
+        inside: whether it is brought about within the program, as virtual time has no processes.
         rearms: whether the stop is one that a person asked for, after which the car stays armed.
         unseen: phases in which a standing car cannot see what would otherwise be ``red``.
         lane_m: how far it may get beside its path; more where nothing can steer it.
@@ -84,6 +85,7 @@ class FaultCase:
     decel: float = inf
     cold: str = ""
     unseen: str = ""
+    inside: bool = False
     rearms: bool = False
     lane_m: float = 0.40
     within_m: float = inf
@@ -274,35 +276,37 @@ def _late(ms: float) -> Act:
     return act
 
 
+def _inside(*args: Any, **more: Any) -> FaultCase:
+    return FaultCase(*args, **more, inside=True)
+
+
 def _host() -> tuple[FaultCase, ...]:
     return (
-        FaultCase(
+        _inside(
             "H1", "SIGINT, SIGTERM or SIGHUP", raise_flag(Flag.QUIT), SOFT, cold="red", unseen="P1"
         ),
-        FaultCase(
+        _inside(
             "H2", "second signal", raise_flag(Flag.QUIT | Flag.ABORT), HARD, cold="red", unseen="P1"
         ),
-        FaultCase("H6", "guardian killed", raise_flag(Flag.GUARDIAN_LOST), SOFT, cold="red"),
-        FaultCase(
-            "H6b", "guardian has tripped", raise_flag(Flag.GUARDIAN_TRIPPED), HARD, cold="red"
-        ),
-        FaultCase(
+        _inside("H6", "guardian killed", raise_flag(Flag.GUARDIAN_LOST), SOFT, cold="red"),
+        _inside("H6b", "guardian has tripped", raise_flag(Flag.GUARDIAN_TRIPPED), HARD, cold="red"),
+        _inside(
             "H7", "recorder killed or disk full", raise_flag(Flag.RECORDER_LOST), SOFT, cold="red"
         ),
-        FaultCase("H8", "gateway killed", raise_flag(Flag.GATEWAY_LOST), SOFT, cold="red"),
+        _inside("H8", "gateway killed", raise_flag(Flag.GATEWAY_LOST), SOFT, cold="red"),
         FaultCase(
             "H11", "every tick 12 ms late", nothing, HARD, 0.060, each=_late(12.0), cold="red"
         ),
         FaultCase("H12", "200 ms asleep", _late(200.0), HARD, 0.200),
         FaultCase("H12b", "30 ms asleep", _late(30.0), HARD, 0.030),
         FaultCase("H12c", "one tick 20 ms late", _late(20.0), LIVE),
-        FaultCase("H13", "exception in the controller", _break_controller, HARD, cold="red"),
-        FaultCase("H13b", "exception in the filter", _break_estimator, HARD, cold="red"),
-        FaultCase("H13c", "exception in a thread", _strand, HARD, cold="red"),
-        FaultCase("H13d", "exception at a reply", _break_parser, HARD, FRAME, cold="red"),
-        FaultCase("H13e", "exception at a pose", _break_watch, HARD, 2 * FRAME, cold="red"),
-        FaultCase("H14", "NaN from the controller", _give_nan, HARD, cold="launch"),
-        FaultCase("H17", "suspended", raise_flag(Flag.SUSPENDED), HARD),
+        _inside("H13", "exception in the controller", _break_controller, HARD, cold="red"),
+        _inside("H13b", "exception in the filter", _break_estimator, HARD, cold="red"),
+        _inside("H13c", "exception in a thread", _strand, HARD, cold="red"),
+        _inside("H13d", "exception at a reply", _break_parser, HARD, FRAME, cold="red"),
+        _inside("H13e", "exception at a pose", _break_watch, HARD, 2 * FRAME, cold="red"),
+        _inside("H14", "NaN from the controller", _give_nan, HARD, cold="launch"),
+        _inside("H17", "suspended", raise_flag(Flag.SUSPENDED), HARD),
     )
 
 
@@ -382,13 +386,11 @@ def _car() -> tuple[FaultCase, ...]:
         FaultCase("C2", "steering jams, a little off", car.jam(0.06), HARD, 1.0, at={"P4": SAFE}),
         FaultCase("C3", "motor runs at twice the order", car.surge, HARD, 0.2),
         FaultCase("C4", "wheels blocked", car.hit_a_wall, HARD, 0.12),
-        FaultCase("C5", "fence ahead", car.fence_off, HARD, 1.5, within_m=car.FENCE_M),
-        FaultCase("C6", "filter diverges", car.diverge, HARD, cold="red"),
+        _inside("C5", "fence ahead", car.fence_off, HARD, 1.5, within_m=car.FENCE_M),
+        _inside("C6", "filter diverges", car.diverge, HARD, cold="red"),
         FaultCase("C7", "VESC restarts behind its port", car.restart_quietly, HARD, 1.0 + 0.02),
-        FaultCase(
-            "C8", "controller at full lock", car.stuck(-0.31), HARD, 0.7, at=lost, lane_m=1.2
-        ),
-        FaultCase(
+        _inside("C8", "controller at full lock", car.stuck(-0.31), HARD, 0.7, at=lost, lane_m=1.2),
+        _inside(
             "C9", "controller steers a little", car.stuck(0.06), HARD, 1.3, at=lost, lane_m=0.8
         ),
         FaultCase("C10", "wheels accelerate by 2 m/s2", car.run_away, HARD, 0.3, cold="launch"),

@@ -12,6 +12,7 @@ import socket
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -59,32 +60,41 @@ def serve_hardware(config: Any, pipe: Connection) -> None:
 
 @dataclass
 class Live:
-    """One running processes and the hardware that it drives.
+    """The processes of one run and the hardware that they drive.
 
     Attributes:
-        processes: the processes.
+        processes: the processes; this one is their parent.
         hardware: commands to the simulated hardware's process.
+        device: that process.
+        others: processes beside the run's own, by name.
+        listen: the run's endpoint on the bus.
+        hand: takes the operator's requests in place of this parent, which the page does.
         state: the supervisor's, as last reported.
         transitions: (from, to, reason) so far.
         speed: as last reported [m/s].
         alive: whether the operator keeps the lease alive.
-        endpoint: of the bus.
     """
 
     processes: RunProcesses
     hardware: Connection
-    operator: Operator
+    device: BaseProcess
+    operator: Operator = field(default_factory=lambda: Operator(BOOT_ID, LEASE_ID, "test"))
+    others: dict[str, int] = field(default_factory=dict)
+    listen: str = ""
+    hand: Callable[[RequestKind], object] | None = None
     state: SupervisorState = SupervisorState.INIT
     transitions: list[tuple[SupervisorState, SupervisorState, str]] = field(default_factory=list)
     speed: float = 0.0
     alive: bool = True
     ended: bool = False
-    endpoint: str = ""
     _buffer: bytearray = field(default_factory=bytearray)
     _sent_ns: int = 0
 
     def ask(self, kind: RequestKind, operator: Operator | None = None) -> int:
         """An operator's request; the time at which it was sent."""
+        if self.hand is not None:
+            self.hand(kind)
+            return CLOCK.now_ns()
         packet = pack_request(
             topics.OPERATOR.name,
             (operator or self.operator).make_request(kind, CLOCK.realtime_ns()),
@@ -162,11 +172,30 @@ class Live:
             self.ask(RequestKind.STOP)
             self.until(lambda: self.state is not SupervisorState.RUNNING)
 
-    def children_of_core(self) -> list[int]:
-        """Processes that the core started: its guardian."""
-        core = self.processes.core.process.pid
-        text = Path(f"/proc/{core}/task/{core}/children").read_text(encoding="ascii")
-        return [int(pid) for pid in text.split()]
+    def pids(self) -> dict[str, int]:
+        """All processes of the run by name, and those beside it."""
+        run = self.processes
+        children = {"core": run.core, "recorder": run.recorder, "gateway": run.gateway}
+        children |= {"learner": run.learner} if run.learner else {}
+        children |= {"page": run.page.child} if run.page else {}
+        found = {name: child.process.pid for name, child in children.items()}
+        core = found["core"]
+        with contextlib.suppress(OSError):
+            text = Path(f"/proc/{core}/task/{core}/children").read_text(encoding="ascii")
+            found |= {
+                name: int(pid) for name, pid in zip(("guardian",), text.split(), strict=False)
+            }
+        return found | self.others
+
+    def end(self) -> int:
+        """Let go whatever was frozen, end the run as a parent does; its exit code."""
+        for pid in self.pids().values():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+        with contextlib.suppress(ProcessLookupError):
+            self.processes.core.process.send_signal(signal.SIGTERM)
+        self.alive = False
+        return self.processes.end()
 
 
 def free_port() -> int:
@@ -177,8 +206,8 @@ def free_port() -> int:
 
 
 @contextlib.contextmanager
-def start_live(folder: Path) -> Iterator[Live]:
-    """Hardware and processes; everything is ended and waited for on the way out."""
+def start_hardware() -> Iterator[tuple[Connection, BaseProcess, str, str]]:
+    """Simulated hardware in a process: commands to it, it, its serial port and mocap address."""
     plan = make_plan(RunOptions(car_file="", path="line", speed=1.0))
     context = mp.get_context("spawn")
     ours, theirs = context.Pipe()
@@ -187,36 +216,35 @@ def start_live(folder: Path) -> Iterator[Live]:
     device.start()
     theirs.close()
     port, url = ours.recv()
-    options = RunOptions(
-        car_file="",
-        path="line",
-        speed=1.0,
-        port=port,
-        mocap=url,
-        listen=f"tcp/127.0.0.1:{free_port()}",
-    )
-    epoch_ns = CLOCK.realtime_ns() - CLOCK.now_ns()
-    processes = start_processes(
-        make_plan(options), folder / "drive.mcap", BOOT_ID, epoch_ns, leased=True
-    )
     try:
-        operator = Operator(BOOT_ID, LEASE_ID, "test")
-        yield Live(processes, ours, operator, endpoint=options.listen)
+        yield ours, device, port, url
     finally:
-        for child in (processes.core, processes.gateway, processes.recorder):
-            with contextlib.suppress(ProcessLookupError):
-                child.process.send_signal(signal.SIGCONT)
-        with contextlib.suppress(OSError):
-            processes.requests.close()
-        for child in (processes.core, processes.gateway, processes.recorder):
-            try:
-                child.process.wait(15)
-            except Exception:
-                child.process.kill()
-                child.process.wait()
-        os.close(processes.status_fd)
         ours.close()
         device.join(5)
         if device.is_alive():
             device.kill()
             device.join()
+
+
+@contextlib.contextmanager
+def start_live(folder: Path, **more: Any) -> Iterator[Live]:
+    """Hardware and processes; everything is ended and waited for on the way out.
+
+    Args:
+        folder: of the session.
+        more: options of the run.
+    """
+    with start_hardware() as (ours, device, port, url):
+        options = RunOptions(
+            car_file="", path="line", speed=1.0, port=port, mocap=url,
+            listen=f"tcp/127.0.0.1:{free_port()}", **more,
+        )  # fmt: skip
+        epoch_ns = CLOCK.realtime_ns() - CLOCK.now_ns()
+        plan = make_plan(options)
+        processes = start_processes(plan, folder / "drive.mcap", BOOT_ID, epoch_ns, leased=True)
+        live = Live(processes, ours, device, listen=options.listen)
+        try:
+            yield live
+        finally:
+            live.end()
+            os.close(processes.status_fd)

@@ -20,7 +20,10 @@ from joblib import Parallel, delayed
 from steerd.daemon.loop.findings import WATCHDOGS
 from steerd.daemon.settings.thresholds import BOUNDS, Thresholds
 from tests.safety.catalogue import BY_CODE, FAULT_CASES, Must
+from tests.safety.live_faults import FAULTS
+from tests.safety.live_faults import PHASES as LIVE_PHASES
 from tests.safety.matrix import MOVING, Outcome, list_cells, run_cell
+from tests.safety.outside import write_outside
 from tests.safety.rig import PHASES
 from tests.safety.trace import write_trace
 
@@ -104,6 +107,23 @@ def write_watchdogs() -> list[str]:
     return lines
 
 
+def write_live(log: Path) -> list[str]:
+    """The real-time cells of a log, one fault a line: milliseconds to the first stop byte."""
+    rows = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    found = {(row["name"], row["phase"]): row for row in rows}
+    lines = ["| fault | " + " | ".join(LIVE_PHASES) + " | reason in P5 |", "|---|" + "---|" * 5]
+    for name, fault in FAULTS.items():
+        cells = []
+        for phase in fault.phases.split():
+            row = found[name, phase]
+            cells.append("ok" if row["stop_ms"] < 0.0 else f"{row['stop_ms']:.0f} ms")
+        shown = dict(zip(fault.phases.split(), cells, strict=True))
+        reason = found.get((name, "P5"), {"reason": ""})["reason"].split(":")[0].split(";")[0]
+        line = " | ".join(shown.get(phase, "") for phase in LIVE_PHASES)
+        lines.append(f"| {name} | {line} | {reason} |")
+    return lines
+
+
 def write_thresholds() -> list[str]:
     """Default and compiled-in range of each threshold, from the code."""
     lines = ["| threshold | default | car file may say | unit |", "|---|---|---|---|"]
@@ -144,7 +164,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true", help="write nothing")
     parser.add_argument("--jobs", type=int, default=-1)
     parser.add_argument("--keep", type=Path, metavar="FILE.jsonl", help="cells, as they come")
+    parser.add_argument(
+        "--live",
+        type=Path,
+        metavar="LOG.jsonl",
+        help="write the table of the real-time cells alone",
+    )
     args = parser.parse_args(argv)
+    if args.live is not None:
+        write_sections("safety-matrix.md", live=write_live(args.live))
+        return 0
     outcomes = drive_matrix(args.keep, args.jobs)
     bad = [outcome for outcome in outcomes if outcome.wrong]
     for outcome in bad:
@@ -154,6 +183,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         write_sections(
             "safety-watchdogs.md", watchdogs=write_watchdogs(), thresholds=write_thresholds()
         )
+        write_sections("safety.md", outside=write_outside())
         write_sections("safety-matrix.md", trace=write_trace(), matrix=write_matrix(outcomes))
     return 1 if bad else 0
 

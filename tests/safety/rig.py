@@ -4,7 +4,7 @@ Each phase of the matrix is driven to once; every cell continues a deep copy of 
 """
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import inf
@@ -151,9 +151,16 @@ class Rig:
 
 
 def make_rig(
-    path: str, speed: float, settings: Settings | None = None, *, adapting: bool = False
+    path: str,
+    speed: float,
+    settings: Settings | None = None,
+    *,
+    adapting: bool = False,
+    car: Mapping[str, float] | None = None,
 ) -> Rig:
     """A car that has just been switched on; `settings` in place of the default car file's.
+
+    `car` says in what the simulated car differs from its file.
 
     With `adapting` a learner takes it for other cars, in turn, and the lane keeper follows.
     """
@@ -161,7 +168,8 @@ def make_rig(
     if settings is not None:
         plan = make_plan(plan.options, settings)
     config = make_world_config(plan, keep_bytes=True)
-    config = replace(config, mocap=replace(config.mocap, bystanders=(BYSTANDER,)))
+    other = config.car._replace(**(car or {}))
+    config = replace(config, car=other, mocap=replace(config.mocap, bystanders=(BYSTANDER,)))
     notes = Notes()
     core = make_core(plan, BOOT_ID, EPOCH_NS, (notes,), leased=True)
     core.flags |= Flag.LINKED

@@ -44,7 +44,7 @@ def first_line(live: Live, out: IO[str]) -> str:
 @contextlib.contextmanager
 def flood(live: Live, keys: list[str]) -> Iterator[None]:
     """40 000 messages a second of garbage under these keys, by a process that stands aside."""
-    command = ["nice", sys.executable, str(FLOOD), live.endpoint, str(RATE), *keys]
+    command = ["nice", sys.executable, str(FLOOD), live.listen, str(RATE), *keys]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen(command, text=True, **pipes) as process:
         assert process.stdout is not None
@@ -60,7 +60,7 @@ def flood(live: Live, keys: list[str]) -> Iterator[None]:
 @contextlib.contextmanager
 def page(live: Live) -> Iterator[str]:
     """`steerd page` beside the car: where its WebSocket is."""
-    command = [sys.executable, "-m", "steerd", "page", "--connect", live.endpoint]
+    command = [sys.executable, "-m", "steerd", "page", "--connect", live.listen]
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -108,7 +108,7 @@ def test_the_command_stops_and_says_so(tmp_path, keys, name):
         live.reach("P5")
         with flood(live, keys):
             live.live(0.5)
-            command = [sys.executable, "-m", "steerd", name, "--connect", live.endpoint]
+            command = [sys.executable, "-m", "steerd", name, "--connect", live.listen]
             with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
                 live.until(lambda: process.poll() is not None, 20.0)
                 assert process.stderr is not None
@@ -120,7 +120,7 @@ def test_the_command_stops_and_says_so(tmp_path, keys, name):
 def test_nobody_s_keepalives_but_the_holder_s_keep_the_car_driving(tmp_path):
     """What is known of the holder is known to everybody: its name in the status, and the run's."""
     thief = Operator(BOOT_ID, LEASE_ID, "terminal", seq=2_000_000_000)
-    with start_live(tmp_path) as live, ZenohBus(Profile(False, live.endpoint)) as bus:
+    with start_live(tmp_path) as live, ZenohBus(Profile(False, live.listen)) as bus:
         live.reach("P5")
         key = make_key("car1", topics.OPERATOR)
 

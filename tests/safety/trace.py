@@ -102,7 +102,7 @@ TRACES = {
         "steerd.daemon.process.guard:ProcessGuard.is_silent",
         _names("guardian"),
         ("H6", "P5"),
-        also=_RUNNER + "; live: SIGKILL guardian",
+        also=_RUNNER + "; live: SIGKILL, SIGSTOP guardian",
     ),
     "W17": Trace(
         _HERE + "_check_path",
@@ -150,13 +150,13 @@ TRACES = {
         "steerd.daemon.process.runner:_is_lost",
         _names("recorder_full"),
         ("H7", "P5"),
-        also=_RUNNER + "; live: SIGKILL recorder",
+        also=_RUNNER + "; live: SIGKILL, SIGSTOP recorder",
     ),
     "W27": Trace(
         "steerd.daemon.process.runner:_is_lost",
         _names("gateway_full"),
         ("H8", "P5"),
-        also=_RUNNER + "; live: SIGKILL gateway",
+        also=_RUNNER + "; live: SIGKILL, SIGSTOP gateway",
     ),
     "W28": Trace(
         "steerd.daemon.process.runner:Runner._set_flags",

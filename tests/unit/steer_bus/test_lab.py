@@ -87,6 +87,7 @@ def test_a_viewer_may_send_nothing_and_an_operator_requests_only():
     assert may_put("viewers") == set()
     assert may_put("desk") == {
         "steerd/car1/cmd/drive/desk",
+        "steerd/car1/cmd/heartbeat/desk",
         "steerd/car1/cmd/operator/desk",
         "steerd/car1/cmd/parameters/desk",
         "steerd/car1/cmd/stop/desk",

@@ -133,7 +133,7 @@ def _drive_again(plan: "SweepPlan", args: argparse.Namespace) -> int:
     print("\n".join(wrap(f"seed {case.seed}{', ' if drawn else ''}{drawn}", head, " " * 4)))
     run = record_virtual(run_plan, args.record, drive, world=World(config))
     if run.core.loop.faulted:
-        print(f"stopped: {run.core.loop.supervisor.reason}")
+        print(f"stopped: {run.core.loop.fault}")
     check_driven(run)
     print(f"written: {args.record}\n   next: steerd plot {args.record}")
     return ExitCode.OK

@@ -30,6 +30,7 @@ from steerd.daemon.process.bus_operator import (
     REPEAT_NS,
     STOPS,
     BusOperator,
+    Pulse,
     keep_lease,
     recall_lease,
 )
@@ -143,7 +144,7 @@ def run(args: argparse.Namespace) -> int:
     kind = _KINDS[name]
     with connect(args.connect, args.lab) as bus:
         if kind in STOPS:
-            operator = BusOperator(bus, args.name, clock, getpass.getuser())
+            operator = BusOperator(bus, args.name, clock, getpass.getuser(), Pulse(bus, args.name))
             operator.ask(0, kind)  # before anything is known of the car, and whatever it says
             return _stop(_Link(CarView(bus, args.name, clock), operator), operator, name)
         view = CarView(bus, args.name, clock)
@@ -155,7 +156,9 @@ def run(args: argparse.Namespace) -> int:
             _refuse_unarmed(view)
         holder, kept = view.values.get("holder", "0"), recall_lease(args.name)
         shared = name == "start" and holder == str(make_badge(bus.who, kept))
-        operator = BusOperator(bus, args.name, clock, getpass.getuser(), kept if shared else 0)
+        operator = BusOperator(
+            bus, args.name, clock, getpass.getuser(), view.pulse, kept if shared else 0
+        )
         return _request(_Link(view, operator), operator, name, hold=not args.no_hold)
 
 

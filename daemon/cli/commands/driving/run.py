@@ -350,9 +350,7 @@ def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
     code = processes.end()
     summary, *where_to = closing_lines(plan, board.tally, session)
     print(summary)
-    stopped = board.status.get("state") in ("FAULT_LATCHED", "FAULT_STOP", "ESTOP")
-    reason = board.status.get("reason", "") if stopped else ""
-    if stopped:
-        print(f"stopped: {reason}")
+    if code == ExitCode.STOPPED and board.stop:
+        print(f"stopped: {board.stop}")
     print("\n".join(where_to))
-    return code, reason
+    return code, board.stop

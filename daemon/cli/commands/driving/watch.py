@@ -9,6 +9,7 @@ of the feedback. The car refuses those of anybody but the operator who holds it.
 """
 
 import argparse
+import sys
 from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.bus_options import add_bus_arguments
@@ -46,6 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.live import Live
 
+    from steerd.daemon.common.streams import raw
     from steerd.daemon.process.bus_operator import REPEAT_NS
     from steerd.daemon.terminal.dashboard import Dashboard
     from steerd.daemon.terminal.keyboard import keys_one_by_one, wait_for_key
@@ -60,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         watch = Watch(Dashboard(f"steerd watch · {car}"))
         received = bus.subscribe(make_key(car, "*"), DEPTH)
         end = None if args.seconds is None else clock.now_ns() + round(args.seconds * SECOND)
-        console = Console()
+        console = Console(file=raw(sys.stdout))
         try:
             if not console.is_terminal:
                 _print_lines(watch, received, clock, end)

@@ -135,9 +135,11 @@ def _ask(args: argparse.Namespace, kind: str, source: Path, out: Path) -> int:
 
 def _propose(kind: str, source: Path) -> dict[str, dict[str, object]]:
     if kind == "csv":
+        from steerd.daemon.common.translate import reading
         from steerd.daemon.imports.propose import propose_csv
 
-        return propose_csv(source)
+        with reading(source):
+            return propose_csv(source)
     from steerd.daemon.imports.bag import propose_bag
 
     return propose_bag(source)

@@ -9,7 +9,6 @@ desk` on the desk. Later, `steerd keys lab --operator new` adds somebody.
 
 import argparse
 import json
-import tomllib
 from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +17,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.lab import DEFAULT_PORT
 from steerd.steer_bus.topics import check_car_name
+from steerd.toml_text import load_toml
 
 ROSTER = "lab.toml"
 
@@ -133,7 +133,7 @@ def _read_roster(folder: Path) -> Roster:
 
     path = folder / AUTHORITY / ROSTER
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = load_toml(path)
         people = tuple(table["operators"]), tuple(table["viewers"])
         return Roster(str(table["car"]), str(table["endpoint"]), *people)
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -9,6 +9,8 @@ All options of `steerd run` are accepted and checked before anything is written.
 """
 
 import argparse
+import getpass
+import os
 import sys
 from pathlib import Path
 
@@ -45,7 +47,8 @@ def run(args: argparse.Namespace) -> int:
     if args.action == "launch":
         print(make_launch(command), end="")
         return ExitCode.OK
-    text = make_unit(command, args.name, user=user)
+    account = "" if user else os.environ.get("SUDO_USER") or getpass.getuser()
+    text = make_unit(command, args.name, account=account)
     if args.action == "print":
         print(text, end="")
         return ExitCode.OK

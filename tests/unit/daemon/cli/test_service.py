@@ -78,24 +78,37 @@ def test_what_could_not_run_is_not_installed(home, wrong):
 
 
 def test_arguments_with_meaning_to_systemd_survive():
-    unit = make_unit(["steerd", "a b", "50%", "$HOME"], "car1", user=False)
+    words = ["steerd", "a b", "50%", "$HOME", "C:\\new\\table", 'say "it\'s"']
+    unit = make_unit(words, "car1", account="driver")
     line = read(unit)["Service"]["ExecStart"]
     parts = [w.replace("%%", "%").replace("$$", "$") for w in shlex.split(line)]
-    assert parts == ["steerd", "a b", "50%", "$HOME"]
+    assert parts == words
+    assert "\\n" not in line.replace("\\\\", ""), "systemd reads an escape within quotes too"
     assert read(unit)["Install"]["WantedBy"] == "multi-user.target"
     with pytest.raises(SteerdError, match="unit file"):
-        make_unit(["steerd", "a\nExecStartPre=x"], "car1", user=True)
+        make_unit(["steerd", "a\nExecStartPre=x"], "car1")
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd on this machine")
 def test_systemd_finds_nothing_wrong(tmp_path):
     file = tmp_path / "steerd.service"
-    file.write_text(make_unit([sys.executable, "-m", "steerd", "run"], "car1", user=True))
+    file.write_text(make_unit([sys.executable, "-m", "steerd", "run"], "car1"))
     done = subprocess.run(
         ["systemd-analyze", "--user", "verify", str(file)], capture_output=True, text=True,
         check=False,
     )  # fmt: skip
     assert "steerd.service" not in done.stderr, done.stderr
+
+
+def test_a_unit_gives_no_rights_that_a_drive_does_not_need(monkeypatch, capsys):
+    monkeypatch.setenv("SUDO_USER", "driver")
+    for whose, account in (("--user", None), ("--system", "driver")):
+        assert run_cli(["service", "print", whose, *OPTIONS]) == 0
+        unit = read(capsys.readouterr().out)["Service"]
+        assert unit["NoNewPrivileges"] == "yes"
+        assert unit["UMask"] == "0077"
+        assert unit.get("User") == account
+        assert unit.get("ProtectSystem") == (account and "full")
 
 
 def test_where_units_lie(tmp_path):

@@ -3,6 +3,8 @@
 import os
 from dataclasses import replace
 
+import pytest
+
 from steerd.daemon.ipc.pipe_records import (
     PipeRecord,
     PipeWriter,
@@ -68,6 +70,41 @@ def test_a_full_pipe_drops_whole_records_and_recovers():
     os.close(write_fd)
 
 
+@pytest.mark.parametrize("size", [600, 1400, 4000, 4200, 9000])
+def test_the_age_of_a_full_pipe_grows_until_its_reader_takes_something(size):
+    read_fd, write_fd = make_pipe()
+    pipe, batch, t_ns = PipeWriter(write_fd), [bytes(size)], 0
+    while pipe.full_since_ns is None:
+        t_ns += 1
+        pipe.write(batch, t_ns)
+    began_ns = t_ns
+    for t_ns in range(began_ns, began_ns + 6000):
+        pipe.write(batch, t_ns)
+    assert pipe.full_since_ns == began_ns
+    os.read(read_fd, 1 << 16)
+    pipe.write(batch, t_ns)
+    assert pipe.full_since_ns is None
+    os.close(read_fd)
+    os.close(write_fd)
+
+
+def test_a_tick_without_records_tears_none_that_was_taken_in_part():
+    read_fd, write_fd = make_pipe()
+    pipe, size = PipeWriter(write_fd), 3 * len(pack_record(RECORD))
+    while not pipe.dropped:
+        pipe.write([pack_record(RECORD)] * 300, 0)
+    assert pipe.full_since_ns == 0
+    read_all(read_fd)
+    for packed in ([], [pack_record(RECORD)] * 3):
+        pipe.write(packed, 1)
+    data = os.read(read_fd, 1 << 20)
+    assert len(data) > size
+    assert len(data) % (size // 3) != 0
+    assert data.endswith(pack_record(RECORD) * 3)
+    os.close(read_fd)
+    os.close(write_fd)
+
+
 def test_a_reader_that_is_gone_costs_one_write_and_no_exception():
     read_fd, write_fd = make_pipe()
     pipe = PipeWriter(write_fd)
@@ -75,6 +112,5 @@ def test_a_reader_that_is_gone_costs_one_write_and_no_exception():
     pipe.write([pack_record(RECORD)], 1)
     assert pipe.dead
     pipe.write([pack_record(RECORD)] * 2, 2)
-    assert pipe.dropped == 2
-    assert pipe.full_since_ns == 2
+    assert pipe.dropped == 3
     os.close(write_fd)

@@ -1,8 +1,11 @@
 """Stop signals as bytes on a pipe, in a process of their own."""
 
+import os
+import select
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -44,6 +47,39 @@ def test_a_child_lives_through_what_the_terminal_sends_to_its_group_but_can_be_e
     done = python(IGNORE)
     assert done.stdout == "alive\n"
     assert done.returncode == -signal.SIGTERM
+
+
+CHILD = """
+import os, signal, sys
+from steerd.daemon.ipc.signals import ignore_terminal_signals
+ignore_terminal_signals()
+print(os.getpid(), flush=True)
+os.kill(os.getpid(), signal.SIGSTOP)
+os.read(0, 1)
+"""
+PARENT = """
+import subprocess, sys
+subprocess.Popen([sys.executable, "-c", sys.argv[1]], stdin=subprocess.PIPE).wait()
+"""
+
+
+def test_a_frozen_child_ends_when_its_parent_is_killed():
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT, CHILD], stdout=subprocess.PIPE, text=True
+    )
+    assert parent.stdout is not None
+    child = os.pidfd_open(pid := int(parent.stdout.readline()))
+    status = Path(f"/proc/{pid}/status")
+    while "State:\tT" not in status.read_text():
+        select.select([child], [], [], 0.01)
+    parent.kill()
+    parent.wait()
+    ended, _, _ = select.select([child], [], [], 20.0)
+    os.close(child)
+    if not ended:
+        os.kill(pid, signal.SIGKILL)
+    assert ended
+    parent.stdout.close()
 
 
 HOLDER = """

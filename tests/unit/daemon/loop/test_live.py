@@ -180,6 +180,6 @@ def test_a_fault_ends_what_was_tuned():
     hold(loop, ANN, 1, 0)
     loop.on_parameters(ask(0.5, 0.1, 1.2, seq=2), 0)
     loop.supervisor = loop.supervisor._replace(state=SupervisorState.FAULT_STOP)
-    loop._apply_transition(SupervisorState.RUNNING, None, 0)
+    loop._apply_transition(SupervisorState.RUNNING, None, 0, "")
     assert isinstance(loop.live, Live)
     assert loop.live.aim == LiveValues(0.5, 0.0, 1.0)

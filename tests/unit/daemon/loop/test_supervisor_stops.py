@@ -4,6 +4,7 @@ from math import nan
 
 import pytest
 
+from steerd.daemon.loop.supervisor import stands
 from steerd.daemon.loop.transitions import (
     ARMED,
     DISARMED,
@@ -226,6 +227,22 @@ def test_estop_brakes_at_least_2_s_then_is_silent_until_reset():
     assert car.tick(Request.RESET) == ESTOP
     car.facts = GOOD
     assert car.tick(Request.RESET) == DISARMED
+
+
+def test_estop_takes_2_s_without_a_speed_as_standing():
+    car = Car().running()
+    car.tick(Request.ESTOP)
+    car.speed = nan
+    assert car.ticks(199) == ESTOP
+    assert car.action.motor == MotorOutput.ESTOP_BRAKE
+    assert not stands(car.memory, car.t_ns)
+    car.tick()
+    assert stands(car.memory, car.t_ns)
+    assert car.action.motor == MotorOutput.SILENT
+    car.speed = 0.05
+    car.tick()
+    assert not stands(car.memory, car.t_ns), "it rolls, as is seen now"
+    assert car.tick(Request.RESET) == ESTOP
 
 
 def test_estop_goes_on_braking_while_the_car_moves():

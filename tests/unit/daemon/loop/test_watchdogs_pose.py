@@ -108,6 +108,18 @@ def test_a_rebased_pose_has_no_time_before_it():
     assert judge(frame(1.0, -1, x=1.0626), watch)[1] == JUMP
 
 
+@pytest.mark.parametrize(
+    ("rejected", "verdict"), [(TH.nis_frames - 1, ACCEPTED), (TH.nis_frames, REBASED)]
+)
+def test_a_filter_that_went_astray_begins_again_while_nothing_moves(rejected, verdict):
+    astray = changed(BASE, rejected=rejected, rejections=(1 << rejected) - 1)
+    after = frame(1.01, 2)
+    assert judge(after, astray)[1] == ACCEPTED
+    watch, found = judge(after, astray, may_rebase=True)
+    assert found == verdict
+    assert (watch == PoseWatch(after)) is (verdict == REBASED)
+
+
 def test_freeze_needs_identical_bits_and_turning_wheels():
     same = frame(1.01, 2)
     assert judge(same, wheel=0.125)[1] == ACCEPTED

@@ -7,8 +7,7 @@ from math import sin
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.daemon.ipc.learner_wire import Gaps
-from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, make_pipe, pack_record
+from steerd.daemon.ipc.pipe_records import Gaps, PipeRecord, PipeWriter, make_pipe, pack_record
 from steerd.daemon.ipc.report_pipe import ReportPipe
 from steerd.daemon.learning.feed import make_feed, make_record
 from steerd.daemon.learning.samples import Wiring

@@ -1,5 +1,8 @@
 """The runner: what it watches itself (W8, W16, W26 to W29), its deadlines, its order of work."""
 
+import os
+import resource
+import socket
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,17 +10,21 @@ import numpy as np
 import pytest
 
 from steerd.daemon.assembly.build import make_core, make_plan
-from steerd.daemon.ipc.pipe_records import PipeWriter, read_message
+from steerd.daemon.ipc.gateway_wire import pack_request
+from steerd.daemon.ipc.operator import Operator
+from steerd.daemon.ipc.pipe_records import PipeWriter, make_pipe, read_message
 from steerd.daemon.loop.flags import CAUSES, Flag
-from steerd.daemon.loop.supervisor import NEVER
+from steerd.daemon.loop.supervisor import NEVER, STILL_NS
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process import guard as guard_module
 from steerd.daemon.process import runner as runner_module
+from steerd.daemon.process.guard import ProcessGuard
 from steerd.daemon.process.pacing import MARGIN
 from steerd.daemon.process.runner import CoreLinks, Runner
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import topics
-from steerd.steer_bus.codec import decode
-from steerd.steer_bus.messages import Tick
+from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.messages import RequestKind, Tick
 from steerd.vesc_link.transport import LinkDown
 
 SECOND, MS = 1_000_000_000, 1_000_000
@@ -147,37 +154,156 @@ def test_w16_a_silent_guardian(plan):
     assert r.core.flags == Flag.LINKED | Flag.GUARDIAN_TRIPPED
 
 
+@pytest.fixture
+def read_fds():
+    """The readers' ends of the core's two pipes; closed at the end, but for those of the test."""
+    fds = []
+    yield fds
+    for fd in fds:
+        os.close(fd)
+
+
+def piped(plan, read_fds, sinks=(), **record):
+    """A runner with real pipes to a recorder and a gateway."""
+    r = make_runner(plan, sinks, **record)
+    for pipe in r.pipes:
+        read_fd, pipe.fd = make_pipe()
+        read_fds.append(read_fd)
+    return r
+
+
+def write_until_lost(r, which, size, most_s=60):
+    """Write a batch every 10 ms: when nothing was taken any more, and when a flag was set [ns]."""
+    pipe, full_ns = r.pipes[which], None
+    for t_ns in range(0, most_s * SECOND, 10 * MS):
+        if pipe.dropped and full_ns is None:
+            full_ns = t_ns - 10 * MS
+        r.it._watch_processes(t_ns)
+        if r.core.flags != Flag.LINKED:
+            return full_ns, t_ns
+        pipe.write([bytes(size)], t_ns)
+    raise AssertionError("a reader that reads nothing is not missed")
+
+
 @pytest.mark.parametrize(("which", "flag"), [(0, Flag.RECORDER_LOST), (1, Flag.GATEWAY_LOST)])
-def test_w26_w27_a_reader_that_is_dead_or_takes_nothing_for_a_second(plan, which, flag):
-    r = make_runner(plan)
-    r.pipes[which].full_since_ns = 0
-    r.it._watch_processes(SECOND)
-    assert r.core.flags == Flag.LINKED
-    r.it._watch_processes(SECOND + 1)
+@pytest.mark.parametrize("size", [600, 1400, 4000, 4200])
+def test_w26_w27_a_reader_that_takes_nothing_for_a_second(plan, read_fds, which, flag, size):
+    r = piped(plan, read_fds)
+    full_ns, lost_ns = write_until_lost(r, which, size)
     assert r.core.flags == Flag.LINKED | flag
-    r = make_runner(plan)
-    r.pipes[which].dead = True
-    r.it._watch_processes(0)
+    assert SECOND < lost_ns - full_ns <= SECOND + 20 * MS
+
+
+@pytest.mark.parametrize(("which", "flag"), [(0, Flag.RECORDER_LOST), (1, Flag.GATEWAY_LOST)])
+def test_w26_w27_a_reader_that_is_gone(plan, read_fds, which, flag):
+    r = piped(plan, read_fds)
+    os.close(read_fds.pop(which))
+    assert write_until_lost(r, which, 600)[1] == 10 * MS
     assert r.core.flags == Flag.LINKED | flag
 
 
-def test_w26_a_car_file_may_do_without_the_recorder(plan):
-    r = make_runner(plan, required=False)
-    r.pipes[0].dead = True
-    r.it._watch_processes(0)
-    assert r.core.flags == Flag.LINKED
+def test_w26_a_car_file_may_do_without_the_recorder(plan, read_fds):
+    r = piped(plan, read_fds, required=False)
+    os.close(read_fds.pop(0))
+    with pytest.raises(AssertionError, match="is not missed"):
+        write_until_lost(r, 0, 600, most_s=2)
 
 
 @pytest.mark.parametrize(("slept_ns", "flag"), [(50_000_000, 0), (50_000_001, Flag.SUSPENDED)])
 def test_w28_a_machine_that_slept(plan, monkeypatch, slept_ns, flag):
-    monkeypatch.setattr(runner_module, "sleep_lag_ns", lambda: 0)
+    boot = [0]
+    clocks = SimpleNamespace(
+        CLOCK_BOOTTIME=7, clock_gettime_ns=lambda _clock: boot[0], monotonic_ns=lambda: 0
+    )
+    monkeypatch.setattr(guard_module, "time", clocks)
     r = make_runner(plan)
-    monkeypatch.setattr(runner_module, "sleep_lag_ns", lambda: slept_ns)
+    boot[0] = slept_ns
     r.it._set_flags()
     assert r.core.flags == Flag.LINKED | flag
     r.core.flags &= ~Flag.SUSPENDED
     r.it._set_flags()
     assert r.core.flags == Flag.LINKED, "reported once"
+
+
+def test_w29_the_kernel_gives_no_descriptor_for_a_guardian(plan):
+    """The limit of open files is lowered from outside before the port is opened."""
+    core = make_core(plan, 1, 0, (), leased=True)
+    clock = SimpleNamespace(now_ns=lambda: 0, realtime_ns=lambda: 0)
+    links = CoreLinks(None, None, (), -1)
+    it = Runner(core, clock, FakePort, World(10 * MS), links, ProcessGuard(realtime=False))
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
+    try:
+        it._housekeeping(0)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert isinstance(core.error, OSError)
+    assert core.flags & Flag.EXCEPTION
+    assert not core.flags & Flag.LINKED, "a port without a guardian arms no car"
+
+
+REMOTE, LOCAL = 0, 1
+
+
+@pytest.fixture
+def ends():
+    """The core's ends of the sockets of its parent and the gateway, and the other ends of both."""
+    pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(2)]
+    for end in (each for pair in pairs for each in pair):
+        end.setblocking(False)
+    yield [pair[0] for pair in pairs], {LOCAL: pairs[0][1], REMOTE: pairs[1][1]}
+    for end in (each for pair in pairs for each in pair):
+        end.close()
+
+
+def hold(plan, ends, read_fds, who, answers, seconds=3.0):
+    """An operator keeps the lease; when W27 was found [ms], or None.
+
+    Args:
+        who: whether over the bus or at the terminal.
+        answers: who sends heartbeats back: the gateway (lease 0) and operators, by lease.
+    """
+    cores, others = ends
+    sent = []
+    r = piped(plan, read_fds, sinks=(lambda records, _t_ns: sent.extend(records),))
+    it = Runner(
+        r.core, r.it._clock, FakePort, World(10 * MS),
+        CoreLinks(*r.pipes, tuple(cores), -1), FakeGuard(),
+    )  # fmt: skip
+    operator = Operator(1, 42, "test")
+    now = [0]
+    it._clock = SimpleNamespace(now_ns=lambda: now[0], realtime_ns=lambda: now[0])
+    for now[0] in range(0, round(seconds * SECOND), 50 * MS):
+        others[who].send(
+            pack_request(topics.OPERATOR.name, operator.make_request(RequestKind.KEEPALIVE, 0))
+        )
+        beats = [read_message(each) for each in sent if each.topic is topics.HEARTBEAT]
+        for lease_id in answers if beats else ():
+            beat = encode(replace(beats[-1], lease_id=lease_id))
+            others[REMOTE].send(pack_request(topics.HEARTBEAT_BACK.name, beat))
+        for end in cores:
+            it._read_requests(end.fileno())
+        it._housekeeping(now[0])
+        if r.core.flags & Flag.GATEWAY_LOST:
+            return now[0] // MS
+        r.core.outbox.flush(now[0])
+    return None
+
+
+@pytest.mark.parametrize(
+    ("who", "answers", "found"),
+    [
+        (REMOTE, (0, 42), False),
+        (REMOTE, (0,), True),
+        (REMOTE, (0, 7), True),
+        (LOCAL, (0,), False),
+        (LOCAL, (), False),
+    ],
+)
+def test_w27_the_holder_on_the_bus_hears_no_heartbeat(plan, ends, read_fds, who, answers, found):
+    lost_ms = hold(plan, ends, read_fds, who, answers)
+    assert (lost_ms is not None) is found
+    assert lost_ms is None or 1000 < lost_ms <= 1150
 
 
 def test_w29_an_exception_during_a_reply_is_logged_once(plan):
@@ -229,9 +355,9 @@ def test_the_guardian_frees_a_lost_port_unless_the_car_is_armed(plan, state, fre
 @pytest.mark.parametrize(
     ("state", "still_ns", "opened"),
     [
-        (SupervisorState.ESTOP, 5, True),
+        (SupervisorState.ESTOP, -STILL_NS, True),
         (SupervisorState.ESTOP, NEVER, False),
-        (SupervisorState.RUNNING, 5, False),
+        (SupervisorState.RUNNING, -STILL_NS, False),
     ],
 )
 def test_a_port_comes_back_after_an_emergency_stop_at_rest(plan, state, still_ns, opened):
@@ -396,7 +522,7 @@ def test_a_mocap_of_another_rate_leaves_the_ticks_alone(monkeypatch):
 def runner_with(monkeypatch, world: World, notes: list[str]) -> Runner:
     """A runner whose core only notes its calls."""
     core = SimpleNamespace(
-        loop=SimpleNamespace(setup=SimpleNamespace(period_ns=10 * MS)),
+        loop=SimpleNamespace(setup=SimpleNamespace(period_ns=10 * MS, boot_id=1)),
         tick=lambda *_: notes.append("decided") or b"order",
         post_tick=lambda written: notes.append(f"posted {written.decode()}"),
         on_poses=lambda _samples: None,

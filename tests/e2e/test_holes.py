@@ -1,0 +1,141 @@
+"""A recorder that stood still: the session says what it lacks, and nobody fits across it."""
+
+import contextlib
+import io
+import os
+import threading
+
+import pytest
+
+from steerd.daemon.analysis.drives import load_drive
+from steerd.daemon.cli.main import run_cli
+from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, make_pipe, pack_record
+from steerd.daemon.process.recorder import Recording, record_pipe
+from steerd.steer_bus.session_read import open_session
+from steerd.steer_bus.topics import find_topic
+from steerd.sysid.data.segments import pauses
+
+pytestmark = pytest.mark.slow
+
+NS = 1_000_000_000
+FROM, UNTIL = 8.0, 14.0
+"""When the recorder stands still [s]; a pipe takes some seconds more."""
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    """A drive in virtual time, recorded whole."""
+    path = tmp_path_factory.mktemp("drive") / "whole.mcap"
+    with contextlib.redirect_stdout(io.StringIO()):
+        words = ["run", "--sim", "--fast", "--path", "figure8", "--speed", "1.5"]
+        assert run_cli([*words, "--duration", "20", "--record", str(path)]) == 0
+    return path
+
+
+def ticks(session):
+    """The records of a session as the core sends them: those of one time together."""
+    batch = []
+    for r in session.messages():
+        record = PipeRecord(find_topic(r.topic), r.sequence, r.log_ns, r.publish_ns, r.data)
+        if batch and batch[-1].log_time_ns != record.log_time_ns:
+            yield batch
+            batch = []
+        batch.append(record)
+    yield batch
+
+
+def through_a_pipe(whole, out, still):
+    """Record a session again through the core's pipe, of which nobody reads for a while."""
+    session = open_session(whole)
+    start_ns = session.info().start_ns
+    read_fd, write_fd = make_pipe()
+    writer, came = PipeWriter(write_fd), bytearray()
+    os.set_blocking(read_fd, False)
+    for batch in ticks(session):
+        writer.write([pack_record(record) for record in batch], batch[0].log_time_ns)
+        if not still[0] <= (batch[0].log_time_ns - start_ns) / NS < still[1]:
+            with contextlib.suppress(BlockingIOError):
+                while data := os.read(read_fd, 1 << 20):
+                    came += data
+    meta = {"metadata": session.contents.metadata, "start_ns": 0}
+    meta["attachments"] = {
+        a.name: session.attachment(a.name).decode() for a in session.contents.attachments
+    }
+    recording = Recording(out, "car1", meta)
+    ours, theirs = os.pipe()
+
+    def send():
+        with os.fdopen(theirs, "wb") as end:
+            end.write(came)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    reason = record_pipe(recording, ours, 0)
+    thread.join()
+    for fd in (ours, read_fd, write_fd):
+        os.close(fd)
+    return recording.finish(reason), writer.dropped
+
+
+@pytest.fixture(scope="module")
+def holed(drive, tmp_path_factory):
+    path = tmp_path_factory.mktemp("holed") / "holed.mcap"
+    return path, *through_a_pipe(drive, path, (FROM, UNTIL))
+
+
+def test_a_recorder_that_keeps_up_says_nothing(drive, tmp_path, capsys):
+    said, dropped = through_a_pipe(drive, tmp_path / "again.mcap", (0.0, 0.0))
+    assert (said, dropped) == ("", 0)
+    assert open_session(tmp_path / "again.mcap").holes() == ()
+    assert run_cli(["info", str(tmp_path / "again.mcap")]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_the_recorder_says_how_many_and_where(holed):
+    path, said, dropped = holed
+    assert dropped > 100
+    ((first, last),) = open_session(path).holes()
+    start_ns = open_session(path).info().start_ns
+    assert FROM < (first - start_ns) / NS < UNTIL
+    assert (last - start_ns) / NS == pytest.approx(UNTIL, abs=0.05)
+    assert said.startswith(f"{dropped} records were dropped within ")
+
+
+def test_info_plot_and_catalogue_show_it(holed, capsys):
+    path = holed[0]
+    assert run_cli(["info", str(path)]) == 0
+    assert f"warning: {holed[1]}" in capsys.readouterr().err
+    assert run_cli(["plot", str(path)]) == 0
+    assert "records were dropped within" in path.with_suffix(".html").read_text()
+    capsys.readouterr()
+    assert run_cli(["sessions", "--folder", str(path.parent)]) == 0
+    assert "records dropped within" in capsys.readouterr().out
+
+
+def test_a_drive_is_cut_there(holed):
+    path, said, _ = holed
+    warned = []
+    run = load_drive(path, warn=warned.extend)
+    ((first, last),) = pauses(run)
+    ((hole_ns, end_ns),) = open_session(path).holes()
+    assert last - first >= (end_ns - hole_ns) / NS
+    assert f"{path.name}: {said}" in warned
+
+
+def test_a_hole_of_a_tick_is_a_pause_too(drive, tmp_path):
+    from steerd.sysid.data.dataset import load_run
+
+    whole = open_session(drive)
+    middle = whole.info().start_ns + 10 * NS
+    out = tmp_path / "short.mcap"
+    recording = Recording(
+        out, "car1",
+        {"metadata": whole.contents.metadata, "attachments": {}, "start_ns": 0},
+    )  # fmt: skip
+    for batch in ticks(whole):
+        if not middle <= batch[0].log_time_ns < middle + NS // 50:
+            for record in batch:
+                recording.take(record)
+    assert recording.finish("end of the run")
+    ((first, last),) = pauses(load_run(out))
+    assert 0.3 <= last - first < 0.4

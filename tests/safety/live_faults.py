@@ -1,0 +1,244 @@
+"""What is done to real processes, sockets and a pty, what the car must do, and how it is judged.
+
+Only the outside world is changed: signals, faults of the simulated hardware, silence, requests.
+"""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from websockets.exceptions import ConnectionClosed  # noqa: TID251
+
+from steerd.daemon.ipc.operator import Operator
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.settings.run_options import ControllerKind
+from steerd.sim_hw.judge import Effort, count_drive_frames, find_stop
+from steerd.steer_bus.messages import RequestKind
+from tests.e2e.test_live_page import live as open_page
+from tests.safety.live import BOOT_ID, CLOCK, Live, start_live
+from tests.safety.live_terminal import at_terminal
+
+MS = 1_000_000
+PHASES = ("P1", "P3", "P5", "P7")
+MOVING = ("P5", "P7")
+STRANGER = Operator(BOOT_ID, 99, "stranger")
+Start = Callable[[Path], contextlib.AbstractContextManager[Live]]
+
+
+@dataclass(frozen=True)
+class LiveFault:
+    """What is done, how soon stop bytes must come, and what else is looked at.
+
+    Attributes:
+        act: does it; returns when it was done.
+        bound_s: until the first stop byte, loosely; None where nothing may stop the car.
+        phases: where it is tried.
+        wire: whether bytes still reach the VESC.
+        reported: phases in which a process is left that reports the reason.
+        named: how the reason begins in P5; a machine that stalls stops the car for another one.
+        start: what it is tried on.
+        watch_s: how long it is watched, beyond the usual.
+    """
+
+    act: Callable[[Live], int]
+    bound_s: float | None
+    phases: str = "P1 P3 P5 P7"
+    wire: bool = True
+    reported: str = "P3 P5"
+    named: str = ""
+    start: Start = start_live
+    watch_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class LiveOutcome:
+    """One cell: time to the first stop byte [ms], -1 where there is none; what is wrong."""
+
+    name: str
+    phase: str
+    stop_ms: float = -1.0
+    reason: str = ""
+    wrong: tuple[str, ...] = field(default=())
+
+
+def send(process: str, number: signal.Signals, times: int = 1) -> Callable[[Live], int]:
+    """A signal to one of the processes."""
+
+    def act(live: Live) -> int:
+        pid = live.pids()[process]
+        now_ns = CLOCK.now_ns()
+        for _ in range(times):
+            os.kill(pid, number)
+            live.pump(0.005)
+        return now_ns
+
+    return act
+
+
+def freeze_core(live: Live) -> int:
+    """The core stands still for 0.4 s."""
+    begun_ns = send("core", signal.SIGSTOP)(live)
+    live.live(0.4)
+    send("core", signal.SIGCONT)(live)
+    return begun_ns
+
+
+def fall_silent(live: Live) -> int:
+    """The operator's keepalives end."""
+    live.alive = False
+    return CLOCK.now_ns()
+
+
+def hardware(fault: str) -> Callable[[Live], int]:
+    """A fault of the simulated hardware."""
+    return lambda live: live.break_it(fault)
+
+
+def options(**more: Any) -> Start:
+    """A run with other options."""
+    return lambda folder: start_live(folder, **more)
+
+
+_WORDS = {RequestKind.KEEPALIVE: "alive", RequestKind.ARM: "arm", RequestKind.START: "start",
+          RequestKind.STOP: "stop"}  # fmt: skip
+
+
+@contextlib.contextmanager
+def held_by_page(folder: Path) -> Iterator[Live]:
+    """A run whose operator sits at the page."""
+    with start_live(folder, page=0) as live:
+        assert live.processes.page is not None
+        with open_page(live.processes.page.url) as socket:
+
+            def say(kind: RequestKind) -> None:
+                with contextlib.suppress(ConnectionClosed):
+                    socket.send(_WORDS[kind])
+
+            live.hand = say
+            yield live
+            send("page", signal.SIGCONT)(live)
+
+
+@contextlib.contextmanager
+def driven_by_another(folder: Path) -> Iterator[Live]:
+    """A run that `steerd control` drives."""
+    with start_live(folder, controller=ControllerKind.ZENOH) as live:
+        listen = live.listen
+        command = [sys.executable, "-m", "steerd", "control", "--connect", listen]
+        control = subprocess.Popen([*command, "--path", "line", "--speed", "1"])
+        live.others["controller"] = control.pid
+        try:
+            yield live
+        finally:
+            live.others.clear()
+            control.kill()
+            control.wait()
+
+
+STOP, KILL = signal.SIGSTOP, signal.SIGKILL
+FAULTS = {
+    "SIGINT": LiveFault(send("core", signal.SIGINT), 0.3),
+    "SIGTERM": LiveFault(send("core", signal.SIGTERM), 0.3),
+    "SIGHUP": LiveFault(send("core", signal.SIGHUP), 0.3),
+    "SIGTERM twice": LiveFault(send("core", signal.SIGTERM, 2), 0.3, "P5 P7"),
+    "SIGABRT core": LiveFault(send("core", signal.SIGABRT), 0.3, "P3 P5", reported=""),
+    "SIGSEGV core": LiveFault(send("core", signal.SIGSEGV), 0.3, "P5 P7", reported=""),
+    "SIGKILL core": LiveFault(send("core", KILL), 0.3, reported=""),
+    "SIGSTOP core": LiveFault(freeze_core, 0.5, reported=""),
+    "SIGKILL guardian": LiveFault(send("guardian", KILL), 0.6, named="W16"),
+    "SIGSTOP guardian": LiveFault(send("guardian", STOP), 0.6, named="W16"),
+    "SIGKILL recorder": LiveFault(send("recorder", KILL), 0.6, named="W26"),
+    "SIGSTOP recorder": LiveFault(send("recorder", STOP), 18.0, named="W26", watch_s=18.0),
+    "SIGKILL gateway": LiveFault(send("gateway", KILL), 0.6, named="W27"),
+    "SIGSTOP gateway": LiveFault(send("gateway", STOP), 1.6, named="W27", watch_s=1.0),
+    "SIGKILL learner": LiveFault(send("learner", KILL), None, start=options(learn=True)),
+    "SIGSTOP learner": LiveFault(send("learner", STOP), None, start=options(learn=True)),
+    "SIGKILL page": LiveFault(send("page", KILL), 1.0, named="W25", start=held_by_page),
+    "SIGSTOP page": LiveFault(send("page", STOP), 1.0, named="W25", start=held_by_page),
+    "SIGKILL controller": LiveFault(
+        send("controller", KILL), 0.8, named="W25", reported="P5", start=driven_by_another
+    ),
+    "SIGSTOP controller": LiveFault(
+        send("controller", STOP), 0.8, named="W25", reported="P5", start=driven_by_another
+    ),
+    "SIGKILL terminal": LiveFault(send("terminal", KILL), 1.0, named="disarm", start=at_terminal),
+    "SIGSTOP terminal": LiveFault(send("terminal", STOP), 1.0, named="W25", start=at_terminal),
+    "mocap silent": LiveFault(hardware("M1"), 1.0, "P3 P5 P7"),
+    "mocap frozen": LiveFault(hardware("M2"), 0.8, "P5"),
+    "mocap jumps": LiveFault(hardware("M4"), 0.6, "P3 P5"),
+    "mocap NaN": LiveFault(hardware("M8"), 1.0, "P3 P5"),
+    "unplugged": LiveFault(hardware("V1"), 0.3, wire=False),
+    "VESC mute": LiveFault(hardware("V4"), 1.0, "P3 P5"),
+    "VESC fault": LiveFault(hardware("V13"), 0.4, "P3 P5"),
+    "VESC reboots": LiveFault(hardware("V15"), 0.4, "P5", wire=False),
+    "kill switch": LiveFault(hardware("V19"), 0.4, "P3 P5"),
+    "operator gone": LiveFault(fall_silent, 1.5, "P3 P5"),
+    "stranger's stop": LiveFault(lambda live: live.ask(RequestKind.STOP, STRANGER), 0.3, "P5 P7"),
+    "stranger's e-stop": LiveFault(
+        lambda live: live.ask(RequestKind.ESTOP, STRANGER), 0.3, "P1 P3 P5"
+    ),
+}
+CELLS = [(name, phase) for name, fault in FAULTS.items() for phase in fault.phases.split()]
+
+
+def run_live(name: str, phase: str) -> LiveOutcome:
+    """One cell, with hardware and processes of its own."""
+    fault = FAULTS[name]
+    with tempfile.TemporaryDirectory() as folder, fault.start(Path(folder)) as live:
+        live.reach(phase)
+        known = len(live.transitions)
+        fault_ns = fault.act(live)
+        live.live((2.5 if phase in MOVING else 1.0) + fault.watch_s)
+        frames = [frame for frame in live.frames() if frame.t_ns >= fault_ns - 50 * MS]
+        followed = live.transitions[known:]
+    stop = find_stop(frames, fault_ns)
+    stop_ms = (stop.t_ns - fault_ns) / MS if stop and phase in MOVING and fault.bound_s else -1.0
+    reason = followed[0][2] if followed else ""
+    wrong = tuple(judge(fault, phase, fault_ns, frames, followed))
+    return LiveOutcome(name, phase, round(stop_ms, 1), reason, wrong)
+
+
+def judge(
+    fault: LiveFault, phase: str, fault_ns: int, frames: list[Any], followed: list[Any]
+) -> Iterator[str]:
+    """What is wrong with a cell."""
+    states = [to for _, to, _ in followed]
+    yield from judge_frames(fault, phase, fault_ns, frames, states)
+    if SupervisorState.RUNNING in states:
+        yield f"went up by itself: {states}"
+    if phase == "P5" and not (followed[:1] or [("", "", "")])[0][2].startswith(fault.named):
+        yield f"not {fault.named}: {followed}"
+    said = bool(followed) and all(reason for _, _, reason in followed)
+    if fault.bound_s is not None and phase in fault.reported.split() and not said:
+        yield f"no reason: {followed}"
+
+
+def judge_frames(
+    fault: LiveFault, phase: str, fault_ns: int, frames: list[Any], states: list[SupervisorState]
+) -> Iterator[str]:
+    """What is wrong with the bytes of a cell."""
+    after = [frame for frame in frames if frame.t_ns >= fault_ns]
+    if phase not in MOVING:
+        if any(frame.effort is Effort.DRIVE for frame in after):
+            yield "a drive frame while not running"
+    elif fault.bound_s is None:
+        if phase == "P5" and states:
+            yield f"false stop: {states}"
+    elif not fault.wire:
+        if count_drive_frames(after, fault_ns + round(fault.bound_s * 1e9)):
+            yield "a drive frame after the bound"
+    else:
+        stop = find_stop(frames, fault_ns)
+        if stop is None or stop.t_ns - fault_ns > fault.bound_s * 1e9:
+            yield f"no stop byte within {fault.bound_s} s: {after[-3:]}"
+        else:
+            braked = [f.t_ns for f in after if f.effort is not Effort.DRIVE]
+            if not braked or count_drive_frames(after, braked[0]):
+                yield "a drive frame after the first brake, or no brake"
