@@ -39,6 +39,12 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.planar import CHASSIS, PLANAR
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import Command, State
+from steerd.estimator import compiled
+from steerd.estimator.actuation import History
+from steerd.estimator.belief import Belief
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.sensors import make_gyro, make_pose, make_sensors, make_wheel_speed
+from steerd.sim_hw.plant.steps import make_steps
 
 H, STEPS, COUNT, N = 0.01, 60, 11, 13
 EVERY = tuple(EFFECTS.values())
@@ -108,7 +114,33 @@ def _digest(effects, chassis):
         assert np.isfinite(jy[rows]).all()
         for array in (y[rows], jy[rows], path, *back, settle(kernels, p, first, held, reading)):
             seen.update(np.ascontiguousarray(array).tobytes())
+        steps = make_steps.__wrapped__(model, 0.002)
+        begun = (*first[0, :STATES].tolist(), *[0.0] * steps.memory)
+        for numbers in (steps.follow(*begun, 0.1, 1.0, 0.3), steps.glide(3, *begun, 0.1, 1.0, 0.3)):
+            seen.update(np.array(numbers).tobytes())
+    if not effects:
+        seen.update(_filtered(chassis))
     return seen.hexdigest()
+
+
+def _filtered(chassis):
+    """What the filter makes of readings that come after late orders."""
+    car, config, ms = DEFAULT_CAR._replace(steer_delay=0.012), FilterConfig(), 1_000_000
+    kernel = compiled.Kernel(car, chassis, config, make_sensors(car, config))
+    orders = tuple(Command(0.2 * (k % 3 - 1), 1.0 + 0.1 * k) for k in range(9))
+    history = History(tuple(range(0, 90 * ms, 10 * ms)), orders)
+    first = Belief(np.array([0.1, 0.2, 3.0, 1.0, 0.3, 0.01, 0.05]), 0.01 * np.eye(STATES))
+    chain = [make_wheel_speed(20 * ms, 1.1), make_gyro(33 * ms, 0.4), make_pose(60 * ms, 0, 0, 3)]
+    beliefs = [link[0] for link in kernel.fuse(history, first, 10 * ms, chain)]
+    beliefs.append(kernel.predict(history, beliefs[-1], 60 * ms, 800 * ms)[0])
+    return b"".join(array.tobytes() for belief in beliefs for array in belief)
+
+
+def _use(monkeypatch, **chosen):
+    """Take all functions from a library or level of one's own choice."""
+    own = partial(load_function, **chosen)
+    for module in (windows, compiled):
+        monkeypatch.setattr(module, "load_function", own)
 
 
 def _compilers():
@@ -129,8 +161,7 @@ def test_every_compiler_and_optimisation_gives_the_same_bits(model, tmp_path, mo
             source.write_text(model_text(*model))
             made = compile_model(compiler, source, label, "own", "", more)
             link(compiler, [made], source.with_suffix(".so"))
-            own = partial(load_function, level="own", path=source.with_suffix(".so"))
-            monkeypatch.setattr(windows, "load_function", own)
+            _use(monkeypatch, level="own", path=source.with_suffix(".so"))
             assert _digest(*model) == expected, (name, more)
 
 
@@ -142,7 +173,7 @@ def test_every_processor_level_gives_the_same_bits(model, monkeypatch):
             load_function(model_label(*model), "march", level)
         except AttributeError:
             pytest.skip("this machine's library has one level")
-        monkeypatch.setattr(windows, "load_function", partial(load_function, level=level))
+        _use(monkeypatch, level=level)
         assert _digest(*model) == expected, level
 
 
