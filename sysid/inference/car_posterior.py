@@ -38,7 +38,7 @@ from steerd.sysid.inference.knowledge import (
     knowledge_section,
     numbers_of,
 )
-from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
+from steerd.sysid.inference.likelihood import SPUN, Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
     Noise,
     calibrated,
@@ -91,6 +91,9 @@ say where the centre of gravity is. On 30 cars of three foreign simulators, no b
 were taken for one with a body 13 to 31 mm off; both axles' lengths were off by as much, 20 mm in
 the root mean square at standard errors of 5. Of the other 26 no length was off by more than 5 mm.
 """
+SLIDING, HARD, SLOW = 0.35, 6.0, 0.5
+"""What a window that no car holds is said to be like [rad, m/s^2, m/s]."""
+_NAMED = 3
 CLEAR = 2.0
 """An effect within so many standard deviations of its null is left out of the car file."""
 _ROUNDS = 2
@@ -135,6 +138,33 @@ def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NO
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
+    return _in_turn(_first(base, runs, stated), runs, _ROUNDS)
+
+
+def choose_start(
+    starts: Sequence[Model[float]], runs: Sequence[Run], stated: Stated = NOTHING
+) -> Model[float]:
+    """The start from which these drives are explained best.
+
+    Raises:
+        FloatingPointError: the simulation diverges at every one.
+        ValueError: no window sees enough poses.
+    """
+    if len(starts) == 1:
+        return starts[0]
+    found = []
+    for number, start in enumerate(starts):
+        try:
+            found.append((_first(start, runs, stated).point.cost, number))
+        except (FloatingPointError, np.linalg.LinAlgError):
+            continue
+    if not found:
+        raise FloatingPointError("the simulation diverges at every start")
+    return starts[min(found)[1]]
+
+
+def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) -> Taught:
+    """The car at its best under usual noise."""
     base = replace(base, sd={}, sections={}) if isinstance(base, CarFile) else base
     superset = make_superset(base, runs)
     names = (*nuisance_names(superset, runs), *structure_names(superset, runs))
@@ -145,7 +175,7 @@ def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NO
     x = engine.readings.layout.guess.copy()
     likelihood = make_likelihood(engine, superset.base, x, noise)
     point = minimise(likelihood, begin(Library(likelihood, nuisance, ()), (), (), x))
-    return _in_turn(Taught(likelihood, point, noise, nuisance, shares), runs, _ROUNDS)
+    return Taught(likelihood, point, noise, nuisance, shares)
 
 
 def _again(taught: Taught, noise: Noise) -> Taught:
@@ -189,6 +219,33 @@ def ratios(taught: Taught) -> Array:
 def unweighed(taught: Taught) -> Array:
     """(W,) the same without what regimes are allowed beyond the noise."""
     return ratios(taught) * taught.likelihood.engine.excess
+
+
+def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Where the car taught does not hold, and how it was driven there, in a sentence; often none.
+
+    Args:
+        taught: the car.
+        runs: its drives.
+    """
+    engine, layout = taught.likelihood.engine, taught.likelihood.engine.readings.layout
+    lost = ratios(taught) >= SPUN
+    if not lost.any():
+        return ()
+    speed, slip = np.abs(taught.point.x[:, 3]), np.abs(taught.point.x[:, 5])
+    why = [
+        f"{text} in {int((lost & where).sum())}"
+        for where, text in (
+            (slip > SLIDING, f"sliding by more than {SLIDING:g} rad"),
+            (engine.lateral > HARD, f"more than {HARD:g} m/s2 sideways"),
+            (speed < SLOW, f"below {SLOW:g} m/s"),
+        )
+        if (lost & where).any()
+    ]
+    places = [f"{runs[layout.run[w]].name} {layout.t[w]:.1f} s" for w in np.flatnonzero(lost)]
+    named = ", ".join(places[:_NAMED]) + (", ..." if len(places) > _NAMED else "")
+    how = f": {', '.join(why)}" if why else ": driven like the others, so something acts there"
+    return (f"the model does not hold {lost.sum()} of {len(lost)} windows of 1 s ({named}){how}",)
 
 
 def _excess(taught: Taught, should: float = 1.0) -> tuple[float, ...]:
