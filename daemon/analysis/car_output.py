@@ -151,7 +151,7 @@ def teach_car(
         teach_with_limits,
     )
 
-    model = choose_start(starts, runs, stated)
+    model = starts[0] if len(starts) == 1 else choose_start(starts, runs, stated)
     file = CarFile(
         Path("taught.toml"), "taught", model.car, model.effects, model.values,
         chassis=model.chassis,

@@ -2,12 +2,12 @@
 
 At low lateral acceleration a car follows its wheels: the path's curvature is the tangent of
 `steer_gain` times the command over the wheelbase (Rajamani, Vehicle Dynamics and Control, section
-2.2). So curvature per command, and with it the gain per wheelbase, is known before any simulation.
+2.2). So the gain per wheelbase is known before any simulation.
 Which of the two, the drives hardly say: a wheelbase that is stated gives the gain; without one the
 commands are taken as the wheels' angles, as far as wheels turn so far.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ LOCK = 0.4
 NEAR = 0.1
 """A start whose curvature per command is right to this share is as good as another."""
 _HELD = 0.3
-"""Weight of a bias of zero: what commands that hardly vary explain is not what wheels are off by."""
+"""Weight of a bias of zero: what steady commands explain is not what wheels are off by."""
 _LARGE = 0.3
 """Curvatures that are off by more than this share of the sharpest bend's count for less."""
 _STEPS = 10
@@ -52,17 +52,20 @@ def possible_starts(
         runs: drives.
         stated: what keeps the model's value.
     """
-    car, bend = model.car, curvature_per_command(runs)
-    length, gain = wheelbase(car), car.steer_gain
-    if not bend > 0.0 or abs(np.log(bend * length / gain)) < NEAR:
+    length, gain = wheelbase(model.car), model.car.steer_gain
+    known = stated.wheelbase or bool({"lf", "lr"} & set(stated.held))
+    if known and stated.holds("steer_gain"):
         return (model,)
-    if stated.wheelbase or {"lf", "lr"} & set(stated.held):
-        held = stated.holds("steer_gain")
-        return (model,) if held else (_with(model, 1.0, bend * length), model)
-    widest = gain * max(float(np.abs(run.commands[:, 0]).max()) for run in runs)
-    if widest > WIDEST and not stated.holds("steer_gain"):
-        gain *= LOCK / widest
-    return (_with(model, gain / bend / length, gain), model)
+    if known:
+        scale, new = 1.0, steering_gain(runs, length)
+    else:
+        widest = gain * max(float(np.abs(run.commands[:, 0]).max()) for run in runs)
+        own_unit = widest > WIDEST and not stated.holds("steer_gain")
+        new = gain * LOCK / widest if own_unit else gain
+        scale = rolling_length(runs, new) / length
+    if not (scale > 0.0 and new > 0.0) or abs(np.log(new / scale / gain)) < NEAR:
+        return (model,)
+    return (_with(model, scale, new), model)
 
 
 def _with(model: Model[float], scale: float, gain: float) -> Model[float]:
@@ -79,24 +82,32 @@ def _with(model: Model[float], scale: float, gain: float) -> Model[float]:
     )
 
 
-def curvature_per_command(runs: Sequence[Run]) -> float:
-    """How sharply the path bends per tangent of the command [1/m]; nan where drives do not show it.
+def steering_gain(runs: Sequence[Run], length: float) -> float:
+    """Wheel angle per command of a car of this wheelbase; nan where drives do not show it."""
+    return _slope(runs, lambda command: command, lambda bend: np.arctan(length * bend))
 
-    The delay that explains the curvature best is taken, the same for all drives.
-    """
+
+def rolling_length(runs: Sequence[Run], gain: float) -> float:
+    """Wheelbase of a car whose wheels turn by `gain` per command [m]; nan as above."""
+    bend = _slope(runs, lambda command: np.tan(gain * command), lambda bend: bend)
+    return 1.0 / bend if bend else float("nan")
+
+
+def _slope(
+    runs: Sequence[Run], cause: Callable[[Array], Array], effect: Callable[[Array], Array]
+) -> float:
+    """Slope from functions of commands to those of curvature, at the delay that explains most."""
     gentle = [_gentle(run) for run in runs]
-    curvature = np.concatenate([each for _, each in gentle])
-    if len(curvature) < FEW or not (scale := float(np.percentile(np.abs(curvature), 95.0))):
+    seen = effect(np.concatenate([each for _, each in gentle]))
+    if len(seen) < FEW or not (scale := _LARGE * float(np.percentile(np.abs(seen), 95.0))):
         return float("nan")
     lines = []
     for delay in DELAYS:
-        command = np.concatenate(
-            [
-                np.interp(t - delay, run.h * np.arange(len(run.commands)), run.commands[:, 0])
-                for run, (t, _) in zip(runs, gentle, strict=True)
-            ]
-        )
-        lines.append(_line(np.tan(np.clip(command, -1.2, 1.2)), curvature, _LARGE * scale))
+        commands = [
+            np.interp(t - delay, run.h * np.arange(len(run.commands)), run.commands[:, 0])
+            for run, (t, _) in zip(runs, gentle, strict=True)
+        ]
+        lines.append(_line(cause(np.concatenate(commands)), seen, scale))
     return min(lines)[1]
 
 
@@ -107,14 +118,14 @@ def _gentle(run: Run) -> tuple[Array, Array]:
     return t[kept], rate[kept] / speed[kept]
 
 
-def _line(command: Array, curvature: Array, scale: float) -> tuple[float, float]:
-    """Bounded cost and slope of the line through curvatures, with a bias that is held small."""
-    basis = np.column_stack([command, np.ones_like(command)])
-    weight, off, line = np.ones_like(curvature), curvature, np.zeros(2)
-    held = np.diag([1e-9, _HELD]) * len(command)
+def _line(cause: Array, effect: Array, scale: float) -> tuple[float, float]:
+    """Bounded cost and slope of the line through the points, with a bias that is held small."""
+    basis = np.column_stack([cause, np.ones_like(cause)])
+    weight, off, line = np.ones_like(effect), effect, np.zeros(2)
+    held = np.diag([1e-9, _HELD]) * len(cause)
     for _ in range(_STEPS):
         weighed = weight[:, None] * basis
-        line = np.linalg.solve(weighed.T @ basis + held, weighed.T @ curvature)
-        off = (curvature - basis @ line) / scale
+        line = np.linalg.solve(weighed.T @ basis + held, weighed.T @ effect)
+        off = (effect - basis @ line) / scale
         weight = 1.0 / (1.0 + off**2)
     return float(np.log1p(off**2).mean()), float(line[0])

@@ -23,6 +23,7 @@ from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
 from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.segments import thinned
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.estimation.chart import make_chart
 from steerd.sysid.estimation.identifiability import BODY_OR_COG
@@ -43,6 +44,7 @@ from steerd.sysid.inference.noise import (
     Noise,
     calibrated,
     learn_noise,
+    noise_of_sizes,
     noise_section,
     noise_share,
     usual_noise,
@@ -96,6 +98,12 @@ SLIDING, HARD, SLOW = 0.35, 6.0, 0.5
 _NAMED = 3
 CLEAR = 2.0
 """An effect within so many standard deviations of its null is left out of the car file."""
+_LOUDER = (1.0, 3.0, 10.0, 30.0, 100.0)
+"""Multiples of the usual noise; the first is taken under which ..."""
+_FAR_OFF = 0.2
+"""... a smaller share of the windows is bounded at the start."""
+_STIFFER, _ENOUGH = 3.0, 60.0
+"""Stiffness of a further start, and driving that is enough to choose between them [s]."""
 _ROUNDS = 2
 """How often noise and base are learnt in turn."""
 
@@ -144,38 +152,58 @@ def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NO
 def choose_start(
     starts: Sequence[Model[float]], runs: Sequence[Run], stated: Stated = NOTHING
 ) -> Model[float]:
-    """The start from which these drives are explained best.
+    """The start from which these drives are explained best; each also on stiffer tyres.
+
+    From tyres that are too soft, hard bends lead to softer ones still instead of to ones that
+    level off.
 
     Raises:
         FloatingPointError: the simulation diverges at every one.
         ValueError: no window sees enough poses.
     """
-    if len(starts) == 1:
-        return starts[0]
-    found = []
-    for number, start in enumerate(starts):
+    some, found = thinned(runs, _ENOUGH), []
+    models = [stiffer(start, factor, stated) for start in starts for factor in (1.0, _STIFFER)]
+    for number, start in enumerate(models):
         try:
-            found.append((_first(start, runs, stated).point.cost, number))
+            found.append((_first(start, some, stated).point.cost, number))
         except (FloatingPointError, np.linalg.LinAlgError):
             continue
     if not found:
         raise FloatingPointError("the simulation diverges at every start")
-    return starts[min(found)[1]]
+    return models[min(found)[1]]
+
+
+def stiffer(model: Model[float], factor: float, stated: Stated) -> Model[float]:
+    """The model on tyres so many times as stiff, as far as nobody stated what they are."""
+    car = model.car
+    moved = {n: factor * getattr(car, n) for n in ("c_sf", "c_sr") if not stated.holds(n)}
+    return model._replace(car=car._replace(**moved))
 
 
 def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) -> Taught:
-    """The car at its best under usual noise."""
+    """The car at its best under noise as learnt about it, from noise that forgives the start.
+
+    A window that is far off is bounded and pulls at nothing; were all so, the search would stay
+    where it began.
+    """
     base = replace(base, sd={}, sections={}) if isinstance(base, CarFile) else base
     superset = make_superset(base, runs)
     names = (*nuisance_names(superset, runs), *structure_names(superset, runs))
     nuisance = tuple(name for name in names if not stated.holds(name))
     shares = {**ORDINARY, **({"lf": MEASURED} if stated.wheelbase else {})}
     superset = replace(superset, knowledge=_weak(superset, nuisance, shares))
-    engine, noise = open_engine(superset, runs), usual_noise(estimate_noise(runs))
+    engine, usual = open_engine(superset, runs), usual_noise(estimate_noise(runs))
     x = engine.readings.layout.guess.copy()
-    likelihood = make_likelihood(engine, superset.base, x, noise)
-    point = minimise(likelihood, begin(Library(likelihood, nuisance, ()), (), (), x))
-    return Taught(likelihood, point, noise, nuisance, shares)
+    for louder in _LOUDER:
+        noise = noise_of_sizes(louder * usual.sizes)
+        likelihood = make_likelihood(engine, superset.base, x, noise)
+        begun = begin(Library(likelihood, nuisance, ()), (), (), x)
+        if (begun.at.square >= SPUN * begun.at.dof).mean() < _FAR_OFF:
+            break
+    taught = Taught(likelihood, minimise(likelihood, begun), noise, nuisance, shares)
+    if louder == 1.0:
+        return taught
+    return _again(taught, learn_noise(engine, taught.point, noise))
 
 
 def _again(taught: Taught, noise: Noise) -> Taught:
