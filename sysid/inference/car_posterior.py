@@ -31,7 +31,7 @@ from steerd.sysid.estimation.outcome import Step
 from steerd.sysid.estimation.robust_covariance import Spread, inflate_each
 from steerd.sysid.estimation.taught import NOTHING, Stated
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.engine import open_engine
+from steerd.sysid.inference.engine import Engine, open_engine
 from steerd.sysid.inference.hypotheses import Library, begin, explain
 from steerd.sysid.inference.knowledge import (
     Knowledge,
@@ -98,8 +98,8 @@ SLIDING, HARD, SLOW = 0.35, 6.0, 0.5
 _NAMED = 3
 CLEAR = 2.0
 """An effect within so many standard deviations of its null is left out of the car file."""
-_LOUDER = (1.0, 3.0, 10.0, 30.0, 100.0)
-"""Multiples of the usual noise; the first is taken under which ..."""
+_LOUDER, _LOUDEST = 3.0, 80.0
+"""Noise grows by this factor, and to so many times the usual at most, until ..."""
 _FAR_OFF = 0.2
 """... a smaller share of the windows is bounded at the start."""
 _STIFFER, _ENOUGH = 3.0, 60.0
@@ -194,16 +194,26 @@ def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) ->
     superset = replace(superset, knowledge=_weak(superset, nuisance, shares))
     engine, usual = open_engine(superset, runs), usual_noise(estimate_noise(runs))
     x = engine.readings.layout.guess.copy()
-    for louder in _LOUDER:
-        noise = noise_of_sizes(louder * usual.sizes)
-        likelihood = make_likelihood(engine, superset.base, x, noise)
-        begun = begin(Library(likelihood, nuisance, ()), (), (), x)
-        if (begun.at.square >= SPUN * begun.at.dof).mean() < _FAR_OFF:
-            break
-    taught = Taught(likelihood, minimise(likelihood, begun), noise, nuisance, shares)
-    if louder == 1.0:
-        return taught
-    return _again(taught, learn_noise(engine, taught.point, noise))
+    noise = usual
+    begun = _begin(engine, nuisance, x, noise)
+    while _bounded(begun[1]) >= _FAR_OFF and noise.sizes[0] < _LOUDEST * usual.sizes[0]:
+        noise = noise_of_sizes(_LOUDER * noise.sizes)
+        begun = _begin(engine, nuisance, x, noise)
+    taught = Taught(begun[0], minimise(*begun), noise, nuisance, shares)
+    return taught if noise is usual else _again(taught, learn_noise(engine, taught.point, noise))
+
+
+def _begin(
+    engine: Engine, nuisance: tuple[str, ...], x: Array, noise: Noise
+) -> tuple[Likelihood, Point]:
+    """Windows under a noise, and the base at its prior."""
+    likelihood = make_likelihood(engine, engine.superset.base, x, noise)
+    return likelihood, begin(Library(likelihood, nuisance, ()), (), (), x)
+
+
+def _bounded(point: Point) -> float:
+    """Share of the windows that are so far off that they pull at nothing."""
+    return float((point.at.square >= SPUN * point.at.dof).mean())
 
 
 def _again(taught: Taught, noise: Noise) -> Taught:
