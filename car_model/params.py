@@ -57,16 +57,16 @@ _PAPER = "IROS 2023 paper"
 _ESTIMATE = "engineering estimate; identify replaces it"
 
 PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("lf", 0.15875, 0.02, 1.0, "m", "CoG to front axle", _GYM),
-    Parameter("lr", 0.17145, 0.02, 1.0, "m", "CoG to rear axle", _GYM),
+    Parameter("lf", 0.15875, 0.005, 3.0, "m", "CoG to front axle", _GYM),
+    Parameter("lr", 0.17145, 0.005, 3.0, "m", "CoG to rear axle", _GYM),
     Parameter("c_sf", 4.718, 0.5, 40.0, "1/rad", "front cornering coefficient cf/(mu Fz)", _GYM),
     Parameter("c_sr", 5.4562, 0.5, 40.0, "1/rad", "rear cornering coefficient cr/(mu Fz)", _GYM),
     Parameter("c_x", 15.0, 2.0, 200.0, "1", "longitudinal coefficient Fx/(mu Fz slip)", _ESTIMATE),
     Parameter("mu", 1.0489, 0.05, 2.0, "1", "friction coefficient", _GYM),
-    Parameter("inertia_z", 0.04712, 1e-3, 2.0, "kg m^2", "yaw inertia about the CoG", _GYM),
-    Parameter("mass", 3.74, 0.2, 50.0, "kg", "mass", _GYM),
-    Parameter("cog_height", 0.074, 0.0, 0.5, "m", "height of the CoG", _GYM),
-    Parameter("steer_gain", 1.0, 0.3, 2.0, "1", "wheel angle per commanded angle", "nominal"),
+    Parameter("inertia_z", 0.04712, 1e-6, 1e4, "kg m^2", "yaw inertia about the CoG", _GYM),
+    Parameter("mass", 3.74, 0.02, 5000.0, "kg", "mass", _GYM),
+    Parameter("cog_height", 0.074, 0.0, 1.5, "m", "height of the CoG", _GYM),
+    Parameter("steer_gain", 1.0, 0.05, 5.0, "1", "wheel angle per commanded angle", "nominal"),
     Parameter("steer_bias", 0.0, -0.2, 0.2, "rad", "wheel angle at command zero", "nominal"),
     Parameter("steer_delay", 0.01, 0.0, 0.3, "s", "dead time, command to servo", "servo frame/2"),
     Parameter("steer_lag", 0.05, 0.0, 0.5, "s", "first-order lag of the servo", _ESTIMATE),

@@ -134,7 +134,9 @@ def _servo_wait(outcome: "Outcome") -> str:
     return "; it contains the wait for the servo's next pulse"
 
 
-def teach_car(model: Model[float], runs: "Sequence[Run]", stated: "Stated") -> "TaughtModel":
+def teach_car(
+    starts: "Sequence[Model[float]]", runs: "Sequence[Run]", stated: "Stated"
+) -> "TaughtModel":
     """A car taught by drives, disturbances known: see `sysid.estimation.taught`.
 
     Raises:
@@ -142,8 +144,14 @@ def teach_car(model: Model[float], runs: "Sequence[Run]", stated: "Stated") -> "
         ValueError: no window sees enough poses.
     """
     from steerd.sysid.estimation.taught import TaughtModel
-    from steerd.sysid.inference.car_posterior import taught_car, teach_with_limits
+    from steerd.sysid.inference.car_posterior import (
+        choose_start,
+        describe_lost,
+        taught_car,
+        teach_with_limits,
+    )
 
+    model = starts[0] if len(starts) == 1 else choose_start(starts, runs, stated)
     file = CarFile(
         Path("taught.toml"), "taught", model.car, model.effects, model.values,
         chassis=model.chassis,
@@ -152,7 +160,8 @@ def teach_car(model: Model[float], runs: "Sequence[Run]", stated: "Stated") -> "
     found = taught_car(file, taught)
     kept = {effect.name for effect in found.effects}
     shown = tuple(step for step in taught.selected if step.effect in kept)
-    return TaughtModel(found.model, found.sd, found.sections, shown)
+    notes = describe_lost(taught, runs)
+    return TaughtModel(found.model, found.sd, found.sections, shown, notes)
 
 
 def with_knowledge(

@@ -29,8 +29,8 @@ from steerd.sysid.estimation.prediction_horizon import level_loads, scale_inerti
 _USAGE = ExitCode.USAGE
 _STARTS = {"ours": 1, "paper": 5, "cma-es": 5}
 _LEAST = {"starts": 1, "iterations": 1, "jobs": 1, "seed": 0}
-_WHEELBASE = 0.05, 2.0
-"""Between a toy's and a passenger car's smallest wheelbase [m]; millimetres lie above."""
+_WHEELBASE = 0.05, 4.0
+"""Between a toy's and a lorry's wheelbase [m]; millimetres lie above."""
 
 Method = Literal["ours", "paper", "cma-es"]
 

@@ -58,7 +58,8 @@ def _data(outcome: Outcome) -> Iterator[str]:
     sides = f"left {e.left:.0%}, right {e.right:.0%}, steering {e.steer_rate:.2f} rad/s"
     yield f"driven     {pace}; {sides}"
     yield from (f"lacking    {what}" for what in e.lacking)
-    how = {"ours": "windows of growing length", "paper": "soft-DTW and chamfer by Adam"}
+    windows = "windows of growing length" if outcome.fit else "windows of 1 s"
+    how = {"ours": windows, "paper": "soft-DTW and chamfer by Adam"}
     effort = f", {outcome.fit.iterations} steps" if outcome.fit else ""
     effort += f", {len(outcome.searches)} starts" if outcome.searches else ""
     name = how.get(outcome.method, "the same loss by CMA-ES")

@@ -6,6 +6,7 @@ a typed error that says what is wrong and what to do.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import ceil
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,7 +40,9 @@ PAUSE, PAUSE_STEPS = 0.3, 5.0
 """Poses that stay away so long [s], and so many times longer than they usually do, are a pause of
 the log: no window reaches across one, where everything would hang on the start."""
 HALF_SPAN = 2
-"""Samples to either side over which rates of a pose are differences."""
+"""Samples to either side over which rates of a pose are differences, at least ..."""
+SPEED_BLUR = 0.15
+"""... and more where the poses' noise would blur a speed by more than this [m/s]."""
 
 
 class Signal(NamedTuple):
@@ -150,17 +153,32 @@ def leave_out(pose: Signal, holes: Array) -> Signal:
     return Signal(pose.t[kept], pose.values[kept])
 
 
-def pose_speed(pose: Signal) -> Signal:
-    """Forward speed from poses, over five samples [m/s]."""
+class Rates(NamedTuple):
+    """Forward speed [m/s] and yaw rate [rad/s] at times [s]."""
+
+    t: Array
+    speed: Array
+    yaw_rate: Array
+
+
+def pose_rates(pose: Signal) -> Rates:
+    """Rates of poses over five samples, or over as many as their noise asks for."""
     t, p = pose
-    half = min(HALF_SPAN, (len(t) - 1) // 2)
-    if half < 1:
-        return Signal(t, np.zeros(len(t)))
+    most = (len(t) - 1) // 2
+    if most < 1:
+        return Rates(t, np.zeros(len(t)), np.zeros(len(t)))
+    blur = 2.0**0.5 * max(noise_of(t, p[:, 0]), noise_of(t, p[:, 1])) / SPEED_BLUR
+    half = min(max(HALF_SPAN, ceil(0.5 * blur / float(np.median(np.diff(t))))), most)
     span = t[2 * half :] - t[: -2 * half]
-    velocity = (p[2 * half :, :2] - p[: -2 * half, :2]) / span[:, None]
+    slope = (p[2 * half :] - p[: -2 * half]) / span[:, None]
     yaw = p[half:-half, 2]
-    speed = velocity[:, 0] * np.cos(yaw) + velocity[:, 1] * np.sin(yaw)
-    return Signal(t[half:-half], speed)
+    speed = slope[:, 0] * np.cos(yaw) + slope[:, 1] * np.sin(yaw)
+    return Rates(t[half:-half], speed, slope[:, 2])
+
+
+def pose_speed(pose: Signal) -> Signal:
+    """Forward speed from poses [m/s]."""
+    return Signal(*pose_rates(pose)[:2])
 
 
 def _clean(signal: Signal | None) -> Signal:

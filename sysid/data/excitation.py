@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sysid.data.dataset import HALF_SPAN, Run, pose_speed
+from steerd.sysid.data.dataset import Run, pose_rates, pose_speed
 
 Array = NDArray[np.float64]
 
@@ -85,13 +85,9 @@ def _smooth_rate(run: Run) -> Array:
 
 
 def _lateral(run: Run) -> Array:
-    """Lateral acceleration from poses over five samples [m/s^2]."""
-    t, pose = run.pose
-    half = min(HALF_SPAN, (len(t) - 1) // 2)
-    span = t[2 * half :] - t[: -2 * half]
-    turn = (pose[2 * half :, 2] - pose[: -2 * half, 2]) / span
-    lateral: Array = np.abs(turn * pose_speed(run.pose).values)
-    return lateral
+    """Lateral acceleration from poses [m/s^2]."""
+    rates = pose_rates(run.pose)
+    return np.asarray(np.abs(rates.yaw_rate * rates.speed))
 
 
 def _lacking(speed_span: float, steer_rate: float, less: float, lateral: float) -> list[str]:

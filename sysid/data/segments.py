@@ -1,9 +1,10 @@
 """Segments of drives in which the car moves, and blocks that are held out for validation.
 
 Below walking pace motor controllers do not follow a speed, and the yaw mode is so stiff that the
-smallest step would be needed throughout; a fit uses the rest. Times within a segment count from
-its first command. The commands of the half second before it (`Run.history`) belong to it, so that
-the steering's past is known.
+smallest step would be needed throughout; backwards a car is another one. A fit uses the rest. Times
+within a segment count from its first command. The commands of the half second before it
+(`Run.history`) belong to it, so that the steering's past is known; they may be of a time in which
+the car stood or went backwards.
 """
 
 from collections.abc import Sequence
@@ -13,15 +14,19 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import HISTORY, Run, Signal, least_pause, pose_speed
 
 Array = NDArray[np.float64]
 
 SPEED_MIN = 0.4
-"""Speed of a segment, at least [m/s]."""
-DURATION_MIN = 2.0
-"""Shorter segments are left out [s]."""
+"""Speed of a segment, at least [m/s] ..."""
+SPEED_ROLLS = SPEED_KINEMATIC
+"""... and where it was measured, so that no motor controller has to follow it: below this a car
+follows its wheels, whatever its tyres."""
+DURATION_MIN = 1.2
+"""Shorter stretches are left out [s]: a window and what its ends need."""
 SHORT_REPORTED = 0.5
 """Shorter ones are starts and stops, and nobody misses them [s]."""
 SMOOTH = 0.3
@@ -128,11 +133,12 @@ def smooth_speed(run: Run) -> Run:
 
 
 def _spans(run: Run) -> list[tuple[float, float]]:
-    """Stretches in which command and pose both say that the car moves [s]."""
+    """Stretches in which command and pose both say that the car goes forward [s]."""
     t, speed = pose_speed(run.pose)
     grid = run.h * np.arange(len(run.commands))
-    slow = np.convolve(np.interp(grid, t, np.abs(speed)), np.ones(11) / 11.0, "same")
-    moving = (np.abs(run.commands[:, 1]) > SPEED_MIN) & (slow > SPEED_MIN)
+    slow = np.convolve(np.interp(grid, t, speed), np.ones(11) / 11.0, "same")
+    least = SPEED_MIN if run.speed_source == "command" else SPEED_ROLLS
+    moving = (run.commands[:, 1] > least) & (slow > least)
     moving &= (grid >= run.pose.t[0]) & (grid <= run.pose.t[-1])
     for first, last in pauses(run):
         moving &= (grid <= first) | (grid >= last)
@@ -150,18 +156,18 @@ def describe_unused(runs: Sequence[Run]) -> tuple[str, ...]:
     """What of the driving `moving_segments` leaves out without being asked to, in words."""
     texts = []
     lengths = [high - low for run in runs for low, high in _spans(run)]
-    short = [n for n in lengths if SHORT_REPORTED < n < DURATION_MIN + HISTORY]
+    short = [n for n in lengths if SHORT_REPORTED < n < DURATION_MIN]
     if short:
         texts.append(
             f"{len(short)} stretch{'es' * (len(short) > 1)} of driving shorter than "
-            f"{DURATION_MIN + HISTORY:g} s, {sum(short):.0f} s of {sum(lengths):.0f} s in all, "
+            f"{DURATION_MIN:g} s, {sum(short):.0f} s of {sum(lengths):.0f} s in all, "
             "not used: what a car does then depends on how it began"
         )
-    texts += [
-        f"{run.name}: no poses from {first:.2f} s to {last:.2f} s; the drive is cut there"
-        for run in runs
-        for first, last in pauses(run)
-    ]
+    for run in runs:
+        where = [f"{first:.2f} s to {last:.2f} s" for first, last in pauses(run)]
+        if where:
+            more = f" and {len(where) - 1} times more" if len(where) > 1 else ""
+            texts.append(f"{run.name}: no poses from {where[0]}{more}; the drive is cut there")
     return tuple(texts)
 
 
@@ -172,10 +178,10 @@ def moving_segments(runs: Sequence[Run]) -> tuple[Run, ...]:
         DataError: there is none.
     """
     segments = [
-        make_segment(run, low + HISTORY, high)
+        make_segment(run, low + min(HISTORY, high - low - DURATION_MIN), high)
         for run in map(smooth_speed, runs)
         for low, high in _spans(run)
-        if high - low - HISTORY >= DURATION_MIN
+        if high - low >= DURATION_MIN
     ]
     if not segments:
         names = ", ".join(run.name for run in runs)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
 from steerd.car_model.native.trace import parameter_names
-from steerd.car_model.params import PARAMETERS
+from steerd.car_model.params import DEFAULT_CAR, PARAMETERS
+from steerd.car_model.params import wheelbase as length_of
 
 Array = NDArray[np.float64]
 
@@ -32,10 +33,14 @@ SPREAD = {
     "accel_max": 5.0, "decel_max": 5.0, "lf": 0.2, "lr": 0.2,
 }  # fmt: skip
 """Prior standard deviation of what is neither a compliance nor a logarithm, in its own unit."""
+LENGTHS = frozenset(
+    {"lf", "lr", "cog_height", "marker_offset.forward", "marker_offset.left", "cog_offset.offset"}
+)
+"""What is as uncertain as the car is long: the spreads are those of a car of the default's size."""
 SPREAD_RELATIVE = 1.0
 """Prior standard deviation of compliances, logarithms and inertia, relative."""
 SPREAD_GAIN = 0.3
-"""The same for the two gains."""
+"""The same for the two gains, relative."""
 WHEELBASE = "wheelbase"
 
 
@@ -137,7 +142,7 @@ class Chart:
     def allowed(self, parameters: Array) -> bool:
         """Whether all parameters are finite and those that follow from others are in bounds."""
         front, rear = parameters[self.names.index("lf")], parameters[self.names.index("lr")]
-        return bool(np.isfinite(parameters).all() and min(front, rear) > 0.01)
+        return bool(np.isfinite(parameters).all() and min(front, rear) > 0.002)
 
 
 def _effect_spread(effects: Sequence[Effect]) -> dict[str, float]:
@@ -188,11 +193,18 @@ def _spreads(chart: Chart, effects: Sequence[Effect]) -> Array:
         if name in INVERSE:
             spread.append(SPREAD_RELATIVE * abs(value))
         elif name.endswith("gain"):
-            spread.append(SPREAD_GAIN)
+            spread.append(SPREAD_GAIN * (1.0 if name in LOGARITHM else abs(value)))
         elif name in LOGARITHM:
             spread.append(SPREAD_RELATIVE)
         elif name == "inertia_z":
             spread.append(SPREAD_RELATIVE * abs(value))
         else:
-            spread.append(own.get(name) or SPREAD[name])
+            size = relative_length(chart.names, chart.prior) if name in LENGTHS else 1.0
+            spread.append(size * (own.get(name) or SPREAD[name]))
     return np.array(spread)
+
+
+def relative_length(names: Sequence[str], parameters: Array) -> float:
+    """Wheelbase of a car (P,) per the default car's."""
+    both = parameters[names.index("lf")] + parameters[names.index("lr")]
+    return float(both / length_of(DEFAULT_CAR))

@@ -25,6 +25,7 @@ from steerd.sysid.estimation.multistart import (
 )
 from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row
 from steerd.sysid.estimation.outcome_rows import make_effect_rows, make_rows
+from steerd.sysid.estimation.plain_start import possible_starts
 from steerd.sysid.estimation.prediction_horizon import (
     ROUGH,
     SHORT,
@@ -232,6 +233,8 @@ def _estimate(
     """The estimates by the task's method, and the task with windows as long as the car holds."""
     if task.method != "ours":
         return task, _Found(None, _search(task))
+    if task.teach is not None and not _driven_by_steerd(task):
+        return task, _Found(None, taught=_teach_foreign(task, given, drives.fitted))
     if rough is None:
         options = replace(task.options, horizons=ROUGH)
         rough = fit(drives.fitted, task.model, options=options)
@@ -255,6 +258,28 @@ def _fill_rows(
     return after, rows, make_effect_rows(task.model, found.fit)
 
 
+def _driven_by_steerd(task: Task) -> bool:
+    """Whether servo or motor controller are known, as in sessions of one's own car."""
+    return any(run.servo_frame or run.speed_ramp for run in task.runs)
+
+
+def _teach_foreign(task: Task, given: Car[float], fitted: Sequence[Run]) -> TaughtModel:
+    """The car by the teacher from a start of the drives' own size: it may be any car.
+
+    Raises:
+        FloatingPointError: no start gives a finite simulation.
+        ValueError: no window sees enough poses.
+    """
+    stated = Stated(task.options.wheelbase is not None, task.held)
+    starts = [
+        widen_end_stops(model, task.runs, task.options.free or ())
+        for model in possible_starts(task.model, task.runs, stated)
+    ]
+    taught = task.teach(starts, fitted, stated)
+    car = restore_end_stops(taught.model.car, given, task.runs)
+    return taught._replace(model=taught.model._replace(car=car))
+
+
 def _ask_teacher(
     task: Task, given: Car[float], found: Fit | None, fitted: Sequence[Run]
 ) -> TaughtModel | None:
@@ -263,7 +288,7 @@ def _ask_teacher(
         return None
     try:
         stated = Stated(task.options.wheelbase is not None, task.held)
-        taught = task.teach(start_of(task.model, found), fitted, stated)
+        taught = task.teach((start_of(task.model, found),), fitted, stated)
     except (ValueError, FloatingPointError):
         return None
     car = taught.model.car
@@ -304,8 +329,7 @@ def _apply_timing(task: Task) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...]
     And the rough car that showed how, if one was needed. The paper's methods take commands as they
     are.
     """
-    known = any(run.servo_frame or run.speed_ramp for run in task.runs)
-    if task.method != "ours" or not known:
+    if task.method != "ours" or not _driven_by_steerd(task):
         return task, (), (), None
     rough = rough_fit(task.runs, task.model, task.options)
     settled: list[tuple[Run, ...]] = []
@@ -401,6 +425,8 @@ def _notes(task: Task, drives: _Drives, found: _Found) -> tuple[str, ...]:
             f"the car went about as fast as it was asked in {share:.0%} of the time only: "
             "`--speed wheel` takes the measured speed instead"
         )
+    if found.fit is None and found.taught is not None:
+        return (*notes, *found.taught.notes)
     if found.fit is None:
         return (*notes, "sd is the spread over the starts: this method has no error bars")
     if not found.fit.converged:

@@ -85,7 +85,7 @@ def widen_end_stops(model: Model[float], runs: Sequence[Run], free: Sequence[str
     A log that steerd did not drive may be of any car, and steer in any unit of its own: the end
     stops of the start values would clip what no servo clipped.
     """
-    widest = _ROOM * largest_steering(runs)
+    widest = _ROOM * max(1.0, model.car.steer_gain) * largest_steering(runs)
     known = any(run.servo_frame for run in runs) or {"steer_min", "steer_max"} & set(free)
     if known or widest <= min(-model.car.steer_min, model.car.steer_max):
         return model

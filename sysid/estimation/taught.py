@@ -31,12 +31,14 @@ class TaughtModel(NamedTuple):
         sd: standard errors of what was free, by `parameter` or `effect.parameter`.
         sections: tables for the car file beside its numbers, by name.
         selected: effects that were looked for and found, those that every car has aside.
+        notes: what a person should know.
     """
 
     model: Model[float]
     sd: Mapping[str, float]
     sections: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
     selected: tuple[Step, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 class Stated(NamedTuple):
@@ -57,8 +59,8 @@ class Stated(NamedTuple):
 
 NOTHING = Stated()
 
-Teacher = Callable[[Model[float], Sequence[Run], Stated], TaughtModel]
-"""Teaches a car from parts of drives, starting at a model, within what is stated.
+Teacher = Callable[[Sequence[Model[float]], Sequence[Run], Stated], TaughtModel]
+"""Teaches a car from parts of drives, from the best of some starts, within what is stated.
 
 Raises ValueError or FloatingPointError where the drives are not fit for it."""
 

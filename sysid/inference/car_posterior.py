@@ -23,6 +23,7 @@ from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
 from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.segments import thinned
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.estimation.chart import make_chart
 from steerd.sysid.estimation.identifiability import BODY_OR_COG
@@ -30,7 +31,7 @@ from steerd.sysid.estimation.outcome import Step
 from steerd.sysid.estimation.robust_covariance import Spread, inflate_each
 from steerd.sysid.estimation.taught import NOTHING, Stated
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.engine import open_engine
+from steerd.sysid.inference.engine import Engine, open_engine
 from steerd.sysid.inference.hypotheses import Library, begin, explain
 from steerd.sysid.inference.knowledge import (
     Knowledge,
@@ -38,11 +39,12 @@ from steerd.sysid.inference.knowledge import (
     knowledge_section,
     numbers_of,
 )
-from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
+from steerd.sysid.inference.likelihood import SPUN, Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
     Noise,
     calibrated,
     learn_noise,
+    noise_of_sizes,
     noise_section,
     noise_share,
     usual_noise,
@@ -91,8 +93,17 @@ say where the centre of gravity is. On 30 cars of three foreign simulators, no b
 were taken for one with a body 13 to 31 mm off; both axles' lengths were off by as much, 20 mm in
 the root mean square at standard errors of 5. Of the other 26 no length was off by more than 5 mm.
 """
+SLIDING, HARD, SLOW = 0.35, 6.0, 0.5
+"""What a window that no car holds is said to be like [rad, m/s^2, m/s]."""
+_NAMED = 3
 CLEAR = 2.0
 """An effect within so many standard deviations of its null is left out of the car file."""
+_LOUDER, _LOUDEST = 3.0, 80.0
+"""Noise grows by this factor, and to so many times the usual at most, until ..."""
+_FAR_OFF = 0.2
+"""... a smaller share of the windows is bounded at the start."""
+_STIFFER, _ENOUGH = 3.0, 60.0
+"""Stiffness of a further start, and driving that is enough to choose between them [s]."""
 _ROUNDS = 2
 """How often noise and base are learnt in turn."""
 
@@ -135,17 +146,74 @@ def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NO
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
+    return _in_turn(_first(base, runs, stated), runs, _ROUNDS)
+
+
+def choose_start(
+    starts: Sequence[Model[float]], runs: Sequence[Run], stated: Stated = NOTHING
+) -> Model[float]:
+    """The start from which these drives are explained best; each also on stiffer tyres.
+
+    From tyres that are too soft, hard bends lead to softer ones still instead of to ones that
+    level off.
+
+    Raises:
+        FloatingPointError: the simulation diverges at every one.
+        ValueError: no window sees enough poses.
+    """
+    some, found = thinned(runs, _ENOUGH), []
+    models = [stiffer(start, factor, stated) for start in starts for factor in (1.0, _STIFFER)]
+    for number, start in enumerate(models):
+        try:
+            found.append((_first(start, some, stated).point.cost, number))
+        except (FloatingPointError, np.linalg.LinAlgError):
+            continue
+    if not found:
+        raise FloatingPointError("the simulation diverges at every start")
+    return models[min(found)[1]]
+
+
+def stiffer(model: Model[float], factor: float, stated: Stated) -> Model[float]:
+    """The model on tyres so many times as stiff, as far as nobody stated what they are."""
+    car = model.car
+    moved = {n: factor * getattr(car, n) for n in ("c_sf", "c_sr") if not stated.holds(n)}
+    return model._replace(car=car._replace(**moved))
+
+
+def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) -> Taught:
+    """The car at its best under noise as learnt about it, from noise that forgives the start.
+
+    A window that is far off is bounded and pulls at nothing; were all so, the search would stay
+    where it began.
+    """
     base = replace(base, sd={}, sections={}) if isinstance(base, CarFile) else base
     superset = make_superset(base, runs)
     names = (*nuisance_names(superset, runs), *structure_names(superset, runs))
     nuisance = tuple(name for name in names if not stated.holds(name))
     shares = {**ORDINARY, **({"lf": MEASURED} if stated.wheelbase else {})}
     superset = replace(superset, knowledge=_weak(superset, nuisance, shares))
-    engine, noise = open_engine(superset, runs), usual_noise(estimate_noise(runs))
+    engine, usual = open_engine(superset, runs), usual_noise(estimate_noise(runs))
     x = engine.readings.layout.guess.copy()
-    likelihood = make_likelihood(engine, superset.base, x, noise)
-    point = minimise(likelihood, begin(Library(likelihood, nuisance, ()), (), (), x))
-    return _in_turn(Taught(likelihood, point, noise, nuisance, shares), runs, _ROUNDS)
+    noise = usual
+    begun = _begin(engine, nuisance, x, noise)
+    while _bounded(begun[1]) >= _FAR_OFF and noise.sizes[0] < _LOUDEST * usual.sizes[0]:
+        noise = noise_of_sizes(_LOUDER * noise.sizes)
+        begun = _begin(engine, nuisance, x, noise)
+    taught = Taught(begun[0], minimise(*begun), noise, nuisance, shares)
+    return taught if noise is usual else _again(taught, learn_noise(engine, taught.point, noise))
+
+
+def _begin(
+    engine: Engine, nuisance: tuple[str, ...], x: Array, noise: Noise
+) -> tuple[Likelihood, Point]:
+    """Windows under a noise, and the base at its prior."""
+    likelihood = make_likelihood(engine, engine.superset.base, x, noise)
+    return likelihood, begin(Library(likelihood, nuisance, ()), (), (), x)
+
+
+def _bounded(point: Point) -> float:
+    """Share of the windows that are so far off that they pull at nothing."""
+    return float((point.at.square >= SPUN * point.at.dof).mean())
 
 
 def _again(taught: Taught, noise: Noise) -> Taught:
@@ -189,6 +257,33 @@ def ratios(taught: Taught) -> Array:
 def unweighed(taught: Taught) -> Array:
     """(W,) the same without what regimes are allowed beyond the noise."""
     return ratios(taught) * taught.likelihood.engine.excess
+
+
+def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Where the car taught does not hold, and how it was driven there, in a sentence; often none.
+
+    Args:
+        taught: the car.
+        runs: its drives.
+    """
+    engine, layout = taught.likelihood.engine, taught.likelihood.engine.readings.layout
+    lost = ratios(taught) >= SPUN
+    if not lost.any():
+        return ()
+    speed, slip = np.abs(taught.point.x[:, 3]), np.abs(taught.point.x[:, 5])
+    why = [
+        f"{text} in {int((lost & where).sum())}"
+        for where, text in (
+            (slip > SLIDING, f"sliding by more than {SLIDING:g} rad"),
+            (engine.lateral > HARD, f"more than {HARD:g} m/s2 sideways"),
+            (speed < SLOW, f"below {SLOW:g} m/s"),
+        )
+        if (lost & where).any()
+    ]
+    places = [f"{runs[layout.run[w]].name} {layout.t[w]:.1f} s" for w in np.flatnonzero(lost)]
+    named = ", ".join(places[:_NAMED]) + (", ..." if len(places) > _NAMED else "")
+    how = f": {', '.join(why)}" if why else ": driven like the others, so something acts there"
+    return (f"the model does not hold {lost.sum()} of {len(lost)} windows of 1 s ({named}){how}",)
 
 
 def _excess(taught: Taught, should: float = 1.0) -> tuple[float, ...]:

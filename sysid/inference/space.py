@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Channel
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.estimation.chart import INVERSE, LOGARITHM, RELATIVE, Chart, make_chart
+from steerd.sysid.estimation.chart import (
+    INVERSE,
+    LENGTHS,
+    LOGARITHM,
+    RELATIVE,
+    Chart,
+    make_chart,
+    relative_length,
+)
 from steerd.sysid.inference.superset import Superset
 
 Array = NDArray[np.float64]
@@ -30,7 +38,8 @@ FLOORS = {
 }  # fmt: skip
 """Least prior standard deviation: what an identified car is off by because every model is wrong.
 
-Relative for stiffnesses, inertia and gains, else in the parameter's unit.
+Relative for stiffnesses, inertia and gains, for lengths of a car of the default's size, else in the
+parameter's unit.
 """
 LIMITS = ("steer_rate", "accel_max", "decel_max")
 """Limits, which a data sheet gives for another car; drives that reach them identify this one's."""
@@ -138,10 +147,7 @@ def informative_effects(superset: Superset, runs: Sequence[Run]) -> tuple[str, .
 
 def _spread(superset: Superset, name: str) -> float:
     """Prior standard deviation of a base parameter in its own unit."""
-    value = float(superset.base[superset.kernels.names.index(name)])
-    floor = FLOORS[name]
-    if name in RELATIVE:
-        floor *= abs(value)
+    floor = FLOORS[name] * _unit(superset, name)
     if not superset.sd:
         return UNKNOWN * floor
     return max(floor, WIDER * min(superset.sd.get(name, 0.0), 20.0 * floor))
@@ -200,8 +206,16 @@ def _floor(superset: Superset, name: str) -> float:
         scale = next(p.scale for p in found.parameters if p.name == parameter)
         return 0.05 * scale
     value = abs(float(superset.base[superset.kernels.names.index(name)]))
-    floor = FLOORS[name] * (value if name in RELATIVE else 1.0)
+    floor = FLOORS[name] * _unit(superset, name)
     return floor / value**2 if name in INVERSE else floor / value if name in LOGARITHM else floor
+
+
+def _unit(superset: Superset, name: str) -> float:
+    """What a base parameter's floor is a multiple of: its value, or the car's relative size."""
+    names = superset.kernels.names
+    if name in LENGTHS:
+        return relative_length(names, superset.base)
+    return abs(float(superset.base[names.index(name)])) if name in RELATIVE else 1.0
 
 
 def _coordinate_spread(superset: Superset, name: str) -> float:

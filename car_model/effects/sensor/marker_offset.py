@@ -23,8 +23,8 @@ EFFECT = Effect(
     summary="the mocap body's origin is off the centre of gravity",
     equation="(x, y)_seen = (x, y) + R(yaw) (forward, left)",
     parameters=(
-        EffectParameter("forward", 0.0, -0.3, 0.3, "m", 0.02, "ahead of the CoG"),
-        EffectParameter("left", 0.0, -0.3, 0.3, "m", 0.02, "to the left of the CoG"),
+        EffectParameter("forward", 0.0, -2.0, 2.0, "m", 0.02, "ahead of the CoG"),
+        EffectParameter("left", 0.0, -2.0, 2.0, "m", 0.02, "to the left of the CoG"),
     ),
     least_size=0.0038,
     confounded_with=Confounding(

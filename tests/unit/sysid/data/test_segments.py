@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerd.sysid.data.dataset import HISTORY, Signal, make_run
+from steerd.sysid.data.dataset import HISTORY, Signal, make_run, pose_speed
 from steerd.sysid.data.segments import (
+    DURATION_MIN,
     PIECE,
+    describe_unused,
     hold_out,
     make_blocks,
     moving_segments,
@@ -92,3 +94,45 @@ def test_drives_are_thinned_evenly_to_what_is_wanted(drive):
     assert (numbers[0], numbers[-1]) == (0, 39)
     assert set(np.diff(numbers)) == {4, 5}
     assert thinned(drives, 0.0) == drives[:1]
+
+
+def imported(speed, rate, blur=0.0):
+    """A log without speed commands of a car that goes along x, `speed` over times [s]."""
+    t = np.arange(0.0, 20.0, 1.0 / rate)
+    noise = blur * np.random.default_rng(4).normal(size=(len(t), 2))
+    x = np.concatenate([[0.0], np.cumsum(speed(t[:-1]))]) / rate
+    pose = np.column_stack([x, 0.0 * t, 0.0 * t])
+    pose[:, :2] += noise
+    return make_run("log", Signal(t, 0.1 * np.sin(t)), None, Signal(t, pose))
+
+
+@pytest.mark.parametrize("rate", [20.0, 100.0])
+def test_reverse_is_left_out_and_its_neighbourhood_stays(rate):
+    run = imported(lambda t: np.where((t > 8.0) & (t < 12.0), -1.0, 1.0), rate)
+    parts = moving_segments([run])
+    spans = [(part.start + part.pose.t[0], part.start + part.pose.t[-1]) for part in parts]
+    assert np.allclose(spans, [(HISTORY, 8.0), (12.0 + HISTORY, 20.0)], atol=0.3)
+    assert describe_unused([run]) == ()
+
+
+@pytest.mark.parametrize("length", [DURATION_MIN + 0.2, 1.6, 2.2])
+def test_stretches_from_little_more_than_a_second_on_are_used(length):
+    run = imported(lambda t: np.where(t % 4.0 < length, 1.0, 0.0), 50.0)
+    parts = moving_segments([run])
+    assert len(parts) == 5
+    lengths = [part.pose.t[-1] - part.pose.t[0] for part in parts]
+    assert min(lengths) > DURATION_MIN - 0.1
+    assert len(make_layout(parts, 1.0).t) >= 5
+
+
+def test_shorter_ones_are_counted():
+    run = imported(lambda t: np.where((t > 10.0) & (t % 4.0 > 0.9), 0.0, 1.0), 50.0)
+    (text,) = describe_unused([run])
+    assert "2 stretches of driving shorter than 1.2 s" in text
+
+
+def test_a_centimetre_of_noise_does_not_chop_a_drive():
+    run = imported(lambda t: 0.6 + 0.0 * t, 100.0, blur=0.01)
+    assert np.std(pose_speed(run.pose).values) < 0.2
+    (part,) = moving_segments([run])
+    assert part.pose.t[-1] - part.pose.t[0] > 18.0
