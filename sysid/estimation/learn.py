@@ -234,7 +234,7 @@ def _estimate(
     if task.method != "ours":
         return task, _Found(None, _search(task))
     if task.teach is not None and not _driven_by_steerd(task):
-        return task, _Found(None, taught=_teach_foreign(task, given, drives.fitted))
+        return task, _Found(None, taught=_teach_foreign(task.teach, task, given, drives.fitted))
     if rough is None:
         options = replace(task.options, horizons=ROUGH)
         rough = fit(drives.fitted, task.model, options=options)
@@ -263,7 +263,9 @@ def _driven_by_steerd(task: Task) -> bool:
     return any(run.servo_frame or run.speed_ramp for run in task.runs)
 
 
-def _teach_foreign(task: Task, given: Car[float], fitted: Sequence[Run]) -> TaughtModel:
+def _teach_foreign(
+    teach: Teacher, task: Task, given: Car[float], fitted: Sequence[Run]
+) -> TaughtModel:
     """The car by the teacher from a start of the drives' own size: it may be any car.
 
     Raises:
@@ -275,7 +277,7 @@ def _teach_foreign(task: Task, given: Car[float], fitted: Sequence[Run]) -> Taug
         widen_end_stops(model, task.runs, task.options.free or ())
         for model in possible_starts(task.model, task.runs, stated)
     ]
-    taught = task.teach(starts, fitted, stated)
+    taught = teach(starts, fitted, stated)
     car = restore_end_stops(taught.model.car, given, task.runs)
     return taught._replace(model=taught.model._replace(car=car))
 
