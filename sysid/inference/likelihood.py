@@ -33,7 +33,9 @@ DISCREPANCY_MEMORY = 0.3
 """Its correlation time [s]: what a wrong model misses lasts as long as a manoeuvre's phase."""
 SPUN = 12.0
 """Squared error per degree of freedom from which a window counts as spun: a car that spins is
-chaotic, its derivatives point nowhere, and no hypothesis shall win or lose by it."""
+chaotic, its derivatives point nowhere, and no hypothesis shall win or lose by it ..."""
+SPUN_SHARE = 0.2
+"""... and what such a window counts for beyond: where all are far off they still say how far."""
 SIZES: Array = np.concatenate([[0.0], np.geomspace(0.02, 40.0, 25)])
 """Sizes that are tried; a factor of 1.37 between them changes no decision."""
 
@@ -99,9 +101,9 @@ class Reduced(NamedTuple):
 
     @property
     def weight(self) -> Array:
-        """(W,) weight of each window under Student's t; a window that spins pulls at nothing."""
+        """(W,) weight of each window under Student's t; a window that spins hardly pulls."""
         ratio = self.square / self.dof
-        return np.where(ratio < SPUN, 2.0 / (1.0 + ratio), 0.0)
+        return np.where(ratio < SPUN, 2.0 / (1.0 + ratio), 2.0 * SPUN_SHARE / (1.0 + ratio))
 
     @property
     def loss(self) -> Array:
@@ -110,8 +112,10 @@ class Reduced(NamedTuple):
 
 
 def loss_of(square: Array, dof: Array) -> Array:
-    """(W,) negative log of Student's t of as many degrees as rows, bounded [nats]."""
-    return np.asarray(dof * np.log1p(np.minimum(np.maximum(square, 0.0) / dof, SPUN)))
+    """(W,) negative log of Student's t of as many degrees as rows, flatter beyond `SPUN` [nats]."""
+    ratio = np.maximum(square, 0.0) / dof
+    near, whole = np.log1p(np.minimum(ratio, SPUN)), np.log1p(ratio)
+    return np.asarray(dof * (near + SPUN_SHARE * (whole - near)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from steerd.sysid.inference.likelihood import (
     DISCREPANCY_MEMORY,
     SIZES,
     SPUN,
+    SPUN_SHARE,
     loss_of,
     take_some,
 )
@@ -132,16 +133,28 @@ def test_another_size_is_a_change_of_weights_alone(likelihood, small):
     assert with_size(likelihood, point, 2.0) is point
 
 
-def test_a_window_in_which_the_car_spins_pulls_at_nothing_and_decides_nothing(likelihood, small):
+def test_a_window_in_which_the_car_spins_hardly_pulls_and_decides_little(likelihood, small):
     guess = likelihood.engine.readings.layout.guess
     at = stand(likelihood, small, small.centre, guess, 0.0).at
     spun = at._replace(square=at.square * np.where(np.arange(len(guess)) == 2, 1e6, 1.0))
-    assert spun.weight[2] == 0.0
-    assert (np.delete(spun.weight, 2) > 0.0).all()
-    assert loss_of(spun.square, spun.dof)[2] == pytest.approx(spun.dof[2] * np.log1p(SPUN))
+    assert 0.0 < spun.weight[2] < 1e-5 < np.delete(spun.weight, 2).min()
+    usual = spun.dof[2] * np.log1p(spun.square[2] / spun.dof[2])
+    bounded = spun.dof[2] * np.log1p(SPUN)
+    found = loss_of(spun.square, spun.dof)[2]
+    assert found == pytest.approx(bounded + SPUN_SHARE * (usual - bounded))
 
 
-@pytest.mark.parametrize("size", [0.0, 1.0, 5.0])
+def test_a_weight_is_the_slope_of_the_loss(likelihood, small):
+    """Half of it per square, below and beyond the bound from which a window counts as spun."""
+    at = stand(likelihood, small, small.centre, likelihood.engine.readings.layout.guess, 0.0).at
+    for ratio in (0.5, 3.0, 0.9 * SPUN, 1.1 * SPUN, 50.0 * SPUN):
+        square, dof = ratio * at.dof, at.dof
+        step = 1e-4 * square
+        slope = (loss_of(square + step, dof) - loss_of(square - step, dof)) / (2.0 * step)
+        assert at._replace(square=square).weight == pytest.approx(2.0 * slope, rel=1e-5)
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0, 5.0, 25.0])
 def test_the_size_is_that_from_which_errors_were_drawn(likelihood, linear, size):
     """Errors of a known covariance, the starts fitted to them."""
     rng = np.random.default_rng(11)
