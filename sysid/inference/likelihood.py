@@ -213,7 +213,7 @@ class Likelihood:
 
     def best_size(self, at: Rotated, error: Array, x: Array, least: float = 0.0) -> float:
         """The size of `SIZES` under which these errors are most likely, `least` at least."""
-        sizes = SIZES[least - 1e-12 <= SIZES]
+        sizes = SIZES[min(least, SIZES[-1]) - 1e-12 <= SIZES]
         best, lowest = float(sizes[-1]), np.inf
         for size in sizes:
             cost = float(self.losses(at, error, x, float(size)).sum())
