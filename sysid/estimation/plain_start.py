@@ -3,7 +3,7 @@
 At low lateral acceleration a car follows its wheels: the path's curvature is the tangent of
 `steer_gain` times the command over the wheelbase (Rajamani, Vehicle Dynamics and Control, section
 2.2). So the gain per wheelbase is known before any simulation.
-Which of the two, the drives hardly say: a wheelbase that is stated gives the gain; without one the
+Which of the two, the drives barely say: a wheelbase that is stated gives the gain; without one the
 commands are taken as the wheels' angles, as far as wheels turn so far.
 """
 
@@ -20,7 +20,7 @@ from steerd.sysid.estimation.taught import Stated
 Array = NDArray[np.float64]
 
 GENTLE = 2.0
-"""Lateral acceleration below which tyres hardly slip [m/s^2]."""
+"""Lateral acceleration below which tyres barely slip [m/s^2]."""
 SPEED_MIN = 0.3
 """Slower, the curvature of noisy poses says nothing [m/s]."""
 DELAYS: Array = np.arange(0.0, 0.41, 0.02)
@@ -45,7 +45,7 @@ def possible_starts(
 ) -> tuple[Model[float], ...]:
     """The car as given, and before it one of the size, or the gain, that the curvature asks for.
 
-    Hard drives hardly show it, so both are starts; the drives choose.
+    Hard drives barely show it, so both are starts; the drives choose.
 
     Args:
         model: the car as given, of any size.
@@ -112,7 +112,7 @@ def _slope(
 
 
 def _gentle(run: Run) -> tuple[Array, Array]:
-    """Times [s] and curvatures [1/m] of a drive, forward and where tyres hardly slip."""
+    """Times [s] and curvatures [1/m] of a drive, forward and where tyres barely slip."""
     t, speed, rate = pose_rates(run.pose)
     kept = (speed > SPEED_MIN) & (np.abs(speed * rate) < GENTLE)
     return t[kept], rate[kept] / speed[kept]

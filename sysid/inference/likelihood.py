@@ -101,7 +101,7 @@ class Reduced(NamedTuple):
 
     @property
     def weight(self) -> Array:
-        """(W,) weight of each window under Student's t; a window that spins hardly pulls."""
+        """(W,) weight of each window under Student's t; a window that spins barely pulls."""
         ratio = self.square / self.dof
         return np.where(ratio < SPUN, 2.0 / (1.0 + ratio), 2.0 * SPUN_SHARE / (1.0 + ratio))
 
