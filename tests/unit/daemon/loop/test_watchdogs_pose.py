@@ -214,6 +214,13 @@ def test_innovations_in_a_row_and_their_share():
     assert rejected_share(TH, watch) == 0.06
 
 
+def test_frames_and_innovations_leave_each_other_alone():
+    busy = PoseWatch(frame(), frame(0.99, 0), 1, 2, 3, (4,), 1, 0b101)
+    assert step_innovation(TH, busy, True) == changed(busy, rejected=2, rejections=0b1011)
+    after, _ = judge(frame(1.01, 2), busy)
+    assert (after.rejected, after.rejections) == (1, 0b101)
+
+
 def test_minutes_of_driving_with_losses_gaps_and_noise_rejects_nothing():
     rng = np.random.default_rng(7)
     th, watch, t_ns, dropped_until = Thresholds(), PoseWatch(), 0, 0
