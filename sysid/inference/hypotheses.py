@@ -144,7 +144,7 @@ class _Search:
     @cached_property
     def surprise(self) -> float:
         """What a first name must gain before its odds are even, not tempered [nats]."""
-        return float(np.log(len(self.library.effects)))
+        return float(np.log(max(len(self.library.effects), 1)))
 
     def temper(self) -> float:
         """The design effect under the likeliest optimum's discrepancy."""
