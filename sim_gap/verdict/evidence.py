@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from steerd.car_model.effect import Effect
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.hypotheses import Findings, Hypothesis, Library
 from steerd.sysid.inference.likelihood import SPUN
@@ -71,13 +72,16 @@ def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
     if not best.effects:
         name = "unexplained" if stays else "none"
         return Verdict(name, (), best.probability, left, strain, ())
+    # What stays of the discrepancy's variance is something else's, whatever the names gain.
+    kept = 1.0 - min(left, 1.0) ** 2
     if stays and left > c.HALF:
         name = "unexplained"
     else:
         name = "partial" if stays or strain > c.STRAINED or extreme else "explained"
-    causes = tuple(_cause(library, found, effect) for effect in best.effects)
-    return Verdict(name, causes if name != "unexplained" else (), found.null.probability, left,
-                   strain, extreme)  # fmt: skip
+    causes = tuple(_cause(library, found, effect, kept) for effect in best.effects)
+    other = 1.0 - kept * (1.0 - found.null.probability)
+    named = causes if name != "unexplained" else ()
+    return Verdict(name, named, other, left, strain, extreme)
 
 
 def _is_lost(point: Point) -> bool:
@@ -100,7 +104,7 @@ def _is_at_bound(library: Library, best: Hypothesis, name: str) -> bool:
     return library.effect(name).is_at_bound(values.tolist())
 
 
-def _cause(library: Library, found: Findings, name: str) -> Cause:
+def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
     effect, best = library.effect(name), found.best
     free, superset = best.point.space.chart.free, library.likelihood.engine.superset
     sd = np.sqrt(np.diag(best.posterior.covariance))
@@ -110,11 +114,24 @@ def _cause(library: Library, found: Findings, name: str) -> Cause:
         for p, value in zip(effect.parameters, values, strict=True)
     }
     alias = effect.confounded_with.note if effect.confounded_with else ""
-    confidence = found.probability(name)
+    confidence = kept * found.probability(name)
     others = _stand_ins(found.hypotheses, best, name)
-    if not effect.nameable_alone and effect.confounded_with is not None:
-        others = tuple(dict.fromkeys([*others, *effect.confounded_with.effects]))
+    alike = _alike(library, effect)
+    if alike:
+        others = tuple(dict.fromkeys([*others, *alike]))
+        confidence = min(confidence, c.ALIKE_MOST)
     return Cause(name, effect.stage.value, effect.family, parameters, confidence, others, alias)
+
+
+def _alike(library: Library, effect: Effect) -> tuple[str, ...]:
+    """Effects between which the form of an equation decides, not what drives show."""
+    if effect.confounded_with is None:
+        return ()
+    others = [library.effect(name) for name in effect.confounded_with.effects]
+    if not effect.nameable_alone:
+        return tuple(other.name for other in others)
+    tyres = effect.family == "tyre"
+    return tuple(o.name for o in others if tyres and o.family == effect.family)
 
 
 def _stand_ins(hypotheses: Sequence[Hypothesis], best: Hypothesis, name: str) -> tuple[str, ...]:

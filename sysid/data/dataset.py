@@ -165,10 +165,11 @@ def pose_rates(pose: Signal) -> Rates:
     """Rates of poses over five samples, or over as many as their noise asks for."""
     t, p = pose
     most = (len(t) - 1) // 2
-    if most < 1:
+    step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+    if most < 1 or step <= 0.0:
         return Rates(t, np.zeros(len(t)), np.zeros(len(t)))
     blur = 2.0**0.5 * max(noise_of(t, p[:, 0]), noise_of(t, p[:, 1])) / SPEED_BLUR
-    half = min(max(HALF_SPAN, ceil(0.5 * blur / float(np.median(np.diff(t))))), most)
+    half = min(max(HALF_SPAN, ceil(0.5 * blur / step)), most)
     span = t[2 * half :] - t[: -2 * half]
     slope = (p[2 * half :] - p[: -2 * half]) / span[:, None]
     yaw = p[half:-half, 2]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car, wheelbase
+from steerd.sysid.data.data_checks import check_excited
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
 from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
@@ -269,9 +270,11 @@ def _teach_foreign(
     """The car by the teacher from a start of the drives' own size: it may be any car.
 
     Raises:
+        DataError: the steering is one constant throughout.
         FloatingPointError: no start gives a finite simulation.
         ValueError: no window sees enough poses.
     """
+    check_excited([run.commands[:, 0] for run in fitted])
     stated = Stated(task.options.wheelbase is not None, task.held)
     starts = [
         widen_end_stops(model, task.runs, task.options.free or ())

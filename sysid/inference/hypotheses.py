@@ -144,7 +144,7 @@ class _Search:
     @cached_property
     def surprise(self) -> float:
         """What a first name must gain before its odds are even, not tempered [nats]."""
-        return float(np.log(len(self.library.effects)))
+        return float(np.log(max(len(self.library.effects), 1)))
 
     def temper(self) -> float:
         """The design effect under the likeliest optimum's discrepancy."""
@@ -469,7 +469,7 @@ def judge(library: Library, point: Point, temper: float, lowest: Point) -> Hypot
     behind = point.at.loss - lowest.at.loss
     beyond = float((behind - np.clip(behind, -temper, temper)).sum())
     posterior = replace(posterior, evidence=posterior.evidence + beyond)
-    odds = posterior.evidence / temper - len(effects) * np.log(len(library.effects))
+    odds = posterior.evidence / temper - len(effects) * np.log(max(len(library.effects), 1))
     odds -= max(len(effects) - 1, 0) * np.log(c.FURTHER_ODDS)
     for name in effects:
         effect = library.effect(name)

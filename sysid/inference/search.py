@@ -112,6 +112,8 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
         if name in _LIMITS:  # one side is enough where nothing jumps
             low, high = (z[i], high) if high > z[i] else (low, z[i])
         ends = low, high
+        if high <= low:
+            continue
         error = [
             linear.error if end == z[i] else _error(engine, space, z, x, i, end) for end in ends
         ]

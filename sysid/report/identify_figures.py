@@ -56,11 +56,9 @@ def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]
         traces: predictions after and before.
     """
     for after, before in zip(*traces, strict=True):
-        ahead = after.ahead >= 0.0
         plane.plot(*after.measured[:, :2].T, color=MEASURED, lw=2.2, alpha=0.35)
-        plane.plot(*before.predicted[ahead, :2].T, color=BEFORE, lw=1.0)
-        plane.plot(*after.predicted[ahead, :2].T, color=AFTER, lw=1.0)
         for trace, colour in ((before, BEFORE), (after, AFTER)):
+            plane.plot(*trace.predicted[trace.ahead >= 0.0, :2].T, color=colour, lw=1.0)
             off = np.linalg.norm(trace.measured[:, :2] - trace.predicted[:, :2], axis=1)
             late.plot(trace.ahead, 1e3 * off, color=colour, lw=0.8, alpha=0.7)
     plane.set(xlabel="x [m]", ylabel="y [m]", title="held-out drives and their predictions")

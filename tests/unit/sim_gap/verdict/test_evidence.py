@@ -13,7 +13,7 @@ from steerd.sysid.inference.hypotheses import Findings, Hypothesis
 
 SMALL, LARGE = 0.5 * c.GAP_SIZE, 4.0 * c.GAP_SIZE
 VALUES = {"steer_delay": (0.03,), "steer_lag": (0.05,), "mass": (1.5,), "yaw_inertia": (1.5,),
-          "lateral_load_transfer": (0.1, 1.0)}  # fmt: skip
+          "lateral_load_transfer": (0.1, 1.0), "cornering_stiffness": (1.3,)}  # fmt: skip
 NAMES = [f"{name}.{p.name}" for name in VALUES for p in EFFECTS[name].parameters]
 LIBRARY = SimpleNamespace(
     effect=EFFECTS.get,
@@ -70,8 +70,9 @@ def test_a_cause_that_leaves_nothing_explains():
     (cause,) = told.causes
     assert (cause.effect, cause.stage, cause.family) == ("steer_delay", "command", "timing")
     assert cause.parameters == {"delay": (0.03, pytest.approx(1e-3), "s")}
-    assert cause.confidence == 0.9
-    assert told.something_else == pytest.approx(0.1)
+    kept = 1.0 - (SMALL / LARGE) ** 2
+    assert cause.confidence == pytest.approx(0.9 * kept)
+    assert told.something_else == pytest.approx(1.0 - 0.9 * kept)
     assert told.left == pytest.approx(SMALL / LARGE)
 
 
@@ -79,7 +80,26 @@ def test_confidence_is_the_probability_of_every_hypothesis_that_has_the_effect()
     alone = _hypothesis("steer_delay", probability=0.6)
     pair = _hypothesis("steer_delay", "mass", probability=0.3)
     (cause,) = judge_case(LIBRARY, _found(alone, pair), True).causes
-    assert cause.confidence == pytest.approx(0.9)
+    assert cause.confidence == pytest.approx(0.9 * (1.0 - (SMALL / LARGE) ** 2))
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.45])
+def test_what_stays_of_the_gap_is_something_elses(share):
+    """A name that gains beyond doubt and leaves half of the gap is no sure name."""
+    told = judge_case(LIBRARY, _found(_hypothesis("steer_delay", size=share * LARGE)), True)
+    (cause,) = told.causes
+    assert told.something_else == pytest.approx(share**2)
+    assert cause.confidence == pytest.approx(1.0 - share**2)
+
+
+@pytest.mark.parametrize(
+    ("name", "other"),
+    [("cornering_stiffness", "tyre_friction"), ("yaw_inertia", "mass"), ("mass", "yaw_inertia")],
+)
+def test_what_differs_by_an_equations_form_alone_is_named_with_it(name, other):
+    (cause,) = judge_case(LIBRARY, _found(_hypothesis(name)), True).causes
+    assert cause.confidence <= c.ALIKE_MOST
+    assert other in cause.ambiguous_with
 
 
 @pytest.mark.parametrize(

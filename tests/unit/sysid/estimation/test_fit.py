@@ -226,7 +226,7 @@ def test_nothing_is_told_while_a_length_sits_at_its_bound():
     prior = parameter_vector(Model(DEFAULT_CAR))
     chart = make_chart((), prior, names, 0.33)
     small = np.diag([1e-4, 1e-4]) ** 2
-    for lr, told in ((0.17, True), (0.32, False)):
+    for lr, told in ((0.17, True), (0.325, False)):
         z = chart.coordinates(parameter_vector(Model(DEFAULT_CAR._replace(lr=lr))))
         found = estimates(chart, z, small)
         assert all(e.identifiable is told for e in found.values())
