@@ -65,7 +65,8 @@ def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
     best, before = found.best, found.start.size
     after = best.point.size
     lost = _is_lost(best.point)
-    left = after / before if before > 0.0 and not lost else 1.0
+    left = after / before if before > 0.0 else float(after > c.SIZE_SMALL)
+    left = 1.0 if lost else left
     stays = (after > c.GAP_SIZE or lost) and known
     strain = base_strain(best)
     extreme = tuple(n for n in best.effects if _is_at_bound(library, best, n))

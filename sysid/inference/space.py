@@ -43,7 +43,7 @@ parameter's unit.
 """
 LIMITS = ("steer_rate", "accel_max", "decel_max")
 """Limits, which a data sheet gives for another car; drives that reach them identify this one's."""
-KNOWN_WIDER = 1.2
+KNOWN_WIDER = 2.0
 """Prior standard deviations per those of a joint covariance from healthy drives."""
 SESSION = 0.3
 """Of the floors, what a car differs by from one day to the next beside that."""
