@@ -1,8 +1,8 @@
-"""The library of unmodelled effects: one file of a page each, found by itself.
+"""The library of unmodelled effects: one file for each family of causes, found by itself.
 
-The folders are for people; they mean nothing to the code. A module that does not start with an
-underscore exposes `EFFECT`. To add an effect, add its file: it then appears in `steerd effects`, in
-`--effect`, in car files and in the diagnosis.
+Every `Effect` that a module of this folder defines belongs to the library. A new one joins its
+family's file or comes in a file of its own: it then appears in `steerd effects`, in `--effect`, in
+car files and in the diagnosis.
 """
 
 import difflib
@@ -18,12 +18,10 @@ Setting = tuple[Effect, tuple[float, ...]]
 
 
 def _discovered() -> dict[str, Effect]:
-    """Every module's `EFFECT`, by name."""
-    infos = pkgutil.walk_packages(__path__, f"{__name__}.")
-    names = (info.name for info in infos if not info.ispkg)
-    files = (name for name in names if not name.rpartition(".")[2].startswith("_"))
-    found: list[Effect] = [import_module(name).EFFECT for name in files]
-    return {effect.name: effect for effect in found}
+    """The effects of all modules, by name."""
+    names = sorted(f"{__name__}.{info.name}" for info in pkgutil.iter_modules(__path__))
+    values = (value for name in names for value in vars(import_module(name)).values())
+    return {value.name: value for value in values if isinstance(value, Effect)}
 
 
 EFFECTS: Mapping[str, Effect] = _discovered()
