@@ -166,12 +166,7 @@ _REPLIES: dict[CommandId, Callable[[bytes], Reply | None]] = {
     CommandId.PING_CAN: _decode_can_ids,
 }
 _ACKED = frozenset(
-    (
-        CommandId.SET_MCCONF,
-        CommandId.SET_APPCONF,
-        CommandId.SET_MCCONF_TEMP,
-        CommandId.RESET_STATS,
-    )
+    (CommandId.SET_MCCONF, CommandId.SET_APPCONF, CommandId.SET_MCCONF_TEMP, CommandId.RESET_STATS)
 )
 
 

@@ -66,9 +66,7 @@ def _not_found(url: str, what: str) -> NotFound:
 
 def _denied(url: str, what: str) -> PermissionDenied:
     return PermissionDenied(
-        url,
-        what,
-        f"`sudo usermod -aG dialout $USER`, then log out and in again; or {_UDEV_HINT}",
+        url, what, f"`sudo usermod -aG dialout $USER`, then log out and in again; or {_UDEV_HINT}"
     )
 
 

@@ -110,10 +110,7 @@ class Printer:
     # -- functions -------------------------------------------------------------------------------
 
     def block(
-        self,
-        head: str,
-        inputs: Sequence[Node],
-        targets: Sequence[tuple[str, Node, int]],
+        self, head: str, inputs: Sequence[Node], targets: Sequence[tuple[str, Node, int]]
     ) -> None:
         """A function that computes targets: (place to write, formula, parameter it is by)."""
         need: dict[int, set[int]] = {}
