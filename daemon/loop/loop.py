@@ -84,7 +84,8 @@ from steerd.estimator.state_filter import StateEstimate
 from steerd.mocap_link.source import PoseSample
 from steerd.steer_bus.messages import Design, DriveCommand, OperatorRequest, ParameterRequest
 from steerd.steer_bus.quick_values import quick_value
-from steerd.vesc_link.events import ImuSample, Telemetry
+from steerd.vesc_link.telemetry import Imu, Values
+from steerd.vesc_link.vesc import Answer
 
 _DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
 _HARD = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
@@ -182,13 +183,13 @@ class Loop:
         """A mocap sample arrived."""
         self.perception.on_pose(sample)
 
-    def on_telemetry(self, telemetry: Telemetry) -> None:
+    def on_telemetry(self, telemetry: Answer, values: Values) -> None:
         """Motor telemetry arrived."""
-        self.perception.on_telemetry(telemetry)
+        self.perception.on_telemetry(telemetry, values)
 
-    def on_imu(self, sample: ImuSample) -> None:
+    def on_imu(self, stamp_ns: int, imu: Imu) -> None:
         """An IMU reading arrived."""
-        self.perception.on_imu(sample)
+        self.perception.on_imu(stamp_ns, imu)
 
     def on_vesc(self, vesc: VescInfo | None) -> None:
         """The VESC reported about itself, or is gone (None)."""
@@ -414,7 +415,6 @@ class Loop:
         seen, setup = self.perception, self.setup
         th = setup.settings.thresholds
         known = self.vesc is not None and self.vesc.expected and self.vesc.timeout_ms is not None
-        values = seen.telemetry.values if seen.telemetry else None
         fresh = seen.telemetry_age(now_ns) <= th.telemetry
         running = self.supervisor.state is SupervisorState.RUNNING
         over = setup.duration_ns is not None and now_ns - self._started_ns >= setup.duration_ns
@@ -423,7 +423,7 @@ class Loop:
             bool(flags & Flag.LINKED),
             known and seen.accepted_ns is not None and not refused,
             not failed,
-            fresh and values is not None and bool(values.timeout_active),
+            fresh and bool(seen.values.timeout_active),
             not setup.leased or lease_age(self.lease, now_ns) <= th.lease,
             running and over,
             self._launch is not None and self._launch.done,

@@ -13,15 +13,8 @@ from steerd.estimator.state_filter import StateEstimate
 from steerd.mocap_link.source import ClockKind, PoseSample
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
-from steerd.vesc_link.events import (
-    Drive,
-    DriveBrake,
-    DriveRelease,
-    DriveShort,
-    DriveSpeed,
-    ImuSample,
-    Telemetry,
-)
+from steerd.vesc_link.telemetry import Imu, Values
+from steerd.vesc_link.vesc import Answer, Drive
 
 CLOCK_KINDS = tuple(ClockKind)
 _NO_REPORT = ControlReport(*(nan,) * len(ControlReport._fields))
@@ -62,13 +55,12 @@ def _count(value: int | None) -> int:
     return -1 if value is None else value
 
 
-def make_telemetry(event: Telemetry, uptime_ms: int, epoch_ns: int) -> m.VescTelemetry:
+def make_telemetry(when: Answer, v: Values, uptime_ms: int, epoch_ns: int) -> m.VescTelemetry:
     """A telemetry reply; what the firmware did not send is NaN or -1."""
-    v = event.values
     return m.VescTelemetry(
-        m.make_header(event.when.stamp_ns + epoch_ns, m.BODY),
-        event.when.t_sent_ns,
-        event.when.t_received_ns,
+        m.make_header(when.stamp_ns + epoch_ns, m.BODY),
+        when.t_sent_ns,
+        when.t_received_ns,
         uptime_ms,
         int(v.erpm or 0),
         int(v.tachometer or 0),
@@ -90,32 +82,21 @@ def make_telemetry(event: Telemetry, uptime_ms: int, epoch_ns: int) -> m.VescTel
     )
 
 
-def make_imu(event: ImuSample, epoch_ns: int) -> m.VescImu:
+def make_imu(when: Answer, i: Imu, epoch_ns: int) -> m.VescImu:
     """An IMU reading."""
-    i = event.imu
     values = (i.accel_x, i.accel_y, i.accel_z, i.gyro_x, i.gyro_y, i.gyro_z)
     return m.VescImu(
-        m.make_header(event.when.stamp_ns + epoch_ns, m.BODY),
-        event.when.t_sent_ns,
-        event.when.t_received_ns,
+        m.make_header(when.stamp_ns + epoch_ns, m.BODY),
+        when.t_sent_ns,
+        when.t_received_ns,
         *_numbers(*values, i.q_w, i.q_x, i.q_y, i.q_z),
     )
 
 
 def make_actuation(drive: Drive, wire: bytes, seq: int, stamp_ns: int) -> m.Actuation:
     """The bytes that were written in a tick, and their meaning."""
-    mode, speed, current = m.ActuationMode.SILENT, nan, nan
-    match drive:
-        case DriveSpeed():
-            mode, speed = m.ActuationMode.SPEED, drive.speed
-        case DriveBrake():
-            mode, current = m.ActuationMode.BRAKE, drive.current
-        case DriveShort():
-            mode = m.ActuationMode.SHORT
-        case DriveRelease():
-            mode = m.ActuationMode.RELEASE
-    header = m.make_header(stamp_ns, m.BODY)
-    return m.Actuation(header, seq, mode, _number(drive.steer), speed, current, wire)
+    header, steer = m.make_header(stamp_ns, m.BODY), _number(drive.steer)
+    return m.Actuation(header, seq, drive.mode, steer, drive.speed, drive.current, wire)
 
 
 def read_actuation(actuation: m.Actuation) -> tuple[int, float, float, float]:
@@ -150,7 +131,7 @@ def make_state(
         r.curvature,
         r.s,
         _number(drive.steer),
-        drive.speed if isinstance(drive, DriveSpeed) else nan,
+        drive.speed,
         estimate.health.pose.nis if estimate else nan,
     )
 

@@ -26,8 +26,9 @@ from steerd.estimator.state_filter import (
     step,
 )
 from steerd.mocap_link.source import PoseSample
-from steerd.vesc_link.events import ImuSample, Telemetry
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed
+from steerd.vesc_link.telemetry import Imu, Values
+from steerd.vesc_link.vesc import Answer
 
 _TRACK_NS = round(1e9 * LONG_TURN_S)
 """How long poses are kept."""
@@ -43,7 +44,8 @@ class Perception:
 
     Attributes:
         watch: memory of the frame watchdogs.
-        telemetry: the last reply, or None.
+        telemetry: the last reply with telemetry, or None.
+        values: what it says; all None before the first.
         wheel_speed: by the wheels, from that reply [m/s]; NaN while unknown.
         accepted_ns: arrival of the last good frame, or None.
         may_rebase: set by the loop: the car is disarmed and stands.
@@ -70,7 +72,8 @@ class Perception:
         self._refused = 0
         self._seen = 0
         self.watch = PoseWatch()
-        self.telemetry: Telemetry | None = None
+        self.telemetry: Answer | None = None
+        self.values = Values()
         self.wheel_speed = nan
         self.accepted_ns: int | None = None
         self.may_rebase = True
@@ -107,19 +110,19 @@ class Perception:
                     latest_ns = measurement.t_ns
             self._fuse(latest_ns)
 
-    def on_telemetry(self, telemetry: Telemetry) -> None:
+    def on_telemetry(self, telemetry: Answer, values: Values) -> None:
         """Take motor telemetry; its wheel speed is valid in the middle of the exchange."""
-        self.telemetry = telemetry
+        self.telemetry, self.values = telemetry, values
         self.wheel_speed = nan
-        if telemetry.values.erpm is not None:
-            speed = self.wheel_speed = erpm_to_speed(self._scaling, telemetry.values.erpm)
-            self._measurements.append(make_wheel_speed(telemetry.when.stamp_ns, speed))
+        if values.erpm is not None:
+            speed = self.wheel_speed = erpm_to_speed(self._scaling, values.erpm)
+            self._measurements.append(make_wheel_speed(telemetry.stamp_ns, speed))
 
-    def on_imu(self, sample: ImuSample) -> None:
+    def on_imu(self, stamp_ns: int, imu: Imu) -> None:
         """Take the gyro's yaw rate, if there is a gyro."""
-        yaw_rate = sample.imu.gyro_z
-        if sample.imu.has_chip and yaw_rate is not None:
-            self._measurements.append(make_gyro(sample.when.stamp_ns, yaw_rate))
+        yaw_rate = imu.gyro_z
+        if imu.has_chip and yaw_rate is not None:
+            self._measurements.append(make_gyro(stamp_ns, yaw_rate))
 
     def on_command(self, t_ns: int, command: Command[float] | None) -> None:
         """Remember the command sent to the car; None when no speed is commanded."""
@@ -162,9 +165,9 @@ class Perception:
     @property
     def wheel(self) -> tuple[int, float] | None:
         """Time of validity [ns] and wheel speed [m/s] of the last telemetry, if it has one."""
-        if self.telemetry is None or self.telemetry.values.erpm is None:
+        if self.telemetry is None or self.values.erpm is None:
             return None
-        return self.telemetry.when.stamp_ns, self.wheel_speed
+        return self.telemetry.stamp_ns, self.wheel_speed
 
     def turns(self, span: float) -> tuple[Turn, ...]:
         """What mocap saw over the last `span` seconds and over a longer stretch."""
@@ -196,7 +199,7 @@ class Perception:
         """Seconds since a reply; infinite before the first."""
         if self.telemetry is None:
             return inf
-        return (now_ns - self.telemetry.when.t_received_ns) * 1e-9
+        return (now_ns - self.telemetry.t_received_ns) * 1e-9
 
 
 def best_speed(estimate: StateEstimate | None, wheel_speed: float) -> float:

@@ -26,8 +26,8 @@ from steerd.mocap_link.source import PoseSample, RawPose
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.session_read import Record, Session, SessionError
-from steerd.vesc_link.events import ImuSample, Stamped, Telemetry
 from steerd.vesc_link.telemetry import Imu, Values
+from steerd.vesc_link.vesc import Answer
 
 TOLERANCE = 1e-9
 """Allowed difference: another machine's libm may differ in the last digits."""
@@ -74,8 +74,8 @@ def read_pose(pose: m.MocapPose) -> PoseSample:
     )
 
 
-def read_telemetry(vesc: m.VescTelemetry) -> Telemetry:
-    """The event of recorded telemetry."""
+def read_telemetry(vesc: m.VescTelemetry) -> tuple[Answer, Values]:
+    """The reply of recorded telemetry."""
     values = Values(
         erpm=vesc.erpm,
         tachometer=vesc.tachometer,
@@ -87,11 +87,11 @@ def read_telemetry(vesc: m.VescTelemetry) -> Telemetry:
         temp_fet_c=_or_none(vesc.temp_fet),
         temp_motor_c=_or_none(vesc.temp_motor),
     )
-    return Telemetry(values, Stamped(vesc.t_sent_ns, vesc.t_received_ns))
+    return Answer(values, vesc.t_sent_ns, vesc.t_received_ns), values
 
 
-def read_imu(imu: m.VescImu) -> ImuSample:
-    """The event of a recorded IMU reading."""
+def read_imu(imu: m.VescImu) -> tuple[int, Imu]:
+    """When a recorded IMU reading was measured, and what it says."""
     reading = Imu(
         mask=0,
         accel_x=_or_none(imu.accel_x),
@@ -101,7 +101,7 @@ def read_imu(imu: m.VescImu) -> ImuSample:
         gyro_y=_or_none(imu.gyro_y),
         gyro_z=_or_none(imu.gyro_z),
     )
-    return ImuSample(reading, Stamped(imu.t_sent_ns, imu.t_received_ns))
+    return Answer(reading, imu.t_sent_ns, imu.t_received_ns).stamp_ns, reading
 
 
 def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bool]:
@@ -146,9 +146,9 @@ class Replay:
             case m.MocapPose() as pose:
                 self.loop.on_pose(read_pose(pose))
             case m.VescTelemetry() as vesc:
-                self.loop.on_telemetry(read_telemetry(vesc))
+                self.loop.on_telemetry(*read_telemetry(vesc))
             case m.VescImu() as imu:
-                self.loop.on_imu(read_imu(imu))
+                self.loop.on_imu(*read_imu(imu))
             case m.VescIdentity() as identity:
                 self.loop.on_vesc(read_identity(identity))
             case m.OperatorRequest() as request:

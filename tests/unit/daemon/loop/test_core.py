@@ -13,10 +13,9 @@ from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.mocap_link.source import ClockKind, PoseSample, RawPose
 from steerd.sim_hw.plant.faults import Fault
-from steerd.vesc_link import events as e
 from steerd.vesc_link.commands import GetMcConfTemp, SetMcConfTemp
-from steerd.vesc_link.events import Stamped, Telemetry
 from steerd.vesc_link.telemetry import Values
+from steerd.vesc_link.vesc import Answer
 
 MS, NS = 1_000_000, 1_000_000_000
 
@@ -93,21 +92,17 @@ def test_a_vesc_that_refuses_the_session_limits_is_tried_thrice_then_reported(pl
     assert not core.flags & Flag.UNBOUNDED
 
 
-def identity(uuid: bytes, expected: bool = True) -> e.Identity:
-    return SimpleNamespace(version=SimpleNamespace(uuid=uuid), expected=expected)
-
-
 def test_one_run_drives_one_vesc(plan):
     core, requests = fresh_core(plan)
-    core._check_identity(identity(b"first"))
+    core._check_identity(b"first")
     core._apply_session_limits(limits(1e9))
     own = core.make_shutdown_frames()
-    core._check_identity(identity(b"other"))
+    core._check_identity(b"other")
     core._apply_session_limits(limits(1e9))
     assert not core._expected
     assert len(requests) == 2, "the other one is not given our limits"
     assert len(core.make_shutdown_frames()) < len(own), "nor the first one's at the end"
-    core._check_identity(identity(b"first"))
+    core._check_identity(b"first")
     assert core._expected
 
 
@@ -162,7 +157,8 @@ def test_a_reply_read_before_an_older_pose_is_fused_all_the_same(plan):
         core.loop.on_pose(sample(k, k * 10 * MS))
         seen.estimate(k * 10 * MS + 1)
     now = 1010 * MS
-    core.loop.on_telemetry(Telemetry(Values(erpm=4614), Stamped(now - MS, now)))
+    values = Values(erpm=4614)
+    core.loop.on_telemetry(Answer(values, now - MS, now), values)
     core.loop.on_pose(sample(100, now - 4 * MS))
     health = seen.estimate(now).health
     assert health.untimely == 0

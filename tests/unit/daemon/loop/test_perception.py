@@ -10,9 +10,9 @@ from steerd.daemon.loop.perception import BLIND_S, Perception, best_speed, estim
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
 from steerd.mocap_link.source import ClockKind, PoseSample, RawPose
-from steerd.vesc_link.events import Stamped, Telemetry
 from steerd.vesc_link.scaling import F1TENTH
 from steerd.vesc_link.telemetry import Values
+from steerd.vesc_link.vesc import Answer
 
 MS, NS = 1_000_000, 1_000_000_000
 
@@ -27,7 +27,8 @@ def pose(t_ns, x, rejected=None, valid=True):
 
 
 def telemetry(t_ns, erpm):
-    return Telemetry(Values(erpm=erpm), Stamped(t_ns - MS, t_ns))
+    values = Values(erpm=erpm)
+    return Answer(values, t_ns - MS, t_ns), values
 
 
 def drive(seen, seconds=1.0, speed=1.0):
@@ -35,7 +36,7 @@ def drive(seen, seconds=1.0, speed=1.0):
     for k in range(1, round(seconds * 100) + 1):
         t_ns = k * 10 * MS
         seen.on_pose(pose(t_ns, speed * t_ns / NS))
-        seen.on_telemetry(telemetry(t_ns, speed * F1TENTH.erpm_gain))
+        seen.on_telemetry(*telemetry(t_ns, speed * F1TENTH.erpm_gain))
         seen.estimate(t_ns)
     return t_ns
 
