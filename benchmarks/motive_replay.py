@@ -22,7 +22,6 @@ from pathlib import Path
 
 from steerd.mocap_link import natnet
 from steerd.mocap_link.natnet_frame import Frame
-from steerd.mocap_link.natnet_model import ModelDef
 
 VERSION = (3, 0)
 LOOPBACK = "127.0.0.1"
@@ -75,11 +74,13 @@ def load_capture(path: Path) -> Capture:
             rate, asked_rate = rate or data, False
         else:
             packets.setdefault(type(message), data)
-    if not (frames and rate and {natnet.ServerInfo, ModelDef} <= packets.keys()):
+    if not (frames and rate and {natnet.ServerInfo, natnet.ModelDef} <= packets.keys()):
         raise ValueError(f"{path}: no whole Motive session")
     info = natnet.decode(packets[natnet.ServerInfo], VERSION)
     assert isinstance(info, natnet.ServerInfo)
-    return Capture(info, packets[natnet.ServerInfo], packets[ModelDef], rate, tuple(frames), ticks)
+    return Capture(
+        info, packets[natnet.ServerInfo], packets[natnet.ModelDef], rate, tuple(frames), ticks
+    )
 
 
 class Replayer:

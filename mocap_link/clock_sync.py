@@ -5,8 +5,6 @@ Ticks stay integers and are subtracted before anything is divided. Methods and f
 `docs/reference/mocap-protocols.md#m5`.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from itertools import pairwise
 

@@ -4,8 +4,6 @@ Connects with backoff, follows the model list, measures the server's clock (20 e
 then 2 Hz), keeps a unicast session alive, and starts over when frames stop.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from typing import Literal
@@ -18,9 +16,8 @@ from steerd.mocap_link.natnet_frame import (
     Frame,
     RigidBody,
 )
-from steerd.mocap_link.natnet_model import ModelDef
 from steerd.mocap_link.natnet_wire import NatNetError
-from steerd.mocap_link.source import RawPose
+from steerd.mocap_link.source import Pose
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -58,7 +55,7 @@ class BodyAbsent:
     t_arrival_ns: int
 
 
-Event = Connected | EchoMeasured | RateKnown | BodyAbsent | RawPose
+Event = Connected | EchoMeasured | RateKnown | BodyAbsent | Pose
 
 
 UNANSWERED = (
@@ -152,7 +149,7 @@ class NatNetClient:
         if not natnet.has_exact_length(data):
             self.counts["length"] += 1
         try:
-            message = natnet.decode(data, version, detail=False)
+            message = natnet.decode(data, version)
         except NatNetError as error:
             return self._on_malformed(str(error), t_arrival_ns)
         self._malformed_run = 0
@@ -170,7 +167,7 @@ class NatNetClient:
             case natnet.EchoResponse() if message.client_stamp in self._echoes:
                 del self._echoes[message.client_stamp]
                 return [EchoMeasured(message.client_stamp, t_ns, message.server_ticks)]
-            case ModelDef():
+            case natnet.ModelDef():
                 self._on_model(message)
             case natnet.Response() if message.number is not None and self._rate_wanted:
                 self._rate_wanted = False
@@ -214,7 +211,7 @@ class NatNetClient:
         self._note = f"connected to {info.name}"
         return [Connected(info)]
 
-    def _on_model(self, model: ModelDef) -> None:
+    def _on_model(self, model: natnet.ModelDef) -> None:
         bodies = model.rigid_bodies
         self._model_wanted = False
         self.bodies = tuple(b.name for b in bodies)
@@ -254,7 +251,7 @@ class NatNetClient:
             return [BodyAbsent(t_ns)]
         return [self._make_raw(frame, mine[0], t_ns)]
 
-    def _make_raw(self, frame: Frame, body: RigidBody, t_ns: int) -> RawPose:
+    def _make_raw(self, frame: Frame, body: RigidBody, t_ns: int) -> Pose:
         x, y, z, w = body.quaternion
         transmit: int | None = frame.transmit_ticks or None
         source: int | None = frame.mid_exposure_ticks or transmit
@@ -262,7 +259,7 @@ class NatNetClient:
             # before 3.0 there are no ticks: seconds since start, taken as microseconds
             micros = frame.timestamp * 1e6
             source = round(micros) if 0.0 < micros < 2**63 else None
-        return RawPose(
+        return Pose(
             self.body,
             frame.number,
             source,

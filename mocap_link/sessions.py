@@ -4,8 +4,6 @@
 directly.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 
 from steerd.mocap_link import vrpn_client, zenoh_pose
@@ -20,7 +18,7 @@ from steerd.mocap_link.natnet_client import (
     RateKnown,
     Socket,
 )
-from steerd.mocap_link.source import PoseSample, SourceStatus
+from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.mocap_link.timing import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 
 _LEGACY_TICKS_HZ = 1_000_000
@@ -57,7 +55,7 @@ class NatNetSource:
 
     def on_datagram(
         self, data: bytes, t_arrival_ns: int, from_ip: str, which: Socket = "command"
-    ) -> list[PoseSample]:
+    ) -> list[Pose]:
         """Take in one datagram; one from another address is counted and dropped."""
         if from_ip != self.server_ip:
             self.foreign += 1
@@ -70,7 +68,7 @@ class NatNetSource:
                 samples.append(sample)
         return samples
 
-    def _on_event(self, event: Event) -> PoseSample | None:
+    def _on_event(self, event: Event) -> Pose | None:
         match event:
             case Connected():
                 self._on_connected(event.info)
@@ -153,7 +151,7 @@ class VrpnSource:
         self.up = False
         self._why = why
 
-    def on_bytes(self, data: bytes, t_arrival_ns: int) -> list[PoseSample]:
+    def on_bytes(self, data: bytes, t_arrival_ns: int) -> list[Pose]:
         """Take in a piece of the stream."""
         return [self.ingest.push(raw) for raw in self.client.on_bytes(data, t_arrival_ns)]
 
@@ -183,7 +181,7 @@ class BusPoseSource:
         self._detail = "waiting for a first pose"
         self._body = ""
 
-    def on_message(self, payload: bytes, t_arrival_ns: int) -> PoseSample | None:
+    def on_message(self, payload: bytes, t_arrival_ns: int) -> Pose | None:
         """Take in one payload; one that is not a pose is counted and gives None."""
         try:
             raw = zenoh_pose.decode_pose(payload, t_arrival_ns)

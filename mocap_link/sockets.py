@@ -5,8 +5,6 @@ A busy interpreter stamps a datagram milliseconds late; the kernel stamps it at 
 blocks afterwards.
 """
 
-from __future__ import annotations
-
 import os
 import socket
 import struct
@@ -20,7 +18,7 @@ from steerd.mocap_link.mocap_url import MocapUrl
 from steerd.mocap_link.natnet import FRAME_ID, ServerInfo, peek_id
 from steerd.mocap_link.natnet_client import Socket
 from steerd.mocap_link.sessions import NatNetSource, VrpnSource
-from steerd.mocap_link.source import PoseSample, SourceStatus
+from steerd.mocap_link.source import Pose, SourceStatus
 
 SECOND = 1_000_000_000
 STAMP_AGE_MAX_NS = SECOND // 5
@@ -52,11 +50,11 @@ class MocapReceiver(Protocol):
         """Return the descriptors to poll for reading; they change, so ask before each poll."""
         ...
 
-    def read_ready(self, fd: int) -> list[PoseSample]:
+    def read_ready(self, fd: int) -> list[Pose]:
         """Drain a readable descriptor; unknown ones are ignored."""
         ...
 
-    def on_timer(self, t_ns: int) -> list[PoseSample]:
+    def on_timer(self, t_ns: int) -> list[Pose]:
         """Send what the session wants and let time pass; call at 50 Hz or faster.
 
         `t_ns` stamps the clock echoes: pass a fresh CLOCK_MONOTONIC time.
@@ -206,7 +204,7 @@ class NatNetReceiver:
         """The descriptors of the sockets that are open now: the command socket's first."""
         self._fds = [s.fileno() for s in (self._command, self._data) if s is not None]
 
-    def read_ready(self, fd: int) -> list[PoseSample]:
+    def read_ready(self, fd: int) -> list[Pose]:
         """Drain one socket, in order."""
         if fd not in self._fds:
             return []
@@ -214,7 +212,7 @@ class NatNetReceiver:
             return self._read(self._data, "data")
         return self._read(self._command, "command")
 
-    def _read(self, sock: socket.socket, which: Socket) -> list[PoseSample]:
+    def _read(self, sock: socket.socket, which: Socket) -> list[Pose]:
         queue: list[tuple[bytes, int, str]] = []
         for _ in range(_DRAIN_MAX):
             try:
@@ -227,7 +225,7 @@ class NatNetReceiver:
             queue.append((got[0], got[1], got[2][0]))
         if len(queue) > BACKLOG_MAX:
             queue = self._drop_backlog(queue)
-        samples: list[PoseSample] = []
+        samples: list[Pose] = []
         for data, t_ns, ip in queue:
             samples += self.source.on_datagram(data, t_ns, ip, which)
         return samples
@@ -241,7 +239,7 @@ class NatNetReceiver:
         self._backlog_dropped += len(old)
         return [item for i, item in enumerate(queue) if i not in old]
 
-    def on_timer(self, t_ns: int) -> list[PoseSample]:
+    def on_timer(self, t_ns: int) -> list[Pose]:
         """Send what the session wants; open the data socket when the server named its port."""
         for datagram in self.source.on_timer(t_ns):
             try:
@@ -331,9 +329,9 @@ class VrpnReceiver:
         """Return the descriptor to poll for reading, if there is a connection."""
         return [] if self._sock is None else [self._sock.fileno()]
 
-    def read_ready(self, fd: int) -> list[PoseSample]:
+    def read_ready(self, fd: int) -> list[Pose]:
         """Drain the connection."""
-        samples: list[PoseSample] = []
+        samples: list[Pose] = []
         for _ in range(_DRAIN_MAX):
             if self._sock is None or self._sock.fileno() != fd:
                 break
@@ -353,7 +351,7 @@ class VrpnReceiver:
             self._after_session()
         return samples
 
-    def on_timer(self, t_ns: int) -> list[PoseSample]:
+    def on_timer(self, t_ns: int) -> list[Pose]:
         """Connect, ping, send; returns nothing, poses come with reads."""
         if self._sock is None:
             if t_ns >= self._due:

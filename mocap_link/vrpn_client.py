@@ -4,12 +4,10 @@ Plain TCP only: the reverse connection of library clients breaks behind firewall
 and brings nothing. No subscription is needed, a server sends poses at once.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 
 from steerd.mocap_link import vrpn
-from steerd.mocap_link.source import RawPose
+from steerd.mocap_link.source import Pose
 
 SECOND = 1_000_000_000
 TICKS_HZ = 1_000_000
@@ -64,7 +62,7 @@ class VrpnClient:
         """Return what to send as soon as the connection stands."""
         return self._hello
 
-    def on_bytes(self, data: bytes, t_arrival_ns: int) -> list[RawPose]:
+    def on_bytes(self, data: bytes, t_arrival_ns: int) -> list[Pose]:
         """Take in bytes from the server; never raises.
 
         Args:
@@ -98,7 +96,7 @@ class VrpnClient:
         self.detail = f"connected to VRPN {version}; waiting for {self.body!r}"
         return True
 
-    def _on_message(self, message: vrpn.Message, t_ns: int) -> RawPose | None:
+    def _on_message(self, message: vrpn.Message, t_ns: int) -> Pose | None:
         try:
             if message.type < 0:
                 self._on_system(message)
@@ -107,19 +105,18 @@ class VrpnClient:
                 return None
             if self._senders.get(message.sender) != self.body:
                 return None
-            pose = vrpn.read_pose(message.payload)
+            sensor, (position, (x, y, z, w)) = vrpn.read_pose(message.payload)
         except vrpn.VrpnError as error:
             self.counts["malformed"] += 1
             self.detail = str(error)
             return None
-        if pose.sensor != 0:
+        if sensor != 0:
             self.counts["other_sensor"] += 1
             return None
         self.counts["frames"] += 1
-        x, y, z, w = pose.quaternion
         # a stamp before its own epoch is none, and no message could hold it
         stamp = message.stamp_us if message.stamp_us >= 0 else None
-        return RawPose(self.body, None, stamp, None, t_ns, pose.position, (w, x, y, z))
+        return Pose(self.body, None, stamp, None, t_ns, position, (w, x, y, z))
 
     def _on_system(self, message: vrpn.Message) -> None:
         if message.type == vrpn.DISCONNECT:

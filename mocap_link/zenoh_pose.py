@@ -6,16 +6,14 @@ One JSON object per pose::
      "p": [x, y, z], "q": [w, x, y, z], "valid": true, "err": 0.0005 | null}
 
 `p` and `q` are in the publisher's units and axes, `t_src_ns` on the publisher's own clock. The
-bus is not this module's business: bytes in, `RawPose` out.
+bus is not this module's business: bytes in, `Pose` out.
 """
-
-from __future__ import annotations
 
 from typing import Annotated
 
 import msgspec
 
-from steerd.mocap_link.source import RawPose
+from steerd.mocap_link.source import Pose
 
 TICKS_HZ = 1_000_000_000
 MAX_PAYLOAD = 4096
@@ -43,7 +41,7 @@ _DECODER = msgspec.json.Decoder(_Pose)
 _ENCODER = msgspec.json.Encoder()
 
 
-def decode_pose(payload: bytes, t_arrival_ns: int) -> RawPose:
+def decode_pose(payload: bytes, t_arrival_ns: int) -> Pose:
     """Decode one payload.
 
     Raises:
@@ -58,12 +56,12 @@ def decode_pose(payload: bytes, t_arrival_ns: int) -> RawPose:
         raise PoseError(str(error)) from error
     if pose.v != 1:
         raise PoseError(f"schema version {pose.v}, expected 1")
-    return RawPose(
+    return Pose(
         pose.body, pose.seq, pose.t_src_ns, None, t_arrival_ns, pose.p, pose.q, pose.err, pose.valid
     )
 
 
-def encode_pose(raw: RawPose) -> bytes:
+def encode_pose(raw: Pose) -> bytes:
     """Encode one payload; NaN and infinity become null and will not decode."""
     return _ENCODER.encode(
         _Pose(

@@ -22,7 +22,7 @@ from steerd.daemon.loop.outgoing import (
 )
 from steerd.daemon.loop.supervisor import Action
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.mocap_link.source import PoseSample, SourceStatus
+from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode
@@ -105,15 +105,16 @@ class Core:
                 self._limits_tries = 0
 
     def _on_answer(self, t_ns: int, answer: Answer) -> None:
-        epoch = self.outbox.epoch_ns
+        stamp_ns = answer.stamp_ns
+        header = m.make_header(stamp_ns + self.outbox.epoch_ns, m.BODY)
         match answer.reply:
             case Values() as values:
                 self.loop.on_telemetry(answer, values)
-                message = make_telemetry(answer, values, self._uptime_ms, epoch)
-                self.outbox.post(topics.VESC, message, t_ns, answer.stamp_ns)
+                message = make_telemetry(header, answer, values, self._uptime_ms)
+                self.outbox.post(topics.VESC, message, t_ns, stamp_ns)
             case Imu() as imu:
-                self.loop.on_imu(answer.stamp_ns, imu)
-                self.outbox.post(topics.IMU, make_imu(answer, imu, epoch), t_ns, answer.stamp_ns)
+                self.loop.on_imu(stamp_ns, imu)
+                self.outbox.post(topics.IMU, make_imu(header, answer, imu), t_ns, stamp_ns)
             case Uptime(uptime_ms=uptime_ms):
                 self._uptime_ms = uptime_ms
             case FwVersion(uuid=uuid):
@@ -183,13 +184,13 @@ class Core:
             frames += encode_frame(encode_command(make_restored_limits(self._limits_before)))
         return frames
 
-    def on_poses(self, samples: list[PoseSample]) -> None:
-        """Mocap samples, in order of arrival; never raises."""
+    def on_poses(self, poses: list[Pose]) -> None:
+        """Mocap's poses, in order of arrival; never raises."""
         try:
-            for sample in samples:
-                self.loop.on_pose(sample)
-                message = make_mocap(sample, self.outbox.epoch_ns)
-                self.outbox.post(topics.MOCAP, message, sample.t_arrival_ns, sample.t_valid_ns)
+            for pose in poses:
+                self.loop.on_pose(pose)
+                message = make_mocap(pose, self.outbox.epoch_ns)
+                self.outbox.post(topics.MOCAP, message, pose.t_arrival_ns, pose.t_valid_ns)
         except Exception as error:
             self.latch_exception(error)
 

@@ -81,7 +81,7 @@ from steerd.daemon.loop.watchdog_input import make_watchdog_input
 from steerd.daemon.loop.watchdogs import WatchdogState, is_slowing, step_watchdogs
 from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 from steerd.estimator.state_filter import StateEstimate
-from steerd.mocap_link.source import PoseSample
+from steerd.mocap_link.source import Pose
 from steerd.steer_bus.messages import Design, DriveCommand, OperatorRequest, ParameterRequest
 from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link.telemetry import Imu, Values
@@ -179,9 +179,9 @@ class Loop:
 
     # --- events
 
-    def on_pose(self, sample: PoseSample) -> None:
-        """A mocap sample arrived."""
-        self.perception.on_pose(sample)
+    def on_pose(self, pose: Pose) -> None:
+        """A pose arrived."""
+        self.perception.on_pose(pose)
 
     def on_telemetry(self, telemetry: Answer, values: Values) -> None:
         """Motor telemetry arrived."""

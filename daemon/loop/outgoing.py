@@ -10,7 +10,7 @@ from steerd.daemon.loop.findings import Finding
 from steerd.daemon.loop.supervisor import Action, SupervisorMemory
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.estimator.state_filter import StateEstimate
-from steerd.mocap_link.source import ClockKind, PoseSample
+from steerd.mocap_link.source import ClockKind, Pose
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
 from steerd.vesc_link.telemetry import Imu, Values
@@ -20,26 +20,25 @@ CLOCK_KINDS = tuple(ClockKind)
 _NO_REPORT = ControlReport(*(nan,) * len(ControlReport._fields))
 
 
-def make_mocap(sample: PoseSample, epoch_ns: int) -> m.MocapPose:
-    """A mocap sample, raw and processed."""
-    raw = sample.raw
+def make_mocap(pose: Pose, epoch_ns: int) -> m.MocapPose:
+    """A pose as it came and as it was placed and judged."""
     return m.MocapPose(
-        m.make_header(sample.t_valid_ns + epoch_ns, m.WORLD),
-        sample.t_valid_ns,
-        sample.t_arrival_ns,
-        raw.source_ticks or 0,
-        -1 if raw.frame is None else raw.frame,
-        CLOCK_KINDS.index(sample.clock),
-        int(raw.tracking_valid and raw.live),
-        *raw.position,
-        *raw.quaternion,
-        nan if raw.mean_error is None else raw.mean_error,
-        sample.x,
-        sample.y,
-        sample.yaw,
-        sample.height,
-        sample.tilt,
-        sample.rejected or "",
+        m.make_header(pose.t_valid_ns + epoch_ns, m.WORLD),
+        pose.t_valid_ns,
+        pose.t_arrival_ns,
+        pose.source_ticks or 0,
+        -1 if pose.frame is None else pose.frame,
+        CLOCK_KINDS.index(pose.clock),
+        int(pose.tracking_valid and pose.live),
+        *pose.position,
+        *pose.quaternion,
+        nan if pose.mean_error is None else pose.mean_error,
+        pose.x,
+        pose.y,
+        pose.yaw,
+        pose.height,
+        pose.tilt,
+        pose.rejected or "",
     )
 
 
@@ -55,10 +54,10 @@ def _count(value: int | None) -> int:
     return -1 if value is None else value
 
 
-def make_telemetry(when: Answer, v: Values, uptime_ms: int, epoch_ns: int) -> m.VescTelemetry:
+def make_telemetry(header: m.Header, when: Answer, v: Values, uptime_ms: int) -> m.VescTelemetry:
     """A telemetry reply; what the firmware did not send is NaN or -1."""
     return m.VescTelemetry(
-        m.make_header(when.stamp_ns + epoch_ns, m.BODY),
+        header,
         when.t_sent_ns,
         when.t_received_ns,
         uptime_ms,
@@ -82,11 +81,11 @@ def make_telemetry(when: Answer, v: Values, uptime_ms: int, epoch_ns: int) -> m.
     )
 
 
-def make_imu(when: Answer, i: Imu, epoch_ns: int) -> m.VescImu:
+def make_imu(header: m.Header, when: Answer, i: Imu) -> m.VescImu:
     """An IMU reading."""
     values = (i.accel_x, i.accel_y, i.accel_z, i.gyro_x, i.gyro_y, i.gyro_z)
     return m.VescImu(
-        m.make_header(when.stamp_ns + epoch_ns, m.BODY),
+        header,
         when.t_sent_ns,
         when.t_received_ns,
         *_numbers(*values, i.q_w, i.q_x, i.q_y, i.q_z),

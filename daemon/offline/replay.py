@@ -22,7 +22,7 @@ from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.outgoing import CLOCK_KINDS, make_actuation, read_actuation
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.run_options import decode_options
-from steerd.mocap_link.source import PoseSample, RawPose
+from steerd.mocap_link.source import Pose
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.session_read import Record, Session, SessionError
@@ -47,9 +47,9 @@ def _or_none(value: float) -> float | None:
     return None if isnan(value) else value
 
 
-def read_pose(pose: m.MocapPose) -> PoseSample:
-    """The sample of a recorded pose (as far as the loop reads it)."""
-    raw = RawPose(
+def read_pose(pose: m.MocapPose) -> Pose:
+    """A recorded pose (as far as the loop reads it)."""
+    return Pose(
         body="",
         frame=None if pose.frame < 0 else pose.frame,
         source_ticks=pose.source_ticks,
@@ -59,18 +59,14 @@ def read_pose(pose: m.MocapPose) -> PoseSample:
         quaternion=(pose.qw, pose.qx, pose.qy, pose.qz),
         mean_error=_or_none(pose.mean_error),
         tracking_valid=bool(pose.tracking_valid),
-    )
-    return PoseSample(
-        pose.t_valid_ns,
-        pose.t_arrival_ns,
-        raw,
-        pose.x,
-        pose.y,
-        pose.yaw,
-        pose.height,
-        pose.tilt,
-        pose.reject or None,
-        CLOCK_KINDS[pose.clock_kind],
+        t_valid_ns=pose.t_valid_ns,
+        clock=CLOCK_KINDS[pose.clock_kind],
+        x=pose.x,
+        y=pose.y,
+        yaw=pose.yaw,
+        height=pose.height,
+        tilt=pose.tilt,
+        rejected=pose.reject or None,
     )
 
 

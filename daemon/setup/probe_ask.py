@@ -25,7 +25,7 @@ from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import MocapUrl
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.sockets import MocapReceiver, make_receiver
-from steerd.mocap_link.source import PoseSample
+from steerd.mocap_link.source import Pose
 from steerd.steer_bus.clock import Clock
 from steerd.vesc_link.ids import fault_name
 from steerd.vesc_link.scaling import F1TENTH
@@ -170,7 +170,7 @@ def watch_mocap(
         receiver.close()
 
 
-def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[PoseSample]:
+def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Pose]:
     """The samples of so many seconds, as they come."""
     end = clock.now_ns() + round(seconds * 1e9)
     while clock.now_ns() < end:
@@ -180,7 +180,7 @@ def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Po
 
 
 def _seen(
-    receiver: MocapReceiver, address: str, samples: Sequence[PoseSample], seconds: float
+    receiver: MocapReceiver, address: str, samples: Sequence[Pose], seconds: float
 ) -> MocapSeen:
     status = receiver.status()
     # The clock offset is not known well in the first second.

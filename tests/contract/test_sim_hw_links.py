@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from steerd.mocap_link import natnet
+from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.natnet_frame import Frame
-from steerd.mocap_link.source import parse_mocap_url
 from steerd.mocap_link.vrpn import check_cookie, encode_cookie
 from steerd.sim_hw.mocap.mocap_config import MULTICAST, MocapConfig
 from steerd.sim_hw.plant.faults import Fault

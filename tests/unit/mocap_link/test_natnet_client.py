@@ -13,8 +13,7 @@ from steerd.mocap_link.natnet_client import (
     RateKnown,
 )
 from steerd.mocap_link.natnet_frame import BITSTREAM_CHANGED, Frame, RigidBody
-from steerd.mocap_link.natnet_model import ModelDef, RigidBodyDesc
-from steerd.mocap_link.source import RawPose
+from steerd.mocap_link.source import Pose
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -61,7 +60,7 @@ def test_raw_pose_has_w_first_and_the_servers_ticks(make_server: Any) -> None:
     client, server = make_connected(make_server)
     data = make_frame(server, mid_exposure_ticks=100, transmit_ticks=200)
     (raw,) = client.on_datagram(data, 7, "data")
-    assert isinstance(raw, RawPose)
+    assert isinstance(raw, Pose)
     assert raw.quaternion == pytest.approx((0.9, 0.1, 0.2, 0.3))
     assert (raw.source_ticks, raw.transmit_ticks, raw.t_arrival_ns, raw.frame) == (100, 200, 7, 9)
     assert raw.live
@@ -70,10 +69,10 @@ def test_raw_pose_has_w_first_and_the_servers_ticks(make_server: Any) -> None:
 def test_cameras_that_do_not_stamp_exposure(make_server: Any) -> None:
     client, server = make_connected(make_server)
     (raw,) = client.on_datagram(make_frame(server, transmit_ticks=200), 7, "data")
-    assert isinstance(raw, RawPose)
+    assert isinstance(raw, Pose)
     assert raw.source_ticks == 200
     (raw,) = client.on_datagram(make_frame(server), 7, "data")
-    assert isinstance(raw, RawPose)
+    assert isinstance(raw, Pose)
     assert raw.source_ticks is None
 
 
@@ -93,7 +92,7 @@ def test_a_changed_bitstream_asks_who_is_there(make_server: Any) -> None:
     server.version = (3, 0)
     reply = natnet.encode(server.info(), (3, 0))
     assert client.on_datagram(reply, 11) == [Connected(server.info())]
-    assert isinstance(client.on_datagram(make_frame(server), 12, "data")[0], RawPose)
+    assert isinstance(client.on_datagram(make_frame(server), 12, "data")[0], Pose)
 
 
 def test_frames_of_another_version_ask_who_is_there(make_server: Any) -> None:
@@ -118,7 +117,7 @@ def test_an_echo_counts_once_and_only_if_requested(make_server: Any) -> None:
 
 def test_only_frames_count_on_the_data_socket(make_server: Any) -> None:
     client, _ = make_connected(make_server)
-    forged = natnet.encode(ModelDef((RigidBodyDesc("car", 9),)), (4, 1))
+    forged = natnet.encode(natnet.ModelDef((natnet.RigidBodyDesc("car", 9),)), (4, 1))
     assert client.on_datagram(forged, 10, "data") == []
     assert client.detail == "following 'car' (id 1)"
 

@@ -14,7 +14,7 @@ from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.natnet_client import NatNetClient
 from steerd.mocap_link.sessions import NatNetSource, VrpnSource
-from steerd.mocap_link.source import PoseSample, SourceState
+from steerd.mocap_link.source import Pose, SourceState
 from steerd.sim_hw.mocap.mocap_config import MULTICAST, TO_COMMAND, TO_DATA, MocapConfig
 from steerd.sim_hw.mocap.network import COMMAND, STREAM
 from steerd.sim_hw.plant.faults import Fault
@@ -130,8 +130,8 @@ def test_a_small_p_controller_holds_speed_and_heading(make_host: Callable[..., A
     assert host.world.truth().state.yaw == pytest.approx(0.5, abs=0.01)
 
 
-def track(world: World, seconds: float, source: NatNetSource) -> list[PoseSample]:
-    samples: list[PoseSample] = []
+def track(world: World, seconds: float, source: NatNetSource) -> list[Pose]:
+    samples: list[Pose] = []
     for t in range(0, round(seconds * 1e9), 2 * MS):
         for data in source.on_timer(t):
             world.mocap_write(t, data)
@@ -197,7 +197,7 @@ def test_vrpn_client_gets_the_pose_and_pongs() -> None:
     source = VrpnSource("car", IngestConfig())
     world.mocap_connect(0)
     world.mocap_write(0, source.on_connect(), STREAM)
-    samples: list[PoseSample] = []
+    samples: list[Pose] = []
     for t in range(0, 3000 * MS, 2 * MS):
         data = source.on_timer(t)
         if data:

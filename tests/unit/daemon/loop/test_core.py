@@ -11,7 +11,7 @@ from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.transitions import Request, SupervisorState
 from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.mocap_link.source import ClockKind, PoseSample, RawPose
+from steerd.mocap_link.source import Pose
 from steerd.sim_hw.plant.faults import Fault
 from steerd.vesc_link.commands import GetMcConfTemp, SetMcConfTemp
 from steerd.vesc_link.telemetry import Values
@@ -145,21 +145,24 @@ def test_an_emergency_stop_is_left_by_reset_after_the_plug_was_out(plan):
     assert state_of(run) in (SupervisorState.DISARMED, SupervisorState.READY)
 
 
-def sample(k: int, t_ns: int) -> PoseSample:
-    raw = RawPose("car", k, None, None, t_ns, (0.01 * k, 0, 0.1), (1.0, 0, 0, 0))
-    return PoseSample(t_ns, t_ns, raw, 0.01 * k, 0.0, 0.0, 0.1, 0.0, None, ClockKind.ARRIVAL)
+def pose(k: int, t_ns: int) -> Pose:
+    x, place, level = 0.01 * k, (0.01 * k, 0, 0.1), (1.0, 0, 0, 0)
+    return Pose(
+        "car", k, None, None, t_ns, place, level, t_valid_ns=t_ns, x=x, y=0.0, yaw=0.0,
+        height=0.1, tilt=0.0,
+    )  # fmt: skip
 
 
 def test_a_reply_read_before_an_older_pose_is_fused_all_the_same(plan):
     core = make_core(plan, 1, 0, (), leased=True)
     seen = core.loop.perception
     for k in range(100):
-        core.loop.on_pose(sample(k, k * 10 * MS))
+        core.loop.on_pose(pose(k, k * 10 * MS))
         seen.estimate(k * 10 * MS + 1)
     now = 1010 * MS
     values = Values(erpm=4614)
     core.loop.on_telemetry(Answer(values, now - MS, now), values)
-    core.loop.on_pose(sample(100, now - 4 * MS))
+    core.loop.on_pose(pose(100, now - 4 * MS))
     health = seen.estimate(now).health
     assert health.untimely == 0
     assert health.wheel_speed.seen == 1

@@ -9,7 +9,7 @@ from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.daemon.loop.perception import BLIND_S, Perception, best_speed, estimated_state
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
-from steerd.mocap_link.source import ClockKind, PoseSample, RawPose
+from steerd.mocap_link.source import Pose
 from steerd.vesc_link.scaling import F1TENTH
 from steerd.vesc_link.telemetry import Values
 from steerd.vesc_link.vesc import Answer
@@ -22,8 +22,11 @@ def make_perception():
 
 
 def pose(t_ns, x, rejected=None, valid=True):
-    raw = RawPose("", None, 0, None, t_ns, (x, 0.0, 0.1), (1.0, 0.0, 0.0, 0.0), None, valid)
-    return PoseSample(t_ns, t_ns, raw, x, 0.0, 0.0, 0.1, 0.0, rejected, ClockKind.ARRIVAL)
+    place, level = (x, 0.0, 0.1), (1.0, 0.0, 0.0, 0.0)
+    return Pose(
+        "", None, 0, None, t_ns, place, level, None, valid, True, t_ns, x=x, y=0.0, yaw=0.0,
+        height=0.1, tilt=0.0, rejected=rejected,
+    )  # fmt: skip
 
 
 def telemetry(t_ns, erpm):
