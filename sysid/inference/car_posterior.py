@@ -355,6 +355,7 @@ def teach_with_limits(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHI
         if e.name in shown
         and e.name not in free
         and not stated.holds(e.name)
+        and not (e.same_as and set(e.same_as) <= set(taught.nuisance))
         and e.selectable_in_base is not BaseSelection.NEVER
     )
     found = explain(Library(taught.likelihood, taught.nuisance, effects), c.BUILT_IN)
