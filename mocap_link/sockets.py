@@ -11,7 +11,6 @@ import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from steerd.mocap_link.ingest import IngestConfig, PoseIngest
 from steerd.mocap_link.mocap_url import MocapUrl
@@ -38,45 +37,13 @@ class HostClock:
     realtime_ns: Callable[[], int] = time.time_ns
 
 
-class MocapReceiver(Protocol):
-    """A mocap source with its sockets, for a single-threaded loop that polls."""
-
-    @property
-    def ingest(self) -> PoseIngest:
-        """The pipeline: set `wheel_speed` and `stationary` on it."""
-        ...
-
-    def fds(self) -> list[int]:
-        """Return the descriptors to poll for reading; they change, so ask before each poll."""
-        ...
-
-    def read_ready(self, fd: int) -> list[Pose]:
-        """Drain a readable descriptor; unknown ones are ignored."""
-        ...
-
-    def on_timer(self, t_ns: int) -> list[Pose]:
-        """Send what the session wants and let time pass; call at 50 Hz or faster.
-
-        `t_ns` stamps the clock echoes: pass a fresh CLOCK_MONOTONIC time.
-        """
-        ...
-
-    def status(self) -> SourceStatus:
-        """Describe the source now."""
-        ...
-
-    def close(self) -> None:
-        """Close the sockets."""
-        ...
-
-
 def make_receiver(
     url: MocapUrl,
     config: IngestConfig,
     *,
     clock: HostClock | None = None,
     extra_latency_ns: int | None = None,
-) -> MocapReceiver:
+) -> "MocapReceiver":
     """Make the receiver that an address asks for; blocks while the host name is resolved.
 
     Args:
@@ -383,7 +350,7 @@ class VrpnReceiver:
             return
         code = self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         if code:
-            self._close(f"no connection to {self._server[0]}: {_strerror(code)}")
+            self._close(f"no connection to {self._server[0]}: {os.strerror(code)}")
             return
         try:
             self._sock.getpeername()
@@ -432,5 +399,8 @@ class VrpnReceiver:
         self._close("closed")
 
 
-def _strerror(code: int) -> str:
-    return os.strerror(code)
+MocapReceiver = NatNetReceiver | VrpnReceiver
+"""A mocap source with its sockets, for a single-threaded loop that polls `fds`.
+
+`on_timer` is to be called at 50 Hz or faster, with a fresh CLOCK_MONOTONIC time.
+"""

@@ -12,8 +12,7 @@ from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import ORIGIN, Command
-from steerd.sim_hw.plant.car import COAST, CarSetup, Demand, Drive, SimCar
-from steerd.sim_hw.plant.delay import DelayLine
+from steerd.sim_hw.plant.car import COAST, CarSetup, DelayLine, Demand, Drive, SimCar
 from steerd.sim_hw.plant.noise import make_noise_source
 
 H = 0.002
