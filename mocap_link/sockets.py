@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from steerd.mocap_link.ingest import IngestConfig, PoseIngest
 from steerd.mocap_link.mocap_url import MocapUrl
 from steerd.mocap_link.natnet import FRAME_ID, ServerInfo, peek_id
-from steerd.mocap_link.natnet_client import Socket
-from steerd.mocap_link.sessions import NatNetSource, VrpnSource
+from steerd.mocap_link.natnet_client import NatNetSource, Socket
 from steerd.mocap_link.source import Pose, SourceStatus
+from steerd.mocap_link.vrpn_client import VrpnSource
 
 SECOND = 1_000_000_000
 STAMP_AGE_MAX_NS = SECOND // 5
@@ -213,13 +213,13 @@ class NatNetReceiver:
                 self._command.sendto(datagram, self._server)
             except OSError:
                 self._send_errors += 1  # the session sends again, with backoff
-        info = self.source.client.info
+        info = self.source.info
         if info is not None:
             self._follow(info, t_ns)
         return []
 
     def _follow(self, info: ServerInfo, t_ns: int) -> None:
-        want = (info.data_port, info.group, self.source.client.unicast)
+        want = (info.data_port, info.group, self.source.unicast)
         if want == self._data_for or t_ns < self._data_due:
             return
         if self._data is not None:

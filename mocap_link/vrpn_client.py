@@ -1,4 +1,4 @@
-"""VRPN session without I/O: bytes and time in, poses and bytes out, over one TCP connection.
+"""A VRPN source without I/O: bytes and time in, poses and bytes out, over TCP connections.
 
 Plain TCP only: the reverse connection of library clients breaks behind firewalls and containers,
 and brings nothing. No subscription is needed, a server sends poses at once.
@@ -7,7 +7,9 @@ and brings nothing. No subscription is needed, a server sends poses at once.
 from collections import Counter
 
 from steerd.mocap_link import vrpn
-from steerd.mocap_link.source import Pose
+from steerd.mocap_link.ingest import IngestConfig, PoseIngest
+from steerd.mocap_link.source import Pose, SourceStatus
+from steerd.mocap_link.timing import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 
 SECOND = 1_000_000_000
 TICKS_HZ = 1_000_000
@@ -155,3 +157,54 @@ class VrpnClient:
         self._sequence += 1
         sec, ns = divmod(t_ns, SECOND)
         return vrpn.encode(vrpn.Message(_PING_ID, 0, sec, ns // 1000, b"", self._sequence))
+
+
+class VrpnSource:
+    """A VRPN server's one body, from a byte stream to samples; survives reconnects."""
+
+    def __init__(
+        self, body: str, config: IngestConfig, *, extra_latency_ns: int | None = None
+    ) -> None:
+        extra = DEFAULT_EXTRA_LATENCY_NS["vrpn"] if extra_latency_ns is None else extra_latency_ns
+        self.client = VrpnClient(body)
+        self.ingest = PoseIngest(config, SourceTiming(TICKS_HZ, extra))
+        self.up = False
+        self._old_counts: Counter[str] = Counter()
+        self._why = "connecting"
+
+    @property
+    def dead(self) -> str | None:
+        """Why the connection must be closed, or None."""
+        return self.client.dead
+
+    def on_connect(self) -> bytes:
+        """A TCP connection stands: begin a session; returns what to send."""
+        self._old_counts += self.client.counts
+        self.client = VrpnClient(self.client.body)
+        self.ingest.restart()
+        self.up = True
+        return self.client.hello()
+
+    def on_disconnect(self, why: str) -> None:
+        """The TCP connection ended."""
+        self.up = False
+        self._why = why
+
+    def on_bytes(self, data: bytes, t_arrival_ns: int) -> list[Pose]:
+        """Take in a piece of the stream."""
+        return [self.ingest.push(raw) for raw in self.client.on_bytes(data, t_arrival_ns)]
+
+    def on_timer(self, t_ns: int) -> bytes:
+        """Let time pass; returns bytes to send."""
+        self.ingest.on_timer(t_ns, connected=self.up and self.client.greeted)
+        return self.client.on_timer(t_ns) if self.up else b""
+
+    def status(self) -> SourceStatus:
+        """Describe the source now."""
+        return self.ingest.status(
+            connected=self.up and self.client.greeted,
+            detail=self.client.detail if self.up else self._why,
+            server="VRPN" if self.client.greeted else "",
+            bodies=self.client.bodies,
+            more_counts=self._old_counts + self.client.counts,
+        )

@@ -25,9 +25,9 @@ from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
 from steerd.daemon.process.remote_path import RemotePath
 from steerd.daemon.process.stall import find_cause
 from steerd.daemon.process.steal import read_steal_ns
-from steerd.mocap_link.sessions import BusPoseSource
 from steerd.mocap_link.sockets import MocapReceiver
 from steerd.mocap_link.source import Pose
+from steerd.mocap_link.zenoh_pose import BusPoseSource
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.messages import BODY, ClockSample, make_header

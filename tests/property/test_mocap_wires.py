@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerd.mocap_link import natnet, vrpn
-from steerd.mocap_link.natnet_client import NatNetClient
+from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.natnet_client import NatNetSource
 from steerd.mocap_link.natnet_frame import (
     Frame,
     RigidBody,
@@ -20,6 +21,7 @@ from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.vrpn_client import VrpnClient
 from steerd.sim_hw.mocap.vrpn_device import VrpnServer
 
+IP = "10.0.0.1"
 VERSIONS = [(2, 9), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2)]
 FIXED = settings(derandomize=True, deadline=None, database=None, max_examples=60)
 
@@ -96,14 +98,14 @@ def test_every_truncation_is_refused_or_read(version: tuple[int, int]) -> None:
 @pytest.mark.parametrize("version", VERSIONS)
 def test_random_corruption_never_raises_out_of_the_client(version: tuple[int, int]) -> None:
     rng = np.random.default_rng(7)
-    client = NatNetClient("car")
+    client = NatNetSource("car", IP, IngestConfig())
     for data in make_datagrams(version):
-        client.on_datagram(make_datagrams(version)[2], 0)
+        client.on_datagram(make_datagrams(version)[2], 0, IP)
         for i in range(1500):
             bad = bytearray(data)
             for at in rng.integers(2, len(data), 3):
                 bad[at] = rng.integers(256)
-            client.on_datagram(bytes(bad), i)
+            client.on_datagram(bytes(bad), i, IP)
     assert client.counts["malformed"] > 1000
 
 
@@ -111,10 +113,10 @@ def test_random_corruption_never_raises_out_of_the_client(version: tuple[int, in
 @given(st.binary(max_size=200))
 def test_byte_soup_never_raises(data: bytes) -> None:
     for version in VERSIONS:
-        client = NatNetClient("car")
-        client.on_datagram(make_datagrams(version)[2], 0)
-        client.on_datagram(data, 1, "command")
-        client.on_datagram(data, 2, "data")
+        client = NatNetSource("car", IP, IngestConfig())
+        client.on_datagram(make_datagrams(version)[2], 0, IP)
+        client.on_datagram(data, 1, IP, "command")
+        client.on_datagram(data, 2, IP, "data")
         client.on_timer(3)
 
 

@@ -22,13 +22,11 @@ from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.loop.transitions import Request
 from steerd.mocap_link import natnet, vrpn
 from steerd.mocap_link.ingest import IngestConfig
-from steerd.mocap_link.natnet_client import NatNetClient
+from steerd.mocap_link.natnet_client import NatNetSource
 from steerd.mocap_link.natnet_frame import Frame, RigidBody
 from steerd.mocap_link.natnet_wire import NatNetError
-from steerd.mocap_link.sessions import BusPoseSource
-from steerd.mocap_link.source import Pose
 from steerd.mocap_link.vrpn_client import VrpnClient
-from steerd.mocap_link.zenoh_pose import PoseError, decode_pose
+from steerd.mocap_link.zenoh_pose import BusPoseSource, PoseError, decode_pose
 from steerd.sim_hw.mocap.vrpn_device import VrpnServer
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -52,6 +50,7 @@ FIRMWARE = (Firmware(2, 18), *PROFILES)
 CLASSES = tuple(MESSAGE_TYPES[name] for name in sorted(MESSAGE_TYPES))
 BOOT = 0x0123_4567_89AB_CDEF
 HELD = MAX_PAYLOAD + 6
+SERVER = "10.0.0.1"
 LOSSY = (c.TerminalCommand, c.SetMcConfTemp)
 """Commands with text, or numbers that may be left out: they need not come back."""
 MOST = 4096
@@ -211,9 +210,9 @@ def check_natnet(script: bytes) -> None:
 
 def check_natnet_client(script: bytes) -> None:
     """A client with a session: any datagrams on both sockets, timers between."""
-    client, t_ns = NatNetClient("car"), 0
+    client, t_ns = NatNetSource("car", SERVER, IngestConfig()), 0
     version = VERSIONS[(script[0] if script else 0) % len(VERSIONS)]
-    client.on_datagram(make_hello(version), 0)
+    client.on_datagram(make_hello(version), 0, SERVER)
     for op, body in cut(script[:MOST]):
         t_ns += 10 * MS
         data = body
@@ -222,8 +221,10 @@ def check_natnet_client(script: bytes) -> None:
         if op & 3 == 3:
             t_ns += 100 * MS * len(body)
             assert len(client.on_timer(t_ns)) < 10
-        for event in client.on_datagram(data, t_ns, "data" if op & 1 else "command"):
-            assert not isinstance(event, Pose) or event.body == "car"
+        which = "data" if op & 1 else "command"
+        for pose in client.on_datagram(data, t_ns, SERVER, which):
+            assert pose.body == "car"
+            encode(make_mocap(pose, 0))
     assert client.detail
 
 

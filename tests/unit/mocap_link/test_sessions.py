@@ -17,8 +17,8 @@ from steerd.mocap_link import natnet
 from steerd.mocap_link.frame import FrameConfig, make_body_pose
 from steerd.mocap_link.gates import REASONS
 from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.natnet_client import NatNetSource
 from steerd.mocap_link.natnet_frame import EDIT_MODE, MODEL_CHANGED, RigidBody
-from steerd.mocap_link.sessions import NatNetSource
 from steerd.mocap_link.source import ClockKind, Pose, SourceState
 
 MS = 1_000_000

@@ -6,9 +6,9 @@ import pytest
 
 from steerd.mocap_link.frame import FrameConfig, make_body_pose
 from steerd.mocap_link.ingest import IngestConfig
-from steerd.mocap_link.sessions import BusPoseSource, VrpnSource
 from steerd.mocap_link.source import ClockKind, Pose, SourceState
-from steerd.mocap_link.zenoh_pose import encode_pose
+from steerd.mocap_link.vrpn_client import VrpnSource
+from steerd.mocap_link.zenoh_pose import BusPoseSource, encode_pose
 from steerd.sim_hw.mocap.vrpn_device import VrpnServer
 
 MS = 1_000_000
