@@ -11,7 +11,7 @@ from functools import lru_cache
 from operator import truediv
 
 from steerd.steer_bus.quick_values import quick_init
-from steerd.vesc_link.ids import FW_3_00, FW_5_03, FW_6_05, CommandId, Firmware, fault_name
+from steerd.vesc_link.ids import FW_3_00, FW_5_03, FW_6_05, CommandId, Firmware
 from steerd.vesc_link.wire import Field, device_numbers, pack_fields, read_values, unpack_fields
 
 STANDARD_GRAVITY = 9.80665
@@ -69,16 +69,6 @@ class Values:
     def timeout_active(self) -> bool | None:
         """Whether the VESC's own command timeout has struck; None before firmware 5.03."""
         return None if self.status is None else bool(self.status & 1)
-
-    @property
-    def kill_switch(self) -> bool | None:
-        """Whether the VESC's kill switch holds the motor; None before firmware 5.03."""
-        return None if self.status is None else bool(self.status & 2)
-
-    @property
-    def fault_name(self) -> str | None:
-        """Name of the fault code."""
-        return None if self.fault is None else fault_name(self.fault)
 
 
 _VALUES_BITS: tuple[tuple[Field, ...], ...] = (

@@ -58,26 +58,12 @@ def check_value(effect: Effect, parameter: EffectParameter, value: float) -> flo
     )
 
 
-def parse_effect(text: str) -> Setting:
-    """One effect with its values out of a command line.
+def parse_effects(text: str) -> list[Setting]:
+    """Effects with their values out of a command line, commas between them.
 
     `steer_delay=0.03`; several parameters in order, `grip_patch=2,0.5,0.4,0.3`; by name,
-    `grip_patch:x=2,drop=0.3`. Parameters that are not given stay at their null.
-
-    Raises:
-        ValueError: The effect, a parameter or a value is not one; the message says which.
-    """
-    settings = parse_effects(text)
-    if len(settings) != 1:
-        raise ValueError(f"one effect expected, not {len(settings)} in {text!r}")
-    return settings[0]
-
-
-def parse_effects(text: str) -> list[Setting]:
-    """Several effects out of a command line, commas between them.
-
-    `steer_delay=0.03,floor_slope=0.005,0.002`: what has no `=` is the next value of the effect
-    before it. See `parse_effect` for the forms of one effect.
+    `grip_patch:x=2,drop=0.3`. Parameters that are not given stay at their null, and what has no `=`
+    is the next value of the effect before it: `steer_delay=0.03,floor_slope=0.005,0.002`.
 
     Raises:
         ValueError: The text is not such a list; the message says where.

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from steerd.car_model.effects import parse_effect
+from steerd.car_model.effects import parse_effects
 from steerd.car_model.state import ORIGIN
 from steerd.mocap_link import natnet
 from steerd.mocap_link.frame import FrameConfig
@@ -218,7 +218,7 @@ def test_vrpn_hangs_up_on_a_peer_that_speaks_something_else() -> None:
 
 def test_effects_change_the_car_and_pose_latency_is_not_stamped() -> None:
     def end(text: str | None) -> Any:
-        setting = [parse_effect(text)] if text else []
+        setting = parse_effects(text) if text else []
         config = WorldConfig(
             effects=tuple(e for e, _ in setting), effect_values=tuple(v for _, v in setting)
         )

@@ -16,6 +16,7 @@ from steerd.sim_hw.mocap.mocap_config import Bystander, MocapConfig
 from steerd.sim_hw.mocap.network import CLOSE, FOREIGN, Datagram
 from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, HEALTHY_VESC
 from steerd.sim_hw.plant.faults import FAULTS, Fault, find_fault, make_condition
+from steerd.sim_hw.vesc.vesc_config import STATUS_KILL
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.identity import AppConf
@@ -400,7 +401,7 @@ def test_v15_reboot_drops_usb_and_coasts(faulty: MakeHost) -> None:
 
 def test_v18_to_v21_wrong_telemetry(faulty: MakeHost) -> None:
     assert faulty("V18").values().timeout_active
-    assert faulty("V19").values().kill_switch
+    assert faulty("V19").values().status & STATUS_KILL
     host = faulty("V20")
     readings = set()
     for _ in range(10):
