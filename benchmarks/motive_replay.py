@@ -107,9 +107,9 @@ class Replayer:
         data, address = self._socket.recvfrom(65_536)
         now_ns = time.monotonic_ns()
         match natnet.decode(data, VERSION):
-            case natnet.Connect():
+            case natnet.Bare.CONNECT:
                 reply = self._capture.info_packet
-            case natnet.RequestModelDef():
+            case natnet.Bare.REQUEST_MODEL:
                 reply = self._capture.model_packet
                 if self._first_ns is None:
                     self._first_ns = now_ns + delay_ns

@@ -7,6 +7,8 @@ whatever the bytes.
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
+from typing import assert_never
 
 from steerd.mocap_link.natnet_frame import Frame, read_frame, write_frame
 from steerd.mocap_link.natnet_wire import (
@@ -38,14 +40,21 @@ _NAME = 256
 Version4 = tuple[int, int, int, int]
 
 
-@dataclass(frozen=True, slots=True)
-class Connect:
-    """0: start a session; what a client says of itself is not read, for many say nothing."""
+class Bare(IntEnum):
+    """Messages whose payload is empty, or not read: many clients say nothing of themselves."""
 
-
-@dataclass(frozen=True, slots=True)
-class Discovery:
-    """14: broadcast form of `Connect`; each server answers `ServerInfo`."""
+    CONNECT = 0
+    """Start a session."""
+    REQUEST_MODEL = 4
+    """Ask for `ModelDef`."""
+    DISCONNECT = 9
+    """End of a session."""
+    KEEP_ALIVE = 10
+    """A unicast client is alive."""
+    DISCONNECT_BY_TIMEOUT = 11
+    """The server dropped this unicast client."""
+    DISCOVERY = 14
+    """Broadcast form of `CONNECT`; each server answers `ServerInfo`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +98,6 @@ class Response:
 
 
 @dataclass(frozen=True, slots=True)
-class RequestModelDef:
-    """4: ask for `ModelDef`."""
-
-
-@dataclass(frozen=True, slots=True)
 class RigidBodyDesc:
     """A body's name and streaming id."""
 
@@ -113,21 +117,6 @@ class MessageString:
     """8: text from the server."""
 
     text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Disconnect:
-    """9: end of a session."""
-
-
-@dataclass(frozen=True, slots=True)
-class KeepAlive:
-    """10: a unicast client is alive."""
-
-
-@dataclass(frozen=True, slots=True)
-class DisconnectByTimeout:
-    """11: the server dropped this unicast client."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,21 +142,10 @@ class Unrecognized:
 
 
 Message = (
-    Connect | Discovery | ServerInfo | Request | Response | RequestModelDef | ModelDef | Frame
-    | MessageString | Disconnect | KeepAlive | DisconnectByTimeout | EchoRequest | EchoResponse
-    | Unrecognized
+    Bare | ServerInfo | Request | Response | ModelDef | Frame | MessageString | EchoRequest
+    | EchoResponse | Unrecognized
 )  # fmt: skip
-
-_BARE_BY_ID: dict[int, Message] = {
-    0: Connect(),
-    4: RequestModelDef(),
-    9: Disconnect(),
-    10: KeepAlive(),
-    11: DisconnectByTimeout(),
-    14: Discovery(),
-}
-"""Messages whose payload is empty, or not read."""
-_ID_BY_BARE = {type(message): message_id for message_id, message in _BARE_BY_ID.items()}
+_BARE = {int(message): message for message in Bare}
 
 
 def peek_id(data: bytes) -> int:
@@ -216,7 +194,7 @@ def _decode_other(message_id: int, data: bytes, version: Version) -> Message:
             return EchoRequest(U64.unpack_from(data, 4)[0])
         case 13:
             return EchoResponse(U64.unpack_from(data, 4)[0], U64.unpack_from(data, 12)[0])
-    return _BARE_BY_ID.get(message_id) or Unrecognized(message_id)
+    return _BARE.get(message_id, Unrecognized(message_id))
 
 
 def _read_version(data: bytes, at: int) -> Version4:
@@ -332,8 +310,9 @@ def _payload(message: Message, version: Version) -> tuple[int, bytes]:
     match message:
         case Frame():
             return FRAME_ID, write_frame(message, version)
-        case Connect() | Discovery():
-            return _ID_BY_BARE[type(message)], _CLIENT
+        case Bare():
+            introduces = message in (Bare.CONNECT, Bare.DISCOVERY)
+            return message, _CLIENT if introduces else b""
         case ServerInfo():
             return 1, _write_server_info(message)
         case Request():
@@ -350,7 +329,8 @@ def _payload(message: Message, version: Version) -> tuple[int, bytes]:
             return 13, U64.pack(message.client_stamp) + U64.pack(message.server_ticks)
         case Unrecognized():
             return message.id, b""
-    return _ID_BY_BARE[type(message)], b""
+        case _:
+            assert_never(message)
 
 
 _CLIENT = write_name("steerd", _NAME) + bytes((0, 0, 0, 0, *NEWEST_VERSION, 0, 0))

@@ -163,7 +163,7 @@ class NatNetSource:
             case natnet.Response() if message.number is not None and self._rate_wanted:
                 self._rate_wanted = False
                 self.ingest.expect_rate(message.number)
-            case natnet.Disconnect() | natnet.DisconnectByTimeout():
+            case natnet.Bare.DISCONNECT | natnet.Bare.DISCONNECT_BY_TIMEOUT:
                 self._reconnect("the server ended the session")
             case natnet.MessageString():
                 self._note = f"server: {message.text[:200]}"
@@ -295,7 +295,7 @@ class NatNetSource:
             self._reconnect(self._silence)
         if self._connecting and t_ns >= self._connect_due:
             self._called_ns = t_ns if self._called_ns is None else self._called_ns
-            out.append(natnet.encode(natnet.Connect()))
+            out.append(natnet.encode(natnet.Bare.CONNECT))
             self._connect_due = t_ns + self._retry_ns
             self._retry_ns = min(2 * self._retry_ns, self.retry_last_ns)
         if self.info is not None:
@@ -306,12 +306,12 @@ class NatNetSource:
 
     def _maintain(self, info: natnet.ServerInfo, t_ns: int, out: list[bytes]) -> None:
         if self._model_wanted and t_ns >= self._model_due:
-            out.append(natnet.encode(natnet.RequestModelDef()))
+            out.append(natnet.encode(natnet.Bare.REQUEST_MODEL))
             self._model_due = t_ns + self.model_period_ns
             if self._rate_wanted:
                 out.append(natnet.encode(natnet.Request("FrameRate")))
         if self.unicast and t_ns >= self._keepalive_due:
-            out.append(natnet.encode(natnet.KeepAlive()))
+            out.append(natnet.encode(natnet.Bare.KEEP_ALIVE))
             self._keepalive_due = t_ns + self.keepalive_period_ns
         if info.clock_hz and t_ns >= self._echo_due:
             out.append(natnet.encode(natnet.EchoRequest(t_ns)))

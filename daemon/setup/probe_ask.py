@@ -140,7 +140,7 @@ def discover(
         sock.setblocking(False)
         for address in addresses:
             with contextlib.suppress(OSError):  # no network: no server
-                sock.sendto(natnet.encode(natnet.Discovery()), (address, port))
+                sock.sendto(natnet.encode(natnet.Bare.DISCOVERY), (address, port))
         end = clock.now_ns() + DISCOVERY_NS
         while (left := end - clock.now_ns()) > 0:
             if not select.select([sock], [], [], left * 1e-9)[0]:

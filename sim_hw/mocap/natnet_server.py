@@ -68,7 +68,7 @@ class NatNetServer:
             message = natnet.decode(data, self.config.version)
         except NatNetError:
             return
-        if isinstance(message, natnet.Disconnect):
+        if message is natnet.Bare.DISCONNECT:
             self._clients.pop(peer, None)
             return
         self._clients[peer] = t_ns
@@ -79,11 +79,11 @@ class NatNetServer:
 
     def _answer(self, t_ns: int, message: natnet.Message) -> natnet.Message | None:
         match message:
-            case natnet.Connect() | natnet.Discovery():
+            case natnet.Bare.CONNECT | natnet.Bare.DISCOVERY:
                 return self._info()
             case natnet.EchoRequest():
                 return natnet.EchoResponse(message.client_stamp, self.ticks(t_ns + _ANSWER_NS // 2))
-            case natnet.RequestModelDef():
+            case natnet.Bare.REQUEST_MODEL:
                 self._model_flag = False
                 return self._model()
             case natnet.Request():

@@ -91,13 +91,13 @@ class UdpServer:
     def answer(self, datagram: bytes, sender: tuple[str, int]) -> None:
         reply: natnet.Message
         match natnet.decode(datagram, (4, 1)):
-            case natnet.Connect():
+            case natnet.Bare.CONNECT:
                 self.client = sender
                 multicast = self.mode == "multicast"
                 reply = natnet.ServerInfo(
                     "Loop", (3, 1, 0, 0), (4, 1, 0, 0), SECOND, self.data_port, multicast, GROUP
                 )
-            case natnet.RequestModelDef():
+            case natnet.Bare.REQUEST_MODEL:
                 reply = natnet.ModelDef((natnet.RigidBodyDesc("car", 4),))
             case natnet.EchoRequest(client_stamp=stamp):
                 reply = natnet.EchoResponse(stamp, self.ticks())

@@ -115,7 +115,7 @@ def test_natnet_frames_arrive_over_udp_unicast(sim: SpawnedSim) -> None:
     url = parse_mocap_url(sim.mocap_url)
     assert (url.scheme, url.body, url.unicast) == ("natnet", "car", True)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.sendto(natnet.encode(natnet.Connect()), (url.host, url.port))
+        udp.sendto(natnet.encode(natnet.Bare.CONNECT), (url.host, url.port))
         messages = []
         while len(messages) < 20:
             assert wait_for(udp.fileno())
@@ -133,7 +133,7 @@ def test_natnet_frames_arrive_over_multicast_on_the_loopback() -> None:
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as command,
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as data,
         ):
-            command.sendto(natnet.encode(natnet.Connect()), (url.host, url.port))
+            command.sendto(natnet.encode(natnet.Bare.CONNECT), (url.host, url.port))
             assert wait_for(command.fileno())
             info = natnet.decode(command.recv(2000), (4, 1))
             assert isinstance(info, natnet.ServerInfo)
@@ -164,7 +164,7 @@ def test_foreign_frames_come_from_another_address() -> None:
     with spawn_sim(WorldConfig(), options) as sim:
         url = parse_mocap_url(sim.mocap_url)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-            udp.sendto(natnet.encode(natnet.Connect()), (url.host, url.port))
+            udp.sendto(natnet.encode(natnet.Bare.CONNECT), (url.host, url.port))
             senders = set()
             for _ in range(12):
                 assert wait_for(udp.fileno())

@@ -273,7 +273,7 @@ def natnet_seeds() -> list[bytes]:
         frame, names = natnet.encode(Frame(5, (body,)), version), natnet.encode(model, version)
         seeds += [bytes((k,)) + data for data in (frame, names, make_hello(version))]
         talk = ((0, names), (1, frame), (3, b""), (0, natnet.encode(natnet.EchoResponse(1, 2))))
-        seeds.append(glue(k, *talk, (0, natnet.encode(natnet.Disconnect())), (1, frame)))
+        seeds.append(glue(k, *talk, (0, natnet.encode(natnet.Bare.DISCONNECT)), (1, frame)))
     return seeds
 
 

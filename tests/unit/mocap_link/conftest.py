@@ -91,9 +91,9 @@ class FakeServer:
         message = natnet.decode(datagram, self.version)
         self.received.append(message)
         match message:
-            case natnet.Connect():
+            case natnet.Bare.CONNECT:
                 reply: natnet.Message = self.info()
-            case natnet.RequestModelDef():
+            case natnet.Bare.REQUEST_MODEL:
                 reply = natnet.ModelDef(self.bodies)
             case natnet.Request(text="FrameRate"):
                 reply = natnet.Response(struct.pack("<f", 100.0))

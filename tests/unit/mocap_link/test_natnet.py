@@ -119,17 +119,17 @@ def test_a_model_survives(version: tuple[int, int]) -> None:
 
 
 MESSAGES: list[natnet.Message] = [
-    natnet.Connect(),
-    natnet.Discovery(),
+    natnet.Bare.CONNECT,
+    natnet.Bare.DISCOVERY,
     natnet.ServerInfo("S", (1, 0, 0, 0), (4, 1, 0, 0), 10_000_000, 1511, False, "0.0.0.0"),
     natnet.ServerInfo("S", (1, 0, 0, 0), (2, 9, 0, 0)),
     natnet.Request("FrameRate"),
     natnet.Response(b"\0\0\xf0\x42"),
-    natnet.RequestModelDef(),
+    natnet.Bare.REQUEST_MODEL,
     natnet.MessageString("hello"),
-    natnet.Disconnect(),
-    natnet.KeepAlive(),
-    natnet.DisconnectByTimeout(),
+    natnet.Bare.DISCONNECT,
+    natnet.Bare.KEEP_ALIVE,
+    natnet.Bare.DISCONNECT_BY_TIMEOUT,
     natnet.EchoRequest(2**63),
     natnet.EchoResponse(1, 2**64 - 1),
     natnet.Unrecognized(100),
@@ -147,8 +147,8 @@ def test_response_number() -> None:
 
 
 def test_a_short_connect_is_a_connect() -> None:
-    assert isinstance(natnet.decode(b"\0\0\x05\0Ping\0", (3, 0)), natnet.Connect)
-    assert isinstance(natnet.decode(bytes(4), (3, 0)), natnet.Connect)
+    assert natnet.decode(b"\0\0\x05\0Ping\0", (3, 0)) is natnet.Bare.CONNECT
+    assert natnet.decode(bytes(4), (3, 0)) is natnet.Bare.CONNECT
 
 
 def test_bytes_behind_the_stated_length_are_ignored() -> None:

@@ -69,13 +69,13 @@ def test_cameras_that_do_not_stamp_exposure(make_server: Any) -> None:
     assert raw.source_ticks is None
 
 
-@pytest.mark.parametrize("goodbye", [natnet.Disconnect(), natnet.DisconnectByTimeout()])
+@pytest.mark.parametrize("goodbye", [natnet.Bare.DISCONNECT, natnet.Bare.DISCONNECT_BY_TIMEOUT])
 def test_a_server_that_says_goodbye_is_called_again(make_server: Any, goodbye: Any) -> None:
     client, _ = make_connected(make_server)
     client.on_datagram(natnet.encode(goodbye), 10, IP)
     assert not client.connected
     sent = [natnet.decode(d, (4, 1)) for d in client.on_timer(SECOND)]
-    assert natnet.Connect() in sent
+    assert natnet.Bare.CONNECT in sent
 
 
 def test_a_changed_bitstream_asks_who_is_there(make_server: Any) -> None:

@@ -32,7 +32,7 @@ POLL = encode_frame(encode_command(c.GetValuesSelective(FAST_MASK)))
 def drive_bytes(config: WorldConfig, faults: list[Fault], step: int = TICK) -> str:
     """SHA-256 of everything that came out of a drive."""
     world = World(config, faults)
-    world.mocap_write(0, natnet.encode(natnet.Connect()))
+    world.mocap_write(0, natnet.encode(natnet.Bare.CONNECT))
     digest = hashlib.sha256()
     for t in range(0, 2000 * MS, TICK):
         orders = encode_frame(encode_command(c.SetErpm(3000 + t // MS)))
@@ -79,7 +79,7 @@ def test_a_caller_woken_on_time_reads_everything_the_moment_it_arrives(
     faults: list[Fault],
 ) -> None:
     world = World(NOISY, faults)
-    world.mocap_write(0, natnet.encode(natnet.Connect()))
+    world.mocap_write(0, natnet.encode(natnet.Bare.CONNECT))
     t, wakes, poses, unplugged = 0, 0, 0, 0
     while t < 1000 * MS:
         if wakes % 5 == 0 and world.serial_name is not None:
@@ -171,7 +171,7 @@ def test_natnet_client_gets_true_poses_at_their_true_time(
 def test_unicast_client_is_dropped_when_it_falls_silent() -> None:
     world = World(WorldConfig(mocap=MocapConfig(keepalive_ns=500 * MS)))
     assert world.mocap_read(100 * MS) == []  # nobody has connected yet
-    world.mocap_write(100 * MS, natnet.encode(natnet.Connect()))
+    world.mocap_write(100 * MS, natnet.encode(natnet.Bare.CONNECT))
     assert len(world.mocap_read(500 * MS)) > 30
     world.mocap_read(700 * MS)
     assert world.mocap_read(1500 * MS) == []

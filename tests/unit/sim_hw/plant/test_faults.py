@@ -68,7 +68,7 @@ def test_faults_at_the_same_time_add_up() -> None:
 
 def datagrams(*faults: Fault, config: WorldConfig = DRIVING, until: int = 3000) -> list[Datagram]:
     world = World(replace(config, keep_bytes=False), faults)
-    world.mocap_write(0, natnet.encode(natnet.Connect()))
+    world.mocap_write(0, natnet.encode(natnet.Bare.CONNECT))
     world.serial_write(0, b"")
     out: list[Datagram] = []
     for t in range(0, until * MS, 10 * MS):
@@ -247,7 +247,7 @@ def test_server_restart_begins_numbers_and_clock_again() -> None:
     world = World(DRIVING, [Fault("server_restart", ON, OFF)])
     numbers, ticks = [], []
     for t in range(0, 2000 * MS, 10 * MS):
-        world.mocap_write(t, natnet.encode(natnet.Connect()))
+        world.mocap_write(t, natnet.encode(natnet.Bare.CONNECT))
         for _, f in decoded(world.mocap_read(t)):
             numbers.append(f.number)
             ticks.append(f.mid_exposure_ticks)
