@@ -109,11 +109,11 @@ class Core:
         header = m.make_header(stamp_ns + self.outbox.epoch_ns, m.BODY)
         match answer.reply:
             case Values() as values:
-                self.loop.on_telemetry(answer, values)
+                self.loop.perception.on_telemetry(answer, values)
                 message = make_telemetry(header, answer, values, self._uptime_ms)
                 self.outbox.post(topics.VESC, message, t_ns, stamp_ns)
             case Imu() as imu:
-                self.loop.on_imu(stamp_ns, imu)
+                self.loop.perception.on_imu(stamp_ns, imu)
                 self.outbox.post(topics.IMU, make_imu(header, answer, imu), t_ns, stamp_ns)
             case Uptime(uptime_ms=uptime_ms):
                 self._uptime_ms = uptime_ms
@@ -188,7 +188,7 @@ class Core:
         """Mocap's poses, in order of arrival; never raises."""
         try:
             for pose in poses:
-                self.loop.on_pose(pose)
+                self.loop.perception.on_pose(pose)
                 message = make_mocap(pose, self.outbox.epoch_ns)
                 self.outbox.post(topics.MOCAP, message, pose.t_arrival_ns, pose.t_valid_ns)
         except Exception as error:

@@ -81,11 +81,8 @@ from steerd.daemon.loop.watchdog_input import make_watchdog_input
 from steerd.daemon.loop.watchdogs import WatchdogState, is_slowing, step_watchdogs
 from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 from steerd.estimator.state_filter import StateEstimate
-from steerd.mocap_link.source import Pose
 from steerd.steer_bus.messages import Design, DriveCommand, OperatorRequest, ParameterRequest
 from steerd.steer_bus.quick_values import quick_value
-from steerd.vesc_link.telemetry import Imu, Values
-from steerd.vesc_link.vesc import Answer
 
 _DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
 _HARD = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
@@ -140,7 +137,7 @@ class Loop:
 
     Attributes:
         setup: what does not change.
-        perception: measurements and the state estimate.
+        perception: measurements, which are handed to it, and the state estimate.
         supervisor: memory of the state machine.
         lease, remote: the operator and the external controller.
         live: what may be changed while the car drives.
@@ -178,18 +175,6 @@ class Loop:
         self._ticks = 0
 
     # --- events
-
-    def on_pose(self, pose: Pose) -> None:
-        """A pose arrived."""
-        self.perception.on_pose(pose)
-
-    def on_telemetry(self, telemetry: Answer, values: Values) -> None:
-        """Motor telemetry arrived."""
-        self.perception.on_telemetry(telemetry, values)
-
-    def on_imu(self, stamp_ns: int, imu: Imu) -> None:
-        """An IMU reading arrived."""
-        self.perception.on_imu(stamp_ns, imu)
 
     def on_vesc(self, vesc: VescInfo | None) -> None:
         """The VESC reported about itself, or is gone (None)."""

@@ -140,11 +140,11 @@ class Replay:
         t_ns = record.log_ns - self._epoch_ns
         match record.decode() if topic is not None else None:
             case m.MocapPose() as pose:
-                self.loop.on_pose(read_pose(pose))
+                self.loop.perception.on_pose(read_pose(pose))
             case m.VescTelemetry() as vesc:
-                self.loop.on_telemetry(*read_telemetry(vesc))
+                self.loop.perception.on_telemetry(*read_telemetry(vesc))
             case m.VescImu() as imu:
-                self.loop.on_imu(*read_imu(imu))
+                self.loop.perception.on_imu(*read_imu(imu))
             case m.VescIdentity() as identity:
                 self.loop.on_vesc(read_identity(identity))
             case m.OperatorRequest() as request:

@@ -157,12 +157,12 @@ def test_a_reply_read_before_an_older_pose_is_fused_all_the_same(plan):
     core = make_core(plan, 1, 0, (), leased=True)
     seen = core.loop.perception
     for k in range(100):
-        core.loop.on_pose(pose(k, k * 10 * MS))
+        core.loop.perception.on_pose(pose(k, k * 10 * MS))
         seen.estimate(k * 10 * MS + 1)
     now = 1010 * MS
     values = Values(erpm=4614)
-    core.loop.on_telemetry(Answer(values, now - MS, now), values)
-    core.loop.on_pose(pose(100, now - 4 * MS))
+    core.loop.perception.on_telemetry(Answer(values, now - MS, now), values)
+    core.loop.perception.on_pose(pose(100, now - 4 * MS))
     health = seen.estimate(now).health
     assert health.untimely == 0
     assert health.wheel_speed.seen == 1
