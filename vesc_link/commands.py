@@ -80,10 +80,7 @@ class Alive:
 
 @dataclass(frozen=True, slots=True)
 class SetMcConfTemp:
-    """Limits in RAM [ERPM, duty, W, A] (firmware 3.48).
-
-    The wire lets the last two be left out, and they decode as None then; encoding demands them.
-    """
+    """Limits in RAM [ERPM, duty, W, A] (firmware 3.48)."""
 
     current_min_scale: float
     current_max_scale: float
@@ -93,8 +90,8 @@ class SetMcConfTemp:
     duty_max: float
     watt_min: float
     watt_max: float
-    input_current_min: float | None
-    input_current_max: float | None
+    input_current_min: float
+    input_current_max: float
     store: bool = False
     forward_can: bool = False
     ack: bool = True

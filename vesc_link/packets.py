@@ -49,8 +49,6 @@ _LAYOUTS: dict[type[Command], tuple[CommandId, tuple[Field, ...]]] = {
     c.GetMcConfTemp: (CommandId.GET_MCCONF_TEMP, ()),
 }
 _BY_ID = {number: (kind, fields) for kind, (number, fields) in _LAYOUTS.items()}
-_INPUT_LIMITS = {"input_current_min": None, "input_current_max": None}
-"""What SET_MCCONF_TEMP may end without."""
 
 FEEDS_TIMEOUT: tuple[type[Command], ...] = (
     c.SetDuty, c.SetCurrent, c.SetCurrentBrake, c.SetErpm, c.Alive,
@@ -75,8 +73,8 @@ def encode_command(command: Command, firmware: Firmware = FW_7_01) -> bytes:
     """Payload of a command, numbers rounded half away from zero.
 
     Raises:
-        ValueError: a value is missing, NaN, infinite or out of range, or this firmware does not
-            know the command.
+        ValueError: a value is NaN, infinite or out of range, or this firmware does not know the
+            command.
     """
     number, fields = _LAYOUTS[type(command)]
     values = read_values(fields, command)
@@ -102,8 +100,6 @@ def decode_command(payload: bytes, firmware: Firmware = FW_7_01) -> Command | No
     if number is CommandId.TERMINAL_CMD:
         return c.TerminalCommand(payload[1:].split(b"\0")[0].decode("ascii", "replace"))
     values, _ = unpack_fields(fields, payload, 1)
-    if number is CommandId.SET_MCCONF_TEMP and len(values) >= len(fields) - len(_INPUT_LIMITS):
-        values = {**_INPUT_LIMITS, **values}
     if len(values) < len(fields) or not all_finite(values):
         return None
     return kind(**values)

@@ -94,9 +94,8 @@ class Motor:
         self._fed_ns = t_ns
 
     def set_limits(self, command: c.SetMcConfTemp) -> None:
-        """Take the session's limits, as far as they were sent (SET_MCCONF_TEMP)."""
-        sent = {name: getattr(command, name) for name in self.limits}
-        self.limits |= {name: value for name, value in sent.items() if value is not None}
+        """Take the session's limits (SET_MCCONF_TEMP)."""
+        self.limits = {name: getattr(command, name) for name in self.limits}
 
     def release(self) -> None:
         """Let the motor go."""

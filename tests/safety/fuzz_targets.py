@@ -52,7 +52,7 @@ BOOT = 0x0123_4567_89AB_CDEF
 HELD = MAX_PAYLOAD + 6
 SERVER = "10.0.0.1"
 LOSSY = (c.TerminalCommand, c.SetMcConfTemp)
-"""Commands with text, or numbers that may be left out: they need not come back."""
+"""Commands with text, or with flags that are any byte: they need not come back."""
 MOST = 4096
 """More bytes than this from one input only take time."""
 
