@@ -64,6 +64,10 @@ if not TYPE_CHECKING:  # type checkers read the imports above
 
     def __getattr__(name: str) -> Any:
         """Fetch a name of `__all__` from its module (PEP 562)."""
+        if name == "__version__":
+            from importlib.metadata import version
+
+            return version("steerd")
         if name not in _MODULES:
             raise AttributeError(f"module 'steerd' has no attribute {name!r}")
         module = importlib.import_module(f"steerd.daemon.{_MODULES[name]}")
@@ -72,4 +76,4 @@ if not TYPE_CHECKING:  # type checkers read the imports above
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return [*__all__, "__version__"]
