@@ -17,7 +17,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from joblib import Parallel, delayed
 
-from steerd.daemon.loop.findings import WATCHDOGS
 from steerd.daemon.settings.thresholds import BOUNDS, Thresholds
 from tests.safety.catalogue import BY_CODE, FAULT_CASES, FaultCase, Must
 from tests.safety.live_faults import FAULTS
@@ -95,16 +94,6 @@ def write_matrix(outcomes: Sequence[Outcome]) -> list[str]:
     return [*lines, "", f"These must stop nothing, and did not; in brackets the cells: {named}."]
 
 
-def write_watchdogs() -> list[str]:
-    """What each watchdog asks for and advises, from the code."""
-    lines = ["| watchdog | asks for | advice |", "|---|---|---|"]
-    asks = {"SOFT": "STOPPING", "HARD": "FAULT_STOP", "ESTOP": "ESTOP"}
-    lines += [
-        f"| {key} {w.name} | {asks[w.severity.name]} | {w.advice} |" for key, w in WATCHDOGS.items()
-    ]
-    return lines
-
-
 def write_live(log: Path) -> list[str]:
     """The real-time cells of a log, one fault a line: milliseconds to the first stop byte."""
     rows = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
@@ -178,9 +167,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(outcome.code, outcome.phase, *outcome.wrong)
     print(f"{len(outcomes)} cells, {len(bad)} bad")
     if not args.check:
-        write_sections(
-            "safety-watchdogs.md", watchdogs=write_watchdogs(), thresholds=write_thresholds()
-        )
+        write_sections("safety-watchdogs.md", thresholds=write_thresholds())
         write_sections("safety.md", outside=write_outside())
         write_sections("safety-matrix.md", trace=write_trace(), matrix=write_matrix(outcomes))
     return 1 if bad else 0
