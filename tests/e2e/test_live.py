@@ -153,31 +153,6 @@ def test_keys_of_its_own_terminal_over_vrpn(undisturbed, capsys) -> None:
     undisturbed(scenario)
 
 
-def test_a_dead_terminal_stops_the_car(undisturbed) -> None:
-    def scenario(steerd, folder):
-        port, url = steerd.sim(folder)
-        run, record = start_run(steerd, folder, "--port", port, "--mocap", url)
-        run.expect("READY")
-        arm = steerd("arm", "--connect", steerd.endpoint)
-        arm.expect("armed:")
-        go = steerd("start", "--connect", steerd.endpoint)
-        go.expect("driving")
-        with closing(Watcher(steerd.endpoint)) as watcher:
-            watcher.driving(run, 1.0)
-            killed_ns = time.monotonic_ns()
-            go.send(signal.SIGKILL)
-            stop = watcher.until(lambda s: s.mode in STOPS, run)
-            assert stop.mode == SupervisorState.STOPPING, run.text
-            assert 0.2 < (stop.mono_ns - killed_ns) * 1e-9 < 0.6
-            watcher.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
-        run.send(signal.SIGINT)
-        run.wait()
-        change = next(c for c in last_change(record) if c.to_state == SupervisorState.STOPPING)
-        assert change.text.startswith("W25 "), change.text
-
-    undisturbed(scenario)
-
-
 def test_poses_from_the_bus(undisturbed, capsys) -> None:
     """`--mocap zenoh:KEY`, fed by the example program, which reads them from NatNet."""
 
@@ -214,23 +189,6 @@ def start_sim_run(steerd, folder, *more):
     run, record = start_run(steerd, folder, "--sim", "--auto-arm", *more)
     run.expect("DISARMED")
     return run, record
-
-
-def test_ctrl_c_stops_the_car_and_ends_well(steerd, tmp_path, capsys) -> None:
-    run, record = start_sim_run(steerd, tmp_path)
-    with closing(Watcher(steerd.endpoint)) as watcher:
-        watcher.driving(run, 1.0)
-        run.send(signal.SIGINT)
-        assert run.wait() == 0, run.text
-    assert [SupervisorState(c.to_state) for c in last_change(record)][-2:] == [
-        SupervisorState.STOPPING,
-        SupervisorState.DISARMED,
-    ]
-    assert open_session(record).info().clean
-    assert f"session: {record}" in run.text
-    assert "Traceback" not in run.text
-    capsys.readouterr()
-    assert run_cli(["replay", str(record)]) == 0
 
 
 def test_an_external_controller_drives_and_its_death_stops_the_car(

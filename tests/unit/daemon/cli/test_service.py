@@ -9,9 +9,8 @@ import sys
 import pytest
 
 from steerd.daemon.cli.main import run_cli
-from steerd.daemon.cli.service import make_unit, unit_path
+from steerd.daemon.cli.service import make_unit
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.setup.probe import UDEV_RULE
 
 OPTIONS = ["--port", "/dev/vesc", "--mocap", "natnet://10.0.0.2/car?up=y&unicast=1"]
 
@@ -109,18 +108,6 @@ def test_a_unit_gives_no_rights_that_a_drive_does_not_need(monkeypatch, capsys):
         assert unit["UMask"] == "0077"
         assert unit.get("User") == account
         assert unit.get("ProtectSystem") == (account and "full")
-
-
-def test_where_units_lie(tmp_path):
-    assert unit_path(True, {"XDG_CONFIG_HOME": "/x"}).as_posix() == (
-        "/x/systemd/user/steerd.service"
-    )
-    assert unit_path(False, {}).as_posix() == "/etc/systemd/system/steerd.service"
-
-
-def test_udev(capsys):
-    assert run_cli(["service", "udev"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == UDEV_RULE
 
 
 @pytest.mark.parametrize("what", ["print", "launch"])
