@@ -140,13 +140,6 @@ def test_long_steps_at_low_speed_stay_bounded(chassis, speed: float) -> None:
     assert abs(moved.mean[5]) < 0.3
 
 
-def test_no_time_no_motion() -> None:
-    belief = Belief(np.arange(7.0), np.eye(7))
-    config = FilterConfig()
-    same = predict_belief(Kalman(7), CAR, SINGLE_TRACK, config, NO_HISTORY, belief, 5, 5)
-    assert same is belief
-
-
 def test_noise_is_that_of_accelerations() -> None:
     config = FilterConfig()
     density = noise_density(config)

@@ -11,6 +11,7 @@ import pytest
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.cli.service import make_unit
 from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.setup.probe import UDEV_RULE
 
 OPTIONS = ["--port", "/dev/vesc", "--mocap", "natnet://10.0.0.2/car?up=y&unicast=1"]
 
@@ -118,3 +119,8 @@ def test_a_file_of_a_service_fits_80_columns_but_for_the_command(what, capsys):
     lines = capsys.readouterr().out.splitlines()
     long = [line for line in lines if len(line) > 80 and not line.startswith("ExecStart=")]
     assert not [line for line in long if "cmd=" not in line], "a command's program may be deep"
+
+
+def test_udev(capsys):
+    assert run_cli(["service", "udev"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == UDEV_RULE

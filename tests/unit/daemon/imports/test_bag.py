@@ -344,3 +344,13 @@ def test_without_rosbags_it_says_what_to_install(tmp_path, monkeypatch):
     error = refuse(tmp_path, tmp_path / "a.bag")
     assert "rosbags" in error.what
     assert "pip install rosbags" in error.hint
+
+
+def test_poses_that_are_none_are_counted(tmp_path):
+    def fill(bag):
+        bag.pose("/a", START, math.nan, 0.0, 0.0)
+        bag.pose("/a", START + 1, 1.0, 0.0, 0.0)
+
+    report, session = convert(tmp_path, make_bag(tmp_path, "mcap", fill))
+    assert session.columns(MocapPose)["x"].tolist() == [1.0]
+    assert report.notes == ("1 pose messages hold no finite values and were left out",)

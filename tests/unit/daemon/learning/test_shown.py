@@ -1,9 +1,11 @@
 """Where people look: the dashboard, `steerd status`, and what the gateway answers."""
 
+import io
 import os
 import socket
 
 import pytest
+from rich.console import Console
 
 from steerd.daemon.ipc.operator import read_model
 from steerd.daemon.ipc.pipe_records import PipeRecord, make_pipe, pack_record
@@ -17,8 +19,22 @@ from steerd.steer_bus.topics import LAST_MODEL, make_key
 from tests.local_bus import LocalBus, LocalHub
 
 
+def shown(board):
+    """The dashboard on a terminal of 80 columns."""
+    screen = io.StringIO()
+    Console(file=screen, width=80).print(board.render())
+    return screen.getvalue()
+
+
 def record(report):
     return PipeRecord(topics.MODEL, 0, 1, 1, encode(report))
+
+
+def test_the_dashboard_says_what_is_learnt(make_report):
+    board = Dashboard("car1")
+    assert "gap" not in shown(board)
+    assert board.take(record(make_report("none"))) is None
+    assert "no change of the car" in shown(board)
 
 
 def test_a_change_is_an_event_once(make_report, make_change):

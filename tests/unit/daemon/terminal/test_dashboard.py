@@ -88,19 +88,6 @@ def test_the_panel_fits_80_columns_and_breaks_lines_between_words():
     assert "-123.40" in words
 
 
-def test_before_the_first_command_there_is_a_dash():
-    board = Dashboard("car1")
-    resting = replace(state(1), steer_ref=nan, speed_ref=nan)
-    board.take(PipeRecord(topics.STATE, 0, 1, 1, encode(resting)))
-    console = Console(width=80)
-    with console.capture() as caught:
-        console.print(board.render())
-    (line,) = [line for line in caught.get().splitlines() if "command" in line]
-    assert "steer –" in line
-    assert "speed –" in line
-    assert "nan" not in line
-
-
 def test_an_estimate_that_is_not_there_shows_no_number():
     board = Dashboard("car1")
     numbers = {
