@@ -112,9 +112,3 @@ def test_the_manual_page_is_set_without_a_warning(tmp_path):
     )
     assert done.stderr == ""
     assert "teleop" in done.stdout
-
-
-def test_fish_completes_every_command(capsys):
-    assert run_cli(["completion", "fish"]) == 0
-    script = capsys.readouterr().out
-    assert all(re.search(rf"\b{name}\b", script) for name in COMMANDS)

@@ -5,7 +5,6 @@ from itertools import pairwise
 
 import pytest
 
-from steerd.car_model.linear import steady_turn
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
@@ -56,15 +55,6 @@ def test_steering_slews_then_settles_and_stops_at_its_ends() -> None:
     speeds = [(b.steer - a.steer) / 0.005 for a, b in pairwise(states)]
     assert max(speeds) == pytest.approx(DEFAULT_CAR.steer_rate, rel=1e-9)
     assert states[-1].steer == pytest.approx(DEFAULT_CAR.steer_max, rel=1e-9)
-
-
-@pytest.mark.parametrize("speed", [0.8, 2.0, 3.5])
-def test_a_held_wheel_ends_in_the_steady_turn(speed: float) -> None:
-    turn = steady_turn(DEFAULT_CAR, speed, 0.7)
-    first = ORIGIN._replace(speed=speed, steer=turn.wheel)
-    last = run(DEFAULT_CAR, first, Command(turn.wheel, speed), 3.0)[-1]
-    assert last.yaw_rate == pytest.approx(0.7 * speed, rel=1e-6)
-    assert last.slip_angle == pytest.approx(turn.state.slip_angle, rel=1e-5)
 
 
 def test_reverse_is_kinematic_and_stable() -> None:

@@ -16,10 +16,7 @@ from steerd.daemon.imports.import_session import (
     write_import,
 )
 from steerd.mocap_link.frame import FrameConfig
-from steerd.steer_bus.session import open_session
 from steerd.steer_bus.topics import WHEEL
-
-EPOCH = 1_726_480_861_000_000_000
 
 
 def samples(count, maker):
@@ -27,21 +24,6 @@ def samples(count, maker):
         yield Sample(
             WHEEL, i * 10_000_000, i * 10_000_000 + 5, maker.wheel(i * 10_000_000, 0.1 * i)
         )
-
-
-def test_times_are_placed_by_the_epoch_and_the_source_is_described(tmp_path):
-    source, out = tmp_path / "log.csv", tmp_path / "a.mcap"
-    source.write_text("some log")
-    the_map = ImportMap(car="blue", epoch_ns=EPOCH, comment="dry", text="[columns]\n")
-    counts = write_import(out, source, the_map, [WHEEL], samples(3, MessageMaker(EPOCH)))
-    assert counts == {"wheel": 3}
-    session = open_session(out)
-    info = session.info()
-    assert info.start_ns == EPOCH + 5
-    about = info.metadata["steerd.session"]
-    assert (about["mode"], about["car"], about["comment"]) == ("import", "blue", "dry")
-    assert about["source_sha256"] == hashlib.sha256(b"some log").hexdigest()
-    assert session.attachment("map.toml") == b"[columns]\n"
 
 
 def test_a_failure_while_writing_leaves_nothing(tmp_path):

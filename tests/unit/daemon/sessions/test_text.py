@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 
-from steerd.daemon.assembly.session_meta import VIRTUAL_EPOCH_NS
 from steerd.daemon.sessions.info import (
     SessionReport,
     StateChange,
@@ -17,7 +16,6 @@ from steerd.daemon.sessions.text import WARNINGS_SHOWN, format_report, print_war
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import BODY, Transition, make_header
 from steerd.steer_bus.session import SessionWriter
-from steerd.steer_bus.session_read import TopicInfo
 
 NAMES = ("INIT", "DISARMED", "READY", "SELF_TEST", "ARMED", "RUNNING", "FAULT_STOP") * 2
 
@@ -74,13 +72,3 @@ def test_many_warnings_are_counted(capsys):
     assert lines[0] == "warning: number 0"
     assert lines[-1] == "warning: and 3 more"
     assert len(lines) == WARNINGS_SHOWN + 1
-
-
-def test_a_drive_in_virtual_time_has_no_date(report):
-    info = replace(report.info, topics=(TopicInfo("/a", "a", "cdr", 5, 0, 9),))
-    real = replace(report, info=replace(info, start_ns=1_790_000_000_000_000_000))
-    virtual = replace(report, info=replace(info, start_ns=VIRTUAL_EPOCH_NS))
-    assert " 2026-" in format_report(real)
-    told = format_report(virtual)
-    assert "s of virtual time" in told
-    assert "2023" not in told
