@@ -8,7 +8,6 @@ from steerd.daemon.sessions.info import load_session
 from steerd.daemon.sessions.plot_data import (
     GAP,
     LANE_HALF_WIDTH,
-    _half_width,
     make_curve,
     make_drawing,
 )
@@ -58,4 +57,4 @@ def test_a_log_without_an_estimate_shows_the_speed_of_its_poses_beside_the_wheel
 )
 def test_the_lane_is_as_wide_as_the_watchdog_of_the_recorded_car_file_allows(tmp_path, text, width):
     car = AttachedFile("car.toml", "application/toml", text.encode())
-    assert _half_width(write(tmp_path / "a.mcap", car)) == width
+    assert make_drawing(write(tmp_path / "a.mcap", car)).half_width == width
