@@ -13,15 +13,14 @@ from steerd.daemon.terminal.key_desk import KEY_HELP
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
+from tests.blank import blank
 
 TICK_NS = 10_000_000
 HEADER = m.make_header(1, m.WORLD)
 
 
 def state(t_ns, x=0.0, e1=0.0, mode=SupervisorState.RUNNING):
-    numbers = [0.0] * 21
-    numbers[0], numbers[2], numbers[14] = x, pi, e1
-    return m.StateMessage(HEADER, t_ns, 1, 0, mode, *numbers)
+    return blank(m.StateMessage, mono_ns=t_ns, seq=1, mode=mode, x=x, yaw=pi, e1=e1)
 
 
 def drive(tally, ticks, e1, start_ns=0, speed=1.5):
