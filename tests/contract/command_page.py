@@ -13,7 +13,8 @@ _HEAD = """# Commands
 
 Every command with its arguments and options, from the parsers themselves.
 `python -m tests.contract.command_page` writes this page and a test compares it.
-`steerd COMMAND --help` prints the same. Exit codes are in
+`steerd COMMAND --help` prints the same; where options are many it shows those that most
+drives need, and `--help-all` the rest. Exit codes are in
 [troubleshooting](../how-to/troubleshooting.md#exit-codes).
 """
 
