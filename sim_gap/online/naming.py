@@ -65,7 +65,7 @@ def believed(anchor: Anchor, track: Track) -> Superset:
     n, z = space.nuisance, space.centre.copy()
     z[:n] += track.mean
     learnt = anchored(anchor.superset, space.chart.parameters(z))
-    return replace(learnt, knowledge=Knowledge(space.chart.free[:n], track.covariance))
+    return replace(learnt, knowledge=Knowledge(space.chart.free[:n], 0.25 * track.covariance))
 
 
 def _diagnose(base: Superset, anchor: Anchor, runs: Sequence[Run]) -> Verdict:
