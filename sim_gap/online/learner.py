@@ -15,7 +15,6 @@ from steerd.sim_gap.online.changes import (
     Usual,
     faded,
     ratios,
-    suspects,
     usual_of,
     with_ratios,
 )
@@ -80,7 +79,6 @@ class Known:
 
     Attributes:
         anchor: the car, and its noise.
-        effects: what is looked for.
         track: what is known of the base now.
         usual: what ratios the car shows while nothing is the matter.
         looks: the last windows, oldest first; `tracks` what was known before each.
@@ -89,7 +87,6 @@ class Known:
     """
 
     anchor: Anchor
-    effects: tuple[str, ...]
     track: Track
     usual: Usual
     looks: tuple[Look, ...] = ()
@@ -214,19 +211,17 @@ def learn(
     found = learn_reference(learner.superset, runs, times, learner.noise)
     if found is None:
         return None
-    effects = found.anchor.space.effects
     track = with_memory(found.anchor, found.track, remembered)
-    usual = usual_of(found.anchor, effects, track, found.looks)
+    usual = usual_of(found.anchor, track, found.looks)
     looks, tracks = found.looks[-SPANS[-1] :], (track,) * SPANS[-1]
-    return Known(found.anchor, effects, track, usual, looks, tracks[: len(looks)])
+    return Known(found.anchor, track, usual, looks, tracks[: len(looks)])
 
 
 def _watch(learner: Learner, state: State, known: Known, seen: Look) -> State:
     """A window while nothing is the matter; a change is called where it does not fit."""
     looks = (*known.looks, seen)[-SPANS[-1] :]
     tracks = (*known.tracks, known.track)[-SPANS[-1] :]
-    found = suspects(known.anchor, known.effects, tracks, looks)
-    table = ratios(found, len(known.effects))
+    table = ratios(known.anchor, tracks, looks)
     judged = table / known.usual.level()
     worst = float(np.nanmax(judged))
     if worst >= ALARM:

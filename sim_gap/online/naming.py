@@ -16,6 +16,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.hypotheses import Library, explain
 from steerd.sysid.inference.knowledge import Knowledge
 from steerd.sysid.inference.likelihood import make_likelihood
+from steerd.sysid.inference.space import KNOWN_WIDER
 from steerd.sysid.inference.superset import Superset
 
 LOOKS = (5, 6, 8, 11, 15, 20, 26, 33, 41, 50)
@@ -60,12 +61,17 @@ def find_cause(anchor: Anchor, before: Track, windows: Sequence[Run]) -> Finding
 
 
 def believed(anchor: Anchor, track: Track) -> Superset:
-    """The anchor's car with what was learnt about it, as a base that healthy drives taught."""
+    """The anchor's car with what was learnt about it, as a base that healthy drives taught.
+
+    A track's variances are inflated for the same drive already, so a space's own widening for
+    another day is taken off.
+    """
     space = anchor.space
     n, z = space.nuisance, space.centre.copy()
     z[:n] += track.mean
     learnt = anchored(anchor.superset, space.chart.parameters(z))
-    return replace(learnt, knowledge=Knowledge(space.chart.free[:n], 0.25 * track.covariance))
+    covariance = track.covariance / KNOWN_WIDER**2
+    return replace(learnt, knowledge=Knowledge(space.chart.free[:n], covariance))
 
 
 def _diagnose(base: Superset, anchor: Anchor, runs: Sequence[Run]) -> Verdict:
