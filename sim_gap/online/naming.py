@@ -19,7 +19,7 @@ from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.space import KNOWN_WIDER
 from steerd.sysid.inference.superset import Superset
 
-LOOKS = (5, 6, 8, 11, 15, 20, 26, 33, 41, 50)
+LOOKS = (5, 6, 8, 11, 16, 21, 27, 34, 42, 50)
 """Windows after a change at which they are diagnosed: each time costs a third of a second."""
 LATEST = 20
 """No more windows than these are diagnosed, the newest: what came slowly is over in them."""

@@ -11,8 +11,9 @@ from steerd.controller.learnt import Learnt, learnt_of
 from steerd.sim_gap.online import followed
 from steerd.sim_gap.online.base import make_learner
 from steerd.sim_gap.online.learner import Change, State
-from steerd.sim_gap.online.naming import Cause, Finding
+from steerd.sim_gap.online.naming import Finding
 from steerd.sim_gap.online.values import Value
+from steerd.sim_gap.verdict.evidence import Cause
 
 KNOWN = SimpleNamespace()
 SETTLED = followed.SETTLED
@@ -36,9 +37,9 @@ def change(effect, *after, verdict="named", sure=0.95, alternatives=(), windows=
     parameters = {
         p.name: (value, 0.0005, p.unit) for p, value in zip(found.parameters, after, strict=True)
     }
-    cause = Cause(effect, parameters, sure, alternatives)
-    looks = (None,) * windows
-    return Change(0.0, 1.0, None, looks, (), {}, Finding(verdict, cause, 50.0), found.nulls)
+    cause = Cause(effect, "", found.family, parameters, sure, alternatives, "")
+    finding = Finding(verdict, cause if verdict == "named" else None)
+    return Change(0.0, 1.0, None, ((0.0, None),) * windows, finding, found.nulls)
 
 
 def aim(learner, *past, now=None):
@@ -137,7 +138,7 @@ def test_a_set_that_is_lateness_and_something_else_is_in_doubt(learner, values):
 
 
 SHIFT = {"forward": (0.03, 0.001, "m"), "left": (0.0, 0.001, "m")}
-ALONE = Cause("marker_offset", SHIFT, 0.95, ())
+ALONE = Cause("marker_offset", "observe", "sensor", SHIFT, 0.95, (), "")
 
 
 def proven(later, was=(0.01, 0.0)):
