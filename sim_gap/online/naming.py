@@ -70,8 +70,10 @@ def believed(anchor: Anchor, track: Track) -> Superset:
     n, z = space.nuisance, space.centre.copy()
     z[:n] += track.mean
     learnt = anchored(anchor.superset, space.chart.parameters(z))
-    covariance = track.covariance / KNOWN_WIDER**2
-    return replace(learnt, knowledge=Knowledge(space.chart.free[:n], covariance))
+    known = Knowledge(space.chart.free[:n], track.covariance / KNOWN_WIDER**2)
+    if learnt.knowledge is not None:
+        known = replace(known, excess=learnt.knowledge.excess)
+    return replace(learnt, knowledge=known)
 
 
 def _diagnose(base: Superset, anchor: Anchor, runs: Sequence[Run]) -> Verdict:

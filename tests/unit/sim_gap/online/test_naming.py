@@ -8,6 +8,7 @@ import pytest
 from steerd.sim_gap.online.learner import State, fold
 from steerd.sim_gap.online.looking import may_change
 from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
+from steerd.sysid.inference.knowledge import Knowledge
 from steerd.sysid.inference.space import make_space
 
 AT = 30.2
@@ -26,6 +27,15 @@ def test_the_base_begins_where_its_track_is(anchor, track):
     moved = replace(track, pull=track.information @ np.full(anchor.space.nuisance, 1e-4))
     at = make_space(believed(anchor, moved), anchor.space.chart.free[: anchor.space.nuisance])
     np.testing.assert_allclose(at.centre - anchor.space.centre[: len(at.centre)], 1e-4)
+
+
+def test_where_healthy_drives_left_more_than_noise_the_base_does_too(anchor, track):
+    excess = (1.0, 1.0, 2.0, 3.0, 4.0, 5.0)
+    free = anchor.space.chart.free[: anchor.space.nuisance]
+    taught = Knowledge(free, track.covariance, excess)
+    car = replace(anchor, superset=replace(anchor.superset, knowledge=taught))
+    assert believed(car, track).knowledge.excess == excess
+    assert believed(anchor, track).knowledge.excess == (1.0,) * len(excess)
 
 
 def test_windows_that_no_car_drove_say_nothing(anchor, track):
