@@ -23,6 +23,13 @@ USUAL_PRIOR, USUAL_LEVEL = 6.0, 2.5
 """Before a car has shown anything it counts as having shown so many spans at this level."""
 PEAK = 10.0
 """Largest of many ratios where all is noise, in units of their mean."""
+NEARLY = 6.0
+"""Ratios per what is usual from which on they are weighed again as the change would have it [nats];
+quiet drives get there every few minutes ..."""
+LEADERS, LONGEST = 4, 6
+"""... for so many effects, over spans of so many windows: what is older needs no hurry."""
+ROUNDS = 6
+"""Times that the windows' weights are taken anew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +107,64 @@ def _gain(anchor: Anchor, pull: Array, information: Array, mine: NDArray[np.int6
     precision = information[np.ix_(mine, mine)] + np.diag(spread**-2)
     value = np.linalg.solve(0.5 * (precision + precision.T), pull[mine])
     return 0.5 * float(pull[mine] @ value)
+
+
+def sharpened(
+    anchor: Anchor, tracks: Sequence[Track], looks: Sequence[Look], table: Array, level: Array
+) -> Array:
+    """The ratios, those that are nearly a change as the change itself would have them.
+
+    The sums weigh a window by how badly the anchor explains it, so one that shows a change plainly
+    counts for as little as one that nothing explains. No ratio becomes smaller.
+
+    Args:
+        anchor: the car.
+        tracks: what was known of the base before each of the windows.
+        looks: the last windows, oldest first.
+        table: (effects, spans) see `ratios`.
+        level: (effects, spans) by what they are divided, see `Usual`.
+    """
+    # Why: docs/decisions/diagnosis.md#d98
+    judged = np.nan_to_num(table / level, nan=-np.inf).max(axis=1)
+    if judged.max() < NEARLY:
+        return table
+    table = table.copy()
+    leaders = np.argsort(-judged, kind="stable")[:LEADERS]
+    for column, windows in enumerate(SPANS):
+        if windows <= min(LONGEST, len(looks)):
+            since = tracks[-windows], looks[-windows:]
+            null = _cost(anchor, *since, [])
+            for row in leaders:
+                gain = null - _cost(anchor, *since, anchor.places(anchor.space.effects[row]))
+                table[row, column] = max(table[row, column], gain)
+    return table
+
+
+def _cost(anchor: Anchor, before: Track, looks: Sequence[Look], own: Sequence[int]) -> float:
+    """Loss of windows and prior at the best of the base and some coordinates [nats].
+
+    Student's t with weights at the fit. Windows that the anchor explains badly barely pull, so a
+    large effect that explains them all is looked for from equal weights too.
+    """
+    n = anchor.space.nuisance
+    at = [*range(n), *own]
+    prior = np.diag(anchor.space.spread[at] ** -2)
+    prior[:n, :n] = before.information
+    pull = np.concatenate([before.pull, np.zeros(len(own))])
+    g = np.array([seen.g[at] for seen in looks])
+    h = np.array([seen.h[np.ix_(at, at)] for seen in looks])
+    square = np.array([seen.square for seen in looks])
+    dof = np.array([seen.dof for seen in looks])
+    costs = []
+    for first in (square / dof, np.ones(len(looks))):
+        z, left = np.zeros(len(at)), first
+        for _ in range(ROUNDS):
+            weight = 2.0 / (1.0 + left)
+            z = np.linalg.solve(prior + np.tensordot(weight, h, 1), pull + weight @ g)
+            left = np.maximum(square - 2.0 * g @ z + (h @ z) @ z, 0.0) / dof
+        away = z - np.linalg.solve(prior, pull)
+        costs.append(float(dof @ np.log1p(left)) + 0.5 * float(away @ prior @ away))
+    return min(costs)
 
 
 def usual_of(anchor: Anchor, track: Track, looks: Sequence[Look]) -> Usual:

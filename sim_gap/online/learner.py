@@ -15,6 +15,7 @@ from steerd.sim_gap.online.changes import (
     Usual,
     faded,
     ratios,
+    sharpened,
     usual_of,
     with_ratios,
 )
@@ -221,8 +222,9 @@ def _watch(learner: Learner, state: State, known: Known, seen: Look) -> State:
     """A window while nothing is the matter; a change is called where it does not fit."""
     looks = (*known.looks, seen)[-SPANS[-1] :]
     tracks = (*known.tracks, known.track)[-SPANS[-1] :]
-    table = ratios(known.anchor, tracks, looks)
-    judged = table / known.usual.level()
+    table, level = ratios(known.anchor, tracks, looks), known.usual.level()
+    table = sharpened(known.anchor, tracks, looks, table, level)
+    judged = table / level
     worst = float(np.nanmax(judged))
     if worst >= ALARM:
         span = SPANS[int(np.nanargmax(np.nanmax(judged, axis=0)))]

@@ -56,7 +56,7 @@ def learn_reference(
         x = engine.readings.layout.guess.copy()
         rough = noise or usual_noise(estimate_noise(runs))
         likelihood = make_likelihood(engine, superset.base, x, rough)
-        library = Library(likelihood, nuisance, ())
+        library = Library(likelihood, nuisance, (), known=False)
         fitted = minimise(likelihood, begin(library, built_in, (), x))
         noise = learn_noise(engine, fitted, noise)
         likelihood = make_likelihood(engine, fitted.parameters, fitted.x, noise)

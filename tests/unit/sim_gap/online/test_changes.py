@@ -2,7 +2,14 @@
 
 import numpy as np
 
-from steerd.sim_gap.online.changes import SPANS, ratios, unknown, with_ratios
+from steerd.sim_gap.online.changes import SPANS, ratios, sharpened, unknown, with_ratios
+
+
+def tables(anchor, track, looks):
+    """Ratios of windows, and the same sharpened."""
+    tracks = [track] * len(looks)
+    table = ratios(anchor, tracks, looks)
+    return table, sharpened(anchor, tracks, looks, table, np.ones_like(table))
 
 
 def test_ratios_rise_only_over_windows_since_the_change(anchor, track, windows):
@@ -14,8 +21,30 @@ def test_ratios_rise_only_over_windows_since_the_change(anchor, track, windows):
     assert np.isnan(bias[SPANS.index(16)])
 
 
+def test_quiet_windows_keep_their_ratios(anchor, track, windows):
+    looks = windows(6)
+    table = ratios(anchor, [track] * 6, looks)
+    level = np.full_like(table, np.nanmax(table))
+    assert sharpened(anchor, [track] * 6, looks, table, level) is table
+
+
+def test_a_plain_change_counts_for_more_than_its_outlying_windows(anchor, track, windows):
+    table, after = tables(anchor, track, windows(2, steer_bias=0.02))
+    short, bias = SPANS.index(2), anchor.space.effects.index("steer_bias")
+    assert after[bias, short] > 1.2 * table[bias, short]
+    assert int(np.argmax(after[:, short])) == bias
+
+
+def test_no_ratio_becomes_smaller_and_none_appears(anchor, track, windows):
+    table, after = tables(anchor, track, windows(4, tyre_friction=-0.2))
+    np.testing.assert_array_equal(np.isnan(table), np.isnan(after))
+    there = np.isfinite(table)
+    assert (after[there] >= table[there]).all()
+
+
 def test_windows_that_nothing_explains_are_no_change(anchor, track, windows):
-    assert np.nanmax(ratios(anchor, [track] * 2, windows(2, left=40.0))) < 20.0
+    _, after = tables(anchor, track, windows(2, left=40.0))
+    assert np.nanmax(after) < 20.0
 
 
 def test_what_a_car_shows_as_usual_is_no_change():
