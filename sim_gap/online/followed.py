@@ -25,7 +25,7 @@ from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.inference.superset import Superset
 
 SURE = 0.8
-"""A name is followed from this confidence on."""
+"""A name, or a set of which each is lateness, is followed from this confidence on."""
 BY_ITSELF = ("steer_bias", "speed_gain")
 """Numbers of the base that a lane identifies whatever else the model misses."""
 BEYOND_DOUBT = 3.0
@@ -67,7 +67,7 @@ def _named(change: Change) -> tuple[Cause, tuple[float, ...]] | str:
     if cause is None:
         unexplained = change.finding.verdict == "unexplained"
         return "a change is unexplained" if unexplained else "a change is being looked into"
-    sure, others = cause.confidence >= SURE, cause.ambiguous_with
+    sure, others = cause.confidence, cause.ambiguous_with
     if others and change.proven is not None:
         proven, before = change.proven
         if cause.effect == proven.effect:
@@ -76,7 +76,9 @@ def _named(change: Change) -> tuple[Cause, tuple[float, ...]] | str:
             (cause, was), others = change.proven, ()
     if others and not LATENESS.issuperset((cause.effect, *others)):
         return f"a change is {cause.effect} or {' or '.join(others)}"
-    return (cause, was) if sure else "the name of a change is not sure"
+    if others:
+        sure = change.finding.sure
+    return (cause, was) if sure >= SURE else "the name of a change is not sure"
 
 
 def _by_itself(learner: Learner, state: State) -> dict[str, float]:

@@ -21,7 +21,7 @@ from steerd.sysid.inference.superset import Superset
 
 LOOKS = (5, 6, 8, 11, 16, 21, 27, 34, 42, 50)
 """Windows after a change at which they are diagnosed: each time costs a third of a second."""
-LATEST = 20
+LATEST = 30
 """No more windows than these are diagnosed, the newest: what came slowly is over in them."""
 EARLY = 8
 """Before so many windows it is too early to say that nothing explains a change, or that there was
@@ -35,10 +35,12 @@ class Finding:
     Attributes:
         verdict: `changed` (too early to say), `named`, `unexplained` or `none`.
         cause: the effect, where it is named.
+        sure: probability that it, or one that it is ambiguous with, is the cause.
     """
 
     verdict: str = "changed"
     cause: Cause | None = None
+    sure: float = 0.0
 
 
 def find_cause(anchor: Anchor, before: Track, windows: Sequence[Run]) -> Finding:
@@ -54,7 +56,7 @@ def find_cause(anchor: Anchor, before: Track, windows: Sequence[Run]) -> Finding
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return Finding()
     if verdict.causes:
-        return Finding("named", verdict.causes[0])
+        return Finding("named", verdict.causes[0], 1.0 - verdict.something_else)
     if len(windows) < EARLY:
         return Finding()
     return Finding("none" if verdict.name == "none" else "unexplained")

@@ -32,13 +32,15 @@ def values(monkeypatch):
     return learnt
 
 
-def change(effect, *after, verdict="named", sure=0.95, alternatives=(), windows=SETTLED):
+def change(
+    effect, *after, verdict="named", sure=0.95, alternatives=(), windows=SETTLED, together=0.0
+):
     found = find_effect(effect)
     parameters = {
         p.name: (value, 0.0005, p.unit) for p, value in zip(found.parameters, after, strict=True)
     }
     cause = Cause(effect, "", found.family, parameters, sure, alternatives, "")
-    finding = Finding(verdict, cause if verdict == "named" else None)
+    finding = Finding(verdict, cause if verdict == "named" else None, max(sure, together))
     return Change(0.0, 1.0, None, ((0.0, None),) * windows, finding, found.nulls)
 
 
@@ -130,6 +132,13 @@ def test_a_set_that_is_all_lateness_is_followed_as_its_likeliest(learner, values
     late = change("steer_delay", 0.04, alternatives=("steer_lag", "mocap_latency"))
     file = learnt_of(load_car(default_car_path()).car)
     assert aim(learner, now=late) == file._replace(steer_delay=file.steer_delay + 0.04)
+
+
+def test_how_sure_a_set_of_lateness_is_counts_and_not_its_likeliest_name(learner, values):
+    late = change("steer_delay", 0.04, sure=0.5, alternatives=("steer_lag",), together=0.9)
+    assert isinstance(aim(learner, now=late), Learnt)
+    doubtful = change("steer_delay", 0.04, sure=0.5, alternatives=("steer_lag",), together=0.7)
+    assert aim(learner, now=doubtful) == "the name of a change is not sure"
 
 
 def test_a_set_that_is_lateness_and_something_else_is_in_doubt(learner, values):
