@@ -143,12 +143,13 @@ def sharpened(
 def _cost(anchor: Anchor, before: Track, looks: Sequence[Look], own: Sequence[int]) -> float:
     """Loss of windows and prior at the best of the base and some coordinates [nats].
 
-    Student's t with weights at the fit. Windows that the anchor explains badly barely pull, so a
-    large effect that explains them all is looked for from equal weights too.
+    Student's t with weights at the fit; infinite where no car has such values. Windows that the
+    anchor explains badly barely pull, so a large effect that explains them all is looked for from
+    equal weights too.
     """
-    n = anchor.space.nuisance
+    space, n = anchor.space, anchor.space.nuisance
     at = [*range(n), *own]
-    prior = np.diag(anchor.space.spread[at] ** -2)
+    prior = np.diag(space.spread[at] ** -2)
     prior[:n, :n] = before.information
     pull = np.concatenate([before.pull, np.zeros(len(own))])
     g = np.array([seen.g[at] for seen in looks])
@@ -162,9 +163,10 @@ def _cost(anchor: Anchor, before: Track, looks: Sequence[Look], own: Sequence[in
             weight = 2.0 / (1.0 + left)
             z = np.linalg.solve(prior + np.tensordot(weight, h, 1), pull + weight @ g)
             left = np.maximum(square - 2.0 * g @ z + (h @ z) @ z, 0.0) / dof
-        away = z - np.linalg.solve(prior, pull)
-        costs.append(float(dof @ np.log1p(left)) + 0.5 * float(away @ prior @ away))
-    return min(costs)
+        value, away = (space.centre[at] + z)[n:], z - np.linalg.solve(prior, pull)
+        if ((space.low[at][n:] <= value) & (value <= space.high[at][n:])).all():
+            costs.append(float(dof @ np.log1p(left)) + 0.5 * float(away @ prior @ away))
+    return min(costs, default=np.inf)
 
 
 def usual_of(anchor: Anchor, track: Track, looks: Sequence[Look]) -> Usual:

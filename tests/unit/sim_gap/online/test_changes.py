@@ -42,6 +42,12 @@ def test_no_ratio_becomes_smaller_and_none_appears(anchor, track, windows):
     assert (after[there] >= table[there]).all()
 
 
+def test_a_value_that_no_car_has_sharpens_nothing(anchor, track, windows):
+    table, after = tables(anchor, track, windows(3, steer_bias=0.9))
+    bias = anchor.space.effects.index("steer_bias")
+    np.testing.assert_array_equal(table[bias], after[bias])
+
+
 def test_windows_that_nothing_explains_are_no_change(anchor, track, windows):
     _, after = tables(anchor, track, windows(2, left=40.0))
     assert np.nanmax(after) < 20.0
