@@ -352,10 +352,9 @@ def _moved(null: Hypothesis) -> dict[str, float]:
 
 
 def _base_notes(superset: Superset, base: CarFile | Model[float]) -> tuple[str, ...]:
-    known = superset.knowledge is not None
-    if isinstance(base, CarFile) and base.sections.get("knowledge") and not known:
-        return ("the car file was edited since identify wrote [knowledge]: it is not used",)
-    if not superset.sd and not known:
+    if isinstance(base, CarFile) and base.remark:
+        return (base.remark,)
+    if not superset.sd and superset.knowledge is None:
         return ("the car file gives no standard errors: ordinary ones were assumed",)
     return ()
 

@@ -1,54 +1,32 @@
 """The one screen that `steerd diagnose` prints: at most 30 lines of 80 columns."""
 
-import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
-from steerd.daemon.analysis.diagnose_case import Case
-from steerd.sim_gap.diagnosis import Diagnosis as Findings
-from steerd.sim_gap.lane_comparison import LaneComparison
+from steerd.daemon.analysis.hints import simulate_with
+from steerd.daemon.common.screen import wrap
 from steerd.sim_gap.report.summary_text import (
     ambiguity,
     cause_words,
     gap_words,
     headline,
     lane_words,
-    manoeuvre_words,
     residual_words,
     shrink_words,
 )
 
+if TYPE_CHECKING:
+    from steerd.daemon.analysis.diagnosis import Diagnosis
+
 COLUMNS, LINES = 80, 30
-_MARGIN = 12
+_MARGIN, _ROWS = 12, 3
 _OTHER_SHOWN = 0.005
 
 
-class Described(Protocol):
-    """What the screen shows of a diagnosis (`steerd.daemon.analysis.diagnosis.Diagnosis`)."""
-
-    @property
-    def case(self) -> Case:
-        """Drives, base car and what was held out."""
-        ...
-
-    @property
-    def findings(self) -> Findings:
-        """Every number of the diagnosis."""
-        ...
-
-    @property
-    def lane(self) -> LaneComparison | None:
-        """The session's lane driven again in simulation; None if that was not possible."""
-        ...
-
-    @property
-    def lane_note(self) -> str:
-        """Why not; empty if it was, or was not asked for."""
-        ...
-
-
-def describe(diagnosis: Described, written: Path | None = None, report: Path | None = None) -> str:
+def describe(
+    diagnosis: "Diagnosis", written: Path | None = None, report: Path | None = None
+) -> str:
     """The screen; what matters least is left out where it would not fit.
 
     Args:
@@ -59,28 +37,25 @@ def describe(diagnosis: Described, written: Path | None = None, report: Path | N
     must = [line for label, text in _rows(diagnosis) for line in _wrap(label, text)]
     # The last line is a command to copy: never broken.
     last = [f"{'next':<{_MARGIN}}{_next(diagnosis, written, report)}"]
-    notes = (*diagnosis.case.notes, *diagnosis.findings.notes)
-    lines = [line for note in notes for line in _wrap("note", _shortened(note))]
+    notes = (*diagnosis.case.split.notes, *diagnosis.findings.notes)
+    lines = [line for note in notes for line in _wrap("note", note)]
     room = LINES - len(must) - len(last)
     return "\n".join([*must[: LINES - len(last)], *lines[: max(room, 0)], *last])
 
 
-def _shortened(note: str) -> str:
-    return textwrap.shorten(note, COLUMNS - _MARGIN, placeholder=" …")
-
-
 def _wrap(label: str, text: str) -> list[str]:
     """A labelled paragraph, three lines of it at most."""
-    return textwrap.wrap(
-        text, COLUMNS, initial_indent=f"{label:<{_MARGIN}}", subsequent_indent=" " * _MARGIN,
-        max_lines=3, placeholder=" …", break_on_hyphens=False,
-    )  # fmt: skip
+    lines = wrap(text, f"{label:<{_MARGIN}}", " " * _MARGIN, COLUMNS)
+    if len(lines) <= _ROWS:
+        return lines
+    return [*lines[: _ROWS - 1], f"{lines[_ROWS - 1][: COLUMNS - 2]} …"]
 
 
-def _rows(diagnosis: Described) -> Iterator[tuple[str, str]]:
-    case, found, lane = diagnosis.case, diagnosis.findings, diagnosis.lane
-    names = ", ".join(path.name for path in case.sessions)
-    yield "drives", f"{case.seconds:.0f} s to explain, of {names}; base: {case.base_source}"
+def _rows(diagnosis: "Diagnosis") -> Iterator[tuple[str, str]]:
+    split, found, lane = diagnosis.case.split, diagnosis.findings, diagnosis.lane
+    names = ", ".join(path.name for path in diagnosis.case.drives.paths)
+    base = diagnosis.case.base_source
+    yield "drives", f"{split.seconds:.0f} s to explain, of {names}; base: {base}"
     yield "verdict", f"{found.verdict.upper()}. {headline(found)}"
     if found.verdict != "none":
         yield "where", found.where.sentence
@@ -94,16 +69,16 @@ def _rows(diagnosis: Described) -> Iterator[tuple[str, str]]:
         yield "left over", residual_words(found)
     yield "gap after", "; ".join(gap_words(found))
     if found.causes:
-        yield "shrinks by", shrink_words(found, case.held_out_of)
+        yield "shrinks by", shrink_words(found, split.held_out_of)
         yield "", f"prediction sha256 {found.shrinkage.digest}"
     if lane is not None:
         yield "closed loop", lane_words(lane)
     elif diagnosis.lane_note and found.causes:
         yield "closed loop", diagnosis.lane_note.removeprefix("closed loop ")
-    yield "drive next", manoeuvre_words(found)
+    yield "drive next", diagnosis.following
 
 
-def _next(diagnosis: Described, written: Path | None, report: Path | None) -> str:
+def _next(diagnosis: "Diagnosis", written: Path | None, report: Path | None) -> str:
     """The command to type next."""
     causes, lane = diagnosis.findings.causes, diagnosis.lane
     if not causes and report is not None:
@@ -113,6 +88,6 @@ def _next(diagnosis: Described, written: Path | None, report: Path | None) -> st
     if not causes:
         return "repeat with --report gap.html to see where the error lies"
     if written is None:
-        return "repeat with -o car.toml; steerd run --sim --car car.toml then drives like the car"
+        return "repeat with -o car.toml, which a simulation with --car car.toml then drives like"
     again = f" {lane.again}" if lane is not None else ""
-    return f"steerd run --sim --fast --duration 20 --car {written}{again}"
+    return simulate_with(written, diagnosis.case.drives.sessions, again)

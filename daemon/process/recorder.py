@@ -37,6 +37,9 @@ _UNREADABLE = 3
 """Exit code; its parent knows it by the name."""
 
 
+_MEDIA = {".json": "application/json"}
+
+
 class Recording:
     """One session being written.
 
@@ -50,7 +53,7 @@ class Recording:
     def __init__(self, path: Path, car: str, meta: Mapping[str, Any]) -> None:
         self._topics = {topic.name: make_session_topic(car, topic) for topic in TOPICS}
         attachments = [
-            AttachedFile(name, "application/toml", text.encode())
+            AttachedFile(name, _MEDIA.get(Path(name).suffix, "application/toml"), text.encode())
             for name, text in meta["attachments"].items()
         ]
         classes = {self._topics[topic.name]: topic.message for topic in TOPICS}

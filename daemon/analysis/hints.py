@@ -1,0 +1,72 @@
+"""Commands that a result names, made such that they run as they are printed.
+
+What lies below knows no session: it says `steerd collect --plan steps`. A session knows where it
+came from, so the command gets its simulation, or its port and mocap.
+"""
+
+import re
+import shlex
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from steerd.daemon.assembly.sim_car import read_origin
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.steer_bus.session_read import Session
+
+_DRIVEN = re.compile(r"`(steerd (?:collect|run) [^`]*)`")
+_IN_BRACKETS = re.compile(r" \(`steerd collect [^`]*`\)")
+_PLAN = re.compile(r"`steerd collect --plan (\w+)[^`]*`")
+_LANE = re.compile(r"`steerd run --path (\w+) --speed ([\d.]+)`")
+
+
+def complete(text: str, sessions: Sequence[Session]) -> str:
+    """The text with commands that run as printed.
+
+    Args:
+        text: with commands between backticks; nothing else is changed.
+        sessions: what the text is about; the first says which car drives. The log of another system
+            does not: of it the text names the plan alone.
+    """
+    names = name_all([session.info().path for session in sessions])
+    text = text.replace("`steerd identify`", f"`steerd identify {names} -o car.toml`")
+    text = text.replace("`steerd diagnose`", f"`steerd diagnose {names}`")
+    origin = read_origin(sessions[0].info().metadata)
+    if origin:
+        return _DRIVEN.sub(lambda found: f"`{found[1]} {origin}`", text)
+    text = _PLAN.sub(r"the plan \1 of `steerd collect --help`", _IN_BRACKETS.sub("", text))
+    return _LANE.sub(r"a \1 at \2 m/s", text)
+
+
+def name_all(paths: Sequence[Path]) -> str:
+    """Files as words of a command line."""
+    return " ".join(shlex.quote(str(path)) for path in paths)
+
+
+def simulate_with(car: Path, sessions: Sequence[Session], more: str = "") -> str:
+    """The command that drives with a car file what was driven before, in simulation.
+
+    Args:
+        car: the file.
+        sessions: of the car; where they are simulated their car is what drives.
+        more: further options.
+    """
+    origin = read_origin(sessions[0].info().metadata, own_car=False)
+    origin = origin if origin.startswith("--sim") else "--sim --fast"
+    return f"steerd run {origin} --duration 20 --car {shlex.quote(str(car))}{more}"
+
+
+@contextmanager
+def refusing(sessions: Sequence[Session]) -> Iterator[None]:
+    """The one guard around what works on drives: what they are not fit for is one line.
+
+    Raises:
+        SteerdError: with a hint that runs as printed.
+    """
+    from steerd.sysid.data.data_checks import DataError
+
+    try:
+        yield
+    except DataError as error:
+        hint = complete(error.hint, sessions)
+        raise SteerdError(error.what, hint, ExitCode.INVALID) from None
