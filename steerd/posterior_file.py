@@ -107,4 +107,8 @@ def _is_about(table: Mapping[str, Any], numbers: Mapping[str, Any]) -> bool:
     if not isinstance(of, dict) or not isinstance(names, list):
         return True  # whoever reads the table says what is wrong with it
     new = [name for name in names if "." in str(name) and name in numbers and name not in of]
-    return not new and all(isclose(numbers.get(n, nan), v, rel_tol=1e-9) for n, v in of.items())
+    try:
+        same = all(isclose(numbers.get(n, nan), v, rel_tol=1e-9) for n, v in of.items())
+    except TypeError:
+        return False
+    return same and not new

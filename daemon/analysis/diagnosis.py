@@ -155,9 +155,10 @@ class Diagnosis:
     def to_json(self) -> dict[str, Any]:
         """JSON values in the schema `steerd.gap/1`; what they rest on is under `residual`."""
         data = to_json(self.findings)
-        origin = read_origin(self.case.drives.sessions[0].info().metadata)
-        if data["next_manoeuvre"] and origin:
-            data["next_manoeuvre"]["command"] += f" {origin}"
+        sessions = self.case.drives.sessions
+        if data["next_manoeuvre"] and read_origin(sessions[0].info().metadata):
+            command = data["next_manoeuvre"]["command"]
+            data["next_manoeuvre"]["command"] = complete(f"`{command}`", sessions).strip("`")
         data["residual"] |= {
             "sessions": [path.name for path in self.case.drives.paths],
             "base": self.case.base_source,

@@ -14,7 +14,7 @@ from steerd.daemon.assembly.sim_car import read_origin
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import Session
 
-_DRIVEN = re.compile(r"`(steerd (?:collect|run) [^`]*)`")
+_DRIVEN = re.compile(r"`(steerd (collect|run) [^`]*)`")
 _IN_BRACKETS = re.compile(r" \(`steerd collect [^`]*`\)")
 _PLAN = re.compile(r"`steerd collect --plan (\w+)[^`]*`")
 _LANE = re.compile(r"`steerd run --path (\w+) --speed ([\d.]+)`")
@@ -33,7 +33,8 @@ def complete(text: str, sessions: Sequence[Session]) -> str:
     text = text.replace("`steerd diagnose`", f"`steerd diagnose {names}`")
     origin = read_origin(sessions[0].info().metadata)
     if origin:
-        return _DRIVEN.sub(lambda found: f"`{found[1]} {origin}`", text)
+        end = {"run": " --duration 20"} if origin.startswith("--sim") else {}
+        return _DRIVEN.sub(lambda f: f"`{f[1]} {origin}{end.get(f[2], '')}`", text)
     text = _PLAN.sub(r"the plan \1 of `steerd collect --help`", _IN_BRACKETS.sub("", text))
     return _LANE.sub(r"a \1 at \2 m/s", text)
 
