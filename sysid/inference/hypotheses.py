@@ -57,17 +57,26 @@ class Library:
         likelihood: the windows.
         nuisance: the base's free parameters.
         effects: what may be added to it.
+        known: whether the base's prior is knowledge from other drives, which windows whose errors
+            repeat outweigh no sooner than as many independent ones as they are worth.
     """
 
     likelihood: Likelihood
     nuisance: tuple[str, ...]
     effects: tuple[Effect, ...]
+    known: bool = True
 
     def space(self, names: Sequence[str]) -> Space:
         """Coordinates of a hypothesis: the base's, then its effects'."""
         superset = self.likelihood.engine.superset
         gone = {same for e in superset.effects if e.name in names for same in e.same_as}
-        return make_space(superset, [name for name in self.nuisance if name not in gone], names)
+        kept = [name for name in self.nuisance if name not in gone]
+        return make_space(superset, kept, names).heavier(self.worth)
+
+    @cached_property
+    def worth(self) -> float:
+        """How many windows are worth one where nothing is left but noise."""
+        return design_effect(self.likelihood, 0.0) if self.known else 1.0
 
     def effect(self, name: str) -> Effect:
         """An effect by name."""
@@ -400,7 +409,7 @@ def _expected(
     error: Array,
 ) -> float:
     """Cost at the best of a few sizes after one step of the base, with the start's derivatives."""
-    precision = np.linalg.inv(space.covariance[: len(keep), : len(keep)])
+    precision = library.worth * np.linalg.inv(space.covariance[: len(keep), : len(keep)])
     best = np.inf
     for view in views:
         at = library.likelihood.reduce(view, error, start.x)
@@ -461,15 +470,16 @@ def _linear(
 def judge(library: Library, point: Point, temper: float, lowest: Point) -> Hypothesis:
     """An optimum's evidence with its prior odds, and the probability that its effects matter.
 
-    Against the hypothesis of lowest cost no window changes the odds by more than a factor of e: a
-    car that nearly spins multiplies any small change, and one such second shall not name a cause.
+    The windows that speak loudest for and against it, beside the hypothesis of lowest cost, are
+    left out: a car that nearly spins multiplies any small change, and one such second shall not
+    name a cause.
     """
     effects = point.space.effects
     posterior = posterior_of(point, temper)
     behind = point.at.loss - lowest.at.loss
-    beyond = float((behind - np.clip(behind, -temper, temper)).sum())
-    posterior = replace(posterior, evidence=posterior.evidence + beyond)
-    odds = posterior.evidence / temper - len(effects) * np.log(max(len(library.effects), 1))
+    loudest = float(max(behind.max(), 0.0) + min(behind.min(), 0.0)) / temper
+    posterior = replace(posterior, evidence=posterior.evidence + loudest)
+    odds = posterior.evidence - len(effects) * np.log(max(len(library.effects), 1))
     odds -= max(len(effects) - 1, 0) * np.log(c.FURTHER_ODDS)
     for name in effects:
         effect = library.effect(name)
