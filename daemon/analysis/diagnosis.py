@@ -1,13 +1,10 @@
 """`steerd.diagnose`: where simulation and car differ, why, and how far adding the cause helps."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
-
-from numpy.linalg import LinAlgError
 
 from steerd.car_model.car_file import CarFile, CarFileError
 from steerd.daemon.analysis.car_output import diagnosed_values, make_car, with_known
@@ -44,7 +41,6 @@ from steerd.sim_gap.report.gap_report import Subject, render_report
 from steerd.sim_gap.report.summary_text import manoeuvre_words
 from steerd.sim_gap.report.to_json import to_json
 from steerd.sim_gap.verdict.evidence import Cause
-from steerd.steer_bus.atomic_file import takes_nothing
 from steerd.steer_bus.session_read import Session, SessionError
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import moving_segments
@@ -229,7 +225,9 @@ def run_diagnosis(
     progress(0.0, "reading the drives")
     case = make_case(paths, options, take, lambda share: progress(LOADED * share, ""))
     span = DIAGNOSED - LOADED
-    with _diagnosing(case.drives.sessions):
+    names = name_all(case.drives.paths)
+    identify = f"steerd identify {names} -o car.toml, then --base car.toml"
+    with refusing(case.drives.sessions, identify):
         findings = engine.diagnose(case.split.runs, case.base, engine.Options(
             held_out=case.split.later or (), healthy=case.healthy, only=case.only or None,
             without=case.without, pairs=options.pairs, jobs=options.jobs, written=written,
@@ -336,22 +334,3 @@ def _text_inside(session: Session) -> bytes:
         return session.attachment("car.toml")
     except SessionError:
         return b""
-
-
-@contextmanager
-def _diagnosing(sessions: Sequence[Session]) -> Iterator[None]:
-    """What a diagnosis ends with, as errors for people."""
-    names = name_all([session.info().path for session in sessions])
-    identify = f"steerd identify {names} -o car.toml, then --base car.toml"
-    try:
-        with refusing(sessions):
-            yield
-    except FloatingPointError as error:
-        raise SteerdError(str(error), identify, ExitCode.STOPPED) from None
-    except LinAlgError:
-        what = "the base car's simulation leaves every bound in some of these windows"
-        raise SteerdError(what, identify, ExitCode.STOPPED) from None
-    except (ValueError, OSError) as error:
-        if takes_nothing(error):
-            raise
-        raise SteerdError(str(error), "", ExitCode.INVALID) from None

@@ -10,9 +10,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from numpy.linalg import LinAlgError
+
 from steerd.daemon.assembly.sim_car import read_origin
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.steer_bus.atomic_file import takes_nothing
 from steerd.steer_bus.session_read import Session
+from steerd.sysid.data.data_checks import DataError
 
 _DRIVEN = re.compile(r"`(steerd (collect|run) [^`]*)`")
 _IN_BRACKETS = re.compile(r" \(`steerd collect [^`]*`\)")
@@ -58,16 +62,32 @@ def simulate_with(car: Path, sessions: Sequence[Session], more: str = "") -> str
 
 
 @contextmanager
-def refusing(sessions: Sequence[Session]) -> Iterator[None]:
+def refusing(sessions: Sequence[Session], stopped: str = "") -> Iterator[None]:
     """The one guard around what works on drives: what they are not fit for is one line.
+
+    Args:
+        sessions: the drives.
+        stopped: what to try where the simulation of the car diverges.
 
     Raises:
         SteerdError: with a hint that runs as printed.
     """
-    from steerd.sysid.data.data_checks import DataError
+    from steerd.sysid.paper.search_history import BaselineMissingError
+    from steerd.sysid.parallel import DaskMissingError
 
     try:
         yield
     except DataError as error:
         hint = complete(error.hint, sessions)
         raise SteerdError(error.what, hint, ExitCode.INVALID) from None
+    except (BaselineMissingError, DaskMissingError) as error:
+        raise SteerdError(str(error), "", ExitCode.USAGE) from None
+    except FloatingPointError as error:
+        raise SteerdError(str(error), stopped, ExitCode.STOPPED) from None
+    except LinAlgError:
+        what = "the base car's simulation leaves every bound in some of these windows"
+        raise SteerdError(what, stopped, ExitCode.STOPPED) from None
+    except (ValueError, OSError) as error:
+        if takes_nothing(error):
+            raise
+        raise SteerdError(str(error), "", ExitCode.INVALID) from None

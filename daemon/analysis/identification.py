@@ -1,8 +1,7 @@
 """`steerd.identify`: the car's parameters from recorded drives, with errors and a validation."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -35,7 +34,6 @@ from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.written import writing
 from steerd.posterior_file import posterior_path
-from steerd.steer_bus.atomic_file import takes_nothing
 from steerd.steer_bus.session_read import Session
 from steerd.sysid.estimation.fit import Options, default_free
 from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names, held_names, learn
@@ -209,7 +207,8 @@ def run_identification(
     base = read_car(options.car)
     drives, task = _make_task(paths, options, base, take)
     progress(float(len(paths)), "fitting the car")
-    with _fitting(drives.sessions):
+    closer = "give start values closer to the car: --car FILE.toml, --wheelbase"
+    with refusing(drives.sessions, closer):
         outcome = _completed(learn(task, time.perf_counter), drives.sessions)
     return Identification(options, base, drives, outcome, tuple(warnings))
 
@@ -236,7 +235,7 @@ def _make_task(
     held_out = read_held_out(options.held_out)
     _check_counts(options, held_out.every)
     _check_names((*free, *fixed), base.model)
-    model = _with_fixed(base, options.fix).model
+    model = _with_fixed(base, _given_values(options.fix))
     if length is not None and not _WHEELBASE[0] <= length <= _WHEELBASE[1]:
         raise SteerdError(f"wheelbase {length:g}: in metres", "", _USAGE)
     candidates = _candidates(options)
@@ -278,26 +277,6 @@ def _make_task(
     )
 
 
-@contextmanager
-def _fitting(sessions: Sequence[Session]) -> Iterator[None]:
-    """What a fit ends with, as errors for people."""
-    from steerd.sysid.paper.search_history import BaselineMissingError
-    from steerd.sysid.parallel import DaskMissingError
-
-    try:
-        with refusing(sessions):
-            yield
-    except (BaselineMissingError, DaskMissingError) as error:
-        raise SteerdError(str(error), "", _USAGE) from None
-    except FloatingPointError as error:
-        hint = "give start values closer to the car: --car FILE.toml, --wheelbase"
-        raise SteerdError(str(error), hint, ExitCode.STOPPED) from None
-    except (ValueError, OSError) as error:
-        if takes_nothing(error):
-            raise
-        raise SteerdError(str(error), "", ExitCode.INVALID) from None
-
-
 def find_effects(names: Iterable[str]) -> tuple[str, ...]:
     """Effects by their own names.
 
@@ -318,21 +297,18 @@ def _candidates(options: IdentifyOptions) -> tuple[str, ...] | None:
     return find_effects(options.effects) or None
 
 
-def _given_values(fix: Mapping[str, float | None] | None) -> dict[str, Learned]:
+def _given_values(fix: Mapping[str, float | None]) -> dict[str, Learned]:
     """What the user stated: the file that comes out is of that car."""
-    stated = {name: value for name, value in (fix or {}).items() if value is not None}
+    stated = {name: value for name, value in fix.items() if value is not None}
     return {name: Learned(value, None, "given with --fix") for name, value in stated.items()}
 
 
-def _with_fixed(base: CarFile, fix: Mapping[str, float | None]) -> CarFile:
-    """The car file with the stated values, each within what a car file may say."""
-    for name, learned in _given_values(fix).items():
-        try:
-            base = update_car(base.path, base, {name: learned})
-        except CarFileError as error:
-            what = f"fix {name}={learned.value:g}: {error.what}"
-            raise SteerdError(what, error.hint, _USAGE) from None
-    return base
+def _with_fixed(base: CarFile, given: Mapping[str, Learned]) -> Model[float]:
+    """The car with the stated values, each within what a car file may say."""
+    try:
+        return update_car(base.path, base, given).model if given else base.model
+    except CarFileError as error:
+        raise SteerdError(f"fix {error.where}: {error.what}", error.hint, _USAGE) from None
 
 
 def _check_names(names: Iterable[str], model: Model[float]) -> None:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import wraps
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
 
 from steerd.car_model.car_file import CarFile, default_car_path
@@ -72,7 +71,7 @@ class IdentifyOptions:
     held_out: HeldOutSource = None
     effects: Sequence[str] | Literal["auto"] = ()
     free: Sequence[str] = ()
-    fix: Mapping[str, float | None] = field(default_factory=lambda: MappingProxyType({}))
+    fix: Mapping[str, float | None] = field(default_factory=dict)
     wheelbase: float | None = None
     speed: Speed = "command"
     method: Method = "ours"
