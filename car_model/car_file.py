@@ -30,8 +30,6 @@ from steerd.toml_text import TomlError, parse_toml, read_toml
 _OWN = ("car", "effects")
 IDENTIFIED = "steerd identify"
 """Begins the source of a value that identify found."""
-_LATER = frozenset({"c_x"})
-"""Parameters that files from before the planar chassis do not have."""
 
 
 class CarFileError(ValueError):
@@ -145,15 +143,20 @@ def parse_car(text: str, path: Path, posterior: str = "") -> CarFile:
             raise CarFileError(path, name, "is not a section", "put keys under a [section] head")
     if "car" not in tables:
         raise CarFileError(path, "[car]", "is missing", "copy it from `steerd config`")
-    own = _checked(path, "car", _car_table(), tables["car"])
+    own = _checked(path, "car", _table_of(None), tables["car"])
+    try:
+        chassis = find_chassis(own.chassis, own.drive)
+    except ValueError as error:
+        hint = f"chassis = one of {', '.join(CHASSIS_NAMES)}; drive = rear, front or all"
+        raise CarFileError(path, "car.chassis", str(error), hint) from error
     car = Car(*(getattr(own, p.name) for p in PARAMETERS))
     sd, source = dict(own.sd), dict(own.source)
     _check_names(path, "car.sd", [*sd, *source], Car._fields)
-    settings = [
-        _read_effect(path, name, table, sd, source)
-        for name, table in tables.get("effects", {}).items()
-    ]
-    _check_once(path, [effect.name for effect, _ in settings])
+    effects = tables.get("effects", {}).items()
+    settings = [_read_effect(path, name, table, sd, source) for name, table in effects]
+    names = [effect.name for effect, _ in settings]
+    for name in (each for each in names if names.count(each) > 1):  # under an alias
+        raise CarFileError(path, f"effects.{name}", "is given twice", "keep one of the two")
     file = CarFile(
         path=path,
         name=own.name or path.stem,
@@ -163,7 +166,7 @@ def parse_car(text: str, path: Path, posterior: str = "") -> CarFile:
         sd=sd,
         source=source,
         text=text,
-        chassis=_read_chassis(path, own),
+        chassis=chassis,
         posterior=posterior,
     )
     beside = posterior_path(path).name
@@ -172,19 +175,6 @@ def parse_car(text: str, path: Path, posterior: str = "") -> CarFile:
         remark = remark or f"{beside} is missing: what identify knew of this car is not used"
     others = {n: table for n, table in tables.items() if n not in (*_OWN, *TABLES)}
     return replace(file, sections={**others, **known}, remark=remark)
-
-
-def _read_chassis(path: Path, own: Any) -> Chassis:
-    """The chassis that `[car]` names.
-
-    Raises:
-        CarFileError: there is none of that name, or its wheels are driven in no known way.
-    """
-    try:
-        return find_chassis(own.chassis, own.drive)
-    except ValueError as error:
-        hint = f"chassis = one of {', '.join(CHASSIS_NAMES)}; drive = rear, front or all"
-        raise CarFileError(path, "car.chassis", str(error), hint) from error
 
 
 def update_car(path: Path, base: CarFile, updates: Mapping[str, Learned]) -> CarFile:
@@ -243,38 +233,24 @@ def _note(table: Any, kind: str, parameter: str, value: float | str | None) -> N
             del table[kind]
 
 
-@lru_cache(maxsize=1)
-def _car_table() -> type[msgspec.Struct]:
-    """What `[car]` must hold: every parameter within its bounds."""
-    return msgspec.defstruct(
-        "CarTable",
-        [
-            *((p.name, _bounded(p)) for p in PARAMETERS if p.name not in _LATER),
-            *((p.name, _bounded(p), p.default) for p in PARAMETERS if p.name in _LATER),
-            ("name", str, ""),
-            ("chassis", str, SINGLE_TRACK.name),
-            ("drive", str, "all"),
-            ("sd", dict[str, Annotated[float, msgspec.Meta(ge=0.0)]], msgspec.field(default={})),
-            ("source", dict[str, str], msgspec.field(default={})),
-        ],
-        forbid_unknown_fields=True,
-        kw_only=True,
-    )
-
-
 @lru_cache(maxsize=256)
-def _effect_struct(effect: Effect) -> type[msgspec.Struct]:
-    """What an effect's table may hold: parameters within bounds, absent ones at their null."""
-    return msgspec.defstruct(
-        "EffectTable",
-        [
-            *((p.name, _bounded(p), float(p.null)) for p in effect.parameters),
-            ("sd", dict[str, Annotated[float, msgspec.Meta(ge=0.0)]], msgspec.field(default={})),
-            ("source", str, ""),
-        ],
-        forbid_unknown_fields=True,
-        kw_only=True,
-    )
+def _table_of(effect: Effect | None) -> type[msgspec.Struct]:
+    """What an effect's table, or (None) `[car]`, may hold: parameters within their bounds.
+
+    Those of an effect may be absent, which is their null.
+    """
+    fields: list[Any] = [("sd", dict[str, Annotated[float, msgspec.Meta(ge=0.0)]], _NONE)]
+    if effect is None:
+        fields += [(p.name, _bounded(p)) for p in PARAMETERS]
+        fields += [("name", str, ""), ("chassis", str, SINGLE_TRACK.name), ("drive", str, "all")]
+        fields += [("source", dict[str, str], _NONE)]
+    else:
+        fields += [(p.name, _bounded(p), float(p.null)) for p in effect.parameters]
+        fields += [("source", str, "")]
+    return msgspec.defstruct("Table", fields, forbid_unknown_fields=True, kw_only=True)
+
+
+_NONE: Any = msgspec.field(default_factory=dict)
 
 
 def _bounded(parameter: Parameter | EffectParameter) -> Any:
@@ -333,7 +309,7 @@ def _read_effect(
         effect = find_effect(name)
     except ValueError as error:
         raise CarFileError(path, where, str(error), "see `steerd effects`") from error
-    own = _checked(path, where, _effect_struct(effect), table)
+    own = _checked(path, where, _table_of(effect), table)
     names = [p.name for p in effect.parameters]
     _check_names(path, f"{where}.sd", list(own.sd), names)
     sd.update({f"{effect.name}.{key}": value for key, value in own.sd.items()})
@@ -347,10 +323,3 @@ def _check_names(path: Path, where: str, names: list[str], known: Any) -> None:
     for name in names:
         if name not in known:
             raise CarFileError(path, where, f"no parameter {name!r}", f"one of {', '.join(known)}")
-
-
-def _check_once(path: Path, names: list[str]) -> None:
-    """Refuse an effect that is given twice (under an alias)."""
-    for name in names:
-        if names.count(name) > 1:
-            raise CarFileError(path, f"effects.{name}", "is given twice", "keep one of the two")

@@ -41,7 +41,7 @@ def hall(tmp_path_factory):
 
 
 ASKED = [
-    "collect --plan slalom --duration 2 --sim --fast --record 'a slalom.mcap'",
+    "collect --plan slalom --sim --fast --record 'a slalom.mcap'",
     "identify mixed.mcap -o car.toml",
     "identify gentle.mcap -o gentle.toml --held-out 2",
     "diagnose late.mcap -o 'late car.toml' --no-pairs --only steer_delay",
