@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 TYPED = re.compile(r"^\s*(?:next:?|try:)?\s*(steerd [a-z].*?)(?:\s{3,}\(.*)?$", re.MULTILINE)
 TICKED = re.compile(r"`(steerd [^`]*)`")
 DRIVES = {
-    "mixed.mcap": "collect --plan mixed --duration 20 --sim-car hidden:3",
+    "a mixed.mcap": "collect --plan mixed --duration 20 --sim-car hidden:3",
     "late.mcap": "run --path figure8 --speed 1.8 --duration 15 --effect steer_delay=0.05",
     "gentle.mcap": "run --path circle:radius=3 --speed 1 --duration 12 --sim-car hidden:3",
 }
@@ -41,15 +41,20 @@ def hall(tmp_path_factory):
 
 
 ASKED = [
-    "collect --plan slalom --sim --fast --record 'a slalom.mcap'",
-    "identify mixed.mcap -o car.toml",
+    "identify 'a mixed.mcap' -o 'a car.toml'",
     "identify gentle.mcap -o gentle.toml --held-out 2",
     "diagnose late.mcap -o 'late car.toml' --no-pairs --only steer_delay",
     "diagnose gentle.mcap --no-pairs --only steer_lag --only steer_delay --no-closed-loop",
-    "identify 'a slalom.mcap'",
-    "info mixed.mcap",
-    "calibrate servo mixed.mcap -o servo.toml",
+    "info 'a mixed.mcap'",
+    "calibrate servo 'a mixed.mcap' -o servo.toml",
 ]
+
+
+def test_what_is_recorded_is_named_as_a_shell_takes_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = "collect --plan slalom --duration 2 --sim --fast --record 'a b.mcap'"
+    assert run_cli(shlex.split(words)) == 0
+    assert typed(capsys.readouterr().out) == ["steerd identify 'a b.mcap' -o car.toml"]
 
 
 @pytest.mark.parametrize("asked", ASKED)
@@ -72,7 +77,7 @@ def ends(command):
 
 def test_every_manoeuvre_runs_on_the_session_that_asked_for_it(hall, monkeypatch, capsys):
     monkeypatch.chdir(hall)
-    sessions = [open_session("mixed.mcap")]
+    sessions = [open_session("a mixed.mcap")]
     hints = [*(f"`{drive.command}`" for drive in MENU.values()), *MANOEUVRES.values()]
     commands = {c for hint in hints for c in typed(complete(hint, sessions))}
     assert len(commands) >= len(MENU)

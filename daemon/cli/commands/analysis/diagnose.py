@@ -79,9 +79,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     where = parser.add_argument_group("where")
     where.add_argument("--jobs", type=int, default=1, metavar="N", help="candidates side by side")
-    where.add_argument(
-        "--dask", metavar="ADDRESS", help="gone: `steerd batch` shares whole sessions"
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -90,10 +87,6 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: a session, the car file or an option cannot be used.
     """
-    if args.dask is not None:
-        what = "--dask: the candidates of one diagnosis share nothing worth sending"
-        hint = "steerd batch diagnose SESSIONS --dask ADDRESS shares whole sessions"
-        raise SteerdError(what, hint, ExitCode.USAGE)
     from steerd.daemon.analysis.diagnose_text import describe
     from steerd.daemon.analysis.diagnosis import DRIVEN, run_diagnosis
     from steerd.daemon.analysis.options import DiagnoseOptions, read_arguments

@@ -132,16 +132,9 @@ def test_help_says_what_it_does(capsys):
         main(["diagnose", "--help"])
     assert stopped.value.code == 0
     text = capsys.readouterr().out
-    for option in ("--held-out", "--base", "--only", "--without", "--report", "--dask"):
+    for option in ("--held-out", "--base", "--only", "--without", "--report"):
         assert option in text
     assert "--runs-held-out" not in text
-
-
-def test_an_option_that_is_gone_says_what_replaced_it(tmp_path, capsys):
-    (tmp_path / "a.mcap").write_bytes(b"")
-    argv = ["diagnose", str(tmp_path / "a.mcap"), "--dask", "tcp://127.0.0.1:1"]
-    assert main(argv) == ExitCode.USAGE
-    assert "steerd batch diagnose" in capsys.readouterr().err
 
 
 # --- what is refused
