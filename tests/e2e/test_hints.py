@@ -42,8 +42,7 @@ def hall(tmp_path_factory):
 
 ASKED = [
     "identify 'a mixed.mcap' -o 'a car.toml'",
-    "identify gentle.mcap -o gentle.toml --held-out 2",
-    "diagnose late.mcap -o 'late car.toml' --no-pairs --only steer_delay",
+    "diagnose late.mcap -o 'late car.toml' --no-pairs --only steer_delay --no-closed-loop",
     "diagnose gentle.mcap --no-pairs --only steer_lag --only steer_delay --no-closed-loop",
     "info 'a mixed.mcap'",
     "calibrate servo 'a mixed.mcap' -o servo.toml",
