@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect, Role
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.likelihood import Likelihood, Weighed, loss_of
+from steerd.sysid.inference.likelihood import SIZES, Likelihood, Weighed, loss_of
 from steerd.sysid.inference.places import suspicious_discs
 from steerd.sysid.inference.posterior import (
     Posterior,
@@ -25,6 +25,7 @@ from steerd.sysid.inference.posterior import (
     log_share_beyond,
     posterior_of,
 )
+from steerd.sysid.inference.residuals import robust_mean
 from steerd.sysid.inference.search import (
     Point,
     explore,
@@ -114,12 +115,14 @@ class Findings:
         start: the base at its prior, under the discrepancy that it needs.
         temper: the case's design effect.
         untested: effects whose simulation does not stay finite.
+        covering: the least sizes that bring errors down to noise, at the start and at the best.
     """
 
     hypotheses: tuple[Hypothesis, ...]
     start: Point
     temper: float
     untested: tuple[str, ...]
+    covering: tuple[float, float]
 
     @property
     def best(self) -> Hypothesis:
@@ -290,7 +293,21 @@ def explain(
     share = np.exp(odds - odds.max())
     share /= share.sum()
     ranked = [replace(h, probability=float(p)) for h, p in zip(found, share, strict=True)]
-    return Findings(tuple(ranked), start, search.temper(), tuple(sorted(search.untested)))
+    ends = start, ranked[0].point
+    covering = (
+        covering_size(library.likelihood, ends[0]),
+        covering_size(library.likelihood, ends[1]),
+    )
+    return Findings(tuple(ranked), start, search.temper(), tuple(sorted(search.untested)), covering)
+
+
+def covering_size(likelihood: Likelihood, point: Point) -> float:
+    """The least size under which a point's errors are no larger than noise."""
+    for size in SIZES.tolist():
+        at = with_size(likelihood, point, size).at
+        if robust_mean(at.square / at.dof) <= 1.0:
+            return float(size)
+    return float(SIZES[-1])
 
 
 def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Array) -> Point:
