@@ -19,9 +19,6 @@ from steerd.steer_bus.session_read import Session
 from steerd.sysid.data.data_checks import DataError
 
 _DRIVEN = re.compile(r"`(steerd (collect|run) [^`]*)`")
-_IN_BRACKETS = re.compile(r" \(`steerd collect [^`]*`\)")
-_PLAN = re.compile(r"`steerd collect --plan (\w+)[^`]*`")
-_LANE = re.compile(r"`steerd run --path (\w+) --speed ([\d.]+)`")
 
 
 def complete(text: str, sessions: Sequence[Session]) -> str:
@@ -30,7 +27,7 @@ def complete(text: str, sessions: Sequence[Session]) -> str:
     Args:
         text: with commands between backticks; nothing else is changed.
         sessions: what the text is about; the first says which car drives. The log of another system
-            does not: of it the text names the plan alone.
+            does not: it is sent to the description of the plans.
     """
     names = name_all([session.info().path for session in sessions])
     text = text.replace("`steerd identify`", f"`steerd identify {names} -o car.toml`")
@@ -39,8 +36,7 @@ def complete(text: str, sessions: Sequence[Session]) -> str:
     if origin:
         end = {"run": " --duration 20"} if origin.startswith("--sim") else {}
         return _DRIVEN.sub(lambda f: f"`{f[1]} {origin}{end.get(f[2], '')}`", text)
-    text = _PLAN.sub(r"the plan \1 of `steerd collect --help`", _IN_BRACKETS.sub("", text))
-    return _LANE.sub(r"a \1 at \2 m/s", text)
+    return _DRIVEN.sub("see `steerd collect --help`", text)
 
 
 def name_all(paths: Sequence[Path]) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile, CarFileError, Learned, update_car
 from steerd.car_model.effects import EFFECTS, find_effect
@@ -37,7 +37,7 @@ from steerd.posterior_file import posterior_path
 from steerd.steer_bus.session_read import Session
 from steerd.sysid.estimation.fit import Options, default_free
 from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names, held_names, learn
-from steerd.sysid.estimation.outcome import Outcome, encode_outcome
+from steerd.sysid.estimation.outcome import Outcome, Row, encode_outcome
 from steerd.sysid.estimation.prediction_horizon import level_loads, scale_inertia
 
 if TYPE_CHECKING:
@@ -48,25 +48,6 @@ _STARTS = {"ours": 1, "paper": 5, "cma-es": 5}
 _LEAST = {"starts": 1, "iterations": 1, "jobs": 1, "seed": 0}
 _WHEELBASE = 0.05, 4.0
 """Between a toy's and a lorry's wheelbase [m]; millimetres lie above."""
-
-
-class Parameter(NamedTuple):
-    """One fitted parameter.
-
-    Attributes:
-        value: the estimate; sd: its standard error, NaN where there is none.
-        unit: of both, SI; `1` for none.
-        start: the value before.
-        identifiable: whether these data identify it.
-        manoeuvre: what would identify it; empty where it is identified.
-    """
-
-    value: float
-    sd: float
-    unit: str
-    start: float
-    identifiable: bool
-    manoeuvre: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +71,9 @@ class Identification:
     warnings: tuple[str, ...] = ()
 
     @property
-    def parameters(self) -> dict[str, Parameter]:
-        """The fitted parameters by `name` or `effect.name`."""
-        return {
-            name: Parameter(
-                row.value, float("nan") if row.sd is None else row.sd, row.unit, row.before,
-                row.identifiable, row.manoeuvre,
-            )
-            for name, row in self.outcome.free_rows.items()
-        }  # fmt: skip
+    def parameters(self) -> dict[str, Row]:
+        """The fitted parameters by `name` or `effect.name`, in SI units."""
+        return self.outcome.free_rows
 
     @property
     def improved(self) -> bool:
