@@ -258,9 +258,10 @@ def make_case(
     """
     only, without = find_effects(options.only), find_effects(options.without)
     held_out, quiet = read_held_out(options.held_out), list_sessions(options.healthy)
-    _check(options, held_out, only, without)
+    if only and not set(only) - set(without):
+        raise SteerdError("only and without leave no effect", "", ExitCode.USAGE)
     sessions = without_reserved(paths, held_out.files, "diagnose")
-    _refuse_healthy(quiet, (*sessions, *held_out.files))
+    _check(options, held_out, sessions, quiet)
     drives = load_drives(sessions, options.speed, warn, advance)
     warn(compare_truths(drives.metadata))
     base, source, notes = find_base(options.base, drives)
@@ -276,22 +277,16 @@ def make_case(
 
 
 def _check(
-    options: DiagnoseOptions, held_out: HeldOut, only: tuple[str, ...], without: tuple[str, ...]
+    options: DiagnoseOptions, held_out: HeldOut, sessions: Sequence[Path], quiet: Sequence[Path]
 ) -> None:
-    if only and not set(only) - set(without):
-        raise SteerdError("only and without leave no effect", "", ExitCode.USAGE)
     if options.jobs < 1:
         raise SteerdError(f"jobs {options.jobs}: 1 or more", "", ExitCode.USAGE)
     for path in held_out.files:  # opened later, but its absence is reported at once
         if not path.is_file():
             raise SteerdError(f"{path} does not exist", "", ExitCode.UNREADABLE)
-
-
-def _refuse_healthy(healthy: Sequence[Path], others: Sequence[Path]) -> None:
-    """A drive that is to be explained must not count as noise."""
-    refuse_copies(healthy)
-    for path in healthy:
-        if any(is_same(path, each) for each in others):
+    refuse_copies(quiet)
+    for path in quiet:
+        if any(is_same(path, each) for each in (*sessions, *held_out.files)):
             what = f"healthy {path} is one of the drives to explain: its gap would pass for noise"
             raise SteerdError(what, "name a drive without the gap", ExitCode.USAGE)
 

@@ -149,7 +149,7 @@ def _next(found: "Identification", written: Path | None) -> Iterator[str]:
     if any("`--speed wheel`" in note for note in outcome.notes):
         yield "next: the same command with --speed wheel: these values explain a speed"
         yield "      that the car was not driven at; do not drive with them"
-    elif not improved(outcome):
+    elif not found.improved:
         yield "next: these values predict no better than the start; keep the old car file"
         yield from _why(found)
     elif not any(row.identifiable for row in outcome.free_rows.values()):
@@ -175,9 +175,3 @@ def _why(found: "Identification") -> Iterator[str]:
     elif not poor and outcome.unidentified:
         text = "the start explains these drives, and they are too gentle to improve it: drive "
         yield f"      {complete(f'{text}`steerd collect --plan mixed`', found.drives.sessions)}"
-
-
-def improved(outcome: Outcome) -> bool:
-    """Whether the longest prediction became no worse (2 % are noise)."""
-    known = [h for h in outcome.held_out if not isnan(h.after.position)]
-    return bool(known) and known[-1].after.position <= 1.02 * known[-1].before.position

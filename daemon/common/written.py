@@ -118,11 +118,7 @@ def _are(paths: Collection[Path]) -> str:
 def write_outputs(
     texts: Mapping[Path | None, str | bytes | None], *, announced: bool = False
 ) -> None:
-    """Write every result, and name on standard error what was kept; as `writing`.
-
-    Args:
-        texts: content by file; an entry without a file or without a content is left out.
-        announced: a terminal shows what was written, as after work that ends with it.
+    """Write every result, see `writing`: content by file, without those of which one is None.
 
     Raises:
         SteerdError: every file that failed in one line, after the others were written.

@@ -1,10 +1,10 @@
 """What healthy drives teach about a base car, beyond its values: how sure, and where it fails.
 
 Two things travel from `identify` to `diagnose`, in the file beside the car file. The joint
-covariance of the base's coordinates: lengths, gains and inertia move together, and an effect must not be named for what the
-base's own uncertainty covers. And the model discrepancy: by how much errors exceed the noise where
-the car corners hard (Kennedy and O'Hagan, 2001, as a variance by regime), so that a base that is
-not good enough there cannot accuse.
+covariance of the base's coordinates: lengths, gains and inertia move together, and an effect must
+not be named for what the base's own uncertainty covers. And the model discrepancy: by how much
+errors exceed the noise where the car corners hard (Kennedy and O'Hagan, 2001, as a variance by
+regime), so that a base that is not good enough there cannot accuse.
 """
 
 from collections.abc import Mapping, Sequence

@@ -11,7 +11,6 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.drives import Drives
 from steerd.daemon.analysis.identification import Identification
 from steerd.daemon.analysis.identify_text import describe as describe_found
-from steerd.daemon.analysis.identify_text import improved
 from steerd.daemon.analysis.options import IdentifyOptions
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.sysid.data.excitation import Excitation
@@ -26,10 +25,13 @@ SIMULATED = {"steerd.session": {"options": encode_options(RunOptions("", simulat
 
 
 def describe(found, written=None, *, wheelbase=None, metadata=SIMULATED) -> str:
+    return describe_found(identified(found, wheelbase, metadata), written)
+
+
+def identified(found, wheelbase=None, metadata=SIMULATED) -> Identification:
     info = SimpleNamespace(path=Path("drives/a b.mcap"), metadata=metadata)
     drives = Drives((SimpleNamespace(info=lambda: info),), ())
-    options = IdentifyOptions(wheelbase=wheelbase)
-    return describe_found(Identification(options, None, drives, found), written)
+    return Identification(IdentifyOptions(wheelbase=wheelbase), None, drives, found)
 
 
 def outcome(*positions: tuple[float, float]) -> Outcome:
@@ -64,7 +66,7 @@ def outcome(*positions: tuple[float, float]) -> Outcome:
     ],
 )
 def test_the_longest_known_prediction_decides(positions, better):
-    assert improved(outcome(*positions)) is better
+    assert identified(outcome(*positions)).improved is better
 
 
 def test_parameters_of_effects_stand_beside_the_cars():
