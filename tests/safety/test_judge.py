@@ -5,7 +5,12 @@ from math import inf
 
 import pytest
 
-from steerd.sim_hw.judge import (
+from steerd.sim_hw.plant.device import Logged
+from steerd.vesc_link import commands as c
+from steerd.vesc_link.frames import encode_frame
+from steerd.vesc_link.packets import encode_command
+from tests.safety.catalogue import BY_CODE, nothing
+from tests.safety.judge import (
     Effort,
     Motion,
     MotorFrame,
@@ -15,11 +20,6 @@ from steerd.sim_hw.judge import (
     read_motor_frames,
     stopping_distance,
 )
-from steerd.sim_hw.plant.device import Logged
-from steerd.vesc_link import commands as c
-from steerd.vesc_link.frames import encode_frame
-from steerd.vesc_link.packets import encode_command
-from tests.safety.catalogue import BY_CODE, nothing
 from tests.safety.matrix import run_cell
 
 
