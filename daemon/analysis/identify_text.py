@@ -106,7 +106,7 @@ def _value(row: Row) -> str:
 
 
 def _word(row: Row) -> str:
-    """Whether the drives moved the value, as far as its standard error can tell."""
+    """Whether the drives moved the value, as far as its standard error shows."""
     return "changed" if abs(row.value - row.before) > 2.0 * (row.sd or 0.0) else "unchanged"
 
 

@@ -10,25 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import wraps
 from pathlib import Path
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    Concatenate,
-    Literal,
-    NamedTuple,
-    ParamSpec,
-    TypeAlias,
-    TypeVar,
-)
+from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
 
 from steerd.car_model.car_file import CarFile, default_car_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.translate import load_car_file
-
-if TYPE_CHECKING:
-    from steerd.daemon.analysis.diagnosis import Diagnosis
-    from steerd.daemon.analysis.identification import Identification
-    from steerd.daemon.analysis.recorded import Session
 
 EVERY = 4
 """Unless stated otherwise every 4th block or session is held out."""
@@ -38,10 +24,26 @@ Speed = Literal["command", "wheel"]
 Method = Literal["ours", "paper", "cma-es"]
 
 
-SessionSource: TypeAlias = "Path | str | Session"
-SessionSources: TypeAlias = "SessionSource | Sequence[SessionSource]"
-CarSource: TypeAlias = "CarFile | Identification | Diagnosis | Path | str | None"
-HeldOutSource: TypeAlias = "int | SessionSource | Sequence[int | SessionSource] | None"
+class HasPath(Protocol):
+    """A recorded session: anything with its file."""
+
+    @property
+    def path(self) -> Path:
+        """The session file."""
+
+
+class HasCar(Protocol):
+    """An identification: anything with a car."""
+
+    @property
+    def car(self) -> CarFile:
+        """The car."""
+
+
+SessionSource = Path | str | HasPath
+SessionSources = SessionSource | Sequence[SessionSource]
+CarSource = CarFile | HasCar | Path | str | None
+HeldOutSource = int | SessionSource | Sequence[int | SessionSource] | None
 
 
 @dataclass(frozen=True, kw_only=True)
