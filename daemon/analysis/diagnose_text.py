@@ -2,22 +2,22 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from steerd.daemon.analysis.hints import simulate_with
+from steerd.daemon.analysis.diagnose_split import Case
+from steerd.daemon.analysis.hints import complete, simulate_with
 from steerd.daemon.common.screen import wrap
+from steerd.sim_gap.diagnosis import Diagnosis
+from steerd.sim_gap.lane_comparison import LaneComparison
 from steerd.sim_gap.report.summary_text import (
     ambiguity,
     cause_words,
     gap_words,
     headline,
     lane_words,
+    manoeuvre_words,
     residual_words,
     shrink_words,
 )
-
-if TYPE_CHECKING:
-    from steerd.daemon.analysis.diagnosis import Diagnosis
 
 COLUMNS, LINES = 80, 30
 _MARGIN, _ROWS = 12, 3
@@ -25,19 +25,25 @@ _OTHER_SHOWN = 0.005
 
 
 def describe(
-    diagnosis: "Diagnosis", written: Path | None = None, report: Path | None = None
+    case: Case,
+    found: Diagnosis,
+    lane: LaneComparison | str,
+    written: Path | None = None,
+    report: Path | None = None,
 ) -> str:
     """The screen; what matters least is left out where it would not fit.
 
     Args:
-        diagnosis: what was found.
+        case: drives and base car.
+        found: what was found.
+        lane: the session's lane driven again in simulation, or why it was not.
         written: the car file that was written.
         report: the report that was written.
     """
-    must = [line for label, text in _rows(diagnosis) for line in _wrap(label, text)]
+    must = [line for label, text in _rows(case, found, lane) for line in _wrap(label, text)]
     # The last line is a command to copy: never broken.
-    last = [f"{'next':<{_MARGIN}}{_next(diagnosis, written, report)}"]
-    notes = (*diagnosis.case.split.notes, *diagnosis.findings.notes)
+    last = [f"{'next':<{_MARGIN}}{_next(case, found, lane, written, report)}"]
+    notes = (*case.split.notes, *found.notes)
     lines = [line for note in notes for line in _wrap("note", note)]
     room = LINES - len(must) - len(last)
     return "\n".join([*must[: LINES - len(last)], *lines[: max(room, 0)], *last])
@@ -51,11 +57,9 @@ def _wrap(label: str, text: str) -> list[str]:
     return [*lines[: _ROWS - 1], f"{lines[_ROWS - 1][: COLUMNS - 2]} …"]
 
 
-def _rows(diagnosis: "Diagnosis") -> Iterator[tuple[str, str]]:
-    split, found, lane = diagnosis.case.split, diagnosis.findings, diagnosis.lane
-    names = ", ".join(path.name for path in diagnosis.case.drives.paths)
-    base = diagnosis.case.base_source
-    yield "drives", f"{split.seconds:.0f} s to explain, of {names}; base: {base}"
+def _rows(case: Case, found: Diagnosis, lane: LaneComparison | str) -> Iterator[tuple[str, str]]:
+    split, names = case.split, ", ".join(path.name for path in case.drives.paths)
+    yield "drives", f"{split.seconds:.0f} s to explain, of {names}; base: {case.base_source}"
     yield "verdict", f"{found.verdict.upper()}. {headline(found)}"
     if found.verdict != "none":
         yield "where", found.where.sentence
@@ -71,16 +75,27 @@ def _rows(diagnosis: "Diagnosis") -> Iterator[tuple[str, str]]:
     if found.causes:
         yield "shrinks by", shrink_words(found, split.held_out_of)
         yield "", f"prediction sha256 {found.shrinkage.digest}"
-    if lane is not None:
+    if isinstance(lane, LaneComparison):
         yield "closed loop", lane_words(lane)
-    elif diagnosis.lane_note and found.causes:
-        yield "closed loop", diagnosis.lane_note.removeprefix("closed loop ")
-    yield "drive next", diagnosis.following
+    elif lane and found.causes:
+        yield "closed loop", lane.removeprefix("closed loop ")
+    yield "drive next", following_words(case, found)
 
 
-def _next(diagnosis: "Diagnosis", written: Path | None, report: Path | None) -> str:
+def following_words(case: Case, found: Diagnosis) -> str:
+    """What to drive next, with a command that runs as printed."""
+    return complete(manoeuvre_words(found), case.drives.sessions)
+
+
+def _next(
+    case: Case,
+    found: Diagnosis,
+    lane: LaneComparison | str,
+    written: Path | None,
+    report: Path | None,
+) -> str:
     """The command to type next."""
-    causes, lane = diagnosis.findings.causes, diagnosis.lane
+    causes = found.causes
     if not causes and report is not None:
         return f"open {report} in a browser: it shows where the error lies"
     if not causes and written is not None:
@@ -89,5 +104,5 @@ def _next(diagnosis: "Diagnosis", written: Path | None, report: Path | None) -> 
         return "repeat with --report gap.html to see where the error lies"
     if written is None:
         return "repeat with -o car.toml, which a simulation with --car car.toml then drives like"
-    again = f" {lane.again}" if lane is not None else ""
-    return simulate_with(written, diagnosis.case.drives.sessions, again)
+    again = f" {lane.again}" if isinstance(lane, LaneComparison) else ""
+    return simulate_with(written, case.drives.sessions, again)

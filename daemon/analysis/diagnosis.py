@@ -4,11 +4,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile, CarFileError
 from steerd.daemon.analysis.car_output import diagnosed_values, make_car, with_known
-from steerd.daemon.analysis.diagnose_split import Split, split_drives
+from steerd.daemon.analysis.diagnose_split import Case, split_drives
+from steerd.daemon.analysis.diagnose_text import describe, following_words
 from steerd.daemon.analysis.drives import (
     Drives,
     Warn,
@@ -38,11 +39,8 @@ from steerd.posterior_file import TABLES
 from steerd.sim_gap import diagnosis as engine
 from steerd.sim_gap.lane_comparison import LaneComparison, encode_lane
 from steerd.sim_gap.report.gap_report import Subject, render_report
-from steerd.sim_gap.report.summary_text import manoeuvre_words
 from steerd.sim_gap.report.to_json import to_json
 from steerd.sim_gap.verdict.evidence import Cause
-from steerd.steer_bus.session_read import Session, SessionError
-from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.estimation.prediction_horizon import add_command_history
 
@@ -51,26 +49,6 @@ if TYPE_CHECKING:
 
 LOADED, DIAGNOSED, DRIVEN = 0.05, 0.85, 0.95
 """Shares of the work done after loading, after the diagnosis, after the closed loop."""
-
-
-class Case(NamedTuple):
-    """A diagnosis to make.
-
-    Attributes:
-        drives: the sessions.
-        split: their drives, cut to where the car moves, and what is held out.
-        healthy: drives without the gap.
-        base: the car as believed; `base_source` says where it comes from.
-        only, without: effects by their own names; `only` empty for the library.
-    """
-
-    drives: Drives
-    split: Split
-    healthy: tuple[Run, ...]
-    base: CarFile
-    base_source: str
-    only: tuple[str, ...]
-    without: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,11 +86,6 @@ class Diagnosis:
         """What a reader should know about data and method."""
         lane = (self.lane_note,) if self.lane_note else ()
         return (*self.case.split.notes, *self.findings.notes, *lane)
-
-    @property
-    def following(self) -> str:
-        """What to drive next, as text."""
-        return complete(manoeuvre_words(self.findings), self.case.drives.sessions)
 
     @cached_property
     def car(self) -> CarFile:
@@ -167,11 +140,13 @@ class Diagnosis:
 
     def render_report(self) -> str:
         """The report: one HTML page with its figures."""
-        case, lane_note = self.case, (self.lane_note,) if self.lane_note else ()
+        case, split = self.case, self.case.split
+        notes = (*split.notes, self.lane_note) if self.lane_note else split.notes
+        names = tuple(path.name for path in case.drives.paths)
+        following = following_words(case, self.findings)
         subject = Subject(
-            tuple(path.name for path in case.drives.paths), case.split.seconds, case.base_source,
-            case.split.held_out_of, self.following, (*case.split.notes, *lane_note),
-        )  # fmt: skip
+            names, split.seconds, case.base_source, split.held_out_of, following, notes
+        )
         return render_report(subject, self.findings, self.lane)
 
     def plot(self) -> "Figure":
@@ -180,10 +155,12 @@ class Diagnosis:
 
         return plot_diagnosis(self.findings)
 
-    def __str__(self) -> str:
-        from steerd.daemon.analysis.diagnose_text import describe
+    def describe(self, written: Path | None = None, report: Path | None = None) -> str:
+        """The screen; `written` and `report` are the files that were."""
+        return describe(self.case, self.findings, self.lane or self.lane_note, written, report)
 
-        return describe(self)
+    def __str__(self) -> str:
+        return self.describe()
 
 
 @by_keywords(DiagnoseOptions)
@@ -303,7 +280,10 @@ def find_base(named: CarSource, drives: Drives) -> tuple[CarFile, str, tuple[str
     if named is not None:
         base = read_car(named)
         return base, str(base.path), ()
-    inside = [_text_inside(session) for session in drives.sessions]
+    inside = [
+        s.attachment("car.toml") if "car.toml" in s.info().attachments else b""
+        for s in drives.sessions
+    ]
     held = [number for number, text in enumerate(inside) if text]
     if not held:
         note = "no --base, no car file in the sessions: the default car is assumed"
@@ -314,18 +294,6 @@ def find_base(named: CarSource, drives: Drives) -> tuple[CarFile, str, tuple[str
     except CarFileError as error:
         what = f"{first.info().path.name}: the car file inside cannot be used: {error.what}"
         raise SteerdError(what, "name one with --base car.toml", ExitCode.INVALID) from None
-    if len({*inside}) > 1:
-        name = first.info().path.name
-        return base, _INSIDE, (f"the sessions' car files differ: the one inside {name} counts",)
-    return base, _INSIDE, ()
-
-
-_INSIDE = "the car file inside the session"
-
-
-def _text_inside(session: Session) -> bytes:
-    """The car file that a session carries; empty if there is none."""
-    try:
-        return session.attachment("car.toml")
-    except SessionError:
-        return b""
+    differ = f"the sessions' car files differ: the one inside {first.info().path.name} counts"
+    notes = (differ,) if len({*inside}) > 1 else ()
+    return base, "the car file inside the session", notes

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile, CarFileError
-from steerd.car_model.effect import Effect
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.state import ORIGIN, State
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
@@ -161,26 +160,18 @@ def _lane_drive(rows: Rows, plan: RunPlan) -> LaneDrive:
     return LaneDrive(t, s, e1, e2, steer, float(plan.path.length))
 
 
-def _with_effects(
-    base: CarFile, found: Values
-) -> tuple[tuple[Effect, ...], tuple[tuple[float, ...], ...]]:
-    """The base's effects with the found ones in their places or after them."""
-    merged = dict(zip((e.name for e in base.effects), base.values, strict=True)) | dict(found)
-    return tuple(EFFECTS[name] for name in merged), tuple(merged.values())
-
-
 def _simulated(
     plan: RunPlan, base: CarFile, found: Values, start: State[float], remarks: list[str]
 ) -> LaneDrive | None:
     """The plan driven by its controller on a car; None, and a remark, if it does not last."""
     label = "with the effect" if found else "without the effect"
-    effects, values = _with_effects(base, found)
+    own = dict(zip((e.name for e in base.effects), base.values, strict=True)) | dict(found)
     config = replace(
         make_world_config(plan),
         car=base.car,
         chassis=base.chassis,
-        effects=effects,
-        effect_values=values,
+        effects=tuple(EFFECTS[name] for name in own),
+        effect_values=tuple(own.values()),
         start=start,
     )
     rows: list[tuple[float, ...]] = []

@@ -68,15 +68,14 @@ def refusing(sessions: Sequence[Session], stopped: str = "") -> Iterator[None]:
     Raises:
         SteerdError: with a hint that runs as printed.
     """
-    from steerd.sysid.paper.search_history import BaselineMissingError
-    from steerd.sysid.parallel import DaskMissingError
-
     try:
         yield
     except DataError as error:
         hint = complete(error.hint, sessions)
         raise SteerdError(error.what, hint, ExitCode.INVALID) from None
-    except (BaselineMissingError, DaskMissingError) as error:
+    except ModuleNotFoundError:
+        raise
+    except ImportError as error:  # says which optional extra is missing
         raise SteerdError(str(error), "", ExitCode.USAGE) from None
     except FloatingPointError as error:
         raise SteerdError(str(error), stopped, ExitCode.STOPPED) from None

@@ -22,6 +22,7 @@ from steerd.daemon.analysis.car_output import (
 )
 from steerd.daemon.analysis.drives import Drives, Warn, load_drives, without_reserved
 from steerd.daemon.analysis.hints import complete, refusing
+from steerd.daemon.analysis.identify_text import Asked, describe
 from steerd.daemon.analysis.options import (
     EVERY,
     IdentifyOptions,
@@ -139,10 +140,13 @@ class Identification:
 
         return plot_identification(self.outcome)
 
-    def __str__(self) -> str:
-        from steerd.daemon.analysis.identify_text import describe
+    def describe(self, written: Path | None = None) -> str:
+        """The screen; `written` is the car file that was written."""
+        measured = self.options.wheelbase is not None
+        return describe(self.outcome, Asked(self.drives.sessions, self.improved, measured, written))
 
-        return describe(self)
+    def __str__(self) -> str:
+        return self.describe()
 
 
 @by_keywords(IdentifyOptions)
@@ -213,7 +217,8 @@ def _make_task(
     model = _with_fixed(base, _given_values(options.fix))
     if length is not None and not _WHEELBASE[0] <= length <= _WHEELBASE[1]:
         raise SteerdError(f"wheelbase {length:g}: in metres", "", _USAGE)
-    candidates = _candidates(options)
+    auto = options.effects == "auto"
+    candidates = tuple(EFFECTS) if auto else find_effects(options.effects) or None
     try:
         model = fit_wheelbase(model, length, fixed)
     except ValueError as error:
@@ -263,13 +268,6 @@ def find_effects(names: Iterable[str]) -> tuple[str, ...]:
     except ValueError as error:
         what, _, hint = str(error).partition("; ")
         raise SteerdError(what, hint or "`steerd effects` lists them", _USAGE) from None
-
-
-def _candidates(options: IdentifyOptions) -> tuple[str, ...] | None:
-    """The only effects that may be learnt; None where `free` says what may be."""
-    if options.effects == "auto":
-        return tuple(EFFECTS)
-    return find_effects(options.effects) or None
 
 
 def _given_values(fix: Mapping[str, float | None]) -> dict[str, Learned]:

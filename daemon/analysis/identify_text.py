@@ -6,15 +6,13 @@ from collections import Counter
 from collections.abc import Iterator
 from math import degrees, floor, isfinite, isnan, log10
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 from steerd.daemon.analysis.hints import complete, name_all, simulate_with
 from steerd.daemon.common.screen import WIDTH, wrap
+from steerd.steer_bus.session_read import Session
 from steerd.sysid.estimation.learn import POOR
 from steerd.sysid.estimation.outcome import Outcome, Row
-
-if TYPE_CHECKING:
-    from steerd.daemon.analysis.identification import Identification
 
 _COMMAND = ("next: steerd", "      steerd")
 _PLACES = 7
@@ -23,15 +21,25 @@ _CERTAIN = 10.0
 """A phase whose log-likelihood leads by more is identified [nats]."""
 
 
-def describe(found: "Identification", written: Path | None = None) -> str:
-    """The screen; what to do next comes last.
+class Asked(NamedTuple):
+    """What the screen depends on beside the outcome.
 
-    Args:
-        found: the identification.
+    Attributes:
+        sessions: the drives.
+        improved: whether the result predicts no worse than the start.
+        axles_measured: whether the wheelbase was stated.
         written: the car file that was written.
     """
-    outcome = found.outcome
-    parts = [_data(outcome), _parameters(outcome), _validation(outcome), _next(found, written)]
+
+    sessions: tuple[Session, ...]
+    improved: bool
+    axles_measured: bool
+    written: Path | None = None
+
+
+def describe(outcome: Outcome, asked: Asked) -> str:
+    """The screen; what to do next comes last."""
+    parts = [_data(outcome), _parameters(outcome), _validation(outcome), _next(outcome, asked)]
     return "\n\n".join("\n".join(_fitted(lines)) for lines in map(list, parts) if lines)
 
 
@@ -143,35 +151,34 @@ def _regimes(outcome: Outcome) -> Iterator[str]:
     yield f"   median after 1 s by lateral acceleration [m/s2]: {', '.join(medians)}"
 
 
-def _next(found: "Identification", written: Path | None) -> Iterator[str]:
-    outcome, sessions = found.outcome, found.drives.sessions
+def _next(outcome: Outcome, asked: Asked) -> Iterator[str]:
+    written, sessions = asked.written, asked.sessions
     yield from (f"note: {note}" for note in outcome.notes)
     if any("`--speed wheel`" in note for note in outcome.notes):
         yield "next: the same command with --speed wheel: these values explain a speed"
         yield "      that the car was not driven at; do not drive with them"
-    elif not found.improved:
+    elif not asked.improved:
         yield "next: these values predict no better than the start; keep the old car file"
-        yield from _why(found)
+        yield from _why(outcome, asked)
     elif not any(row.identifiable for row in outcome.free_rows.values()):
         yield "next: nothing is identifiable from these data; do not drive with these values:"
         yield "      keep the old car file, and do what the notes say"
     elif written is not None:
         yield f"next: {simulate_with(written, sessions)}"
         yield "      (on the car: its --port and --mocap for --sim --fast)"
-        names = name_all(found.drives.paths)
+        names = name_all([session.info().path for session in sessions])
         yield f"      steerd diagnose {names} --base {shlex.quote(str(written))}"
         yield "      (what this model still misses)"
     else:
         yield "next: repeat with -o car.toml, which writes a car file to drive with"
 
 
-def _why(found: "Identification") -> Iterator[str]:
+def _why(outcome: Outcome, asked: Asked) -> Iterator[str]:
     """What to try where the fit did not help."""
-    outcome = found.outcome
     poor = outcome.fit is None or max(outcome.fit.misfit.values(), default=0.0) > POOR
-    if poor and found.options.wheelbase is None:
+    if poor and not asked.axles_measured:
         yield "      measure the distance of the axles and give it as --wheelbase M: a longer"
         yield "      car, a smaller steering gain and a slower one are hard to distinguish"
     elif not poor and outcome.unidentified:
         text = "the start explains these drives, and they are too gentle to improve it: drive "
-        yield f"      {complete(f'{text}`steerd collect --plan mixed`', found.drives.sessions)}"
+        yield f"      {complete(f'{text}`steerd collect --plan mixed`', asked.sessions)}"

@@ -19,8 +19,12 @@ from pathlib import Path
 
 from steerd.daemon.cli.car_written import report_refusal
 from steerd.daemon.cli.inputs import reads_car, reads_session
-from steerd.daemon.cli.session_argument import add_sessions, pick_sessions
-from steerd.daemon.cli.words import split_held_out, split_paths
+from steerd.daemon.cli.session_argument import (
+    add_sessions,
+    pick_sessions,
+    split_held_out,
+    split_paths,
+)  # fmt: skip
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
@@ -87,7 +91,6 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: a session, the car file or an option cannot be used.
     """
-    from steerd.daemon.analysis.diagnose_text import describe
     from steerd.daemon.analysis.diagnosis import DRIVEN, run_diagnosis
     from steerd.daemon.analysis.options import DiagnoseOptions, read_arguments
     from steerd.daemon.common.progress import show_progress
@@ -114,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
         if args.json == "-":
             print(text, end="", flush=True)
         else:
-            print(describe(found, args.output if any(there) else None, args.report), flush=True)
+            print(found.describe(args.output if any(there) else None, args.report), flush=True)
         # What is on the screen is written; what takes longer is added.
         with show_progress("writing", 1.0) as advance:
             advance(0.0, "drawing the report" if args.report else "")

@@ -17,8 +17,12 @@ from pathlib import Path
 
 from steerd.daemon.cli.car_written import report_refusal
 from steerd.daemon.cli.inputs import reads_car, reads_session
-from steerd.daemon.cli.session_argument import add_sessions, pick_sessions
-from steerd.daemon.cli.words import split_held_out, split_list
+from steerd.daemon.cli.session_argument import (
+    add_sessions,
+    pick_sessions,
+    split_held_out,
+    split_list,
+)  # fmt: skip
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 _FIT, _DRAW, _NOISE = 2.0, 1.0, 8.0
@@ -101,7 +105,6 @@ def run(args: argparse.Namespace) -> int:
         SteerdError: a session, the car file or an option cannot be used, or a file not be written.
     """
     from steerd.daemon.analysis.identification import run_identification
-    from steerd.daemon.analysis.identify_text import describe
     from steerd.daemon.analysis.options import IdentifyOptions, read_arguments
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.written import writing
@@ -128,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
         if to_screen:
             print(result, end="", flush=True)
         else:
-            print(describe(found, args.output if there else None), flush=True)
+            print(found.describe(args.output if there else None), flush=True)
         # What is on the screen is written; what takes longer is added.
         drawn = _DRAW if args.report else 0.0
         with show_progress("writing", drawn + (_NOISE if there else 0.0)) as advance:

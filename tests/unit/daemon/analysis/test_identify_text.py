@@ -10,7 +10,6 @@ import pytest
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.drives import Drives
 from steerd.daemon.analysis.identification import Identification
-from steerd.daemon.analysis.identify_text import describe as describe_found
 from steerd.daemon.analysis.options import IdentifyOptions
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.sysid.data.excitation import Excitation
@@ -25,7 +24,7 @@ SIMULATED = {"steerd.session": {"options": encode_options(RunOptions("", simulat
 
 
 def describe(found, written=None, *, wheelbase=None, metadata=SIMULATED) -> str:
-    return describe_found(identified(found, wheelbase, metadata), written)
+    return identified(found, wheelbase, metadata).describe(written)
 
 
 def identified(found, wheelbase=None, metadata=SIMULATED) -> Identification:

@@ -326,13 +326,13 @@ def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path
         raise SteerdError(f"{path}: car.lf: expected a number >= 0.02", "lf = 0.15")
 
     found = SimpleNamespace(
-        to_json=dict, make_car=refuse, render_report=lambda: "<html>", improved=False
-    )
+        to_json=dict, make_car=refuse, render_report=lambda: "<html>", improved=False,
+        describe=lambda written: "TABLE",
+    )  # fmt: skip
     session = tmp_path / "a.mcap"
     SessionWriter(session, {}, {}).finish({})
     monkeypatch.setattr("steerd.daemon.analysis.identification.run_identification",
                         lambda *_: found)  # fmt: skip
-    monkeypatch.setattr("steerd.daemon.analysis.identify_text.describe", lambda *_, **__: "TABLE")
     car, page = tmp_path / "car.toml", tmp_path / "page.html"
     code = main(["identify", str(session), "-o", str(car), "--report", str(page)])
     said = capsys.readouterr()
