@@ -84,12 +84,12 @@ def writing(named: Mapping[str, Path | None], *, announced: bool = False) -> Ite
     def write(path: Path | None, text: str | bytes | None) -> bool:
         if path is None or text is None or written.get(path) == text:
             return path in written
-        failures.pop(path, None)
         try:
             kept = write_output(path, text)
         except SteerdError as error:
             failures[path] = error
             return False
+        failures.pop(path, None)
         written[path] = text
         if kept is not None:
             print_labelled("note: ", describe_kept(path, kept), sys.stderr)
