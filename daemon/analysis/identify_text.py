@@ -15,7 +15,7 @@ from steerd.sysid.estimation.learn import POOR
 from steerd.sysid.estimation.outcome import Outcome, Row
 
 _COMMAND = ("next: steerd", "      steerd")
-_PLACES = 7
+_PLACES = 8
 """Digits after the point that are still read; smaller numbers get an exponent."""
 _CERTAIN = 10.0
 """A phase whose log-likelihood leads by more is identified [nats]."""
@@ -93,7 +93,7 @@ def _parameters(outcome: Outcome) -> Iterator[str]:
     width = max([13, *(len(name) + 1 for name in rows)])
     for name, row in rows.items():
         unit = "" if row.unit == "1" else row.unit
-        yield f"{name:<{width}}{_value(row):>22} {unit:<7} {_word(row)}"
+        yield f"{name:<{width}}{_value(row):>24} {unit:<7} {_word(row)}"
     if not outcome.unidentified:
         return
     helps = Counter(filter(None, outcome.unidentified.values())).most_common(1)

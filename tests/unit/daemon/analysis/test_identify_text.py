@@ -73,7 +73,7 @@ def test_parameters_of_effects_stand_beside_the_cars():
     said = describe(replace(outcome((0.1, 0.4)), effect_rows={"tyre_saturation.q": row}))
     told = "These drives do not identify tyre_saturation.q; what would help most is ramp to the"
     assert told in " ".join(said.split())
-    assert "lf                    0.200 ± 0.010 m       changed" in said
+    assert "lf                      0.200 ± 0.010 m       changed" in said
 
 
 def test_what_is_not_identified_is_one_sentence_with_the_drive_that_helps_most():
@@ -82,7 +82,7 @@ def test_what_is_not_identified_is_one_sentence_with_the_drive_that_helps_most()
     rows["mu"] = Row(1.0, 1.001, 0.01, "1", True, True)
     said = describe(replace(outcome((0.1, 0.4)), rows=rows)).split("\n\n")[1]
     assert said.splitlines() == [
-        "mu                    1.000 ± 0.010         unchanged",
+        "mu                      1.000 ± 0.010         unchanged",
         "These drives do not identify lf, lr, mass, c_sf; what would help most is bends.",
     ]
 
