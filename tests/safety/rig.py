@@ -19,7 +19,7 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun
 from steerd.daemon.settings.config import Settings
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.mocap_link.sessions import NatNetSource
+from steerd.mocap_link.natnet_client import NatNetSource
 from steerd.sim_hw.mocap.mocap_config import Bystander
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.world import World
