@@ -38,7 +38,6 @@ from steerd.daemon.common.written import car_outputs, write_outputs
 from steerd.posterior_file import TABLES
 from steerd.sim_gap import diagnosis as engine
 from steerd.sim_gap.lane_comparison import LaneComparison, encode_lane
-from steerd.sim_gap.report.gap_report import Subject, render_report
 from steerd.sim_gap.report.to_json import to_json
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.data.segments import moving_segments
@@ -140,6 +139,8 @@ class Diagnosis:
 
     def render_report(self) -> str:
         """The report: one HTML page with its figures."""
+        from steerd.sim_gap.report.gap_report import Subject, render_report
+
         case, split = self.case, self.case.split
         notes = (*split.notes, self.lane_note) if self.lane_note else split.notes
         names = tuple(path.name for path in case.drives.paths)
