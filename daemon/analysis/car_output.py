@@ -16,7 +16,6 @@ from steerd.car_model.car_file import (
     update_car,
 )
 from steerd.car_model.effects import find_effect
-from steerd.car_model.model import Model
 from steerd.car_model.params import PARAMETERS
 from steerd.daemon.common.translate import make_car_file_error
 
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from steerd.sim_gap.verdict.evidence import Cause
     from steerd.sysid.data.dataset import Run
     from steerd.sysid.estimation.outcome import Outcome
-    from steerd.sysid.estimation.taught import Stated, TaughtModel
 
 
 def make_car(base: CarFile, updates: "Mapping[str, Learned]", path: Path) -> CarFile:
@@ -134,36 +132,6 @@ def _servo_wait(outcome: "Outcome") -> str:
     return "; it contains the wait for the servo's next pulse"
 
 
-def teach_car(
-    starts: "Sequence[Model[float]]", runs: "Sequence[Run]", stated: "Stated"
-) -> "TaughtModel":
-    """A car taught by drives, disturbances known: see `sysid.estimation.taught`.
-
-    Raises:
-        FloatingPointError: the car's simulation diverges.
-        ValueError: no window sees enough poses.
-    """
-    from steerd.sysid.estimation.taught import TaughtModel
-    from steerd.sysid.inference.car_posterior import (
-        choose_start,
-        describe_lost,
-        taught_car,
-        teach_with_limits,
-    )
-
-    model = starts[0] if len(starts) == 1 else choose_start(starts, runs, stated)
-    file = CarFile(
-        Path("taught.toml"), "taught", model.car, model.effects, model.values,
-        chassis=model.chassis,
-    )  # fmt: skip
-    taught = teach_with_limits(file, runs, stated)
-    found = taught_car(file, taught)
-    kept = {effect.name for effect in found.effects}
-    shown = tuple(step for step in taught.selected if step.effect in kept)
-    notes = describe_lost(taught, runs)
-    return TaughtModel(found.model, found.sd, found.sections, shown, notes)
-
-
 def with_knowledge(
     car: CarFile, runs: "tuple[Run, ...]", learnt: "Mapping[str, Mapping[str, Any]] | None" = None
 ) -> str:
@@ -192,7 +160,7 @@ def with_knowledge(
 
 def _learnt(car: CarFile, runs: "tuple[Run, ...]") -> "dict[str, dict[str, Any]]":
     from steerd.sysid.data.segments import moving_segments
-    from steerd.sysid.estimation.prediction_horizon import add_command_history
+    from steerd.sysid.estimation.preparation import add_command_history
     from steerd.sysid.inference.car_posterior import learn_sections
 
     return learn_sections(car, moving_segments(add_command_history(runs, car.model, asked=True)))

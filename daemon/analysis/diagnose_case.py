@@ -21,7 +21,7 @@ from steerd.daemon.assembly.sim_car import compare_truths
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import SessionError, open_session
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.estimation.prediction_horizon import add_command_history
+from steerd.sysid.estimation.preparation import add_command_history
 
 
 @dataclass(frozen=True, kw_only=True)

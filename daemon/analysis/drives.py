@@ -80,7 +80,7 @@ def load_drives(
         SteerdError: one cannot be read, or is not fit for a fit.
     """
     from steerd.sysid.data.segments import PIECE, spread_evenly, thinned
-    from steerd.sysid.estimation.prediction_horizon import HISTORY
+    from steerd.sysid.estimation.preparation import HISTORY
 
     found: list[Run] = []
     whole, cut = 0.0, False

@@ -10,7 +10,6 @@ from steerd.car_model.car_file import CarFile, CarFileError, Learned, parse_car,
 from steerd.car_model.effects import EFFECTS, find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
-from steerd.daemon.analysis.car_output import teach_car
 from steerd.daemon.analysis.drives import (
     Speed,
     Warn,
@@ -22,9 +21,9 @@ from steerd.daemon.analysis.held_out import EVERY, HeldOut
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import open_session
-from steerd.sysid.estimation.fit import Options, default_free
 from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names, held_names
-from steerd.sysid.estimation.prediction_horizon import level_loads, scale_inertia
+from steerd.sysid.estimation.preparation import level_loads, scale_inertia
+from steerd.sysid.inference.plain_car import default_free
 
 _USAGE = ExitCode.USAGE
 _STARTS = {"ours": 1, "paper": 5, "cma-es": 5}
@@ -101,16 +100,11 @@ def make_task(request: IdentifyRequest, warn: Warn) -> Task:
         model = level_loads(model, runs)
     return Task(
         runs=runs,
-        teach=teach_car,
         held_out=tuple(load_drives(files, request.speed, warn)),
         every=EVERY if request.held_out.every is None else request.held_out.every,
         model=model,
-        options=Options(
-            free=free_names(
-                free, fixed, default_free(model.chassis), axles_known=length is not None
-            ),
-            wheelbase=length,
-        ),
+        free=free_names(free, fixed, default_free(model.chassis), axles_known=length is not None),
+        wheelbase=length,
         method=request.method,
         starts=request.starts or _STARTS[request.method],
         iterations=request.iterations,

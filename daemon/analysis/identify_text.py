@@ -6,8 +6,8 @@ from math import degrees, isfinite, isnan
 from pathlib import Path
 
 from steerd.daemon.common.screen import WIDTH, wrap
-from steerd.sysid.estimation.learn import POOR
 from steerd.sysid.estimation.outcome import Outcome, Row
+from steerd.sysid.inference.plain_car import POOR
 
 _COMMAND = ("next: steerd", "      steerd")
 _CERTAIN = 10.0
@@ -58,10 +58,9 @@ def _data(outcome: Outcome) -> Iterator[str]:
     sides = f"left {e.left:.0%}, right {e.right:.0%}, steering {e.steer_rate:.2f} rad/s"
     yield f"driven     {pace}; {sides}"
     yield from (f"lacking    {what}" for what in e.lacking)
-    windows = "windows of growing length" if outcome.fit else "windows of 1 s"
+    windows = f"windows of {outcome.fit.horizon:.0f} s" if outcome.fit else ""
     how = {"ours": windows, "paper": "soft-DTW and chamfer by Adam"}
-    effort = f", {outcome.fit.iterations} steps" if outcome.fit else ""
-    effort += f", {len(outcome.searches)} starts" if outcome.searches else ""
+    effort = f", {len(outcome.searches)} starts" if outcome.searches else ""
     name = how.get(outcome.method, "the same loss by CMA-ES")
     for pulse in outcome.pulses:
         certain = "" if pulse.sure > _CERTAIN else " (weakly identifiable)"

@@ -5,13 +5,10 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from steerd.car_model.model import Model
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.excitation import SPEED_SPAN, measure_excitation
-from steerd.sysid.estimation.fit import Fit
-from steerd.sysid.estimation.identifiability import ANOTHER_END, Estimate
+from steerd.sysid.inference.identifiability import ANOTHER_END, Estimate
 
 COMPARABLE = 12.5
 """Ends whose log-likelihoods differ by less (5 standard deviations) explain drives as well."""
@@ -27,12 +24,6 @@ def has_one_speed(runs: Sequence[Run]) -> bool:
     return driven.speed_high - driven.speed_low < SPEED_SPAN
 
 
-def log_cost(found: Fit) -> float:
-    """Negative log-likelihood of a fit's residuals, but for a constant."""
-    counts = np.bincount(found.layout.group, minlength=len(found.noise))
-    return float(counts @ np.log(found.noise))
-
-
 def candidate_starts(model: Model[float], free: Sequence[str]) -> list[Model[float]]:
     """The start, and others along what one speed leaves open; what is not free stays."""
     car = model.car
@@ -46,16 +37,15 @@ def candidate_starts(model: Model[float], free: Sequence[str]) -> list[Model[flo
     return [model, *(model._replace(car=other) for other in others)]
 
 
-def mark_ambiguous(found: Fit, others: Sequence[Fit]) -> Fit:
-    """The fit, with what other fits, as good as it, place elsewhere marked as not identifiable."""
-    return replace(
-        found,
-        estimates={name: _mark(name, e, others) for name, e in found.estimates.items()},
-    )
+def mark_ambiguous(
+    found: dict[str, Estimate], others: Sequence[dict[str, Estimate]]
+) -> dict[str, Estimate]:
+    """The estimates, with what others, as good as they, place elsewhere marked as open."""
+    return {name: _mark(name, e, others) for name, e in found.items()}
 
 
-def _mark(name: str, found: Estimate, others: Sequence[Fit]) -> Estimate:
-    moved = max((abs(o.estimates[name].value - found.value) for o in others), default=0.0)
+def _mark(name: str, found: Estimate, others: Sequence[dict[str, Estimate]]) -> Estimate:
+    moved = max((abs(o[name].value - found.value) for o in others), default=0.0)
     if moved <= found.sd:
         return found
     return replace(found, sd=moved, identifiable=False, manoeuvre=found.manoeuvre or ANOTHER_END)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.native.windows import (
+    STATES,
     HeldCommands,
     Stations,
     compute_readings,
@@ -21,16 +22,19 @@ from steerd.car_model.native.windows import (
 )
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import speed_range
-from steerd.sysid.estimation.objective import STATE_SPREAD, STATES, STEER_SPREAD_UNKNOWN
-from steerd.sysid.estimation.stability import stable_substeps
 from steerd.sysid.inference.knowledge import EDGES
 from steerd.sysid.inference.readings import HORIZON, Readings, make_readings
 from steerd.sysid.inference.space import Space
+from steerd.sysid.inference.stability import stable_substeps
 from steerd.sysid.inference.superset import Superset
 from steerd.sysid.inference.values import INTEGRATOR, predicted
 
 Array = NDArray[np.float64]
 
+STATE_SPREAD = np.array([0.1, 0.1, 0.2, 0.5, 2.0, 0.2, 0.01])
+"""Prior standard deviation of a start about its first guess (poses show it far better)."""
+STEER_SPREAD_UNKNOWN = 0.2
+"""That of its steering angle where the commands before the window are not known [rad]."""
 STEER_SPREAD = 0.003
 """How far the steering may be from where the known commands bring it [rad]."""
 FREE_STATES = 6
@@ -187,14 +191,16 @@ def make_engine(superset: Superset, readings: Readings) -> Engine:
     return Engine(superset, readings, pad_rows(readings), substeps)
 
 
-def open_engine(superset: Superset, runs: Sequence[Run], horizon: float = HORIZON) -> Engine:
-    """The windows of some drives.
+def open_engine(
+    superset: Superset, runs: Sequence[Run], horizon: float = HORIZON, most: float = np.inf
+) -> Engine:
+    """The windows of some drives; `horizon` and `most` as in `make_readings`.
 
     Raises:
         ValueError: the runs' grids differ, or no window sees enough poses.
     """
     late = float(superset.base[superset.kernels.names.index("pose_delay")])
-    return make_engine(superset, make_readings(runs, late, speed_range(runs), horizon))
+    return make_engine(superset, make_readings(runs, late, speed_range(runs), horizon, most))
 
 
 def take_windows(engine: Engine, chosen: NDArray[np.bool_]) -> Engine:

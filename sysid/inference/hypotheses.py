@@ -28,12 +28,10 @@ from steerd.sysid.inference.posterior import (
 from steerd.sysid.inference.search import (
     Point,
     explore,
-    fresh,
     minimise,
     newton,
-    settle,
+    opened,
     stand,
-    with_size,
 )
 from steerd.sysid.inference.space import Space, make_space
 
@@ -293,11 +291,7 @@ def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Ar
     space, likelihood = library.space(names), library.likelihood
     z = space.centre.copy()
     z[len(z) - len(values) :] = values
-    point = stand(likelihood, space, np.clip(z, space.low, space.high), x, 1.0)
-    for _ in range(3):
-        size = likelihood.best_size(point.rotated, point.linear.error, point.x)
-        point = settle(likelihood, with_size(likelihood, point, size), 2)
-    return fresh(likelihood, point)
+    return opened(likelihood, space, z, x)
 
 
 def _again(library: Library, names: Sequence[str], point: Point) -> Point:

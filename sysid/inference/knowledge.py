@@ -10,7 +10,7 @@ not good enough there cannot accuse.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isclose, nan
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,33 @@ def numbers_of(car: CarFile) -> dict[str, float]:
         for parameter, value in zip(effect.parameters, values, strict=True)
     }
     return {**{name: float(value) for name, value in car.car._asdict().items()}, **own}
+
+
+class Spread(NamedTuple):
+    """How much scores really vary.
+
+    Attributes:
+        scores: sum of their squares (n, n) over pieces of driving.
+        pieces: how many there are.
+    """
+
+    scores: Array
+    pieces: float
+
+
+def inflate_each(covariance: Array, spread: Spread) -> Array:
+    """The covariance with each coordinate as wide as its own scores make it, correlations kept.
+
+    This is the sandwich of White (1982), coordinate by coordinate, never narrower than before: with
+    about as many coordinates as pieces no direction is separated from chance, but a single
+    coordinate's standard error is known from p pieces to one part in sqrt(2 p).
+    """
+    pieces = max(spread.pieces, 2.0)
+    scores = spread.scores * pieces / (pieces - 1.0)
+    robust = np.einsum("ij,jk,ik->i", covariance, scores, covariance)
+    wider = np.sqrt(np.maximum(robust / np.diag(covariance), 1.0))
+    each: Array = covariance * np.outer(wider, wider)
+    return each
 
 
 def excess_by_regime(ratio: Array, lateral: Array) -> tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""Windows of one second whose measurements are thinned to one reading each 50 ms.
+"""Windows whose measurements are thinned to one reading each 50 ms.
 
 Denser readings add nothing but rows: what is not noise of the instrument is correlated over far
 longer times.
@@ -90,11 +90,19 @@ def make_readings(
     pose_delay: float,
     speeds: tuple[float, float],
     horizon: float = HORIZON,
+    most: float = np.inf,
 ) -> Readings:
     """Cut runs into windows and thin their measurements.
+
+    Args:
+        runs: on one grid.
+        pose_delay: how late poses are, as far as it is known [s].
+        speeds: slowest and fastest [m/s].
+        horizon: length of a window [s].
+        most: take windows of so much driving in all, evenly from the whole [s].
 
     Raises:
         ValueError: the runs' grids differ, or no window sees enough poses.
     """
-    layout, t, channel = thin(make_layout(runs, horizon, pose_delay))
+    layout, t, channel = thin(make_layout(runs, horizon, pose_delay, most))
     return Readings(layout, t, channel, speeds)

@@ -17,10 +17,10 @@ from steerd.car_model.planar import make_planar
 from steerd.car_model.state import State
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run, Signal, make_run
-from steerd.sysid.estimation.chart import make_chart
+from steerd.sysid.inference.chart import make_chart
 from steerd.sysid.estimation.fit import DEFAULT_FREE, TYRES, Options, fit, prescribe_speed
-from steerd.sysid.estimation.identifiability import directions, estimates
-from steerd.sysid.estimation.stability import stable_substeps
+from steerd.sysid.inference.identifiability import directions, estimates
+from steerd.sysid.inference.stability import stable_substeps
 
 SLID = (0.18917528114233922, 0.29462271010112046, 5.025340279936621, 2.177483451231206)
 """Lengths and stiffnesses of a start in the long valley of long, sliding cars that steer more."""

@@ -13,7 +13,7 @@ from steerd.sysid.data.segments import make_blocks, moving_segments
 from steerd.sysid.estimation.fit import Options, fit
 from steerd.sysid.estimation.learn import Task, held_names, learn
 from steerd.sysid.estimation.outcome import encode_outcome
-from steerd.sysid.estimation.prediction_horizon import (
+from steerd.sysid.estimation.preparation import (
     ROUGH,
     add_command_history,
     holds_still,

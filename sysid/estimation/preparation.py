@@ -1,12 +1,4 @@
-"""How far a model holds, and a start that does not stand in its way.
-
-Where a model is right, long windows show most: errors of a start fade, those of a parameter grow.
-Where it is not, what long windows show are the model's own errors, heaped up; a fit to them bends
-every parameter to pass for what is missing, and long windows have more minima than one. So a car
-that is off by more than instruments after 2 s is fitted over 2 s at most.
-"""
-
-# Why: docs/decisions/identification.md#d46
+"""Drives and a start that do not stand in a search's way: end stops, inertia, loads, history."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,17 +10,7 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import Car, wheelbase
 from steerd.sysid.data.dataset import HISTORY as PAST
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.data.windows import GROUPS
-from steerd.sysid.estimation.fit import Fit, Options
 
-ROUGH: tuple[float, ...] = (0.5, 2.0)
-"""Windows that show whether a model holds [s]."""
-SHORT: tuple[float, ...] = (0.5, 1.0, 2.0)
-"""Windows for a model that does not [s]."""
-MISFIT = 10.0
-"""Residuals so many times the noise after 2 s are the model's ..."""
-OFF: dict[str, float] = {"position": 0.005, "yaw": 0.01}
-"""... if they are larger than this, too: no model is right to the noise of a mocap [m, rad]."""
 _RESTS = 1e-3
 """Steering that changes by less from one step of the grid to the next rests [rad]."""
 HISTORY = 4.0
@@ -37,17 +19,6 @@ _BARELY = 1.05
 """A slew limit that is passed by less makes no difference."""
 _ROOM = 1.5
 """A gain that is not known yet may be so much larger."""
-
-
-def is_adequate(found: Fit) -> bool:
-    """Whether the model explains the fit's windows but for noise."""
-    left = {name: float(found.noise[GROUPS.index(name)]) for name in OFF}
-    return all(found.misfit[name] <= MISFIT or left[name] <= OFF[name] for name in OFF)
-
-
-def choose_horizons(options: Options, rough: Fit) -> Options:
-    """The options, with windows as long as the model holds."""
-    return options if is_adequate(rough) else replace(options, horizons=SHORT)
 
 
 def add_command_history(runs: Sequence[Run], model: Model[float], asked: bool = False) -> list[Run]:

@@ -1,0 +1,74 @@
+"""Which of some courses of the commands explains a drive's poses best.
+
+When a servo or a motor controller takes a command over is in no log. The same windows are judged
+under each course, by the same likelihood as the car, all free parameters adapted to each.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.segments import moving_segments
+from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.likelihood import Likelihood
+from steerd.sysid.inference.plain_car import Asked, Rough, open_plain
+from steerd.sysid.inference.search import Point, newton, opened, stand
+from steerd.sysid.inference.space import make_space
+
+Array = NDArray[np.float64]
+
+SECONDS = 20.0
+"""This much of a drive is enough to judge its commands' course [s]."""
+WINDOW = 2.0
+"""Length of the windows [s]."""
+
+
+def losses(run: Run, courses: Sequence[Run], rough: Rough, asked: Asked) -> Array:
+    """Negative log-likelihood of a drive under commands of its own [nats], but for a constant.
+
+    Args:
+        run: a whole drive, not a part of it.
+        courses: the drive with its commands as they may have been taken over.
+        rough: a car near the truth.
+        asked: what is free.
+
+    Raises:
+        DataError: the drive does not move.
+        FloatingPointError: the simulation diverges.
+    """
+    parts = moving_segments([run])
+    likelihood, _ = open_plain(parts, asked, rough, WINDOW, SECONDS)
+    engine = likelihood.engine
+    space = make_space(engine.superset, asked.free)
+    z, x = space.chart.coordinates(rough.parameters), engine.readings.layout.guess
+    begun = opened(likelihood, space, z, x.copy())
+    each = [replace(likelihood, engine=_commanded(engine, parts, course)) for course in courses]
+    return np.array([_least_cost(likelihood, begun) for likelihood in each])
+
+
+def _commanded(engine: Engine, parts: Sequence[Run], run: Run) -> Engine:
+    """The windows of some parts with the commands of another course of the whole drive."""
+    first = [round((part.start - run.start) / run.h) for part in parts]
+    cuts = [run.commands[a : a + len(part.commands)] for a, part in zip(first, parts, strict=True)]
+    layout = replace(engine.readings.layout, commands=np.concatenate(cuts))
+    return replace(engine, readings=replace(engine.readings, layout=layout))
+
+
+def _least_cost(likelihood: Likelihood, begun: Point) -> float:
+    """Cost at the minimum of the linearised problem, after a step towards it."""
+    space = begun.space
+    at = _here(likelihood, begun, begun.z, begun.x)
+    dz, _ = newton(space, at.at, at.z)
+    moved = np.clip(at.z + dz, space.low, space.high)
+    there = _here(likelihood, begun, moved, at.x + at.at.dx - at.at.kx @ dz)
+    return there.cost - newton(space, there.at, there.z)[1]
+
+
+def _here(likelihood: Likelihood, begun: Point, z: Array, x: Array) -> Point:
+    """A point under the discrepancy that it needs there."""
+    at = stand(likelihood, begun.space, z, x, begun.size)
+    size = likelihood.best_size(at.rotated, at.linear.error, at.x)
+    return stand(likelihood, begun.space, z, at.x, size)
