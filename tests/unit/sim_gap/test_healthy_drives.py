@@ -5,7 +5,7 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sim_gap.diagnosis import Options, diagnose
-from steerd.sysid.estimation.taught import Stated
+from steerd.sysid.inference.teaching import Stated
 from steerd.sysid.inference.car_posterior import refine
 
 pytestmark = pytest.mark.slow
