@@ -163,9 +163,9 @@ def _correlation(covariance: Array) -> Array:
 
 
 def _residuals(engine: Engine, error: Array, signal: Array) -> Residuals:
-    """Errors (W, D) as rows."""
+    """Errors (W, D) as rows, those of means as large as single readings' would be."""
     layout, there = engine.readings.layout, engine.padded.there > 0.0
     row = engine.padded.row[there]
     window = np.repeat(np.arange(len(there)), there.sum(axis=1))
     t = layout.t[window] + engine.readings.t[row]
-    return Residuals(t, layout.group[row], error[there], signal)
+    return Residuals(t, layout.group[row], (error * np.sqrt(engine.padded.merged))[there], signal)

@@ -296,13 +296,15 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[Rough]) -> Fit:
         return plain
 
 
-def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[Rough]) -> Fit:
+def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[Rough]) -> Fit | None:
     """The plain car over whole blocks; what ends that are as good place elsewhere is open."""
     runs, asked = drives.fitted, task.asked
     able = asked._replace(free=free_of(runs, asked.free))
     several = has_one_speed(runs)
     ends = [search_blocks(runs, able, rough) for rough in (roughs if several else roughs[:1])]
-    best, *others = sorted(ends, key=lambda end: end.point.cost)
+    if not (arrived := sorted((e for e in ends if e), key=lambda end: end.point.cost)):
+        return None
+    best, *others = arrived
     near = [e for e in others if e.point.cost - best.point.cost < COMPARABLE]
     doubts = _doubts(drives.pulses)
     found, *alike = (fit_of_plain(end, runs, asked, doubts) for end in (best, *near))

@@ -161,6 +161,7 @@ def covariance(engine: Engine, noise: Noise, pushed: Sequence[Array]) -> Array:
     out = sum(s * shape for s, shape in zip(sizes[_INSTRUMENTS:], pushed, strict=True))
     out = np.array(out)
     white = np.einsum("g,gwd->wd", sizes[:_INSTRUMENTS], instrument_rows(engine))
+    white /= np.maximum(engine.padded.merged, 1.0)
     width = range(out.shape[1])
     out[:, width, width] += white + (1.0 - engine.padded.there)
     return np.asarray(out)

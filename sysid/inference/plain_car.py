@@ -23,7 +23,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import BLOCK
 from steerd.sysid.data.windows import GROUPS, estimate_noise
 from steerd.sysid.inference.chart import Chart
-from steerd.sysid.inference.engine import Engine, open_engine
+from steerd.sysid.inference.engine import Engine, open_engine, stepped_for
 from steerd.sysid.inference.knowledge import Spread, inflate_each
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import Noise, instrument_rows, signal_noise
@@ -117,7 +117,7 @@ class PlainCar:
 
 def misfit_of(engine: Engine, error: Array, noise: Noise) -> dict[str, float]:
     """Root mean square of errors (W, D) over the noise, by group; single outliers bounded."""
-    found = {}
+    error, found = error * np.sqrt(engine.padded.merged), {}
     for rows, name, sigma in zip(instrument_rows(engine), GROUPS, noise.instruments, strict=True):
         size = np.abs(error[rows > 0.0]) / sigma
         if len(size):
@@ -166,21 +166,15 @@ def search_rough(start: Model[float], runs: Sequence[Run], asked: Asked) -> Roug
     Raises:
         ValueError: a name is unknown, the runs' grids differ, or no window sees enough poses.
     """
-    asked = asked._replace(model=start)
-    try:
-        found = _search(open_plain(runs, asked, None, HORIZON, ENOUGH), None)
-    except (FloatingPointError, np.linalg.LinAlgError):
+    found = _search(runs, asked._replace(model=start), None, HORIZON, ENOUGH)
+    if found is None:
         return None
     return Rough(found.point.cost, found.point.parameters, found.explains)
 
 
-def search_blocks(runs: Sequence[Run], asked: Asked, rough: Rough) -> PlainCar:
-    """The car over windows as long as blocks, from a rough one.
-
-    Raises:
-        FloatingPointError: the simulation diverges.
-    """
-    return _search(open_plain(runs, asked, rough, BLOCK, MOST), rough)
+def search_blocks(runs: Sequence[Run], asked: Asked, rough: Rough) -> PlainCar | None:
+    """The car over windows as long as blocks, from a rough one; None as above."""
+    return _search(runs, asked, rough, BLOCK, MOST)
 
 
 def open_plain(
@@ -197,19 +191,27 @@ def open_plain(
     """
     superset = replace(make_superset(asked.model, runs), wheelbase=asked.wheelbase)
     superset = replace(superset, knowledge=weak_knowledge(superset, asked.free))
-    engine, noise = open_engine(superset, runs, horizon, most), signal_noise(estimate_noise(runs))
+    engine = open_engine(superset, runs, horizon, most, means=True)
+    noise = signal_noise(estimate_noise(runs))
     about = superset.base if rough is None else rough.parameters
+    engine = stepped_for(engine, about)
     return make_likelihood(engine, about, engine.readings.layout.guess.copy(), noise), noise
 
 
-def _search(windows: tuple[Likelihood, Noise], rough: Rough | None) -> PlainCar:
+def _search(
+    runs: Sequence[Run], asked: Asked, rough: Rough | None, horizon: float, most: float
+) -> PlainCar | None:
     """From a start to the optimum, at last under no more discrepancy than is needed."""
-    likelihood, noise = windows
-    superset, x = likelihood.engine.superset, likelihood.engine.readings.layout.guess.copy()
-    space = make_space(superset, superset.knowledge.names if superset.knowledge else ())
+    likelihood, noise = open_plain(runs, asked, rough, horizon, most)
+    space = make_space(likelihood.engine.superset, asked.free)
+    x = likelihood.engine.readings.layout.guess.copy()
     z = space.centre if rough is None else space.chart.coordinates(rough.parameters)
-    point = minimise(likelihood, opened(likelihood, space, z, x))
-    return PlainCar(likelihood, minimise(likelihood, with_size(likelihood, point, 0.0)), noise)
+    try:
+        point = minimise(likelihood, opened(likelihood, space, z, x))
+        point = minimise(likelihood, with_size(likelihood, point, 0.0))
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None
+    return PlainCar(likelihood, point, noise)
 
 
 def covariance_of(found: PlainCar, doubts: Sequence[tuple[str, float]]) -> Array:

@@ -233,7 +233,7 @@ def test_noise_that_hangs_together_widens_the_errors(make_drive):
 
 
 def test_a_doubt_adds_what_a_wrong_value_does(make_drive):
-    run, wrong = make_drive(Model(DEFAULT_CAR), 20.0, 2), 5e-4
+    run, wrong = make_drive(Model(DEFAULT_CAR), 20.0, 2), 2e-4
     names = (*TYRES, "steer_lag", "speed_lag")
     plain = fit([run], Model(DEFAULT_CAR), names)
     late = fit([run], Model(DEFAULT_CAR._replace(pose_delay=wrong)), names)
