@@ -117,8 +117,20 @@ def fit_of_plain(
     )
 
 
-def fit_of_taught(taught: Taught, base: Model[float], runs: Sequence[Run]) -> Fit:
-    """What a car says that windows of one second taught, disturbances known."""
+def fit_of_taught(
+    taught: Taught,
+    base: Model[float],
+    runs: Sequence[Run],
+    doubts: Sequence[tuple[str, float]],
+) -> Fit:
+    """What a car says that windows of one second taught, disturbances known.
+
+    Args:
+        taught: the car.
+        base: what it was taught from.
+        runs: its drives.
+        doubts: see `plain_car.covariance_of`.
+    """
     file = CarFile(
         Path("taught.toml"), "taught", base.car, base.effects, base.values, chassis=base.chassis
     )
@@ -126,6 +138,7 @@ def fit_of_taught(taught: Taught, base: Model[float], runs: Sequence[Run]) -> Fi
     kept = {effect.name for effect in found.effects}
     own = {f"{e.name}.{p.name}" for e in found.effects for p in e.parameters}
     sds = {name: sd for name, sd in found.sd.items() if "." not in name or name in own}
+    sds |= {name: float(np.hypot(sds[name], sd)) for name, sd in doubts if name in sds}
     signal = signal_noise(estimate_noise(runs))
     at = with_size(taught.likelihood, taught.point, 0.0)
     engine, error = taught.likelihood.engine, at.linear.error

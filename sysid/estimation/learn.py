@@ -289,7 +289,7 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[Rough]) -> Fit:
         starts = _starts(task, drives.moving)
         start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.stated)
         taught = teach_with_limits(start, drives.fitted, task.stated)
-        return fit_of_taught(taught, start, drives.fitted)
+        return fit_of_taught(taught, start, drives.fitted, _doubts(drives.pulses))
     except (FloatingPointError, ValueError):
         if plain is None:
             raise
