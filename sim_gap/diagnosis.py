@@ -311,7 +311,7 @@ def _table(found: Findings) -> tuple[tuple[str, float, float], ...]:
     """Hypotheses with their probability and what they gain over the base alone [nats]."""
     null = found.null.posterior.evidence
     return tuple(
-        ("+".join(h.effects), h.probability, (h.posterior.evidence - null) / found.temper)
+        ("+".join(h.effects), h.probability, h.posterior.evidence - null)
         for h in found.hypotheses
         if h.effects
     )

@@ -24,57 +24,69 @@ from steerd.daemon.common.streams import prepare_streams
 # OpenBLAS's threads slow small matrices down: a controller design took 3 s instead of 0.05 s.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-COMMANDS: dict[str, tuple[str, str]] = {
-    "probe": ("setup.probe", "find VESCs and mocap servers, and what is wrong with them"),
-    "config": ("setup.config", "print a commented car file, check one, convert F1TENTH's gains"),
-    "mocap": (
-        "setup.mocap",
-        "check mocap; calibrate the place of its body on the car",
-    ),
-    "calibrate": ("setup.calibrate", "centre, gain and limits of the steering"),
-    "run": ("driving.run", "drive: the control loop on a car or on simulated hardware"),
-    "sim": ("driving.sim", "simulated hardware alone: a VESC on a pty, a mocap server"),
-    "control": ("driving.control", "the lane keeper as a process of its own, over zenoh"),
-    "teleop": ("driving.teleop", "drive by gamepad, with a deadman's button"),
-    "arm": ("driving.operate", "arm a running daemon"),
-    "start": (
-        "driving.operate",
-        "drive an armed car; it stops when this terminal is closed",
-    ),
-    "stop": ("driving.operate", "stop a driving car"),
-    "disarm": ("driving.operate", "disarm a running daemon"),
-    "clear": ("driving.operate", "acknowledge a latched fault"),
-    "estop": ("driving.operate", "emergency stop"),
-    "status": ("driving.status", "state of a running daemon and what it is waiting for"),
-    "watch": ("driving.watch", "a running car in the terminal: state, errors, rates, faults"),
-    "page": ("driving.page", "a running car as a live page in a browser, with a stop button"),
-    "replay": (
-        "sessions.replay",
-        "feed a recorded session through the loop and compare its commands",
-    ),
-    "sessions": ("sessions.sessions", "the recorded drives: date, car, errors, notes"),
-    "info": ("sessions.info", "contents of a session"),
-    "plot": ("sessions.plot", "a drive as one HTML page: track, errors, commands, timing"),
-    "recover": ("sessions.recover", "rebuild the session of a recorder that was killed"),
-    "import": ("sessions.import_", "turn a lab's own log (csv, ROS bag) into a session"),
-    "collect": ("driving.collect", "drive an excitation plan and record it"),
-    "identify": ("analysis.identify", "learn the car from its sessions"),
-    "diagnose": (
-        "analysis.diagnose",
-        "where simulation and car differ, why, and how far adding it helps",
-    ),
-    "learn": ("analysis.learn", "what a drive teaches: parameters, and when the car changed"),
-    "sweep": ("analysis.sweep", "many drives in virtual time, each another draw of the car"),
-    "batch": ("analysis.batch", "hundreds of sessions: each a row; what changed, and since when"),
-    "rtcheck": ("setup.rtcheck", "measure whether this machine can run a control loop on time"),
-    "keys": ("setup.keys", "certificates of a lab: for the car, its operators, its viewers"),
-    "service": ("setup.service", "a systemd unit that starts disarmed, and the udev file"),
-    "completion": (
-        "setup.completion",
-        "completion scripts for bash, zsh, tcsh and fish",
-    ),
-    "effects": ("analysis.effects", "the unmodelled effects that can be simulated and diagnosed"),
+GROUPS: dict[str, dict[str, tuple[str, str]]] = {
+    "drive": {
+        "run": ("driving.run", "drive: the control loop on a car or on simulated hardware"),
+        "start": ("driving.operate", "drive an armed car; it stops when this terminal is closed"),
+        "stop": ("driving.operate", "stop a driving car"),
+        "estop": ("driving.operate", "emergency stop"),
+        "arm": ("driving.operate", "arm a running daemon"),
+        "disarm": ("driving.operate", "disarm a running daemon"),
+        "clear": ("driving.operate", "acknowledge a latched fault"),
+        "status": ("driving.status", "state of a running daemon and what it is waiting for"),
+        "watch": ("driving.watch", "a running car in the terminal: state, errors, rates, faults"),
+        "page": ("driving.page", "a running car as a live page in a browser, with a stop button"),
+        "teleop": ("driving.teleop", "drive by gamepad, with a deadman's button"),
+        "control": ("driving.control", "the lane keeper as a process of its own, over zenoh"),
+        "collect": ("driving.collect", "drive an excitation plan and record it"),
+    },
+    "sessions": {
+        "sessions": ("sessions.sessions", "the recorded drives: date, car, errors, notes"),
+        "info": ("sessions.info", "contents of a session"),
+        "plot": ("sessions.plot", "a drive as one HTML page: track, errors, commands, timing"),
+        "replay": (
+            "sessions.replay",
+            "feed a recorded session through the loop and compare its commands",
+        ),
+        "recover": ("sessions.recover", "rebuild the session of a recorder that was killed"),
+        "import": ("sessions.import_", "turn a lab's own log (csv, ROS bag) into a session"),
+    },
+    "learn": {
+        "identify": ("analysis.identify", "learn the car from its sessions"),
+        "diagnose": (
+            "analysis.diagnose",
+            "where simulation and car differ, why, and how far adding it helps",
+        ),
+        "learn": ("analysis.learn", "what a drive teaches: parameters, and when the car changed"),
+        "effects": (
+            "analysis.effects",
+            "the unmodelled effects that can be simulated and diagnosed",
+        ),
+        "sweep": ("analysis.sweep", "many drives in virtual time, each another draw of the car"),
+        "batch": (
+            "analysis.batch",
+            "hundreds of sessions: each a row; what changed, and since when",
+        ),
+    },
+    "set up": {
+        "probe": ("setup.probe", "find VESCs and mocap servers, and what is wrong with them"),
+        "config": (
+            "setup.config",
+            "print a commented car file, check one, convert F1TENTH's gains",
+        ),
+        "mocap": ("setup.mocap", "check mocap; calibrate the place of its body on the car"),
+        "calibrate": ("setup.calibrate", "centre, gain and limits of the steering"),
+        "sim": ("driving.sim", "simulated hardware alone: a VESC on a pty, a mocap server"),
+        "rtcheck": ("setup.rtcheck", "measure whether this machine can run a control loop on time"),
+        "completion": ("setup.completion", "completion scripts for bash, zsh, tcsh and fish"),
+    },
+    "lab": {
+        "keys": ("setup.keys", "certificates of a lab: for the car, its operators, its viewers"),
+        "service": ("setup.service", "a systemd unit that starts disarmed, and the udev file"),
+    },
 }
+"""Commands by what they are for: module below `commands` and one line of help, by name."""
+COMMANDS = {name: each for group in GROUPS.values() for name, each in group.items()}
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -82,8 +94,10 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="steerd",
         description="Control, identification and sim-to-real diagnosis for Ackermann cars.",
-        epilog="commands:\n"
-        + "\n".join(f"  {name:<12}{text}" for name, (_, text) in COMMANDS.items())
+        epilog="\n\n".join(
+            "\n".join([title, *(f"  {name:<12}{text}" for name, (_, text) in group.items())])
+            for title, group in GROUPS.items()
+        )
         + "\n\n`steerd COMMAND --help` explains one of them.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         usage="steerd COMMAND ...",
@@ -122,12 +136,29 @@ def dispatch(argv: Sequence[str]) -> int:
     )
     module.add_arguments(parser)
     parser.set_defaults(command=name)
+    if {"-h", "--help", "--help-all"} & set(rest):
+        first = () if "--help-all" in rest else getattr(module, "FIRST_OPTIONS", ())
+        _explain(parser, first)
+        rest = ["--help" if word == "--help-all" else word for word in rest]
     args, unknown = parser.parse_known_args(rest)
     if unknown:
         raise _refuse(name, parser, unknown)
     check_inputs(parser, args)
     code: int = module.run(args)
     return code
+
+
+def _explain(parser: argparse.ArgumentParser, first: Sequence[str]) -> None:
+    """Say what options' defaults are, and leave only the first ones where a command says which."""
+    options = [a for a in parser._actions if a.option_strings and a.dest != "help"]  # noqa: SLF001
+    rest = [a for a in options if first and not set(a.option_strings) & set(first)]
+    for action in options:
+        if action.default not in (None, False, "", []) and "default" not in (action.help or ""):
+            action.help = f"{action.help} (default: %(default)s)"
+    for action in rest:
+        action.help = argparse.SUPPRESS
+    if rest:
+        parser.epilog = f"`{parser.prog} --help-all` shows {len(rest)} more options."
 
 
 def _refuse(name: str, parser: argparse.ArgumentParser, unknown: list[str]) -> SteerdError:

@@ -62,11 +62,9 @@ def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
         found: the hypotheses.
         known: whether noise is known from other drives: else a gap passes for noise.
     """
-    best, before = found.best, found.start.size
-    after = best.point.size
+    best, after = found.best, found.best.point.size
     lost = _is_lost(best.point)
-    left = after / before if before > 0.0 else float(after > c.SIZE_SMALL)
-    left = 1.0 if lost else left
+    left = 1.0 if lost else _left(found)
     stays = (after > c.GAP_SIZE or lost) and known
     strain = base_strain(best)
     extreme = tuple(n for n in best.effects if _is_at_bound(library, best, n))
@@ -83,6 +81,17 @@ def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
     other = 1.0 - kept * (1.0 - found.null.probability)
     named = causes if name != "unexplained" else ()
     return Verdict(name, named, other, left, strain, extreme)
+
+
+def _left(found: Findings) -> float:
+    """Share of the gap's size that stays.
+
+    Of the likeliest sizes, or of those that bring the errors down to noise: where most windows are
+    too far off to count, the likeliest size is far smaller than the gap.
+    """
+    sizes = [(found.start.size, found.best.point.size), found.covering]
+    shares = [after / before for before, after in sizes if before > c.SIZE_SMALL]
+    return min(shares, default=float(found.best.point.size > c.SIZE_SMALL))
 
 
 def _is_lost(point: Point) -> bool:

@@ -15,7 +15,7 @@ from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.inference.engine import Engine
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.plain_car import Asked, Rough, open_plain
-from steerd.sysid.inference.search import Point, newton, opened, stand
+from steerd.sysid.inference.search import Point, minimise, newton, opened, stand, with_size
 from steerd.sysid.inference.space import make_space
 
 Array = NDArray[np.float64]
@@ -24,6 +24,8 @@ SECONDS = 20.0
 """This much of a drive is enough to judge its commands' course [s]."""
 WINDOW = 2.0
 """Length of the windows [s]."""
+STEPS = 6
+"""Of a search under each course: they differ by little."""
 
 
 def losses(run: Run, courses: Sequence[Run], rough: Rough, asked: Asked) -> Array:
@@ -58,17 +60,8 @@ def _commanded(engine: Engine, parts: Sequence[Run], run: Run) -> Engine:
 
 
 def _least_cost(likelihood: Likelihood, begun: Point) -> float:
-    """Cost at the minimum of the linearised problem, after a step towards it."""
-    space = begun.space
-    at = _here(likelihood, begun, begun.z, begun.x)
-    dz, _ = newton(space, at.at, at.z)
-    moved = np.clip(at.z + dz, space.low, space.high)
-    there = _here(likelihood, begun, moved, at.x + at.at.dx - at.at.kx @ dz)
-    return there.cost - newton(space, there.at, there.z)[1]
-
-
-def _here(likelihood: Likelihood, begun: Point, z: Array, x: Array) -> Point:
-    """A point under the discrepancy that it needs there."""
-    at = stand(likelihood, begun.space, z, x, begun.size)
+    """Cost at the minimum, under the discrepancy that is needed there."""
+    at = stand(likelihood, begun.space, begun.z, begun.x, begun.size)
     size = likelihood.best_size(at.rotated, at.linear.error, at.x)
-    return stand(likelihood, begun.space, z, at.x, size)
+    found = minimise(likelihood, with_size(likelihood, at, size), steps=STEPS)
+    return found.cost - newton(found.space, found.at, found.z)[1]

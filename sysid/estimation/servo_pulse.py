@@ -86,7 +86,8 @@ def find_phase(run: Run, rough: Rough, asked: Asked) -> Pulse:
     others = tried[~alike]
     sure = float(others.min() - tried.min()) if len(others) else 0.0
     phase = _on_grid(float(phases[0] + best * step), run.h, step)
-    return Pulse(run.name, phase, sure, float(step * alike.sum() / np.sqrt(12.0)))
+    possible = int((tried <= tried.min() + SURE).sum())
+    return Pulse(run.name, phase, sure, float(step * possible / np.sqrt(12.0)))
 
 
 def _on_grid(phase: float, h: float, step: float) -> float:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect, Role
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.likelihood import Likelihood, Weighed, loss_of
+from steerd.sysid.inference.likelihood import SIZES, Likelihood, Weighed, loss_of
 from steerd.sysid.inference.places import suspicious_discs
 from steerd.sysid.inference.posterior import (
     Posterior,
@@ -25,6 +25,7 @@ from steerd.sysid.inference.posterior import (
     log_share_beyond,
     posterior_of,
 )
+from steerd.sysid.inference.residuals import robust_mean
 from steerd.sysid.inference.search import (
     Point,
     explore,
@@ -32,6 +33,7 @@ from steerd.sysid.inference.search import (
     newton,
     opened,
     stand,
+    with_size,
 )
 from steerd.sysid.inference.space import Space, make_space
 
@@ -55,17 +57,26 @@ class Library:
         likelihood: the windows.
         nuisance: the base's free parameters.
         effects: what may be added to it.
+        known: whether the base's prior is knowledge from other drives, which windows whose errors
+            repeat outweigh no sooner than as many independent ones as they are worth.
     """
 
     likelihood: Likelihood
     nuisance: tuple[str, ...]
     effects: tuple[Effect, ...]
+    known: bool = True
 
     def space(self, names: Sequence[str]) -> Space:
         """Coordinates of a hypothesis: the base's, then its effects'."""
         superset = self.likelihood.engine.superset
         gone = {same for e in superset.effects if e.name in names for same in e.same_as}
-        return make_space(superset, [name for name in self.nuisance if name not in gone], names)
+        kept = [name for name in self.nuisance if name not in gone]
+        return make_space(superset, kept, names).heavier(self.worth)
+
+    @cached_property
+    def worth(self) -> float:
+        """How many windows are worth one where nothing is left but noise."""
+        return design_effect(self.likelihood, 0.0) if self.known else 1.0
 
     def effect(self, name: str) -> Effect:
         """An effect by name."""
@@ -103,12 +114,14 @@ class Findings:
         start: the base at its prior, under the discrepancy that it needs.
         temper: the case's design effect.
         untested: effects whose simulation does not stay finite.
+        covering: the least sizes that bring errors down to noise, at the start and at the best.
     """
 
     hypotheses: tuple[Hypothesis, ...]
     start: Point
     temper: float
     untested: tuple[str, ...]
+    covering: tuple[float, float]
 
     @property
     def best(self) -> Hypothesis:
@@ -279,7 +292,21 @@ def explain(
     share = np.exp(odds - odds.max())
     share /= share.sum()
     ranked = [replace(h, probability=float(p)) for h, p in zip(found, share, strict=True)]
-    return Findings(tuple(ranked), start, search.temper(), tuple(sorted(search.untested)))
+    ends = start, ranked[0].point
+    covering = (
+        covering_size(library.likelihood, ends[0]),
+        covering_size(library.likelihood, ends[1]),
+    )
+    return Findings(tuple(ranked), start, search.temper(), tuple(sorted(search.untested)), covering)
+
+
+def covering_size(likelihood: Likelihood, point: Point) -> float:
+    """The least size under which a point's errors are no larger than noise."""
+    for size in SIZES.tolist():
+        at = with_size(likelihood, point, size).at
+        if robust_mean(at.square / at.dof) <= 1.0:
+            return float(size)
+    return float(SIZES[-1])
 
 
 def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Array) -> Point:
@@ -394,7 +421,7 @@ def _expected(
     error: Array,
 ) -> float:
     """Cost at the best of a few sizes after one step of the base, with the start's derivatives."""
-    precision = np.linalg.inv(space.covariance[: len(keep), : len(keep)])
+    precision = library.worth * np.linalg.inv(space.covariance[: len(keep), : len(keep)])
     best = np.inf
     for view in views:
         at = library.likelihood.reduce(view, error, start.x)
@@ -455,15 +482,16 @@ def _linear(
 def judge(library: Library, point: Point, temper: float, lowest: Point) -> Hypothesis:
     """An optimum's evidence with its prior odds, and the probability that its effects matter.
 
-    Against the hypothesis of lowest cost no window changes the odds by more than a factor of e: a
-    car that nearly spins multiplies any small change, and one such second shall not name a cause.
+    The windows that speak loudest for and against it, beside the hypothesis of lowest cost, are
+    left out: a car that nearly spins multiplies any small change, and one such second shall not
+    name a cause.
     """
     effects = point.space.effects
     posterior = posterior_of(point, temper)
     behind = point.at.loss - lowest.at.loss
-    beyond = float((behind - np.clip(behind, -temper, temper)).sum())
-    posterior = replace(posterior, evidence=posterior.evidence + beyond)
-    odds = posterior.evidence / temper - len(effects) * np.log(max(len(library.effects), 1))
+    loudest = float(max(behind.max(), 0.0) + min(behind.min(), 0.0)) / temper
+    posterior = replace(posterior, evidence=posterior.evidence + loudest)
+    odds = posterior.evidence - len(effects) * np.log(max(len(library.effects), 1))
     odds -= max(len(effects) - 1, 0) * np.log(c.FURTHER_ODDS)
     for name in effects:
         effect = library.effect(name)

@@ -1,8 +1,8 @@
 """What an optimum says: its evidence, its covariance, and how far neighbouring windows agree.
 
 Laplace's approximation (MacKay 1992). Model errors of neighbouring windows repeat, so windows are
-worth less than their number: the evidence is tempered by Kish's design effect (Survey Sampling,
-1965, 8.2), once for a whole case.
+worth less than their number: their log likelihood is divided by Kish's design effect (Survey
+Sampling, 1965, 8.2), once for a whole case. What other drives taught of the base counts whole.
 """
 
 # Why: docs/decisions/diagnosis.md#d116
@@ -28,7 +28,7 @@ class Posterior:
 
     Attributes:
         point: the optimum.
-        evidence: log evidence, not tempered [nats].
+        evidence: log evidence, tempered [nats].
         covariance: (n, n) of the coordinates, tempered.
     """
 
@@ -54,7 +54,9 @@ def posterior_of(point: Point, temper: float) -> Posterior:
     lower = np.linalg.cholesky(point.space.covariance)
     inner = np.linalg.eigh(lower.T @ fisher @ lower)
     gain, axes = np.maximum(inner.eigenvalues, 0.0), inner.eigenvectors
-    evidence = -point.cost - 0.5 * float(np.log1p(gain).sum())
+    loss, away = float(point.at.loss.sum()), point.z - point.space.centre
+    prior_cost = 0.5 * float(away @ np.linalg.solve(point.space.covariance, away))
+    evidence = -loss / temper - prior_cost - 0.5 * float(np.log1p(gain / temper).sum())
     wide = lower @ axes
     covariance = (wide / (1.0 + gain / temper)) @ wide.T
     return Posterior(point, evidence, covariance)

@@ -4,7 +4,7 @@ The base's parameters are nuisance: an effect is named only for what no believab
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -61,7 +61,7 @@ class Space:
         chart: between coordinates and parameters.
         centre: (n,) where the prior lies; the base at its effects' nulls.
         covariance: (n, n) of the prior: the base's own coordinates move together.
-        precision: (n, n) its inverse.
+        precision: (n, n) its inverse, as often as it counts (see `heavier`).
         low: (n,) physical bounds.
         high: (n,).
         effects: names of the hypothesis' effects, none for the base alone.
@@ -76,6 +76,13 @@ class Space:
     high: Array
     effects: tuple[str, ...]
     nuisance: int
+
+    def heavier(self, times: float) -> "Space":
+        """The same with a prior that counts so often, as windows of which so many are worth one.
+
+        Costs then are as many times those of the tempered posterior, whose optimum is the same.
+        """
+        return replace(self, precision=times * self.precision)
 
     @property
     def spread(self) -> Array:

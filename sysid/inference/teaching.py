@@ -155,12 +155,12 @@ def teach_with_limits(
         and not (e.same_as and set(e.same_as) <= set(taught.nuisance))
         and e.selectable_in_base is not BaseSelection.NEVER
     )
-    found = explain(Library(taught.likelihood, taught.nuisance, effects), c.BUILT_IN)
+    found = explain(Library(taught.likelihood, taught.nuisance, effects, known=False), c.BUILT_IN)
     if not found.best.effects:
         better = found.best.point
         return replace(taught, point=better) if better.cost < taught.point.cost else taught
     gain = found.best.posterior.evidence - found.null.posterior.evidence
-    steps = tuple(Step(name, gain / found.temper, 0.0) for name in found.best.effects)
+    steps = tuple(Step(name, gain, 0.0) for name in found.best.effects)
     return replace(_with_effects(taught, found.best.point, runs), selected=steps)
 
 
@@ -223,7 +223,7 @@ def _begin(
 ) -> tuple[Likelihood, Point]:
     """Windows under a noise, and the base at its prior."""
     likelihood = make_likelihood(engine, engine.superset.base, x, noise)
-    return likelihood, begin(Library(likelihood, nuisance, ()), (), (), x)
+    return likelihood, begin(Library(likelihood, nuisance, (), known=False), (), (), x)
 
 
 def _bounded(point: Point) -> float:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 SPEED = 2.5
 """Highest speed of a plan unless said otherwise [m/s]."""
+FIRST_OPTIONS = ("--plan", "--closed", "--box", *driving.FIRST_OPTIONS)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -25,6 +25,13 @@ if TYPE_CHECKING:
     from steerd.daemon.assembly.build import RunPlan
 
 
+FIRST_OPTIONS = (
+    "--port", "--mocap", "--sim", "--fast", "--car", "--path", "--speed", "--duration", "--record",
+    "--page",
+)  # fmt: skip
+"""What `--help` shows; `--help-all` shows the rest too."""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd run`."""
     where = parser.add_argument_group("hardware")

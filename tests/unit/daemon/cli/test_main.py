@@ -158,3 +158,17 @@ def test_what_was_perhaps_meant_is_offered(line, meant, capsys):
     said = capsys.readouterr()
     assert meant in said.err
     assert said.out == ""
+
+
+def test_help_shows_the_first_options_with_defaults_and_help_all_the_rest(capsys):
+    texts = []
+    for option in ("--help", "--help-all"):
+        with pytest.raises(SystemExit):
+            run_cli(["run", option])
+        texts.append(" ".join(capsys.readouterr().out.split()))
+    short, whole = texts
+    assert "--path" in short
+    assert "(default: figure8)" in short
+    assert "--ros-domain" not in short
+    assert "`steerd run --help-all` shows 15 more options." in short
+    assert "--ros-domain" in whole

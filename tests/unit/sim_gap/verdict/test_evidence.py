@@ -55,13 +55,15 @@ def _hypothesis(
     return Hypothesis(effects, posterior, 0.0, probability)
 
 
-def _found(*hypotheses: Hypothesis, before: float = LARGE) -> Findings:
+def _found(
+    *hypotheses: Hypothesis, before: float = LARGE, covering: tuple[float, float] = (0.0, 0.0)
+) -> Findings:
     """Hypotheses, and the base alone with what probability they leave."""
     left = 1.0 - sum(h.probability for h in hypotheses)
     every = sorted(
         [*hypotheses, _hypothesis(probability=left, size=before)], key=lambda h: -h.probability
     )
-    return Findings(tuple(every), SimpleNamespace(size=before), 8.0, ())
+    return Findings(tuple(every), SimpleNamespace(size=before), 8.0, (), covering)
 
 
 def test_a_cause_that_leaves_nothing_explains():
@@ -90,6 +92,14 @@ def test_what_stays_of_the_gap_is_something_elses(share):
     (cause,) = told.causes
     assert told.something_else == pytest.approx(share**2)
     assert cause.confidence == pytest.approx(1.0 - share**2)
+
+
+def test_a_gap_too_far_off_to_count_is_measured_by_what_brings_it_down_to_noise():
+    """A delay of 0.1 s leaves the windows so far off that the likeliest size stays small."""
+    found = _found(_hypothesis("steer_delay", size=0.75 * LARGE), covering=(20.0, 0.8))
+    told = judge_case(LIBRARY, found, True)
+    assert (told.name, told.left) == ("partial", pytest.approx(0.04))
+    assert judge_case(LIBRARY, replace(found, covering=(0.0, 0.0)), True).name == "unexplained"
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,10 @@ from steerd.sysid.inference.posterior import design_effect, log_share_beyond, po
 ROWS = 30
 
 
-def _linear(seed: int, n: int, flat: int = 0) -> tuple[SimpleNamespace, np.ndarray, np.ndarray]:
-    """A linear Gaussian model at its optimum, its data and its derivatives.
+def _linear(
+    seed: int, n: int, flat: int = 0, temper: float = 1.0
+) -> tuple[SimpleNamespace, np.ndarray, np.ndarray]:
+    """A linear Gaussian model at its tempered optimum, its data and its derivatives.
 
     The last `flat` directions do nothing; priors' widths differ by four decades.
     """
@@ -29,24 +31,29 @@ def _linear(seed: int, n: int, flat: int = 0) -> tuple[SimpleNamespace, np.ndarr
     data = by_z @ (centre + np.linalg.cholesky(covariance) @ rng.standard_normal(n))
     data += rng.standard_normal(ROWS)
     fisher = by_z.T @ by_z
-    z = np.linalg.solve(fisher + precision, by_z.T @ data + precision @ centre)
-    error, away = data - by_z @ z, z - centre
+    pull = by_z.T @ data / temper + precision @ centre
+    z = np.linalg.solve(fisher / temper + precision, pull)
+    error = data - by_z @ z
     point = SimpleNamespace(
-        space=SimpleNamespace(covariance=covariance, precision=precision, centre=centre),
-        at=SimpleNamespace(weight=np.ones(1), h=fisher[None]),
-        z=z, cost=0.5 * float(error @ error + away @ precision @ away),
+        space=SimpleNamespace(covariance=covariance, precision=temper * precision, centre=centre),
+        at=SimpleNamespace(weight=np.ones(1), h=fisher[None], loss=0.5 * error[None] @ error),
+        z=z,
     )  # fmt: skip
     return point, data, by_z
 
 
+@pytest.mark.parametrize("temper", [1.0, 9.0])
 @pytest.mark.parametrize("seed", range(8))
-def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(seed: int) -> None:
-    point, data, by_z = _linear(seed, 4)
+def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(
+    seed: int, temper: float
+) -> None:
+    """A tempered Gaussian likelihood is one of a variance as many times as large."""
+    point, data, by_z = _linear(seed, 4, temper=temper)
     space = point.space
-    marginal = np.eye(ROWS) + by_z @ space.covariance @ by_z.T
+    marginal = temper * np.eye(ROWS) + by_z @ space.covariance @ by_z.T
     exact = multivariate_normal(by_z @ space.centre, marginal).logpdf(data)
-    exact += 0.5 * ROWS * np.log(2.0 * np.pi)
-    assert posterior_of(point, 1.0).evidence == pytest.approx(exact, rel=1e-6)
+    exact += 0.5 * ROWS * np.log(2.0 * np.pi * temper)
+    assert posterior_of(point, temper).evidence == pytest.approx(exact, rel=1e-6)
 
 
 @settings(deadline=None, max_examples=60)
@@ -87,6 +94,7 @@ def test_a_parameter_that_does_nothing_costs_no_evidence() -> None:
     scale = np.array([1.0, 1.0, 1.0, 10.0])
     other.space.covariance = space.covariance * np.outer(scale, scale)
     other.space.precision = np.linalg.inv(other.space.covariance)
+    other.z = space.centre + scale * (point.z - space.centre)  # its optimum there
     # The others' own priors are the same, so only what is flat has another width.
     assert posterior_of(other, 1.0).evidence == pytest.approx(posterior_of(point, 1.0).evidence)
 
