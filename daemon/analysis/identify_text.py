@@ -74,7 +74,7 @@ def _data(outcome: Outcome) -> Iterator[str]:
         yield f"log        {found}"
         yield f"           {corrected}"
     for step in outcome.selected_effects:
-        gain = f"gains {step.gain:.0f} ± {step.se:.0f} nats"
+        gain = f"gains {step.gain:.0f} nats"
         yield f"effect     {step.effect}: selected, these drives show it ({gain})"
     yield f"method     {outcome.method} ({name}{effort}), {outcome.seconds:.1f} s"
 

@@ -111,7 +111,7 @@ class Task:
     held: tuple[str, ...] = ()
 
     @property
-    def asked(self) -> Asked:
+    def question(self) -> Asked:
         """What is asked of the drives."""
         free = self.free or default_free(self.model.chassis)
         return Asked(self.model, free, self.wheelbase)
@@ -251,8 +251,8 @@ def _prepare(task: Task) -> tuple[Task, _Drives, tuple[Rough, ...]]:
 
 def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[Rough, ...]:
     """Short searches from every start."""
-    starts, free = _starts(task, moving), task.asked.free
-    asked = task.asked._replace(free=free_of(moving, free))
+    starts, free = _starts(task, moving), task.question.free
+    asked = task.question._replace(free=free_of(moving, free))
     work = partial(search_rough, runs=moving, asked=asked)
     found = map_jobs(work, starts, task.jobs, task.dask)
     return tuple(sorted((rough for rough in found if rough), key=lambda rough: rough.cost))
@@ -265,14 +265,14 @@ def _starts(task: Task, runs: Sequence[Run]) -> list[Model[float]]:
     alike: there is a valley with more than one bottom, and errors at one know nothing of the other.
     """
     if task.starts > 1:
-        return scatter(task.model, task.asked.free, task.starts, task.seed)
+        return scatter(task.model, task.question.free, task.starts, task.seed)
     sized = [
-        widen_end_stops(model, task.runs, task.asked.free)
+        widen_end_stops(model, task.runs, task.question.free)
         for model in possible_starts(task.model, runs, task.stated)
     ]
     if not has_one_speed(runs):
         return sized
-    return [each for model in sized for each in candidate_starts(model, task.asked.free)]
+    return [each for model in sized for each in candidate_starts(model, task.question.free)]
 
 
 def _estimate(task: Task, drives: _Drives, roughs: Sequence[Rough]) -> Fit:
@@ -298,7 +298,7 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[Rough]) -> Fit:
 
 def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[Rough]) -> Fit | None:
     """The plain car over whole blocks; what ends that are as good place elsewhere is open."""
-    runs, asked = drives.fitted, task.asked
+    runs, asked = drives.fitted, task.question
     able = asked._replace(free=free_of(runs, asked.free))
     several = has_one_speed(runs)
     ends = [search_blocks(runs, able, rough) for rough in (roughs if several else roughs[:1])]
@@ -326,15 +326,15 @@ def _with_history(task: Task) -> Task:
         tuple(add_command_history(drives, task.model, asked=True))
         for drives in (task.runs, task.held_out)
     )
-    model = widen_end_stops(task.model, runs, task.asked.free)
+    model = widen_end_stops(task.model, runs, task.question.free)
     felt = "steer_rate" not in task.held and exceeds_slew_rate(model, runs)
-    free = dict.fromkeys((*task.asked.free, *(["steer_rate"] if felt else [])))
+    free = dict.fromkeys((*task.question.free, *(["steer_rate"] if felt else [])))
     return replace(task, runs=runs, held_out=held_out, model=model, free=tuple(free))
 
 
 def _apply_timing(task: Task, rough: Rough) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...]]:
     """The task with commands as servos and motor controllers let them through."""
-    asked = task.asked._replace(free=free_of(task.runs, task.asked.free))
+    asked = task.question._replace(free=free_of(task.runs, task.question.free))
     settled: list[tuple[Run, ...]] = []
     pulses: list[Pulse] = []
     ramps: list[Ramp] = []

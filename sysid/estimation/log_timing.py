@@ -15,7 +15,7 @@ from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.inference.engine import Engine
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.plain_car import Asked, Rough, open_plain
-from steerd.sysid.inference.search import Point, minimise, newton, opened, stand, with_size
+from steerd.sysid.inference.search import Point, minimise, newton, open_point, stand, with_size
 from steerd.sysid.inference.space import make_space
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ def losses(run: Run, courses: Sequence[Run], rough: Rough, asked: Asked) -> Arra
     engine = likelihood.engine
     space = make_space(engine.superset, asked.free)
     z, x = space.chart.coordinates(rough.parameters), engine.readings.layout.guess
-    begun = opened(likelihood, space, z, x.copy())
+    begun = open_point(likelihood, space, z, x.copy())
     each = [replace(likelihood, engine=_commanded(engine, parts, course)) for course in courses]
     return np.array([_least_cost(likelihood, begun) for likelihood in each])
 

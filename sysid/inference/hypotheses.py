@@ -31,7 +31,7 @@ from steerd.sysid.inference.search import (
     explore,
     minimise,
     newton,
-    opened,
+    open_point,
     stand,
     with_size,
 )
@@ -318,7 +318,7 @@ def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Ar
     space, likelihood = library.space(names), library.likelihood
     z = space.centre.copy()
     z[len(z) - len(values) :] = values
-    return opened(likelihood, space, z, x)
+    return open_point(likelihood, space, z, x)
 
 
 def _again(library: Library, names: Sequence[str], point: Point) -> Point:

@@ -4,7 +4,7 @@ The same windows, likelihood and search as everywhere, for a car without the str
 ones have. What is not noise of the instruments is a discrepancy of unknown size here. A short
 search over windows of one second from every start gives a rough car; where that one explains its
 windows, the last stage's windows are whole blocks, in which errors of parameters grow and those of
-starts fade. What is known of the car then is far more than windows of one second tell.
+starts fade. What is known of the car then is far more than windows of one second show.
 """
 
 # Why: docs/decisions/identification.md#d46
@@ -29,7 +29,7 @@ from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import Noise, instrument_rows, signal_noise
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.readings import HORIZON
-from steerd.sysid.inference.search import Point, curvature, minimise, opened, stand, with_size
+from steerd.sysid.inference.search import Point, curvature, minimise, open_point, stand, with_size
 from steerd.sysid.inference.space import make_space, weak_knowledge
 from steerd.sysid.inference.superset import make_superset
 
@@ -207,7 +207,7 @@ def _search(
     x = likelihood.engine.readings.layout.guess.copy()
     z = space.centre if rough is None else space.chart.coordinates(rough.parameters)
     try:
-        point = minimise(likelihood, opened(likelihood, space, z, x))
+        point = minimise(likelihood, open_point(likelihood, space, z, x))
         point = minimise(likelihood, with_size(likelihood, point, 0.0))
     except (FloatingPointError, np.linalg.LinAlgError):
         return None

@@ -109,7 +109,7 @@ def make_readings(
         horizon: length of a window [s].
         most: take windows of so much driving in all, evenly from the whole [s].
         means: compare means over `SPACING` instead of single readings: where instruments' noise is
-            all that is random, every reading tells something.
+            all that is random, every reading counts.
 
     Raises:
         ValueError: the runs' grids differ, or no window sees enough poses.

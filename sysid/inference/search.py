@@ -150,7 +150,7 @@ def stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float)
     return _settled(likelihood, point)
 
 
-def opened(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Point:
+def open_point(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Point:
     """A hypothesis at given coordinates, its starts settled under the discrepancy that it needs.
 
     Raises:

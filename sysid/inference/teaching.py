@@ -72,11 +72,10 @@ _ROUNDS = 2
 
 
 class Step(NamedTuple):
-    """An effect that drives show: its gain on windows left out [nats] and the standard error."""
+    """An effect that drives show, and what the evidence gains by those that were found [nats]."""
 
     effect: str
     gain: float
-    se: float
 
 
 class Stated(NamedTuple):
@@ -160,7 +159,7 @@ def teach_with_limits(
         better = found.best.point
         return replace(taught, point=better) if better.cost < taught.point.cost else taught
     gain = found.best.posterior.evidence - found.null.posterior.evidence
-    steps = tuple(Step(name, gain, 0.0) for name in found.best.effects)
+    steps = tuple(Step(name, gain) for name in found.best.effects)
     return replace(_with_effects(taught, found.best.point, runs), selected=steps)
 
 
