@@ -25,8 +25,9 @@ from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.daemon.cli import main as cli
 from steerd.daemon.offline import fast
 from steerd.sysid.data.dataset import load_run
-from steerd.sysid.estimation.learn import Task, fit_wheelbase, learn
+from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import Outcome
+from steerd.sysid.estimation.preparation import fit_wheelbase
 from steerd.sysid.inference.plain_car import DEFAULT_FREE
 
 NAMES = DEFAULT_FREE

@@ -21,8 +21,14 @@ from steerd.daemon.analysis.held_out import EVERY, HeldOut
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.session_read import open_session
-from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names, held_names
-from steerd.sysid.estimation.preparation import level_loads, scale_inertia
+from steerd.sysid.estimation.learn import Task
+from steerd.sysid.estimation.preparation import (
+    fit_wheelbase,
+    free_names,
+    held_names,
+    level_loads,
+    scale_inertia,
+)
 from steerd.sysid.inference.plain_car import default_free
 
 _USAGE = ExitCode.USAGE

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
-from steerd.car_model.params import Car, wheelbase
+from steerd.car_model.params import Car
 from steerd.sysid.data.data_checks import check_excited
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
@@ -21,6 +20,7 @@ from steerd.sysid.estimation.multistart import (
     candidate_starts,
     has_one_speed,
     mark_ambiguous,
+    scatter,
 )
 from steerd.sysid.estimation.outcome import HeldOut, Outcome
 from steerd.sysid.estimation.outcome_rows import make_effect_rows, make_rows, searched_estimates
@@ -69,10 +69,6 @@ OBEYED = 0.5
 """A car that obeys its speed command for less of the time is better taken at its measured speed."""
 REGIME = 1.0
 """Errors are split by lateral acceleration so far ahead [s]."""
-AGREE = 5e-4
-"""Lengths that agree to this are the same measurement [m]."""
-START_SPREAD = 0.3
-"""Further starts lie about the first with this relative standard deviation."""
 
 
 @dataclass(frozen=True)
@@ -120,42 +116,6 @@ class Task:
     def stated(self) -> Stated:
         """What whoever asks vouches for."""
         return Stated(self.wheelbase is not None, self.held)
-
-
-def fit_wheelbase(
-    model: Model[float], length: float | None, fixed: Sequence[str] = ()
-) -> Model[float]:
-    """The model with its axles at a known distance [m], in the same proportion.
-
-    Of `fixed` lengths, one leaves the other to be what is missing; two are as they are.
-
-    Raises:
-        ValueError: fixed lengths and the distance do not agree.
-    """
-    if length is None:
-        return model
-    car = model.car
-    if kept := [name for name in ("lf", "lr") if name in fixed]:
-        other = length - getattr(car, kept[0])
-        name = "lr" if kept[0] == "lf" else "lf"
-        if other <= 0.0 or (len(kept) > 1 and abs(other - getattr(car, name)) > AGREE):
-            lengths = " and ".join(f"{n} = {getattr(car, n):g}" for n in kept)
-            raise ValueError(f"{lengths} do not make a wheelbase of {length:g} m")
-        return model if len(kept) > 1 else model._replace(car=car._replace(**{name: other}))
-    scale = length / wheelbase(model.car)
-    return model._replace(car=model.car._replace(lf=model.car.lf * scale, lr=model.car.lr * scale))
-
-
-def scatter(model: Model[float], free: Sequence[str], count: int, seed: int) -> list[Model[float]]:
-    """The model and random ones about it; only lengths, stiffnesses and inertia move."""
-    rng = np.random.default_rng(seed)
-    moving = [n for n in free if n in ("lf", "lr", "c_sf", "c_sr", "inertia_z")]
-    models = [model]
-    for _ in range(count - 1):
-        factors = np.exp(START_SPREAD * rng.standard_normal(len(moving))).tolist()
-        moved = {n: getattr(model.car, n) * f for n, f in zip(moving, factors, strict=True)}
-        models.append(model._replace(car=model.car._replace(**moved)))
-    return models
 
 
 def learn(task: Task, clock: Callable[[], float]) -> Outcome:
@@ -404,40 +364,3 @@ def _notes(drives: _Drives, fit: Fit | None) -> tuple[str, ...]:
             f"{fit.horizon:.0f} s, weighed by the disturbances that show"
         )
     return (*notes, *fit.notes)
-
-
-def free_names(
-    free: Sequence[str] | None,
-    fixed: Sequence[str],
-    default: Sequence[str],
-    *,
-    axles_known: bool = False,
-) -> tuple[str, ...]:
-    """Free parameters after `--free` and `--fix`.
-
-    With the distance of the axles known, one fixed length leaves nothing of the other to learn.
-    """
-    known = {"lf", "lr"} if axles_known and {"lf", "lr"} & set(fixed) else set()
-    return tuple(name for name in (free or default) if name not in known.union(fixed))
-
-
-def held_names(
-    fixed: Sequence[str],
-    free: Sequence[str],
-    *,
-    axles_known: bool,
-    effects: Sequence[str] | None = None,
-) -> tuple[str, ...]:
-    """What keeps its value: what is fixed, and all else where `--free` names what does not.
-
-    With the distance of the axles known, the other length follows from the one that is fixed or
-    free. `effects` are the only ones that may be learnt; None leaves it to `free`.
-    """
-    axles = ("lf", "lr") if axles_known else ()
-    kept = axles if set(axles) & set(fixed) else ()
-    follows = axles if set(axles) & set(free) else ()
-    moving = {*free, *follows, *(effects or ())}
-    others = [name for name in Car._fields if name not in moving] if free else []
-    if free or effects is not None:  # an effect may bear the name of the parameter that it moves
-        others += [name for name in EFFECTS if name not in (*moving, *Car._fields)]
-    return tuple(dict.fromkeys((*fixed, *kept, *others)))

@@ -1,9 +1,11 @@
-"""Drives at one speed: other starts, and what differs between ends that explain them as well."""
+"""Further starts; of drives at one speed, what differs between ends that explain them as well."""
 
 # Why: docs/decisions/identification.md#d59
 
 from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from steerd.car_model.model import Model
 from steerd.sysid.data.dataset import Run
@@ -16,6 +18,21 @@ _REARWARD = 0.7
 """One candidate's centre of gravity lies closer to the rear axle by this factor."""
 _LATER, _QUICKER = 0.02, 0.6
 """Another's servo waits so much longer [s], and then follows faster by this factor."""
+
+START_SPREAD = 0.3
+"""Further starts lie about the first with this relative standard deviation."""
+
+
+def scatter(model: Model[float], free: Sequence[str], count: int, seed: int) -> list[Model[float]]:
+    """The model and random ones about it; only lengths, stiffnesses and inertia move."""
+    rng = np.random.default_rng(seed)
+    moving = [n for n in free if n in ("lf", "lr", "c_sf", "c_sr", "inertia_z")]
+    models = [model]
+    for _ in range(count - 1):
+        factors = np.exp(START_SPREAD * rng.standard_normal(len(moving))).tolist()
+        moved = {n: getattr(model.car, n) * f for n, f in zip(moving, factors, strict=True)}
+        models.append(model._replace(car=model.car._replace(**moved)))
+    return models
 
 
 def has_one_speed(runs: Sequence[Run]) -> bool:

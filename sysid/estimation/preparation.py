@@ -1,4 +1,4 @@
-"""Drives and a start that do not stand in a search's way: end stops, inertia, loads, history."""
+"""What is free, and drives and a start that do not stand in a search's way."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,6 +6,7 @@ from itertools import accumulate
 
 import numpy as np
 
+from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car, wheelbase
 from steerd.sysid.data.dataset import HISTORY as PAST
@@ -17,6 +18,8 @@ HISTORY = 4.0
 """Commands before a window that a linkage with play may remember [s]."""
 _BARELY = 1.05
 """A slew limit that is passed by less makes no difference."""
+AGREE = 5e-4
+"""Lengths that agree to this are the same measurement [m]."""
 _ROOM = 1.5
 """A gain that is not known yet may be so much larger."""
 
@@ -104,3 +107,64 @@ def level_loads(model: Model[float], runs: Sequence[Run]) -> Model[float]:
     if all(run.speed_source == "command" for run in runs):
         return model
     return model._replace(car=model.car._replace(cog_height=0.0))
+
+
+def fit_wheelbase(
+    model: Model[float], length: float | None, fixed: Sequence[str] = ()
+) -> Model[float]:
+    """The model with its axles at a known distance [m], in the same proportion.
+
+    Of `fixed` lengths, one leaves the other to be what is missing; two are as they are.
+
+    Raises:
+        ValueError: fixed lengths and the distance do not agree.
+    """
+    if length is None:
+        return model
+    car = model.car
+    if kept := [name for name in ("lf", "lr") if name in fixed]:
+        other = length - getattr(car, kept[0])
+        name = "lr" if kept[0] == "lf" else "lf"
+        if other <= 0.0 or (len(kept) > 1 and abs(other - getattr(car, name)) > AGREE):
+            lengths = " and ".join(f"{n} = {getattr(car, n):g}" for n in kept)
+            raise ValueError(f"{lengths} do not make a wheelbase of {length:g} m")
+        return model if len(kept) > 1 else model._replace(car=car._replace(**{name: other}))
+    scale = length / wheelbase(model.car)
+    return model._replace(car=model.car._replace(lf=model.car.lf * scale, lr=model.car.lr * scale))
+
+
+def free_names(
+    free: Sequence[str] | None,
+    fixed: Sequence[str],
+    default: Sequence[str],
+    *,
+    axles_known: bool = False,
+) -> tuple[str, ...]:
+    """Free parameters after `--free` and `--fix`.
+
+    With the distance of the axles known, one fixed length leaves nothing of the other to learn.
+    """
+    known = {"lf", "lr"} if axles_known and {"lf", "lr"} & set(fixed) else set()
+    return tuple(name for name in (free or default) if name not in known.union(fixed))
+
+
+def held_names(
+    fixed: Sequence[str],
+    free: Sequence[str],
+    *,
+    axles_known: bool,
+    effects: Sequence[str] | None = None,
+) -> tuple[str, ...]:
+    """What keeps its value: what is fixed, and all else where `--free` names what does not.
+
+    With the distance of the axles known, the other length follows from the one that is fixed or
+    free. `effects` are the only ones that may be learnt; None leaves it to `free`.
+    """
+    axles = ("lf", "lr") if axles_known else ()
+    kept = axles if set(axles) & set(fixed) else ()
+    follows = axles if set(axles) & set(free) else ()
+    moving = {*free, *follows, *(effects or ())}
+    others = [name for name in Car._fields if name not in moving] if free else []
+    if free or effects is not None:  # an effect may bear the name of the parameter that it moves
+        others += [name for name in EFFECTS if name not in (*moving, *Car._fields)]
+    return tuple(dict.fromkeys((*fixed, *kept, *others)))

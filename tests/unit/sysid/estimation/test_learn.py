@@ -18,15 +18,10 @@ from steerd.sysid.data.segments import (
     smooth_speed,
     with_wheel_speed,
 )
-from steerd.sysid.estimation.learn import (
-    Task,
-    fit_wheelbase,
-    free_names,
-    held_names,
-    learn,
-    scatter,
-)
+from steerd.sysid.estimation.learn import Task, learn
+from steerd.sysid.estimation.multistart import scatter
 from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
+from steerd.sysid.estimation.preparation import fit_wheelbase, free_names, held_names
 from steerd.sysid.estimation.validation import (
     HORIZONS,
     errors_at,

@@ -8,9 +8,9 @@ import pytest
 from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.sysid.estimation.learn import Task, held_names, learn
+from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import encode_outcome
-from steerd.sysid.estimation.preparation import add_command_history, holds_still
+from steerd.sysid.estimation.preparation import add_command_history, held_names, holds_still
 
 pytestmark = pytest.mark.slow
 
