@@ -210,29 +210,28 @@ def _prepare(task: Task) -> tuple[Task, _Drives, tuple[Rough, ...]]:
 
 
 def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[Rough, ...]:
-    """Short searches from every start."""
-    starts, free = _starts(task, moving), task.question.free
+    """Short searches from every start.
+
+    At one speed a longer car that slides more and a servo that is later but quicker look much
+    alike: there is a valley with more than one bottom, and errors at one know nothing of the other.
+    """
+    free, starts = task.question.free, _starts(task)
+    if task.starts == 1 and has_one_speed(moving):
+        starts = [each for model in starts for each in candidate_starts(model, free)]
     asked = task.question._replace(free=free_of(moving, free))
     work = partial(search_rough, runs=moving, asked=asked)
     found = map_jobs(work, starts, task.jobs, task.dask)
     return tuple(sorted((rough for rough in found if rough), key=lambda rough: rough.cost))
 
 
-def _starts(task: Task, runs: Sequence[Run]) -> list[Model[float]]:
-    """Where searches begin: about the car as given, of the drives' own size, or as one speed asks.
-
-    At one speed a longer car that slides more and a servo that is later but quicker look much
-    alike: there is a valley with more than one bottom, and errors at one know nothing of the other.
-    """
+def _starts(task: Task) -> list[Model[float]]:
+    """Where searches begin: about the car as given, or of the drives' own size."""
     if task.starts > 1:
         return scatter(task.model, task.question.free, task.starts, task.seed)
-    sized = [
+    return [
         widen_end_stops(model, task.runs, task.question.free)
-        for model in possible_starts(task.model, runs, task.stated)
+        for model in possible_starts(task.model, task.runs, task.stated)
     ]
-    if not has_one_speed(runs):
-        return sized
-    return [each for model in sized for each in candidate_starts(model, task.question.free)]
 
 
 def _estimate(task: Task, drives: _Drives, roughs: Sequence[Rough]) -> Fit:
@@ -246,7 +245,7 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[Rough]) -> Fit:
     if plain is not None and max(plain.misfit.values()) <= POOR:
         return plain
     try:
-        starts = _starts(task, drives.moving)
+        starts = _starts(task)
         start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.stated)
         taught = teach_with_limits(start, drives.fitted, task.stated)
         return fit_of_taught(taught, start, drives.fitted, _doubts(drives.pulses))

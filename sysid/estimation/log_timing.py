@@ -15,8 +15,8 @@ from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.inference.engine import Engine
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.plain_car import Asked, Rough, open_plain
-from steerd.sysid.inference.search import Point, minimise, newton, open_point, stand, with_size
-from steerd.sysid.inference.space import make_space
+from steerd.sysid.inference.search import minimise, newton, open_point
+from steerd.sysid.inference.space import Space, make_space
 
 Array = NDArray[np.float64]
 
@@ -37,18 +37,19 @@ def losses(run: Run, courses: Sequence[Run], rough: Rough, asked: Asked) -> Arra
         rough: a car near the truth.
         asked: what is free.
 
+    Returns:
+        (courses,); infinite where the simulation diverges.
+
     Raises:
         DataError: the drive does not move.
-        FloatingPointError: the simulation diverges.
     """
     parts = moving_segments([run])
     likelihood, _ = open_plain(parts, asked, rough, WINDOW, SECONDS)
     engine = likelihood.engine
     space = make_space(engine.superset, asked.free)
     z, x = space.chart.coordinates(rough.parameters), engine.readings.layout.guess
-    begun = open_point(likelihood, space, z, x.copy())
     each = [replace(likelihood, engine=_commanded(engine, parts, course)) for course in courses]
-    return np.array([_least_cost(likelihood, begun) for likelihood in each])
+    return np.array([_least_cost(their, space, z, x.copy()) for their in each])
 
 
 def _commanded(engine: Engine, parts: Sequence[Run], run: Run) -> Engine:
@@ -59,9 +60,10 @@ def _commanded(engine: Engine, parts: Sequence[Run], run: Run) -> Engine:
     return replace(engine, readings=replace(engine.readings, layout=layout))
 
 
-def _least_cost(likelihood: Likelihood, begun: Point) -> float:
+def _least_cost(likelihood: Likelihood, space: Space, z: Array, x: Array) -> float:
     """Cost at the minimum, under the discrepancy that is needed there."""
-    at = stand(likelihood, begun.space, begun.z, begun.x, begun.size)
-    size = likelihood.best_size(at.rotated, at.linear.error, at.x)
-    found = minimise(likelihood, with_size(likelihood, at, size), steps=STEPS)
-    return found.cost - newton(found.space, found.at, found.z)[1]
+    try:
+        found = minimise(likelihood, open_point(likelihood, space, z, x), steps=STEPS)
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return np.inf
+    return found.cost - newton(space, found.at, found.z)[1]
