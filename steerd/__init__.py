@@ -7,6 +7,7 @@
     drive.plot()                            # a matplotlib figure
     fit = steerd.identify(drive)            # parameters with standard errors
     gap = steerd.diagnose(drive)            # which unmodelled effect explains the rest
+    mine = steerd.simulate(controller=lambda t, state, lane: (-0.8 * lane.e1 - lane.e2, 1.0))
     many = steerd.sweep({"car.mass": {"share": 0.1}}, seeds=200)   # and if the car were another?
 
 `steerd.load("drive.mcap")` opens a recorded session. Every failure is a `SteerdError` that says
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from steerd.daemon.analysis.simulation import simulate
     from steerd.daemon.batch.run import Batch, batch
     from steerd.daemon.common.errors import SteerdError
+    from steerd.daemon.process.external_controller import serve
     from steerd.daemon.sweep.run import Sweep, sweep
 
 __all__ = [
@@ -37,6 +39,7 @@ __all__ = [
     "diagnose",
     "identify",
     "load",
+    "serve",
     "simulate",
     "sweep",
 ]
@@ -52,6 +55,7 @@ _MODULES = {
     "diagnose": "analysis.diagnosis",
     "identify": "analysis.identification",
     "load": "analysis.recorded",
+    "serve": "process.external_controller",
     "simulate": "analysis.simulation",
     "sweep": "sweep.run",
 }
@@ -60,6 +64,10 @@ if not TYPE_CHECKING:  # type checkers read the imports above
 
     def __getattr__(name: str) -> Any:
         """Fetch a name of `__all__` from its module (PEP 562)."""
+        if name == "__version__":
+            from importlib.metadata import version
+
+            return version("steerd")
         if name not in _MODULES:
             raise AttributeError(f"module 'steerd' has no attribute {name!r}")
         module = importlib.import_module(f"steerd.daemon.{_MODULES[name]}")
@@ -68,4 +76,4 @@ if not TYPE_CHECKING:  # type checkers read the imports above
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return [*__all__, "__version__"]

@@ -11,11 +11,20 @@ from steerd.daemon.analysis.recorded import Session
 from steerd.daemon.analysis.sources import CarSource, read_car
 from steerd.daemon.assembly.build import RunPlan, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.offline.fast import check_driven, record_virtual
-from steerd.daemon.offline.virtual import VirtualRun, drive
+from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive
+from steerd.daemon.process.external_controller import (
+    Controller,
+    ExternalController,
+    while_driving,
+)
 from steerd.daemon.sessions.info import load_session
 from steerd.daemon.settings.config import make_settings
-from steerd.daemon.settings.run_options import RunOptions
+from steerd.daemon.settings.run_options import ControllerKind, RunOptions
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.messages import StateMessage
 
 DURATION_MAX = 86_400.0
 """A day [s]."""
@@ -32,6 +41,7 @@ def simulate(
     seed: int = 0,
     effects: EffectValues | None = None,
     record: Path | str | None = None,
+    controller: Controller | None = None,
 ) -> Session:
     """Drive a simulated car around a path in virtual time; the same arguments give the same drive.
 
@@ -44,6 +54,10 @@ def simulate(
         effects: unmodelled effects of the simulated car, as in `{"steer_delay": 0.05}`; the
             controller knows nothing of them.
         record: where the session file lies; None for a temporary file that goes with the value.
+        controller: a function of one's own, from time [s], `State` and `Lane` to the command
+            (steer [rad], speed [m/s]), called with every estimate while the car drives, within
+            the car's limits and watchdogs; None for the lane keeper. `steerd.serve` is the same
+            for a car.
 
     Returns:
         The recorded drive. A `UserWarning` says so where a watchdog stopped it early.
@@ -61,13 +75,14 @@ def simulate(
     options = RunOptions(
         car_file="", path=path, speed=speed, duration_s=duration, seed=seed, simulated=True,
         auto_arm=True, effects=_format_effects(effects or {}),
+        controller=ControllerKind.ZENOH if controller else ControllerKind.LANE,
     )  # fmt: skip
     plan = make_plan(options, make_settings(read_car(car), speed))
     if record is not None:
-        return _record(plan, Path(record))
+        return _record(plan, Path(record), controller)
     folder = Path(mkdtemp(prefix="steerd-"))
     try:
-        session = _record(plan, folder / "simulated.mcap")
+        session = _record(plan, folder / "simulated.mcap", controller)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
@@ -75,11 +90,38 @@ def simulate(
     return session
 
 
-def _record(plan: RunPlan, file: Path) -> Session:
-    run = record_virtual(plan, file, drive)
+def _record(plan: RunPlan, file: Path, controller: Controller | None) -> Session:
+    if controller is None:
+        run = record_virtual(plan, file, drive)
+    else:
+        steered = _Steered(controller, plan.options.seed + 1)
+        run = record_virtual(plan, file, lambda run: drive(run, steered.command), steered.see)
     check_driven(run)
     _warn_stopped(run)
     return Session(file, load_session(file))
+
+
+class _Steered:
+    """A controller beside the loop in virtual time, which the bus would lie between."""
+
+    def __init__(self, controller: Controller, boot_id: int) -> None:
+        self._made = ExternalController(while_driving(controller), boot_id, lease_id=1)
+        self._newest: StateMessage | None = None
+
+    def see(self, records: list[PipeRecord], t_ns: int) -> None:
+        """What the core sent."""
+        for record in records:
+            if record.topic is topics.STATE:
+                self._newest = read_message(record)
+
+    def command(self, run: VirtualRun) -> None:
+        """Answer the newest estimate."""
+        estimate, self._newest = self._newest, None
+        if estimate is None:
+            return
+        command = self._made.compute_command(estimate, EPOCH_NS + run.t_ns)
+        if command is not None:
+            run.core.on_request(topics.DRIVE.name, encode(command), run.t_ns)
 
 
 def _warn_stopped(run: VirtualRun) -> None:

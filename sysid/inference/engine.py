@@ -126,7 +126,8 @@ class Engine:
                 (means @ rows.reshape(len(rows), -1)).reshape(*there.shape, *rows.shape[1:])
             )
         shaped = there.reshape(there.shape + (1,) * (rows.ndim - 1))
-        padded: Array = rows[self.padded.row] * shaped
+        with np.errstate(invalid="ignore"):  # a window that left the map
+            padded: Array = rows[self.padded.row] * shaped
         return padded
 
     def linear(self, space: Space, z: Array, x: Array) -> Linear:

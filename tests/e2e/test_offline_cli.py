@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
 
-from steerd.car_model.effects import ALIASES, EFFECTS, parse_effect
+from steerd.car_model.effects import ALIASES, EFFECTS, parse_effects
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.messages import Actuation, MocapPose, Throttle, WheelSpeed
 from steerd.steer_bus.session import open_session
@@ -109,19 +108,6 @@ def test_the_f1tenth_drives(tmp_path, capsys, name, top_speed):
     assert document["warnings"] == []
 
 
-def test_rosbags_reads_an_import(tmp_path, capsys):
-    source, out = data_file("f1tenth_upenn", "DS1.csv"), tmp_path / "a.mcap"
-    import_csv(source, "import-f1tenth-upenn.toml", out)
-    capsys.readouterr()
-    with AnyReader([out]) as reader:
-        found = [
-            reader.deserialize(data, connection.msgtype).steer
-            for connection, _, data in reader.messages()
-            if connection.topic == "/steerd/f1tenth/actuation"
-        ]
-    assert found == read_csv(source)["steer_cmd"].tolist()
-
-
 def test_a_wrong_unit_is_warned_of(tmp_path, capsys):
     t = np.arange(1000) * 0.01
     rows = [f"{s},{1000 * 2 * np.sin(s)},{2000 * (1 - np.cos(s))},{s}" for s in t.tolist()]
@@ -155,7 +141,7 @@ def test_each_effect_is_told(name, capsys):
     assert effect.equation in told
     assert all(p.name in told and p.meaning in told for p in effect.parameters)
     example = text.rpartition("--effect ")[2].strip()
-    parsed, values = parse_effect(example)
+    ((parsed, values),) = parse_effects(example)
     assert parsed is effect
     assert any(value != p.null for value, p in zip(values, effect.parameters, strict=True))
 

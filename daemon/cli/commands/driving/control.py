@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the command."""
     from steerd.daemon.assembly.build import make_plan
     from steerd.daemon.ipc.operator import connect, read_status
-    from steerd.daemon.process.remote_keeper import RemoteKeeper, serve
+    from steerd.daemon.process.external_controller import ExternalController, answer, keep_lane
     from steerd.daemon.settings.run_options import RunOptions
     from steerd.steer_bus.clock import MonotonicClock
 
@@ -36,11 +36,12 @@ def run(args: argparse.Namespace) -> int:
     clock = MonotonicClock()
     with connect(args.connect, args.lab, "steerd run --controller zenoh") as bus:
         status = read_status(bus, args.name, clock)
-        keeper = RemoteKeeper(plan.controller, int(status["boot_id"]), secrets.randbits(62) + 1)
+        boot_id = int(status["boot_id"])
+        keeper = ExternalController(keep_lane(plan.controller), boot_id, secrets.randbits(62) + 1)
         print(f"steering {args.name} along {plan.path.name}; Ctrl-C ends", file=sys.stderr)
         end = None if args.duration is None else clock.now_ns() + round(args.duration * 1e9)
         try:
-            serve(bus, args.name, keeper, clock, end)
+            answer(bus, args.name, keeper, clock, end)
         except KeyboardInterrupt:
             return ExitCode.OK
     return ExitCode.OK

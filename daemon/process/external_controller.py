@@ -1,0 +1,176 @@
+"""Anybody's controller on the bus: estimates in, commands out.
+
+The lane keeper of `steerd control` is one, and so is a function of a user's own (`steerd.serve`,
+`steerd.simulate(controller=...)`). The daemon's limits, lease and watchdogs hold for all of them.
+"""
+
+import secrets
+from collections.abc import Callable
+from math import isfinite
+from pathlib import Path
+from typing import NamedTuple
+
+from steerd.car_model.state import State
+from steerd.controller.lane_controller import (
+    ControllerState,
+    LaneController,
+    control,
+    start_controller,
+)
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.steer_bus import topics
+from steerd.steer_bus.bus import Bus
+from steerd.steer_bus.clock import Clock, MonotonicClock
+from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.messages import BODY, DriveCommand, StateMessage, make_header
+from steerd.steer_bus.topics import make_key
+
+VALID_MS = 100
+"""How long a command may be applied [ms]."""
+_POLL_NS = 1_000_000
+"""Time between two looks at the bus [ns]."""
+_PAUSE = 0.1
+"""A lane keeper without estimates for longer searches its lane anew [s]."""
+
+
+class Lane(NamedTuple):
+    """Where the car is in its lane.
+
+    Attributes:
+        e1, e2: lateral offset, left positive [m], and heading error [rad].
+        curvature: of the lane here, left positive [1/m].
+        s: arc length along the lane [m].
+        speed: that the daemon's own lane keeper would drive [m/s].
+        driving: whether the car drives; `stopping`: whether it is coming to its stop. Otherwise
+            commands only show that the controller is there.
+    """
+
+    e1: float
+    e2: float
+    curvature: float
+    s: float
+    speed: float
+    driving: bool
+    stopping: bool
+
+
+Controller = Callable[[float, State[float], Lane], tuple[float, float]]
+"""From time [s], estimate and lane to the command (steer [rad], speed [m/s])."""
+
+
+class ExternalController:
+    """A controller, fed with estimates of one topic, making commands for another."""
+
+    def __init__(self, controller: Controller, boot_id: int, lease_id: int) -> None:
+        self._controller = controller
+        self._boot_id = boot_id
+        self._lease_id = lease_id
+        self._seq = 0
+
+    def compute_command(self, message: StateMessage, realtime_ns: int) -> DriveCommand | None:
+        """The command for one estimate; None while the estimate is not finite.
+
+        Raises:
+            SteerdError: the controller does not return two finite numbers.
+        """
+        m = message
+        state = State(m.x, m.y, m.yaw, m.speed, m.yaw_rate, m.slip_angle, m.steer)
+        if not all(map(isfinite, state)):
+            return None
+        driving, stopping = (
+            m.mode == each for each in (SupervisorState.RUNNING, SupervisorState.STOPPING)
+        )
+        lane = Lane(m.e1, m.e2, m.curvature, m.path_s, m.speed_ref, driving, stopping)
+        steer, speed = _checked(self._controller(m.mono_ns * 1e-9, state, lane))
+        self._seq += 1
+        header = make_header(realtime_ns, BODY)
+        return DriveCommand(
+            header, self._boot_id, self._lease_id, m.mono_ns, self._seq, VALID_MS, steer, speed
+        )
+
+
+def _checked(command: object) -> tuple[float, float]:
+    try:
+        steer, speed = (float(value) for value in command)  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        steer = speed = float("nan")
+    if not (isfinite(steer) and isfinite(speed)):
+        hint = "return (steer [rad], speed [m/s])"
+        raise SteerdError(f"the controller returned {command!r}, not two finite numbers", hint)
+    return steer, speed
+
+
+def while_driving(controller: Controller) -> Controller:
+    """A controller that is asked only while the car drives; to a stop it steers, no faster."""
+
+    def command(t: float, state: State[float], lane: Lane) -> tuple[float, float]:
+        if not (lane.driving or lane.stopping):
+            return 0.0, 0.0
+        steer, speed = _checked(controller(t, state, lane))
+        return steer, min(speed, lane.speed) if lane.stopping else speed
+
+    return command
+
+
+def keep_lane(controller: LaneController) -> Controller:
+    """The daemon's own lane keeper."""
+    kept: ControllerState | None = None
+    before = False
+
+    def command(t: float, state: State[float], lane: Lane) -> tuple[float, float]:
+        nonlocal kept, before
+        t_ns = round(t * 1e9)
+        if kept is None or lane.driving is not before or t_ns - kept.t_ns > _PAUSE * 1e9:
+            kept, before = start_controller(controller, state, t_ns), lane.driving
+        order, _, kept = control(controller, kept, state, t_ns, stop=not lane.driving)
+        return order.steer, order.speed
+
+    return command
+
+
+def answer(bus: Bus, car: str, made: ExternalController, clock: Clock, end_ns: int | None) -> None:
+    """Publish a command for every estimate until the time is over or a signal comes."""
+    estimates = bus.subscribe(make_key(car, topics.STATE))
+    key = make_key(car, topics.DRIVE, bus.who)
+    while end_ns is None or clock.now_ns() < end_ns:
+        for sample in estimates.poll():
+            command = made.compute_command(decode(StateMessage, sample.data), clock.realtime_ns())
+            if command is not None:
+                bus.publish(key, encode(command))
+        clock.sleep_until_ns(clock.now_ns() + _POLL_NS)
+
+
+def serve(
+    controller: Controller,
+    car: str = "car1",
+    *,
+    connect: str | None = None,
+    lab: Path | str | None = None,
+    duration: float | None = None,
+) -> None:
+    """Steer a car of `steerd run --controller zenoh` with a function of one's own.
+
+    The car's limits, lease and watchdogs hold as for any controller: where commands stop coming,
+    the car stops.
+
+    Args:
+        controller: from time [s], `State` and `Lane` to (steer [rad], speed [m/s]); called with
+            every estimate while the car drives.
+        car: its name.
+        connect: zenoh endpoint of the run; None for the lab's or this machine's.
+        lab: our folder of `steerd keys`; None without.
+        duration: ends after so long [s]; None until interrupted.
+
+    Raises:
+        SteerdError: no run answers, or the controller returns no command.
+    """
+    from steerd.daemon.ipc.operator import connect as connect_bus  # zenoh, where nothing is served
+    from steerd.daemon.ipc.operator import read_status
+
+    clock, folder = MonotonicClock(), None if lab is None else Path(lab)
+    with connect_bus(connect, folder, "steerd run --controller zenoh") as bus:
+        boot_id = int(read_status(bus, car, clock)["boot_id"])
+        made = ExternalController(while_driving(controller), boot_id, secrets.randbits(62) + 1)
+        end_ns = None if duration is None else clock.now_ns() + round(duration * 1e9)
+        answer(bus, car, made, clock, end_ns)
