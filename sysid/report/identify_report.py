@@ -95,7 +95,6 @@ def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Secti
             "Near ±1: the data identify the combination, not its members.",
             figures.draw_correlation(outcome.fit),
         )
-        yield Section("Convergence", "", figures.draw_costs(outcome.fit))
     if outcome.searches:
         yield Section(
             "Convergence",
