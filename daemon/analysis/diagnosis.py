@@ -33,6 +33,7 @@ from steerd.daemon.analysis.options import (
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.assembly.sim_car import compare_truths, read_origin
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.notebook import shown
 from steerd.daemon.common.outputs import check_outputs
 from steerd.daemon.common.written import car_outputs, write_outputs
 from steerd.posterior_file import TABLES
@@ -50,6 +51,7 @@ LOADED, DIAGNOSED, DRIVEN = 0.05, 0.85, 0.95
 """Shares of the work done after loading, after the diagnosis, after the closed loop."""
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """What `diagnose` found.

@@ -33,6 +33,7 @@ from steerd.daemon.analysis.options import (
 )
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.notebook import shown
 from steerd.daemon.common.written import writing
 from steerd.posterior_file import posterior_path
 from steerd.steer_bus.session_read import Session
@@ -57,6 +58,7 @@ _WHEELBASE = 0.05, 4.0
 """Between a toy's and a lorry's wheelbase [m]; millimetres lie above."""
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Identification:
     """What `identify` found.

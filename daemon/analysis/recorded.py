@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.notebook import shown
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.sessions.info import SessionReport, Times, load_session, make_session_report
 from steerd.steer_bus import session_read
@@ -27,6 +28,7 @@ Table = NDArray[np.void]
 """A topic as a structured array (n,): `t` [s] since the session's start, then every field."""
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Session:
     """A recorded drive.

@@ -16,6 +16,7 @@ from steerd.daemon.batch.sources import (
     read_cars,
 )
 from steerd.daemon.batch.unit import day_of, run_unit
+from steerd.daemon.common.notebook import shown
 from steerd.daemon.common.outputs import check_outputs
 from steerd.daemon.common.written import write_outputs
 from steerd.daemon.jobs.journal import Row, journal_path, open_journal
@@ -40,6 +41,7 @@ _TEXTS = ("session", "car", "day", "outcome", "failure", "lane", "mode", "verdic
 _NO_ESTIMATE = ("start", "tries", "seconds", "metres")
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Batch:
     """What a batch found.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.notebook import shown
 from steerd.daemon.common.outputs import check_outputs
 from steerd.daemon.common.written import write_outputs
 from steerd.daemon.jobs.journal import Row, journal_path, open_journal
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from steerd.daemon.sweep.summary import Summary
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Sweep:
     """What a sweep found.

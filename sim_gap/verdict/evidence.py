@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,13 +13,21 @@ from steerd.sysid.inference.likelihood import SPUN
 from steerd.sysid.inference.search import Point
 
 
+class Estimated(NamedTuple):
+    """A parameter's value, its standard error and the unit of both."""
+
+    value: float
+    sd: float
+    unit: str
+
+
 @dataclass(frozen=True)
 class Cause:
     """One named effect.
 
     Attributes:
         effect: its name; `stage` and `family` of it.
-        parameters: (value, standard error, unit) by name.
+        parameters: by name.
         confidence: posterior probability that it is a cause (0 to 1).
         ambiguous_with: effects that may be what it stands for.
         alias: what no drive distinguishes from it, in words; empty if nothing.
@@ -27,7 +36,7 @@ class Cause:
     effect: str
     stage: str
     family: str
-    parameters: dict[str, tuple[float, float, str]]
+    parameters: dict[str, Estimated]
     confidence: float
     ambiguous_with: tuple[str, ...]
     alias: str
@@ -120,7 +129,7 @@ def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
     sd = np.sqrt(np.diag(best.posterior.covariance))
     values = best.point.parameters[superset.places(name)]
     parameters = {
-        p.name: (float(value), float(sd[free.index(f"{name}.{p.name}")]), p.unit)
+        p.name: Estimated(float(value), float(sd[free.index(f"{name}.{p.name}")]), p.unit)
         for p, value in zip(effect.parameters, values, strict=True)
     }
     alias = effect.confounded_with.note if effect.confounded_with else ""

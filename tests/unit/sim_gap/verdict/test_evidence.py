@@ -13,7 +13,7 @@ from steerd.sysid.inference.hypotheses import Findings, Hypothesis
 
 SMALL, LARGE = 0.5 * c.GAP_SIZE, 4.0 * c.GAP_SIZE
 VALUES = {"steer_delay": (0.03,), "steer_lag": (0.05,), "mass": (1.5,), "yaw_inertia": (1.5,),
-          "lateral_load_transfer": (0.1, 1.0), "cornering_stiffness": (1.3,)}  # fmt: skip
+          "lateral_load_transfer": (0.1, 1.0), "marker_offset": (0.01, 0.0), "cornering_stiffness": (1.3,)}  # fmt: skip
 NAMES = [f"{name}.{p.name}" for name in VALUES for p in EFFECTS[name].parameters]
 LIBRARY = SimpleNamespace(
     effect=EFFECTS.get,
@@ -181,8 +181,8 @@ def test_what_may_be_the_cause_instead_stands_beside_the_name():
 
 
 def test_an_effect_beside_the_named_ones_stands_in_for_none_of_them():
-    pair = _hypothesis("steer_delay", "lateral_load_transfer", probability=0.8)
-    other = _hypothesis("steer_lag", "lateral_load_transfer", probability=0.15)
+    pair = _hypothesis("steer_delay", "marker_offset", probability=0.8)
+    other = _hypothesis("steer_lag", "marker_offset", probability=0.15)
     first, second = judge_case(LIBRARY, _found(pair, other), True).causes
     assert first.ambiguous_with == ("steer_lag",)
     assert second.ambiguous_with == ()
