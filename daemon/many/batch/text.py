@@ -1,0 +1,68 @@
+"""The screen of `steerd batch`."""
+
+from collections import Counter
+from collections.abc import Iterator
+
+from steerd.daemon.common.screen import clean, wrap
+from steerd.daemon.many.batch.changes import LEAST, Change, WorkedSessions
+
+_FAILURES, _CHANGES = 5, 12
+"""Lines of each that are shown."""
+
+
+def describe_batch(found: WorkedSessions) -> str:
+    """The screen: how many, what failed, what changed."""
+    rows = found.rows
+    failed = [row for row in rows if row["outcome"] != "done"]
+    cars = Counter(str(row["car"]) for row in rows if row.get("car") is not None)
+    days = sorted({row["day"] for row in rows if row.get("day")})
+    between = f", {days[0]} to {days[-1]}" if days else ""
+    lines = wrap(
+        f"sessions   {len(rows)} of {len(cars)} car{'' if len(cars) == 1 else 's'}{between}; "
+        f"{found.worked} worked on now",
+        "", " " * 11,
+    )  # fmt: skip
+    lines += wrap(_verdicts(found), "verdicts   ", " " * 11)
+    if failed:
+        lines.append(f"failed     {len(failed)}")
+    for row in failed[:_FAILURES]:
+        lines += wrap(_failure(str(row["session"]), str(row["failure"])), " " * 11, " " * 13)
+    return "\n".join([*lines, "", *_changes(found)])
+
+
+def _failure(session: str, why: str) -> str:
+    """Why a session failed, with its name and without its folder."""
+    name = session.rpartition("/")[2]
+    text = clean(why.replace(session, name))
+    return text if name in text else f"{clean(name, 40)}: {text}"
+
+
+def _verdicts(found: WorkedSessions) -> str:
+    counts = Counter(clean(str(r["verdict"]), 40) for r in found.rows if r.get("verdict"))
+    return ", ".join(f"{count} {text}" for text, count in counts.most_common(6))
+
+
+def _changes(found: WorkedSessions) -> Iterator[str]:
+    changes = found.changes
+    if not changes:
+        yield nothing_changed(found)
+        return
+    yield f"{'car':<14}{'quantity':<22}{'since':<12}{'before':>10}{'after':>10}  sigma"
+    for change in changes[:_CHANGES]:
+        yield describe_change(change)
+    if len(changes) > _CHANGES:
+        yield f"and {len(changes) - _CHANGES} more: see the table or --page"
+
+
+def nothing_changed(found: WorkedSessions) -> str:
+    """Why no change is named: none was found, or none could be."""
+    if not found.series:
+        return f"no car has the {LEAST} drives from which a change could be seen"
+    return f"no change beyond what chance explains, in {len(found.series)} series"
+
+
+def describe_change(change: Change) -> str:
+    """One line about a change."""
+    car, quantity = clean(change.car, 13), clean(change.quantity, 21)
+    values = f"{change.before:>10.4g}{change.after:>10.4g}"
+    return f"{car:<14}{quantity:<22}{change.day:<12}{values}  {change.sigmas:.0f}"
