@@ -33,25 +33,13 @@ def simulation(said: dict[str, Any]) -> str:
     base = ms.get("plain C loop", ms["bare kernel"])["median"]
     other = "plain C loop" if "plain C loop" in ms else "bare kernel"
     rows = [[name, spread(ms[name]), times(ms[name]["median"], base)] for name in ms]
-    growth = said["growth_ms"]
-    named = [
-        [name, ", ".join(f"{n}: {number(v)}" for n, v in points)] for name, points in growth.items()
-    ]
     return (
         "Value and gradient (to all parameters) of 16 runs × 4000 RK4 steps: CPU time on one "
         "thread, the last row wall time on all cores. "
-        "The torch reference is timed over 200 steps, the paper's way (one run after the other, "
-        "scalar tensors) over 20 steps of one run, and multiplied. Largest relative difference of "
-        f"values and gradients: {said['apart']:.1e}.\n\n"
+        "The torch reference is timed over 200 steps, the scalar loop over 20 steps of one run, "
+        f"and multiplied. Largest relative difference: {said['apart']:.1e}.\n\n"
         + table(["", "ms, median (10 % to 90 %)", f"of the {other}"], rows)
-        + "\n![growth](performance-growth.svg)\n\n"
-        + table(["growth", "ms by number"], named)
-        + "\nThe reverse sweep gives every slope at once, so more free parameters cost nothing; "
-        "differences cost two drives each. Eight runs share one vector and are a block: fewer "
-        "cost the same, more cost a block each; blocks are shared out among threads. **Limit:** "
-        "of the bare kernel arithmetic, most of it inside the printed equations; through "
-        "torch the third that is torch's own, which fills arrays as large as the path with zeros "
-        "for each slice of it in the loss. The C loop does the same operations one run at a time.\n"
+        + "\n![growth by runs, steps and parameters](performance-growth.svg)\n"
     )
 
 
@@ -74,10 +62,9 @@ def identify(said: dict[str, Any]) -> str:
     return (
         "The paper's sixteen circles with mocap noise, one random start, CPU seconds; every method "
         "uses the same compiled simulator. The target is the noise of one pose, 1 mm, open loop on "
-        "circles of other steering angles. Slaloms need what circles do not determine: there each "
-        "method ends where its start, its bounds or its prior leave it. The time of `ours` "
-        "includes standard errors; [identification](identification.md) has the whole race.\n\n"
-        + table(head, rows)
+        "circles of other steering angles; slaloms need what circles do not determine. The time "
+        "of `ours` includes standard errors; [identification](identification.md) has the whole "
+        "race.\n\n" + table(head, rows)
     )
 
 
@@ -88,11 +75,8 @@ def diagnosis(said: dict[str, Any]) -> str:
          times(r["wall_s"], said["rows"][-2]["wall_s"]), r["named"]] for r in said["rows"]
     ]  # fmt: skip
     head = ["candidates", "jobs", "CPU s", "wall s", "wall, of all on one", "named"]
-    return (
-        "Seconds for a minute of driving in four drives, steering 30 ms late.\n\n"
-        + table(head, rows)
-        + "\n**Limit:** candidates are screened in one pass; only the few that win are fitted "
-        "again. Workers bring nothing to a minute of driving: what is left to share is too short.\n"
+    return "Seconds for a minute of driving in four drives, steering 30 ms late.\n\n" + table(
+        head, rows
     )
 
 
@@ -121,8 +105,6 @@ def control_path(said: list[dict[str, Any]]) -> str:
         + table(head, rows)
         + "\nShare of a core, idle and FIFO:\n\n"
         + table(["Hz", *names], shares)
-        + "\n**Limit:** hundreds of Python calls a tick, after milliseconds of rest: see the next "
-        "table. With SCHED_FIFO a loaded machine makes no difference.\n"
     )
 
 
@@ -140,11 +122,8 @@ def control_floor(said: dict[str, Any]) -> str:
         "The tick is the core's with a fresh pose, in virtual time on the same events, in one "
         "process: one after the other, and asleep in between until the next is due.\n\n"
         + table(["", "p50", "p99", "p99.9"], rows)
-        + f"\n**Limit:** the rest itself. Nothing else in this process differs: after it the same "
-        f"tick takes {slower} of what it takes in a row, because other programs, here also other "
-        "tenants of the processor, have used the caches. It is not the halted processor: with "
-        "polling instead of halting (`/dev/cpu_dma_latency` at 0) the C program's path fell by "
-        "half, the tick stayed as slow.\n"
+        + f"\nAfter a rest the tick takes {slower} of what it takes in a row: other programs have "
+        "used the caches.\n"
     )
 
 
@@ -175,14 +154,8 @@ def virtual(said: dict[str, Any]) -> str:
         + units
         + "\n"
         + table(["seeds of 2 s", "processes", "wall s", "of real time, together"], seeds)
-        + f"\n**Limit:** the interpreter. A tick of 10 ms is {number(said['calls'])} calls of "
-        f"small functions at {number(each_us)} µs each with what they do, spread flat over "
-        "protocols and simulated VESC (27 %), the loop's decisions (25 %), the estimator (15 %), "
-        "messages and recording (11 %), mocap (10 %), physics (8 %) and the rest; no function "
-        "costs a twentieth by itself. The 80 × that was asked for, 125 µs a tick, is a budget of "
-        f"{number(125.0 / each_us)} calls: it takes another language for the whole loop and both "
-        "ends of the wire, not another tune of this one. mypyc brought nothing "
-        "([decision 44](../decisions/rooms-and-code.md#d44)).\n"
+        + f"\nA tick of 10 ms is {number(said['calls'])} calls of small functions at "
+        f"{number(each_us)} µs each with what they do, no one a twentieth of it.\n"
     )
 
 
@@ -190,9 +163,8 @@ def ratio(said: dict[str, Any]) -> str:
     return (
         f"A simulated second at 100 Hz, recorded, costs {spread(said)} of what it cost at "
         f"`{said['since']}`, {number(said['after_ms'])} ms of CPU for {number(said['before_ms'])}: "
-        "two processes with one interpreter, turn by turn. `python benchmarks/perf_ratio.py` "
-        "makes the older tree from the clone's history and takes it away again; `--since` names "
-        "another commit.\n"
+        "two processes with one interpreter, turn by turn (`python benchmarks/perf_ratio.py`; "
+        "`--since` names another commit).\n"
     )
 
 
@@ -208,9 +180,8 @@ def wire(said: dict[str, Any]) -> str:
     s = said["session"]
     return (
         table(["µs", "here", "there", "(package)", "of it"], rows)
-        + "\npyvesc and natnet are the packages that people use; the bytes are the same. "
-        "MessagePack (msgspec, compiled) is the fast end of what Python can do.\n\n"
-        f"A session of ten minutes at 100 Hz ({s['messages']:,} messages, {s['megabytes']:g} MB "
+        + "\nThe bytes are the same as those of pyvesc and natnet. A session of ten minutes at "
+        f"100 Hz ({s['messages']:,} messages, {s['megabytes']:g} MB "
         f"compressed; {s['kept']:,} read back): written at {s['write_per_s']:,} messages per CPU "
         f"second, {number(s['write_per_s'] / 700)} times what a drive makes; opened and read to "
         f"arrays in {number(s['open_s'])} s, "
@@ -224,9 +195,8 @@ def startup(said: dict[str, Any]) -> str:
     rows = [[name, spread(found), times(found["median"], bare)] for name, found in said.items()]
     return (
         table(["wall s", "median (least to most)", "of an empty interpreter"], rows)
-        + "\n**Limit:** imports (filterpy brings SciPy's statistics), and waits that are part of "
-        "the start: a second in which the checks must hold, and the test of the VESC's own "
-        "timeout, 0.4 s, before a car may move.\n"
+        + "\nThe first command waits a second in which the checks must hold, and 0.4 s for the "
+        "test of the VESC's own timeout.\n"
     )
 
 
@@ -245,8 +215,7 @@ def batch(said: dict[str, Any]) -> str:
         + table(["car", "hidden", "since", "named", "days off", "sigma"], rows)
         + f"\nAll of it in {number(said['identified_s'])} s. A part of it by one process and by "
         f"two: {number(said['one_s'])} and {number(said['two_s'])} s, {number(said['ratio'])} ×, "
-        f"at a load average of {said['load']:g} when it began: above the number of cores, two "
-        "processes share what the neighbours leave.\n"
+        f"at a load average of {said['load']:g} when it began.\n"
     )
 
 
@@ -262,7 +231,7 @@ def hours(said: list[dict[str, Any]]) -> str:
         "time of `steerd identify` and `steerd diagnose --no-closed-loop`.\n\n"
         + table(head, rows)
         + "\nOf more than twenty minutes, pieces from all sessions are looked at, and the rest is "
-        "not (decision 107).\n"
+        "not.\n"
     )
 
 

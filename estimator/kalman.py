@@ -6,8 +6,6 @@ replaced by a few lines of NumPy here without any other file noticing.
 """
 
 # Why: docs/decisions/filter-and-controller.md#d8
-# Why: docs/decisions/filter-and-controller.md#d33
-# Why: docs/decisions/filter-and-controller.md#d60
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -19,6 +19,10 @@ def _rate(r: Rate) -> str:
     return f"{_percent(r.value)} ({r.hits}/{r.total}; {low:.0f} to {high:.0f})"
 
 
+def _count(r: Rate) -> str:
+    return f"{r.hits}/{r.total}" if r.total else "-"
+
+
 def _number(value: float, digits: int = 1, unit: str = "") -> str:
     return "-" if isnan(value) else f"{value:.{digits}f}{unit}"
 
@@ -78,13 +82,13 @@ def _targets(s: Scores) -> str:
 
 
 def _rates(title: str, rates: Mapping[str, Rate]) -> str:
-    return _table((title, "share"), ([name, _rate(r)] for name, r in rates.items()))
+    return _table((title, "share"), ([name, _count(r)] for name, r in rates.items()))
 
 
 def _by_drive(s: Scores) -> str:
     rows = [
-        [row, _rate(s.detection[row]), _rate(s.naming[row]), _rate(s.naming[f"{row}: family"]),
-         _rate(s.coverage[row]), _number(s.set_size[row])]
+        [row, _count(s.detection[row]), _count(s.naming[row]), _count(s.naming[f"{row}: family"]),
+         _count(s.coverage[row]), _number(s.set_size[row])]
         for row in s.detection
     ]  # fmt: skip
     head = ("drive, severity", "detected", "top-1", "family", "in the set", "set size")
@@ -93,7 +97,7 @@ def _by_drive(s: Scores) -> str:
 
 def _by_effect(s: Scores) -> str:
     rows = [
-        [f"`{name}`", _rate(found), _rate(named),
+        [f"`{name}`", _count(found), _count(named),
          _number(100 * error.median, 1, " %"), _number(100 * error.p90, 1, " %")]
         for name, (found, named, error) in s.by_effect.items()
         if found.total
@@ -120,7 +124,7 @@ def _calibration(s: Scores) -> str:
     )
     rows = [
         [f"{b.low:.1f} to {b.high:.1f}", _number(b.confidence, 2),
-         _rate(Rate(round(b.right * b.count), b.count))]
+         _count(Rate(round(b.right * b.count), b.count))]
         for b in r.bins
     ]  # fmt: skip
     return text + _table(("confidence", "mean", "names right"), rows)

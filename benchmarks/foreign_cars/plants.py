@@ -58,11 +58,18 @@ def _commonroad(rng: Random) -> Plant:
     return make_commonroad(rng)
 
 
+def _bullet(rng: Random) -> Plant:
+    from benchmarks.foreign_cars.bullet_car import make_bullet
+
+    return make_bullet(rng)
+
+
 _MAKERS: dict[str, tuple[str, Callable[[Random], Plant]]] = {
     "own": ("numba", make_own),
     "mujoco": ("mujoco", _mujoco(False)),
     "mujoco-contact": ("mujoco", _mujoco(True)),
     "commonroad": ("vehiclemodels", _commonroad),
+    "bullet": ("pybullet", _bullet),
 }
 PLANTS = tuple(_MAKERS)
 

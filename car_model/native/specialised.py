@@ -7,7 +7,7 @@ by zero is dropped. The inverse of a product becomes a product of inverses, whic
 divisions take the longest.
 """
 
-# Why: docs/decisions/kernels.md#d40
+# Why: docs/decisions/vehicle-model.md#d40
 
 from collections.abc import Mapping, Sequence
 from math import inf, isfinite

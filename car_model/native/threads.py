@@ -6,7 +6,7 @@ on all cores do not start threads on all cores each. A thread that is ready take
 and none waits by spinning: on a busy machine this costs little more than one thread.
 """
 
-# Why: docs/decisions/kernels.md#d57
+# Why: docs/decisions/vehicle-model.md#d57
 
 import os
 from collections.abc import Callable

@@ -11,6 +11,7 @@ import contextlib
 import errno
 import importlib
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -133,6 +134,7 @@ def dispatch(argv: Sequence[str]) -> int:
         prog=f"steerd {name}",
         description=module.__doc__ or text,
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        exit_on_error=False,
     )
     module.add_arguments(parser)
     parser.set_defaults(command=name)
@@ -140,7 +142,10 @@ def dispatch(argv: Sequence[str]) -> int:
         first = () if "--help-all" in rest else getattr(module, "FIRST_OPTIONS", ())
         _explain(parser, first)
         rest = ["--help" if word == "--help-all" else word for word in rest]
-    args, unknown = parser.parse_known_args(rest)
+    try:
+        args, unknown = parser.parse_known_args(rest)
+    except argparse.ArgumentError as error:
+        raise _unusable(name, error) from None
     if unknown:
         raise _refuse(name, parser, unknown)
     check_inputs(parser, args)
@@ -159,6 +164,16 @@ def _explain(parser: argparse.ArgumentParser, first: Sequence[str]) -> None:
         action.help = argparse.SUPPRESS
     if rest:
         parser.epilog = f"`{parser.prog} --help-all` shows {len(rest)} more options."
+
+
+def _unusable(name: str, error: argparse.ArgumentError) -> SteerdError:
+    """The error of an option's value that cannot be used."""
+    comma = re.search(r"'(-?\d+),(\d+)'", error.message)
+    hint = f"{comma[1]}.{comma[2]}" if comma else f"`steerd {name} --help` shows its options"
+    what = error.message.replace("invalid float value", "not a number").replace(
+        "invalid int value", "not a whole number"
+    )
+    return SteerdError(f"{error.argument_name}: {what}", hint, ExitCode.USAGE)
 
 
 def _refuse(name: str, parser: argparse.ArgumentParser, unknown: list[str]) -> SteerdError:

@@ -1,7 +1,6 @@
 """Lateness of the loop (W15): a pure count over due and wake times."""
 
 # Why: docs/decisions/safety.md#d15
-# Why: docs/decisions/safety.md#d35
 
 from typing import NamedTuple
 

@@ -8,7 +8,6 @@ much jitter, the deadlines keep their phase and every tick waits for its own.
 """
 
 # Why: docs/decisions/processes-and-time.md#d43
-# Why: docs/decisions/processes-and-time.md#d61
 
 from typing import NamedTuple
 

@@ -129,8 +129,6 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
     deadman = bool(safety.pop("deadman", True))
     control = dict(sections.section("controller"))
     control.pop("rate_hz", None)
-    if speed is not None:
-        control["speed"] = speed
     scaling = sections.make("vesc", lambda: _convert(vesc, Scaling))
     settings = Settings(
         file=car_file,
@@ -142,7 +140,9 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
         limits=sections.make(
             "limits", lambda: _limits(car_file, scaling, sections.section("limits"))
         ),
-        controller=sections.make("controller", lambda: load_controller_config(control)),
+        controller=_at_speed(
+            sections.make("controller", lambda: load_controller_config(control)), control, speed
+        ),
         filter=sections.make(
             "estimator", lambda: load_filter_config(sections.section("estimator"))
         ),
@@ -241,6 +241,18 @@ class _Sections:
             return make()
         except (ValueError, TypeError) as error:
             raise SteerdError(f"{self._file.path} [{name}]: {error}") from None
+
+
+def _at_speed(
+    config: ControllerConfig, control: Mapping[str, Any], speed: float | None
+) -> ControllerConfig:
+    """The file's controller at the cruise speed that was asked for beside it."""
+    if speed is None:
+        return config
+    try:
+        return load_controller_config({**control, "speed": speed})
+    except ValueError as error:
+        raise SteerdError(f"--speed: {error}") from None
 
 
 def _names(cls: type[Any]) -> tuple[str, ...]:

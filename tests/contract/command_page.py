@@ -13,7 +13,8 @@ _HEAD = """# Commands
 
 Every command with its arguments and options, from the parsers themselves.
 `python -m tests.contract.command_page` writes this page and a test compares it.
-`steerd COMMAND --help` prints the same. Exit codes are in
+`steerd COMMAND --help` prints the same; where options are many it shows those that most
+drives need, and `--help-all` the rest. Exit codes are in
 [troubleshooting](../how-to/troubleshooting.md#exit-codes).
 """
 
@@ -26,10 +27,9 @@ def make_parser(name: str) -> argparse.ArgumentParser:
     return parser
 
 
-def _cell(text: str) -> str:
-    """Text of one cell; the examples' folder, which each machine has elsewhere, by its name."""
-    text = text.replace(f"{EXAMPLES}/", "examples/")
-    return " ".join(text.split()).replace("|", "\\|").replace("%%", "%")
+def _text(text: str) -> str:
+    """In one line; the examples' folder, which each machine has elsewhere, by its name."""
+    return " ".join(text.replace(f"{EXAMPLES}/", "examples/").split()).replace("%%", "%")
 
 
 def _name(action: argparse.Action) -> str:
@@ -46,14 +46,15 @@ def _name(action: argparse.Action) -> str:
 
 
 def _rows(prog: str, parser: argparse.ArgumentParser) -> Iterator[str]:
-    """A table for a parser, then one for each of its subcommands."""
+    """A list for a parser, then one for each of its subcommands."""
     shown = [a for a in parser._actions if a.help != argparse.SUPPRESS]
     groups = [a for a in shown if isinstance(a, argparse._SubParsersAction)]
     plain = [a for a in shown if a not in groups and "--help" not in a.option_strings]
     if plain:
-        yield from ("", "| argument | meaning |", "|---|---|")
+        yield ""
     for action in plain:
-        yield f"| `{_cell(_name(action))}` | {_cell(action.help or '')} |"
+        meaning = f": {_text(action.help)}" if action.help else ""
+        yield f"- `{_text(_name(action))}`{meaning}"
     for group in groups:
         for name, sub in group.choices.items():
             yield from ("", f"### steerd {prog} {name}")

@@ -15,7 +15,6 @@ import pytest
 from steerd.mocap_link import natnet
 from steerd.mocap_link.natnet_frame import Frame
 from steerd.mocap_link.source import parse_mocap_url
-from steerd.mocap_link.vrpn import check_cookie, encode_cookie
 from steerd.sim_hw.mocap.mocap_config import MULTICAST, MocapConfig
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.links import (
@@ -27,7 +26,6 @@ from steerd.sim_hw.real_time.links import (
 )
 from steerd.sim_hw.vesc.vesc_config import VescConfig
 from steerd.sim_hw.world import WorldConfig
-from steerd.steer_bus.clock import MonotonicClock
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.frames import FrameParser, encode_frame
 from steerd.vesc_link.identity import FwVersion
@@ -79,15 +77,6 @@ def sim() -> Iterator[SpawnedSim]:
         yield spawned
 
 
-def test_a_second_program_gets_the_firmware_version_again_and_again(sim: SpawnedSim) -> None:
-    for _ in range(3):
-        fd = os.open(sim.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        try:
-            assert ask_version(fd).firmware == VescConfig().firmware
-        finally:
-            os.close(fd)
-
-
 def test_port_is_fresh_after_a_program_left_its_lock_and_bytes(sim: SpawnedSim, idle: int) -> None:
     fd = os.open(sim.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     os.write(fd, VERSION_REQUEST)
@@ -111,20 +100,6 @@ def test_process_ends_when_its_parent_lets_go_and_cleans_up() -> None:
     assert not Path(sim.port).parent.exists()
 
 
-def test_natnet_frames_arrive_over_udp_unicast(sim: SpawnedSim) -> None:
-    url = parse_mocap_url(sim.mocap_url)
-    assert (url.scheme, url.body, url.unicast) == ("natnet", "car", True)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.sendto(natnet.encode(natnet.Connect()), (url.host, url.port))
-        messages = []
-        while len(messages) < 20:
-            assert wait_for(udp.fileno())
-            messages.append(natnet.decode(udp.recv(65_536), MocapConfig().version))
-    assert isinstance(messages[0], natnet.ServerInfo)
-    numbers = [m.number for m in messages if isinstance(m, Frame)]
-    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-
-
 def test_natnet_frames_arrive_over_multicast_on_the_loopback() -> None:
     with spawn_sim(WorldConfig(mocap=MocapConfig(transport=MULTICAST))) as sim:
         url = parse_mocap_url(sim.mocap_url)
@@ -145,18 +120,6 @@ def test_natnet_frames_arrive_over_multicast_on_the_loopback() -> None:
             for _ in range(5):
                 assert wait_for(data.fileno())
                 assert isinstance(natnet.decode(data.recv(65_536), info.version), Frame)
-
-
-def test_vrpn_client_reconnects() -> None:
-    with spawn_sim(WorldConfig(mocap=MocapConfig(kind="vrpn"))) as sim:
-        url = parse_mocap_url(sim.mocap_url)
-        for _ in range(2):
-            with socket.create_connection((url.host, url.port), timeout=DEADLINE) as tcp:
-                tcp.sendall(encode_cookie())
-                data = b""
-                while len(data) < 600:  # greeting, descriptions and some poses
-                    data += tcp.recv(600)
-                assert check_cookie(data)
 
 
 def test_foreign_frames_come_from_another_address() -> None:
@@ -225,24 +188,6 @@ def test_simulated_hardware_alone_leaves_in_order_at_sigterm(tmp_path: Path, idl
     assert child.returncode == 0
     assert f"--port {tmp_path / 'vesc'} --mocap" in printed
     assert list(tmp_path.iterdir()) == []
-
-
-class StoppedClock(MonotonicClock):
-    """A clock that stands at 5 ns."""
-
-    def now_ns(self) -> int:
-        return 5
-
-
-def test_pumping_needs_no_real_clock(tmp_path: Path) -> None:
-    """The caller's time drives the sockets: what is due is there at once."""
-    with SimHardware(WorldConfig(), SimOptions(link_dir=tmp_path), StoppedClock()) as hardware:
-        fd = os.open(hardware.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        os.write(fd, VERSION_REQUEST)
-        hardware.pump(5)
-        hardware.pump(5 + 10_000_000)
-        assert wait_for(fd)
-        os.close(fd)
 
 
 def test_fault_windows_as_people_write_them() -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
 
 from steerd.car_model.effects import ALIASES, EFFECTS, parse_effect
 from steerd.daemon.cli.main import run_cli
@@ -107,19 +106,6 @@ def test_the_f1tenth_drives(tmp_path, capsys, name, top_speed):
     assert drive["length_m"] == pytest.approx(wheel, rel=0.05)
     assert 20.0 < document["topics"][0]["rate_hz"] < 45.0
     assert document["warnings"] == []
-
-
-def test_rosbags_reads_an_import(tmp_path, capsys):
-    source, out = data_file("f1tenth_upenn", "DS1.csv"), tmp_path / "a.mcap"
-    import_csv(source, "import-f1tenth-upenn.toml", out)
-    capsys.readouterr()
-    with AnyReader([out]) as reader:
-        found = [
-            reader.deserialize(data, connection.msgtype).steer
-            for connection, _, data in reader.messages()
-            if connection.topic == "/steerd/f1tenth/actuation"
-        ]
-    assert found == read_csv(source)["steer_cmd"].tolist()
 
 
 def test_a_wrong_unit_is_warned_of(tmp_path, capsys):

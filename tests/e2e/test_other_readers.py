@@ -3,8 +3,6 @@
 from math import isnan
 
 import pytest
-from mcap.reader import make_reader  # noqa: TID251
-from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from steerd.steer_bus.session_read import open_session
@@ -79,20 +77,3 @@ def test_rosbags_reads_a_drive(driven):
                 assert log_ns == records[i].log_ns
                 theirs = reader.deserialize(data, connection.msgtype)
                 assert same(theirs, records[i].decode()), (topic, i)
-
-
-def test_the_mcap_libraries_own_ros2_decoder_reads_a_drive(driven):
-    ours = by_topic(driven.session)
-    kinds, seen = {}, {topic: [] for topic in ours}
-    with driven.session.open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        assert reader.get_header().profile == "ros2"
-        for schema, channel, message, theirs in reader.iter_decoded_messages():
-            kinds[channel.topic] = schema.name
-            seen[channel.topic].append((message.log_time, message.publish_time, theirs))
-    check_topics(kinds, {topic: len(messages) for topic, messages in seen.items()}, ours)
-    for topic, records in ours.items():
-        for i in some(records):
-            log_ns, publish_ns, theirs = seen[topic][i]
-            assert (log_ns, publish_ns) == (records[i].log_ns, records[i].publish_ns)
-            assert same(theirs, records[i].decode()), (topic, i)

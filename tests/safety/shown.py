@@ -199,19 +199,23 @@ def find_shown(
 
 
 def write_table(found: Sequence[Found]) -> list[str]:
-    """One line a fault and drive."""
-    lines = [
-        "| fault | drive | shows after | found after that | way | by |",
-        "|---|---|---|---|---|---|",
-    ]
-    for f in found:
-        drive = f"{f.path}, {f.speed:g} m/s"
-        if f.shown == inf:
-            lines.append(f"| {f.fault} | {drive} | not within {LONGEST_S:g} s | | | {f.by} |")
-            continue
-        late = f"{max(0.0, f.found - f.shown):.2f} s, {f.way:.2f} m".split(", ")
-        lines.append(f"| {f.fault} | {drive} | {f.shown:.2f} s | {late[0]} | {late[1]} | {f.by} |")
+    """One line a fault, one column a drive."""
+    drives = list(dict.fromkeys((f.path, f.speed) for f in found))
+    titles = [f"{path}, {speed:g} m/s" for path, speed in drives]
+    lines = ["| fault | " + " | ".join(titles) + " |", "|---|" + "---|" * len(drives)]
+    for fault in dict.fromkeys(f.fault for f in found):
+        cells = [_cell(f) for drive in drives for f in found
+                 if f.fault == fault and (f.path, f.speed) == drive]  # fmt: skip
+        lines.append(f"| {fault} | " + " | ".join(cells) + " |")
     return lines
+
+
+def _cell(f: Found) -> str:
+    """When it showed, how much later it was found, the way until then, by which watchdog."""
+    by = f.by.split()[0]
+    if f.shown == inf:
+        return "not shown" if by == "nobody" else f"not shown; {by}"
+    return f"{f.shown:.2f} + {max(0.0, f.found - f.shown):.2f} s, {f.way:.2f} m, {by}"
 
 
 def main() -> int:

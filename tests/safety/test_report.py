@@ -1,7 +1,7 @@
 """The matrix in slices: a cell that was kept is read and not driven again."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from math import inf
 
 from tests.safety import report
@@ -32,3 +32,13 @@ def test_the_matrix_goes_on_where_it_was_left(monkeypatch, tmp_path) -> None:
     assert len(driven) == 2, "all of them are kept now"
     report.drive_matrix(None, 1)
     assert len(driven) == 5, "without a file every cell is driven"
+
+
+def test_the_table_shows_the_slowest_stop_the_longest_way_and_what_failed() -> None:
+    stopped = replace(make_outcome(("M1", "P5")), stop_s=0.16, distance_m=0.8)
+    late = replace(stopped, phase="P6", stop_s=0.4, distance_m=0.5, wrong=("late",))
+    quiet = make_outcome(("M17", "P5"))
+    table = "\n".join(report.write_matrix([stopped, late, quiet]))
+    assert "| M1 silence | FAULT_STOP | 150 ms | 400 ms | 0.80 m | 2 **P6: late** |" in table
+    assert "M17 5 % random loss (1)" in table.splitlines()[-1]
+    assert "3 cells, 2 good" in table

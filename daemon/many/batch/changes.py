@@ -12,7 +12,7 @@ than the middle one. And what two values leave beyond the errors widens them (th
 the Particle Data Group's reviews apply it).
 """
 
-# Why: docs/decisions/diagnosis.md#d103
+# Why: docs/decisions/processes-and-time.md#d103
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,14 +1,12 @@
 """Scores of hand-made verdicts are the numbers worked out by hand."""
 
 import json
-from dataclasses import replace
 from math import isnan, nan
 
 import pytest
 
-from benchmarks.blind_gap.report import make_report, write_report
-from benchmarks.blind_gap.score import Rate, Scored, score
-from benchmarks.blind_gap.verdicts import Cause, Verdict, VerdictError, read_verdict, with_own
+from benchmarks.blind_gap.score import Rate, score
+from benchmarks.blind_gap.verdicts import Cause, Verdict, read_verdict
 
 N = iter(range(1000))
 
@@ -83,31 +81,6 @@ def test_calibration():
     assert low < s.reliability.ece < high
 
 
-def test_the_brier_score_is_the_mean_square():
-    right = (label("single", ["steer_lag"]), told(cause("steer_lag", 0.9)))
-    wrong = (label("single", ["steer_lag"]), told(cause("steer_delay", 0.6)))
-    r = scored(right, right, right, wrong).reliability
-    assert r.brier == pytest.approx((3 * 0.1**2 + 0.6**2) / 4)
-    assert r.brier_interval[0] < r.brier < r.brier_interval[1]
-    assert 0.0 < r.ece_chance[0] < r.ece_chance[1]
-
-
-def test_confusion():
-    outside = label("outside", outside="wobble", block="outside-rich")
-    s = scored(
-        *singles(),
-        (label("null", block="null-rich"), NONE),
-        (outside, told(cause("steer_lag"), verdict="unexplained")),
-    )
-    assert s.confusion == {
-        ("timing", "timing"): 2,
-        ("timing", "steering"): 1,
-        ("timing", "no gap"): 1,
-        ("no gap", "no gap"): 1,
-        ("outside", "not named"): 1,
-    }
-
-
 def test_nulls_count_alarms_and_missing_verdicts():
     nulls = [(label("null", block="null-rich"), v) for v in (NONE, NONE, told(cause("mass")), None)]
     s = scored(*nulls)
@@ -144,16 +117,6 @@ def test_outside_counts_confident_names_only():
     assert list(s.outside.values()) == [Rate(4, 5), Rate(1, 5), Rate(2, 5), Rate(2, 4)]
 
 
-def test_controls():
-    s = scored(
-        (label("control", control="shuffled"), told(cause("mass"))),
-        (label("control", control="reversed"), told(verdict="unexplained")),
-        (label("control", ["mass"], control="zero"), NONE),
-    )
-    rates = {k: v for k, v in s.controls.items() if v.total}
-    assert list(rates.values()) == [Rate(1, 1), Rate(0, 1), Rate(0, 1)]
-
-
 def test_vector_parameters_and_nulls():
     slope = {"x": 0.003, "y": 0.004}
     entry = label("single", ["floor_slope"], values=[slope])
@@ -165,21 +128,6 @@ def test_vector_parameters_and_nulls():
     other = label("single", ["tyre_friction"], values=[{"ratio": 0.8}])
     s = scored((other, told(cause("tyre_friction", value={"ratio": 0.7}))))
     assert s.parameters.count == 0
-
-
-def test_what_the_base_had_before_is_no_part_of_what_was_added():
-    bend = label("single", ["steer_nonlinearity"], values=[{"cubic": -1.0}])
-    verdict = told(cause("steer_nonlinearity", value={"cubic": -1.3}))
-    own = replace(verdict, own={"steer_nonlinearity": [-0.35]})
-    assert scored((bend, verdict)).parameters.median == pytest.approx(0.3)
-    assert scored((bend, own)).parameters.median == pytest.approx(0.05)
-
-
-def test_own_effects_are_those_of_the_cases_base(tmp_path):
-    (tmp_path / "car-01.base.json").write_text('{"effects": {"wheel_slip": [0.004]}}')
-    told_of = with_own({"a": NONE, "b": NONE}, tmp_path, {"a": "car-01", "b": "car-02"})
-    assert told_of["a"].own == {"wheel_slip": [0.004]}
-    assert told_of["b"].own == {}
 
 
 def test_wilson_interval():
@@ -215,30 +163,3 @@ def test_reads_the_contract():
     assert (first.predicted, first.measured) == (0.9, 0.88)
     assert verdict.suspects == {"steer_delay", "mocap_latency", "steer_lag"}
     assert read_verdict(json.dumps({**VERDICT, "verdict": "none"})).first is None
-
-
-@pytest.mark.parametrize(
-    "text", ["", "[]", "{}", json.dumps({**VERDICT, "schema": "x"}),
-             json.dumps({**VERDICT, "verdict": "maybe"}), json.dumps({**VERDICT, "causes": [{}]})],
-)  # fmt: skip
-def test_refuses_what_is_no_verdict(text):
-    with pytest.raises(VerdictError):
-        read_verdict(text)
-
-
-def test_report_says_what_was_met(tmp_path):
-    s = scored(*singles(), (label("null", block="null-rich"), NONE))
-    page = make_report(s, "A title", ["a note"], "img")
-    assert "| false alarms on nulls | 0.0 % (0/1; 0 to 79) | ≤ 2 % | yes |" in page
-    assert "| detection, rich, medium | 75.0 % (3/4; 30 to 95) | ≥ 90 % | no |" in page
-    assert "| detection, rich, large | - | ≥ 98 % | - |" in page
-    write_report(s, tmp_path / "page.md", "A title", [])
-    for name in ("calibration", "confusion"):
-        picture = (tmp_path / "img" / f"blind-test-{name}.svg").read_text()
-        assert picture.rstrip().endswith("</svg>")
-
-
-def test_scored_without_verdict_detects_nothing():
-    case = Scored(label("single", ["mass"]), None)
-    assert not case.detected
-    assert not case.named_right

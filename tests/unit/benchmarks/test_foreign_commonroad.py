@@ -19,7 +19,6 @@ from benchmarks.foreign_cars.commonroad_car import (
     Floor,
     make_commonroad,
     make_vehicle,
-    rolling,
     rolling_mass,
     simulate,
 )
@@ -82,14 +81,6 @@ def test_the_small_car_moves_as_the_big_one_in_scaled_time() -> None:
     assert small.m == pytest.approx(MASS)
 
 
-def test_left_is_nearly_the_mirror_of_right() -> None:
-    """Nearly: the package's tyres pull to one side while they drive (`r_vy1`, `r_by3`)."""
-    steer = 0.15 * np.sin(np.arange(200) / 15.0)
-    left, right = (quiet(a_plant(), make_plan(s * steer, np.full(200, 1.8))) for s in (1.0, -1.0))
-    np.testing.assert_allclose(left[:, [0]], right[:, [0]], atol=0.03)
-    np.testing.assert_allclose(left[:, [1, 4]], -right[:, [1, 4]], atol=0.03)
-
-
 def test_a_slow_circle_is_nearly_kinematic() -> None:
     plant = a_plant()
     last = quiet(plant, circle(0.2, 0.8))[-1000:].mean(axis=0)
@@ -115,14 +106,6 @@ def test_a_car_without_motor_loses_energy_at_the_rate_of_its_drag() -> None:
     assert (np.diff(speed) < 0.0).all()
     slowing = (speed[0] - speed[-1]) / (0.1 * (len(speed) - 1))
     assert slowing == pytest.approx(0.4, rel=0.1)
-
-
-def test_the_speed_loop_reaches_its_aim_within_the_motors_limits() -> None:
-    plant = a_plant(Floor(drag=0.0))
-    plan = make_plan(np.zeros(300), np.where(np.arange(300) < 50, 1.0, 3.0))
-    states = quiet(plant, plan)
-    assert rolling(plant.car, states)[-1] == pytest.approx(3.0, abs=0.02)
-    assert (np.diff(states[::50, 3]) / 0.05).max() == pytest.approx(plant.wiring.accel_max, rel=0.1)
 
 
 def test_half_the_step_gives_the_same_drive(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,15 +1,12 @@
 """Cases, lists, the commands, and the table that comes of them."""
 
-import json
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.blind_gap.seal import SealError
-from benchmarks.foreign_cars.__main__ import main
-from benchmarks.foreign_cars.bank import Shares, draw_cases, load_cases, save_cases
+from benchmarks.foreign_cars.bank import Shares, draw_cases
 from benchmarks.foreign_cars.cases import Case, healthy_logs, later_logs
 from benchmarks.foreign_cars.judge import ROWS, judge, read_rows
 from benchmarks.foreign_cars.plants import make_plant
@@ -74,29 +71,6 @@ def test_healthy_drives_are_the_cars_and_later_ones_the_cases() -> None:
     assert not np.array_equal(first[0].commands, later_logs(one)[0][0].commands)
 
 
-def test_the_hidden_effect_is_all_that_differs_from_the_null_of_that_number() -> None:
-    null, labels = later_logs(a_case(number=1))
-    ill, _ = later_logs(a_case(("mocap_yaw", "large"), number=1))
-    assert labels == []
-    for a, b in zip(null, ill, strict=True):
-        np.testing.assert_array_equal(a.poses[:, :2], b.poses[:, :2])
-        np.testing.assert_allclose(np.abs(a.poses[:, 2] - b.poses[:, 2]), 0.02, atol=1e-12)
-
-
-def test_a_patch_lies_where_the_car_drives() -> None:
-    logs, labels = later_logs(a_case(("grip_patch", "large")))
-    values = labels[0]["parameters"]
-    places = np.concatenate([log.poses[:, :2] for log in logs])
-    inside = np.hypot(*(places - [values["x"], values["y"]]).T) < values["radius"]
-    assert inside.mean() > 0.1
-
-
-def test_names_do_not_show_what_is_hidden() -> None:
-    names = [a_case().name, a_case(("steer_delay", "large")).name]
-    assert len(set(names)) == 2
-    assert not any("delay" in name for name in names)
-
-
 def test_a_list_is_a_function_of_its_nonce() -> None:
     shares = Shares(nulls=2, singles=40, pairs=3, outside=4, cars=2)
     cases = draw_cases(5, shares, ("own",))
@@ -107,19 +81,6 @@ def test_a_list_is_a_function_of_its_nonce() -> None:
     singles = {case.hidden[0][0] for case in cases if case.kind == "single"}
     assert singles == make_plant("own", 1).effects
     assert len({case.name for case in cases}) == len(cases)
-
-
-def test_a_sealed_list_opens_with_its_key_only(tmp_path: Path) -> None:
-    cases = draw_cases(5, Shares(1, 2, cars=1), ("own",))
-    path = tmp_path / "list.sealed"
-    save_cases(path, cases, sealed=True)
-    assert b"own" not in path.read_bytes()
-    assert load_cases(path, path.with_name("list.sealed.key")) == cases
-    path.write_bytes(path.read_bytes()[:-1] + b"x")
-    with pytest.raises(SealError):
-        load_cases(path, path.with_name("list.sealed.key"))
-    with pytest.raises(FileExistsError):
-        save_cases(path, cases)
 
 
 def test_judging_writes_a_row_a_case_once(tmp_path: Path, tool: str) -> None:
@@ -141,47 +102,3 @@ def test_judging_writes_a_row_a_case_once(tmp_path: Path, tool: str) -> None:
     table = format_table(rows)
     assert table.splitlines()[0] == "| | own |"
     assert "steer_delay medium" in format_cases(rows)
-
-
-def test_an_import_that_was_cut_off_is_done_again(tmp_path: Path, tool: str) -> None:
-    case = a_case(("steer_delay", "medium"))
-    folder = tmp_path / "out" / "cases" / case.name
-    folder.mkdir(parents=True)
-    (folder / "later-1.mcap.partial").write_text("cut off")
-    assert judge([case], tmp_path / "out", tool)[0]["gap"]["verdict"] == "explained"
-
-
-def test_a_command_that_fails_is_a_row_without_a_verdict(tmp_path: Path) -> None:
-    rows = judge([a_case()], tmp_path, f"{sys.executable} -c 'import sys; sys.exit(4)'")
-    assert "exit 4" in rows[0]["error"]
-    column = score_rows(rows)
-    assert column["cases; without a verdict"] == "1; 1"
-    assert column["false alarms on nulls"].startswith("100 %")
-
-
-def test_make_writes_tables_that_the_import_reads(tmp_path: Path) -> None:
-    out = tmp_path / "case"
-    words = ["make", "--plant", "own", "--seed", "7", "--seconds", "3", "-o", str(out)]
-    assert main([*words, "--effect", "steer_delay", "--severity", "medium"]) == 0
-    assert sorted(p.name for p in out.iterdir()) == [
-        "healthy-1.csv", "healthy-2.csv", "later-1.csv", "later-2.csv", "later-3.csv", "map.toml",
-    ]  # fmt: skip
-    from steerd.daemon.cli.main import run_cli
-
-    session = tmp_path / "drive.mcap"
-    maps = ["--map", str(out / "map.toml"), "-o", str(session)]
-    assert run_cli(["import", "csv", str(out / "later-1.csv"), *maps]) == 0
-    assert session.stat().st_size > 10_000
-
-
-def test_an_unknown_effect_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["make", "--plant", "own", "--seed", "7", "--seconds", "3", "-o", str(tmp_path)]
-    assert main([*words, "--effect", "gremlins"]) == 1
-    assert capsys.readouterr().err.startswith("foreign_cars: gremlins")
-
-
-def test_rows_survive_as_json(tmp_path: Path, tool: str) -> None:
-    judge([a_case()], tmp_path, tool)
-    rows = [json.loads(line) for line in (tmp_path / ROWS).read_text().splitlines()]
-    assert rows[0]["case"]["plant"] == "own"
-    assert rows[0]["errors"] == {"before": [], "after": []}

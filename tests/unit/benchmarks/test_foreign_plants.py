@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.blind_gap.effects import EFFECTS, Place
 from benchmarks.foreign_cars.drives import make_commands, make_plan
-from benchmarks.foreign_cars.effects import PATCH_RADIUS, label_of, strength_of
+from benchmarks.foreign_cars.effects import label_of, strength_of
 from benchmarks.foreign_cars.log import Log
 from benchmarks.foreign_cars.plants import PLANTS, MissingPlantError, Plant, drive, make_plant
 
@@ -114,30 +114,3 @@ def test_a_late_steering_turns_late_by_as_much(name: str) -> None:
     late = turns_at(plant.with_effect("steer_delay", {"delay": 0.06})) - turns_at(plant)
     # The same pushes act on both, on slightly different states.
     assert late == pytest.approx(6.0, abs=1.5)
-
-
-@pytest.mark.parametrize("name", PLANTS)
-def test_wheels_of_another_size_go_another_way(name: str) -> None:
-    plant = plant_of(name)
-    plan = make_plan(np.zeros(300), np.full(300, 1.5))
-
-    def distance(car: Plant) -> float:
-        ends = drive(car, plan, 2).poses[[0, -1], :2]
-        return float(np.hypot(*(ends[1] - ends[0])))
-
-    longer = distance(plant.with_effect("speed_scale", {"scale": 1.08})) / distance(plant)
-    assert longer == pytest.approx(1.08, abs=0.01)
-    reported = drive(plant.with_effect("speed_scale", {"scale": 1.08}), plan, 2).wheel
-    assert reported.mean() == pytest.approx(drive(plant, plan, 2).wheel.mean(), abs=0.01)
-
-
-def test_labels_are_the_contracts() -> None:
-    assert label_of("steer_delay", "medium", PLACE) == {"delay": 0.03}
-    assert label_of("grip_patch", "large", PLACE)["radius"] == PATCH_RADIUS
-    assert label_of("left_right_tyres", "small", PLACE) == {"strength": 0.05}
-
-
-def test_an_unknown_plant_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("benchmarks.foreign_cars.plants.find_spec", lambda name: None)
-    with pytest.raises(MissingPlantError, match="vehiclemodels"):
-        make_plant("commonroad", 1)

@@ -80,11 +80,6 @@ def test_effects_and_notes_are_read() -> None:
     assert file.source == {"lf": "tape", "steer_backlash.play": "diagnose"}
 
 
-def test_whole_numbers_are_numbers() -> None:
-    lf = parse_car(edited("lf ", "lf = 1"), HERE).car.lf
-    assert (lf, type(lf)) == (1.0, float)
-
-
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.name)
 def test_every_parameter_must_be_there_within_bounds(parameter: object) -> None:
     p = next(q for q in PARAMETERS if q is parameter)
@@ -192,12 +187,6 @@ def test_saving_again_replaces_notes_and_effects(tmp_path: Path) -> None:
     last = update_car(path, update_car(path, path, learned), {"lf": Learned(0.161)})
     assert (last.car.lf, last.values, last.sd, last.source) == (0.161, ((0.02,),), {}, {})
     assert tomllib.loads(last.text)["effects"] == {"backlash": {"play": 0.02}}
-
-
-def test_numbers_survive_to_the_last_digit(tmp_path: Path) -> None:
-    value = 0.1 + 0.2 / 3.0
-    new = update_car(tmp_path / "a.toml", default_car_path(), {"lf": Learned(value)})
-    assert parse_car(new.text, new.path).car.lf == value
 
 
 def test_an_update_is_checked_as_a_car_file_is(tmp_path: Path) -> None:

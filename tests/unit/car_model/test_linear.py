@@ -42,14 +42,6 @@ def test_above_walking_pace_the_steady_turn_is_the_understeer_relation(speed: fl
     assert turn.state.slip_angle == pytest.approx(steady_slip(CAR, speed, 0.8), rel=1e-10)
 
 
-def test_crawling_the_steady_turn_is_geometry() -> None:
-    wheel = 0.3
-    slip = math.atan(CAR.lr * math.tan(wheel) / wheelbase(CAR))
-    turn = steady_turn(CAR, 0.1, math.cos(slip) * math.tan(wheel) / wheelbase(CAR))
-    assert turn.state.slip_angle == pytest.approx(slip, rel=1e-10)
-    assert turn.wheel == pytest.approx(wheel, rel=1e-10)
-
-
 def test_understeer_gradient_is_the_textbooks_with_per_axle_stiffness() -> None:
     cf, cr = axle_stiffness(CAR)
     textbook = CAR.mass / wheelbase(CAR) * (CAR.lr / cf - CAR.lf / cr)
@@ -117,33 +109,6 @@ def test_about_straight_driving_every_chassis_has_the_same_linear_model(
     names = ("yaw_rate", "slip_angle")
     expected = linearise(car, straight, names, (*names, "speed", "wheel", "accel"))[1]
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
-
-
-def test_linear_tyres_give_the_same_errors_in_a_bend() -> None:
-    straight, bend = lane_error_model(CAR, 2.0), lane_error_model(CAR, 2.0, 0.6)
-    np.testing.assert_allclose(bend.a, straight.a, rtol=1e-9, atol=1e-9)
-
-
-def test_a_path_is_held_by_feed_forward_and_the_heading_error_it_leaves() -> None:
-    speed, curvature = 2.0, 0.5
-    errors = lane_error_model(CAR, speed)
-    rest = np.array([0.0, 0.0, -steady_slip(CAR, speed, curvature), 0.0])
-    rate = (
-        errors.a @ rest
-        + errors.b_steer * feedforward_steer(CAR, speed, curvature)
-        + errors.b_curvature * curvature
-    )
-    np.testing.assert_allclose(rate, 0.0, atol=1e-9)
-
-
-def test_names_choose_rows_and_columns() -> None:
-    turn = steady_turn(CAR, 2.0, 0.3)
-    a, b = linearise(CAR, turn, ("yaw_rate", "speed"), ("accel", "wheel"))
-    full, steer = linearise(CAR, turn, ("slip_angle", "yaw_rate"), ("wheel",))
-    assert a.shape == b.shape == (2, 2)
-    assert a[0, 0] == full[1, 1]
-    assert b[0, 1] == steer[1, 0]
-    assert tuple(b[1]) == (1.0, 0.0)
 
 
 def test_sampling_a_double_integrator_is_exact() -> None:

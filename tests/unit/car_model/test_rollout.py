@@ -5,13 +5,11 @@ from itertools import pairwise
 
 import pytest
 
-from steerd.car_model.linear import steady_turn
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
-from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car, wheelbase
+from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
 from steerd.car_model.rollout import (
     Integrator,
-    channel_delayed,
     euler,
     rk4,
     simulate,
@@ -44,18 +42,6 @@ def test_rest_stays_at_rest() -> None:
     assert set(run(DEFAULT_CAR, ORIGIN, Command(0.0, 0.0), 1.0)) == {ORIGIN}
 
 
-def test_steering_at_rest_moves_nothing_but_the_wheels() -> None:
-    last = run(DEFAULT_CAR, ORIGIN, Command(0.2, 0.0), 2.0)[-1]
-    assert (last.x, last.y, last.speed) == (0.0, 0.0, 0.0)
-    assert last.yaw == 0.0
-    assert last.steer == pytest.approx(0.2, abs=1e-9)
-
-
-def test_straight_stays_straight() -> None:
-    for state in run(DEFAULT_CAR, ORIGIN._replace(speed=1.0), Command(0.0, 3.0), 2.0):
-        assert (state.y, state.yaw, state.yaw_rate, state.slip_angle) == (0.0, 0.0, 0.0, 0.0)
-
-
 def test_speed_follows_its_lag_and_then_its_limits() -> None:
     car = DEFAULT_CAR._replace(accel_max=20.0)
     reached = run(car, ORIGIN, Command(0.0, 1.0), car.speed_lag)[-1].speed
@@ -69,23 +55,6 @@ def test_steering_slews_then_settles_and_stops_at_its_ends() -> None:
     speeds = [(b.steer - a.steer) / 0.005 for a, b in pairwise(states)]
     assert max(speeds) == pytest.approx(DEFAULT_CAR.steer_rate, rel=1e-9)
     assert states[-1].steer == pytest.approx(DEFAULT_CAR.steer_max, rel=1e-9)
-
-
-@pytest.mark.parametrize("speed", [0.8, 2.0, 3.5])
-def test_a_held_wheel_ends_in_the_steady_turn(speed: float) -> None:
-    turn = steady_turn(DEFAULT_CAR, speed, 0.7)
-    first = ORIGIN._replace(speed=speed, steer=turn.wheel)
-    last = run(DEFAULT_CAR, first, Command(turn.wheel, speed), 3.0)[-1]
-    assert last.yaw_rate == pytest.approx(0.7 * speed, rel=1e-6)
-    assert last.slip_angle == pytest.approx(turn.state.slip_angle, rel=1e-5)
-
-
-def test_crawling_follows_the_wheels() -> None:
-    first = ORIGIN._replace(speed=0.15, steer=0.3)
-    last = run(DEFAULT_CAR, first, Command(0.3, 0.15), 1.0)[-1]
-    slip = math.atan(DEFAULT_CAR.lr * math.tan(0.3) / wheelbase(DEFAULT_CAR))
-    assert last.slip_angle == pytest.approx(slip, rel=1e-6)
-    assert last.yaw_rate == pytest.approx(0.15 * math.sin(slip) / DEFAULT_CAR.lr, rel=1e-6)
 
 
 def test_reverse_is_kinematic_and_stable() -> None:
@@ -123,15 +92,6 @@ def test_substeps_keep_a_slow_car_stable() -> None:
     fine = h / substeps(DEFAULT_CAR, 0.5, h)
     last = run(DEFAULT_CAR, ORIGIN._replace(speed=0.5), Command(0.3, 0.5), 2.0, fine)[-1]
     assert abs(last.yaw_rate) < 2.0
-
-
-def test_a_delay_of_whole_and_half_steps() -> None:
-    values, h = [1.0, 2.0, 4.0, 8.0], 0.01
-    assert [channel_delayed(values, k, 0.0, h) for k in range(4)] == values
-    assert [channel_delayed(values, k, 0.02, h) for k in range(4)] == [1.0, 1.0, 1.0, 2.0]
-    halves = [channel_delayed(values, k, 0.015, h) for k in range(4)]
-    assert halves == pytest.approx([1.0, 1.0, 1.5, 3.0])
-    assert channel_delayed(values, 3, -0.02, h) == 8.0
 
 
 def test_a_delayed_command_moves_the_wheels_late() -> None:

@@ -105,31 +105,11 @@ def test_a_slow_servo_is_tolerated(spec: str, speed: float, identified: bool) ->
     assert ran.worst(after=8.0) <= 0.01
 
 
-@pytest.mark.parametrize("identified", [False, True])
-def test_a_slow_servo_is_tolerated_from_an_offset(identified: bool) -> None:
-    controller = made("line:length=30", 1.5, SLOW_SERVO if identified else DEFAULT_CAR)
-    first = ORIGIN._replace(y=0.2, speed=1.5)
-    ran = drive(controller, SLOW_SERVO, 7.0, first)
-    assert ran.worst(after=0.0) <= 0.2 + 1e-9
-    assert ran.worst(after=5.0) <= 0.005
-
-
 @pytest.mark.parametrize("offset", [-0.2, 0.2])
 def test_an_offset_on_a_line_is_regulated_without_overshoot(offset: float) -> None:
     ran = drive(made("line:length=20", 1.0), DEFAULT_CAR, 6.0, ORIGIN._replace(y=offset, speed=1.0))
     assert ran.worst(after=4.0) <= 0.001
     assert (ran.e1 / offset).min() >= -0.05
-
-
-def test_the_circle_is_found_from_inside_it_turned_away() -> None:
-    ran = drive(made("circle:radius=2", 1.0), DEFAULT_CAR, 10.0, ORIGIN._replace(y=0.3, yaw=-0.5))
-    assert ran.worst(after=6.0) <= 0.002
-
-
-def test_a_clockwise_circle_is_the_mirror_image() -> None:
-    left = drive(made("circle:radius=1.5", 1.5), DEFAULT_CAR, 6.0, ORIGIN._replace(y=0.1))
-    right = drive(made("circle:radius=-1.5", 1.5), DEFAULT_CAR, 6.0, ORIGIN._replace(y=-0.1))
-    np.testing.assert_allclose(left.e1, -right.e1, atol=1e-9)
 
 
 def test_start_ramp_and_stop_ramp() -> None:
@@ -155,12 +135,6 @@ def test_a_cars_gain_and_bias_are_undone() -> None:
     assert ran.rms(after=3.0) <= 0.002
     assert ran.state[-1].speed == pytest.approx(1.5, abs=1e-3)
     assert to_command(crooked, 0.05, 0.9) == pytest.approx((0.0, 1.0))
-
-
-def test_pole_placement_drives_where_its_check_passes() -> None:
-    bare = DEFAULT_CAR._replace(steer_lag=0.0, steer_delay=0.0)
-    controller = made("circle:radius=2", 1.0, bare, design="pole_placement")
-    assert drive(controller, bare, 8.0).rms(after=3.0) <= 0.002
 
 
 def first_ticks(controller: LaneController) -> tuple[ControllerState, State[float]]:
@@ -194,13 +168,6 @@ def test_no_delay_means_no_past() -> None:
     command, _, after = control(controller, state, estimate, 10_000_000)
     assert after.past == ()
     assert control(controller, after, estimate, 20_000_000, issued=command)[2].past == ()
-
-
-def test_the_tick_is_pure() -> None:
-    controller = made("figure8", 1.5)
-    state, estimate = first_ticks(controller)
-    once = control(controller, state, estimate, 10_000_000)
-    assert control(controller, state, estimate, 10_000_000) == once
 
 
 def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed() -> None:

@@ -39,20 +39,6 @@ def test_heading_error_wraps() -> None:
         assert lane_errors(estimate, at).e2 == pytest.approx(0.1)
 
 
-def test_a_car_that_follows_the_circle_has_no_rates() -> None:
-    slip = 0.05
-    estimate = State(0.0, 0.0, -slip, 1.2, 0.6, slip, 0.16)
-    errors = lane_errors(estimate, project(LEFT, 0.0, 0.0, 0))
-    assert errors == pytest.approx((0.0, 0.0, -slip, 0.0))
-
-
-def test_the_inside_of_a_turn_is_shorter() -> None:
-    estimate = State(0.0, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0)
-    errors = lane_errors(estimate, project(LEFT, 0.0, 0.5, 0))
-    assert errors.e1 == pytest.approx(0.5)
-    assert errors.e2_rate == pytest.approx(-0.5 / 0.75)
-
-
 def test_at_the_centre_of_the_turn_the_rates_stay_finite() -> None:
     estimate = State(0.0, 2.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     errors = lane_errors(estimate, project(LEFT, 0.0, 2.0, 0))

@@ -47,15 +47,6 @@ def test_first_belief_covers_the_truth(
     assert np.abs(np.mean(errors, axis=0)).max() < 1.0
 
 
-def test_unknown_steering_is_more_uncertain() -> None:
-    poses = poses_on_a_curve(0, 1.0, 0.0, 0.0, 0.0)
-    steered, unknown = initial_belief(CONFIG, poses, 0.1), initial_belief(CONFIG, poses, None)
-    assert steered is not None
-    assert unknown is not None
-    assert (steered.mean[6], unknown.mean[6]) == (0.1, 0.0)
-    assert unknown.covariance[6, 6] > steered.covariance[6, 6]
-
-
 @pytest.mark.parametrize("index", range(10))
 @pytest.mark.parametrize("shift", [(0.5, 0.0, 0.0), (0.0, 0.0, math.pi)])
 def test_one_wrong_pose_stops_the_start(index: int, shift: tuple[float, float, float]) -> None:

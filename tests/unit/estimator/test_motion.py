@@ -4,9 +4,9 @@ import pytest
 from steerd.car_model.chassis import Chassis, derivative
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
-from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
+from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.planar import CHASSIS
-from steerd.car_model.prediction import ActuatorMotion, implicit_solver, slip_density
+from steerd.car_model.prediction import ActuatorMotion, slip_density
 from steerd.car_model.rollout import simulate as simulate_car
 from steerd.car_model.rollout import start
 from steerd.car_model.single_track import SINGLE_TRACK
@@ -43,21 +43,6 @@ def rates_and_jacobian(chassis: Chassis, car, state, wheel: float, accel: float)
     outputs = [tape.node(number) for row in (rates, *slopes) for number in row]
     numbers = np.array(program(inputs, outputs)(*state, wheel, accel))
     return numbers[:6], numbers[6:].reshape(6, 8)
-
-
-@every_chassis
-@pytest.mark.parametrize("state", STATES)
-@pytest.mark.parametrize("car", [DEFAULT_CAR, PAPER_CAR])
-def test_sparse_solution_equals_the_dense_one(chassis, car, state) -> None:
-    _, rows = rates_and_jacobian(chassis, car, state, 0.1, 0.5)
-    for k in (0.0005, 0.005):
-        dense = np.linalg.inv(np.eye(6) - k * rows[:, :6])
-        solve = implicit_solver(rows.tolist(), k)
-        for column in range(6):
-            x, y, *others = np.eye(6)[column].tolist()
-            np.testing.assert_allclose(
-                solve(*others, x, y), dense[:, column], rtol=1e-12, atol=1e-15
-            )
 
 
 @every_chassis
@@ -138,23 +123,6 @@ def test_long_steps_at_low_speed_stay_bounded(chassis, speed: float) -> None:
     assert np.linalg.eigvalsh(moved.covariance).min() > 0.0
     assert abs(moved.mean[4]) < 0.5
     assert abs(moved.mean[5]) < 0.3
-
-
-def test_no_time_no_motion() -> None:
-    belief = Belief(np.arange(7.0), np.eye(7))
-    config = FilterConfig()
-    same = predict_belief(Kalman(7), CAR, SINGLE_TRACK, config, NO_HISTORY, belief, 5, 5)
-    assert same is belief
-
-
-def test_noise_is_that_of_accelerations() -> None:
-    config = FilterConfig()
-    density = noise_density(config)
-    assert density[3] == config.longitudinal_accel_density**2
-    assert noise_density(config, steered=False) == [*density[:6], 0.0]
-    lateral = config.lateral_accel_density
-    for speed, divisor in ((2.0, 2.0), (-2.0, 2.0), (0.0, 0.5)):
-        assert slip_density(FLOAT, lateral, speed) == pytest.approx((lateral / divisor) ** 2)
 
 
 @pytest.mark.parametrize("state", STATES)

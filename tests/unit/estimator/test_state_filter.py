@@ -1,6 +1,6 @@
 import math
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,6 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.state import ORIGIN, Command, State
-from steerd.estimator.config import FilterConfig
 from steerd.estimator.sensors import Kind, Measurement, make_gyro, make_pose, make_wheel_speed
 from steerd.estimator.state_filter import (
     FilterState,
@@ -82,21 +81,6 @@ def test_it_starts_on_a_moving_car_and_follows(drive: Any, run_filter: Any) -> N
         assert math.hypot(off[0], off[1]) < 0.006
 
 
-def test_one_call_a_tick_equals_one_call_an_event(drive: Any, run_filter: Any) -> None:
-    *_, (end, batched) = run_filter(FILTER, drive)
-    single = FilterState()
-    for t, command in drive.commands:
-        single = step(FILTER, single, t, (), ((t, command),))
-        for arrival, measurement in drive.arrivals:
-            if t - 5 * MS < arrival <= t:
-                single = on_measurement(FILTER, single, t, measurement)
-    one, other = predict_to(FILTER, batched, end), predict_to(FILTER, single, end)
-    assert one is not None
-    assert other is not None
-    np.testing.assert_allclose(one.state, other.state, atol=1e-12)
-    assert one.health == other.health
-
-
 @pytest.mark.parametrize(
     "shift", [(0.5, 0.0, 0.0), (0.0, -0.5, 0.0), (0.0, 0.0, math.pi), (0.0, 0.0, 0.3)]
 )
@@ -143,21 +127,6 @@ def test_a_body_swap_raises_streak_and_share_and_never_moves_the_estimate() -> N
     fresh = predict_to(FILTER, again, now)
     assert fresh is not None
     assert fresh.state.x == pytest.approx(3.0, abs=1e-6)
-
-
-def test_share_forgets_after_the_window() -> None:
-    t, state = standing()
-    state = on_measurement(FILTER, state, t, make_pose(t, 3.0, 2.0, 0.5))
-    shares = []
-    for k in range(60):
-        now = t + 10 * MS * (k + 1)
-        state = on_measurement(FILTER, state, now, make_pose(now, 1.0, 2.0, 0.5))
-        estimate = predict_to(FILTER, state, now)
-        assert estimate is not None
-        shares.append(estimate.health.pose.refused_share)
-    assert 0.0 < shares[40] < 0.05
-    assert shares[-1] == 0.0
-    assert estimate.health.pose.refused == 1
 
 
 @pytest.mark.parametrize("begin", [60, 110, 161])
@@ -260,39 +229,6 @@ def test_a_car_seen_in_a_mirror_is_estimated_in_the_mirror(drive: Any, run_filte
         if one is not None and other is not None:
             np.testing.assert_allclose(np.array(one.state) * signs, other.state, atol=1e-9)
             np.testing.assert_allclose(one.sd, other.sd, rtol=1e-9)
-
-
-def test_scaling_all_noise_scales_the_spread_and_not_the_estimate(
-    drive: Any, run_filter: Any
-) -> None:
-    """Gains depend on the ratios of the noises only; the first belief's slack fades."""
-    names = [f.name for f in fields(FilterConfig) if f.name.endswith(("_sd", "_density"))]
-    wide = FilterConfig(gate_probability=1.0 - 1e-9)
-    scaled = replace(wide, **{name: 3.0 * getattr(wide, name) for name in names})
-    one_filter, other_filter = (make_state_filter(DEFAULT_CAR, c) for c in (wide, scaled))
-    *_, (t, one_state) = run_filter(one_filter, drive)
-    *_, (t, other_state) = run_filter(other_filter, drive)
-    one = predict_to(one_filter, one_state, t)
-    other = predict_to(other_filter, other_state, t)
-    assert one is not None
-    assert other is not None
-    np.testing.assert_allclose(9.0 * one.covariance, other.covariance, rtol=1e-2, atol=1e-6)
-    assert (np.abs(error(one.state, other.state)) < 0.01 * np.array(one.sd)).all()
-
-
-def test_a_gyro_sharpens_the_yaw_rate(simulate: Any, run_filter: Any) -> None:
-    drive = simulate(5, 1.5, gyro=True)
-    without = replace(
-        drive, arrivals=[pair for pair in drive.arrivals if pair[1].kind is not Kind.GYRO]
-    )
-    *_, (t, with_gyro) = run_filter(FILTER, drive)
-    *_, (t, plain) = run_filter(FILTER, without)
-    one, other = predict_to(FILTER, with_gyro, t), predict_to(FILTER, plain, t)
-    assert one is not None
-    assert other is not None
-    assert one.sd.yaw_rate < 0.5 * other.sd.yaw_rate
-    assert one.health.gyro.seen > 200
-    assert other.health.gyro.age_s == math.inf
 
 
 def test_stamp_latency_and_speed_gain_of_the_car_are_honoured(

@@ -1,6 +1,5 @@
 """Paths: geometry of the shapes, files, specs, projection."""
 
-import itertools
 import math
 from pathlib import Path as FilePath
 
@@ -13,7 +12,6 @@ from steerd.car_model.path.path import (
     Path,
     interpolate,
     locate,
-    place_at_origin,
     project,
     wrap_angle,
 )
@@ -169,13 +167,6 @@ def test_smoothing_calms_a_noisy_line() -> None:
     assert max(map(abs, calm.curvature)) < 0.5 * max(map(abs, rough.curvature))
 
 
-def test_an_open_line_stays_open() -> None:
-    path = make_path(read_track("\n".join(f"{0.1 * i},0" for i in range(30)), "a.csv"))
-    assert not path.closed
-    assert path.length == pytest.approx(2.9)
-    assert path.x[-1] == pytest.approx(2.9)
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -198,17 +189,6 @@ def test_a_wrong_place_option_says_what_to_use(tmp_path: FilePath) -> None:
 
 
 # --- projection
-
-
-def test_projection_is_exact_on_an_arc() -> None:
-    path = parse_path("circle:radius=-2")
-    for angle, radius in itertools.product(np.linspace(0.0, 6.2, 17), (1.5, 2.0, 2.3)):
-        x, y = radius * math.sin(angle), radius * math.cos(angle) - 2.0
-        seen = locate(path, x, y)
-        assert seen.e1 == pytest.approx(radius - 2.0, abs=1e-12)  # left of a right turn: outside
-        assert seen.s == pytest.approx(2.0 * angle, abs=1e-9)
-        assert seen.yaw_path == pytest.approx(-angle, abs=1e-9)
-        assert seen.curvature == -0.5
 
 
 @pytest.mark.parametrize("e1", [-0.3, 0.0, 0.3])
@@ -242,14 +222,6 @@ def test_beyond_an_open_end_the_line_goes_on() -> None:
     assert (before.s, before.e1) == (0.0, -0.4)
 
 
-def test_a_far_hint_is_caught_up_within_a_few_projections() -> None:
-    path = parse_path("circle:radius=2")
-    seen = project(path, path.x[200], path.y[200], 0)
-    for _ in range(5):
-        seen = project(path, path.x[200], path.y[200], seen.hint)
-    assert seen.hint == 200
-
-
 def test_interpolation_goes_round_and_holds_at_ends() -> None:
     closed, line = parse_path("figure8"), parse_path("line:length=1")
     assert interpolate(closed, closed.curvature, closed.length) == closed.curvature[0]
@@ -265,13 +237,6 @@ def test_angles_wrap_into_the_half_open_turn() -> None:
     assert wrap_angle(math.pi) == math.pi
     assert wrap_angle(-math.pi) == math.pi
     assert wrap_angle(7.0) == pytest.approx(7.0 - math.tau)
-
-
-def test_placing_keeps_the_shape() -> None:
-    path = make_path(read_track(oval_raceline(0.0), "oval.csv"))
-    placed = place_at_origin(path)
-    np.testing.assert_allclose(chords(placed), chords(path))
-    assert placed.curvature == path.curvature
 
 
 @pytest.mark.parametrize(

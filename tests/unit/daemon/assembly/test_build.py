@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from steerd.daemon.assembly.build import make_design_car, make_loop_setup, make_plan
+from steerd.daemon.assembly.build import make_design_car, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.settings.run_options import ControllerKind, RunOptions
+from steerd.daemon.settings.run_options import RunOptions
 
 OPTIONS = RunOptions(car_file="", path="line", speed=1.0)
 
@@ -42,11 +42,3 @@ def test_the_design_counts_on_the_limited_steering_only():
     car = make_design_car(tight)
     assert car.steer_max == 0.1
     assert car.steer_min == make_design_car(settings).steer_min
-
-
-def test_the_loop_setup_holds_period_duration_and_controller_kind():
-    options = replace(OPTIONS, rate_hz=200.0, duration_s=2.5, controller=ControllerKind.ZENOH)
-    setup = make_loop_setup(make_plan(options), 7, leased=True)
-    assert (setup.period_ns, setup.duration_ns, setup.boot_id) == (5_000_000, 2_500_000_000, 7)
-    assert setup.remote
-    assert setup.ignores_lane

@@ -46,11 +46,6 @@ def test_reproducible_metadata_say_nothing_of_the_machine(plan):
     assert decode_options(session["options"]) == plan.options
 
 
-def test_numbers_of_the_car_come_back_exactly(plan):
-    vehicle = make_metadata(plan, 1, 1, leased=False)["steerd.vehicle"]
-    assert {k: float(v) for k, v in vehicle.items()} == plan.settings.file.car._asdict()
-
-
 @pytest.mark.parametrize(
     ("spec", "file"),
     [("csv:lane.csv", "lane.csv"), ("csv:a/b.csv,closed", "a/b.csv"), ("circle:radius=2", None)],

@@ -65,12 +65,6 @@ def test_the_car_file_is_the_controllers_and_the_other_one_is_driven(tmp_path):
     assert make_attachments(plan)["sim_car.toml"] == heavy.read_text()
 
 
-def test_without_one_the_car_file_is_driven():
-    plan = make()
-    assert make_world_config(plan).car == plan.settings.file.car
-    assert "sim_car.toml" not in make_attachments(plan)
-
-
 def test_a_session_tells_its_true_car_and_how_to_drive_it_again():
     plan = make("hidden:5")
     assert read_true_car(meta(plan)) == plan.sim.file.car != plan.settings.file.car

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from steerd.daemon.cli.main import run_cli
-from steerd.daemon.cli.service import make_unit, unit_path
+from steerd.daemon.cli.service import make_unit
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.setup.probe import UDEV_RULE
 
@@ -111,18 +111,6 @@ def test_a_unit_gives_no_rights_that_a_drive_does_not_need(monkeypatch, capsys):
         assert unit.get("ProtectSystem") == (account and "full")
 
 
-def test_where_units_lie(tmp_path):
-    assert unit_path(True, {"XDG_CONFIG_HOME": "/x"}).as_posix() == (
-        "/x/systemd/user/steerd.service"
-    )
-    assert unit_path(False, {}).as_posix() == "/etc/systemd/system/steerd.service"
-
-
-def test_udev(capsys):
-    assert run_cli(["service", "udev"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == UDEV_RULE
-
-
 @pytest.mark.parametrize("what", ["print", "launch"])
 def test_a_file_of_a_service_fits_80_columns_but_for_the_command(what, capsys):
     """systemd's command stays on one line: others read that file too."""
@@ -131,3 +119,8 @@ def test_a_file_of_a_service_fits_80_columns_but_for_the_command(what, capsys):
     lines = capsys.readouterr().out.splitlines()
     long = [line for line in lines if len(line) > 80 and not line.startswith("ExecStart=")]
     assert not [line for line in long if "cmd=" not in line], "a command's program may be deep"
+
+
+def test_udev(capsys):
+    assert run_cli(["service", "udev"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == UDEV_RULE

@@ -2,7 +2,7 @@
 
 import pytest
 
-from steerd.daemon.cli.commands.driving.status import LABEL, format_status
+from steerd.daemon.cli.commands.driving.status import format_status
 
 STATUS = {
     "state": "DISARMED",
@@ -27,17 +27,6 @@ def test_one_line_for_each_fact():
         "mocap:       natnet streaming, 240 Hz",
         "controller:  lane",
     ]
-
-
-def test_long_texts_are_wrapped_between_words_and_indented():
-    long = "the mocap poses are older than 30 ms, the VESC answers late and the battery is low " * 2
-    lines = format_status("car1", STATUS | {"reason": long, "waiting": long, "warnings": long})
-    assert max(map(len, lines)) <= 80
-    assert sum(line.startswith("warning:") for line in lines) == 1
-    assert " ".join(" ".join(lines).split()).count(long.strip()) == 3
-    later = [line for line in lines if line.startswith(" ")]
-    assert len(later) >= 6
-    assert all(line[:LABEL].isspace() and not line[LABEL].isspace() for line in later)
 
 
 def test_each_warning_has_a_line_of_its_own():

@@ -31,22 +31,6 @@ def test_the_step_stands_beside_the_bar(monkeypatch):
     assert "50%" in seen.getvalue()
 
 
-def test_a_step_without_a_name_keeps_the_last_one(monkeypatch):
-    seen = watched(monkeypatch)
-    with show_progress("diagnosing", 4.0) as advance:
-        advance(1.0, "where")
-        advance(3.0)
-    assert "diagnosing: where" in seen.getvalue().rpartition("75%")[0][-120:]
-
-
-def test_nothing_is_written_where_nobody_looks(monkeypatch):
-    unseen = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", unseen)
-    with show_progress("identifying", 2.0) as advance:
-        advance(1.0, "learning the noise")
-    assert unseen.getvalue() == ""
-
-
 def test_items_are_counted_as_they_pass():
     seen: list[int] = []
     assert list(progress.watched("abcdefg", seen.append, every=3)) == list("abcdefg")

@@ -6,7 +6,6 @@ import sys
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -268,13 +267,6 @@ def test_several_topics_must_be_chosen(tmp_path):
     assert report.counts["actuation"] == 1
 
 
-def test_the_map_may_choose(tmp_path):
-    bag = make_bag(tmp_path, "mcap", two_poses)
-    the_map = '[topics]\npose = "/a"\n[session]\ncar = "blue"\n'
-    _, session = convert(tmp_path, bag, the_map=the_map)
-    assert session.columns(MocapPose, "/steerd/blue/mocap")["x"].tolist() == [1.0]
-
-
 @pytest.mark.parametrize(
     ("topic", "part"),
     [
@@ -310,16 +302,6 @@ def test_stamps_of_another_clock_are_not_used(tmp_path):
     report, session = convert(tmp_path, make_bag(tmp_path, "mcap", fill))
     assert session.columns(MocapPose)["t_valid_ns"].tolist() == [0, 10**9, 2 * 10**9]
     assert "another clock" in report.notes[0]
-
-
-def test_poses_that_are_none_are_counted(tmp_path):
-    def fill(bag):
-        bag.pose("/a", START, math.nan, 0.0, 0.0)
-        bag.pose("/a", START + 1, 1.0, 0.0, 0.0)
-
-    report, session = convert(tmp_path, make_bag(tmp_path, "mcap", fill))
-    assert session.columns(MocapPose)["x"].tolist() == [1.0]
-    assert report.notes == ("1 pose messages hold no finite values and were left out",)
 
 
 @pytest.mark.parametrize("kind", ["ros1", "mcap"])
@@ -364,12 +346,11 @@ def test_without_rosbags_it_says_what_to_install(tmp_path, monkeypatch):
     assert "pip install rosbags" in error.hint
 
 
-def test_rosbags_reads_the_session_back(tmp_path):
-    convert(tmp_path, make_bag(tmp_path, "ros1", drive))
-    with AnyReader([tmp_path / "out.mcap"]) as reader:
-        poses = [
-            reader.deserialize(data, c.msgtype)
-            for c, _, data in reader.messages()
-            if c.topic == "/steerd/car/mocap"
-        ]
-    assert [pose.x for pose in poses] == pytest.approx([0.1 * i for i in range(20)])
+def test_poses_that_are_none_are_counted(tmp_path):
+    def fill(bag):
+        bag.pose("/a", START, math.nan, 0.0, 0.0)
+        bag.pose("/a", START + 1, 1.0, 0.0, 0.0)
+
+    report, session = convert(tmp_path, make_bag(tmp_path, "mcap", fill))
+    assert session.columns(MocapPose)["x"].tolist() == [1.0]
+    assert report.notes == ("1 pose messages hold no finite values and were left out",)

@@ -124,14 +124,6 @@ def test_scale_offset_and_gate(tmp_path):
     assert session.columns(Throttle)["throttle"].tolist() == [0.9, 0.0]
 
 
-def test_the_frame_moves_the_pose_to_the_centre_of_gravity(tmp_path):
-    the_map = ALL + "[frame]\nmarker_rear_x = 0.115\ncog_ahead_of_rear = 0.093\n"
-    _, session = convert(tmp_path, HEADER + f"0,1,2,{math.pi / 2},,,,,,\n", the_map)
-    pose = session.columns(MocapPose)
-    assert (pose["x"][0], pose["y"][0]) == pytest.approx((1.0, 2.0 - 0.022))
-    assert (pose["x_raw"][0], pose["y_raw"][0]) == (1.0, 2.0)
-
-
 @pytest.mark.parametrize("delimiter", [",", ";", "\t", "|", " ", ", "])
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 @pytest.mark.parametrize("start", ["", "\ufeff", "# ", "\n\n"])
@@ -153,11 +145,6 @@ def test_times_before_zero_raise_the_epoch(tmp_path):
     _, session = convert(tmp_path, "t,v\n-2.5,1\n-1.5,2\n", WHEEL)
     assert session.info().start_ns == 0
     assert session.columns(WheelSpeed)["t_ns"].tolist() == [-2_500_000_000, -1_500_000_000]
-
-
-def test_unix_seconds_as_they_are(tmp_path):
-    _, session = convert(tmp_path, "t,v\n1726480861.25,1\n1726480861.5,2\n", WHEEL)
-    assert session.info().start_ns == 1_726_480_861_250_000_000
 
 
 def test_equal_times_are_kept_and_counted(tmp_path):
@@ -213,17 +200,6 @@ def test_a_map_without_columns(tmp_path):
     assert "[columns]" in refuse(tmp_path, "t,v\n0,1\n", '[session]\ncar = "a"\n').what
 
 
-@pytest.mark.parametrize("name", ["there.mcap", "out.csv"])
-def test_the_output_is_checked_first(tmp_path, name):
-    out = tmp_path / name
-    if out.suffix == ".mcap":
-        out.write_bytes(b"precious")
-    with pytest.raises(SteerdError) as caught:
-        import_csv(tmp_path / "none.csv", tmp_path / "none.toml", out, lambda done: None)
-    assert caught.value.code == ExitCode.USAGE
-    assert out.suffix == ".csv" or out.read_bytes() == b"precious"
-
-
 def test_what_is_no_file(tmp_path):
     os.mkfifo(tmp_path / "fifo")
     (tmp_path / "map.toml").write_text(WHEEL)
@@ -241,17 +217,6 @@ def test_a_missing_folder_for_the_output(tmp_path):
     out = tmp_path / "no" / "o.mcap"
     with pytest.raises(SteerdError, match="cannot be created"):
         import_csv(tmp_path / "a.csv", tmp_path / "map.toml", out, lambda done: None)
-
-
-def test_progress_is_reported_in_bytes(tmp_path):
-    text = "t,v\n" + "".join(f"{i},1\n" for i in range(5000))
-    (tmp_path / "a.csv").write_text(text)
-    (tmp_path / "map.toml").write_text(WHEEL)
-    reported = []
-    import_csv(tmp_path / "a.csv", tmp_path / "map.toml", tmp_path / "o.mcap", reported.append)
-    assert len(reported) == 5
-    assert reported == sorted(reported)
-    assert 0 < reported[-1] <= len(text)
 
 
 cells = st.one_of(

@@ -161,17 +161,6 @@ def test_asked_for_a_bag_the_poses_say_what_the_erpm_mean(tmp_path, monkeypatch,
     assert parse_map((tmp_path / "a.map.toml").read_text()).vesc.erpm_gain == -7300.0
 
 
-def test_the_import_that_is_advised_chooses_the_same_topics(tmp_path, capsys):
-    path, out = write_bag(tmp_path / "run", "db3"), tmp_path / "a.mcap"
-    line = ["import", str(path), "--topic", "command=/drive", "--topic", "/pf/viz/inferred_pose"]
-    assert run_cli([*line, "-o", str(out)]) == 0
-    again = capsys.readouterr().out.partition("again: ")[2].splitlines()[0]
-    assert run_cli(shlex.split(again)[1:]) == 0
-    made = open_session(tmp_path / "a-erpm.mcap")
-    assert set(made.columns(Actuation)["speed"]) == {2.0}
-    assert made.columns(MocapPose)["x"][0] == pytest.approx(0.1)
-
-
 def test_one_compressed_file_of_a_bag_is_no_table(tmp_path, capsys):
     (tmp_path / "run.db3.zstd").write_bytes(b"(\xb5/\xfd")
     assert run_cli(["import", str(tmp_path / "run.db3.zstd")]) == ExitCode.UNREADABLE

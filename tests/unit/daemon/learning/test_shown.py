@@ -52,10 +52,6 @@ def test_a_change_is_an_event_once(make_report, make_change):
     assert list(board.events) == [line, reported]
 
 
-def test_a_change_that_was_there_before_the_watch_is_told(make_report, make_change):
-    assert Dashboard("car1").take(record(make_report("named", make_change()))) is not None
-
-
 @pytest.fixture
 def core_pipe():
     """A core's pipe that is closed, so that the gateway ends after one look."""

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from steerd.daemon.learning.reported import ReportedValue, reported_changes, reported_values
+from steerd.daemon.learning.reported import ReportedValue
 from steerd.daemon.learning.text import encode_model, format_model, gap_text, with_sd
 from steerd.steer_bus import messages as m
 
@@ -78,15 +78,3 @@ def test_json_of_a_change_without_a_name_holds_no_nan(make_report, make_change):
 def test_numbers_have_the_digits_of_their_error(value, sd, shown):
     text = with_sd(ReportedValue("bias", value, sd, "rad"))
     assert text.replace("\u00a0", " ") == shown
-
-
-def test_a_report_gives_back_what_it_was_made_of(make_report, make_change):
-    change = make_change(alternatives=("mocap_yaw",))
-    report = make_report("named", make_change("unexplained"), change)
-    first, second = reported_changes(report)
-    assert second == change
-    assert (first.verdict, first.effect, first.parameters) == ("unexplained", "", ())
-    assert [(v.name, v.identifiable) for v in reported_values(report)] == [
-        ("steer_gain", True),
-        ("inertia_z", False),
-    ]

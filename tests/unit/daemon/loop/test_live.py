@@ -5,6 +5,7 @@ from math import inf, isnan, nan
 
 import pytest
 
+from steerd.controller.lane_controller import ControlReport
 from steerd.controller.live import AS_DESIGNED, LiveBounds, LiveValues
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.loop.live import (
@@ -17,7 +18,6 @@ from steerd.daemon.loop.live import (
     take_request,
 )
 from steerd.daemon.loop.loop import Loop
-from steerd.daemon.loop.outgoing import _NO_REPORT
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
 from steerd.steer_bus.messages import (
@@ -32,7 +32,7 @@ BOUNDS = LiveBounds(
     LiveValues(0.25, -0.125, 0.5), LiveValues(1.5, 0.125, 1.25), LiveValues(1.5, 0.0, 1.0)
 )
 LIVE = make_live(BOUNDS)
-SEEN = _NO_REPORT._replace(e1=0.0)
+SEEN = ControlReport(*(nan,) * len(ControlReport._fields))._replace(e1=0.0)
 ANN, BOB = 5, 9
 
 

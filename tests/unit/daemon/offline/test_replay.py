@@ -51,7 +51,8 @@ def test_a_changed_order_is_found_and_described(session):
     def changed(record):
         message = record.decode()
         if isinstance(message, m.Actuation) and message.seq == 9:
-            return run._compare(replace(message, speed=9.0, mode=m.ActuationMode.SPEED))
+            wrong = replace(message, speed=9.0, mode=m.ActuationMode.SPEED)
+            return run.take(replace(record, data=encode(wrong)))
         return run.take(record)
 
     found = [d for d in map(changed, session.messages()) if d is not None]

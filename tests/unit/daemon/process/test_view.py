@@ -22,15 +22,9 @@ from steerd.daemon.process.view_scene import (
 from steerd.daemon.process.view_server import ViewParameters, ViewServer
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
+from tests.blank import blank
 
 BODY = Body(0.16, 0.17, 0.27)
-
-
-def make_state(**values):
-    numbers = dict.fromkeys(m.StateMessage.__dataclass_fields__, 0.0)
-    numbers |= {"header": m.make_header(1_500_000_000_250_000_000, m.WORLD)}
-    numbers |= {"mono_ns": 1, "seq": 1, "flags": 0, "mode": 0}
-    return m.StateMessage(**{**numbers, **values})
 
 
 def test_parameters_are_flat_and_cannot_be_set():
@@ -80,7 +74,7 @@ def test_a_viewer_counts_what_the_pipe_dropped():
     sent = []
     box = Outbox(0, (lambda records, t_ns: sent.extend(records),))
     for tick in range(5):
-        box.post(topics.STATE, make_state(seq=tick), tick)
+        box.post(topics.STATE, blank(m.StateMessage, seq=tick), tick)
         box.flush(tick)
     kept = [record for record in sent if record.sequence not in (1, 2)]
     PipeWriter(write_fd).write([pack_record(record) for record in kept], 0)

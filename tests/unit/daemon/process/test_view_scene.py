@@ -13,15 +13,9 @@ from steerd.daemon.process.view_scene import (
     make_transform,
 )
 from steerd.steer_bus import messages as m
+from tests.blank import NOW_NS, blank
 
 BODY = Body(0.16, 0.17, 0.27)
-
-
-def make_state(**values):
-    numbers = dict.fromkeys(m.StateMessage.__dataclass_fields__, 0.0)
-    numbers |= {"header": m.make_header(1_500_000_000_250_000_000, m.WORLD)}
-    numbers |= {"mono_ns": 1, "seq": 1, "flags": 0, "mode": 0}
-    return m.StateMessage(**{**numbers, **values})
 
 
 def decode_foxglove(message):
@@ -40,16 +34,16 @@ def yaw_of(turn):
 
 
 def test_the_transform_puts_the_body_where_the_estimate_is():
-    sent = decode_foxglove(make_transform(make_state(x=1.5, y=-2.0, yaw=0.75 * pi)))
+    sent = decode_foxglove(make_transform(blank(m.StateMessage, x=1.5, y=-2.0, yaw=0.75 * pi)))
     (frame,) = sent.transforms
     assert (frame.parent_frame_id, frame.child_frame_id) == (m.WORLD, m.BODY)
     assert (frame.translation.x, frame.translation.y) == (1.5, -2.0)
     assert yaw_of(frame.rotation) == pytest.approx(0.75 * pi)
-    assert frame.timestamp.ToNanoseconds() == 1_500_000_000_250_000_000
+    assert frame.timestamp.ToNanoseconds() == NOW_NS
 
 
 def test_the_car_has_its_axles_and_steers_in_front_only():
-    state = make_state(steer=0.3, speed=2.0, slip_angle=-0.05)
+    state = blank(m.StateMessage, steer=0.3, speed=2.0, slip_angle=-0.05)
     (car,) = decode_foxglove(make_car_scene(state, BODY)).entities
     assert (car.frame_id, car.frame_locked) == (m.BODY, True)
     chassis, *wheels = car.cubes

@@ -10,16 +10,11 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.standard import Odometry
-
-
-def make_message(cls, **values):
-    """A message whose other numbers are 0."""
-    numbers = dict.fromkeys(cls.__dataclass_fields__, 0)
-    return cls(**{**numbers, "header": m.make_header(5, m.WORLD), **values})
+from tests.blank import blank
 
 
 def test_odometry_has_the_pose_and_the_velocity_in_the_body_frame():
-    state = make_message(
+    state = blank(
         m.StateMessage,
         x=1.0,
         y=2.0,
@@ -40,13 +35,13 @@ def test_odometry_has_the_pose_and_the_velocity_in_the_body_frame():
 
 
 def test_telemetry_without_a_fault_code_has_none():
-    made = make_vesc_state(make_message(m.VescTelemetry, erpm=4000, fault_code=-1, temp_fet=nan))
+    made = make_vesc_state(blank(m.VescTelemetry, erpm=4000, fault_code=-1, temp_fet=nan))
     assert (made.state.speed, made.state.fault_code) == (4000.0, 0)
 
 
 def test_each_kind_is_made_at_most_every_20_ms():
     views, made = Views(), []
-    state = make_message(m.StateMessage, x=3.0)
+    state = blank(m.StateMessage, x=3.0)
     for k in range(10):
         t_ns = k * PERIOD_NS // 4
         made += views.convert(PipeRecord(topics.STATE, k, t_ns, t_ns, encode(state)))

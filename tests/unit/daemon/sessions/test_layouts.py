@@ -91,9 +91,3 @@ def test_plotjuggler_splits_add_up():
     for splitter in splitters:
         assert int(splitter.get("count")) == len(splitter.findall("DockArea"))
         assert sum(map(float, splitter.get("sizes").split(";"))) == pytest.approx(1.0, abs=1e-4)
-
-
-def test_a_field_that_does_not_exist_is_noticed():
-    assert field_kind("/steerd/car1/state.e3", ".") is None
-    assert field_kind("/steerd/car1/nothing.e1", ".") is None
-    assert field_kind("/other/state/e1", "/") is None

@@ -8,8 +8,6 @@ from steerd.daemon.sessions.info import load_session
 from steerd.daemon.sessions.plot_data import (
     GAP,
     LANE_HALF_WIDTH,
-    _half_width,
-    _late_ms,
     make_curve,
     make_drawing,
 )
@@ -29,11 +27,6 @@ def test_a_curve_is_sorted_and_broken_where_samples_are_missing():
 
 def test_a_curve_without_a_number_is_none():
     assert list(make_curve("e1", "estimate", np.arange(3.0), np.full(3, NAN))) == []
-
-
-def test_a_tick_that_came_early_is_not_late():
-    ticks = {"woke_ns": np.array([900_000, 2_500_000]), "due_ns": np.array([1_000_000, 2_000_000])}
-    assert _late_ms(ticks) == pytest.approx([0.0, 0.5])
 
 
 def write(path, *files):
@@ -64,4 +57,4 @@ def test_a_log_without_an_estimate_shows_the_speed_of_its_poses_beside_the_wheel
 )
 def test_the_lane_is_as_wide_as_the_watchdog_of_the_recorded_car_file_allows(tmp_path, text, width):
     car = AttachedFile("car.toml", "application/toml", text.encode())
-    assert _half_width(write(tmp_path / "a.mcap", car)) == width
+    assert make_drawing(write(tmp_path / "a.mcap", car)).half_width == width

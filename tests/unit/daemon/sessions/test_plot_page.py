@@ -22,7 +22,6 @@ from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session import AttachedFile, SessionWriter
 
 EPOCH = 1_726_480_861_000_000_000
-NAN = float("nan")
 
 
 def state(t_ns, i, mode, e1, rng):
@@ -128,20 +127,6 @@ def test_the_lane_comes_from_the_session(tmp_path):
     assert load_lane(absent) is None
     drill = RunOptions("", drill="mixed;open")
     assert load_lane(load_session(write_noise(tmp_path / "c.mcap", 2, 20, options=drill))) is None
-
-
-def test_an_imported_drive_without_state_is_drawn_too(tmp_path):
-    maker = MessageMaker(EPOCH)
-    names = {topics.make_session_topic("blue", t): t.message for t in (topics.MOCAP, topics.WHEEL)}
-    writer = SessionWriter(tmp_path / "a.mcap", names, {"steerd.session": {"car": "blue"}})
-    for i in range(300):
-        pose = maker.planar_pose(i * 10_000_000, 0.015 * i, 0.0, 0.0)
-        writer.write("/steerd/blue/mocap", encode(pose), EPOCH + i * 10_000_000)
-    data = data_of(page_of(writer.finish({"reason": "imported"})))
-    assert [panel["title"] for panel in data["panels"]] == ["speed", "yaw rate"]
-    assert data["panels"][0]["curves"][0]["high"] == pytest.approx(1.5, rel=1e-6)
-    assert data["track"]["colour"] == "speed"
-    assert data["lane"] is None
 
 
 def test_the_command_line(tmp_path, capsys):

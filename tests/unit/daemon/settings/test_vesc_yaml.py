@@ -6,8 +6,8 @@ import pytest
 
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.settings.vesc_yaml import make_car_values, make_vesc_yaml, read_vesc_yaml
-from steerd.vesc_link.scaling import F1TENTH, Scaling
+from steerd.daemon.settings.vesc_yaml import make_car_values, read_vesc_yaml
+from steerd.vesc_link.scaling import F1TENTH
 
 YAML = """/**:
   ros__parameters:
@@ -26,20 +26,6 @@ vesc_driver:
     speed_max: 20000.0
     speed_min: -20000.0
 """
-
-
-def test_gains_of_a_vesc_yaml():
-    scaling = read_vesc_yaml(YAML, F1TENTH)
-    assert scaling == Scaling(4200.5, -12.0, -0.9, 0.48, 0.2, 0.8, 20000.0)
-    assert read_vesc_yaml("  servo_min: 0.3", F1TENTH).erpm_gain == F1TENTH.erpm_gain
-    again = make_vesc_yaml(F1TENTH, YAML)
-    assert read_vesc_yaml(again, scaling) == F1TENTH
-    assert "speed_min: -23250.0" in again
-    kept = [(a, b) for a, b in zip(YAML.splitlines(), again.splitlines(), strict=True) if a != b]
-    assert len(kept) == 8
-    assert "4614.0   # measured" in again
-    assert 'port: "/dev/sensors/vesc"' in again
-    assert read_vesc_yaml(make_vesc_yaml(scaling), F1TENTH) == scaling
 
 
 @pytest.mark.parametrize(

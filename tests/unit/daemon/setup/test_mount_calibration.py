@@ -71,15 +71,6 @@ def test_a_body_that_lies_across_or_backwards(turn):
     assert found.speed_gain == pytest.approx(0.93, rel=3e-3)
 
 
-def test_a_gap_in_the_poses_does_no_harm():
-    d = slow_drive(TRUTH)
-    keep = (d.t < 20) | (d.t > 23)
-    broken = Drive(d.t[keep], d.x[keep], d.y[keep], d.yaw[keep], d.t_wheel, d.wheel)
-    mount = calibrate_mount(broken, CAR).mount
-    assert mount.rear_x == pytest.approx(TRUTH.rear_x, abs=2e-3)
-    assert mount.delay == pytest.approx(TRUTH.delay, abs=6e-3)
-
-
 def test_a_drive_that_identifies_little_is_named_or_refused():
     found = calibrate_mount(slow_drive(TRUTH, vary=False, one_side=True), CAR)
     assert any("one side" in text for text in found.warnings)

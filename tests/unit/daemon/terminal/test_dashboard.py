@@ -13,15 +13,14 @@ from steerd.daemon.terminal.key_desk import KEY_HELP
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
+from tests.blank import blank
 
 TICK_NS = 10_000_000
 HEADER = m.make_header(1, m.WORLD)
 
 
 def state(t_ns, x=0.0, e1=0.0, mode=SupervisorState.RUNNING):
-    numbers = [0.0] * 21
-    numbers[0], numbers[2], numbers[14] = x, pi, e1
-    return m.StateMessage(HEADER, t_ns, 1, 0, mode, *numbers)
+    return blank(m.StateMessage, mono_ns=t_ns, seq=1, mode=mode, x=x, yaw=pi, e1=e1)
 
 
 def drive(tally, ticks, e1, start_ns=0, speed=1.5):
@@ -86,19 +85,6 @@ def test_the_panel_fits_80_columns_and_breaks_lines_between_words():
     wanted = " ".join([*board.status.values(), change.text, KEY_HELP]).split()
     assert set(wanted) <= words
     assert "-123.40" in words
-
-
-def test_before_the_first_command_there_is_a_dash():
-    board = Dashboard("car1")
-    resting = replace(state(1), steer_ref=nan, speed_ref=nan)
-    board.take(PipeRecord(topics.STATE, 0, 1, 1, encode(resting)))
-    console = Console(width=80)
-    with console.capture() as caught:
-        console.print(board.render())
-    (line,) = [line for line in caught.get().splitlines() if "command" in line]
-    assert "steer –" in line
-    assert "speed –" in line
-    assert "nan" not in line
 
 
 def test_an_estimate_that_is_not_there_shows_no_number():

@@ -11,6 +11,7 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Sample
 from steerd.steer_bus.codec import encode
+from tests.blank import blank
 from tests.local_bus import LocalBus, LocalHub
 
 HEADER = m.make_header(SECOND, m.WORLD)
@@ -21,9 +22,7 @@ def sample(name, message):
 
 
 def state(speed=1.5, e1=0.012):
-    numbers = [0.0] * 21
-    numbers[3], numbers[14] = speed, e1
-    return m.StateMessage(HEADER, 0, 1, 0, SupervisorState.RUNNING, *numbers)
+    return blank(m.StateMessage, mode=SupervisorState.RUNNING, speed=speed, e1=e1)
 
 
 def vesc(fault=0):

@@ -1,0 +1,233 @@
+"""The racecar that comes with PyBullet: rigid wheels on a plane, with Coulomb friction.
+
+The car and its physics are other people's (`pybullet_data/racecar/racecar.urdf`); here its joints
+are driven, its numbers drawn, and things are made wrong with it. Its wheels hardly slip before they
+slide: there is no cornering stiffness to find.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from math import atan, tan
+from typing import Any
+
+import numpy as np
+import pybullet
+import pybullet_data
+from numpy.typing import NDArray
+from pybullet_utils.bullet_client import BulletClient
+
+from benchmarks.blind_gap.effects import Place, Values
+from benchmarks.blind_gap.plant import STEP
+from benchmarks.foreign_cars.drives import Commands
+from benchmarks.foreign_cars.effects import WIRED, WIRED_OUTSIDE
+from benchmarks.foreign_cars.log import Log
+from benchmarks.foreign_cars.wiring import (
+    Orders,
+    Wiring,
+    draw_wiring,
+    make_orders,
+    make_push,
+    observe,
+)
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+RADIUS, TRACK, WHEELBASE = 0.05, 0.2, 0.325
+"""Of the URDF [m]."""
+_REAR = ("left_rear_wheel_joint", "right_rear_wheel_joint")
+_FRONT = ("left_front_wheel_joint", "right_front_wheel_joint")
+_HINGES = ("left_steering_hinge_joint", "right_steering_hinge_joint")
+_FORCE = 20.0
+"""Of motor and servos [N m]: they do what they are told, and grip is the limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class BulletCar:
+    """What is drawn or wrong: friction of the tyres, payload [kg], share of yaw inertia, drag
+    [1/s], slope of the floor."""
+
+    mu: float
+    payload: float = 0.0
+    inertia: float = 1.0
+    drag: float = 0.0
+    slope_x: float = 0.0
+    slope_y: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class BulletPlant:
+    """Plant d: PyBullet's racecar."""
+
+    car: BulletCar
+    wiring: Wiring
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """Effects that it can have."""
+        return frozenset(WIRED) | frozenset(_EFFECTS)
+
+    @property
+    def outside(self) -> frozenset[str]:
+        """Defects outside the library that it can have."""
+        return frozenset(WIRED_OUTSIDE)
+
+    @property
+    def truth(self) -> Values:
+        """Lengths [m]."""
+        model = Model(self.car)
+        try:
+            return {"lf": WHEELBASE - model.ahead, "lr": model.ahead}
+        finally:
+            model.client.disconnect()
+
+    def with_effect(self, name: str, values: Values) -> "BulletPlant":
+        """The car with an effect of the contract."""
+        if name in WIRED:
+            return replace(self, wiring=WIRED[name](self.wiring, values))
+        return replace(self, car=_EFFECTS[name](self.car, values))
+
+    def with_outside(self, name: str, strength: float, place: Place) -> "BulletPlant":
+        """The car with a defect that no effect describes."""
+        return replace(self, wiring=self.wiring._replace(**{WIRED_OUTSIDE[name]: strength}))
+
+    def drive(self, commands: Commands, rng: np.random.Generator) -> Log:
+        """Drive it and record."""
+        orders = make_orders(self.wiring, commands, rng)
+        push = make_push(commands, rng)
+        path, rolling = simulate(self.car, self.wiring, orders, push.process, commands.start)
+        return observe(self.wiring, commands, path, rolling, push.pose, rng)
+
+
+_EFFECTS: Mapping[str, Callable[[BulletCar, Values], BulletCar]] = {
+    "tyre_friction": lambda car, v: replace(car, mu=v["ratio"] * car.mu),
+    "mass": lambda car, v: replace(car, payload=car.payload + v["payload"]),
+    "yaw_inertia": lambda car, v: replace(car, inertia=v["ratio"] * car.inertia),
+    "rolling_drag": lambda car, v: replace(car, drag=car.drag + v["drag"]),
+    "floor_slope": lambda car, v: replace(car, slope_x=v["x"], slope_y=v["y"]),
+}
+
+
+def make_bullet(rng: np.random.Generator) -> BulletPlant:
+    """A healthy car."""
+    return BulletPlant(BulletCar(mu=float(rng.uniform(0.7, 1.0))), draw_wiring(rng))
+
+
+class Model:
+    """The car in a world of its own.
+
+    Attributes:
+        client: the world; disconnect it.
+        body: the car; `joints` its joints by name; `chassis` the link that has its mass.
+        ahead: of the rear axle, the centre of gravity [m]; `beyond` of it, the chassis' own [m].
+        mass: of the whole [kg]; `inertia` of the chassis about the vertical [kg m^2].
+    """
+
+    def __init__(self, car: BulletCar) -> None:
+        self.client = world = BulletClient(pybullet.DIRECT)
+        world.setAdditionalSearchPath(pybullet_data.getDataPath())
+        world.setGravity(-GRAVITY * car.slope_x, -GRAVITY * car.slope_y, -GRAVITY)
+        world.setTimeStep(STEP)
+        floor = world.loadURDF("plane.urdf")
+        self.body = world.loadURDF("racecar/racecar.urdf")
+        count = range(world.getNumJoints(self.body))
+        infos = [world.getJointInfo(self.body, i) for i in count]
+        self.joints = {info[1].decode(): i for i, info in enumerate(infos)}
+        self.chassis = next(i for i in count if infos[i][12] == b"chassis_inertia")
+        world.changeDynamics(floor, -1, lateralFriction=1.0)
+        for i in (-1, *count):  # the floor's friction times the tyre's
+            world.changeDynamics(
+                self.body, i, lateralFriction=car.mu, rollingFriction=0.0, spinningFriction=0.0,
+                linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
+            )  # fmt: skip
+        mass, _, inertia, *_ = world.getDynamicsInfo(self.body, self.chassis)
+        inertia = (*inertia[:2], inertia[2] * car.inertia)
+        world.changeDynamics(
+            self.body, self.chassis, mass=mass + car.payload, localInertiaDiagonal=inertia
+        )
+        self.inertia = inertia[2]
+        masses = np.array([world.getDynamicsInfo(self.body, i)[0] for i in (-1, *count)])
+        links = [world.getLinkState(self.body, i)[0][0] for i in count]
+        places = np.array([world.getBasePositionAndOrientation(self.body)[0][0], *links])
+        rear = float(np.mean([links[self.joints[name]] for name in _REAR]))
+        self.mass = float(masses.sum())
+        centre = float(masses @ places / self.mass)
+        self.ahead, self.beyond = centre - rear, links[self.chassis] - centre
+
+    def place(self, start: Array) -> None:
+        """Let it roll from a start (x, y, yaw, speed)."""
+        x, y, yaw, speed = start.tolist()
+        world, body = self.client, self.body
+        world.resetBasePositionAndOrientation(
+            body, [x, y, 0.0], pybullet.getQuaternionFromEuler([0.0, 0.0, yaw])
+        )
+        world.resetBaseVelocity(body, [speed * np.cos(yaw), speed * np.sin(yaw), 0.0])
+        for name in (*_REAR, *_FRONT):
+            world.resetJointState(body, self.joints[name], 0.0, speed / RADIUS)
+        for name in _FRONT:
+            world.setJointMotorControl2(
+                body, self.joints[name], pybullet.VELOCITY_CONTROL, force=0.0
+            )
+
+    def command(self, angle: float, rolling: float, turning: float, cut: bool) -> None:
+        """Turn the front wheels, each by its place, and the rear ones through a differential."""
+        world, body, joints = self.client, self.body, self.joints
+        bend = 0.5 * TRACK * tan(angle) / WHEELBASE
+        for name, inner in zip(_HINGES, (1.0 - bend, 1.0 + bend), strict=True):
+            world.setJointMotorControl2(
+                body, joints[name], pybullet.POSITION_CONTROL,
+                targetPosition=atan(tan(angle) / inner), force=_FORCE, positionGain=0.5,
+            )  # fmt: skip
+        for name, side in zip(_REAR, (-1.0, 1.0), strict=True):
+            world.setJointMotorControl2(
+                body, joints[name], pybullet.VELOCITY_CONTROL,
+                targetVelocity=(rolling + side * 0.5 * TRACK * turning) / RADIUS,
+                force=0.0 if cut else _FORCE,
+            )  # fmt: skip
+
+
+def simulate(
+    car: BulletCar, wiring: Wiring, orders: Orders, process: Array, start: Array
+) -> tuple[Array, Array]:
+    """Drive the car.
+
+    Returns:
+        Rows x, y, yaw (continuous) of the centre of gravity, and the driven wheels' surface speed
+        [m/s], each millisecond.
+    """
+    model = Model(car)
+    try:
+        return _simulate(model, car, wiring, orders, process, start)
+    finally:
+        model.client.disconnect()
+
+
+def _simulate(
+    model: Model, car: BulletCar, wiring: Wiring, orders: Orders, process: Array, start: Array
+) -> tuple[Array, Array]:
+    world: Any = model.client
+    body, n = model.body, len(orders.angle)
+    model.place(start)
+    path, rolling, aim = np.empty((n, 3)), np.empty(n), float(start[3])
+    rear = [model.joints[name] for name in _REAR]
+    low, high = -wiring.brake_max * STEP, wiring.accel_max * STEP
+    for i in range(n):
+        state = world.getLinkState(body, model.chassis, computeLinkVelocity=1)
+        (x, y, z), turned, (vx, vy, _), (_, _, turning) = state[0], state[1], state[6], state[7]
+        yaw = pybullet.getEulerFromQuaternion(turned)[2]
+        path[i] = x - model.beyond * np.cos(yaw), y - model.beyond * np.sin(yaw), yaw
+        spins = [state[1] for state in world.getJointStates(body, rear)]
+        rolling[i] = RADIUS * 0.5 * (spins[0] + spins[1])
+        step = (orders.speed[i] - aim) * STEP / max(wiring.drive_lag, STEP)
+        aim = rolling[i] if orders.cut[i] else aim + min(max(step, low), high)
+        model.command(float(orders.angle[i]), aim, turning, orders.cut[i] > 0.0)
+        fade = min(float(np.hypot(vx, vy)) / 0.5, 1.0)
+        force = [model.mass * (fade * process[i, k] - car.drag * v) for k, v in enumerate((vx, vy))]
+        world.applyExternalForce(
+            body, model.chassis, [*force, 0.0], [x, y, z], pybullet.WORLD_FRAME
+        )
+        torque = [0.0, 0.0, fade * model.inertia * float(process[i, 2])]
+        world.applyExternalTorque(body, model.chassis, torque, pybullet.WORLD_FRAME)
+        world.stepSimulation()
+    path[:, 2] = np.unwrap(path[:, 2])
+    return path, rolling
