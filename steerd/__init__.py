@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from steerd.daemon.analysis.identification import Identification, identify
     from steerd.daemon.analysis.recorded import Session, load
     from steerd.daemon.analysis.simulation import simulate
-    from steerd.daemon.many.batch.run import Batch, batch
     from steerd.daemon.common.errors import SteerdError
-    from steerd.daemon.process.external_controller import serve
+    from steerd.daemon.many.batch.run import Batch, batch
     from steerd.daemon.many.sweep.run import Sweep, sweep
+    from steerd.daemon.process.external_controller import serve
 
 __all__ = [
     "Batch",
