@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 from steerd.daemon.common.outputs import check_outputs
 from steerd.daemon.common.written import write_outputs
 from steerd.daemon.many.journal import Row
+from steerd.sysid.report.report import Report
 
 Kind = Literal["number", "count", "text", "truth"]
 _TYPES = {"number": "float64", "count": "int64", "text": "string", "truth": "bool"}
@@ -67,6 +68,16 @@ class RowTable(ABC):
         check_outputs({"save_table": path})
         write_outputs({path: self.encode_table()})
         return path
+
+    @abstractmethod
+    def make_report(self) -> Report:
+        """What the page shows."""
+
+    def render_report(self) -> str:
+        """The page, one HTML file without links."""
+        from steerd.sysid.report.page import render_report
+
+        return render_report(self.make_report())
 
 
 def encode_table(

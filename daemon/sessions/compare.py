@@ -1,14 +1,14 @@
 """Drives of one lane side by side: what each did at the same place, as one HTML page."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from steerd.car_model.path.path import Path as Lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -29,9 +29,9 @@ from steerd.sysid.report.drawing import (
     make_figure,
     to_svg,
 )
-from steerd.sysid.report.page import render_page
+from steerd.sysid.report.page import render_report
+from steerd.sysid.report.report import Report, Section, Table
 
-TEMPLATE = Path(__file__).parent / "page" / "compare.html"
 COLOURS = (BEFORE, AFTER, TEAL, VIOLET, GREEN)
 """One a drive; the eye does not distinguish more."""
 BINS = 400
@@ -133,23 +133,31 @@ def render_comparison(drives: Sequence[LaneSession]) -> str:
     """The page of several drives of one lane."""
     with rc_context({**STYLE, "axes.axisbelow": True}):
         tracks, curves = _draw_tracks(drives), _draw_curves(drives)
-    colours = [f"var(--{name})" for name in ("before", "after", "teal", "violet", "green")]
-    return render_page(
-        TEMPLATE,
-        names=[(d.name, colour) for d, colour in zip(drives, colours, strict=False)],
-        lane=clean(drives[0].spec, NAME_MAX),
-        heads=[d.name for d in drives],
-        rows=list(_rows(drives)),
-        tracks=tracks,
-        curves=curves,
+    names = [drive.name for drive in drives]
+    report = Report(
+        title="Drives of one lane, compared",
+        subject=", ".join(names),
+        about=f"path {clean(drives[0].spec, NAME_MAX)}",
+        lead="From 3 s after each start.",
+        sections=[
+            Section(table=Table(["", *names], list(_rows(drives)))),
+            Section(
+                "At the same place along the lane",
+                "Dots are single samples of every lap, the line is their mean at that place.",
+                figure=curves,
+            ),
+            Section("Tracks", figure=tracks),
+        ],
+        foot="Written by steerd plot. Frames are ISO 8855, angles positive to the left.",
     )
+    return render_report(report)
 
 
-def _rows(drives: Sequence[LaneSession]) -> Any:
-    """A table: label and a figure a drive."""
+def _rows(drives: Sequence[LaneSession]) -> Iterator[list[str]]:
+    """Rows of the table: label and a figure a drive."""
 
-    def row(label: str, form: str, figure: Any) -> tuple[str, list[str]]:
-        return label, [format(figure(d), form) for d in drives]
+    def row(label: str, form: str, figure: Callable[[LaneSession], float]) -> list[str]:
+        return [label, *(format(figure(d), form) for d in drives)]
 
     yield row("laps", ".1f", lambda d: d.laps)
     yield row("e1 RMS [mm]", ".1f", lambda d: 1e3 * rms(d.values["e1"]))
@@ -183,6 +191,11 @@ def _draw_curves(drives: Sequence[LaneSession]) -> str:
         axis.set_title(title)
         axis.set_xlim(0.0, drives[0].lane.length)
     axes[-1, 0].set_xlabel("place along the lane [m]")
+    lines = [
+        Line2D([], [], color=colour, lw=3.0, label=drive.name)
+        for drive, colour in zip(drives, COLOURS, strict=False)
+    ]
+    figure.legend(handles=lines, loc="outside upper left", ncols=2, fontsize=8)
     return to_svg(figure, "Errors, speed and steering along the lane")
 
 

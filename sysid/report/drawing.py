@@ -20,6 +20,8 @@ IN_PAGE = MappingProxyType({
 """Colours that the page decides: the variables of `look.css`, one value a theme."""
 WIDTH = 9.6
 """Of a figure that fills the page [inch]."""
+COLUMNS = 3
+"""Small diagrams side by side."""
 READABLE = 44.0
 """Width below which the words of such a figure are too small to read; a window that is narrower
 scrolls it [rem]."""
@@ -37,6 +39,14 @@ def make_figure(rows: int, columns: int, height: float) -> tuple[Figure, NDArray
     """A figure as wide as the page and its axes (rows, columns)."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def make_grid(count: int, height: float) -> tuple[Figure, list[Any]]:
+    """A figure of `count` small diagrams, each so high [inch], and their axes."""
+    figure, axes = make_figure(-(-count // COLUMNS), COLUMNS, height * -(-count // COLUMNS))
+    for axis in axes.flat[count:]:
+        axis.set_visible(False)
+    return figure, [*axes.flat[:count]]
 
 
 def to_svg(figure: Figure, label: str = "") -> str:

@@ -1,21 +1,19 @@
 """The page of `steerd batch`: quantities over weeks, car by car, and the days of changes."""
 
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from pathlib import Path
+from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.batch.changes import Change, Series, WorkedSessions, make_band, split_series
-from steerd.daemon.many.batch.text import nothing_changed
-from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_figure, to_svg
-from steerd.sysid.report.page import render_page
+from steerd.daemon.many.batch.text import nothing_changed, tabulate_changes
+from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_grid, to_svg
+from steerd.sysid.report.report import Report, Section, Table
 
-TEMPLATE = Path(__file__).parent / "templates" / "batch.html"
-_COLUMNS, _DAY = 3, 86_400.0
+_DAY = 86_400.0
 _FIGURES = 30
 """Series that are drawn: those that changed first; more make a page nobody looks through."""
 _FAILURES = 20
@@ -23,26 +21,45 @@ _LEAST_SHARE = 0.01
 """Least height of a diagram, as a share of what it shows."""
 
 
-def render_batch(found: WorkedSessions) -> str:
-    """The whole page."""
+def make_report(found: WorkedSessions) -> Report:
+    """What the page shows."""
     first: dict[tuple[str, str], Change] = {(c.car, c.quantity): c for c in found.changes}
     ordered = sorted(found.series, key=lambda s: (s.car, s.quantity) not in first)
-    with rc_context(STYLE):
-        figure = _draw(ordered[:_FIGURES], first) if ordered else ""
-    rows = found.rows
-    failed = [row for row in rows if row["outcome"] != "done"]
-    return render_page(
-        TEMPLATE,
-        kind=found.kind,
-        count=len(rows),
-        headline=_headline(found),
-        cars=_count_cars(found),
-        changes=[_describe(change) for change in found.changes],
-        failed=[(clean(str(row["session"]), 60), clean(row["failure"])) for row in failed],
-        failures=_FAILURES,
-        figure=figure,
-        drawn=len(ordered[:_FIGURES]),
-        series=len(ordered),
+    sections = [Section("Cars", table=_count_cars(found))]
+    if found.changes:
+        sections.insert(0, Section(
+            "What changed, and since when",
+            "A step in the estimates of one car that chance explains in less than one batch of a "
+            "thousand. Between: days between which the first one lies (95 %).",
+            table=tabulate_changes(found.changes),
+        ))  # fmt: skip
+    if ordered:
+        drawn = ordered[:_FIGURES]
+        with rc_context(STYLE):
+            figure = _draw(drawn, first)
+        sections.append(Section(
+            "Over time",
+            "Dots are single drives, the line is the mean of each week with its 95 % band; a "
+            f"dashed line marks a change. {len(drawn)} of {len(ordered)} series are drawn, those "
+            "that changed first.",
+            figure=figure,
+        ))  # fmt: skip
+    failed = [row for row in found.rows if row["outcome"] != "done"]
+    if failed:
+        rows = [(clean(str(row["session"]), 60), clean(row["failure"])) for row in failed]
+        more = len(failed) - _FAILURES
+        sections.append(Section(
+            "What failed",
+            f"{more} more are in the table of `-o`." if more > 0 else "",
+            table=Table(("session", "why"), rows[:_FAILURES], words=(1,)),
+        ))  # fmt: skip
+    return Report(
+        title=f"{len(found.rows)} sessions, {found.kind}",
+        subject="",
+        about="",
+        lead=_headline(found),
+        sections=sections,
+        foot="Written by steerd batch. Dates are UTC; units are SI.",
     )
 
 
@@ -58,35 +75,23 @@ def _headline(found: WorkedSessions) -> str:
     return f"Changed: {', '.join(parts)}."
 
 
-def _count_cars(found: WorkedSessions) -> list[tuple[str, int, int, str, str]]:
+def _count_cars(found: WorkedSessions) -> Table:
     """Each car's sessions, failures and days."""
-    counts = Counter(str(row.get("car") or "?") for row in found.rows)
-    table = []
-    for car, count in sorted(counts.items()):
-        own = [row for row in found.rows if str(row.get("car") or "?") == car]
+    cars: dict[str, list[Mapping[str, Any]]] = {}
+    for row in found.rows:
+        cars.setdefault(str(row.get("car") or "?"), []).append(row)
+    rows = []
+    for car, own in sorted(cars.items()):
         days = sorted(row["day"] for row in own if row.get("day")) or ["–"]
         failed = sum(row["outcome"] != "done" for row in own)
-        table.append((clean(car, 24), count, failed, days[0], days[-1]))
-    return table
-
-
-def _describe(change: Change) -> list[str]:
-    between = change.day
-    if change.earliest != change.latest:
-        between = f"{change.day} ({change.earliest} to {change.latest})"
-    return [
-        clean(change.car, 24), change.quantity, between, f"{change.before:.4g}",
-        f"{change.after:.4g}", f"{change.sd:.2g}", f"{change.sigmas:.0f}",
-    ]  # fmt: skip
+        rows.append((clean(car, 24), str(len(own)), str(failed), days[0], days[-1]))
+    return Table(("car", "sessions", "failed", "first", "last"), rows)
 
 
 def _draw(series: Sequence[Series], changes: dict[tuple[str, str], Change]) -> str:
     """A small figure for each series."""
-    count = -(-len(series) // _COLUMNS)
-    figure, axes = make_figure(count, _COLUMNS, 2.0 * count)
-    for axis in axes.flat[len(series) :]:
-        axis.set_visible(False)
-    for axis, s in zip(axes.flat, series, strict=False):
+    figure, axes = make_grid(len(series), 2.0)
+    for axis, s in zip(axes, series, strict=True):
         _draw_series(axis, s, changes.get((s.car, s.quantity)))
     return to_svg(figure, "Quantities over time")
 

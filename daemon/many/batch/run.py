@@ -19,6 +19,7 @@ from steerd.daemon.many.batch.unit import day_of, run_unit
 from steerd.daemon.many.journal import Row
 from steerd.daemon.many.tables import Column, RowTable
 from steerd.daemon.many.units import FAILED, Done, Where, work_through
+from steerd.sysid.report.report import Report
 
 if TYPE_CHECKING:
     from steerd.daemon.many.batch.changes import Change, Series
@@ -88,11 +89,11 @@ class Batch(RowTable):
         """What was asked."""
         return {"steerd.batch": self.kind}
 
-    def render_report(self) -> str:
-        """The page: quantities over weeks with their bands, and the days of changes."""
-        from steerd.daemon.many.batch.page import render_batch
+    def make_report(self) -> Report:
+        """Quantities over weeks with their bands, and the days of changes."""
+        from steerd.daemon.many.batch.page import make_report
 
-        return render_batch(self)
+        return make_report(self)
 
     def __str__(self) -> str:
         from steerd.daemon.many.batch.text import describe_batch

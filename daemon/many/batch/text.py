@@ -1,10 +1,11 @@
 """The screen of `steerd batch`."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from steerd.daemon.common.screen import clean, wrap
 from steerd.daemon.many.batch.changes import LEAST, Change, WorkedSessions
+from steerd.sysid.report.report import Table, format_table
 
 _FAILURES, _CHANGES = 5, 12
 """Lines of each that are shown."""
@@ -47,9 +48,8 @@ def _changes(found: WorkedSessions) -> Iterator[str]:
     if not changes:
         yield nothing_changed(found)
         return
-    yield f"{'car':<14}{'quantity':<22}{'since':<12}{'before':>10}{'after':>10}  sigma"
-    for change in changes[:_CHANGES]:
-        yield describe_change(change)
+    table = tabulate_changes(changes[:_CHANGES])
+    yield from format_table(table.pick("car", "quantity", "since", "before", "after", "sigma"))
     if len(changes) > _CHANGES:
         yield f"and {len(changes) - _CHANGES} more: see the table or --page"
 
@@ -61,8 +61,14 @@ def nothing_changed(found: WorkedSessions) -> str:
     return f"no change beyond what chance explains, in {len(found.series)} series"
 
 
-def describe_change(change: Change) -> str:
-    """One line about a change."""
-    car, quantity = clean(change.car, 13), clean(change.quantity, 21)
-    values = f"{change.before:>10.4g}{change.after:>10.4g}"
-    return f"{car:<14}{quantity:<22}{change.day:<12}{values}  {change.sigmas:.0f}"
+def tabulate_changes(changes: Sequence[Change]) -> Table:
+    """A row for each change."""
+    heads = ("car", "quantity", "since", "between", "before", "after", "± (difference)", "sigma")
+    rows = [
+        (
+            clean(c.car, 13), clean(c.quantity, 24), c.day, f"{c.earliest} to {c.latest}",
+            f"{c.before:.4g}", f"{c.after:.4g}", f"{c.sd:.2g}", f"{c.sigmas:.0f}",
+        )
+        for c in changes
+    ]  # fmt: skip
+    return Table(heads, rows, words=(1,))

@@ -16,6 +16,7 @@ from steerd.daemon.many.sweep.measures import list_columns
 from steerd.daemon.many.sweep.plan import SweepPlan, list_cases, make_sweep_plan
 from steerd.daemon.many.tables import Column, RowTable
 from steerd.daemon.many.units import FAILED, Done, Where, work_through
+from steerd.sysid.report.report import Report
 
 if TYPE_CHECKING:
     from steerd.daemon.many.sweep.summary import Summary
@@ -56,11 +57,11 @@ class Sweep(RowTable):
         """What the drives' results depend on."""
         return {"steerd.sweep": self.plan.digest()}
 
-    def render_report(self) -> str:
-        """The page: distributions, stops, sensitivity of each to each."""
-        from steerd.daemon.many.sweep.page import render_sweep
+    def make_report(self) -> Report:
+        """Distributions, stops, sensitivity of each to each."""
+        from steerd.daemon.many.sweep.page import make_report
 
-        return render_sweep(self)
+        return make_report(self)
 
     def __str__(self) -> str:
         from steerd.daemon.many.sweep.text import describe_sweep

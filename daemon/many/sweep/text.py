@@ -1,25 +1,16 @@
-"""The screen of `steerd sweep`."""
-
-from collections.abc import Iterator
+"""The screen of `steerd sweep`, and the tables that it shares with the page."""
 
 from steerd.daemon.common.screen import clean, wrap
-from steerd.daemon.many.sweep.measures import DRIVEN
-from steerd.daemon.many.sweep.summary import Spread, Summary, SweptDrives
+from steerd.daemon.many.sweep.measures import DRIVEN, MEASURES
+from steerd.daemon.many.sweep.summary import Sensitivity, Summary, SweptDrives
+from steerd.sysid.report.report import Table, format_table
 
+UNITS = {c.name: c.unit for c in MEASURES}
+"""SI unit by measure."""
 SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (57.29577951308232, "deg")}
 """Unit that people read, by the SI unit: factor and name."""
 _SHOWN = 8
-
-
-def show_value(value: float, unit: str) -> str:
-    """A figure in the unit that people read."""
-    factor, _ = SCALES.get(unit, (1.0, unit))
-    return f"{value * factor:.3g}"
-
-
-def show_unit(unit: str) -> str:
-    """The unit that people read; nothing for none."""
-    return SCALES.get(unit, (1.0, "" if unit == "1" else unit))[1]
+"""Dependences that are shown."""
 
 
 def describe_sweep(found: SweptDrives) -> str:
@@ -32,32 +23,41 @@ def describe_sweep(found: SweptDrives) -> str:
     if found.driven and found.wall > 0.0:
         share = found.driven / len(found.rows)
         lines.append(f"speed      {seconds * share / found.wall:.0f} x real time")
-    lines += ["", *_ends(summary), "", *_spreads(summary.spreads)]
-    moved = list(_moved(summary))
-    return "\n".join([*lines, *(["", *moved] if moved else [])])
-
-
-def _ends(summary: Summary) -> Iterator[str]:
-    for share in summary.outcomes:
-        if share.count or share.name == DRIVEN:
-            between = f"({share.low:.1%} to {share.high:.1%})"
-            yield f"{share.name:<10} {share.count:>6}  {share.value:>6.1%}  {between}"
-    for share in summary.watchdogs:
-        yield f"  by {clean(share.name, 10):<6} {share.count:>5}  {share.value:>6.1%}"
-
-
-def _spreads(spreads: tuple[Spread, ...]) -> Iterator[str]:
-    yield f"{'':<22}{'5 %':>9}{'median':>9}{'95 %':>9}{'worst':>9}  in drive"
-    for s in spreads:
-        label = f"{s.name} {show_unit(s.unit)}".rstrip()
-        cells = "".join(f"{show_value(v, s.unit):>9}" for v in (s.low, s.middle, s.high, s.worst))
-        yield f"{label:<22}{cells}  {s.worst_drive}"
-
-
-def _moved(summary: Summary) -> Iterator[str]:
-    """The strongest dependences."""
-    strong = sorted((s for s in summary.sensitivities if s.shown), key=lambda s: -abs(s.value))
+    parts = [tabulate_ends(summary), tabulate_spreads(summary)]
+    strong = list_strongest(summary)[:_SHOWN]
     if strong:
-        yield "what moves what (rank correlation)"
-    for s in strong[:_SHOWN]:
-        yield f"  {s.quantity:<30} {s.measure:<14} {s.value:+.2f}"
+        rows = [(s.quantity, s.measure, f"{s.value:+.2f}") for s in strong]
+        parts.append(Table(("what moves", "what", "rank correlation"), rows, words=(1,)))
+    return "\n".join([*lines, *(line for part in parts for line in ("", *format_table(part)))])
+
+
+def tabulate_ends(summary: Summary) -> Table:
+    """How often drives ended in which way."""
+    named = [(s.name, s) for s in summary.outcomes if s.count or s.name == DRIVEN]
+    named += [(f"by {clean(s.name, 12)}", s) for s in summary.watchdogs]
+    rows = [
+        (name, str(s.count), f"{s.value:.1%}", f"{s.low:.1%} to {s.high:.1%}") for name, s in named
+    ]
+    return Table(("outcome", "drives", "share", "95 % interval"), rows)
+
+
+def tabulate_spreads(summary: Summary) -> Table:
+    """The distribution of each measure."""
+    rows = []
+    for s in summary.spreads:
+        factor, _ = SCALES.get(s.unit, (1.0, ""))
+        figures = (f"{value * factor:.3g}" for value in (s.low, s.middle, s.high, s.worst))
+        rows.append((name_measure(s.name), *figures, str(s.worst_drive)))
+    return Table(("measure", "5 %", "median", "95 %", "worst", "in drive"), rows)
+
+
+def list_strongest(summary: Summary) -> list[Sensitivity]:
+    """Dependences that the drives show, the strongest first."""
+    return sorted((s for s in summary.sensitivities if s.shown), key=lambda s: -abs(s.value))
+
+
+def name_measure(name: str) -> str:
+    """A measure with the unit that people read."""
+    unit = UNITS.get(name, "")
+    unit = SCALES.get(unit, (1.0, "" if unit == "1" else unit))[1]
+    return f"{name} [{unit}]" if unit else name
