@@ -1,7 +1,7 @@
 """The racecar that comes with PyBullet: rigid wheels on a plane, with Coulomb friction.
 
 The car and its physics are other people's (`pybullet_data/racecar/racecar.urdf`); here its joints
-are driven, its numbers drawn, and things are made wrong with it. Its wheels hardly slip before they
+are driven, its numbers drawn, and things are made wrong with it. Its wheels barely slip before they
 slide: there is no cornering stiffness to find.
 """
 
@@ -39,7 +39,7 @@ _REAR = ("left_rear_wheel_joint", "right_rear_wheel_joint")
 _FRONT = ("left_front_wheel_joint", "right_front_wheel_joint")
 _HINGES = ("left_steering_hinge_joint", "right_steering_hinge_joint")
 _FORCE = 20.0
-"""Of motor and servos [N m]: they do what they are told, and grip is the limit."""
+"""Of motor and servos [N m]: as strong as it takes: grip is the limit."""
 
 
 @dataclass(frozen=True, slots=True)
