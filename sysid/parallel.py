@@ -60,28 +60,3 @@ def _map_dask(work: Callable[[T], R], todo: list[T], address: str) -> list[R]:
     with Client(address, timeout="10s", set_as_default=False) as client:  # type: ignore[no-untyped-call]
         results: list[R] = client.gather(client.map(work, todo, pure=False))
         return results
-
-
-@contextmanager
-def on_cluster(address: str | None) -> Iterator[None]:
-    """Inside, joblib's parallel work is done by a Dask cluster; without an address, here.
-
-    Raises:
-        DaskMissingError: a scheduler is named but Dask is not installed.
-        OSError: the scheduler does not answer.
-    """
-    if address is None:
-        yield
-        return
-    try:
-        from distributed import Client
-    except ImportError as error:
-        text = "--dask needs Dask: pip install distributed"
-        raise DaskMissingError(text) from error
-    from joblib import parallel_config
-
-    with (
-        Client(address, timeout="10s", set_as_default=False) as client,  # type: ignore[no-untyped-call]
-        parallel_config(backend="dask", client=client),
-    ):
-        yield

@@ -129,10 +129,9 @@ def profile(drive: LaneSession, values: Array) -> Array:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
+@rc_context(STYLE)
 def render_comparison(drives: Sequence[LaneSession]) -> str:
     """The page of several drives of one lane."""
-    with rc_context({**STYLE, "axes.axisbelow": True}):
-        tracks, curves = _draw_tracks(drives), _draw_curves(drives)
     names = [drive.name for drive in drives]
     report = Report(
         title="Drives of one lane, compared",
@@ -144,9 +143,9 @@ def render_comparison(drives: Sequence[LaneSession]) -> str:
             Section(
                 "At the same place along the lane",
                 "Dots are single samples of every lap, the line is their mean at that place.",
-                figure=curves,
+                figure=_draw_curves(drives),
             ),
-            Section("Tracks", figure=tracks),
+            Section("Tracks", figure=_draw_tracks(drives)),
         ],
         foot="Written by steerd plot. Frames are ISO 8855, angles positive to the left.",
     )

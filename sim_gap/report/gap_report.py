@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from matplotlib import rc_context
+
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.lane_comparison import LaneComparison
@@ -26,6 +28,7 @@ from steerd.sim_gap.report.summary_text import (
 )
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.report import page
+from steerd.sysid.report.drawing import STYLE
 from steerd.sysid.report.report import Card, Fold, Report, Section, Table
 
 OTHER_SHOWN = 0.005
@@ -66,6 +69,7 @@ def render_report(subject: Subject, found: Diagnosis, lane: LaneComparison | Non
     return page.render_report(make_report(subject, found, lane))
 
 
+@rc_context(STYLE)
 def make_report(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -> Report:
     """What a diagnosis found."""
     s = found.shrinkage

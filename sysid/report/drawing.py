@@ -2,10 +2,13 @@
 
 import io
 import re
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 INK, FAINT = "#1f2933", "#9aa5b1"
@@ -47,6 +50,12 @@ def make_grid(count: int, height: float) -> tuple[Figure, list[Any]]:
     for axis in axes.flat[count:]:
         axis.set_visible(False)
     return figure, [*axes.flat[:count]]
+
+
+def name_colours(axes: Axes, colours: Mapping[str, str], **where: Any) -> None:
+    """A legend of colours, placed as matplotlib's is."""
+    lines = [Line2D([], [], color=colour, lw=3.0, label=name) for name, colour in colours.items()]
+    axes.legend(handles=lines, fontsize=8, **where)
 
 
 def to_svg(figure: Figure, label: str = "") -> str:

@@ -3,11 +3,14 @@
 from collections.abc import Iterator
 from math import degrees, isnan
 
+from matplotlib import rc_context
+
 from steerd.car_model.params import Car
 from steerd.sysid.estimation.outcome import Outcome
 from steerd.sysid.report import identify_figures as figures
 from steerd.sysid.report import page
 from steerd.sysid.report.design_comparison import Profile, compare_designs
+from steerd.sysid.report.drawing import STYLE
 from steerd.sysid.report.report import Cell, Fold, Report, Section, Table
 
 IMPROVEMENT_MIN = 1.02
@@ -19,6 +22,7 @@ def render_report(outcome: Outcome) -> str:
     return page.render_report(make_report(outcome))
 
 
+@rc_context(STYLE)
 def make_report(outcome: Outcome) -> Report:
     """What an identification found."""
     profiles = compare_designs(*_designs(outcome))

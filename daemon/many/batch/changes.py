@@ -17,7 +17,7 @@ the Particle Data Group's reviews apply it).
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import erfc, sqrt
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,30 +102,6 @@ class Band:
     start: Array
     mean: Array
     half: Array
-
-
-class WorkedSessions(Protocol):
-    """What a page or a screen shows: anything with a batch's rows and what they say."""
-
-    @property
-    def kind(self) -> str:
-        """What was asked."""
-
-    @property
-    def rows(self) -> Sequence[Mapping[str, Any]]:
-        """One session each."""
-
-    @property
-    def worked(self) -> int:
-        """Sessions of this start."""
-
-    @property
-    def series(self) -> Sequence[Series]:
-        """Quantities over time."""
-
-    @property
-    def changes(self) -> Sequence[Change]:
-        """What changed, the clearest first."""
 
 
 def list_series(rows: Sequence[Mapping[str, Any]], quantities: Sequence[str]) -> Iterator[Series]:

@@ -2,16 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
-from steerd.daemon.many.batch.changes import Change, Series, WorkedSessions, make_band, split_series
+from steerd.daemon.many.batch.changes import Change, Series, make_band, split_series
 from steerd.daemon.many.batch.text import nothing_changed, tabulate_changes
 from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_grid, to_svg
 from steerd.sysid.report.report import Report, Section, Table
+
+if TYPE_CHECKING:
+    from steerd.daemon.many.batch.run import Batch
 
 _DAY = 86_400.0
 _FIGURES = 30
@@ -21,7 +24,8 @@ _LEAST_SHARE = 0.01
 """Least height of a diagram, as a share of what it shows."""
 
 
-def make_report(found: WorkedSessions) -> Report:
+@rc_context(STYLE)
+def make_report(found: "Batch") -> Report:
     """What the page shows."""
     first: dict[tuple[str, str], Change] = {(c.car, c.quantity): c for c in found.changes}
     ordered = sorted(found.series, key=lambda s: (s.car, s.quantity) not in first)
@@ -35,8 +39,7 @@ def make_report(found: WorkedSessions) -> Report:
         ))  # fmt: skip
     if ordered:
         drawn = ordered[:_FIGURES]
-        with rc_context(STYLE):
-            figure = _draw(drawn, first)
+        figure = _draw(drawn, first)
         sections.append(Section(
             "Over time",
             "Dots are single drives, the line is the mean of each week with its 95 % band; a "
@@ -63,7 +66,7 @@ def make_report(found: WorkedSessions) -> Report:
     )
 
 
-def _headline(found: WorkedSessions) -> str:
+def _headline(found: "Batch") -> str:
     """The result in a sentence."""
     clearest: dict[str, Change] = {}
     for change in found.changes:
@@ -75,7 +78,7 @@ def _headline(found: WorkedSessions) -> str:
     return f"Changed: {', '.join(parts)}."
 
 
-def _count_cars(found: WorkedSessions) -> Table:
+def _count_cars(found: "Batch") -> Table:
     """Each car's sessions, failures and days."""
     cars: dict[str, list[Mapping[str, Any]]] = {}
     for row in found.rows:

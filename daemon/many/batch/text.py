@@ -2,16 +2,20 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 from steerd.daemon.common.screen import clean, wrap
-from steerd.daemon.many.batch.changes import LEAST, Change, WorkedSessions
+from steerd.daemon.many.batch.changes import LEAST, Change
 from steerd.sysid.report.report import Table, format_table
+
+if TYPE_CHECKING:
+    from steerd.daemon.many.batch.run import Batch
 
 _FAILURES, _CHANGES = 5, 12
 """Lines of each that are shown."""
 
 
-def describe_batch(found: WorkedSessions) -> str:
+def describe_batch(found: "Batch") -> str:
     """The screen: how many, what failed, what changed."""
     rows = found.rows
     failed = [row for row in rows if row["outcome"] != "done"]
@@ -38,12 +42,12 @@ def _failure(session: str, why: str) -> str:
     return text if name in text else f"{clean(name, 40)}: {text}"
 
 
-def _verdicts(found: WorkedSessions) -> str:
+def _verdicts(found: "Batch") -> str:
     counts = Counter(clean(str(r["verdict"]), 40) for r in found.rows if r.get("verdict"))
     return ", ".join(f"{count} {text}" for text, count in counts.most_common(6))
 
 
-def _changes(found: WorkedSessions) -> Iterator[str]:
+def _changes(found: "Batch") -> Iterator[str]:
     changes = found.changes
     if not changes:
         yield nothing_changed(found)
@@ -54,7 +58,7 @@ def _changes(found: WorkedSessions) -> Iterator[str]:
         yield f"and {len(changes) - _CHANGES} more: see the table or --page"
 
 
-def nothing_changed(found: WorkedSessions) -> str:
+def nothing_changed(found: "Batch") -> str:
     """Why no change is named: none was found, or none could be."""
     if not found.series:
         return f"no car has the {LEAST} drives from which a change could be seen"

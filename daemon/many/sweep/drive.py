@@ -93,28 +93,20 @@ def _format_effects(values: Mapping[str, float | str]) -> tuple[str, ...]:
 def _vary_instruments(config: WorldConfig, values: Mapping[str, float | str]) -> WorldConfig:
     """The simulated hardware with the drawn noise and delays."""
     given = {name: float(v) for name, v in values.items() if not isinstance(v, str)}
-    mocap: dict[str, Any] = {
-        name: given[f"mocap.{name}"]
-        for name in ("position_noise", "yaw_noise")
-        if f"mocap.{name}" in given
-    }
+
+    def pick(device: str, *names: str) -> dict[str, Any]:
+        return {name: given[f"{device}.{name}"] for name in names if f"{device}.{name}" in given}
+
+    mocap = pick("mocap", "position_noise", "yaw_noise")
+    vesc = pick("vesc", "erpm_noise", "gyro_noise")
     if "mocap.latency" in given:
         later = round(given["mocap.latency"] * NS) - config.mocap.software_ns
         mocap |= {"camera_ns": max(later, 0)}
     if "mocap.jitter" in given:
         mocap |= {"jitter_ns": round(given["mocap.jitter"] * NS)}
-    vesc: dict[str, Any] = {
-        name: given[f"vesc.{name}"]
-        for name in ("erpm_noise", "gyro_noise")
-        if f"vesc.{name}" in given
-    }
     if "vesc.reply_delay" in given:
         vesc |= {"reply_delay_ns": round(given["vesc.reply_delay"] * NS)}
-    return replace(
-        config,
-        mocap=replace(config.mocap, **mocap),
-        vesc=replace(config.vesc, **vesc),
-    )
+    return replace(config, mocap=replace(config.mocap, **mocap), vesc=replace(config.vesc, **vesc))
 
 
 @dataclass

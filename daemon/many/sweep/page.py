@@ -1,7 +1,7 @@
 """The page of `steerd sweep`: one HTML file without links."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -11,7 +11,7 @@ from steerd.daemon.common.screen import clean
 from steerd.daemon.many.sweep.distributions import Distribution
 from steerd.daemon.many.sweep.measures import DRIVEN, STOPPED
 from steerd.daemon.many.sweep.plan import Choice
-from steerd.daemon.many.sweep.summary import STOPS, Sensitivity, Summary, SweptDrives, column
+from steerd.daemon.many.sweep.summary import STOPS, Sensitivity, Summary, column
 from steerd.daemon.many.sweep.text import (
     SCALES,
     UNITS,
@@ -22,6 +22,9 @@ from steerd.daemon.many.sweep.text import (
 )
 from steerd.sysid.report.drawing import AFTER, BEFORE, STYLE, make_grid, to_svg
 from steerd.sysid.report.report import Cell, Report, Section, Table
+
+if TYPE_CHECKING:
+    from steerd.daemon.many.sweep.run import Sweep
 
 _BINS = 30
 _TICKS = 5
@@ -34,11 +37,11 @@ _VALUES = 6
 """Values of a list that are shown."""
 
 
-def make_report(found: SweptDrives) -> Report:
+@rc_context(STYLE)
+def make_report(found: "Sweep") -> Report:
     """The page: distributions, stops, sensitivity of each to each."""
     plan, summary = found.plan, found.summary
-    with rc_context(STYLE):
-        histograms, scatters = _draw_histograms(found), _draw_scatters(found)
+    histograms, scatters = _draw_histograms(found), _draw_scatters(found)
     fixed = [] if "path" in plan.vary else [plan.path]
     fixed += [] if "speed" in plan.vary else [f"{plan.speed:g} m/s"]
     seeds = f"{len(plan.seeds)} seeds, {plan.duration:g} s each, loop at {plan.rate:g} Hz"
@@ -125,7 +128,7 @@ def _scaled(rows: Sequence[Mapping[str, Any]], name: str) -> np.ndarray:
     return column(rows, name) * SCALES.get(UNITS.get(name, ""), (1.0, ""))[0]
 
 
-def _draw_histograms(found: SweptDrives) -> str:
+def _draw_histograms(found: "Sweep") -> str:
     """How often each measure takes which value."""
     names = [spread.name for spread in found.summary.spreads]
     if not names:
@@ -140,7 +143,7 @@ def _draw_histograms(found: SweptDrives) -> str:
     return to_svg(figure, "How often each measure takes which value")
 
 
-def _draw_scatters(found: SweptDrives) -> str:
+def _draw_scatters(found: "Sweep") -> str:
     """The strongest dependences, a point for each drive."""
     units = {q.name: q.unit for q in found.plan.quantities}
     strong = [s for s in list_strongest(found.summary) if s.measure != STOPS][:_SCATTERS]

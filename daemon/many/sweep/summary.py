@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,30 +90,6 @@ class Summary:
     watchdogs: tuple[Share, ...]
     spreads: tuple[Spread, ...]
     sensitivities: tuple[Sensitivity, ...]
-
-
-class SweptDrives(Protocol):
-    """What a page or a screen shows: anything with a sweep's rows and their summary."""
-
-    @property
-    def plan(self) -> SweepPlan:
-        """What was driven."""
-
-    @property
-    def rows(self) -> Sequence[Mapping[str, Any]]:
-        """One drive each."""
-
-    @property
-    def summary(self) -> Summary:
-        """Of the rows."""
-
-    @property
-    def wall(self) -> float:
-        """How long it took [s]."""
-
-    @property
-    def driven(self) -> int:
-        """Drives of this start."""
 
 
 def summarise_sweep(plan: SweepPlan, rows: Sequence[Mapping[str, Any]]) -> Summary:

@@ -1,9 +1,14 @@
 """The screen of `steerd sweep`, and the tables that it shares with the page."""
 
+from typing import TYPE_CHECKING
+
 from steerd.daemon.common.screen import clean, wrap
 from steerd.daemon.many.sweep.measures import DRIVEN, MEASURES
-from steerd.daemon.many.sweep.summary import Sensitivity, Summary, SweptDrives
+from steerd.daemon.many.sweep.summary import Sensitivity, Summary
 from steerd.sysid.report.report import Table, format_table
+
+if TYPE_CHECKING:
+    from steerd.daemon.many.sweep.run import Sweep
 
 UNITS = {c.name: c.unit for c in MEASURES}
 """SI unit by measure."""
@@ -13,7 +18,7 @@ _SHOWN = 8
 """Dependences that are shown."""
 
 
-def describe_sweep(found: SweptDrives) -> str:
+def describe_sweep(found: "Sweep") -> str:
     """The screen: how it ended, what moved what."""
     plan, summary = found.plan, found.summary
     varied = ", ".join(plan.vary) or "nothing but the seeds"

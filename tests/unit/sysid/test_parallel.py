@@ -1,10 +1,9 @@
-"""Work on a cluster: compiled cars find their own code there, joblib's work goes there."""
+"""Work on a cluster: compiled cars find their own code there."""
 
 import pickle
 
 import numpy as np
 import pytest
-from joblib import Parallel, delayed
 from joblib.externals.loky import process_executor
 
 from steerd.car_model.native.windows import (
@@ -15,11 +14,7 @@ from steerd.car_model.native.windows import (
     view_by_window,
 )
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.sysid.parallel import map_jobs, on_cluster
-
-
-def _square(value):
-    return value * value
+from steerd.sysid.parallel import map_jobs
 
 
 def _grow(value):
@@ -45,21 +40,3 @@ def test_a_compiled_car_travels_without_its_code():
     parameters = np.array(DEFAULT_CAR)
     paths = [march(each, parameters, first, held, blocks, 50) for each in (kernels, again)]
     np.testing.assert_array_equal(view_by_window(paths[0], 1), view_by_window(paths[1], 1))
-
-
-def test_without_an_address_work_stays_here():
-    with on_cluster(None):
-        assert Parallel(n_jobs=1)(delayed(_square)(i) for i in range(4)) == [0, 1, 4, 9]
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_work_inside_goes_to_the_cluster():
-    distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
-    with (
-        distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-        ) as cluster,
-        on_cluster(cluster.scheduler_address),
-    ):
-        assert Parallel(n_jobs=2)(delayed(pow)(i, 2) for i in range(4)) == [0, 1, 4, 9]
