@@ -126,7 +126,7 @@ def plot_diagnosis(found: Diagnosis) -> Figure:
         figure = Figure(figsize=(WIDTH, sum(heights) + 1.0), layout="constrained")
         grid = figure.add_gridspec(len(heights), len(present), height_ratios=heights)
         top = [figure.add_subplot(grid[0, column]) for column in range(len(present))]
-        plot_gap(top, present, found.before, found.after, explained)
+        plot_gap(top, found)
         plot_candidates(figure.add_subplot(grid[1, :]), found)
         for row, run in enumerate(runs, 2):
             axis = figure.add_subplot(grid[row, :])

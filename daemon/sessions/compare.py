@@ -18,22 +18,10 @@ from steerd.daemon.sessions.lane_error import find_settled, rms
 from steerd.daemon.sessions.motion import Array, Track
 from steerd.daemon.sessions.plot_data import load_lane
 from steerd.steer_bus import topics
-from steerd.sysid.report.drawing import (
-    AFTER,
-    BEFORE,
-    FAINT,
-    GREEN,
-    STYLE,
-    TEAL,
-    VIOLET,
-    make_figure,
-    to_svg,
-)
+from steerd.sysid.report.drawing import FAINT, LINES, STYLE, draw, make_figure, to_svg
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Report, Section, Table
 
-COLOURS = (BEFORE, AFTER, TEAL, VIOLET, GREEN)
-"""One a drive; the eye does not distinguish more."""
 BINS = 400
 """Places along the lane."""
 NAME_MAX = 40
@@ -108,8 +96,8 @@ def check_same_lane(drives: Sequence[LaneSession]) -> None:
     Raises:
         SteerdError: two lanes differ in shape or length, or there are too many drives.
     """
-    if len(drives) > len(COLOURS):
-        what = f"{len(drives)} drives: {len(COLOURS)} at most can be distinguished"
+    if len(drives) > len(LINES):
+        what = f"{len(drives)} drives: {len(LINES)} at most can be distinguished"
         raise SteerdError(what, "name fewer", ExitCode.USAGE)
     first = drives[0]
     for other in drives[1:]:
@@ -145,7 +133,7 @@ def render_comparison(drives: Sequence[LaneSession]) -> str:
                 "Dots are single samples of every lap, the line is their mean at that place.",
                 figure=_draw_curves(drives),
             ),
-            Section("Tracks", figure=_draw_tracks(drives)),
+            Section("Tracks", figure=draw(_plot_tracks, 4.2, drives)),
         ],
         foot="Written by steerd plot. Frames are ISO 8855, angles positive to the left.",
     )
@@ -166,36 +154,34 @@ def _rows(drives: Sequence[LaneSession]) -> Iterator[list[str]]:
     yield row("fastest [m/s]", ".2f", lambda d: d.values["speed"].max())
 
 
-def _draw_tracks(drives: Sequence[LaneSession]) -> str:
+def _plot_tracks(axis: Axes, drives: Sequence[LaneSession]) -> None:
     """Tracks over the lane."""
-    figure, axes = make_figure(1, 1, 4.2)
-    axis, lane = axes[0, 0], drives[0].lane
+    lane = drives[0].lane
     x, y = ([*v, v[0]] if lane.closed else [*v] for v in (lane.x, lane.y))
     axis.plot(x, y, color=FAINT, lw=1.0, ls="--")
-    for drive, colour in zip(drives, COLOURS, strict=False):
+    for drive, colour in zip(drives, LINES, strict=False):
         if drive.track is not None:
             step = max(1, len(drive.track.x) // _POINTS_MAX)
             axis.plot(drive.track.x[::step], drive.track.y[::step], color=colour, lw=1.1)
     axis.set_aspect("equal", adjustable="datalim")
     axis.set(xlabel="x [m]", ylabel="y [m]")
-    return to_svg(figure, "Tracks over the lane")
 
 
 def _draw_curves(drives: Sequence[LaneSession]) -> str:
     """Errors, speed and steering over the place along the lane."""
     figure, axes = make_figure(len(_PANELS), 1, 1.9 * len(_PANELS))
     for axis, (name, title, scale) in zip(axes[:, 0], _PANELS, strict=True):
-        for drive, colour in zip(drives, COLOURS, strict=False):
+        for drive, colour in zip(drives, LINES, strict=False):
             _draw_drive(axis, drive, scale * drive.values[name], colour)
         axis.set_title(title)
         axis.set_xlim(0.0, drives[0].lane.length)
     axes[-1, 0].set_xlabel("place along the lane [m]")
     lines = [
         Line2D([], [], color=colour, lw=3.0, label=drive.name)
-        for drive, colour in zip(drives, COLOURS, strict=False)
+        for drive, colour in zip(drives, LINES, strict=False)
     ]
     figure.legend(handles=lines, loc="outside upper left", ncols=2, fontsize=8)
-    return to_svg(figure, "Errors, speed and steering along the lane")
+    return to_svg(figure)
 
 
 def _draw_drive(axis: Axes, drive: LaneSession, values: Array, colour: str) -> None:

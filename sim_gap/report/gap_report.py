@@ -28,7 +28,7 @@ from steerd.sim_gap.report.summary_text import (
 )
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.report import page
-from steerd.sysid.report.drawing import STYLE
+from steerd.sysid.report.drawing import STYLE, draw
 from steerd.sysid.report.report import Card, Fold, Report, Section, Table
 
 OTHER_SHOWN = 0.005
@@ -153,18 +153,27 @@ def _sections(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -
         "The car's pose and wheel speed are predicted from a window's start; this is how far the "
         "prediction is off after so many seconds, with 90 % intervals. The start itself is fitted "
         "to the window, so a wrong model is met best somewhere in its middle.",
-        figure=figures.draw_gap(found.before, found.after, explained),
+        figure=draw(
+            lambda *axes: figures.plot_gap(axes, found),
+            2.5,
+            columns=len(figures.find_measured(found.before)),
+        ),
     )
     if found.verdict != "none":
         yield from _where(found, explained)
     if found.candidates:
-        yield Section("Which effect", _which(found), figure=figures.draw_candidates(found))
+        shown = min(len(found.candidates) + 1, figures.SHOWN_MOST)
+        yield Section(
+            "Which effect",
+            _which(found),
+            figure=draw(figures.plot_candidates, 0.7 + 0.24 * max(shown, 2), found),
+        )
     if explained:
         yield from _why(found)
         yield Section(
             "How far the gap shrinks",
             f"Adding the effect: {shrink_words(found, subject.held_out_of)}.",
-            figure=figures.draw_shrinkage(found.shrinkage),
+            figure=draw(figures.plot_shrinkage, 1.35, found.shrinkage),
         )
     if lane is not None:
         yield Section(
@@ -201,7 +210,9 @@ def _sentence(text: str) -> str:
 def _where(found: Diagnosis, explained: bool) -> Iterator[Section]:
     where = found.where
     yield Section(
-        "Where it lies", where.sentence, figure=figures.draw_where(where.equation, where.channels)
+        "Where it lies",
+        where.sentence,
+        figure=draw(figures.plot_where, 1.9, where, columns=2),
     )
     if found.timeline is not None:
         yield Section(
@@ -210,12 +221,13 @@ def _where(found: Diagnosis, explained: bool) -> Iterator[Section]:
             "line is noise alone.",
             figure=figures.draw_timeline(found.timeline, where.windows, explained),
         )
-    if where.regimes:
+    regimes = where.regimes[:6]
+    if regimes:
         yield Section(
             "",
             "By regime: right of the dotted line the error is larger than elsewhere "
             "(coloured where its interval says so).",
-            figure=figures.draw_regimes(where.regimes),
+            figure=draw(figures.plot_regimes, 0.7 + 0.28 * len(regimes), regimes),
         )
 
 

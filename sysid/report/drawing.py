@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -15,6 +15,8 @@ INK, FAINT = "#1f2933", "#9aa5b1"
 MEASURED, AFTER, BEFORE = "#1f2933", "#d9480f", "#4c8dca"
 BAND, CONFOUNDED, GRID, PAGE = "#fff0e6", "#f0a77f", "#e4e7eb", "#fefefe"
 TEAL, VIOLET, GREEN = "#0b7285", "#862e9c", "#5c940d"
+LINES = (BEFORE, AFTER, TEAL, VIOLET, GREEN)
+"""Of several curves; the eye does not distinguish more."""
 IN_PAGE = MappingProxyType({
     INK: "ink", FAINT: "soft", GRID: "line", BAND: "band", AFTER: "after", BEFORE: "before",
     CONFOUNDED: "confounded", TEAL: "teal", VIOLET: "violet", GREEN: "green",
@@ -38,6 +40,13 @@ STYLE: dict[Any, Any] = {
 }  # fmt: skip
 
 
+def draw(plot: Callable[..., None], height: float, *about: Any, columns: int = 1) -> str:
+    """The markup of a figure whose axes, side by side, `plot` fills with what it is about."""
+    figure, axes = make_figure(1, columns, height)
+    plot(*axes.flat, *about)
+    return to_svg(figure)
+
+
 def make_figure(rows: int, columns: int, height: float) -> tuple[Figure, NDArray[Any]]:
     """A figure as wide as the page and its axes (rows, columns)."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
@@ -58,8 +67,8 @@ def name_colours(axes: Axes, colours: Mapping[str, str], **where: Any) -> None:
     axes.legend(handles=lines, fontsize=8, **where)
 
 
-def to_svg(figure: Figure, label: str = "") -> str:
-    """The figure as markup that scales with the page; `label` is for screen readers."""
+def to_svg(figure: Figure) -> str:
+    """The figure as markup that scales with the page."""
     text = io.StringIO()
     figure.savefig(text, format="svg", facecolor="none", metadata={"Date": None, "Creator": None})
     markup = text.getvalue()
@@ -69,6 +78,4 @@ def to_svg(figure: Figure, label: str = "") -> str:
         markup = markup.replace(colour, f"var(--{variable})")
     share = figure.get_figwidth() / WIDTH
     size = f'width="{share:.0%}" style="min-width:{READABLE * share:.1f}rem"'
-    if label:
-        size = f'role="img" aria-label="{label}" {size}'
     return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', size, markup, count=1)

@@ -17,11 +17,9 @@ from steerd.sysid.report.drawing import (
     AFTER,
     BEFORE,
     FAINT,
-    GREEN,
     INK,
+    LINES,
     MEASURED,
-    TEAL,
-    VIOLET,
     make_figure,
     name_colours,
     to_svg,
@@ -29,20 +27,12 @@ from steerd.sysid.report.drawing import (
 
 Array = NDArray[np.float64]
 
-COLOURS = (AFTER, TEAL, BEFORE, VIOLET, GREEN)
 UNITS = {"position": "mm", "yaw": "mrad", "wheel_speed": "mm/s", "yaw_rate": "mrad/s"}
 POINTS_MAX = 1500
 
 
 def _thin(values: Array) -> Array:
     return values[:: max(1, len(values) // POINTS_MAX)]
-
-
-def draw_traces(traces: tuple[list[Trace], list[Trace]]) -> str:
-    """Held-out windows in the plane, and the heading error as predictions age."""
-    figure, axes = make_figure(1, 2, 4.0)
-    plot_traces(axes[0, 0], axes[0, 1], traces)
-    return to_svg(figure)
 
 
 def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]) -> None:
@@ -65,13 +55,6 @@ def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]
     late.axvline(0.0, color=FAINT, lw=0.8)
     late.set(xlabel="time since the prediction began [s]", ylabel="distance [mm]",
              title="prediction error of each window", ylim=(0.0, None))  # fmt: skip
-
-
-def draw_held_out(held_out: Sequence[HeldOut]) -> str:
-    """Errors at the horizons, before and after, on a logarithmic axis."""
-    figure, axes = make_figure(1, 2, 2.6)
-    plot_held_out(axes[0, 0], axes[0, 1], held_out)
-    return to_svg(figure)
 
 
 def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
@@ -145,36 +128,32 @@ def draw_correlation(found: Fit) -> str:
     return to_svg(figure)
 
 
-def draw_costs(found: Fit) -> str:
+def plot_costs(axis: Axes, found: Fit) -> None:
     """Cost over steps, one line a stage; each stage has its own scale of weights."""
-    figure, axes = make_figure(1, 1, 2.6)
-    axis, start = axes[0, 0], 0
+    start = 0
     for number, costs in enumerate(found.costs):
         steps = start + np.arange(len(costs))
-        axis.plot(steps, costs, ".-", color=COLOURS[number % len(COLOURS)], lw=1.2)
+        axis.plot(steps, costs, ".-", color=LINES[number % len(LINES)], lw=1.2)
         start += len(costs) - 1
     axis.set(yscale="log", xlabel="accepted steps", ylabel="cost",
              title="cost by stage: windows grow, then noise levels settle")  # fmt: skip
-    return to_svg(figure)
 
 
-def draw_searches(searches: Sequence[SearchHistory]) -> str:
+def plot_searches(left: Axes, right: Axes, searches: Sequence[SearchHistory]) -> None:
     """The paper's loss curves: every start's, iterations along x, shifted to be positive."""
     floor = min(float(search.losses.min()) for search in searches if len(search.losses))
-    figure, axes = make_figure(1, 2, 3.0)
     for number, search in enumerate(searches):
-        colour = COLOURS[number % len(COLOURS)]
+        colour = LINES[number % len(LINES)]
         best = np.minimum.accumulate(search.losses) - floor + 1e-3
-        axes[0, 0].plot(search.losses - floor + 1e-3, color=colour, lw=0.6, alpha=0.5)
-        axes[0, 0].plot(best, color=colour, lw=1.4, label=f"start {number + 1}")
-        axes[0, 1].plot(search.path[:, 2], search.path[:, 3], color=colour, lw=1.0)
-        axes[0, 1].plot(*search.path[0, 2:], "o", color=colour, mfc="white")
-        axes[0, 1].plot(*search.final[2:], "o", color=colour)
-    axes[0, 0].set(yscale="log", xlabel="iterations", ylabel="loss above the lowest")
-    axes[0, 0].set_title("loss of the batch, and the best so far")
-    axes[0, 1].set(xlabel="C_Sf", ylabel="C_Sr", title="stiffness from start (hollow) to end")
-    axes[0, 0].legend(fontsize=8)
-    return to_svg(figure)
+        left.plot(search.losses - floor + 1e-3, color=colour, lw=0.6, alpha=0.5)
+        left.plot(best, color=colour, lw=1.4, label=f"start {number + 1}")
+        right.plot(search.path[:, 2], search.path[:, 3], color=colour, lw=1.0)
+        right.plot(*search.path[0, 2:], "o", color=colour, mfc="white")
+        right.plot(*search.final[2:], "o", color=colour)
+    left.set(yscale="log", xlabel="iterations", ylabel="loss above the lowest")
+    left.set_title("loss of the batch, and the best so far")
+    right.set(xlabel="C_Sf", ylabel="C_Sr", title="stiffness from start (hollow) to end")
+    left.legend(fontsize=8)
 
 
 def draw_profiles(profiles: Sequence[Profile]) -> str:

@@ -10,7 +10,7 @@ from steerd.sysid.estimation.outcome import Outcome
 from steerd.sysid.report import identify_figures as figures
 from steerd.sysid.report import page
 from steerd.sysid.report.design_comparison import Profile, compare_designs
-from steerd.sysid.report.drawing import STYLE
+from steerd.sysid.report.drawing import STYLE, draw
 from steerd.sysid.report.report import Cell, Fold, Report, Section, Table
 
 IMPROVEMENT_MIN = 1.02
@@ -104,9 +104,9 @@ def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Secti
         "Prediction of drives that were not fitted",
         f"Validated on {outcome.held_out_of}. Open loop: the state is fitted to the 0.4 s before, "
         "then only the commands are known.",
-        figure=figures.draw_held_out(outcome.held_out),
+        figure=draw(figures.plot_held_out, 2.6, outcome.held_out, columns=2),
     )
-    yield Section(figure=figures.draw_traces(outcome.traces))
+    yield Section(figure=draw(figures.plot_traces, 4.0, outcome.traces, columns=2))
     plant = "the identified car" if outcome.truth is None else "the true (simulated) car"
     yield Section(
         "Lane keeping with controllers designed from these parameters",
@@ -125,13 +125,13 @@ def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Secti
             "Near ±1: the data identify the combination, not its members.",
             figure=figures.draw_correlation(outcome.fit),
         )
-        yield Section("Convergence", figure=figures.draw_costs(outcome.fit))
+        yield Section("Convergence", figure=draw(figures.plot_costs, 2.6, outcome.fit))
     if outcome.searches:
         yield Section(
             "Convergence",
             "Parameters that stay near their starts do not change the loss: "
             "they are not identifiable.",
-            figure=figures.draw_searches(outcome.searches),
+            figure=draw(figures.plot_searches, 3.0, outcome.searches, columns=2),
         )
 
 

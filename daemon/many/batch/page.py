@@ -96,7 +96,7 @@ def _draw(series: Sequence[Series], changes: dict[tuple[str, str], Change]) -> s
     figure, axes = make_grid(len(series), 2.0)
     for axis, s in zip(axes, series, strict=True):
         _draw_series(axis, s, changes.get((s.car, s.quantity)))
-    return to_svg(figure, "Quantities over time")
+    return to_svg(figure)
 
 
 def _draw_series(axis: Axes, s: Series, change: Change | None) -> None:

@@ -140,7 +140,7 @@ def _draw_histograms(found: "Sweep") -> str:
         axis.locator_params(axis="x", nbins=_TICKS)
         axis.set(title=name_measure(name), ylabel="drives")
         axis.yaxis.get_major_locator().set_params(integer=True)
-    return to_svg(figure, "How often each measure takes which value")
+    return to_svg(figure)
 
 
 def _draw_scatters(found: "Sweep") -> str:
@@ -155,7 +155,7 @@ def _draw_scatters(found: "Sweep") -> str:
         unit = units[s.quantity]
         axis.set_xlabel(f"{s.quantity} [{unit}]" if unit not in ("", "1") else s.quantity)
         axis.set_ylabel(name_measure(s.measure))
-    return to_svg(figure, "The strongest dependences, a point for each drive")
+    return to_svg(figure)
 
 
 def _draw_scatter(axis: Axes, rows: Sequence[Mapping[str, Any]], s: Sensitivity) -> None:

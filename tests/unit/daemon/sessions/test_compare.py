@@ -9,12 +9,12 @@ from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.sessions.compare import (
     BINS,
-    COLOURS,
     LaneSession,
     check_same_lane,
     profile,
     render_comparison,
 )
+from steerd.sysid.report.drawing import LINES
 
 CIRCLE = parse_path("circle:radius=2")
 
@@ -48,7 +48,7 @@ def test_places_of_different_lanes_are_not_compared():
     with pytest.raises(SteerdError, match=r"b\.mcap"):
         check_same_lane([drive(), other])
     with pytest.raises(SteerdError, match="at most"):
-        check_same_lane([drive()] * (len(COLOURS) + 1))
+        check_same_lane([drive()] * (len(LINES) + 1))
 
 
 def test_the_page_names_the_drives_and_their_errors():
