@@ -17,6 +17,7 @@ from steerd.daemon.sessions.info import Times, find_table, load_session, make_tr
 from steerd.daemon.sessions.lane_error import find_settled, rms
 from steerd.daemon.sessions.motion import Array, Track
 from steerd.daemon.sessions.plot_data import load_lane
+from steerd.sim_gap.lane_comparison import profile
 from steerd.steer_bus import topics
 from steerd.sysid.report.drawing import FAINT, LINES, STYLE, draw, make_figure, to_svg
 from steerd.sysid.report.page import render_report
@@ -109,14 +110,6 @@ def check_same_lane(drives: Sequence[LaneSession]) -> None:
             raise SteerdError(what, hint, ExitCode.INVALID)
 
 
-def profile(drive: LaneSession, values: Array) -> Array:
-    """(BINS,) mean at each place of the lane; NaN where the drive never was."""
-    place = (drive.place / drive.lane.length * BINS).astype(int).clip(0, BINS - 1)
-    count = np.bincount(place, minlength=BINS)
-    total = np.bincount(place, weights=values, minlength=BINS)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
 @rc_context(STYLE)
 def render_comparison(drives: Sequence[LaneSession]) -> str:
     """The page of several drives of one lane."""
@@ -189,4 +182,4 @@ def _draw_drive(axis: Axes, drive: LaneSession, values: Array, colour: str) -> N
     step = max(1, len(values) // _POINTS_MAX)
     axis.plot(drive.place[::step], values[::step], ".", ms=1.0, color=colour, alpha=0.35)
     at = (np.arange(BINS) + 0.5) / BINS * drive.lane.length
-    axis.plot(at, profile(drive, values), color=colour, lw=1.4)
+    axis.plot(at, profile(drive.place, drive.lane.length, values, BINS), color=colour, lw=1.4)

@@ -221,7 +221,7 @@ def draw_lane(lane: LaneComparison) -> str:
     for drive, colour, width in drives:
         alpha = 0.45 if drive is lane.recorded else 1.0
         for axis, field in ((axes[0, 0], "e1"), (axes[0, 1], "e2")):
-            means = profile(drive, getattr(drive, field))
+            means = profile(drive.s, drive.length, getattr(drive, field))
             at = (np.arange(len(means)) + 0.5) / len(means) * drive.length
             axis.plot(at, 1e3 * means, color=colour, lw=width, alpha=alpha)
         shown = drive if lane.without is None else as_long(drive, lane.without)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from steerd.daemon.common.written import write_outputs
 from steerd.daemon.many.batch.sources import (
@@ -25,17 +25,16 @@ if TYPE_CHECKING:
     from steerd.daemon.many.batch.changes import Change, Series
 
 DONE = "done"
-_HEAD = ("session", "car", "day", "start", "outcome", "failure", "tries")
-_MEANINGS = {
-    "session": "file",
-    "car": "name",
-    "day": "of the drive, UTC",
-    "start": "UNIX time of the drive",
-    "outcome": "done or failed",
-    "failure": "why it failed",
-    "tries": "times that it was begun",
-}
-_TEXTS = ("session", "car", "day", "outcome", "failure", "lane", "mode", "verdict", "causes")
+_HEAD = (
+    Column("session", "text", "", "file"),
+    Column("car", "text", "", "name"),
+    Column("day", "text", "", "of the drive, UTC"),
+    Column("start", "number", "s", "UNIX time of the drive"),
+    Column("outcome", "text", "", "done or failed"),
+    Column("failure", "text", "", "why it failed"),
+    Column("tries", "count", "", "times that it was begun"),
+)
+_TEXTS = ("lane", "mode", "verdict", "causes")
 _NO_ESTIMATE = ("start", "tries", "seconds", "metres")
 
 
@@ -58,11 +57,9 @@ class Batch(RowTable):
     @property
     def columns(self) -> Sequence[Column]:
         """The columns of the table."""
-        names = [*_HEAD, *sorted({name for row in self.rows for name in row} - {*_HEAD})]
-        return [
-            Column(name, _kind_of(name), "s" if name == "start" else "", _MEANINGS.get(name, ""))
-            for name in names
-        ]
+        more = {name for row in self.rows for name in row} - {column.name for column in _HEAD}
+        rest = (Column(n, "text" if n in _TEXTS else "number", "", "") for n in sorted(more))
+        return (*_HEAD, *rest)
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -99,12 +96,6 @@ class Batch(RowTable):
         from steerd.daemon.many.batch.text import describe_batch
 
         return describe_batch(self)
-
-
-def _kind_of(name: str) -> Any:
-    if name in _TEXTS:
-        return "text"
-    return "count" if name == "tries" else "number"
 
 
 def batch(
