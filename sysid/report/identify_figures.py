@@ -62,7 +62,7 @@ def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
     places = np.arange(len(held_out))
     for axis, field, scale, unit in (
         (left, "position", 1e3, "mm"),
-        (right, "heading", 180.0 / np.pi, "deg"),
+        (right, "heading", 180.0 / np.pi, "°"),
     ):
         for shift, name, colour in ((-0.2, "before", BEFORE), (0.2, "after", AFTER)):
             values = [scale * getattr(getattr(h, name), field) for h in held_out]
@@ -169,6 +169,6 @@ def draw_profiles(profiles: Sequence[Profile]) -> str:
         axes[0, column].set_title(f"{floor} friction")
         axes[1, column].set_xlabel("time [s]")
     axes[0, 0].set_ylabel("e1 [mm]")
-    axes[1, 0].set_ylabel("e2 [deg]")
+    axes[1, 0].set_ylabel("e2 [°]")
     axes[0, 0].legend(fontsize=8, title="designed from")
     return to_svg(figure)

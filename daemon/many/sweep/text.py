@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 UNITS = {c.name: c.unit for c in MEASURES}
 """SI unit by measure."""
-SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (57.29577951308232, "deg")}
+SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (57.29577951308232, "°")}
 """Unit that people read, by the SI unit: factor and name."""
 _SHOWN = 8
 """Dependences that are shown."""
