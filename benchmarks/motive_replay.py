@@ -22,7 +22,6 @@ from pathlib import Path
 
 from steerd.mocap_link import natnet
 from steerd.mocap_link.natnet_frame import Frame
-from steerd.mocap_link.natnet_model import ModelDef
 
 VERSION = (3, 0)
 LOOPBACK = "127.0.0.1"
@@ -75,11 +74,13 @@ def load_capture(path: Path) -> Capture:
             rate, asked_rate = rate or data, False
         else:
             packets.setdefault(type(message), data)
-    if not (frames and rate and {natnet.ServerInfo, ModelDef} <= packets.keys()):
+    if not (frames and rate and {natnet.ServerInfo, natnet.ModelDef} <= packets.keys()):
         raise ValueError(f"{path}: no whole Motive session")
     info = natnet.decode(packets[natnet.ServerInfo], VERSION)
     assert isinstance(info, natnet.ServerInfo)
-    return Capture(info, packets[natnet.ServerInfo], packets[ModelDef], rate, tuple(frames), ticks)
+    return Capture(
+        info, packets[natnet.ServerInfo], packets[natnet.ModelDef], rate, tuple(frames), ticks
+    )
 
 
 class Replayer:
@@ -106,9 +107,9 @@ class Replayer:
         data, address = self._socket.recvfrom(65_536)
         now_ns = time.monotonic_ns()
         match natnet.decode(data, VERSION):
-            case natnet.Connect():
+            case natnet.Bare.CONNECT:
                 reply = self._capture.info_packet
-            case natnet.RequestModelDef():
+            case natnet.Bare.REQUEST_MODEL:
                 reply = self._capture.model_packet
                 if self._first_ns is None:
                     self._first_ns = now_ns + delay_ns

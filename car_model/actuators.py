@@ -22,10 +22,7 @@ class Actuated(NamedTuple, Generic[T]):
 def references(ops: Ops[T], car: Car[T], command: Command[T]) -> Command[T]:
     """What the actuators aim at: the command through the car's gains, bias and end stops."""
     steer = car.steer_gain * command.steer + car.steer_bias
-    return Command(
-        ops.clip(steer, car.steer_min, car.steer_max),
-        car.speed_gain * command.speed,
-    )
+    return Command(ops.clip(steer, car.steer_min, car.steer_max), car.speed_gain * command.speed)
 
 
 def actuate(ops: Ops[T], car: Car[T], state: State[T], ref: Command[T], h: float) -> Actuated[T]:

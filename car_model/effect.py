@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from steerd.car_model.actuators import Actuated
 from steerd.car_model.chassis import Axles, Rates
@@ -99,124 +99,35 @@ class EffectParameter(NamedTuple):
         return min(self.null + self.scale, 0.5 * (self.null + self.high))
 
 
-class ScanHook(Protocol):
-    """Values of all parameters worth trying; errors are larger in `discs` (x, y, radius) [m]."""
+Values = Sequence[T]
+"""The numbers of an effect: its parameters `p`, or what it remembers."""
 
-    def __call__(
-        self, discs: Sequence[tuple[float, float, float]]
-    ) -> Sequence[tuple[float, ...]]: ...
-
-
-class DelayHook(Protocol):
-    """Dead times to add to each channel [s]."""
-
-    def __call__(self, p: Sequence[T]) -> Delays[T]: ...
-
-
-class CarHook(Protocol):
-    """The car's parameters at this moment (`t` seconds into the run)."""
-
-    def __call__(
-        self, ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float
-    ) -> Car[T]: ...
-
-
-class ReferenceHook(Protocol):
-    """What the actuators aim at."""
-
-    def __call__(self, ops: Ops[T], p: Sequence[T], ref: Command[T], t: float) -> Command[T]: ...
-
-
-class ActuatedHook(Protocol):
-    """Where the actuators get to within a step of `h` seconds."""
-
-    def __call__(
-        self,
-        ops: Ops[T],
-        p: Sequence[T],
-        car: Car[T],
-        state: State[T],
-        ref: Command[T],
-        h: float,
-        out: Actuated[T],
-    ) -> Actuated[T]: ...
-
-
-class LinkageHook(Protocol):
-    """Road-wheel angle for an actuator angle, and the memory after it."""
-
-    def __call__(
-        self, ops: Ops[T], p: Sequence[T], memory: Sequence[T], angle: T
-    ) -> tuple[T, tuple[T, ...]]: ...
-
-
-class SlipHook(Protocol):
-    """Slip angles that the tyres feel."""
-
-    def __call__(
-        self, ops: Ops[T], p: Sequence[T], memory: Sequence[T], slips: Axles[T]
-    ) -> Axles[T]: ...
-
-
-class LoadHook(Protocol):
-    """Vertical loads of the axles [N]."""
-
-    def __call__(
-        self, ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], accel: T, loads: Axles[T]
-    ) -> Axles[T]: ...
-
-
-class ForceHook(Protocol):
-    """Lateral forces of the axles [N]."""
-
-    def __call__(
-        self,
-        ops: Ops[T],
-        p: Sequence[T],
-        car: Car[T],
-        slips: Axles[T],
-        loads: Axles[T],
-        accel: T,
-        forces: Axles[T],
-    ) -> Axles[T]: ...
-
-
-class RateHook(Protocol):
-    """Time derivatives of the chassis states."""
-
-    def __call__(
-        self,
-        ops: Ops[T],
-        p: Sequence[T],
-        car: Car[T],
-        state: State[T],
-        wheel: T,
-        forces: Axles[T],
-        rates: Rates[T],
-    ) -> Rates[T]: ...
-
-
-class RememberHook(Protocol):
-    """Memory after a step of `h` seconds; `before` and `after` are the slips at its ends."""
-
-    def __call__(
-        self,
-        ops: Ops[T],
-        p: Sequence[T],
-        memory: Sequence[T],
-        speed: T,
-        before: Axles[T],
-        after: Axles[T],
-        h: float,
-    ) -> tuple[T, ...]: ...
-
-
-class ObserveHook(Protocol):
-    """What the instruments read."""
-
-    def __call__(
-        self, ops: Ops[T], p: Sequence[T], state: State[T], seen: Observation[T]
-    ) -> Observation[T]: ...
+ScanHook = Callable[[Sequence[tuple[float, float, float]]], Sequence[tuple[float, ...]]]
+"""(discs): values of all parameters worth trying; errors are larger in discs (x, y, radius) [m]."""
+DelayHook = Callable[[Values[T]], Delays[T]]
+"""(p): dead times to add to each channel [s]."""
+CarHook = Callable[[Ops[T], Values[T], Car[T], State[T], float], Car[T]]
+"""(ops, p, car, state, t): the car's parameters `t` seconds into the run."""
+ReferenceHook = Callable[[Ops[T], Values[T], Command[T], float], Command[T]]
+"""(ops, p, ref, t): what the actuators aim at."""
+ActuatedHook = Callable[
+    [Ops[T], Values[T], Car[T], State[T], Command[T], float, Actuated[T]], Actuated[T]
+]
+"""(ops, p, car, state, ref, h, out): where the actuators get to within a step of `h` seconds."""
+LinkageHook = Callable[[Ops[T], Values[T], Values[T], T], tuple[T, tuple[T, ...]]]
+"""(ops, p, memory, angle): road-wheel angle for an actuator angle, and the memory after it."""
+SlipHook = Callable[[Ops[T], Values[T], Values[T], Axles[T]], Axles[T]]
+"""(ops, p, memory, slips): slip angles that the tyres feel."""
+LoadHook = Callable[[Ops[T], Values[T], Car[T], State[T], T, Axles[T]], Axles[T]]
+"""(ops, p, car, state, accel, loads): vertical loads of the axles [N]."""
+ForceHook = Callable[[Ops[T], Values[T], Car[T], Axles[T], Axles[T], T, Axles[T]], Axles[T]]
+"""(ops, p, car, slips, loads, accel, forces): lateral forces of the axles [N]."""
+RateHook = Callable[[Ops[T], Values[T], Car[T], State[T], T, Axles[T], Rates[T]], Rates[T]]
+"""(ops, p, car, state, wheel, forces, rates): time derivatives of the chassis states."""
+RememberHook = Callable[[Ops[T], Values[T], Values[T], T, Axles[T], Axles[T], float], tuple[T, ...]]
+"""(ops, p, memory, speed, before, after, h): memory after `h` seconds; slips at both ends."""
+ObserveHook = Callable[[Ops[T], Values[T], State[T], Observation[T]], Observation[T]]
+"""(ops, p, state, seen): what the instruments read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,17 +178,17 @@ class Effect:
     """Values worth trying where they depend on the drives; else each parameter's own scan."""
     memory: int = 0
     """How many numbers it remembers from step to step; all start at zero."""
-    delays: DelayHook | None = None
-    car: CarHook | None = None
-    reference: ReferenceHook | None = None
-    actuated: ActuatedHook | None = None
-    linkage: LinkageHook | None = None
-    slips: SlipHook | None = None
-    loads: LoadHook | None = None
-    forces: ForceHook | None = None
-    rates: RateHook | None = None
-    remember: RememberHook | None = None
-    observe: ObserveHook | None = None
+    delays: DelayHook[Any] | None = None
+    car: CarHook[Any] | None = None
+    reference: ReferenceHook[Any] | None = None
+    actuated: ActuatedHook[Any] | None = None
+    linkage: LinkageHook[Any] | None = None
+    slips: SlipHook[Any] | None = None
+    loads: LoadHook[Any] | None = None
+    forces: ForceHook[Any] | None = None
+    rates: RateHook[Any] | None = None
+    remember: RememberHook[Any] | None = None
+    observe: ObserveHook[Any] | None = None
     aliases: tuple[str, ...] = ()
     """Other names that people use for it."""
 

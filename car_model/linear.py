@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.native.library import load_function, model_label
-from steerd.car_model.params import GRAVITY, Car, wheelbase
+from steerd.car_model.params import Car, wheelbase
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, State
 
@@ -156,14 +156,6 @@ def lane_error_model(car: Car[float], speed: float, curvature: float = 0.0) -> L
         b_steer=np.array([0.0, v * slip_steer, 0.0, yaw_steer]),
         b_curvature=np.array([0.0, v * v * slip_yaw, 0.0, v * yaw_yaw]),
     )
-
-
-def understeer_gradient(car: Car[float]) -> float:
-    """Extra road-wheel angle per lateral acceleration [rad s^2/m]; negative oversteers.
-
-    `(m / L) (lr / cf - lf / cr)` with per-axle stiffness; mass and load cancel.
-    """
-    return (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
 
 
 def sample(a: Matrix, b: Matrix, period: float, delay: float = 0.0) -> Sampled:

@@ -43,13 +43,7 @@ def loads_at(car: Car[T], accel: T) -> Axles[T]:
 
 
 def chassis_rates(
-    ops: Ops[T],
-    car: Car[T],
-    state: State[T],
-    wheel: T,
-    accel: T,
-    loads: Axles[T],
-    forces: Axles[T],
+    ops: Ops[T], car: Car[T], state: State[T], wheel: T, accel: T, loads: Axles[T], forces: Axles[T]
 ) -> Rates[T]:
     """Newton and Euler for the planar body, blended into the kinematic car at crawling speed."""
     speed, yaw_rate, slip = state.speed, state.yaw_rate, state.slip_angle

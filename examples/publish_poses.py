@@ -17,15 +17,15 @@ from dataclasses import replace
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.sockets import make_receiver
-from steerd.mocap_link.source import PoseSample
+from steerd.mocap_link.source import Pose
 from steerd.mocap_link.zenoh_pose import encode_pose
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 
-def make_payload(sample: PoseSample) -> bytes:
+def make_payload(pose: Pose) -> bytes:
     """The pose as it came, stamped with its time of validity here."""
-    return encode_pose(replace(sample.raw, source_ticks=sample.t_valid_ns))
+    return encode_pose(replace(pose, source_ticks=pose.t_valid_ns))
 
 
 def main() -> int:
@@ -42,8 +42,8 @@ def main() -> int:
         try:
             while True:
                 for fd in select.select(receiver.fds(), [], [], 0.01)[0]:
-                    for sample in receiver.read_ready(fd):
-                        bus.publish(args.key, make_payload(sample))
+                    for pose in receiver.read_ready(fd):
+                        bus.publish(args.key, make_payload(pose))
                 receiver.on_timer(clock.now_ns())
         except KeyboardInterrupt:
             receiver.close()

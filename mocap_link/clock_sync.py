@@ -5,8 +5,6 @@ Ticks stay integers and are subtracted before anything is divided. Methods and f
 `docs/reference/mocap-protocols.md#m5`.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from itertools import pairwise
 
@@ -17,32 +15,39 @@ SKEW_MAX = 200e-6
 WINDOW_NS = 60 * NS
 
 
-class _Line:
-    """`host = source_ns + offset + skew * (source_ns - x_ref)`, all relative to one origin."""
+class _ClockMap:
+    """`host = source_ns + offset + skew * (source_ns - x_ref)`, all relative to one origin.
+
+    Attributes:
+        skew: rate of the host's clock against the source's, minus 1.
+        resets: how often all was forgotten.
+    """
 
     def __init__(self, frequency_hz: int) -> None:
         if frequency_hz <= 0:
             raise ValueError(f"clock frequency {frequency_hz} Hz")
         self.frequency_hz = frequency_hz
-        self.set_origin(0, 0)
+        self.resets = 0
+        self._set_origin(0, 0)
 
-    def set_origin(self, ticks: int, host_ns: int) -> None:
-        self.ticks0, self.host0 = ticks, host_ns
-        self.x_ref = self.offset = self.skew = 0.0
+    def _set_origin(self, ticks: int, host_ns: int) -> None:
+        self._ticks0, self._host0 = ticks, host_ns
+        self._x_ref = self._offset = self.skew = 0.0
 
-    def source_ns(self, ticks: int) -> int:
-        return (ticks - self.ticks0) * NS // self.frequency_hz
+    def _source_ns(self, ticks: int) -> int:
+        return (ticks - self._ticks0) * NS // self.frequency_hz
 
-    def residual(self, x: int, host_ns: int) -> float:
-        """Return what the map leaves of a point `x` [source ns], `host_ns`."""
-        return host_ns - self.host0 - x - self.offset - self.skew * (x - self.x_ref)
+    def _residual(self, x: int, host_ns: int) -> float:
+        """What the map leaves of a point `x` [source ns], `host_ns`."""
+        return host_ns - self._host0 - x - self._offset - self.skew * (x - self._x_ref)
 
     def to_host_ns(self, ticks: int) -> int:
-        x = (ticks - self.ticks0) * NS // self.frequency_hz
-        return self.host0 + x + round(self.offset + self.skew * (x - self.x_ref))
+        """Map a source time to CLOCK_MONOTONIC [ns]."""
+        x = (ticks - self._ticks0) * NS // self.frequency_hz
+        return self._host0 + x + round(self._offset + self.skew * (x - self._x_ref))
 
 
-class EchoClock:
+class EchoClock(_ClockMap):
     """Two-way clock map from echo exchanges (Cristian's algorithm with a fitted skew).
 
     The server stamped between our sending and receiving, so each exchange bounds the offset to
@@ -57,10 +62,9 @@ class EchoClock:
     _jitter_floor_ns = 20_000.0
 
     def __init__(self, frequency_hz: int) -> None:
-        self._line = _Line(frequency_hz)
+        super().__init__(frequency_hz)
         self._samples: deque[tuple[int, int, int]] = deque()  # source ns, host mid ns, rtt ns
         self._rtt_min = 0
-        self.resets = 0
 
     @property
     def ready(self) -> bool:
@@ -71,11 +75,6 @@ class EchoClock:
     def sigma_ns(self) -> int:
         """Half the best round trip [ns]."""
         return self._rtt_min // 2
-
-    @property
-    def skew(self) -> float:
-        """Fitted rate of the host's clock against the source's, minus 1."""
-        return self._line.skew
 
     def reset(self) -> None:
         """Forget everything: the server restarted or its clock stepped."""
@@ -89,12 +88,12 @@ class EchoClock:
             return
         middle = t_sent_ns + rtt // 2
         if self._samples:
-            off = self._line.residual(self._line.source_ns(server_ticks), middle)
+            off = self._residual(self._source_ns(server_ticks), middle)
             if abs(off) > rtt / 2 + self.step_slack_ns:
                 self.reset()
         if not self._samples:
-            self._line.set_origin(server_ticks, middle)
-        self._samples.append((self._line.source_ns(server_ticks), middle, rtt))
+            self._set_origin(server_ticks, middle)
+        self._samples.append((self._source_ns(server_ticks), middle, rtt))
         while self._samples[-1][1] - self._samples[0][1] > WINDOW_NS:
             self._samples.popleft()
         self._fit()
@@ -102,7 +101,7 @@ class EchoClock:
     def _fit(self) -> None:
         self._rtt_min = min(rtt for _, _, rtt in self._samples)
         limit = self._rtt_min + self.rtt_slack_ns
-        good = [(x, m - self._line.host0 - x) for x, m, rtt in self._samples if rtt <= limit]
+        good = [(x, m - self._host0 - x) for x, m, rtt in self._samples if rtt <= limit]
         n = len(good)
         x_mean = sum(x for x, _ in good) / n
         y_mean = sum(y for _, y in good) / n
@@ -110,15 +109,11 @@ class EchoClock:
         sxy = sum((x - x_mean) * (y - y_mean) for x, y in good)
         jitter = max(self._jitter_floor_ns, self._rtt_min / 2)
         slope = sxy / (sxx + (jitter / self._skew_prior) ** 2)
-        self._line.x_ref, self._line.offset = x_mean, y_mean
-        self._line.skew = max(-SKEW_MAX, min(SKEW_MAX, slope))
-
-    def to_host_ns(self, source_ticks: int) -> int:
-        """Map a source time to CLOCK_MONOTONIC [ns]."""
-        return self._line.to_host_ns(source_ticks)
+        self._x_ref, self._offset = x_mean, y_mean
+        self.skew = max(-SKEW_MAX, min(SKEW_MAX, slope))
 
 
-class HullClock:
+class HullClock(_ClockMap):
     """One-way clock map: the lower hull of arrival minus source time.
 
     The fastest datagrams lie on a line whose slope is the skew; the rest lies above it. Minima of
@@ -134,12 +129,11 @@ class HullClock:
     step_ns = NS // 50
 
     def __init__(self, frequency_hz: int) -> None:
-        self._line = _Line(frequency_hz)
+        super().__init__(frequency_hz)
         self._buckets: deque[tuple[int, int]] = deque()  # source ns, host - source [ns]
         self._bucket_end = self._next_fit = self._warm_at = 0
         self._last_ticks: int | None = None
         self._fitted = False
-        self.resets = 0
 
     @property
     def ready(self) -> bool:
@@ -151,14 +145,8 @@ class HullClock:
         """Spread of the bucket minima above the line [ns], mean."""
         if not self._fitted:
             return NS
-        line = self._line
-        above = [y - line.offset - line.skew * (x - line.x_ref) for x, y in self._buckets]
+        above = [y - self._offset - self.skew * (x - self._x_ref) for x, y in self._buckets]
         return round(sum(above) / len(above))
-
-    @property
-    def skew(self) -> float:
-        """Fitted rate of the host's clock against the source's, minus 1."""
-        return self._line.skew
 
     def reset(self) -> None:
         """Forget everything: the server restarted or its clock stepped."""
@@ -175,17 +163,16 @@ class HullClock:
         """
         if self._last_ticks is not None and source_ticks < self._last_ticks:
             self.reset()
-        line = self._line
-        x = line.source_ns(source_ticks)
-        if self._fitted and line.residual(x, t_arrival_ns) < -self.step_ns:
+        x = self._source_ns(source_ticks)
+        if self._fitted and self._residual(x, t_arrival_ns) < -self.step_ns:
             self.reset()
         if self._last_ticks is None:
-            line.set_origin(source_ticks, t_arrival_ns)
+            self._set_origin(source_ticks, t_arrival_ns)
             x = 0
             self._bucket_end = t_arrival_ns
             self._warm_at = self._next_fit = t_arrival_ns + self.warm_ns
         self._last_ticks = source_ticks
-        y = t_arrival_ns - line.host0 - x
+        y = t_arrival_ns - self._host0 - x
         if t_arrival_ns >= self._bucket_end:
             self._buckets.append((x, y))
             self._bucket_end = t_arrival_ns + self.bucket_ns
@@ -198,17 +185,13 @@ class HullClock:
     def _fit(self, now: int) -> None:
         while now - self._buckets[0][0] > WINDOW_NS:
             self._buckets.popleft()
-        line, points = self._line, self._buckets
-        line.x_ref = sum(x for x, _ in points) / len(points)
+        points = self._buckets
+        self._x_ref = sum(x for x, _ in points) / len(points)
         span = points[-1][0] - points[0][0]
-        slope = _hull_slope(list(points), line.x_ref) if span >= self.skew_from_ns else 0.0
-        line.skew = max(-SKEW_MAX, min(SKEW_MAX, slope))
-        line.offset = min(y - line.skew * (x - line.x_ref) for x, y in points)
+        slope = _hull_slope(list(points), self._x_ref) if span >= self.skew_from_ns else 0.0
+        self.skew = max(-SKEW_MAX, min(SKEW_MAX, slope))
+        self._offset = min(y - self.skew * (x - self._x_ref) for x, y in points)
         self._fitted = True
-
-    def to_host_ns(self, source_ticks: int) -> int:
-        """Map a source time to CLOCK_MONOTONIC [ns], late by the smallest one-way delay."""
-        return self._line.to_host_ns(source_ticks)
 
 
 def _hull_slope(points: list[tuple[int, int]], x: float) -> float:

@@ -5,8 +5,6 @@ counter-clockwise. The heading is the direction of the body's forward axis on th
 Euler angle: it is indifferent to the sign of the quaternion and well defined up to a 90° tilt.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import acos, atan2, cos, hypot, pi, sin
 from typing import NamedTuple

@@ -7,14 +7,12 @@ order of their cost to a wrong pose; the innovation gate is the estimator's. Thr
 
 # Why: docs/decisions/filter-and-controller.md#d18
 
-from __future__ import annotations
+from dataclasses import dataclass
+from math import hypot, isfinite, isnan, pi, radians
 
-from dataclasses import dataclass, replace
-from math import hypot, isfinite, pi, radians
-
-from steerd.mocap_link.frame import PlanarPose, wrap_angle
-from steerd.mocap_link.source import RawPose
-from steerd.steer_bus.quick_values import quick_init
+from steerd.mocap_link.frame import wrap_angle
+from steerd.mocap_link.source import Pose
+from steerd.steer_bus.quick_values import changed, quick_init
 
 REASONS: dict[str, str] = {
     "not_live": "the server replays a recording (edit mode)",
@@ -74,18 +72,6 @@ class GateConfig:
 
 @quick_init
 @dataclass(frozen=True, slots=True)
-class Fix:
-    """A planar pose and body height with their time of validity."""
-
-    t_ns: int
-    x: float
-    y: float
-    yaw: float
-    height: float
-
-
-@quick_init
-@dataclass(frozen=True, slots=True)
 class GateState:
     """What the gates remember.
 
@@ -101,16 +87,16 @@ class GateState:
     """
 
     frame: int | None = None
-    last: Fix | None = None
-    before: Fix | None = None
+    last: Pose | None = None
+    before: Pose | None = None
     height: float | None = None
     pose: tuple[float, ...] = ()
     repeats: int = 0
-    candidate: Fix | None = None
+    candidate: Pose | None = None
     candidate_run: int = 0
 
 
-def check_raw(config: GateConfig, raw: RawPose, metres_per_unit: float = 1.0) -> str | None:
+def check_raw(config: GateConfig, raw: Pose, metres_per_unit: float = 1.0) -> str | None:
     """Gates on the pose as sent: is it live, a number, a rotation, and believed by the server?"""
     if not raw.live:
         return "not_live"
@@ -137,9 +123,7 @@ def check_raw(config: GateConfig, raw: RawPose, metres_per_unit: float = 1.0) ->
 def step_gates(
     config: GateConfig,
     state: GateState,
-    raw: RawPose,
-    pose: PlanarPose | None,
-    t_valid_ns: int,
+    pose: Pose,
     *,
     wheel_speed: float | None = None,
     stationary: bool = False,
@@ -150,9 +134,7 @@ def step_gates(
     Args:
         config: thresholds.
         state: memory before.
-        raw: the pose as sent.
-        pose: its planar form; None where it has none (the raw gates then reject it).
-        t_valid_ns: its time of validity.
+        pose: the pose, timed and placed; one without a place is rejected.
         wheel_speed: speed [m/s] of the wheels, None if unknown (a frozen pose then passes).
         stationary: the car is stopped and disarmed, so a new place may be taken in.
         metres_per_unit: the vendor's length unit.
@@ -160,99 +142,99 @@ def step_gates(
     Returns:
         The memory after, and None or the reason for rejection.
     """
-    order = find_disorder(state, raw)
+    order = find_disorder(state, pose)
     if order is not None:
         return state, order
-    key = (*raw.position, *raw.quaternion)
+    key = (*pose.position, *pose.quaternion)
     repeats = state.repeats + 1 if key == state.pose else 1
     state = GateState(
-        raw.frame, state.last, state.before, state.height, key, repeats,
+        pose.frame, state.last, state.before, state.height, key, repeats,
         state.candidate, state.candidate_run,
     )  # fmt: skip
-    reason = check_raw(config, raw, metres_per_unit)
-    if reason is None and pose is None:
+    reason = check_raw(config, pose, metres_per_unit)
+    if reason is None and isnan(pose.x):
         reason = "not_finite"
-    if reason is not None or pose is None:
+    if reason is not None:
         return state, reason
     if pose.tilt > config.tilt_max:
         return state, "tilt"
     moving = wheel_speed is not None and abs(wheel_speed) > config.frozen_speed
     if moving and repeats >= config.frozen_count:
         return state, "frozen"
-    fix = Fix(t_valid_ns, pose.x, pose.y, pose.yaw, pose.height)
-    return _check_place(config, state, fix, stationary)
+    return _check_place(config, state, pose, stationary)
 
 
-def find_disorder(state: GateState, raw: RawPose) -> str | None:
+def find_disorder(state: GateState, pose: Pose) -> str | None:
     """Say whether the frame number does not rise: `duplicate`, `out_of_order` or None."""
-    if raw.frame is None or state.frame is None or raw.frame > state.frame:
+    if pose.frame is None or state.frame is None or pose.frame > state.frame:
         return None
-    return "duplicate" if raw.frame == state.frame else "out_of_order"
+    return "duplicate" if pose.frame == state.frame else "out_of_order"
 
 
 def _check_place(
-    config: GateConfig, state: GateState, fix: Fix, stationary: bool
+    config: GateConfig, state: GateState, pose: Pose, stationary: bool
 ) -> tuple[GateState, str | None]:
-    if config.height is not None and abs(fix.height - config.height) > config.height_band:
+    if config.height is not None and abs(pose.height - config.height) > config.height_band:
         return state, "height"
-    reason = _compare(config, state, fix)
+    reason = _compare(config, state, pose)
     if reason is None:
-        height = fix.height if state.height is None else state.height
+        height = pose.height if state.height is None else state.height
         last = state.last
-        return GateState(state.frame, fix, last, height, state.pose, state.repeats, None, 0), None
-    run = state.candidate_run + 1 if _is_steady(config, state.candidate, fix) else 1
+        return GateState(state.frame, pose, last, height, state.pose, state.repeats, None, 0), None
+    run = state.candidate_run + 1 if _is_steady(config, state.candidate, pose) else 1
     if run < config.reacquire_count:
-        return replace(state, candidate=fix, candidate_run=run), reason
+        return changed(state, candidate=pose, candidate_run=run), reason
     if stationary:
-        state = replace(state, last=fix, before=None, height=fix.height)
-        return replace(state, candidate=None, candidate_run=0), None
-    return replace(state, candidate=fix, candidate_run=run), "relocated"
+        state = changed(state, last=pose, before=None, height=pose.height)
+        return changed(state, candidate=None, candidate_run=0), None
+    return changed(state, candidate=pose, candidate_run=run), "relocated"
 
 
-def _compare(config: GateConfig, state: GateState, fix: Fix) -> str | None:
-    if state.height is not None and abs(fix.height - state.height) > config.height_band:
+def _compare(config: GateConfig, state: GateState, pose: Pose) -> str | None:
+    if state.height is not None and abs(pose.height - state.height) > config.height_band:
         return "height"
     if state.last is None:
         return None
-    reason = find_jump(config, state.last, fix)
-    if reason is None and state.candidate is not None and _is_steady(config, state.candidate, fix):
+    reason = find_jump(config, state.last, pose)
+    if reason is None and state.candidate is not None and _is_steady(config, state.candidate, pose):
         # The allowance grows while poses are rejected, and would in the end admit the very body
         # that was rejected first: what goes on where it began stays out.
-        aside = _distance(_expected(config, state.before, state.last, fix.t_ns), fix)
-        began = _expected(config, state.before, state.last, state.candidate.t_ns)
+        aside = _distance(_expected(config, state.before, state.last, pose.t_valid_ns), pose)
+        began = _expected(config, state.before, state.last, state.candidate.t_valid_ns)
         if aside > 0.5 * _distance(began, state.candidate):
             return "jump"
     return reason
 
 
-def _expected(config: GateConfig, before: Fix | None, last: Fix, t_ns: int) -> Fix:
+def _expected(config: GateConfig, before: Pose | None, last: Pose, t_ns: int) -> Pose:
     """Where the car is at `t_ns` if it went on as between its last two poses."""
-    step_ns = 0 if before is None else last.t_ns - before.t_ns
+    step_ns = 0 if before is None else last.t_valid_ns - before.t_valid_ns
     if before is None or not 0 < step_ns * 1e-9 <= config.gap_max:
-        return replace(last, t_ns=t_ns)
-    share = (t_ns - last.t_ns) / step_ns
+        return changed(last, t_valid_ns=t_ns)
+    share = (t_ns - last.t_valid_ns) / step_ns
     x = last.x + share * (last.x - before.x)
     y = last.y + share * (last.y - before.y)
-    return Fix(t_ns, x, y, last.yaw + share * wrap_angle(last.yaw - before.yaw), last.height)
+    yaw = last.yaw + share * wrap_angle(last.yaw - before.yaw)
+    return changed(last, t_valid_ns=t_ns, x=x, y=y, yaw=yaw)
 
 
-def _distance(a: Fix, b: Fix) -> float:
+def _distance(a: Pose, b: Pose) -> float:
     # a radian counts as a metre
     return hypot(b.x - a.x, b.y - a.y) + abs(wrap_angle(b.yaw - a.yaw))
 
 
-def _is_steady(config: GateConfig, a: Fix | None, b: Fix) -> bool:
+def _is_steady(config: GateConfig, a: Pose | None, b: Pose) -> bool:
     if a is None or abs(a.height - b.height) > config.height_band:
         return False
     return find_jump(config, a, b) is None
 
 
-def find_jump(config: GateConfig, a: Fix, b: Fix) -> str | None:
+def find_jump(config: GateConfig, a: Pose, b: Pose) -> str | None:
     """Say whether the car cannot have gone from `a` to `b`: `jump`, `yaw_jump` or None.
 
     |dp| <= v_max dt + slack and |dyaw| <= r_max dt + slack.
     """
-    dt = min(max(0.0, (b.t_ns - a.t_ns) * 1e-9), config.gap_max)
+    dt = min(max(0.0, (b.t_valid_ns - a.t_valid_ns) * 1e-9), config.gap_max)
     if hypot(b.x - a.x, b.y - a.y) > config.speed_max * dt + config.jump_slack:
         return "jump"
     turn = abs(wrap_angle(b.yaw - a.yaw))

@@ -1,34 +1,32 @@
-"""From raw poses to samples: timing, frame, outlier tests, and state of the source."""
-
-from __future__ import annotations
+"""What a source learns of its poses: time, place, verdict of the gates; and its own state."""
 
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import nan
 
-from steerd.mocap_link.frame import FrameConfig, PlanarPose, make_planar_pose
+from steerd.mocap_link.frame import FrameConfig, make_planar_pose
 from steerd.mocap_link.gates import GateConfig, GateState, find_disorder, step_gates
 from steerd.mocap_link.source import (
     ClockKind,
     MonitorConfig,
     MonitorState,
-    PoseSample,
-    RawPose,
+    Pose,
     SourceState,
     SourceStatus,
     step_monitor,
 )
 from steerd.mocap_link.timing import SourceTiming
+from steerd.steer_bus.quick_values import changed
 
-_NO_POSE = PlanarPose(nan, nan, nan, nan, nan)
+_NOWHERE = (nan, nan, nan, nan, nan)
 _RATE_WINDOW_NS = 1_000_000_000
 _RESTART_RUN = 10
 
 
 @dataclass(frozen=True, slots=True)
 class IngestConfig:
-    """Everything that turns a source's raw poses into samples."""
+    """Everything by which a source times, places and judges its poses."""
 
     frame: FrameConfig = field(default_factory=FrameConfig)
     gates: GateConfig = field(default_factory=GateConfig)
@@ -83,29 +81,28 @@ class PoseIngest:
         self._disorder_run = 0
         self.counts["restart"] += 1
 
-    def push(self, raw: RawPose) -> PoseSample:
-        """Time, place and judge one raw pose."""
-        learn = self._watch_order(raw)
-        t_valid_ns, self._clock = self.timing.time_pose(raw, learn=learn)
-        pose = _try_place(self.config.frame, raw)
+    def push(self, sent: Pose) -> Pose:
+        """Time, place and judge one pose."""
+        learn = self._watch_order(sent)
+        t_valid_ns, self._clock = self.timing.time_pose(sent, learn=learn)
+        x, y, yaw, height, tilt = _try_place(self.config.frame, sent)
+        pose = changed(
+            sent, t_valid_ns=t_valid_ns, clock=self._clock, x=x, y=y, yaw=yaw, height=height,
+            tilt=tilt,
+        )  # fmt: skip
         self._gates, reason = step_gates(
             self.config.gates,
             self._gates,
-            raw,
             pose,
-            t_valid_ns,
             wheel_speed=self.wheel_speed,
             stationary=self.stationary,
             metres_per_unit=self._metres_per_unit,
         )
         self.counts[reason or "accepted"] += 1
         self._relocated = reason == "relocated"
-        self._count_rate(raw.t_arrival_ns)
-        self._step(raw.t_arrival_ns, True, reason is None)
-        x, y, yaw, height, tilt = pose or _NO_POSE
-        return PoseSample(
-            t_valid_ns, raw.t_arrival_ns, raw, x, y, yaw, height, tilt, reason, self._clock
-        )
+        self._count_rate(pose.t_arrival_ns)
+        self._step(pose.t_arrival_ns, True, reason is None)
+        return pose if reason is None else changed(pose, rejected=reason)
 
     def on_timer(self, t_ns: int, *, connected: bool) -> None:
         """Let time pass."""
@@ -154,9 +151,9 @@ class PoseIngest:
             good=good,
         )
 
-    def _watch_order(self, raw: RawPose) -> bool:
+    def _watch_order(self, pose: Pose) -> bool:
         """Whether the frame is newer than those before, in time for the clock maps."""
-        disorder = find_disorder(self._gates, raw)
+        disorder = find_disorder(self._gates, pose)
         # one late frame is the network, ten in a row are a server that counts from 1 again
         self._disorder_run = self._disorder_run + 1 if disorder == "out_of_order" else 0
         if self._disorder_run >= _RESTART_RUN:
@@ -173,8 +170,8 @@ class PoseIngest:
             self._arrivals.popleft()
 
 
-def _try_place(config: FrameConfig, raw: RawPose) -> PlanarPose | None:
+def _try_place(config: FrameConfig, pose: Pose) -> tuple[float, float, float, float, float]:
     try:
-        return make_planar_pose(config, raw.position, raw.quaternion)
+        return make_planar_pose(config, pose.position, pose.quaternion)
     except (ValueError, OverflowError):
-        return None
+        return _NOWHERE

@@ -1,7 +1,5 @@
 """The one string that names a mocap source: `natnet://...`, `vrpn://...` or `zenoh:KEY`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from urllib.parse import parse_qsl, unquote, urlsplit
 

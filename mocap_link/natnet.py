@@ -4,21 +4,27 @@ Wire facts: `docs/reference/mocap-protocols.md#m3`. `decode` raises only `NatNet
 whatever the bytes.
 """
 
-from __future__ import annotations
-
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
+from typing import assert_never
 
 from steerd.mocap_link.natnet_frame import Frame, read_frame, write_frame
-from steerd.mocap_link.natnet_model import ModelDef, read_model_def, write_model_def
 from steerd.mocap_link.natnet_wire import (
     F32,
     HEADER,
+    I32,
+    SECTION,
     U64,
     NatNetError,
     Version,
     need,
+    read_count,
+    read_cstr,
+    read_i32,
     read_name,
+    read_size,
     write_cstr,
     write_name,
 )
@@ -34,27 +40,21 @@ _NAME = 256
 Version4 = tuple[int, int, int, int]
 
 
-@dataclass(frozen=True, slots=True)
-class Connect:
-    """0: start a session (also what NatNetLib sends as a ping).
+class Bare(IntEnum):
+    """Messages whose payload is empty, or not read: many clients say nothing of themselves."""
 
-    `bitstream` appends the request for a stream version that Motive 3 and later honour for
-    unicast clients; None sends the classic 264 bytes.
-    """
-
-    name: str = "steerd"
-    app_version: Version4 = (0, 0, 0, 0)
-    natnet_version: Version4 = (4, 2, 0, 0)
-    bitstream: Version4 | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Discovery:
-    """14: broadcast form of `Connect`; each server answers `ServerInfo`."""
-
-    name: str = "steerd"
-    app_version: Version4 = (0, 0, 0, 0)
-    natnet_version: Version4 = (4, 2, 0, 0)
+    CONNECT = 0
+    """Start a session."""
+    REQUEST_MODEL = 4
+    """Ask for `ModelDef`."""
+    DISCONNECT = 9
+    """End of a session."""
+    KEEP_ALIVE = 10
+    """A unicast client is alive."""
+    DISCONNECT_BY_TIMEOUT = 11
+    """The server dropped this unicast client."""
+    DISCOVERY = 14
+    """Broadcast form of `CONNECT`; each server answers `ServerInfo`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,13 +98,18 @@ class Response:
 
 
 @dataclass(frozen=True, slots=True)
-class RequestModelDef:
-    """4: ask for `ModelDef`."""
+class RigidBodyDesc:
+    """A body's name and streaming id."""
+
+    name: str
+    id: int
 
 
 @dataclass(frozen=True, slots=True)
-class RequestFrame:
-    """6: ask for one frame."""
+class ModelDef:
+    """5: what the server streams, as far as it is a rigid body, in the server's order."""
+
+    rigid_bodies: tuple[RigidBodyDesc, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,21 +117,6 @@ class MessageString:
     """8: text from the server."""
 
     text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Disconnect:
-    """9: end of a session."""
-
-
-@dataclass(frozen=True, slots=True)
-class KeepAlive:
-    """10: a unicast client is alive."""
-
-
-@dataclass(frozen=True, slots=True)
-class DisconnectByTimeout:
-    """11: the server dropped this unicast client."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,32 +142,10 @@ class Unrecognized:
 
 
 Message = (
-    Connect
-    | Discovery
-    | ServerInfo
-    | Request
-    | Response
-    | RequestModelDef
-    | ModelDef
-    | RequestFrame
-    | Frame
-    | MessageString
-    | Disconnect
-    | KeepAlive
-    | DisconnectByTimeout
-    | EchoRequest
-    | EchoResponse
-    | Unrecognized
-)
-
-_EMPTY_BY_ID: dict[int, Message] = {
-    4: RequestModelDef(),
-    6: RequestFrame(),
-    9: Disconnect(),
-    10: KeepAlive(),
-    11: DisconnectByTimeout(),
-}
-_ID_BY_EMPTY = {type(message): message_id for message_id, message in _EMPTY_BY_ID.items()}
+    Bare | ServerInfo | Request | Response | ModelDef | Frame | MessageString | EchoRequest
+    | EchoResponse | Unrecognized
+)  # fmt: skip
+_BARE = {int(message): message for message in Bare}
 
 
 def peek_id(data: bytes) -> int:
@@ -190,11 +158,10 @@ def has_exact_length(data: bytes) -> bool:
     return len(data) >= 4 and HEADER.unpack_from(data)[1] == len(data) - 4
 
 
-def decode(data: bytes, version: Version, *, detail: bool = True) -> Message:
+def decode(data: bytes, version: Version) -> Message:
     """Decode one datagram of a stream of `version`.
 
-    Bytes beyond the header's length are ignored, missing ones refused; `detail` as in
-    `natnet_frame.read_frame`.
+    Bytes beyond the header's length are ignored, missing ones refused.
 
     Raises:
         NatNetError: anything that the layout does not allow.
@@ -205,7 +172,7 @@ def decode(data: bytes, version: Version, *, detail: bool = True) -> Message:
             need(data, 4, size)
             data = data[: size + 4]
         if message_id == FRAME_ID:
-            return read_frame(data, 4, version, detail=detail)
+            return read_frame(data, 4, version)
         return _decode_other(message_id, data, version)
     except struct.error as error:
         raise NatNetError(str(error)) from error
@@ -213,8 +180,6 @@ def decode(data: bytes, version: Version, *, detail: bool = True) -> Message:
 
 def _decode_other(message_id: int, data: bytes, version: Version) -> Message:
     match message_id:
-        case 0:
-            return _read_connect(data)
         case 1:
             return _read_server_info(data)
         case 2:
@@ -229,25 +194,12 @@ def _decode_other(message_id: int, data: bytes, version: Version) -> Message:
             return EchoRequest(U64.unpack_from(data, 4)[0])
         case 13:
             return EchoResponse(U64.unpack_from(data, 4)[0], U64.unpack_from(data, 12)[0])
-        case 14:
-            connect = _read_connect(data)
-            return Discovery(connect.name, connect.app_version, connect.natnet_version)
-    return _EMPTY_BY_ID.get(message_id) or Unrecognized(message_id)
+    return _BARE.get(message_id, Unrecognized(message_id))
 
 
 def _read_version(data: bytes, at: int) -> Version4:
     a, b, c, d = data[at : need(data, at, 4)]
     return a, b, c, d
-
-
-def _read_connect(data: bytes) -> Connect:
-    name = read_name(data, 4, _NAME)
-    if len(data) < 4 + _NAME + 8:
-        # third-party clients send nothing or "Ping": any length asks for a session
-        return Connect(name, natnet_version=(0, 0, 0, 0))
-    at = 4 + _NAME
-    bitstream = _read_version(data, at + 9) if len(data) >= at + 13 else None
-    return Connect(name, _read_version(data, at), _read_version(data, at + 4), bitstream)
 
 
 def _read_server_info(data: bytes) -> ServerInfo:
@@ -261,6 +213,84 @@ def _read_server_info(data: bytes) -> ServerInfo:
         raise NatNetError("server clock of 0 Hz")
     group = ".".join(str(b) for b in _read_version(data, at + 19))
     return ServerInfo(name, app, natnet, clock_hz, port, bool(multicast), group)
+
+
+def read_model_def(data: bytes, at: int, version: Version) -> ModelDef:
+    """Decode the payload of MODELDEF; layout: `docs/reference/mocap-protocols.md#m3.3`.
+
+    From 4.1 on each item carries its size and is jumped by it; before, an unknown kind ends the
+    list, and what was read until then is kept.
+
+    Raises:
+        NatNetError: the bytes break the layout of `version`.
+        struct.error: the datagram ends early (`decode` turns it into `NatNetError`).
+    """
+    n, at = read_count(data, at)
+    bodies: list[RigidBodyDesc] = []
+    for _ in range(n):
+        kind, at = read_i32(data, at)
+        end = None
+        if version >= (4, 1):
+            at, end = read_size(data, at)
+        if kind == _RIGID_BODY:
+            body, at = _read_rigid_body(data, at, version)
+            bodies.append(body)
+        elif end is None:
+            skip = _SKIP_DESCRIPTION.get(kind)
+            if skip is None:
+                break
+            at = skip(data, at, version)
+        if end is not None:
+            if at > end:
+                raise NatNetError(f"description runs {at - end} bytes over its size")
+            at = end
+    return ModelDef(tuple(bodies))
+
+
+_MARKER_SET, _RIGID_BODY, _SKELETON, _CAMERA = 0, 1, 2, 5
+
+
+def _read_rigid_body(data: bytes, at: int, version: Version) -> tuple[RigidBodyDesc, int]:
+    name, at = read_cstr(data, at)
+    body_id, at = read_i32(data, at)
+    # parent id, offset, and since 4.2 a rotation; markers with place, label and since 4.0 name
+    at = need(data, at, 4 + 12 + (16 if version >= (4, 2) else 0))
+    if version >= (3, 0):
+        k, at = read_count(data, at)
+        at = _skip_names(data, need(data, at, 16 * k), k if version >= (4, 0) else 0)
+    return RigidBodyDesc(name, body_id), at
+
+
+def _skip_names(data: bytes, at: int, n: int) -> int:
+    for _ in range(n):
+        _, at = read_cstr(data, at)
+    return at
+
+
+def _skip_marker_set(data: bytes, at: int, version: Version) -> int:
+    _, at = read_cstr(data, at)
+    n, at = read_count(data, at)
+    return _skip_names(data, at, n)
+
+
+def _skip_skeleton(data: bytes, at: int, version: Version) -> int:
+    _, at = read_cstr(data, at)
+    n, at = read_count(data, at + 4)  # behind the skeleton's id
+    for _ in range(n):
+        _, at = _read_rigid_body(data, at, version)
+    return at
+
+
+def _skip_camera(data: bytes, at: int, version: Version) -> int:
+    _, at = read_cstr(data, at)
+    return need(data, at, 12 + 16)  # place and rotation
+
+
+_SKIP_DESCRIPTION: dict[int, Callable[[bytes, int, Version], int]] = {
+    _MARKER_SET: _skip_marker_set,
+    _SKELETON: _skip_skeleton,
+    _CAMERA: _skip_camera,
+}
 
 
 def encode(message: Message, version: Version = NEWEST_VERSION) -> bytes:
@@ -280,10 +310,9 @@ def _payload(message: Message, version: Version) -> tuple[int, bytes]:
     match message:
         case Frame():
             return FRAME_ID, write_frame(message, version)
-        case Connect():
-            return 0, _write_client(message) + _write_bitstream(message.bitstream)
-        case Discovery():
-            return 14, _write_client(message)
+        case Bare():
+            introduces = message in (Bare.CONNECT, Bare.DISCOVERY)
+            return message, _CLIENT if introduces else b""
         case ServerInfo():
             return 1, _write_server_info(message)
         case Request():
@@ -291,7 +320,7 @@ def _payload(message: Message, version: Version) -> tuple[int, bytes]:
         case Response():
             return 3, message.body
         case ModelDef():
-            return 5, write_model_def(message, version)
+            return 5, _write_model_def(message, version)
         case MessageString():
             return 8, write_cstr(message.text)
         case EchoRequest():
@@ -300,15 +329,38 @@ def _payload(message: Message, version: Version) -> tuple[int, bytes]:
             return 13, U64.pack(message.client_stamp) + U64.pack(message.server_ticks)
         case Unrecognized():
             return message.id, b""
-    return _ID_BY_EMPTY[type(message)], b""
+        case _:
+            assert_never(message)
 
 
-def _write_client(m: Connect | Discovery) -> bytes:
-    return write_name(m.name, _NAME) + bytes(m.app_version) + bytes(m.natnet_version)
+_CLIENT = write_name("steerd", _NAME) + bytes((0, 0, 0, 0, *NEWEST_VERSION, 0, 0))
+"""What we say of ourselves: our name, no version of it, and the NatNet version that we speak."""
 
 
-def _write_bitstream(bitstream: Version4 | None) -> bytes:
-    return b"" if bitstream is None else b"\0" + bytes(bitstream) + bytes(4)
+def _write_model_def(model: ModelDef, version: Version) -> bytes:
+    """Each body with the marker set of its name, as Motive sends them, and all markers' set."""
+    items = []
+    for body in model.rigid_bodies:
+        items += [
+            (_MARKER_SET, _write_marker_set(body.name)),
+            (_RIGID_BODY, _write_rigid_body(body, version)),
+        ]
+    items.append((_MARKER_SET, _write_marker_set("all")))
+    sized = version >= (4, 1)
+    heads = (SECTION.pack(kind, len(item)) if sized else I32.pack(kind) for kind, item in items)
+    parts = (head + item for head, (_, item) in zip(heads, items, strict=True))
+    return I32.pack(len(items)) + b"".join(parts)
+
+
+def _write_marker_set(name: str) -> bytes:
+    return write_cstr(name) + I32.pack(0)
+
+
+def _write_rigid_body(body: RigidBodyDesc, version: Version) -> bytes:
+    rotation = struct.pack("<4f", 0.0, 0.0, 0.0, 1.0) if version >= (4, 2) else b""
+    markers = I32.pack(0) if version >= (3, 0) else b""
+    head = write_cstr(body.name) + I32.pack(body.id) + I32.pack(-1)
+    return head + bytes(12) + rotation + markers
 
 
 def _write_server_info(m: ServerInfo) -> bytes:

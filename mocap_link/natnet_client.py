@@ -1,16 +1,15 @@
-"""NatNet session without I/O: datagrams and time in, events and datagrams out.
+"""A NatNet source without I/O: datagrams and time in, poses and datagrams out.
 
 Connects with backoff, follows the model list, measures the server's clock (20 echoes 5 ms apart,
-then 2 Hz), keeps a unicast session alive, and starts over when frames stop.
+then 2 Hz), keeps a unicast session alive, and starts over when frames stop. `sockets` feeds it from
+the network; the simulator's virtual time feeds it the same datagrams directly.
 """
 
-from __future__ import annotations
-
 from collections import Counter
-from dataclasses import dataclass
 from typing import Literal
 
 from steerd.mocap_link import natnet
+from steerd.mocap_link.ingest import IngestConfig, PoseIngest
 from steerd.mocap_link.natnet_frame import (
     BITSTREAM_CHANGED,
     EDIT_MODE,
@@ -18,48 +17,16 @@ from steerd.mocap_link.natnet_frame import (
     Frame,
     RigidBody,
 )
-from steerd.mocap_link.natnet_model import ModelDef
 from steerd.mocap_link.natnet_wire import NatNetError
-from steerd.mocap_link.source import RawPose
+from steerd.mocap_link.source import Pose, SourceStatus
+from steerd.mocap_link.timing import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 
 MS = 1_000_000
 SECOND = 1000 * MS
+_LEGACY_TICKS_HZ = 1_000_000
+"""Seconds since start are taken as microseconds where there are no ticks."""
 
 Socket = Literal["command", "data"]
-
-
-@dataclass(frozen=True, slots=True)
-class Connected:
-    """The server answered: a new session, perhaps a new clock."""
-
-    info: natnet.ServerInfo
-
-
-@dataclass(frozen=True, slots=True)
-class EchoMeasured:
-    """One clock exchange."""
-
-    t_sent_ns: int
-    t_received_ns: int
-    server_ticks: int
-
-
-@dataclass(frozen=True, slots=True)
-class RateKnown:
-    """The server's frame rate [Hz]."""
-
-    rate_hz: float
-
-
-@dataclass(frozen=True, slots=True)
-class BodyAbsent:
-    """A frame came without our body."""
-
-    t_arrival_ns: int
-
-
-Event = Connected | EchoMeasured | RateKnown | BodyAbsent | RawPose
-
 
 UNANSWERED = (
     "no answer for 3 s: is the host right and on this network, does it stream NatNet "
@@ -68,14 +35,18 @@ UNANSWERED = (
 """What to check when a server has never answered."""
 
 
-class NatNetClient:
-    """One session with one server for one body.
+class NatNetSource:
+    """A NatNet server's one body, from datagrams to poses.
 
     Args:
         body: name of the rigid body, or `id:42`.
+        server_ip: the only address that is listened to.
+        config: how its poses are timed, placed and judged.
         unicast: force unicast (True) or multicast (False); None follows the server.
+        extra_latency_ns: None takes the protocol's default.
 
     Attributes:
+        ingest: the pipeline of its poses.
         info: the server, once it answered.
         refused: why the configured body cannot be used, or None.
         counts: datagrams by fate: malformed, length, unrecognized, ...
@@ -92,8 +63,21 @@ class NatNetClient:
     model_period_ns = SECOND // 4
     malformed_to_reconnect = 10
 
-    def __init__(self, body: str, *, unicast: bool | None = None) -> None:
+    def __init__(
+        self,
+        body: str,
+        server_ip: str,
+        config: IngestConfig,
+        *,
+        unicast: bool | None = None,
+        extra_latency_ns: int | None = None,
+    ) -> None:
         self.body = body
+        self.server_ip = server_ip
+        self.ingest = PoseIngest(config, SourceTiming(1, two_way=False))
+        self._extra_latency_ns = extra_latency_ns
+        self._echo_resets = 0
+        self._foreign_ip = ""
         self.info: natnet.ServerInfo | None = None
         self._note = "waiting for the server to answer"
         self._silence = ""
@@ -132,19 +116,21 @@ class NatNetClient:
             return self._unicast
         return self.info is not None and not self.info.multicast
 
-    def request_sync(self) -> None:
-        """Measure the clock anew with a burst of echoes."""
-        self._burst_left = self.burst_echoes
-        self._echo_due = 0
-
-    def on_datagram(self, data: bytes, t_arrival_ns: int, which: Socket = "command") -> list[Event]:
-        """Take in one datagram from the server; never raises.
+    def on_datagram(
+        self, data: bytes, t_arrival_ns: int, from_ip: str, which: Socket = "command"
+    ) -> list[Pose]:
+        """Take in one datagram; never raises.
 
         Args:
-            data: the datagram. The caller has checked that the server's address sent it.
+            data: the datagram.
             t_arrival_ns: time of reception, CLOCK_MONOTONIC.
+            from_ip: who sent it; from another address than the server's it is counted and dropped.
             which: the socket that it came to; sessions are spoken on the command socket only.
         """
+        if from_ip != self.server_ip:
+            self.counts["foreign"] += 1
+            self._foreign_ip = from_ip
+            return []
         if self.info is None and natnet.peek_id(data) == natnet.FRAME_ID:
             self.counts["before_connect"] += 1  # of what version, we cannot know yet
             return []
@@ -152,38 +138,39 @@ class NatNetClient:
         if not natnet.has_exact_length(data):
             self.counts["length"] += 1
         try:
-            message = natnet.decode(data, version, detail=False)
+            message = natnet.decode(data, version)
         except NatNetError as error:
-            return self._on_malformed(str(error), t_arrival_ns)
+            self._on_malformed(str(error), t_arrival_ns)
+            return []
         self._malformed_run = 0
         if isinstance(message, Frame):
             return self._on_frame(message, t_arrival_ns)
-        if which != "command":
+        if which == "command":
+            self._on_command(message, t_arrival_ns)
+        else:
             self.counts["unexpected"] += 1
-            return []
-        return self._on_command(message, t_arrival_ns)
+        return []
 
-    def _on_command(self, message: natnet.Message, t_ns: int) -> list[Event]:
+    def _on_command(self, message: natnet.Message, t_ns: int) -> None:
         match message:
             case natnet.ServerInfo():
-                return self._on_server_info(message, t_ns)
-            case natnet.EchoResponse() if message.client_stamp in self._echoes:
-                del self._echoes[message.client_stamp]
-                return [EchoMeasured(message.client_stamp, t_ns, message.server_ticks)]
-            case ModelDef():
+                self._on_server_info(message, t_ns)
+            case natnet.EchoResponse(client_stamp=t_sent_ns) if t_sent_ns in self._echoes:
+                del self._echoes[t_sent_ns]
+                self.ingest.timing.add_echo(t_sent_ns, t_ns, message.server_ticks)
+            case natnet.ModelDef():
                 self._on_model(message)
             case natnet.Response() if message.number is not None and self._rate_wanted:
                 self._rate_wanted = False
-                return [RateKnown(message.number)]
-            case natnet.Disconnect() | natnet.DisconnectByTimeout():
+                self.ingest.expect_rate(message.number)
+            case natnet.Bare.DISCONNECT | natnet.Bare.DISCONNECT_BY_TIMEOUT:
                 self._reconnect("the server ended the session")
             case natnet.MessageString():
                 self._note = f"server: {message.text[:200]}"
             case _:
                 self.counts["unexpected"] += 1
-        return []
 
-    def _on_malformed(self, why: str, t_ns: int) -> list[Event]:
+    def _on_malformed(self, why: str, t_ns: int) -> None:
         self.counts["malformed"] += 1
         self._malformed_run += 1
         if self._malformed_run == self.malformed_to_reconnect:
@@ -191,17 +178,18 @@ class NatNetClient:
             self._malformed_run = 0
             self._connect_due = min(self._connect_due, t_ns + SECOND)
             self._reconnect(f"frames do not decode: {why}")
-        return []
 
-    def _on_server_info(self, info: natnet.ServerInfo, t_ns: int) -> list[Event]:
+    def _on_server_info(self, info: natnet.ServerInfo, t_ns: int) -> None:
         if not natnet.OLDEST_VERSION <= info.version < (5, 0):
             self.refused = (
                 f"{info.name} speaks NatNet {info.version[0]}.{info.version[1]}; "
                 "steerd reads 2.9 to 4.x"
             )
-            return []
+            return
         if self.info == info and not self._connecting:
-            return []
+            return
+        if self.info is not None:
+            self.ingest.restart()
         self.info, self.refused = info, None
         self._connecting = False
         self._retry_ns = self.retry_first_ns
@@ -210,11 +198,21 @@ class NatNetClient:
         self._model_wanted = self._rate_wanted = True
         self._model_due = self._keepalive_due = 0
         self._echoes.clear()
-        self.request_sync()
         self._note = f"connected to {info.name}"
-        return [Connected(info)]
+        extra = self._extra_latency_ns
+        if extra is None:
+            extra = DEFAULT_EXTRA_LATENCY_NS["natnet" if info.clock_hz else "natnet2"]
+        hz = info.clock_hz or _LEGACY_TICKS_HZ
+        self.ingest.timing = SourceTiming(hz, extra, two_way=bool(info.clock_hz))
+        self._echo_resets = 0
+        self._request_sync()
 
-    def _on_model(self, model: ModelDef) -> None:
+    def _request_sync(self) -> None:
+        """Measure the clock anew with a burst of echoes."""
+        self._burst_left = self.burst_echoes
+        self._echo_due = 0
+
+    def _on_model(self, model: natnet.ModelDef) -> None:
         bodies = model.rigid_bodies
         self._model_wanted = False
         self.bodies = tuple(b.name for b in bodies)
@@ -237,7 +235,7 @@ class NatNetClient:
         else:
             self._note = f"following {self.body!r} (id {self._id})"
 
-    def _on_frame(self, frame: Frame, t_ns: int) -> list[Event]:
+    def _on_frame(self, frame: Frame, t_ns: int) -> list[Pose]:
         self._frame_seen_ns = t_ns
         self._silence = ""
         self.counts["frames"] += 1
@@ -251,10 +249,11 @@ class NatNetClient:
         if len(mine) > 1:
             self.refused = f"{len(mine)} bodies stream with id {self._id}"
         if self.refused is not None or len(mine) != 1:
-            return [BodyAbsent(t_ns)]
-        return [self._make_raw(frame, mine[0], t_ns)]
+            self.ingest.note_absent(t_ns)
+            return []
+        return [self.ingest.push(self._make_pose(frame, mine[0], t_ns))]
 
-    def _make_raw(self, frame: Frame, body: RigidBody, t_ns: int) -> RawPose:
+    def _make_pose(self, frame: Frame, body: RigidBody, t_ns: int) -> Pose:
         x, y, z, w = body.quaternion
         transmit: int | None = frame.transmit_ticks or None
         source: int | None = frame.mid_exposure_ticks or transmit
@@ -262,7 +261,7 @@ class NatNetClient:
             # before 3.0 there are no ticks: seconds since start, taken as microseconds
             micros = frame.timestamp * 1e6
             source = round(micros) if 0.0 < micros < 2**63 else None
-        return RawPose(
+        return Pose(
             self.body,
             frame.number,
             source,
@@ -284,6 +283,11 @@ class NatNetClient:
 
         `t_ns` also stamps the echo, so pass the time of sending.
         """
+        resets = self.ingest.timing.echo_resets
+        if resets != self._echo_resets:
+            self._echo_resets = resets
+            self._request_sync()
+        self.ingest.on_timer(t_ns, connected=self.connected)
         out: list[bytes] = []
         seen = self._frame_seen_ns
         if self.connected and seen is not None and t_ns - seen > self.silence_ns:
@@ -291,7 +295,7 @@ class NatNetClient:
             self._reconnect(self._silence)
         if self._connecting and t_ns >= self._connect_due:
             self._called_ns = t_ns if self._called_ns is None else self._called_ns
-            out.append(natnet.encode(natnet.Connect()))
+            out.append(natnet.encode(natnet.Bare.CONNECT))
             self._connect_due = t_ns + self._retry_ns
             self._retry_ns = min(2 * self._retry_ns, self.retry_last_ns)
         if self.info is not None:
@@ -302,12 +306,12 @@ class NatNetClient:
 
     def _maintain(self, info: natnet.ServerInfo, t_ns: int, out: list[bytes]) -> None:
         if self._model_wanted and t_ns >= self._model_due:
-            out.append(natnet.encode(natnet.RequestModelDef()))
+            out.append(natnet.encode(natnet.Bare.REQUEST_MODEL))
             self._model_due = t_ns + self.model_period_ns
             if self._rate_wanted:
                 out.append(natnet.encode(natnet.Request("FrameRate")))
         if self.unicast and t_ns >= self._keepalive_due:
-            out.append(natnet.encode(natnet.KeepAlive()))
+            out.append(natnet.encode(natnet.Bare.KEEP_ALIVE))
             self._keepalive_due = t_ns + self.keepalive_period_ns
         if info.clock_hz and t_ns >= self._echo_due:
             out.append(natnet.encode(natnet.EchoRequest(t_ns)))
@@ -326,4 +330,20 @@ class NatNetClient:
         return (
             "the server answers but no frame comes: multicast joined on the wrong interface "
             "(set interface=), a firewall, or streaming is off"
+        )
+
+    def status(self) -> SourceStatus:
+        """Describe the source now."""
+        info, foreign = self.info, self.counts["foreign"]
+        server = "" if info is None else f"{info.name} NatNet {info.version[0]}.{info.version[1]}"
+        detail = self.detail
+        if foreign and not self.counts["frames"]:
+            detail += f" ({foreign} datagrams came from {self._foreign_ip} instead)"
+        return self.ingest.status(
+            connected=self.connected,
+            detail=detail,
+            server=server,
+            bodies=self.bodies,
+            refused=self.refused is not None,
+            more_counts={**self.counts, "foreign": foreign},
         )

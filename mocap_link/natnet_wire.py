@@ -4,24 +4,19 @@ Every read is bounds-checked: `struct` refuses to read past the end, counts are 
 missing NUL is an error. `NatNetError` is the only exception that decoding lets out.
 """
 
-from __future__ import annotations
-
 from struct import Struct
 
 MAX_COUNT = 10_000
 """No section of a real frame has more items; a larger count is corruption."""
 
-
 Version = tuple[int, int]
-Point = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
 
 HEADER = Struct("<HH")
 I32 = Struct("<i")
 F32 = Struct("<f")
 U64 = Struct("<Q")
-VEC3 = Struct("<3f")
-VEC4 = Struct("<4f")
+SECTION = Struct("<ii")
+"""Head of a section that says its size: count, bytes."""
 
 
 class NatNetError(ValueError):
@@ -46,7 +41,7 @@ def read_count(data: bytes, at: int) -> tuple[int, int]:
 
 
 def read_size(data: bytes, at: int) -> tuple[int, int]:
-    """Read a section's byte size; returns the section's start and end offsets.
+    """Read a byte size; returns the offsets of what has this size.
 
     Raises:
         NatNetError: negative, or past the end of the datagram.
@@ -75,12 +70,6 @@ def read_name(data: bytes, at: int, width: int) -> str:
     return data[at : at + width].split(b"\0", 1)[0].decode("utf-8", "replace")
 
 
-def read_points(data: bytes, at: int, n: int) -> tuple[tuple[Point, ...], int]:
-    """Read `n` points of 3 floats."""
-    end = need(data, at, 12 * n)
-    return tuple(VEC3.iter_unpack(data[at:end])), end
-
-
 def need(data: bytes, at: int, size: int) -> int:
     """Return the offset `size` bytes on.
 
@@ -101,8 +90,3 @@ def write_cstr(text: str) -> bytes:
 def write_name(text: str, width: int) -> bytes:
     """Encode a fixed-width name, always with a closing NUL."""
     return text.encode()[: width - 1].ljust(width, b"\0")
-
-
-def write_points(points: tuple[Point, ...]) -> bytes:
-    """Encode points of 3 floats."""
-    return b"".join(VEC3.pack(*p) for p in points)

@@ -5,22 +5,19 @@ A busy interpreter stamps a datagram milliseconds late; the kernel stamps it at 
 blocks afterwards.
 """
 
-from __future__ import annotations
-
 import os
 import socket
 import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from steerd.mocap_link.ingest import IngestConfig, PoseIngest
 from steerd.mocap_link.mocap_url import MocapUrl
 from steerd.mocap_link.natnet import FRAME_ID, ServerInfo, peek_id
-from steerd.mocap_link.natnet_client import Socket
-from steerd.mocap_link.sessions import NatNetSource, VrpnSource
-from steerd.mocap_link.source import PoseSample, SourceStatus
+from steerd.mocap_link.natnet_client import NatNetSource, Socket
+from steerd.mocap_link.source import Pose, SourceStatus
+from steerd.mocap_link.vrpn_client import VrpnSource
 
 SECOND = 1_000_000_000
 STAMP_AGE_MAX_NS = SECOND // 5
@@ -40,45 +37,13 @@ class HostClock:
     realtime_ns: Callable[[], int] = time.time_ns
 
 
-class MocapReceiver(Protocol):
-    """A mocap source with its sockets, for a single-threaded loop that polls."""
-
-    @property
-    def ingest(self) -> PoseIngest:
-        """The pipeline: set `wheel_speed` and `stationary` on it."""
-        ...
-
-    def fds(self) -> list[int]:
-        """Return the descriptors to poll for reading; they change, so ask before each poll."""
-        ...
-
-    def read_ready(self, fd: int) -> list[PoseSample]:
-        """Drain a readable descriptor; unknown ones are ignored."""
-        ...
-
-    def on_timer(self, t_ns: int) -> list[PoseSample]:
-        """Send what the session wants and let time pass; call at 50 Hz or faster.
-
-        `t_ns` stamps the clock echoes: pass a fresh CLOCK_MONOTONIC time.
-        """
-        ...
-
-    def status(self) -> SourceStatus:
-        """Describe the source now."""
-        ...
-
-    def close(self) -> None:
-        """Close the sockets."""
-        ...
-
-
 def make_receiver(
     url: MocapUrl,
     config: IngestConfig,
     *,
     clock: HostClock | None = None,
     extra_latency_ns: int | None = None,
-) -> MocapReceiver:
+) -> "MocapReceiver":
     """Make the receiver that an address asks for; blocks while the host name is resolved.
 
     Args:
@@ -206,7 +171,7 @@ class NatNetReceiver:
         """The descriptors of the sockets that are open now: the command socket's first."""
         self._fds = [s.fileno() for s in (self._command, self._data) if s is not None]
 
-    def read_ready(self, fd: int) -> list[PoseSample]:
+    def read_ready(self, fd: int) -> list[Pose]:
         """Drain one socket, in order."""
         if fd not in self._fds:
             return []
@@ -214,7 +179,7 @@ class NatNetReceiver:
             return self._read(self._data, "data")
         return self._read(self._command, "command")
 
-    def _read(self, sock: socket.socket, which: Socket) -> list[PoseSample]:
+    def _read(self, sock: socket.socket, which: Socket) -> list[Pose]:
         queue: list[tuple[bytes, int, str]] = []
         for _ in range(_DRAIN_MAX):
             try:
@@ -227,7 +192,7 @@ class NatNetReceiver:
             queue.append((got[0], got[1], got[2][0]))
         if len(queue) > BACKLOG_MAX:
             queue = self._drop_backlog(queue)
-        samples: list[PoseSample] = []
+        samples: list[Pose] = []
         for data, t_ns, ip in queue:
             samples += self.source.on_datagram(data, t_ns, ip, which)
         return samples
@@ -241,20 +206,20 @@ class NatNetReceiver:
         self._backlog_dropped += len(old)
         return [item for i, item in enumerate(queue) if i not in old]
 
-    def on_timer(self, t_ns: int) -> list[PoseSample]:
+    def on_timer(self, t_ns: int) -> list[Pose]:
         """Send what the session wants; open the data socket when the server named its port."""
         for datagram in self.source.on_timer(t_ns):
             try:
                 self._command.sendto(datagram, self._server)
             except OSError:
                 self._send_errors += 1  # the session sends again, with backoff
-        info = self.source.client.info
+        info = self.source.info
         if info is not None:
             self._follow(info, t_ns)
         return []
 
     def _follow(self, info: ServerInfo, t_ns: int) -> None:
-        want = (info.data_port, info.group, self.source.client.unicast)
+        want = (info.data_port, info.group, self.source.unicast)
         if want == self._data_for or t_ns < self._data_due:
             return
         if self._data is not None:
@@ -331,9 +296,9 @@ class VrpnReceiver:
         """Return the descriptor to poll for reading, if there is a connection."""
         return [] if self._sock is None else [self._sock.fileno()]
 
-    def read_ready(self, fd: int) -> list[PoseSample]:
+    def read_ready(self, fd: int) -> list[Pose]:
         """Drain the connection."""
-        samples: list[PoseSample] = []
+        samples: list[Pose] = []
         for _ in range(_DRAIN_MAX):
             if self._sock is None or self._sock.fileno() != fd:
                 break
@@ -353,7 +318,7 @@ class VrpnReceiver:
             self._after_session()
         return samples
 
-    def on_timer(self, t_ns: int) -> list[PoseSample]:
+    def on_timer(self, t_ns: int) -> list[Pose]:
         """Connect, ping, send; returns nothing, poses come with reads."""
         if self._sock is None:
             if t_ns >= self._due:
@@ -385,7 +350,7 @@ class VrpnReceiver:
             return
         code = self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         if code:
-            self._close(f"no connection to {self._server[0]}: {_strerror(code)}")
+            self._close(f"no connection to {self._server[0]}: {os.strerror(code)}")
             return
         try:
             self._sock.getpeername()
@@ -434,5 +399,8 @@ class VrpnReceiver:
         self._close("closed")
 
 
-def _strerror(code: int) -> str:
-    return os.strerror(code)
+MocapReceiver = NatNetReceiver | VrpnReceiver
+"""A mocap source with its sockets, for a single-threaded loop that polls `fds`.
+
+`on_timer` is to be called at 50 Hz or faster, with a fresh CLOCK_MONOTONIC time.
+"""

@@ -1,30 +1,15 @@
-"""What every mocap source gives: raw poses, processed samples, and its own state.
+"""What every mocap source gives: poses, and its own state.
 
 The state machine (`step_monitor`) goes CONNECTING -> SYNCING -> OK -> STALE -> LOST. Liveness is
 good frames, never the socket: a silent server keeps its TCP connection for minutes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import nan
 
-from steerd.mocap_link.mocap_url import MocapUrl, parse_mocap_url
-from steerd.steer_bus.quick_values import quick_init
-
-__all__ = [
-    "ClockKind",
-    "MocapUrl",
-    "MonitorConfig",
-    "MonitorState",
-    "PoseSample",
-    "RawPose",
-    "SourceState",
-    "SourceStatus",
-    "parse_mocap_url",
-    "step_monitor",
-]
+from steerd.steer_bus.quick_values import quick_init, quick_value
 
 
 class ClockKind(StrEnum):
@@ -35,22 +20,30 @@ class ClockKind(StrEnum):
     ARRIVAL = "arrival"  # time of arrival minus the configured latency
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
-class RawPose:
-    """One body in one frame as the source sent it: vendor axes, vendor units, source ticks.
+@quick_value
+class Pose:
+    """One body in one frame: as the source sent it, then timed, placed and judged (`PoseIngest`).
+
+    What was sent keeps vendor axes, vendor units and the source's ticks, for the session file.
 
     Attributes:
         body: name of the body.
         frame: the source's frame or sequence number; None where it has none.
         source_ticks: mid-exposure (or sample) time on the source's clock; None if not sent.
         transmit_ticks: time of sending on the same clock; None if not sent.
-        t_arrival_ns: time of reception, host CLOCK_MONOTONIC.
+        t_arrival_ns: when the host received it, CLOCK_MONOTONIC.
         position: (x, y, z).
         quaternion: (w, x, y, z).
         mean_error: the server's marker residual in its length unit; None if not sent.
         tracking_valid: the server's own verdict.
         live: False while the server replays a recording.
+        t_valid_ns: when the car was there, on the same clock; never after `t_arrival_ns`.
+        clock: how `t_valid_ns` was found.
+        x, y: CoG in the world frame [m]; NaN until it is placed, and where it has no place.
+        yaw: heading, counter-clockwise [rad], in (-pi, pi].
+        height: the mocap body's height [m].
+        tilt: angle between the body's up axis and the world's [rad].
+        rejected: None, or the reason (see `gates.REASONS`) why it must not be fused.
     """
 
     body: str
@@ -63,35 +56,14 @@ class RawPose:
     mean_error: float | None = None
     tracking_valid: bool = True
     live: bool = True
-
-
-@quick_init
-@dataclass(frozen=True, slots=True)
-class PoseSample:
-    """A planar pose of the CoG at its time of validity, with the raw pose it came from.
-
-    Attributes:
-        t_valid_ns: when the car was there, host CLOCK_MONOTONIC; never after `t_arrival_ns`.
-        t_arrival_ns: when the host received it, same clock.
-        raw: the pose as sent, for the session file.
-        x, y: CoG in the world frame [m].
-        yaw: heading, counter-clockwise [rad], in (-pi, pi].
-        height: the mocap body's height [m].
-        tilt: angle between the body's up axis and the world's [rad].
-        rejected: None, or the reason (see `gates.REASONS`) why it must not be fused.
-        clock: how `t_valid_ns` was found.
-    """
-
-    t_valid_ns: int
-    t_arrival_ns: int
-    raw: RawPose
-    x: float
-    y: float
-    yaw: float
-    height: float
-    tilt: float
-    rejected: str | None
-    clock: ClockKind
+    t_valid_ns: int = 0
+    clock: ClockKind = ClockKind.ARRIVAL
+    x: float = nan
+    y: float = nan
+    yaw: float = nan
+    height: float = nan
+    tilt: float = nan
+    rejected: str | None = None
 
 
 class SourceState(StrEnum):

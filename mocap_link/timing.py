@@ -1,9 +1,7 @@
 """Time of validity of each pose: the best clock map that passes its own sanity check."""
 
-from __future__ import annotations
-
 from steerd.mocap_link.clock_sync import NS, EchoClock, HullClock
-from steerd.mocap_link.source import ClockKind, RawPose
+from steerd.mocap_link.source import ClockKind, Pose
 
 DEFAULT_EXTRA_LATENCY_NS = {
     "natnet": 0,  # mid-exposure is on the wire and the echo is two-way
@@ -74,7 +72,7 @@ class SourceTiming:
         if self.echo is not None:
             self.echo.add(t_sent_ns, t_received_ns, server_ticks)
 
-    def time_pose(self, raw: RawPose, *, learn: bool = True) -> tuple[int, ClockKind]:
+    def time_pose(self, raw: Pose, *, learn: bool = True) -> tuple[int, ClockKind]:
         """Return the pose's time of validity [ns, CLOCK_MONOTONIC] and how it was found.
 
         `learn` False (a repeated or reordered frame) leaves the maps as they are.

@@ -6,8 +6,6 @@ WITHOUT the padding (the protocol's own text says otherwise; its code does not).
 `docs/reference/mocap-protocols.md#m4`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from struct import Struct
 
@@ -52,15 +50,6 @@ class Message:
     def stamp_us(self) -> int:
         """The sender's stamp [us] on its own, unknown epoch."""
         return self.sec * 1_000_000 + self.usec
-
-
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """Tracker pose [m]; `quaternion` is (x, y, z, w)."""
-
-    sensor: int
-    position: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float]
 
 
 def encode_cookie(version: str = "07.38") -> bytes:
@@ -140,13 +129,17 @@ def read_description(payload: bytes) -> str:
     return payload[4 : 4 + size].split(b"\0", 1)[0].decode("utf-8", "replace")
 
 
-def write_pose(pose: Pose) -> bytes:
+Place = tuple[tuple[float, float, float], tuple[float, float, float, float]]
+"""Position [m], and quaternion as (x, y, z, w)."""
+
+
+def write_pose(sensor: int, place: Place) -> bytes:
     """Encode the payload of a pose."""
-    return _POSE.pack(pose.sensor, 0, *pose.position, *pose.quaternion)
+    return _POSE.pack(sensor, 0, *place[0], *place[1])
 
 
-def read_pose(payload: bytes) -> Pose:
-    """Decode the payload of a pose.
+def read_pose(payload: bytes) -> tuple[int, Place]:
+    """Decode the payload of a pose: its sensor and where it is.
 
     Raises:
         VrpnError: not 64 bytes.
@@ -154,4 +147,4 @@ def read_pose(payload: bytes) -> Pose:
     if len(payload) != _POSE.size:
         raise VrpnError(f"pose of {len(payload)} bytes")
     sensor, _, x, y, z, qx, qy, qz, qw = _POSE.unpack(payload)
-    return Pose(sensor, (x, y, z), (qx, qy, qz, qw))
+    return sensor, ((x, y, z), (qx, qy, qz, qw))

@@ -1,15 +1,15 @@
-"""VRPN session without I/O: bytes and time in, poses and bytes out, over one TCP connection.
+"""A VRPN source without I/O: bytes and time in, poses and bytes out, over TCP connections.
 
 Plain TCP only: the reverse connection of library clients breaks behind firewalls and containers,
 and brings nothing. No subscription is needed, a server sends poses at once.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 
 from steerd.mocap_link import vrpn
-from steerd.mocap_link.source import RawPose
+from steerd.mocap_link.ingest import IngestConfig, PoseIngest
+from steerd.mocap_link.source import Pose, SourceStatus
+from steerd.mocap_link.timing import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 
 SECOND = 1_000_000_000
 TICKS_HZ = 1_000_000
@@ -64,7 +64,7 @@ class VrpnClient:
         """Return what to send as soon as the connection stands."""
         return self._hello
 
-    def on_bytes(self, data: bytes, t_arrival_ns: int) -> list[RawPose]:
+    def on_bytes(self, data: bytes, t_arrival_ns: int) -> list[Pose]:
         """Take in bytes from the server; never raises.
 
         Args:
@@ -98,7 +98,7 @@ class VrpnClient:
         self.detail = f"connected to VRPN {version}; waiting for {self.body!r}"
         return True
 
-    def _on_message(self, message: vrpn.Message, t_ns: int) -> RawPose | None:
+    def _on_message(self, message: vrpn.Message, t_ns: int) -> Pose | None:
         try:
             if message.type < 0:
                 self._on_system(message)
@@ -107,19 +107,18 @@ class VrpnClient:
                 return None
             if self._senders.get(message.sender) != self.body:
                 return None
-            pose = vrpn.read_pose(message.payload)
+            sensor, (position, (x, y, z, w)) = vrpn.read_pose(message.payload)
         except vrpn.VrpnError as error:
             self.counts["malformed"] += 1
             self.detail = str(error)
             return None
-        if pose.sensor != 0:
+        if sensor != 0:
             self.counts["other_sensor"] += 1
             return None
         self.counts["frames"] += 1
-        x, y, z, w = pose.quaternion
         # a stamp before its own epoch is none, and no message could hold it
         stamp = message.stamp_us if message.stamp_us >= 0 else None
-        return RawPose(self.body, None, stamp, None, t_ns, pose.position, (w, x, y, z))
+        return Pose(self.body, None, stamp, None, t_ns, position, (w, x, y, z))
 
     def _on_system(self, message: vrpn.Message) -> None:
         if message.type == vrpn.DISCONNECT:
@@ -158,3 +157,54 @@ class VrpnClient:
         self._sequence += 1
         sec, ns = divmod(t_ns, SECOND)
         return vrpn.encode(vrpn.Message(_PING_ID, 0, sec, ns // 1000, b"", self._sequence))
+
+
+class VrpnSource:
+    """A VRPN server's one body, from a byte stream to samples; survives reconnects."""
+
+    def __init__(
+        self, body: str, config: IngestConfig, *, extra_latency_ns: int | None = None
+    ) -> None:
+        extra = DEFAULT_EXTRA_LATENCY_NS["vrpn"] if extra_latency_ns is None else extra_latency_ns
+        self.client = VrpnClient(body)
+        self.ingest = PoseIngest(config, SourceTiming(TICKS_HZ, extra))
+        self.up = False
+        self._old_counts: Counter[str] = Counter()
+        self._why = "connecting"
+
+    @property
+    def dead(self) -> str | None:
+        """Why the connection must be closed, or None."""
+        return self.client.dead
+
+    def on_connect(self) -> bytes:
+        """A TCP connection stands: begin a session; returns what to send."""
+        self._old_counts += self.client.counts
+        self.client = VrpnClient(self.client.body)
+        self.ingest.restart()
+        self.up = True
+        return self.client.hello()
+
+    def on_disconnect(self, why: str) -> None:
+        """The TCP connection ended."""
+        self.up = False
+        self._why = why
+
+    def on_bytes(self, data: bytes, t_arrival_ns: int) -> list[Pose]:
+        """Take in a piece of the stream."""
+        return [self.ingest.push(raw) for raw in self.client.on_bytes(data, t_arrival_ns)]
+
+    def on_timer(self, t_ns: int) -> bytes:
+        """Let time pass; returns bytes to send."""
+        self.ingest.on_timer(t_ns, connected=self.up and self.client.greeted)
+        return self.client.on_timer(t_ns) if self.up else b""
+
+    def status(self) -> SourceStatus:
+        """Describe the source now."""
+        return self.ingest.status(
+            connected=self.up and self.client.greeted,
+            detail=self.client.detail if self.up else self._why,
+            server="VRPN" if self.client.greeted else "",
+            bodies=self.client.bodies,
+            more_counts=self._old_counts + self.client.counts,
+        )

@@ -13,35 +13,8 @@ import zlib
 from dataclasses import dataclass, field
 from typing import BinaryIO, TypeVar
 
-from steerd.steer_bus.mcap_records import (
-    ATTACHMENT,
-    CHANNEL,
-    CHUNK,
-    CHUNK_START_SIZE,
-    DATA_END,
-    FOOTER,
-    FOOTER_FIELDS,
-    HEADER,
-    INDEX,
-    LAST_OPCODE,
-    MAGIC,
-    MAX_RECORD,
-    MESSAGE,
-    MESSAGE_FIELDS,
-    METADATA,
-    RECORD,
-    SCHEMA,
-    Attachment,
-    Channel,
-    DamageError,
-    Fields,
-    Schema,
-    check_index,
-    open_chunk,
-    plausible_chunk,
-    read_attachment,
-    scan_messages,
-)
+from steerd.steer_bus import mcap_records as rec
+from steerd.steer_bus.mcap_records import DamageError, Fields
 
 MAX_CHANNELS = 4096
 MAX_RESYNC = 64 << 20
@@ -98,11 +71,11 @@ class Contents:
     """What one pass found in a file."""
 
     spans: list[Span] = field(default_factory=list)
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
+    schemas: dict[int, rec.Schema] = field(default_factory=dict)
+    channels: dict[int, rec.Channel] = field(default_factory=dict)
     counts: dict[int, ChannelCount] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: list[Attachment] = field(default_factory=list)
+    attachments: list[rec.Attachment] = field(default_factory=list)
     warnings: list[SessionWarning] = field(default_factory=list)
     profile: str = ""
     library: str = ""
@@ -119,12 +92,12 @@ def read_contents(file: BinaryIO, size: int) -> Contents:
     """
     contents = Contents()
     file.seek(0)
-    crc = zlib.crc32(file.read(len(MAGIC)))
-    pos, intact = len(MAGIC), True
+    crc = zlib.crc32(file.read(len(rec.MAGIC)))
+    pos, intact = len(rec.MAGIC), True
     while True:
         try:
             opcode, body = _read_record(file, pos, size)
-            if opcode == DATA_END:
+            if opcode == rec.DATA_END:
                 break
             _take(contents, opcode, body, pos)
         except DamageError as damage:
@@ -137,12 +110,12 @@ def read_contents(file: BinaryIO, size: int) -> Contents:
             pos = found
             continue
         if intact:
-            crc = zlib.crc32(body, zlib.crc32(RECORD.pack(opcode, len(body)), crc))
-        pos += RECORD.size + len(body)
+            crc = zlib.crc32(body, zlib.crc32(rec.RECORD.pack(opcode, len(body)), crc))
+        pos += rec.RECORD.size + len(body)
     (expected,) = struct.unpack("<I", body)
     if intact and expected not in (0, crc):
         contents.warnings.append(SessionWarning("damaged", "data section fails its CRC", 0))
-    _take_summary(contents, file, pos + RECORD.size + len(body), size)
+    _take_summary(contents, file, pos + rec.RECORD.size + len(body), size)
     _note_orphans(contents)
     return contents
 
@@ -157,7 +130,7 @@ def read_span(file: BinaryIO, span: Span) -> bytes:
     raw = file.read(span.size)
     if len(raw) != span.size:
         raise DamageError("the file has become shorter")
-    return open_chunk(raw[RECORD.size :]) if span.chunk else raw
+    return rec.open_chunk(raw[rec.RECORD.size :]) if span.chunk else raw
 
 
 # -- records -------------------------------------------------------------------------------------
@@ -165,17 +138,17 @@ def read_span(file: BinaryIO, span: Span) -> bytes:
 
 def _read_record(file: BinaryIO, pos: int, size: int) -> tuple[int, bytes]:
     file.seek(pos)
-    head = file.read(RECORD.size)
-    if len(head) < RECORD.size or pos + RECORD.size > size:
+    head = file.read(rec.RECORD.size)
+    if len(head) < rec.RECORD.size or pos + rec.RECORD.size > size:
         raise DamageError("the file ends without its end record")
-    opcode, length = RECORD.unpack(head)
+    opcode, length = rec.RECORD.unpack(head)
     if opcode == 0:
         raise DamageError("zeros where a record should be")
-    if length > MAX_RECORD:
+    if length > rec.MAX_RECORD:
         raise DamageError(f"a record claims {length} bytes")
-    if pos + RECORD.size + length > size:
+    if pos + rec.RECORD.size + length > size:
         raise DamageError("the file ends inside a record")
-    if opcode == DATA_END and length != 4:
+    if opcode == rec.DATA_END and length != 4:
         raise DamageError("bad end record")
     body = file.read(length)
     if len(body) != length:
@@ -184,19 +157,19 @@ def _read_record(file: BinaryIO, pos: int, size: int) -> tuple[int, bytes]:
 
 
 def _take(contents: Contents, opcode: int, body: bytes, pos: int) -> None:
-    if opcode == CHUNK:
+    if opcode == rec.CHUNK:
         _take_chunk(contents, body, pos)
-    elif opcode in (SCHEMA, CHANNEL, MESSAGE):
-        data = RECORD.pack(opcode, len(body)) + body
+    elif opcode in (rec.SCHEMA, rec.CHANNEL, rec.MESSAGE):
+        data = rec.RECORD.pack(opcode, len(body)) + body
         _take_records(contents, data)
         _add_plain_span(contents.spans, Span(pos, len(data), chunk=False))
-    elif opcode == ATTACHMENT:
-        contents.attachments.append(read_attachment(body, pos))
-    elif opcode in (METADATA, HEADER):
+    elif opcode == rec.ATTACHMENT:
+        contents.attachments.append(rec.read_attachment(body, pos))
+    elif opcode in (rec.METADATA, rec.HEADER):
         _take_text(contents, opcode, Fields(body))
-    elif opcode == INDEX:
-        check_index(body)
-    elif opcode <= LAST_OPCODE:
+    elif opcode == rec.INDEX:
+        rec.check_index(body)
+    elif opcode <= rec.LAST_OPCODE:
         raise DamageError("a summary record inside the data")
     else:
         text = f"record of unknown kind {opcode:#x} skipped"
@@ -204,7 +177,7 @@ def _take(contents: Contents, opcode: int, body: bytes, pos: int) -> None:
 
 
 def _take_text(contents: Contents, opcode: int, fields: Fields) -> None:
-    if opcode == METADATA:
+    if opcode == rec.METADATA:
         name = fields.text()
         contents.metadata[name] = fields.text_map()
     else:
@@ -222,39 +195,39 @@ def _add_plain_span(spans: list[Span], new: Span) -> None:
 
 def _take_chunk(contents: Contents, body: bytes, pos: int) -> None:
     try:
-        _take_records(contents, open_chunk(body))
+        _take_records(contents, rec.open_chunk(body))
     except DamageError as damage:
-        if not plausible_chunk(body[:CHUNK_START_SIZE], len(body)):
+        if not rec.plausible_chunk(body[: rec.CHUNK_START_SIZE], len(body)):
             raise  # its length is not to be believed either
         contents.warnings.append(
             SessionWarning("damaged", f"chunk at byte {pos} skipped: {damage}", pos, len(body))
         )
         return
-    contents.spans.append(Span(pos, RECORD.size + len(body), chunk=True))
+    contents.spans.append(Span(pos, rec.RECORD.size + len(body), chunk=True))
 
 
 def _take_records(contents: Contents, data: bytes) -> None:
-    messages, others = scan_messages(data)
+    messages, others = rec.scan_messages(data)
     for opcode, body in others:
         _define(contents, opcode, body)
     for channel, places in messages.items():
         count = contents.counts.setdefault(channel, ChannelCount())
         count.count += len(places)
         for start, _ in (places[0], places[-1]):
-            log_ns = MESSAGE_FIELDS.unpack_from(data, start)[1]
+            log_ns = rec.MESSAGE_FIELDS.unpack_from(data, start)[1]
             count.first_ns = min(count.first_ns, log_ns)
             count.last_ns = max(count.last_ns, log_ns)
 
 
 def _define(contents: Contents, opcode: int, body: bytes) -> None:
     fields = Fields(body)
-    if opcode == SCHEMA:
+    if opcode == rec.SCHEMA:
         key = fields.number("<H")
-        schema = Schema(fields.text(), fields.text(), fields.raw())
+        schema = rec.Schema(fields.text(), fields.text(), fields.raw())
         _set_once(contents, contents.schemas, key, schema)
-    elif opcode == CHANNEL:
+    elif opcode == rec.CHANNEL:
         key, schema_id = fields.number("<H"), fields.number("<H")
-        channel = Channel(fields.text(), fields.text(), schema_id, fields.text_map())
+        channel = rec.Channel(fields.text(), fields.text(), schema_id, fields.text_map())
         if len(contents.channels) >= MAX_CHANNELS and key not in contents.channels:
             raise DamageError(f"more than {MAX_CHANNELS} channels")
         _set_once(contents, contents.channels, key, channel)
@@ -297,17 +270,17 @@ def _believable(file: BinaryIO, pos: int, size: int) -> bool:
     file.seek(pos)
     opcode: int
     length: int
-    opcode, length = RECORD.unpack(file.read(RECORD.size))
-    if length > min(MAX_RECORD, size - pos - RECORD.size):
+    opcode, length = rec.RECORD.unpack(file.read(rec.RECORD.size))
+    if length > min(rec.MAX_RECORD, size - pos - rec.RECORD.size):
         return False
-    if opcode == CHUNK:
-        return plausible_chunk(file.read(CHUNK_START_SIZE), length)
-    if opcode == METADATA and length <= _MAX_METADATA:
+    if opcode == rec.CHUNK:
+        return rec.plausible_chunk(file.read(rec.CHUNK_START_SIZE), length)
+    if opcode == rec.METADATA and length <= _MAX_METADATA:
         try:
-            _take_text(Contents(), METADATA, Fields(file.read(length)))
+            _take_text(Contents(), rec.METADATA, Fields(file.read(length)))
         except DamageError:
             return False
-    return opcode == DATA_END or length <= _MAX_METADATA
+    return opcode == rec.DATA_END or length <= _MAX_METADATA
 
 
 # -- the end of the file -------------------------------------------------------------------------
@@ -316,22 +289,22 @@ def _believable(file: BinaryIO, pos: int, size: int) -> bool:
 def _take_summary(contents: Contents, file: BinaryIO, pos: int, size: int) -> None:
     """Accept the file as finished if its end is whole; learn schemas that a lost chunk held."""
     file.seek(pos)
-    tail = file.read(min(size - pos, MAX_RECORD))
-    footer = len(tail) - len(MAGIC) - FOOTER_FIELDS.size
-    start = footer - RECORD.size
+    tail = file.read(min(size - pos, rec.MAX_RECORD))
+    footer = len(tail) - len(rec.MAGIC) - rec.FOOTER_FIELDS.size
+    start = footer - rec.RECORD.size
     contents.finished = (
         start >= 0
-        and tail.endswith(MAGIC)
-        and tail[start:footer] == RECORD.pack(FOOTER, FOOTER_FIELDS.size)
-        and FOOTER_FIELDS.unpack_from(tail, footer)[2]
-        in (0, zlib.crc32(tail[: footer + FOOTER_FIELDS.size - 4]))
+        and tail.endswith(rec.MAGIC)
+        and tail[start:footer] == rec.RECORD.pack(rec.FOOTER, rec.FOOTER_FIELDS.size)
+        and rec.FOOTER_FIELDS.unpack_from(tail, footer)[2]
+        in (0, zlib.crc32(tail[: footer + rec.FOOTER_FIELDS.size - 4]))
     )
     if not contents.finished:
         text = "not finished: the summary at its end is missing or damaged"
         contents.warnings.append(SessionWarning("unfinished", text, pos))
         return
     try:
-        for opcode, body in scan_messages(tail[:start])[1]:
+        for opcode, body in rec.scan_messages(tail[:start])[1]:
             _define(contents, opcode, body)
     except DamageError as damage:
         contents.warnings.append(SessionWarning("damaged", f"summary: {damage}", pos))

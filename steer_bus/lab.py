@@ -15,14 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from steerd.steer_bus.bus import BusError
-from steerd.steer_bus.topics import (
-    EXTERNAL_POSE,
-    ROOT,
-    TOPICS,
-    Direction,
-    alive_key,
-    make_key,
-)
+from steerd.steer_bus.topics import EXTERNAL_POSE, ROOT, TOPICS, Direction, alive_key, make_key
 from steerd.toml_text import load_toml
 
 DEFAULT_PORT = 7447

@@ -7,7 +7,6 @@ only file that knows the mcap library; reading is :mod:`steerd.steer_bus.session
 
 import contextlib
 import os
-import struct
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,8 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from mcap.data_stream import RecordBuilder  # noqa: TID251
-from mcap.opcode import Opcode  # noqa: TID251
-from mcap.records import ChunkIndex, MessageIndex  # noqa: TID251
+from mcap.records import ChunkIndex  # noqa: TID251
 from mcap.writer import CompressionType, Writer  # noqa: TID251
 
 from steerd.steer_bus.atomic_file import is_full
@@ -49,10 +47,6 @@ INDEX_BYTES = 1 << 16
 SCHEMA_VERSION = "1"
 _LIBRARY = "steerd"
 _MAX_TIME_NS = (1 << 63) - 1
-_MESSAGE = struct.Struct("<BQHIQQ")
-"""Opcode and length of a message record, channel, sequence, log time, publish time."""
-_MESSAGE_OPCODE = 0x05
-_AFTER_LENGTH = _MESSAGE.size - 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,74 +56,6 @@ class AttachedFile:
     name: str
     media_type: str
     data: bytes
-
-
-class _Index(MessageIndex):
-    """Where a channel's messages lie in a chunk, written at once: the library's bytes."""
-
-    def write(self, stream: RecordBuilder) -> None:
-        """Append the record."""
-        numbers = [number for record in self.records for number in record]
-        stream.start_record(Opcode.MESSAGE_INDEX)
-        head = struct.pack("<HI", self.channel_id, 8 * len(numbers))
-        stream.write(head + struct.pack(f"<{len(numbers)}Q", *numbers))
-        stream.finish_record()  # type: ignore[no-untyped-call]
-
-
-class _Chunk:
-    """Messages for the library's chunk in progress, handed to it together: the same bytes.
-
-    One by one the library takes 16 calls for each message, a twelfth of a drive in virtual time.
-    Where its inside is not the one known here, it gets them one by one.
-    """
-
-    def __init__(self, writer: Writer) -> None:
-        self._writer = writer
-        self._builder = getattr(writer, "_Writer__chunk_builder", None)
-        self._counts = getattr(writer, "_Writer__statistics", None)
-        known = ("message_indices", "record_writer", "num_messages", "message_start_time")
-        self._known = self._counts is not None and all(hasattr(self._builder, n) for n in known)
-        self._parts: list[bytes] = []
-        self._places: dict[int, list[tuple[int, int]]] = {}
-        self._size = 0
-
-    def add(self, channel: int, log_ns: int, data: bytes, publish_ns: int, sequence: int) -> None:
-        """Take a message; log times never go back."""
-        if not self._parts:
-            self._size = self._builder.count if self._known and self._builder else CHUNK_BYTES
-        at = self._size
-        self._size += _MESSAGE.size + len(data)
-        if self._size > CHUNK_BYTES:
-            self.hand_over()
-            self._writer.add_message(channel, log_ns, data, publish_ns, sequence)
-            return
-        size = _AFTER_LENGTH + len(data)
-        head = _MESSAGE.pack(_MESSAGE_OPCODE, size, channel, sequence, log_ns, publish_ns)
-        self._parts += (head, data)
-        try:
-            self._places[channel].append((log_ns, at))
-        except KeyError:
-            self._places[channel] = [(log_ns, at)]
-
-    def hand_over(self) -> None:
-        """Give the library what has come."""
-        builder, counts = self._builder, self._counts
-        if not self._parts or builder is None or counts is None:
-            return
-        first = min(places[0][0] for places in self._places.values())
-        last = max(places[-1][0] for places in self._places.values())
-        builder.message_start_time = builder.message_start_time if builder.num_messages else first
-        builder.message_end_time = last
-        counts.message_start_time = counts.message_start_time if counts.message_count else first
-        counts.message_end_time = last
-        for channel, places in self._places.items():
-            known = builder.message_indices.setdefault(channel, _Index(channel, []))
-            known.records += places
-            builder.num_messages += len(places)
-            counts.channel_message_counts[channel] += len(places)
-            counts.message_count += len(places)
-        builder.record_writer.write(b"".join(self._parts))
-        self._parts, self._places = [], {}
 
 
 class _ChunkIndices:
@@ -215,7 +141,6 @@ class SessionWriter:
             enable_data_crcs=True,
         )
         self._indices = _bound_memory(self._writer, path.parent)
-        self._chunk = _Chunk(self._writer)
         self._last_log_ns = 0
         self._flush_ns = flush_ns
         self._flushed_ns = self._synced_ns = -(1 << 62)
@@ -274,7 +199,7 @@ class SessionWriter:
         if self._broken is not None:
             raise self._broken
         try:
-            self._chunk.add(channel, log_ns, data, published, sequence & 0xFFFFFFFF)
+            self._writer.add_message(channel, log_ns, data, published, sequence & 0xFFFFFFFF)
         except OSError as error:
             raise self._fail(error) from error
 
@@ -285,11 +210,7 @@ class SessionWriter:
             SessionError: if the disk does not take it.
         """
         with self._disk():
-            self._flush_chunk()
-
-    def _flush_chunk(self) -> None:
-        self._chunk.hand_over()
-        self._writer.flush()  # type: ignore[no-untyped-call]
+            self._writer.flush()  # type: ignore[no-untyped-call]
 
     def tick(self, t_ns: int) -> bool:
         """Flush if it is time (a quarter of a second by default); say whether :meth:`sync` is due.
@@ -334,7 +255,7 @@ class SessionWriter:
             SessionError: if the disk does not take it; what was flushed stays in ``.partial``.
         """
         with self._disk():
-            self._flush_chunk()
+            self._writer.flush()  # type: ignore[no-untyped-call]
             self._writer.add_metadata("steerd.end", dict(end))
             _finish(self._writer, self._file, self.partial, self.path)
         self._indices.close()

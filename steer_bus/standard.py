@@ -5,7 +5,6 @@ Units are those of the ROS definitions; ``VescState.speed`` is in electrical rpm
 """
 
 from steerd.steer_bus.fields import (
-    Bool,
     Byte,
     Float32,
     Float64,
@@ -86,14 +85,6 @@ class PoseWithCovariance:
 
     pose: Pose
     covariance: Float64x36
-
-
-@message("geometry_msgs/msg/PoseWithCovarianceStamped")
-class PoseWithCovarianceStamped:
-    """An uncertain pose in a frame at a time."""
-
-    header: Header
-    pose: PoseWithCovariance
 
 
 @message("geometry_msgs/msg/Twist")
@@ -218,18 +209,11 @@ class Log:
     line: UInt32
 
 
-@message("std_msgs/msg/Bool")
-class BoolMessage:
-    """A flag, for bridges to plain ROS topics."""
-
-    data: Bool
-
-
 STANDARD_MESSAGES = (
     Time, Header, Point, Vector3, Quaternion, Pose, PoseStamped, PoseWithCovariance,
-    PoseWithCovarianceStamped, Twist, TwistWithCovariance, Odometry, AckermannDrive,
+    Twist, TwistWithCovariance, Odometry, AckermannDrive,
     AckermannDriveStamped, VescState, VescStateStamped, KeyValue, DiagnosticStatus,
-    DiagnosticArray, Log, BoolMessage,
+    DiagnosticArray, Log,
 )  # fmt: skip
 
 

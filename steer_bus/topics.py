@@ -10,28 +10,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import standard
 from steerd.steer_bus.codec import schema_text, type_name
-from steerd.steer_bus.messages import (
-    Actuation,
-    ClockSample,
-    Design,
-    DriveCommand,
-    Heartbeat,
-    MocapPose,
-    Model,
-    OperatorRequest,
-    ParameterRequest,
-    Parameters,
-    StateMessage,
-    Throttle,
-    Tick,
-    Transition,
-    VescIdentity,
-    VescImu,
-    VescTelemetry,
-    WheelSpeed,
-)
-from steerd.steer_bus.standard import DiagnosticArray, Log, Odometry, PoseStamped, VescStateStamped
 
 ROOT = "steerd"
 _CAR_NAME = re.compile(r"[a-z0-9_]{1,64}")
@@ -75,34 +56,38 @@ class Topic:
     rate_hz: float = 0.0
 
 
-TICK = Topic("tick", Tick, rate_hz=200.0)
-MOCAP = Topic("mocap", MocapPose, rate_hz=200.0)
-VESC = Topic("vesc", VescTelemetry, rate_hz=200.0)
-IDENTITY = Topic("vesc_identity", VescIdentity)
-IMU = Topic("imu", VescImu, rate_hz=200.0)
-ACTUATION = Topic("actuation", Actuation, rate_hz=200.0)
-STATE = Topic("state", StateMessage, priority=Priority.REAL_TIME, rate_hz=200.0)
-TRANSITION = Topic("transition", Transition)
-CLOCK = Topic("clock", ClockSample, rate_hz=1.0)
-DRIVE = Topic("cmd/drive", DriveCommand, Direction.IN, Priority.REAL_TIME, rate_hz=100.0)
-OPERATOR = Topic("cmd/operator", OperatorRequest, Direction.IN, Priority.REAL_TIME)
-STOP = Topic("cmd/stop", OperatorRequest, Direction.IN, Priority.REAL_TIME, logged=False)
-ODOM = Topic("odom", Odometry, logged=False, rate_hz=50.0)
-POSE = Topic("pose", PoseStamped, logged=False, rate_hz=50.0)
-EXTERNAL_POSE = Topic("in/pose", PoseStamped, Direction.IN, Priority.REAL_TIME, rate_hz=200.0)
-VESC_STATE = Topic("vesc_state", VescStateStamped, logged=False, rate_hz=50.0)
-DIAGNOSTICS = Topic("diagnostics", DiagnosticArray, priority=Priority.DATA_LOW, rate_hz=1.0)
-WHEEL = Topic("wheel", WheelSpeed, on_bus=False, rate_hz=100.0)
-THROTTLE = Topic("throttle", Throttle, on_bus=False, rate_hz=100.0)
-SET_PARAMETERS = Topic("cmd/parameters", ParameterRequest, Direction.IN, Priority.REAL_TIME)
-PARAMETERS = Topic("parameters", Parameters, priority=Priority.DATA_LOW, rate_hz=2.0)
-LOG = Topic("rosout", Log, priority=Priority.DATA_LOW)
-MODEL = Topic("model", Model, priority=Priority.DATA_LOW, rate_hz=1.0)
-DESIGN = Topic("design", Design, priority=Priority.DATA_LOW, rate_hz=1.0)
+TICK = Topic("tick", m.Tick, rate_hz=200.0)
+MOCAP = Topic("mocap", m.MocapPose, rate_hz=200.0)
+VESC = Topic("vesc", m.VescTelemetry, rate_hz=200.0)
+IDENTITY = Topic("vesc_identity", m.VescIdentity)
+IMU = Topic("imu", m.VescImu, rate_hz=200.0)
+ACTUATION = Topic("actuation", m.Actuation, rate_hz=200.0)
+STATE = Topic("state", m.StateMessage, priority=Priority.REAL_TIME, rate_hz=200.0)
+TRANSITION = Topic("transition", m.Transition)
+CLOCK = Topic("clock", m.ClockSample, rate_hz=1.0)
+DRIVE = Topic("cmd/drive", m.DriveCommand, Direction.IN, Priority.REAL_TIME, rate_hz=100.0)
+OPERATOR = Topic("cmd/operator", m.OperatorRequest, Direction.IN, Priority.REAL_TIME)
+STOP = Topic("cmd/stop", m.OperatorRequest, Direction.IN, Priority.REAL_TIME, logged=False)
+ODOM = Topic("odom", standard.Odometry, logged=False, rate_hz=50.0)
+POSE = Topic("pose", standard.PoseStamped, logged=False, rate_hz=50.0)
+EXTERNAL_POSE = Topic(
+    "in/pose", standard.PoseStamped, Direction.IN, Priority.REAL_TIME, rate_hz=200.0
+)
+VESC_STATE = Topic("vesc_state", standard.VescStateStamped, logged=False, rate_hz=50.0)
+DIAGNOSTICS = Topic(
+    "diagnostics", standard.DiagnosticArray, priority=Priority.DATA_LOW, rate_hz=1.0
+)
+WHEEL = Topic("wheel", m.WheelSpeed, on_bus=False, rate_hz=100.0)
+THROTTLE = Topic("throttle", m.Throttle, on_bus=False, rate_hz=100.0)
+SET_PARAMETERS = Topic("cmd/parameters", m.ParameterRequest, Direction.IN, Priority.REAL_TIME)
+PARAMETERS = Topic("parameters", m.Parameters, priority=Priority.DATA_LOW, rate_hz=2.0)
+LOG = Topic("rosout", standard.Log, priority=Priority.DATA_LOW)
+MODEL = Topic("model", m.Model, priority=Priority.DATA_LOW, rate_hz=1.0)
+DESIGN = Topic("design", m.Design, priority=Priority.DATA_LOW, rate_hz=1.0)
 
-HEARTBEAT = Topic("heartbeat", Heartbeat, Direction.OUT, Priority.REAL_TIME, False, rate_hz=20.0)
+HEARTBEAT = Topic("heartbeat", m.Heartbeat, Direction.OUT, Priority.REAL_TIME, False, rate_hz=20.0)
 HEARTBEAT_BACK = Topic(
-    "cmd/heartbeat", Heartbeat, Direction.IN, Priority.REAL_TIME, False, rate_hz=20.0
+    "cmd/heartbeat", m.Heartbeat, Direction.IN, Priority.REAL_TIME, False, rate_hz=20.0
 )
 
 LAST_MODEL = "param/model"

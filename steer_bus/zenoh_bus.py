@@ -73,11 +73,7 @@ class Profile:
 
 
 def make_hub_profile(
-    endpoint: str,
-    lab: Lab | None,
-    *,
-    insecure_lan: bool = False,
-    pose_key: str | None = None,
+    endpoint: str, lab: Lab | None, *, insecure_lan: bool = False, pose_key: str | None = None
 ) -> Profile:
     """Make the profile of a car's hub: plain on loopback, or the lab's with mutual TLS."""
     if lab is None:

@@ -1,7 +1,7 @@
 """Commands from host to VESC, one frozen dataclass each; `packets` encodes and decodes.
 
-Source: `docs/reference/vesc-serial.md#v2`. SET_MCCONF and SET_APPCONF are left out on purpose:
-their blobs change with the firmware and writing them is VESC Tool's work.
+They are what the client sends, and what the simulated VESC takes besides: ALIVE, REBOOT and the
+terminal. Source: `docs/reference/vesc-serial.md#v2`.
 """
 
 from dataclasses import dataclass
@@ -48,27 +48,6 @@ class SetErpm:
     erpm: float
 
 
-@dataclass(frozen=True, slots=True)
-class SetPos:
-    """Position control [deg]."""
-
-    pos_deg: float
-
-
-@dataclass(frozen=True, slots=True)
-class SetHandbrake:
-    """Open-loop holding current [A]; it heats the motor (firmware 3.07)."""
-
-    current: float
-
-
-@dataclass(frozen=True, slots=True)
-class SetDetect:
-    """Display mode: 0 off, 1 inductance, 2 observer, 3 encoder, 4 PID position, 5 its error."""
-
-    mode: int
-
-
 @quick_init
 @dataclass(frozen=True, slots=True)
 class SetServoPos:
@@ -78,23 +57,8 @@ class SetServoPos:
 
 
 @dataclass(frozen=True, slots=True)
-class GetMcConf:
-    """Ask for the motor configuration blob (layout changes with the firmware)."""
-
-
-@dataclass(frozen=True, slots=True)
-class GetMcConfDefault:
-    """Ask for the default motor configuration blob."""
-
-
-@dataclass(frozen=True, slots=True)
 class GetAppConf:
     """Ask for the app configuration; its first fields are the same in every firmware."""
-
-
-@dataclass(frozen=True, slots=True)
-class GetAppConfDefault:
-    """Ask for the default app configuration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,29 +79,8 @@ class Alive:
 
 
 @dataclass(frozen=True, slots=True)
-class GetDecodedPpm:
-    """Ask for the decoded receiver pulse."""
-
-
-@dataclass(frozen=True, slots=True)
-class ForwardCan:
-    """Pass a payload on to another VESC on the CAN bus; its reply comes back unwrapped."""
-
-    can_id: int
-    inner: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class GetValuesSetup:
-    """Ask for the full set-up telemetry reply (firmware 3.48)."""
-
-
-@dataclass(frozen=True, slots=True)
 class SetMcConfTemp:
-    """Limits in RAM [ERPM, duty, W, A] (firmware 3.48).
-
-    The wire lets the last two be left out, and they decode as None then; encoding demands them.
-    """
+    """Limits in RAM [ERPM, duty, W, A] (firmware 3.48)."""
 
     current_min_scale: float
     current_max_scale: float
@@ -147,8 +90,8 @@ class SetMcConfTemp:
     duty_max: float
     watt_min: float
     watt_max: float
-    input_current_min: float | None
-    input_current_max: float | None
+    input_current_min: float
+    input_current_max: float
     store: bool = False
     forward_can: bool = False
     ack: bool = True
@@ -164,22 +107,9 @@ class GetValuesSelective:
 
 @dataclass(frozen=True, slots=True)
 class GetValuesSetupSelective:
-    """Ask for the set-up telemetry fields in ``mask`` (firmware 3.48)."""
+    """Ask for the set-up telemetry fields in ``mask`` (firmware 3.48): for the VESC's own clock."""
 
     mask: int
-
-
-@dataclass(frozen=True, slots=True)
-class PingCan:
-    """Ask which CAN ids answer; blocks the VESC's command thread for up to 2.6 s."""
-
-
-@dataclass(frozen=True, slots=True)
-class AppDisableOutput:
-    """Keep receiver and ADC apps from commanding for ``duration_ms`` (0 enable, -1 for ever)."""
-
-    duration_ms: int
-    forward_can: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,48 +120,12 @@ class GetImuData:
 
 
 @dataclass(frozen=True, slots=True)
-class SetCurrentRel:
-    """Motor current as a ratio of the configured limit (firmware 3.64)."""
-
-    ratio: float
-
-
-@dataclass(frozen=True, slots=True)
 class GetMcConfTemp:
     """Ask for the limits in force and the drive train's numbers (firmware 5.02)."""
 
 
-@dataclass(frozen=True, slots=True)
-class GetBatteryCut:
-    """Ask for the battery cut-off voltages (firmware 5.03)."""
-
-
-@dataclass(frozen=True, slots=True)
-class GetStats:
-    """Ask for the statistics in the 16-bit ``mask`` (firmware 5.03)."""
-
-    mask: int
-
-
-@dataclass(frozen=True, slots=True)
-class ResetStats:
-    """Restart the statistics (firmware 5.03)."""
-
-    ack: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class MotorEstop:
-    """Release the motor and ignore every motor command for ``duration_ms`` (firmware 6.06)."""
-
-    duration_ms: int
-
-
 Command = (
-    GetFwVersion | GetValues | SetDuty | SetCurrent | SetCurrentBrake | SetErpm | SetPos
-    | SetHandbrake | SetDetect | SetServoPos | GetMcConf | GetMcConfDefault | GetAppConf
-    | GetAppConfDefault | TerminalCommand | Reboot | Alive | GetDecodedPpm | ForwardCan
-    | GetValuesSetup | SetMcConfTemp | GetValuesSelective | GetValuesSetupSelective | PingCan
-    | AppDisableOutput | GetImuData | SetCurrentRel | GetMcConfTemp | GetBatteryCut | GetStats
-    | ResetStats | MotorEstop
+    GetFwVersion | GetValues | SetDuty | SetCurrent | SetCurrentBrake | SetErpm | SetServoPos
+    | GetAppConf | TerminalCommand | Reboot | Alive | SetMcConfTemp | GetValuesSelective
+    | GetValuesSetupSelective | GetImuData | GetMcConfTemp
 )  # fmt: skip

@@ -49,11 +49,10 @@ def encode_frame(payload: bytes) -> bytes:
 @quick_init
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A checked payload and when its first and last byte were read [ns, monotonic]."""
+    """A checked payload and when its first byte was read [ns, monotonic]."""
 
     payload: bytes
     t_first_ns: int
-    t_last_ns: int
 
 
 class FrameParser:
@@ -125,7 +124,7 @@ class FrameParser:
         if data:
             self._reads.append((old_total, t_ns))
             self._buffer += data
-        found = self._complete_open(t_ns) + self._scan(t_ns)
+        found = self._complete_open() + self._scan()
         if stale:
             self._give_up_before(old_total)
         self._trim()
@@ -161,7 +160,7 @@ class FrameParser:
             crc = data[stop - 2] << 8 | data[stop - 1]
             if data[stop] != _STOP or binascii.crc_hqx(payload, 0) != crc:
                 return []
-            found.append(Frame(bytes(payload), t_first_ns, t_ns))
+            found.append(Frame(bytes(payload), t_first_ns))
             t_first_ns = t_ns
             at = stop + 1
         if found:
@@ -174,7 +173,7 @@ class FrameParser:
             self.frames += len(found)
         return found
 
-    def _complete_open(self, t_ns: int) -> list[Frame]:
+    def _complete_open(self) -> list[Frame]:
         """Judge the candidates that were incomplete before this read and are complete now."""
         total = self._base + len(self._buffer)
         ready = []
@@ -186,14 +185,14 @@ class FrameParser:
         for start, end in sorted(ready):
             if start < self._taken:
                 continue
-            frame = self._judge(start, end, t_ns)
+            frame = self._judge(start, end)
             self._open.discard(start)
             if frame is not None:
                 self._give_up_before(end)
                 found.append(frame)
         return found
 
-    def _scan(self, t_ns: int) -> list[Frame]:
+    def _scan(self) -> list[Frame]:
         """Look for headers in the bytes not seen before."""
         found: list[Frame] = []
         total = self._base + len(self._buffer)
@@ -206,7 +205,7 @@ class FrameParser:
                 if self._strict:
                     return found
                 self._open_candidate(start, end)
-            elif end and (frame := self._judge(start, end, t_ns)):
+            elif end and (frame := self._judge(start, end)):
                 self._give_up_before(end)
                 found.append(frame)
                 continue
@@ -230,7 +229,7 @@ class FrameParser:
         self._by_start.append(start)
         self._open.add(start)
 
-    def _judge(self, start: int, end: int, t_ns: int) -> Frame | None:
+    def _judge(self, start: int, end: int) -> Frame | None:
         """Check stop byte and CRC of a complete candidate."""
         at, stop = start - self._base, end - self._base - 1
         payload = bytes(self._buffer[at + self._buffer[at] : stop - 2])
@@ -241,7 +240,7 @@ class FrameParser:
             return None
         self.frames += 1
         self._frame_bytes += end - start
-        return Frame(payload, self._time_of(start), t_ns)
+        return Frame(payload, self._time_of(start))
 
     def _time_of(self, offset: int) -> int:
         reads = self._reads

@@ -1,15 +1,25 @@
-"""What a VESC is and how it is set: version and UUID, limits, timeout, and the small replies.
+"""What a VESC is and how it is set: version and UUID, timeout, limits, and limits of a session.
 
-Source: `docs/reference/vesc-serial.md#v2`, `docs/reference/vesc-serial.md#v2.4`; for GET_APPCONF
-`docs/reference/vesc-serial.md#v2.6`.
+A session's limits live in the VESC's RAM, whatever the host does: SET_MCCONF_TEMP without
+``store``, read back with GET_MCCONF_TEMP, restored at the end and gone after a power cycle
+(`docs/reference/vesc-serial.md#v3.9`). Source of the layouts: `docs/reference/vesc-serial.md#v2`,
+`docs/reference/vesc-serial.md#v2.4`; of GET_APPCONF `docs/reference/vesc-serial.md#v2.6`.
 """
 
 import math
 from dataclasses import dataclass
 from typing import Any
 
+from steerd.vesc_link.commands import SetMcConfTemp
 from steerd.vesc_link.ids import CommandId, Firmware
-from steerd.vesc_link.wire import Field, device_numbers, pack_fields, read_values, unpack_fields
+from steerd.vesc_link.wire import (
+    Field,
+    all_finite,
+    device_numbers,
+    pack_fields,
+    read_values,
+    unpack_fields,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,52 +189,23 @@ LIMIT_FIELDS = tuple(
 """The ten limits, in the order of GET_MCCONF_TEMP and SET_MCCONF_TEMP."""
 
 
-@dataclass(frozen=True, slots=True)
-class BatteryCut:
-    """GET_BATTERY_CUT reply [V]: where the current limit begins to fall, and where it ends."""
-
-    start_voltage: float
-    end_voltage: float
+_DRIVE_TRAIN = (Field("motor_poles", "B"), Field("gear_ratio", "f"), Field("wheel_diameter", "f"))
+_MCCONF_FIELDS = (*LIMIT_FIELDS, *_DRIVE_TRAIN)
 
 
-@dataclass(frozen=True, slots=True)
-class DecodedPpm:
-    """GET_DECODED_PPM reply: receiver level -1 to 1 and pulse length."""
-
-    level: float
-    pulse_ms: float
-
-
-@dataclass(frozen=True, slots=True)
-class RotorPosition:
-    """Unsolicited rotor position, every 10 ms while a display mode is on."""
-
-    angle_deg: float
+def decode_mcconf_temp(payload: bytes) -> McConfTemp | None:
+    """Decode the limits in force; None if they are cut or one is no number."""
+    values, _ = unpack_fields(_MCCONF_FIELDS, payload, 1)
+    whole = len(values) == len(_MCCONF_FIELDS) and all_finite(values)
+    return McConfTemp(**values) if whole else None
 
 
-SMALL_REPLIES: dict[
-    CommandId, tuple[type[McConfTemp | BatteryCut | DecodedPpm | RotorPosition], tuple[Field, ...]]
-] = {
-    CommandId.GET_MCCONF_TEMP: (
-        McConfTemp,
-        (
-            *LIMIT_FIELDS,
-            Field("motor_poles", "B"),
-            Field("gear_ratio", "f"),
-            Field("wheel_diameter", "f"),
-        ),
-    ),
-    CommandId.GET_BATTERY_CUT: (
-        BatteryCut,
-        (Field("start_voltage", "i", 1e3), Field("end_voltage", "i", 1e3)),
-    ),
-    CommandId.GET_DECODED_PPM: (
-        DecodedPpm,
-        (Field("level", "i", 1e6), Field("pulse_ms", "i", 1e6)),
-    ),
-    CommandId.ROTOR_POSITION: (RotorPosition, (Field("angle_deg", "i", 1e5),)),
-}
-"""Replies of fixed layout: what they become and their fields; a shorter one is refused."""
+def encode_mcconf_temp(reply: McConfTemp) -> bytes:
+    """GET_MCCONF_TEMP reply."""
+    numbers = read_values(_MCCONF_FIELDS, reply)
+    return bytes((CommandId.GET_MCCONF_TEMP,)) + pack_fields(
+        _MCCONF_FIELDS, numbers, device_numbers
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,14 +216,55 @@ class Print:
 
 
 @dataclass(frozen=True, slots=True)
-class CanIds:
-    """PING_CAN reply: the ids that answered."""
-
-    ids: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Ack:
     """A bare id sent back: the command was carried out."""
 
     command: CommandId
+
+
+_F32_EPSILON = 1e-6
+
+
+def make_session_limits(
+    in_force: McConfTemp, erpm_max: float, current_scale: float = 1.0, duty_max: float = 0.95
+) -> SetMcConfTemp:
+    """Limits for a session: tighter than those in force or equal, never wider.
+
+    Args:
+        in_force: limits read before.
+        erpm_max: largest ERPM in either direction.
+        current_scale: share of the configured drive current, 0 to 1; braking keeps its share.
+        duty_max: largest duty cycle.
+
+    Raises:
+        ValueError: a limit is not positive and finite, so the car could not move.
+    """
+    if not all(math.isfinite(x) and x > 0 for x in (erpm_max, current_scale, duty_max)):
+        raise ValueError("session limits must be positive and finite")
+    return SetMcConfTemp(
+        current_min_scale=in_force.current_min_scale,
+        current_max_scale=min(in_force.current_max_scale, current_scale),
+        erpm_min=max(in_force.erpm_min, -erpm_max),
+        erpm_max=min(in_force.erpm_max, erpm_max),
+        duty_min=in_force.duty_min,
+        duty_max=min(in_force.duty_max, duty_max),
+        watt_min=in_force.watt_min,
+        watt_max=in_force.watt_max,
+        input_current_min=in_force.input_current_min,
+        input_current_max=in_force.input_current_max,
+    )
+
+
+def make_restored_limits(before: McConfTemp) -> SetMcConfTemp:
+    """The limits that were in force before the session."""
+    return SetMcConfTemp(**{field.name: getattr(before, field.name) for field in LIMIT_FIELDS})
+
+
+def limits_hold(requested: SetMcConfTemp, read_back: McConfTemp) -> bool:
+    """Whether the limits read back are the ones set, within single precision."""
+    return all(
+        math.isclose(
+            getattr(requested, field.name), getattr(read_back, field.name), rel_tol=_F32_EPSILON
+        )
+        for field in LIMIT_FIELDS
+    )

@@ -21,7 +21,7 @@ class Firmware(NamedTuple):
 ALWAYS = Firmware(0, 0)
 """Since the first firmware there was."""
 FW_3_00 = Firmware(3, 0)
-"""Last firmware with the old telemetry table and without SET_HANDBRAKE."""
+"""Last firmware with the old telemetry table and the old numbers of the ids."""
 FW_3_40 = Firmware(3, 40)
 FW_3_60 = Firmware(3, 60)
 FW_5_02 = Firmware(5, 2)
@@ -34,7 +34,7 @@ PROFILES = (FW_3_40, FW_3_60, FW_5_02, FW_5_03, FW_6_00, FW_6_05, FW_7_01)
 
 
 class CommandId(IntEnum):
-    """First payload byte, as numbered since firmware 3.07 (older: see `wire_id`)."""
+    """First payload byte of what steerd sends or reads, as since firmware 3.07 (see `wire_id`)."""
 
     FW_VERSION = 0
     GET_VALUES = 4
@@ -42,57 +42,29 @@ class CommandId(IntEnum):
     SET_CURRENT = 6
     SET_CURRENT_BRAKE = 7
     SET_RPM = 8
-    SET_POS = 9
-    SET_HANDBRAKE = 10
-    SET_DETECT = 11
     SET_SERVO_POS = 12
-    SET_MCCONF = 13
-    GET_MCCONF = 14
-    GET_MCCONF_DEFAULT = 15
-    SET_APPCONF = 16
     GET_APPCONF = 17
-    GET_APPCONF_DEFAULT = 18
     TERMINAL_CMD = 20
     PRINT = 21
-    ROTOR_POSITION = 22
     REBOOT = 29
     ALIVE = 30
-    GET_DECODED_PPM = 31
-    FORWARD_CAN = 34
-    CUSTOM_APP_DATA = 36
-    GET_VALUES_SETUP = 47
     SET_MCCONF_TEMP = 48
     GET_VALUES_SELECTIVE = 50
     GET_VALUES_SETUP_SELECTIVE = 51
-    PING_CAN = 62
-    APP_DISABLE_OUTPUT = 63
     GET_IMU_DATA = 65
-    SET_CURRENT_REL = 84
     GET_MCCONF_TEMP = 91
-    GET_BATTERY_CUT = 115
-    GET_STATS = 128
-    RESET_STATS = 129
-    LISP_PRINT = 135
-    MOTOR_ESTOP = 159
 
 
 SINCE: dict[CommandId, Firmware] = {
-    CommandId.SET_HANDBRAKE: Firmware(3, 7),
-    CommandId.GET_VALUES_SETUP: Firmware(3, 48),
     CommandId.SET_MCCONF_TEMP: Firmware(3, 48),
     CommandId.GET_VALUES_SELECTIVE: Firmware(3, 48),
     CommandId.GET_VALUES_SETUP_SELECTIVE: Firmware(3, 48),
-    CommandId.PING_CAN: Firmware(3, 48),
-    CommandId.APP_DISABLE_OUTPUT: Firmware(3, 48),
     CommandId.GET_IMU_DATA: Firmware(3, 52),
-    CommandId.SET_CURRENT_REL: Firmware(3, 64),
     CommandId.GET_MCCONF_TEMP: Firmware(5, 2),
-    CommandId.GET_BATTERY_CUT: Firmware(5, 3),
-    CommandId.GET_STATS: Firmware(5, 3),
-    CommandId.RESET_STATS: Firmware(5, 3),
-    CommandId.MOTOR_ESTOP: Firmware(6, 6),
 }
 """First firmware that knows the command; ids not listed are in all of them."""
+_HANDBRAKE = 10
+"""SET_HANDBRAKE, which came with firmware 3.07 and moved all behind it up by one."""
 
 
 def knows(firmware: Firmware, command: CommandId) -> bool:
@@ -108,53 +80,28 @@ def wire_id(command: CommandId, firmware: Firmware) -> int:
     """
     if not knows(firmware, command):
         raise ValueError(f"{command.name} needs firmware {SINCE[command]}, this is {firmware}")
-    return command - 1 if firmware <= FW_3_00 and command > CommandId.SET_HANDBRAKE else command
+    return command - 1 if firmware <= FW_3_00 and command > _HANDBRAKE else command
 
 
 def command_id(wire: int, firmware: Firmware) -> CommandId | None:
     """Inverse of `wire_id`; None when no command that we know has this number."""
-    number = wire + 1 if firmware <= FW_3_00 and wire >= CommandId.SET_HANDBRAKE else wire
+    number = wire + 1 if firmware <= FW_3_00 and wire >= _HANDBRAKE else wire
     return _KNOWN.get(number)
 
 
 _KNOWN = {int(command): command for command in CommandId}
 
 FAULT_NAMES = (
-    "NONE",
-    "OVER_VOLTAGE",
-    "UNDER_VOLTAGE",
-    "DRV",
-    "ABS_OVER_CURRENT",
-    "OVER_TEMP_FET",
-    "OVER_TEMP_MOTOR",
-    "GATE_DRIVER_OVER_VOLTAGE",
-    "GATE_DRIVER_UNDER_VOLTAGE",
-    "MCU_UNDER_VOLTAGE",
-    "BOOTING_FROM_WATCHDOG_RESET",
-    "ENCODER_SPI",
-    "ENCODER_SINCOS_BELOW_MIN_AMPLITUDE",
-    "ENCODER_SINCOS_ABOVE_MAX_AMPLITUDE",
-    "FLASH_CORRUPTION",
-    "HIGH_OFFSET_CURRENT_SENSOR_1",
-    "HIGH_OFFSET_CURRENT_SENSOR_2",
-    "HIGH_OFFSET_CURRENT_SENSOR_3",
-    "UNBALANCED_CURRENTS",
-    "BRK",
-    "RESOLVER_LOT",
-    "RESOLVER_DOS",
-    "RESOLVER_LOS",
-    "FLASH_CORRUPTION_APP_CFG",
-    "FLASH_CORRUPTION_MC_CFG",
-    "ENCODER_NO_MAGNET",
-    "ENCODER_MAGNET_TOO_STRONG",
-    "PHASE_FILTER",
-    "ENCODER_FAULT",
-    "LV_OUTPUT_FAULT",
-    "ENCODER_SLIP",
-    "OVERSPEED",
-    "UNDERSPEED",
-    "ABS_OVERSPEED",
-)
+    "NONE", "OVER_VOLTAGE", "UNDER_VOLTAGE", "DRV", "ABS_OVER_CURRENT", "OVER_TEMP_FET",
+    "OVER_TEMP_MOTOR", "GATE_DRIVER_OVER_VOLTAGE", "GATE_DRIVER_UNDER_VOLTAGE",
+    "MCU_UNDER_VOLTAGE", "BOOTING_FROM_WATCHDOG_RESET", "ENCODER_SPI",
+    "ENCODER_SINCOS_BELOW_MIN_AMPLITUDE", "ENCODER_SINCOS_ABOVE_MAX_AMPLITUDE",
+    "FLASH_CORRUPTION", "HIGH_OFFSET_CURRENT_SENSOR_1", "HIGH_OFFSET_CURRENT_SENSOR_2",
+    "HIGH_OFFSET_CURRENT_SENSOR_3", "UNBALANCED_CURRENTS", "BRK", "RESOLVER_LOT", "RESOLVER_DOS",
+    "RESOLVER_LOS", "FLASH_CORRUPTION_APP_CFG", "FLASH_CORRUPTION_MC_CFG", "ENCODER_NO_MAGNET",
+    "ENCODER_MAGNET_TOO_STRONG", "PHASE_FILTER", "ENCODER_FAULT", "LV_OUTPUT_FAULT",
+    "ENCODER_SLIP", "OVERSPEED", "UNDERSPEED", "ABS_OVERSPEED",
+)  # fmt: skip
 """Fault names by code; the firmware's list only ever grows at its end."""
 FAULT_WATCHDOG_BOOT = FAULT_NAMES.index("BOOTING_FROM_WATCHDOG_RESET")
 

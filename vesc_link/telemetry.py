@@ -1,9 +1,8 @@
-"""What a VESC measures: telemetry, set-up telemetry, IMU and statistics replies.
+"""What a VESC measures: telemetry, its clock, and its IMU.
 
 A field that the firmware did not send is None, never zero. Fields are read in order until the
 payload ends, so one rule serves every firmware from 2.18 to 7.01 and masks with bits that an old
-firmware does not know. Source: `docs/reference/vesc-serial.md#v2.1`, `#v2.2`, `#v2.3`
-and `#v2` for GET_STATS.
+firmware does not know. Source: `docs/reference/vesc-serial.md#v2.1`, `#v2.2`, `#v2.3`.
 """
 
 import math
@@ -12,15 +11,8 @@ from functools import lru_cache
 from operator import truediv
 
 from steerd.steer_bus.quick_values import quick_init
-from steerd.vesc_link.ids import FW_3_00, FW_6_05, CommandId, Firmware, fault_name
-from steerd.vesc_link.wire import (
-    Field,
-    all_finite,
-    device_numbers,
-    pack_fields,
-    read_values,
-    unpack_fields,
-)
+from steerd.vesc_link.ids import FW_3_00, FW_5_03, FW_6_05, CommandId, Firmware
+from steerd.vesc_link.wire import Field, device_numbers, pack_fields, read_values, unpack_fields
 
 STANDARD_GRAVITY = 9.80665
 """[m/s^2], the firmware's g."""
@@ -78,16 +70,6 @@ class Values:
         """Whether the VESC's own command timeout has struck; None before firmware 5.03."""
         return None if self.status is None else bool(self.status & 1)
 
-    @property
-    def kill_switch(self) -> bool | None:
-        """Whether the VESC's kill switch holds the motor; None before firmware 5.03."""
-        return None if self.status is None else bool(self.status & 2)
-
-    @property
-    def fault_name(self) -> str | None:
-        """Name of the fault code."""
-        return None if self.fault is None else fault_name(self.fault)
-
 
 _VALUES_BITS: tuple[tuple[Field, ...], ...] = (
     (Field("temp_fet_c", "h", 1e1),),
@@ -133,65 +115,12 @@ _OLD_VALUES_SIZE = 56
 """Reply length that distinguishes the table of firmware 3.00 and older from all later ones."""
 
 
-@quick_init
 @dataclass(frozen=True, slots=True)
-class ValuesSetup:
-    """GET_VALUES_SETUP or its selective reply [A, V, °C, m/s, m, Ah, Wh].
+class Uptime:
+    """GET_VALUES_SETUP_SELECTIVE reply to `UPTIME_MASK`: the VESC's own clock [ms since boot]."""
 
-    ``speed`` and ``distance`` follow the VESC's own gear and wheel settings, which are wrong on
-    almost every car; currents are summed over the CAN bus.
-    """
-
-    temp_fet_c: float | None = None
-    temp_motor_c: float | None = None
-    motor_current: float | None = None
-    input_current: float | None = None
-    duty: float | None = None
-    erpm: float | None = None
-    speed: float | None = None
-    input_voltage: float | None = None
-    battery_level: float | None = None
-    ah: float | None = None
-    ah_charged: float | None = None
-    wh: float | None = None
-    wh_charged: float | None = None
-    distance: float | None = None
-    distance_abs: float | None = None
-    pid_pos_deg: float | None = None
-    fault: int | None = None
-    controller_id: int | None = None
-    vesc_count: int | None = None
-    wh_left: float | None = None
-    odometer_m: int | None = None
-    uptime_ms: int | None = None
-    mask: int | None = None
-    extra_bytes: int = 0
-
-
-_SETUP_BITS: tuple[tuple[Field, ...], ...] = (
-    (Field("temp_fet_c", "h", 1e1),),
-    (Field("temp_motor_c", "h", 1e1),),
-    (Field("motor_current", "i", 1e2),),
-    (Field("input_current", "i", 1e2),),
-    (Field("duty", "h", 1e3),),
-    (Field("erpm", "i", 1e0),),
-    (Field("speed", "i", 1e3),),
-    (Field("input_voltage", "h", 1e1),),
-    (Field("battery_level", "h", 1e3),),
-    (Field("ah", "i", 1e4),),
-    (Field("ah_charged", "i", 1e4),),
-    (Field("wh", "i", 1e4),),
-    (Field("wh_charged", "i", 1e4),),
-    (Field("distance", "i", 1e3),),
-    (Field("distance_abs", "i", 1e3),),
-    (Field("pid_pos_deg", "i", 1e6),),
-    (Field("fault", "B"),),
-    (Field("controller_id", "B"),),
-    (Field("vesc_count", "B"),),
-    (Field("wh_left", "i", 1e3),),
-    (Field("odometer_m", "I", None, Firmware(5, 2)),),
-    (Field("uptime_ms", "I", None, Firmware(5, 3)),),
-)
+    uptime_ms: int
+    mask: int = UPTIME_MASK
 
 
 @quick_init
@@ -250,34 +179,6 @@ _IMU_BITS: tuple[tuple[Field, ...], ...] = tuple(
 _IMU_ID = Field("controller_id", "B", None, FW_6_05)
 
 
-@dataclass(frozen=True, slots=True)
-class Stats:
-    """GET_STATS reply [m/s, W, A, °C, s]; the mask is 16 bits in the request and 32 here."""
-
-    mask: int
-    speed_avg: float | None = None
-    speed_max: float | None = None
-    power_avg: float | None = None
-    power_max: float | None = None
-    current_avg: float | None = None
-    current_max: float | None = None
-    temp_mos_avg_c: float | None = None
-    temp_mos_max_c: float | None = None
-    temp_motor_avg_c: float | None = None
-    temp_motor_max_c: float | None = None
-    time: float | None = None
-    extra_bytes: int = 0
-
-
-_STATS_BITS: tuple[tuple[Field, ...], ...] = tuple(
-    (Field(name, "f"),)
-    for name in (
-        "speed_avg", "speed_max", "power_avg", "power_max", "current_avg", "current_max",
-        "temp_mos_avg_c", "temp_mos_max_c", "temp_motor_avg_c", "temp_motor_max_c", "time",
-    )
-)  # fmt: skip
-
-
 @lru_cache(maxsize=64)
 def _selected(
     bits: tuple[tuple[Field, ...], ...], mask: int | None, firmware: Firmware | None
@@ -308,19 +209,11 @@ def decode_values_selective(payload: bytes) -> Values | None:
     return Values(**values, mask=mask, extra_bytes=extra)
 
 
-def decode_setup(payload: bytes) -> ValuesSetup:
-    """Decode a full set-up telemetry reply."""
-    values, extra = unpack_fields(_selected(_SETUP_BITS, None, None), payload, 1)
-    return ValuesSetup(**values, extra_bytes=extra)
-
-
-def decode_setup_selective(payload: bytes) -> ValuesSetup | None:
-    """Decode a selective set-up reply; None if the mask itself is cut."""
-    if len(payload) < 5:
-        return None
+def decode_uptime(payload: bytes) -> Uptime | None:
+    """Decode the VESC's clock; None if it is cut or the reply to another mask."""
     mask = int.from_bytes(payload[1:5], "big")
-    values, extra = unpack_fields(_selected(_SETUP_BITS, mask, None), payload, 5)
-    return ValuesSetup(**values, mask=mask, extra_bytes=extra)
+    known = mask == UPTIME_MASK and len(payload) >= 9
+    return Uptime(int.from_bytes(payload[5:9], "big")) if known else None
 
 
 @lru_cache(maxsize=64)
@@ -344,15 +237,6 @@ def decode_imu(payload: bytes) -> Imu | None:
     return Imu(mask, **values, extra_bytes=extra)
 
 
-def decode_stats(payload: bytes) -> Stats | None:
-    """Decode a statistics reply; None if the mask is cut or a number not finite."""
-    if len(payload) < 5:
-        return None
-    mask = int.from_bytes(payload[1:5], "big")
-    values, extra = unpack_fields(_selected(_STATS_BITS, mask, None), payload, 5)
-    return Stats(mask, **values, extra_bytes=extra) if all_finite(values) else None
-
-
 @lru_cache(maxsize=64)
 def values_size(mask: int | None, firmware: Firmware) -> int:
     """Payload length of the telemetry reply that this firmware sends [bytes]."""
@@ -367,7 +251,7 @@ def _imu_units(fields: tuple[Field, ...]) -> tuple[float, ...]:
     return tuple(_IMU_UNIT.get(field.name, 1.0) for field in fields)
 
 
-def _device_bytes(reply: Values | ValuesSetup | Imu | Stats, fields: tuple[Field, ...]) -> bytes:
+def _device_bytes(reply: Values | Imu, fields: tuple[Field, ...]) -> bytes:
     numbers = [value or 0 for value in read_values(fields, reply)]
     if isinstance(reply, Imu):
         numbers = list(map(truediv, numbers, _imu_units(fields)))
@@ -384,13 +268,10 @@ def encode_values(reply: Values, firmware: Firmware) -> bytes:
     return head + _device_bytes(reply, _selected(_VALUES_BITS, reply.mask, firmware))
 
 
-def encode_setup(reply: ValuesSetup, firmware: Firmware) -> bytes:
-    """Set-up telemetry reply as this firmware sends it; what is None goes out as zero."""
-    fields = _selected(_SETUP_BITS, reply.mask, firmware)
-    if reply.mask is None:
-        return bytes((CommandId.GET_VALUES_SETUP,)) + _device_bytes(reply, fields)
+def encode_uptime(reply: Uptime, firmware: Firmware) -> bytes:
+    """The VESC's clock; firmware before 5.03 echoes the mask alone."""
     head = bytes((CommandId.GET_VALUES_SETUP_SELECTIVE,)) + reply.mask.to_bytes(4, "big")
-    return head + _device_bytes(reply, fields)
+    return head + (reply.uptime_ms.to_bytes(4, "big") if firmware >= FW_5_03 else b"")
 
 
 def encode_imu(reply: Imu, firmware: Firmware) -> bytes:
@@ -399,9 +280,3 @@ def encode_imu(reply: Imu, firmware: Firmware) -> bytes:
     body = _device_bytes(reply, _selected(_IMU_BITS, reply.mask, None))
     trailer = bytes((reply.controller_id or 0,)) if firmware >= FW_6_05 else b""
     return head + body + trailer
-
-
-def encode_stats(reply: Stats, firmware: Firmware) -> bytes:
-    """Statistics reply as this firmware sends it."""
-    head = bytes((CommandId.GET_STATS,)) + reply.mask.to_bytes(4, "big")
-    return head + _device_bytes(reply, _selected(_STATS_BITS, reply.mask, firmware))

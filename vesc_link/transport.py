@@ -33,68 +33,51 @@ _UDEV_HINT = (
 class PortError(OSError):
     """A serial port that cannot be used; ``hint`` says what to try next."""
 
-    def __init__(self, url: str, what: str, hint: str) -> None:
+    hint = ""
+
+    def __init__(self, url: str, what: str) -> None:
         super().__init__(f"{url}: {what}")
         self.url = url
-        self.hint = hint
 
 
 class NotFound(PortError):  # noqa: N818
     """No such port, or not one that a VESC can be on."""
 
+    hint = (
+        "is the VESC powered and its USB cable in? `ls -l /dev/ttyACM* /dev/serial/by-id` shows the"
+        f" ports there are; for a stable name, {_UDEV_HINT}"
+    )
+
 
 class PermissionDenied(PortError):  # noqa: N818
     """The user may not open the port."""
+
+    hint = f"`sudo usermod -aG dialout $USER`, then log out and in again; or {_UDEV_HINT}"
 
 
 class Busy(PortError):  # noqa: N818
     """Another program holds the port."""
 
+    hint = (
+        "close VESC Tool, another steerd or a ROS driver on this port (`fuser -v PORT` names it); "
+        f"if ModemManager probes it, {_UDEV_HINT}"
+    )
+
 
 class LinkDown(PortError):  # noqa: N818
     """The port was open and does not take or give bytes any more."""
 
-
-def _not_found(url: str, what: str) -> NotFound:
-    return NotFound(
-        url,
-        what,
-        "is the VESC powered and its USB cable in? `ls -l /dev/ttyACM* /dev/serial/by-id` shows the"
-        f" ports there are; for a stable name, {_UDEV_HINT}",
-    )
-
-
-def _denied(url: str, what: str) -> PermissionDenied:
-    return PermissionDenied(
-        url,
-        what,
-        f"`sudo usermod -aG dialout $USER`, then log out and in again; or {_UDEV_HINT}",
-    )
-
-
-def _busy(url: str, what: str) -> Busy:
-    return Busy(
-        url,
-        what,
-        "close VESC Tool, another steerd or a ROS driver on this port (`fuser -v PORT` names it); "
-        f"if ModemManager probes it, {_UDEV_HINT}",
-    )
-
-
-def _link_down(url: str, what: str) -> LinkDown:
-    return LinkDown(
-        url, what, "check the USB cable and the VESC's power; the motor's state is unknown"
-    )
+    hint = "check the USB cable and the VESC's power; the motor's state is unknown"
 
 
 _ON_OPEN = {
-    errno.EACCES: _denied,
-    errno.EPERM: _denied,
-    errno.EBUSY: _busy,
-    errno.EAGAIN: _busy,
-    errno.EIO: _link_down,
-    errno.ENODEV: _link_down,
-    errno.ENXIO: _link_down,
+    errno.EACCES: PermissionDenied,
+    errno.EPERM: PermissionDenied,
+    errno.EBUSY: Busy,
+    errno.EAGAIN: Busy,
+    errno.EIO: LinkDown,
+    errno.ENODEV: LinkDown,
+    errno.ENXIO: LinkDown,
 }
 
 
@@ -129,9 +112,9 @@ class Port:
         except BlockingIOError:
             return b""
         except OSError as error:
-            raise _link_down(self.url, f"read failed: {error.strerror}") from error
+            raise LinkDown(self.url, f"read failed: {error.strerror}") from error
         if not data:
-            raise _link_down(self.url, "hung up")
+            raise LinkDown(self.url, "hung up")
         if self._spy is not None:
             self._spy.rx(data)
         return data
@@ -145,13 +128,13 @@ class Port:
         try:
             count = os.write(self.fd, data)
         except BlockingIOError as error:
-            raise _link_down(self.url, "transmit buffer full, nothing sent") from error
+            raise LinkDown(self.url, "transmit buffer full, nothing sent") from error
         except OSError as error:
-            raise _link_down(self.url, f"write failed: {error.strerror}") from error
+            raise LinkDown(self.url, f"write failed: {error.strerror}") from error
         if self._spy is not None:
             self._spy.tx(bytes(data[:count]))
         if count != len(data):
-            raise _link_down(self.url, f"short write: {count} of {len(data)} bytes")
+            raise LinkDown(self.url, f"short write: {count} of {len(data)} bytes")
 
     def out_queue(self) -> int:
         """Bytes the kernel has not sent yet; a growing number means the device does not read.
@@ -162,7 +145,7 @@ class Port:
         try:
             raw = fcntl.ioctl(self.fd, termios.TIOCOUTQ, b"\0\0\0\0")
         except (OSError, ValueError) as error:
-            raise _link_down(self.url, f"status failed: {error}") from error
+            raise LinkDown(self.url, f"status failed: {error}") from error
         return int(struct.unpack("i", raw)[0])
 
     def close(self) -> None:
@@ -221,7 +204,7 @@ def _device_path(url: str) -> Path:
         return Path(url)
     parts = urlsplit(url)
     if parts.scheme != "spy":
-        raise _not_found(url, f"{parts.scheme}:// has no file descriptor to drive a car through")
+        raise NotFound(url, f"{parts.scheme}:// has no file descriptor to drive a car through")
     return Path(parts.netloc + parts.path)
 
 
@@ -245,7 +228,7 @@ def _take_lock(url: str, device: Path, lock_dir: Path) -> int | None:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         os.close(fd)
-        raise _busy(url, "another steerd holds it") from error
+        raise Busy(url, "another steerd holds it") from error
     return fd
 
 
@@ -254,7 +237,7 @@ def _open_device(url: str) -> serial.Serial:
         return serial.serial_for_url(url, exclusive=True, timeout=0, write_timeout=0)
     except serial.SerialException as error:
         number = error.errno if error.errno is not None else _cause(error)
-        make = _ON_OPEN.get(number, _not_found)
+        make = _ON_OPEN.get(number, NotFound)
         raise make(url, os.strerror(number) if number else "no serial port") from error
 
 
@@ -274,7 +257,7 @@ def _configure(port: Port) -> None:
         settings[6][termios.VMIN] = 1
         termios.tcsetattr(port.fd, termios.TCSANOW, settings)
     except termios.error as error:
-        raise _link_down(port.url, f"configuration failed: {error}") from error
+        raise LinkDown(port.url, f"configuration failed: {error}") from error
 
 
 def _try_ioctl(fd: int, request: int) -> None:

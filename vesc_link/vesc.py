@@ -9,23 +9,24 @@ keep the last motor command running although this program hangs.
 from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
+from math import nan
 
-from steerd.steer_bus.quick_values import quick_init
+from steerd.steer_bus.messages import ActuationMode
+from steerd.steer_bus.quick_values import quick_init, quick_value
 from steerd.vesc_link import commands as c
-from steerd.vesc_link import events as e
 from steerd.vesc_link.commands import Command
 from steerd.vesc_link.frames import MAX_PAYLOAD, RUNNING_CEILING, Frame, FrameParser, encode_frame
 from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
 from steerd.vesc_link.ids import (
     FAULT_WATCHDOG_BOOT,
     FW_3_00,
+    FW_5_03,
     FW_7_01,
     CommandId,
     Firmware,
     command_id,
-    fault_name,
     knows,
-)
+)  # fmt: skip
 from steerd.vesc_link.packets import (
     FEEDS_TIMEOUT,
     Reply,
@@ -33,17 +34,9 @@ from steerd.vesc_link.packets import (
     decode_numbered,
     encode_command,
     expects_reply,
-)
+)  # fmt: skip
 from steerd.vesc_link.scaling import Scaling, speed_to_erpm, steer_to_servo_pos
-from steerd.vesc_link.telemetry import (
-    FAST_MASK,
-    UPTIME_MASK,
-    Imu,
-    Stats,
-    Values,
-    ValuesSetup,
-    values_size,
-)
+from steerd.vesc_link.telemetry import FAST_MASK, UPTIME_MASK, Imu, Uptime, Values, values_size
 
 WRITE_LIMIT = 64
 """One write per tick fits one USB packet [bytes]."""
@@ -57,16 +50,69 @@ CONNECT_TRIES = 5
 FIRST_KNOWN_APPCONF = Firmware(3, 55)
 """Older app configurations may begin with other fields (`docs/reference/vesc-serial.md#v2.6`)."""
 
-_NOT_BY_REQUEST = (
-    *FEEDS_TIMEOUT, c.SetServoPos, c.SetDetect, c.ForwardCan, c.Reboot, c.GetMcConf,
-    c.GetMcConfDefault, c.GetAppConfDefault,
-)  # fmt: skip
-_UNSOLICITED = frozenset((CommandId.PRINT, CommandId.ROTOR_POSITION, CommandId.CUSTOM_APP_DATA))
+_NOT_BY_REQUEST = (*FEEDS_TIMEOUT, c.SetServoPos, c.Reboot)
+
+
+@quick_value
+class Drive:
+    """An order for motor and servo; nothing by itself, so that the VESC's own timeout can strike.
+
+    Attributes:
+        mode: SPEED follows `speed`; BRAKE brakes with `current`, which must be repeated; SHORT sets
+            the duty cycle zero, the second means when brake current has no effect; RELEASE lets the
+            car coast; SILENT sends no motor command.
+        steer: road-wheel angle [rad, left positive]; None leaves the servo alone.
+        speed: [m/s].
+        current: [A].
+    """
+
+    mode: ActuationMode = ActuationMode.SILENT
+    steer: float | None = None
+    speed: float = nan
+    current: float = nan
+
+
+@quick_value
+class Answer:
+    """A reply to a request; the measurement lies between the two times [ns, monotonic].
+
+    Attributes:
+        reply: what the VESC said.
+        t_sent_ns: when the request was written.
+        t_received_ns: when the reply's first byte was read.
+    """
+
+    reply: Reply
+    t_sent_ns: int
+    t_received_ns: int
+
+    @property
+    def stamp_ns(self) -> int:
+        """Estimate of the time of measurement: the middle."""
+        return (self.t_sent_ns + self.t_received_ns) // 2
+
+
+@quick_value
+class Rebooted:
+    """The VESC restarted: session limits are gone and its tachometer began anew."""
+
+    reason: str
+    t_received_ns: int
+
+
+Event = Answer | Rebooted
 
 
 @dataclass(slots=True)
 class Counters:
-    """What went wrong on the link so far; the parser counts checksum errors and lost bytes."""
+    """What went wrong on the link so far; the parser counts checksum errors and lost bytes.
+
+    Attributes:
+        expired: requests without an answer in time.
+        unknown_ids: frames of a kind that is not known.
+        unsolicited: replies that nobody asked for; not the text that a VESC prints.
+        odd_lengths: replies too short for this firmware.
+    """
 
     expired: int = 0
     unknown_ids: int = 0
@@ -74,8 +120,7 @@ class Counters:
     odd_lengths: int = 0
 
 
-_UPTIME_SINCE = Firmware(5, 3)
-_MASKED = (Values, ValuesSetup, Imu, Stats)
+_MASKED = (Values, Uptime, Imu)
 _POLLS = (c.GetValues, c.GetValuesSelective, c.GetImuData, c.GetValuesSetupSelective)
 
 
@@ -128,7 +173,6 @@ class VescLink:
         self.limits: McConfTemp | None = None
         self._open: dict[CommandId, _Request] = {}
         self._just_expired: dict[CommandId, int] = {}
-        self._expired_events: list[e.Event] = []
         self._tries: dict[CommandId, int] = {}
         self._queue: deque[Command] = deque()
         self._uptime_due_ns: int | None = None
@@ -144,14 +188,19 @@ class VescLink:
         known = self.appconf is not None and self.limits is not None
         return known or self._connect_step() is None
 
+    @property
+    def expected(self) -> bool:
+        """Whether the VESC that answered last is the one that was demanded."""
+        uuid = None if self.version is None else self.version.uuid
+        return self._expected_uuid in (None, uuid)
+
     def request(self, command: Command) -> None:
         """Send a one-off command with one of the next ticks that has room for it.
 
         SET_MCCONF_TEMP (50 bytes) has room only in a tick without motor command.
 
         Raises:
-            ValueError: a command that drives, steers or keeps driving (ticks alone do that), or one
-                whose reply only VESC Tool understands.
+            ValueError: a command that drives, steers or restarts: ticks alone drive.
         """
         if isinstance(command, _NOT_BY_REQUEST):
             raise ValueError(f"{type(command).__name__} is not sent on request")
@@ -192,7 +241,7 @@ class VescLink:
     def _may_try(self, number: CommandId) -> bool:
         return number in self._open or self._tries.get(number, 0) < CONNECT_TRIES
 
-    def make_tick(self, drive: e.Drive, t_ns: int) -> bytes:
+    def make_tick(self, drive: Drive, t_ns: int) -> bytes:
         """All bytes of one tick: motor, servo, then as many polls as fit into 64 bytes.
 
         Raises:
@@ -215,19 +264,17 @@ class VescLink:
             room -= len(frame)
         return b"".join(parts)
 
-    def _motion(self, drive: e.Drive) -> list[Command]:
+    def _motion(self, drive: Drive) -> list[Command]:
         commands: list[Command] = []
-        match drive:
-            case e.DriveSpeed(speed=speed):
-                commands.append(c.SetErpm(speed_to_erpm(self._scaling, speed)))
-            case e.DriveBrake(current=current):
-                commands.append(c.SetCurrentBrake(current))
-            case e.DriveShort():
+        match drive.mode:
+            case ActuationMode.SPEED:
+                commands.append(c.SetErpm(speed_to_erpm(self._scaling, drive.speed)))
+            case ActuationMode.BRAKE:
+                commands.append(c.SetCurrentBrake(drive.current))
+            case ActuationMode.SHORT:
                 commands.append(c.SetDuty(0.0))
-            case e.DriveRelease():
+            case ActuationMode.RELEASE:
                 commands.append(c.SetCurrent(0.0))
-            case e.DriveSilent():
-                pass
         if drive.steer is not None:
             commands.append(c.SetServoPos(steer_to_servo_pos(self._scaling, drive.steer)))
         return commands
@@ -272,22 +319,18 @@ class VescLink:
                 self.counters.expired += 1
                 # The answer may still come, and then looks like that to the next request.
                 self._just_expired[number] = request.t_earliest_ns
-                self._expired_events.append(e.Expired(request.command, request.t_sent_ns))
 
     # --- VESC to host ---------------------------------------------------------------------------
 
-    def on_bytes(self, t_ns: int, data: bytes) -> list[e.Event]:
+    def on_bytes(self, t_ns: int, data: bytes) -> list[Event]:
         """Take bytes read at ``t_ns`` (or none) and return what they mean, in order."""
-        events: list[e.Event] = []
+        events: list[Event] = []
         if data or self.parser.buffered:
             self.parser.ceiling = self._ceiling()
             for frame in self.parser.feed_stamped(data, t_ns):
                 events += self._on_frame(frame)
         if self._open:
             self._expire(t_ns)
-        if self._expired_events:
-            events += self._expired_events
-            self._expired_events = []
         return events
 
     def _ceiling(self) -> int:
@@ -297,27 +340,24 @@ class VescLink:
             else MAX_PAYLOAD
         )
 
-    def _on_frame(self, frame: Frame) -> list[e.Event]:
-        firmware = self.firmware or FW_7_01
-        number = command_id(frame.payload[0], firmware)
-        reply = None if number is None else decode_numbered(number, frame.payload)
+    def _on_frame(self, frame: Frame) -> list[Event]:
+        counters, number = self.counters, command_id(frame.payload[0], self.firmware or FW_7_01)
+        if number is None:
+            counters.unknown_ids += 1
+            return []
+        reply = decode_numbered(number, frame.payload)
         if isinstance(reply, Print):
-            return [e.Printed(reply.text, frame.t_first_ns)]
-        if number is None or number in _UNSOLICITED:
-            self.counters.unknown_ids += number is None
-            return [self._unknown(frame, number, "unknown id" if number is None else "unsolicited")]
+            return []
         if reply is None or self._is_odd(reply, len(frame.payload)):
-            self.counters.odd_lengths += 1
-            return [self._unknown(frame, number, "wrong length for this firmware")]
+            counters.odd_lengths += 1
+            return []
         request = self._open.get(number)
         if request is None or not _answers(reply, request.command):
-            self.counters.unsolicited += 1
-            return [self._unknown(frame, number, "not requested")]
+            counters.unsolicited += 1
+            return []
         del self._open[number]
-        return self._on_reply(reply, e.Stamped(request.t_earliest_ns, frame.t_first_ns))
-
-    def _unknown(self, frame: Frame, number: CommandId | None, reason: str) -> e.Unknown:
-        return e.Unknown(frame.payload, number, reason, frame.t_first_ns)
+        answer = Answer(reply, request.t_earliest_ns, frame.t_first_ns)
+        return [answer, *self._learn(reply, frame.t_first_ns)]
 
     def _is_odd(self, reply: Reply, size: int) -> bool:
         """Whether a measurement is shorter than this firmware's; a newer one may send more."""
@@ -328,35 +368,27 @@ class VescLink:
         expected = values_size(reply.mask, self.firmware)
         return size != expected if self.firmware <= FW_3_00 else size < expected
 
-    def _on_reply(self, reply: Reply, when: e.Stamped) -> list[e.Event]:
+    def _learn(self, reply: Reply, t_ns: int) -> list[Event]:
+        """Keep what the VESC said of itself; restarts that telemetry or its clock show."""
         match reply:
             case Values():
-                return [e.Telemetry(reply, when), *self._watch(reply, when.t_received_ns)]
-            case Imu():
-                return [e.ImuSample(reply, when)]
-            case ValuesSetup(uptime_ms=int(uptime_ms)):
-                return [e.Uptime(uptime_ms, when), *self._watch_uptime(uptime_ms, when)]
+                return self._watch(reply, t_ns)
+            case Uptime(uptime_ms=uptime_ms):
+                went_back, self._uptime_ms = uptime_ms < self._uptime_ms, uptime_ms
+                return [self._rebooted("its uptime went back", t_ns)] if went_back else []
             case FwVersion():
                 self.version, self.firmware = reply, reply.firmware
-                expected = self._expected_uuid in (None, reply.uuid)
-                return [e.Identity(reply, expected, when)]
             case AppConf():
                 self.appconf = reply
-                return [e.AppConfRead(reply, when)]
             case McConfTemp():
                 self.limits = reply
-                return [e.LimitsRead(reply, when)]
-            case _:
-                return [e.Answer(reply, when)]
+        return []
 
-    def _watch(self, values: Values, t_ns: int) -> list[e.Event]:
-        """Faults and restarts that telemetry shows."""
-        events: list[e.Event] = []
+    def _watch(self, values: Values, t_ns: int) -> list[Event]:
+        events: list[Event] = []
         fault = values.fault or 0
-        if fault and fault != self._fault:
-            events.append(e.FaultSeen(fault, fault_name(fault), t_ns))
-            if fault == FAULT_WATCHDOG_BOOT:
-                events.append(self._rebooted("its watchdog restarted it", t_ns))
+        if fault == FAULT_WATCHDOG_BOOT and fault != self._fault:
+            events.append(self._rebooted("its watchdog restarted it", t_ns))
         self._fault = fault
         if values.tachometer_abs is not None:
             if values.tachometer_abs < self._tachometer_abs:
@@ -364,22 +396,17 @@ class VescLink:
             self._tachometer_abs = values.tachometer_abs
         return events
 
-    def _watch_uptime(self, uptime_ms: int, when: e.Stamped) -> list[e.Event]:
-        went_back = uptime_ms < self._uptime_ms
-        self._uptime_ms = uptime_ms
-        return [self._rebooted("its uptime went back", when.t_received_ns)] if went_back else []
-
-    def _rebooted(self, reason: str, t_ns: int) -> e.Rebooted:
+    def _rebooted(self, reason: str, t_ns: int) -> Rebooted:
         self.limits = None
         self._tries.clear()
-        return e.Rebooted(reason, t_ns)
+        return Rebooted(reason, t_ns)
 
 
 @lru_cache(maxsize=8)
 def _known_polls(firmware: Firmware) -> tuple[bool, bool, bool]:
     """Whether this firmware can be asked for chosen values, its IMU, its uptime."""
     selective = knows(firmware, CommandId.GET_VALUES_SELECTIVE)
-    return selective, knows(firmware, CommandId.GET_IMU_DATA), firmware >= _UPTIME_SINCE
+    return selective, knows(firmware, CommandId.GET_IMU_DATA), firmware >= FW_5_03
 
 
 @lru_cache(maxsize=64)

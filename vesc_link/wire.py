@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import attrgetter, le, mul, truediv
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 from steerd.vesc_link.ids import ALWAYS, Firmware
 
@@ -187,18 +187,13 @@ def _reader(fields: tuple[Field, ...]) -> Callable[[object], tuple[Any, ...]]:
     return read if len(fields) > 1 else lambda record: (read(record),)
 
 
-def pack_fields(
-    fields: tuple[Field, ...], values: Sequence[Number | None], rounder: Rounder
-) -> bytes:
+def pack_fields(fields: tuple[Field, ...], values: Sequence[Number], rounder: Rounder) -> bytes:
     """Write fields in order, one value for each.
 
     Raises:
-        ValueError: a value is missing, not finite or does not fit.
+        ValueError: a value is not finite or does not fit.
     """
-    if None in values:
-        missing = fields[values.index(None)].name
-        raise ValueError(f"{missing} has no value; a packet is sent whole or not at all")
-    return _struct(fields).pack(*rounder(fields, cast("Sequence[Number]", values)))
+    return _struct(fields).pack(*rounder(fields, values))
 
 
 @lru_cache(maxsize=64)
@@ -245,9 +240,9 @@ def unpack_fields(
     return values, left - layout.numbers.size
 
 
-def all_finite(values: Mapping[str, Number | None]) -> bool:
+def all_finite(values: Mapping[str, Number]) -> bool:
     """Whether no value is NaN or infinite; a firmware sends neither, so such a packet is wrong."""
     for value in values.values():  # noqa: SIM110 - thrice as fast as a generator
-        if value is not None and not math.isfinite(value):
+        if not math.isfinite(value):
             return False
     return True

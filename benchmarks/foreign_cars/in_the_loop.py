@@ -34,8 +34,7 @@ from steerd.daemon.assembly.build import make_plan, make_world_config
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import drive
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.sim_hw.plant.car import CarSetup, Demand, Drive
-from steerd.sim_hw.plant.delay import DelayLine
+from steerd.sim_hw.plant.car import CarSetup, DelayLine, Demand, Drive
 from steerd.sim_hw.world import World
 
 FIRST_SEED = 7000

@@ -32,12 +32,14 @@ CHANGES: dict[str, Values] = {
     "steer_gain": {"gain": 0.88},
     "steer_bias": {"bias": 0.02},
     "steer_delay": {"delay": 0.04},
+    "steer_lag": {"lag": 0.08},
+    "steer_backlash": {"play": 0.03},
     "tyre_friction": {"ratio": 0.6},
     "speed_scale": {"scale": 0.95},
     "mocap_yaw": {"offset": 0.03},
     "marker_offset": {"forward": 0.03, "left": 0.0},
 }
-"""The seven changes, as the blind test defines its effects on the plant."""
+"""The nine changes, as the blind test defines its effects on the plant."""
 
 
 def changed(car: PlantCar, name: str) -> PlantCar:

@@ -50,9 +50,9 @@ class Said:
 
 def names_of(finding: Finding | None) -> tuple[str, ...]:
     """The name said, and what it cannot be distinguished from; empty where none is."""
-    if finding is None or finding.verdict != "named":
+    if finding is None or finding.cause is None:
         return ()
-    return (finding.cause.effect, *finding.cause.alternatives)
+    return (finding.cause.effect, *finding.cause.ambiguous_with)
 
 
 def follow_drive(seed: int, name: str, seconds: float = 0.0) -> Said:
@@ -98,10 +98,9 @@ def follow_drive(seed: int, name: str, seconds: float = 0.0) -> Said:
 
 
 def _first_amount(state: State) -> tuple[float, float]:
-    """By how much the first parameter of what is suspected now moved, with its standard error."""
-    if state.change is None:
-        return np.nan, np.nan
-    value, sd, _ = next(iter(amounts_of(state.change).values()))
+    """By how much the first parameter of what is named now moved, with its standard error."""
+    amounts = amounts_of(state.change) if state.change else {}
+    value, sd, _ = next(iter(amounts.values()), (np.nan, np.nan, ""))
     return value, sd
 
 

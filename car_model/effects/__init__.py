@@ -1,8 +1,8 @@
-"""The library of unmodelled effects: one file of a page each, found by itself.
+"""The library of unmodelled effects: one file for each family of causes, found by itself.
 
-The folders are for people; they mean nothing to the code. A module that does not start with an
-underscore exposes `EFFECT`. To add an effect, add its file: it then appears in `steerd effects`, in
-`--effect`, in car files and in the diagnosis.
+Every `Effect` that a module of this folder defines belongs to the library. A new one joins its
+family's file or comes in a file of its own: it then appears in `steerd effects`, in `--effect`, in
+car files and in the diagnosis.
 """
 
 import difflib
@@ -18,12 +18,10 @@ Setting = tuple[Effect, tuple[float, ...]]
 
 
 def _discovered() -> dict[str, Effect]:
-    """Every module's `EFFECT`, by name."""
-    infos = pkgutil.walk_packages(__path__, f"{__name__}.")
-    names = (info.name for info in infos if not info.ispkg)
-    files = (name for name in names if not name.rpartition(".")[2].startswith("_"))
-    found: list[Effect] = [import_module(name).EFFECT for name in files]
-    return {effect.name: effect for effect in found}
+    """The effects of all modules, by name."""
+    names = sorted(f"{__name__}.{info.name}" for info in pkgutil.iter_modules(__path__))
+    values = (value for name in names for value in vars(import_module(name)).values())
+    return {value.name: value for value in values if isinstance(value, Effect)}
 
 
 EFFECTS: Mapping[str, Effect] = _discovered()
@@ -60,26 +58,12 @@ def check_value(effect: Effect, parameter: EffectParameter, value: float) -> flo
     )
 
 
-def parse_effect(text: str) -> Setting:
-    """One effect with its values out of a command line.
+def parse_effects(text: str) -> list[Setting]:
+    """Effects with their values out of a command line, commas between them.
 
     `steer_delay=0.03`; several parameters in order, `grip_patch=2,0.5,0.4,0.3`; by name,
-    `grip_patch:x=2,drop=0.3`. Parameters that are not given stay at their null.
-
-    Raises:
-        ValueError: The effect, a parameter or a value is not one; the message says which.
-    """
-    settings = parse_effects(text)
-    if len(settings) != 1:
-        raise ValueError(f"one effect expected, not {len(settings)} in {text!r}")
-    return settings[0]
-
-
-def parse_effects(text: str) -> list[Setting]:
-    """Several effects out of a command line, commas between them.
-
-    `steer_delay=0.03,floor_slope=0.005,0.002`: what has no `=` is the next value of the effect
-    before it. See `parse_effect` for the forms of one effect.
+    `grip_patch:x=2,drop=0.3`. Parameters that are not given stay at their null, and what has no `=`
+    is the next value of the effect before it: `steer_delay=0.03,floor_slope=0.005,0.002`.
 
     Raises:
         ValueError: The text is not such a list; the message says where.

@@ -13,7 +13,7 @@ from steerd.car_model.effect import Effect
 
 LIBRARY = Path(__file__).with_name("equations.so")
 LEVELS: dict[str, dict[str, str]] = {
-    "x86_64": {"v4": "x86-64-v4", "v3": "x86-64-v3", "v1": "x86-64"},
+    "x86_64": {"v4": "x86-64-v4", "v3": "x86-64-v3", "v1": "x86-64"}
 }
 """Processor levels by machine, best first: name in the library, the compilers' name."""
 _FEATURES = {

@@ -13,7 +13,6 @@ from math import inf
 from typing import NamedTuple
 
 from steerd.car_model.chassis import Chassis
-from steerd.car_model.native.layout import row_layout
 from steerd.car_model.native.specialised import SPECIALISED_SPEED, Range, specialise
 from steerd.car_model.native.trace import CHASSIS, Piece, Traced
 from steerd.car_model.params import Car
@@ -27,6 +26,7 @@ from steerd.car_model.prediction import (
     recorded_step,
     recorded_tangent,
 )
+from steerd.car_model.state import State
 from steerd.car_model.tape import Entry, Node, Tape, gradient, needed
 
 ALWAYS = -1
@@ -110,10 +110,7 @@ class Printer:
     # -- functions -------------------------------------------------------------------------------
 
     def block(
-        self,
-        head: str,
-        inputs: Sequence[Node],
-        targets: Sequence[tuple[str, Node, int]],
+        self, head: str, inputs: Sequence[Node], targets: Sequence[tuple[str, Node, int]]
     ) -> None:
         """A function that computes targets: (place to write, formula, parameter it is by)."""
         need: dict[int, set[int]] = {}
@@ -268,6 +265,49 @@ class Printer:
                 self.lines.append(f"    const double v{place} = {text};")
         self.lines += [f"    q[{slot}] = v{place};" for place, slot in self.hoisted.items()]
         self.lines += ["}", f"enum {{ {self.prefix}_CONSTANTS = {len(self.hoisted)} }};", ""]
+
+
+def row_layout(traced: Traced) -> dict[str, int]:
+    """Where the inputs and outputs of each piece stand in its workspace: row numbers by name.
+
+    A workspace holds its inputs in the order in which `trace` lists them, then its outputs. The
+    names are printed into every compiled module, so that no loop counts states itself.
+
+    Actuators: state, memory, command, time -> wheel at start and end, steer, accel, memory.
+    Rates: chassis, wheel, accel, memory, time -> rates of the chassis.
+    Remember: state before, state after, memory, time -> memory.
+    Observe: state -> readings.
+    """
+    states, chassis, memory = len(State._fields), len(traced.rates.outputs), traced.memory
+    return {
+        "FIRST": 0,
+        "ONE": 1,
+        "STATES": states,
+        "CHASSIS": chassis,
+        "STEER": State._fields.index("steer"),
+        "SPEED": State._fields.index("speed"),
+        "YAW_RATE": State._fields.index("yaw_rate"),
+        "MEMORY": memory,
+        "ACTUATORS_COMMAND": states + memory,
+        "ACTUATORS_TIME": states + memory + 2,
+        "ACTUATORS_INPUTS": len(traced.actuators.inputs),
+        "ACTUATORS_OUTPUTS": len(traced.actuators.outputs),
+        "WHEEL_START": 0,
+        "WHEEL_END": 1,
+        "STEER_END": 2,
+        "ACCEL": 3,
+        "MEMORY_END": 4,
+        "RATES_WHEEL": chassis,
+        "RATES_ACCEL": chassis + 1,
+        "RATES_TIME": chassis + 2 + memory,
+        "RATES_INPUTS": len(traced.rates.inputs),
+        "REMEMBER_AFTER": states,
+        "REMEMBER_MEMORY": 2 * states,
+        "REMEMBER_TIME": 2 * states + memory,
+        "REMEMBER_INPUTS": len(traced.remember.inputs),
+        "READINGS": len(traced.observe.outputs),
+        "PARAMETER_COUNT": len(traced.parameters),
+    }
 
 
 def print_filter(chassis: Chassis) -> str:

@@ -152,10 +152,10 @@ Several parameters go in order (`floor_slope=0.005,0.002`) or by name (`grip_pat
 what is not given stays at its null, and at its nulls an effect changes nothing, bit for bit
 (a contract test holds every effect to that, in floats and in tensors).
 
-An effect is one file of a page in `car_model/effects/`: name, parameters (null, bounds, unit, prior
-scale: the column "usual" is what is ordinary on a car of this class) and functions for the stages
-it touches. Adding the file is all there is to adding an effect; this page is then rewritten with
-`steerd effects --page` (a test compares them).
+An effect is a page in its family's file in `car_model/effects/`: name, parameters (null, bounds,
+unit, prior scale: the column "usual" is what is ordinary on a car of this class) and functions for
+the stages it touches. Adding that page is all there is to adding an effect; this one is then
+rewritten with `steerd effects --page` (a test compares them).
 
 Limits: an effect acts on the planar single-track car, so roll, pitch and the split between left and
 right wheels appear only through their effect on the axles. The diagnosis reports effects that are

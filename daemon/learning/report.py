@@ -81,7 +81,7 @@ def _number(value: Value | None) -> tuple[float, float]:
 def _reported_change(change: Change) -> ReportedChange:
     finding, cause = change.finding, change.finding.cause
     since, noticed = round(change.since * NS), round(change.noticed * NS)
-    if finding.verdict != "named":
+    if cause is None:
         return ReportedChange(since, noticed, finding.verdict, "", nan, (), ())
     reported = tuple(ReportedValue(name, *amount) for name, amount in amounts_of(change).items())
     return ReportedChange(
@@ -90,6 +90,6 @@ def _reported_change(change: Change) -> ReportedChange:
         finding.verdict,
         cause.effect,
         cause.confidence,
-        cause.alternatives,
+        cause.ambiguous_with,
         reported,
     )

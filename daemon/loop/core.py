@@ -22,19 +22,24 @@ from steerd.daemon.loop.outgoing import (
 )
 from steerd.daemon.loop.supervisor import Action
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.mocap_link.source import PoseSample, SourceStatus
+from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode
 from steerd.steer_bus.standard import Log, make_time
-from steerd.vesc_link import events as e
 from steerd.vesc_link.commands import GetMcConfTemp, SetCurrent, SetCurrentBrake
-from steerd.vesc_link.events import DriveBrake, DriveSilent
 from steerd.vesc_link.frames import encode_frame
-from steerd.vesc_link.identity import McConfTemp
+from steerd.vesc_link.identity import (
+    AppConf,
+    FwVersion,
+    McConfTemp,
+    limits_hold,
+    make_restored_limits,
+    make_session_limits,
+)
 from steerd.vesc_link.packets import encode_command
-from steerd.vesc_link.session_limits import limits_hold, make_restored_limits, make_session_limits
-from steerd.vesc_link.vesc import VescLink
+from steerd.vesc_link.telemetry import Imu, Uptime, Values
+from steerd.vesc_link.vesc import Answer, Drive, VescLink
 
 DIAGNOSTICS_PERIOD_NS = 500_000_000
 """Longest time between two diagnostics messages."""
@@ -44,6 +49,8 @@ ERPM_MARGIN = 1.2
 """The VESC's own speed limit over the car file's: it must not cut in before the watchdogs."""
 _INFO, _ERROR = 20, 40
 """Levels of `rcl_interfaces/Log`."""
+_HANDSHAKE = (m.ActuationMode.SILENT, m.ActuationMode.BRAKE)
+"""Orders beside which a tick's write has room for the questions at the start."""
 _ALARM = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
 
 
@@ -90,37 +97,39 @@ class Core:
             self.latch_exception(error)
 
     def _on_serial(self, t_ns: int, data: bytes) -> None:
-        epoch = self.outbox.epoch_ns
         for event in self.link.on_bytes(t_ns, data):
-            match event:
-                case e.Telemetry():
-                    self.loop.on_telemetry(event)
-                    message = make_telemetry(event, self._uptime_ms, epoch)
-                    self.outbox.post(topics.VESC, message, t_ns, event.when.stamp_ns)
-                case e.ImuSample():
-                    self.loop.on_imu(event)
-                    self.outbox.post(topics.IMU, make_imu(event, epoch), t_ns, event.when.stamp_ns)
-                case e.Uptime():
-                    self._uptime_ms = event.uptime_ms
-                case e.Rebooted():
-                    self.flags |= Flag.REBOOTED
-                    self._limits_tries = 0
-                case e.Identity():
-                    self._check_identity(event)
-                    self._post_identity(t_ns)
-                case e.AppConfRead():
-                    self._post_identity(t_ns)
-                case e.LimitsRead():
-                    self._apply_session_limits(event.limits)
-                case _:
-                    pass
+            if isinstance(event, Answer):
+                self._on_answer(t_ns, event)
+            else:
+                self.flags |= Flag.REBOOTED
+                self._limits_tries = 0
 
-    def _check_identity(self, event: e.Identity) -> None:
+    def _on_answer(self, t_ns: int, answer: Answer) -> None:
+        stamp_ns = answer.stamp_ns
+        header = m.make_header(stamp_ns + self.outbox.epoch_ns, m.BODY)
+        match answer.reply:
+            case Values() as values:
+                self.loop.perception.on_telemetry(answer, values)
+                message = make_telemetry(header, answer, values, self._uptime_ms)
+                self.outbox.post(topics.VESC, message, t_ns, stamp_ns)
+            case Imu() as imu:
+                self.loop.perception.on_imu(stamp_ns, imu)
+                self.outbox.post(topics.IMU, make_imu(header, answer, imu), t_ns, stamp_ns)
+            case Uptime(uptime_ms=uptime_ms):
+                self._uptime_ms = uptime_ms
+            case FwVersion(uuid=uuid):
+                self._check_identity(uuid)
+                self._post_identity(t_ns)
+            case AppConf():
+                self._post_identity(t_ns)
+            case McConfTemp() as limits:
+                self._apply_session_limits(limits)
+
+    def _check_identity(self, uuid: bytes | None) -> None:
         """Accept one VESC per run: the first that matches the car file, if that names one."""
-        uuid = event.version.uuid
-        if event.expected and self._uuid is None:
+        if self.link.expected and self._uuid is None:
             self._uuid = uuid
-        self._expected = event.expected and uuid == self._uuid
+        self._expected = self.link.expected and uuid == self._uuid
         self._limits_tries = 0
 
     def _post_identity(self, t_ns: int) -> None:
@@ -175,13 +184,13 @@ class Core:
             frames += encode_frame(encode_command(make_restored_limits(self._limits_before)))
         return frames
 
-    def on_poses(self, samples: list[PoseSample]) -> None:
-        """Mocap samples, in order of arrival; never raises."""
+    def on_poses(self, poses: list[Pose]) -> None:
+        """Mocap's poses, in order of arrival; never raises."""
         try:
-            for sample in samples:
-                self.loop.on_pose(sample)
-                message = make_mocap(sample, self.outbox.epoch_ns)
-                self.outbox.post(topics.MOCAP, message, sample.t_arrival_ns, sample.t_valid_ns)
+            for pose in poses:
+                self.loop.perception.on_pose(pose)
+                message = make_mocap(pose, self.outbox.epoch_ns)
+                self.outbox.post(topics.MOCAP, message, pose.t_arrival_ns, pose.t_valid_ns)
         except Exception as error:
             self.latch_exception(error)
 
@@ -273,16 +282,16 @@ class Core:
             self.latch_exception(error)
             return make_failed_tick(self.loop, error, now_ns, bool(flags & Flag.LINKED))
 
-    def _make_wire(self, drive: e.Drive, now_ns: int) -> bytes:
+    def _make_wire(self, drive: Drive, now_ns: int) -> bytes:
         """This tick's bytes: drive order and polls, and the handshake until it is done."""
         if not self.flags & Flag.LINKED:
             return b""
         try:
             wire = self.link.make_tick(drive, now_ns)
         except ValueError:
-            brake = DriveBrake(None, self.loop.setup.settings.brakes.brake_current_a)
-            wire = self.link.make_tick(brake, now_ns)
-        if not self.link.ready and isinstance(drive, DriveSilent | DriveBrake):
+            brake = self.loop.setup.settings.brakes.brake_current_a
+            wire = self.link.make_tick(Drive(m.ActuationMode.BRAKE, current=brake), now_ns)
+        if not self.link.ready and drive.mode in _HANDSHAKE:
             wire += self.link.make_connect(now_ns)
         return wire
 

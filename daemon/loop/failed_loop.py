@@ -17,7 +17,8 @@ from steerd.daemon.loop.orders import make_order
 from steerd.daemon.loop.supervisor import Conditions, step_supervisor
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.settings.config import BrakeSettings
-from steerd.vesc_link.events import Drive, DriveBrake, DriveSpeed
+from steerd.steer_bus.messages import ActuationMode
+from steerd.vesc_link.vesc import Drive
 
 if TYPE_CHECKING:
     from steerd.daemon.loop.loop import Loop, TickResult
@@ -64,6 +65,6 @@ def make_failed_tick(loop: "Loop", error: BaseException, now_ns: int, linked: bo
 
 
 def _remove_steering(drive: Drive, brakes: BrakeSettings) -> Drive:
-    if isinstance(drive, DriveSpeed):
-        return DriveBrake(None, brakes.brake_current_a)
+    if drive.mode is ActuationMode.SPEED:
+        return Drive(ActuationMode.BRAKE, current=brakes.brake_current_a)
     return replace(drive, steer=None)

@@ -21,6 +21,7 @@ from steerd.car_model.state import Command
 from steerd.daemon.loop.follow_model import Actuator, Band, FollowModel
 from steerd.daemon.loop.supervisor import SOFT_BRAKE_SPEED
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.mocap_link.source import Pose
 from steerd.steer_bus.quick_values import quick_value
 
 LONG_TURN, LONG_TURN_S = 3.0, 0.2
@@ -193,31 +194,30 @@ def _compare_turn(first: Ends, last: Ends, turn: Turn, margin: float) -> tuple[f
     return rate, band, max(rate - band.high, band.low - rate) - margin / span
 
 
-def measure_turns(
-    track: Sequence[tuple[int, float, float, float]], span: float
-) -> tuple[Turn, ...]:
+def measure_turns(track: Sequence[Pose], span: float) -> tuple[Turn, ...]:
     """The ways from the newest pose back over `span` and over `LONG_TURN` times as long.
 
     A large miss shows in the short one at once, a small one in the long one above the noise.
 
     Args:
-        track: poses (time of validity [ns], x, y [m], yaw [rad]) in their order.
+        track: poses in their order.
         span: [s].
     """
     newest = len(track) - 1
     if newest < 1:
         return ()
-    t1, x1, y1, yaw1 = track[newest]
+    last = track[newest]
     found = []
     for length in (span, min(LONG_TURN * span, LONG_TURN_S)):
-        latest = t1 - round(length * _NS)
+        latest = last.t_valid_ns - round(length * _NS)
         at = newest
-        while at and track[at][0] > latest:
+        while at and track[at].t_valid_ns > latest:
             at -= 1
-        t0, x0, y0, yaw0 = track[at]
-        if t0 < t1:
-            way = hypot(x1 - x0, y1 - y0)
-            found.append(Turn(t0, t1, remainder(yaw1 - yaw0, tau), way))
+        first = track[at]
+        if first.t_valid_ns < last.t_valid_ns:
+            way = hypot(last.x - first.x, last.y - first.y)
+            angle = remainder(last.yaw - first.yaw, tau)
+            found.append(Turn(first.t_valid_ns, last.t_valid_ns, angle, way))
     return tuple(found)
 
 

@@ -81,10 +81,8 @@ from steerd.daemon.loop.watchdog_input import make_watchdog_input
 from steerd.daemon.loop.watchdogs import WatchdogState, is_slowing, step_watchdogs
 from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 from steerd.estimator.state_filter import StateEstimate
-from steerd.mocap_link.source import PoseSample
 from steerd.steer_bus.messages import Design, DriveCommand, OperatorRequest, ParameterRequest
 from steerd.steer_bus.quick_values import quick_value
-from steerd.vesc_link.events import ImuSample, Telemetry
 
 _DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
 _HARD = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
@@ -139,7 +137,7 @@ class Loop:
 
     Attributes:
         setup: what does not change.
-        perception: measurements and the state estimate.
+        perception: measurements, which are handed to it, and the state estimate.
         supervisor: memory of the state machine.
         lease, remote: the operator and the external controller.
         live: what may be changed while the car drives.
@@ -177,18 +175,6 @@ class Loop:
         self._ticks = 0
 
     # --- events
-
-    def on_pose(self, sample: PoseSample) -> None:
-        """A mocap sample arrived."""
-        self.perception.on_pose(sample)
-
-    def on_telemetry(self, telemetry: Telemetry) -> None:
-        """Motor telemetry arrived."""
-        self.perception.on_telemetry(telemetry)
-
-    def on_imu(self, sample: ImuSample) -> None:
-        """An IMU reading arrived."""
-        self.perception.on_imu(sample)
 
     def on_vesc(self, vesc: VescInfo | None) -> None:
         """The VESC reported about itself, or is gone (None)."""
@@ -414,7 +400,6 @@ class Loop:
         seen, setup = self.perception, self.setup
         th = setup.settings.thresholds
         known = self.vesc is not None and self.vesc.expected and self.vesc.timeout_ms is not None
-        values = seen.telemetry.values if seen.telemetry else None
         fresh = seen.telemetry_age(now_ns) <= th.telemetry
         running = self.supervisor.state is SupervisorState.RUNNING
         over = setup.duration_ns is not None and now_ns - self._started_ns >= setup.duration_ns
@@ -423,7 +408,7 @@ class Loop:
             bool(flags & Flag.LINKED),
             known and seen.accepted_ns is not None and not refused,
             not failed,
-            fresh and values is not None and bool(values.timeout_active),
+            fresh and bool(seen.values.timeout_active),
             not setup.leased or lease_age(self.lease, now_ns) <= th.lease,
             running and over,
             self._launch is not None and self._launch.done,

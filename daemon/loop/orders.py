@@ -15,18 +15,17 @@ from steerd.controller.limits import (
 from steerd.daemon.loop.supervisor import Action
 from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput
 from steerd.daemon.settings.config import BrakeSettings
+from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.quick_values import quick_init
-from steerd.vesc_link.events import (
-    Drive,
-    DriveBrake,
-    DriveRelease,
-    DriveShort,
-    DriveSilent,
-    DriveSpeed,
-)
 from steerd.vesc_link.scaling import Scaling, as_sent
+from steerd.vesc_link.vesc import Drive
 
 _DRIVEN = (MotorOutput.DRIVE, MotorOutput.RAMP_STOP)
+_UNBRAKED = {
+    MotorOutput.DUTY_ZERO: ActuationMode.SHORT,
+    MotorOutput.RELEASE_ONCE: ActuationMode.RELEASE,
+}
+"""Ways to stop without a brake current; all that is not listed is silent."""
 
 
 @quick_init
@@ -76,11 +75,12 @@ def make_order(
         limits, state, _make_target(action, state, wish, measured), measured, action.cap, t_ns
     )
     if driven and (wish is None or limited.verdict is Verdict.NOT_FINITE):
-        drive: Drive = DriveBrake(None, brakes.brake_current_a)
+        drive = Drive(ActuationMode.BRAKE, current=brakes.brake_current_a)
         return Order(drive, state, None, Verdict.NOT_FINITE if wish else Verdict.PASSED)
     if driven:
         sent = Command(*as_sent(scaling, limited.order.steer, limited.order.speed))
-        return Order(DriveSpeed(*sent), limited.state, sent, limited.verdict)
+        drive = Drive(ActuationMode.SPEED, sent.steer, sent.speed)
+        return Order(drive, limited.state, sent, limited.verdict)
     steer = None if action.steering is SteeringOutput.NONE else limited.order.steer
     rolling = _track_speed(limits, limited, measured, t_ns)
     return Order(_make_brake_drive(action.motor, brakes, steer), rolling, None, limited.verdict)
@@ -106,16 +106,13 @@ def _track_speed(limits: Limits, limited: LimitedOrder, speed: float, t_ns: int)
 def _make_brake_drive(motor: MotorOutput, brakes: BrakeSettings, steer: float | None) -> Drive:
     match motor:
         case MotorOutput.SOFT_BRAKE:
-            return DriveBrake(steer, brakes.soft_brake_current_a)
+            current = brakes.soft_brake_current_a
         case MotorOutput.HOLD_BRAKE:
-            return DriveBrake(steer, brakes.hold_brake_current_a)
+            current = brakes.hold_brake_current_a
         case MotorOutput.BRAKE:
-            return DriveBrake(steer, brakes.brake_current_a)
+            current = brakes.brake_current_a
         case MotorOutput.ESTOP_BRAKE:
-            return DriveBrake(steer, brakes.estop_brake_current_a)
-        case MotorOutput.DUTY_ZERO:
-            return DriveShort(steer)
-        case MotorOutput.RELEASE_ONCE:
-            return DriveRelease(steer)
+            current = brakes.estop_brake_current_a
         case _:
-            return DriveSilent(steer)
+            return Drive(_UNBRAKED.get(motor, ActuationMode.SILENT), steer)
+    return Drive(ActuationMode.BRAKE, steer, current=current)

@@ -10,43 +10,35 @@ from steerd.daemon.loop.findings import Finding
 from steerd.daemon.loop.supervisor import Action, SupervisorMemory
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.estimator.state_filter import StateEstimate
-from steerd.mocap_link.source import ClockKind, PoseSample
+from steerd.mocap_link.source import ClockKind, Pose
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
-from steerd.vesc_link.events import (
-    Drive,
-    DriveBrake,
-    DriveRelease,
-    DriveShort,
-    DriveSpeed,
-    ImuSample,
-    Telemetry,
-)
+from steerd.vesc_link.telemetry import Imu, Values
+from steerd.vesc_link.vesc import Answer, Drive
 
 CLOCK_KINDS = tuple(ClockKind)
 _NO_REPORT = ControlReport(*(nan,) * len(ControlReport._fields))
 
 
-def make_mocap(sample: PoseSample, epoch_ns: int) -> m.MocapPose:
-    """A mocap sample, raw and processed."""
-    raw = sample.raw
+def make_mocap(pose: Pose, epoch_ns: int) -> m.MocapPose:
+    """A pose as it came and as it was placed and judged."""
     return m.MocapPose(
-        m.make_header(sample.t_valid_ns + epoch_ns, m.WORLD),
-        sample.t_valid_ns,
-        sample.t_arrival_ns,
-        raw.source_ticks or 0,
-        -1 if raw.frame is None else raw.frame,
-        CLOCK_KINDS.index(sample.clock),
-        int(raw.tracking_valid and raw.live),
-        *raw.position,
-        *raw.quaternion,
-        nan if raw.mean_error is None else raw.mean_error,
-        sample.x,
-        sample.y,
-        sample.yaw,
-        sample.height,
-        sample.tilt,
-        sample.rejected or "",
+        m.make_header(pose.t_valid_ns + epoch_ns, m.WORLD),
+        pose.t_valid_ns,
+        pose.t_arrival_ns,
+        pose.source_ticks or 0,
+        -1 if pose.frame is None else pose.frame,
+        CLOCK_KINDS.index(pose.clock),
+        int(pose.tracking_valid and pose.live),
+        *pose.position,
+        *pose.quaternion,
+        nan if pose.mean_error is None else pose.mean_error,
+        pose.x,
+        pose.y,
+        pose.yaw,
+        pose.height,
+        pose.tilt,
+        pose.rejected or "",
     )
 
 
@@ -62,13 +54,12 @@ def _count(value: int | None) -> int:
     return -1 if value is None else value
 
 
-def make_telemetry(event: Telemetry, uptime_ms: int, epoch_ns: int) -> m.VescTelemetry:
+def make_telemetry(header: m.Header, when: Answer, v: Values, uptime_ms: int) -> m.VescTelemetry:
     """A telemetry reply; what the firmware did not send is NaN or -1."""
-    v = event.values
     return m.VescTelemetry(
-        m.make_header(event.when.stamp_ns + epoch_ns, m.BODY),
-        event.when.t_sent_ns,
-        event.when.t_received_ns,
+        header,
+        when.t_sent_ns,
+        when.t_received_ns,
         uptime_ms,
         int(v.erpm or 0),
         int(v.tachometer or 0),
@@ -90,32 +81,21 @@ def make_telemetry(event: Telemetry, uptime_ms: int, epoch_ns: int) -> m.VescTel
     )
 
 
-def make_imu(event: ImuSample, epoch_ns: int) -> m.VescImu:
+def make_imu(header: m.Header, when: Answer, i: Imu) -> m.VescImu:
     """An IMU reading."""
-    i = event.imu
     values = (i.accel_x, i.accel_y, i.accel_z, i.gyro_x, i.gyro_y, i.gyro_z)
     return m.VescImu(
-        m.make_header(event.when.stamp_ns + epoch_ns, m.BODY),
-        event.when.t_sent_ns,
-        event.when.t_received_ns,
+        header,
+        when.t_sent_ns,
+        when.t_received_ns,
         *_numbers(*values, i.q_w, i.q_x, i.q_y, i.q_z),
     )
 
 
 def make_actuation(drive: Drive, wire: bytes, seq: int, stamp_ns: int) -> m.Actuation:
     """The bytes that were written in a tick, and their meaning."""
-    mode, speed, current = m.ActuationMode.SILENT, nan, nan
-    match drive:
-        case DriveSpeed():
-            mode, speed = m.ActuationMode.SPEED, drive.speed
-        case DriveBrake():
-            mode, current = m.ActuationMode.BRAKE, drive.current
-        case DriveShort():
-            mode = m.ActuationMode.SHORT
-        case DriveRelease():
-            mode = m.ActuationMode.RELEASE
-    header = m.make_header(stamp_ns, m.BODY)
-    return m.Actuation(header, seq, mode, _number(drive.steer), speed, current, wire)
+    header, steer = m.make_header(stamp_ns, m.BODY), _number(drive.steer)
+    return m.Actuation(header, seq, drive.mode, steer, drive.speed, drive.current, wire)
 
 
 def read_actuation(actuation: m.Actuation) -> tuple[int, float, float, float]:
@@ -150,7 +130,7 @@ def make_state(
         r.curvature,
         r.s,
         _number(drive.steer),
-        drive.speed if isinstance(drive, DriveSpeed) else nan,
+        drive.speed,
         estimate.health.pose.nis if estimate else nan,
     )
 

@@ -7,13 +7,7 @@ from steerd.car_model.chassis import Chassis
 from steerd.car_model.params import Car, wheelbase
 from steerd.car_model.state import Command, State
 from steerd.daemon.loop.following import LONG_TURN_S, Turn, measure_turns
-from steerd.daemon.loop.watchdogs_pose import (
-    PoseFrame,
-    PoseVerdict,
-    PoseWatch,
-    step_innovation,
-    step_pose,
-)
+from steerd.daemon.loop.watchdogs_pose import PoseVerdict, PoseWatch, step_innovation, step_pose
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
@@ -25,9 +19,10 @@ from steerd.estimator.state_filter import (
     restart_filter,
     step,
 )
-from steerd.mocap_link.source import PoseSample
-from steerd.vesc_link.events import ImuSample, Telemetry
+from steerd.mocap_link.source import Pose
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed
+from steerd.vesc_link.telemetry import Imu, Values
+from steerd.vesc_link.vesc import Answer
 
 _TRACK_NS = round(1e9 * LONG_TURN_S)
 """How long poses are kept."""
@@ -43,8 +38,10 @@ class Perception:
 
     Attributes:
         watch: memory of the frame watchdogs.
-        telemetry: the last reply, or None.
+        telemetry: the last reply with telemetry, or None.
+        values: what it says; all None before the first.
         wheel_speed: by the wheels, from that reply [m/s]; NaN while unknown.
+        wheel: the same with its time of validity [ns]; None while unknown.
         accepted_ns: arrival of the last good frame, or None.
         may_rebase: set by the loop: the car is disarmed and stands.
     """
@@ -64,62 +61,56 @@ class Perception:
         self._wheelbase = wheelbase(car)
         self._measurements: list[Measurement] = []
         self._commands: list[tuple[int, Command[float] | None]] = []
-        self._track: deque[tuple[int, float, float, float]] = deque()
+        self._track: deque[Pose] = deque()
         self._oldest_ns = 0
         self._mocap_speed: float | None = None
         self._refused = 0
         self._seen = 0
         self.watch = PoseWatch()
-        self.telemetry: Telemetry | None = None
+        self.telemetry: Answer | None = None
+        self.values = Values()
         self.wheel_speed = nan
+        self.wheel: tuple[int, float] | None = None
         self.accepted_ns: int | None = None
         self.may_rebase = True
 
     # --- what arrives
 
-    def on_pose(self, sample: PoseSample) -> None:
-        """Check a mocap sample; an accepted one is fused at its time of validity."""
-        raw = sample.raw
+    def on_pose(self, pose: Pose) -> None:
+        """Check a pose; an accepted one is fused at its time of validity."""
         self._mocap_speed = None
-        frame = PoseFrame(
-            sample.t_arrival_ns,
-            -1 if raw.frame is None else raw.frame,
-            (sample.x, sample.y, sample.height),
-            raw.quaternion,
-            sample.yaw,
-            raw.tracking_valid and raw.live,
-        )
         self.watch, verdict = step_pose(
-            self._thresholds, self.watch, frame, self.wheel_speed, self.may_rebase
+            self._thresholds, self.watch, pose, self.wheel_speed, self.may_rebase
         )
         if verdict is PoseVerdict.REBASED:
             self._state = restart_filter(self._state)
             self._track.clear()
-        if verdict in _SEEN and sample.rejected is None:
-            self.accepted_ns = sample.t_arrival_ns
-            self._measurements.append(make_pose(sample.t_valid_ns, sample.x, sample.y, sample.yaw))
-            self._track.append((sample.t_valid_ns, sample.x, sample.y, sample.yaw))
+        if verdict in _SEEN and pose.rejected is None:
+            self.accepted_ns = pose.t_arrival_ns
+            self._measurements.append(make_pose(pose.t_valid_ns, pose.x, pose.y, pose.yaw))
+            self._track.append(pose)
             # Now, not in the tick: the pose comes just before its deadline
             # (`steerd.daemon.process.pacing`).
-            latest_ns = sample.t_arrival_ns
+            latest_ns = pose.t_arrival_ns
             for measurement in self._measurements:
                 if measurement.t_ns > latest_ns:
                     latest_ns = measurement.t_ns
             self._fuse(latest_ns)
 
-    def on_telemetry(self, telemetry: Telemetry) -> None:
+    def on_telemetry(self, telemetry: Answer, values: Values) -> None:
         """Take motor telemetry; its wheel speed is valid in the middle of the exchange."""
-        self.telemetry = telemetry
-        self.wheel_speed = nan
-        if telemetry.values.erpm is not None:
-            speed = self.wheel_speed = erpm_to_speed(self._scaling, telemetry.values.erpm)
-            self._measurements.append(make_wheel_speed(telemetry.when.stamp_ns, speed))
+        self.telemetry, self.values = telemetry, values
+        self.wheel_speed, self.wheel = nan, None
+        if values.erpm is not None:
+            speed = self.wheel_speed = erpm_to_speed(self._scaling, values.erpm)
+            self.wheel = (telemetry.stamp_ns, speed)
+            self._measurements.append(make_wheel_speed(*self.wheel))
 
-    def on_imu(self, sample: ImuSample) -> None:
+    def on_imu(self, stamp_ns: int, imu: Imu) -> None:
         """Take the gyro's yaw rate, if there is a gyro."""
-        yaw_rate = sample.imu.gyro_z
-        if sample.imu.has_chip and yaw_rate is not None:
-            self._measurements.append(make_gyro(sample.when.stamp_ns, yaw_rate))
+        yaw_rate = imu.gyro_z
+        if imu.has_chip and yaw_rate is not None:
+            self._measurements.append(make_gyro(stamp_ns, yaw_rate))
 
     def on_command(self, t_ns: int, command: Command[float] | None) -> None:
         """Remember the command sent to the car; None when no speed is commanded."""
@@ -133,7 +124,7 @@ class Perception:
         estimate = predict_to(self._filter, self._state, now_ns)
         if estimate is not None:
             self._note_innovations(estimate)
-        while len(self._track) > 2 and self._track[1][0] <= now_ns - _TRACK_NS:
+        while len(self._track) > 2 and self._track[1].t_valid_ns <= now_ns - _TRACK_NS:
             self._track.popleft()
         self._oldest_ns = now_ns - _SPEED_SPAN_NS
         self._mocap_speed = None
@@ -159,13 +150,6 @@ class Perception:
         """The same; NaN if the last reply is older than `BLIND_S`."""
         return self.wheel_speed if self.telemetry_age(now_ns) <= BLIND_S else nan
 
-    @property
-    def wheel(self) -> tuple[int, float] | None:
-        """Time of validity [ns] and wheel speed [m/s] of the last telemetry, if it has one."""
-        if self.telemetry is None or self.telemetry.values.erpm is None:
-            return None
-        return self.telemetry.when.stamp_ns, self.wheel_speed
-
     def turns(self, span: float) -> tuple[Turn, ...]:
         """What mocap saw over the last `span` seconds and over a longer stretch."""
         return measure_turns(self._track, span)
@@ -180,13 +164,13 @@ class Perception:
     def _measure_mocap_speed(self) -> float:
         if len(self._track) < 2:
             return nan
-        t1, x1, y1, _ = self._track[-1]
-        t0, x0, y0, _ = self._track[0]
+        first, last = self._track[0], self._track[-1]
         for pose in reversed(self._track):
-            if pose[0] <= self._oldest_ns:
-                t0, x0, y0, _ = pose
+            if pose.t_valid_ns <= self._oldest_ns:
+                first = pose
                 break
-        return hypot(x1 - x0, y1 - y0) / ((t1 - t0) * 1e-9) if t1 > t0 else nan
+        span_ns = last.t_valid_ns - first.t_valid_ns
+        return hypot(last.x - first.x, last.y - first.y) / (span_ns * 1e-9) if span_ns > 0 else nan
 
     def mocap_age(self, now_ns: int) -> float:
         """Seconds since a good frame arrived; infinite before the first."""
@@ -196,7 +180,7 @@ class Perception:
         """Seconds since a reply; infinite before the first."""
         if self.telemetry is None:
             return inf
-        return (now_ns - self.telemetry.when.t_received_ns) * 1e-9
+        return (now_ns - self.telemetry.t_received_ns) * 1e-9
 
 
 def best_speed(estimate: StateEstimate | None, wheel_speed: float) -> float:

@@ -10,7 +10,6 @@ from steerd.daemon.loop.perception import Perception, estimated_state
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogInput
 from steerd.estimator.state_filter import StateEstimate
-from steerd.vesc_link.telemetry import Values
 
 
 def make_watchdog_input(
@@ -49,7 +48,7 @@ def make_watchdog_input(
     limits = settings.limits
     side = limits.steer_left_max if steer > 0.0 else limits.steer_right_max
     lane = None if setup.ignores_lane else report
-    vesc = seen.telemetry.values if seen.telemetry else _SILENT
+    vesc = seen.values
     brakes = settings.brakes
     return WatchdogInput(
         t_ns=t_ns,
@@ -81,10 +80,6 @@ def make_watchdog_input(
         followed=followed,
         reported=reported,
     )
-
-
-_SILENT = Values()
-"""Of a VESC that has not replied yet."""
 
 
 def _nan_if_none(value: float | None) -> float:

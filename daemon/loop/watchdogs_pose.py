@@ -8,30 +8,10 @@ from enum import IntEnum
 from math import hypot, isfinite, remainder, sqrt, tau
 
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.mocap_link.source import Pose
 from steerd.steer_bus.quick_values import changed, quick_value
 
 JUMP_TIMES = 5  # number of jumps within ``jump_window`` that trip, in a row or not
-
-
-@quick_value
-class PoseFrame:
-    """One mocap frame: world frame, metres, radians.
-
-    Attributes:
-        t_ns: local monotonic time of arrival.
-        number: the source's frame number, -1 where it has none.
-        position: (x, y, z) [m].
-        quaternion: (w, x, y, z).
-        yaw: heading of the body's x axis [rad].
-        valid: the source's own validity flag.
-    """
-
-    t_ns: int
-    number: int
-    position: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float]
-    yaw: float
-    valid: bool = True
 
 
 class PoseVerdict(IntEnum):
@@ -55,8 +35,8 @@ class PoseWatch:
         rejections: shift register: bit k set if the innovation was rejected k frames ago.
     """
 
-    base: PoseFrame | None = None
-    before: PoseFrame | None = None
+    base: Pose | None = None
+    before: Pose | None = None
     frozen: int = 0
     invalid: int = 0
     jumps: int = 0
@@ -65,59 +45,64 @@ class PoseWatch:
     rejections: int = 0
 
 
-def is_sane(th: Thresholds, frame: PoseFrame) -> bool:
+def is_sane(th: Thresholds, pose: Pose) -> bool:
     """Whether a frame is a pose at all (W3): finite, unit quaternion, not exactly the origin."""
-    w, x, y, z = frame.quaternion
+    w, x, y, z = pose.quaternion
     norm = sqrt(w * w + x * x + y * y + z * z)
     return (
-        frame.valid
-        and any(frame.position)
-        and isfinite(sum(frame.position) + frame.yaw)
+        pose.tracking_valid
+        and pose.live
+        and bool(pose.x or pose.y or pose.height)
+        and isfinite(pose.x + pose.y + pose.height + pose.yaw)
         and abs(norm - 1.0) <= th.quaternion_tolerance
     )
 
 
-def _is_newer(base: PoseFrame, frame: PoseFrame) -> bool:
-    if frame.number < 0:
+def _is_newer(base: Pose, pose: Pose) -> bool:
+    if pose.frame is None or pose.frame < 0:
         # A stream keeps its order, but the poses of one TCP segment share its stamp.
-        return frame.t_ns >= base.t_ns
-    return frame.number > base.number and frame.t_ns > base.t_ns
+        return pose.t_arrival_ns >= base.t_arrival_ns
+    last = -1 if base.frame is None else base.frame
+    return pose.frame > last and pose.t_arrival_ns > base.t_arrival_ns
 
 
-def _is_jump(th: Thresholds, base: PoseFrame, before: PoseFrame | None, frame: PoseFrame) -> bool:
+def _is_jump(th: Thresholds, base: Pose, before: Pose | None, pose: Pose) -> bool:
     # Poses that arrived at one time have had the time since the arrival before, all together.
-    start = before if before is not None and frame.t_ns == base.t_ns else base
-    step = hypot(
-        frame.position[0] - start.position[0],
-        frame.position[1] - start.position[1],
-    )
-    bound = th.jump_speed * ((frame.t_ns - start.t_ns) / 1e9) + th.jump_margin
-    return step > bound or abs(remainder(frame.yaw - base.yaw, tau)) > th.yaw_step
+    at_once = pose.t_arrival_ns == base.t_arrival_ns
+    start = before if before is not None and at_once else base
+    step = hypot(pose.x - start.x, pose.y - start.y)
+    bound = th.jump_speed * ((pose.t_arrival_ns - start.t_arrival_ns) / 1e9) + th.jump_margin
+    return step > bound or abs(remainder(pose.yaw - base.yaw, tau)) > th.yaw_step
 
 
-def _check_frame(th: Thresholds, w: PoseWatch, frame: PoseFrame, wheel_speed: float) -> PoseVerdict:
-    if not is_sane(th, frame):
+def _is_repeated(base: Pose, pose: Pose) -> bool:
+    """Whether it is the last good pose bit by bit."""
+    there = (base.x, base.y, base.height, base.quaternion)
+    return (pose.x, pose.y, pose.height, pose.quaternion) == there
+
+
+def _check_pose(th: Thresholds, w: PoseWatch, pose: Pose, wheel_speed: float) -> PoseVerdict:
+    if not is_sane(th, pose):
         return PoseVerdict.INVALID
     base = w.base
     if base is None:
         return PoseVerdict.REBASED
-    if not _is_newer(base, frame):
+    if not _is_newer(base, pose):
         return PoseVerdict.INVALID
-    same = frame.position == base.position and frame.quaternion == base.quaternion
-    if same and abs(wheel_speed) > th.freeze_speed:
+    if abs(wheel_speed) > th.freeze_speed and _is_repeated(base, pose):
         return PoseVerdict.FROZEN
-    return PoseVerdict.JUMP if _is_jump(th, base, w.before, frame) else PoseVerdict.ACCEPTED
+    return PoseVerdict.JUMP if _is_jump(th, base, w.before, pose) else PoseVerdict.ACCEPTED
 
 
 def step_pose(
-    th: Thresholds, w: PoseWatch, frame: PoseFrame, wheel_speed: float, may_rebase: bool
+    th: Thresholds, w: PoseWatch, pose: Pose, wheel_speed: float, may_rebase: bool
 ) -> tuple[PoseWatch, PoseVerdict]:
     """Check one frame.
 
     Args:
         th: thresholds.
         w: memory.
-        frame: the frame.
+        pose: the pose, placed.
         wheel_speed: speed by the VESC [m/s]; a standing car may well repeat its pose bit by bit.
         may_rebase: the car is disarmed or latched, and stands: frames that are sane but contradict
             the last good one (carried by hand, server restarted), or the filter (it was blind while
@@ -127,25 +112,27 @@ def step_pose(
     Returns:
         The new memory and the verdict.
     """
-    verdict = _check_frame(th, w, frame, wheel_speed)
+    verdict = _check_pose(th, w, pose, wheel_speed)
     astray = may_rebase and w.rejected >= th.nis_frames
     if verdict == PoseVerdict.ACCEPTED and not astray:
-        before = w.base if w.base is not None and frame.t_ns > w.base.t_ns else w.before
-        good = PoseWatch(frame, before, 0, 0, 0, w.jump_times, w.rejected, w.rejections)
+        before = (
+            w.base if w.base is not None and pose.t_arrival_ns > w.base.t_arrival_ns else w.before
+        )
+        good = PoseWatch(pose, before, 0, 0, 0, w.jump_times, w.rejected, w.rejections)
         return good, verdict
     if verdict in (PoseVerdict.ACCEPTED, PoseVerdict.REBASED):
-        return PoseWatch(frame), PoseVerdict.REBASED
+        return PoseWatch(pose), PoseVerdict.REBASED
     if verdict == PoseVerdict.FROZEN:
         return changed(w, frozen=w.frozen + 1), verdict
     if verdict == PoseVerdict.JUMP:
-        times = (*w.jump_times[1 - JUMP_TIMES :], frame.t_ns)
+        times = (*w.jump_times[1 - JUMP_TIMES :], pose.t_arrival_ns)
         w = changed(w, jumps=w.jumps + 1, jump_times=times)
         stuck = w.jumps >= th.jump_frames
     else:
         w = changed(w, invalid=w.invalid + 1)
-        stuck = w.invalid >= th.invalid_frames and is_sane(th, frame)
+        stuck = w.invalid >= th.invalid_frames and is_sane(th, pose)
     if may_rebase and stuck:
-        return PoseWatch(frame), PoseVerdict.REBASED
+        return PoseWatch(pose), PoseVerdict.REBASED
     return w, verdict
 
 

@@ -22,12 +22,12 @@ from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.outgoing import CLOCK_KINDS, make_actuation, read_actuation
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.run_options import decode_options
-from steerd.mocap_link.source import PoseSample, RawPose
+from steerd.mocap_link.source import Pose
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.session_read import Record, Session, SessionError
-from steerd.vesc_link.events import ImuSample, Stamped, Telemetry
 from steerd.vesc_link.telemetry import Imu, Values
+from steerd.vesc_link.vesc import Answer
 
 TOLERANCE = 1e-9
 """Allowed difference: another machine's libm may differ in the last digits."""
@@ -47,9 +47,9 @@ def _or_none(value: float) -> float | None:
     return None if isnan(value) else value
 
 
-def read_pose(pose: m.MocapPose) -> PoseSample:
-    """The sample of a recorded pose (as far as the loop reads it)."""
-    raw = RawPose(
+def read_pose(pose: m.MocapPose) -> Pose:
+    """A recorded pose (as far as the loop reads it)."""
+    return Pose(
         body="",
         frame=None if pose.frame < 0 else pose.frame,
         source_ticks=pose.source_ticks,
@@ -59,23 +59,19 @@ def read_pose(pose: m.MocapPose) -> PoseSample:
         quaternion=(pose.qw, pose.qx, pose.qy, pose.qz),
         mean_error=_or_none(pose.mean_error),
         tracking_valid=bool(pose.tracking_valid),
-    )
-    return PoseSample(
-        pose.t_valid_ns,
-        pose.t_arrival_ns,
-        raw,
-        pose.x,
-        pose.y,
-        pose.yaw,
-        pose.height,
-        pose.tilt,
-        pose.reject or None,
-        CLOCK_KINDS[pose.clock_kind],
+        t_valid_ns=pose.t_valid_ns,
+        clock=CLOCK_KINDS[pose.clock_kind],
+        x=pose.x,
+        y=pose.y,
+        yaw=pose.yaw,
+        height=pose.height,
+        tilt=pose.tilt,
+        rejected=pose.reject or None,
     )
 
 
-def read_telemetry(vesc: m.VescTelemetry) -> Telemetry:
-    """The event of recorded telemetry."""
+def read_telemetry(vesc: m.VescTelemetry) -> tuple[Answer, Values]:
+    """The reply of recorded telemetry."""
     values = Values(
         erpm=vesc.erpm,
         tachometer=vesc.tachometer,
@@ -87,11 +83,11 @@ def read_telemetry(vesc: m.VescTelemetry) -> Telemetry:
         temp_fet_c=_or_none(vesc.temp_fet),
         temp_motor_c=_or_none(vesc.temp_motor),
     )
-    return Telemetry(values, Stamped(vesc.t_sent_ns, vesc.t_received_ns))
+    return Answer(values, vesc.t_sent_ns, vesc.t_received_ns), values
 
 
-def read_imu(imu: m.VescImu) -> ImuSample:
-    """The event of a recorded IMU reading."""
+def read_imu(imu: m.VescImu) -> tuple[int, Imu]:
+    """When a recorded IMU reading was measured, and what it says."""
     reading = Imu(
         mask=0,
         accel_x=_or_none(imu.accel_x),
@@ -101,7 +97,7 @@ def read_imu(imu: m.VescImu) -> ImuSample:
         gyro_y=_or_none(imu.gyro_y),
         gyro_z=_or_none(imu.gyro_z),
     )
-    return ImuSample(reading, Stamped(imu.t_sent_ns, imu.t_received_ns))
+    return Answer(reading, imu.t_sent_ns, imu.t_received_ns).stamp_ns, reading
 
 
 def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bool]:
@@ -144,11 +140,11 @@ class Replay:
         t_ns = record.log_ns - self._epoch_ns
         match record.decode() if topic is not None else None:
             case m.MocapPose() as pose:
-                self.loop.on_pose(read_pose(pose))
+                self.loop.perception.on_pose(read_pose(pose))
             case m.VescTelemetry() as vesc:
-                self.loop.on_telemetry(read_telemetry(vesc))
+                self.loop.perception.on_telemetry(*read_telemetry(vesc))
             case m.VescImu() as imu:
-                self.loop.on_imu(read_imu(imu))
+                self.loop.perception.on_imu(*read_imu(imu))
             case m.VescIdentity() as identity:
                 self.loop.on_vesc(read_identity(identity))
             case m.OperatorRequest() as request:

@@ -15,8 +15,7 @@ from steerd.daemon.ipc.outbox import Sink
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.transitions import SupervisorState, is_engaged
-from steerd.mocap_link.natnet_client import Socket
-from steerd.mocap_link.sessions import NatNetSource
+from steerd.mocap_link.natnet_client import NatNetSource, Socket
 from steerd.sim_hw.mocap.network import COMMAND, DATA
 from steerd.sim_hw.world import World, WorldConfig
 

@@ -28,8 +28,8 @@ from steerd.daemon.process.realtime import enter_realtime, settle_memory
 from steerd.daemon.process.runner import CoreLinks, Runner
 from steerd.daemon.settings.run_options import decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
-from steerd.mocap_link.sessions import BusPoseSource
 from steerd.mocap_link.sockets import MocapReceiver, make_receiver
+from steerd.mocap_link.zenoh_pose import BusPoseSource
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.vesc_link.transport import Port, PortError, open_port

@@ -25,9 +25,9 @@ from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
 from steerd.daemon.process.remote_path import RemotePath
 from steerd.daemon.process.stall import find_cause
 from steerd.daemon.process.steal import read_steal_ns
-from steerd.mocap_link.sessions import BusPoseSource
 from steerd.mocap_link.sockets import MocapReceiver
-from steerd.mocap_link.source import PoseSample
+from steerd.mocap_link.source import Pose
+from steerd.mocap_link.zenoh_pose import BusPoseSource
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.messages import BODY, ClockSample, make_header
@@ -202,7 +202,7 @@ class Runner:
         else:
             self._read_requests(fd)
 
-    def _on_poses(self, samples: list[PoseSample]) -> None:
+    def _on_poses(self, samples: list[Pose]) -> None:
         if samples:  # never ahead of now: a wrong stamp must not bring ticks without waiting
             self._pose_ns = min(samples[-1].t_arrival_ns, self._clock.now_ns())
         self._core.on_poses(samples)

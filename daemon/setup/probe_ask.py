@@ -25,14 +25,13 @@ from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import MocapUrl
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.sockets import MocapReceiver, make_receiver
-from steerd.mocap_link.source import PoseSample
+from steerd.mocap_link.source import Pose
 from steerd.steer_bus.clock import Clock
-from steerd.vesc_link.events import DriveSilent, Event, ImuSample, Telemetry
 from steerd.vesc_link.ids import fault_name
 from steerd.vesc_link.scaling import F1TENTH
-from steerd.vesc_link.telemetry import FAST_MASK, IMU_ACCEL_GYRO_MASK
+from steerd.vesc_link.telemetry import FAST_MASK, IMU_ACCEL_GYRO_MASK, Imu, Values
 from steerd.vesc_link.transport import Port, PortError, open_port
-from steerd.vesc_link.vesc import VescLink
+from steerd.vesc_link.vesc import Answer, Drive, VescLink
 
 CONNECT_NS = 1_500_000_000
 """A VESC that has not identified itself after this is none [ns]."""
@@ -86,15 +85,16 @@ def skip_port(url: str, usb: str) -> SerialFound:
     return SerialFound(url, usb, None, (Advice(what, f"steerd probe --port {url}"),))
 
 
-def _exchange(port: Port, link: VescLink, clock: Clock, wire: bytes, ns: int) -> list[Event]:
-    """Write, and collect events for `ns`."""
+def _exchange(port: Port, link: VescLink, clock: Clock, wire: bytes, ns: int) -> list[Answer]:
+    """Write, and collect answers for `ns`."""
     if wire:
         port.write(wire)
     end, events = clock.now_ns() + ns, []
     while (left := end - clock.now_ns()) > 0:
         if select.select([port.fd], [], [], left * 1e-9)[0]:
             events += link.on_bytes(clock.now_ns(), port.read())
-    return events + link.on_bytes(clock.now_ns(), b"")
+    events += link.on_bytes(clock.now_ns(), b"")
+    return [event for event in events if isinstance(event, Answer)]
 
 
 def _ask_vesc(port: Port, clock: Clock) -> VescFound | None:
@@ -105,13 +105,13 @@ def _ask_vesc(port: Port, clock: Clock) -> VescFound | None:
     version = link.version
     if version is None:
         return None
-    events: list[Event] = []
+    answers: list[Answer] = []
     for _ in range(POLLS):
-        wire = link.make_tick(DriveSilent(), clock.now_ns())
-        events += _exchange(port, link, clock, wire, POLL_NS)
-    answers = [event for event in events if isinstance(event, Telemetry)]
-    last = answers[-1].values if answers else None
-    trips = [(a.when.t_received_ns - a.when.t_sent_ns) * 1e-6 for a in answers]
+        wire = link.make_tick(Drive(), clock.now_ns())
+        answers += _exchange(port, link, clock, wire, POLL_NS)
+    polled = [(a, a.reply) for a in answers if isinstance(a.reply, Values)]
+    last = polled[-1][1] if polled else None
+    trips = [(a.t_received_ns - a.t_sent_ns) * 1e-6 for a, _ in polled]
     return VescFound(
         firmware=(version.major, version.minor),
         hardware=version.hw_name or "",
@@ -122,8 +122,8 @@ def _ask_vesc(port: Port, clock: Clock) -> VescFound | None:
         fault=fault_name(last.fault) if last and last.fault else "",
         temp_fet_c=last.temp_fet_c if last else None,
         round_trip_ms=float(np.median(trips)) if trips else None,
-        answered=min(1.0, len(answers) / POLLS),
-        imu=any(isinstance(event, ImuSample) for event in events),
+        answered=min(1.0, len(polled) / POLLS),
+        imu=any(isinstance(answer.reply, Imu) for answer in answers),
     )
 
 
@@ -140,7 +140,7 @@ def discover(
         sock.setblocking(False)
         for address in addresses:
             with contextlib.suppress(OSError):  # no network: no server
-                sock.sendto(natnet.encode(natnet.Discovery()), (address, port))
+                sock.sendto(natnet.encode(natnet.Bare.DISCOVERY), (address, port))
         end = clock.now_ns() + DISCOVERY_NS
         while (left := end - clock.now_ns()) > 0:
             if not select.select([sock], [], [], left * 1e-9)[0]:
@@ -170,7 +170,7 @@ def watch_mocap(
         receiver.close()
 
 
-def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[PoseSample]:
+def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Pose]:
     """The samples of so many seconds, as they come."""
     end = clock.now_ns() + round(seconds * 1e9)
     while clock.now_ns() < end:
@@ -180,7 +180,7 @@ def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Po
 
 
 def _seen(
-    receiver: MocapReceiver, address: str, samples: Sequence[PoseSample], seconds: float
+    receiver: MocapReceiver, address: str, samples: Sequence[Pose], seconds: float
 ) -> MocapSeen:
     status = receiver.status()
     # The clock offset is not known well in the first second.

@@ -15,9 +15,11 @@ def amounts_of(change: Change) -> dict[str, Amount]:
     """What the named effect's parameters moved by: (value, standard error, unit) by name.
 
     Offsets are differences and ratios quotients, to what was before. What says of which form or
-    where an effect is, has no amount: it is as it is after the change.
+    where an effect is, has no amount: it is as it is after the change. Empty without a name.
     """
     cause = change.finding.cause
+    if cause is None:
+        return {}
     known = find_effect(cause.effect).parameters
     return {
         p.name: _amount(cause.parameters[p.name], before, p.null) if p.role is Role.SIZE else after

@@ -8,7 +8,6 @@ the same car showed in as many windows while nothing was the matter (`Usual`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,36 +23,13 @@ USUAL_PRIOR, USUAL_LEVEL = 6.0, 2.5
 """Before a car has shown anything it counts as having shown so many spans at this level."""
 PEAK = 10.0
 """Largest of many ratios where all is noise, in units of their mean."""
-
-
-class Span(NamedTuple):
-    """Windows since a time, summed up.
-
-    Attributes:
-        pull: (n,) with what was known of the base before.
-        information: (n, n) likewise.
-    """
-
-    pull: Array
-    information: Array
-
-
-class Suspect(NamedTuple):
-    """An effect that may have come about.
-
-    Attributes:
-        effect: its name.
-        windows: how many windows ago.
-        gain: log-likelihood ratio [nats], the effect's prior included.
-        value: (k,) its coordinates' most likely deviation.
-        covariance: (k, k) of it.
-    """
-
-    effect: str
-    windows: int
-    gain: float
-    value: Array
-    covariance: Array
+NEARLY = 6.0
+"""Ratios per what is usual from which on they are weighed again as the change would have it [nats];
+quiet drives get there every few minutes ..."""
+LEADERS, LONGEST = 4, 6
+"""... for so many effects, over spans of so many windows: what is older needs no hurry."""
+ROUNDS = 6
+"""Times that the windows' weights are taken anew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,82 +68,113 @@ def with_ratios(usual: Usual, gains: Array) -> Usual:
     return Usual(usual.total + filled, usual.count + there, np.maximum(usual.peak, filled))
 
 
-def sum_up(anchor: Anchor, before: Track, looks: Sequence[Look]) -> Span:
-    """Windows since a time, with what was known of the base before them."""
+def ratios(anchor: Anchor, tracks: Sequence[Track], looks: Sequence[Look]) -> Array:
+    """(effects, spans) log-likelihood ratio of each effect since so many windows [nats].
+
+    The effect's prior is included; NaN for spans longer than the windows reach back.
+
+    Args:
+        anchor: the car.
+        tracks: what was known of the base before each of the windows.
+        looks: the last windows, oldest first.
+    """
+    effects, n = anchor.space.effects, anchor.space.nuisance
+    own = [np.array(anchor.places(effect)) - n for effect in effects]
+    table = np.full((len(effects), len(SPANS)), np.nan)
+    for column, windows in enumerate(SPANS):
+        if windows <= len(looks):
+            pull, information = _without_base(anchor, tracks[-windows], looks[-windows:])
+            table[:, column] = [_gain(anchor, pull, information, mine) for mine in own]
+    return table
+
+
+def _without_base(anchor: Anchor, before: Track, looks: Sequence[Look]) -> tuple[Array, Array]:
+    """Pull (m,) and information (m, m) of all effects, the base at its best beside each."""
     n, size = anchor.space.nuisance, len(anchor.space.centre)
     pull, information = np.zeros(size), np.zeros((size, size))
     pull[:n], information[:n, :n] = before.pull, before.information
     for seen in looks:
         pull += seen.weight * seen.g
         information += seen.weight * seen.h
-    return Span(pull, information)
+    cross = information[:n, n:]
+    solved = np.linalg.solve(information[:n, :n], np.column_stack([cross, pull[:n]]))
+    return pull[n:] - cross.T @ solved[:, -1], information[n:, n:] - cross.T @ solved[:, :-1]
 
 
-class Marginal(NamedTuple):
-    """Pull and information of all effects, the base eliminated: (m,) and (m, m)."""
-
-    pull: Array
-    information: Array
-
-
-def eliminate_base(anchor: Anchor, span: Span) -> Marginal:
-    """The effects' part of a span, the base at its best for each of their values."""
-    n = anchor.space.nuisance
-    cross = span.information[:n, n:]
-    solved = np.linalg.solve(span.information[:n, :n], np.column_stack([cross, span.pull[:n]]))
-    pull = span.pull[n:] - cross.T @ solved[:, -1]
-    return Marginal(pull, span.information[n:, n:] - cross.T @ solved[:, :-1])
+def _gain(anchor: Anchor, pull: Array, information: Array, mine: NDArray[np.int64]) -> float:
+    """What one effect gains at its most likely value [nats]."""
+    spread = anchor.space.spread[anchor.space.nuisance :][mine]
+    precision = information[np.ix_(mine, mine)] + np.diag(spread**-2)
+    value = np.linalg.solve(0.5 * (precision + precision.T), pull[mine])
+    return 0.5 * float(pull[mine] @ value)
 
 
-def suspect(anchor: Anchor, at: Marginal, effect: str, windows: int) -> Suspect:
-    """One effect on its own, about its prior."""
-    n = anchor.space.nuisance
-    mine = np.array(anchor.places(effect)) - n
-    own = np.ix_(mine, mine)
-    spread = anchor.space.spread[n:][mine]
-    precision = at.information[own] + np.diag(spread**-2)
-    covariance = np.linalg.inv(0.5 * (precision + precision.T))
-    value = covariance @ at.pull[mine]
-    gain = 0.5 * float(at.pull[mine] @ value)
-    return Suspect(effect, windows, gain, value, covariance)
+def sharpened(
+    anchor: Anchor, tracks: Sequence[Track], looks: Sequence[Look], table: Array, level: Array
+) -> Array:
+    """The ratios, those that are nearly a change as the change itself would have them.
 
-
-def suspects(
-    anchor: Anchor, effects: Sequence[str], tracks: Sequence[Track], looks: Sequence[Look]
-) -> list[list[Suspect]]:
-    """Every effect over every span that the windows hold, in the order of `SPANS`.
+    The sums weigh a window by how badly the anchor explains it, so one that shows a change plainly
+    counts for as little as one that nothing explains. No ratio becomes smaller.
 
     Args:
         anchor: the car.
-        effects: what is looked at.
         tracks: what was known of the base before each of the windows.
         looks: the last windows, oldest first.
+        table: (effects, spans) see `ratios`.
+        level: (effects, spans) by what they are divided, see `Usual`.
     """
-    found = []
-    for windows in SPANS:
-        if windows > len(looks):
-            break
-        span = sum_up(anchor, tracks[-windows], looks[-windows:])
-        at = eliminate_base(anchor, span)
-        found.append([suspect(anchor, at, effect, windows) for effect in effects])
-    return found
-
-
-def ratios(found: Sequence[Sequence[Suspect]], effects: int) -> Array:
-    """(effects, spans) gains, NaN for spans longer than the windows width back."""
-    table = np.full((effects, len(SPANS)), np.nan)
-    for column, row in enumerate(found):
-        table[:, column] = [each.gain for each in row]
+    # Why: docs/decisions/diagnosis.md#d98
+    judged = np.nan_to_num(table / level, nan=-np.inf).max(axis=1)
+    if judged.max() < NEARLY:
+        return table
+    table = table.copy()
+    leaders = np.argsort(-judged, kind="stable")[:LEADERS]
+    for column, windows in enumerate(SPANS):
+        if windows <= min(LONGEST, len(looks)):
+            since = tracks[-windows], looks[-windows:]
+            null = _cost(anchor, *since, [])
+            for row in leaders:
+                gain = null - _cost(anchor, *since, anchor.places(anchor.space.effects[row]))
+                table[row, column] = max(table[row, column], gain)
     return table
 
 
-def usual_of(anchor: Anchor, effects: Sequence[str], track: Track, looks: Sequence[Look]) -> Usual:
+def _cost(anchor: Anchor, before: Track, looks: Sequence[Look], own: Sequence[int]) -> float:
+    """Loss of windows and prior at the best of the base and some coordinates [nats].
+
+    Student's t with weights at the fit; infinite where no car has such values. Windows that the
+    anchor explains badly barely pull, so a large effect that explains them all is looked for from
+    equal weights too.
+    """
+    space, n = anchor.space, anchor.space.nuisance
+    at = [*range(n), *own]
+    prior = np.diag(space.spread[at] ** -2)
+    prior[:n, :n] = before.information
+    pull = np.concatenate([before.pull, np.zeros(len(own))])
+    g = np.array([seen.g[at] for seen in looks])
+    h = np.array([seen.h[np.ix_(at, at)] for seen in looks])
+    square = np.array([seen.square for seen in looks])
+    dof = np.array([seen.dof for seen in looks])
+    costs = []
+    for first in (square / dof, np.ones(len(looks))):
+        z, left = np.zeros(len(at)), first
+        for _ in range(ROUNDS):
+            weight = 2.0 / (1.0 + left)
+            z = np.linalg.solve(prior + np.tensordot(weight, h, 1), pull + weight @ g)
+            left = np.maximum(square - 2.0 * g @ z + (h @ z) @ z, 0.0) / dof
+        value, away = (space.centre[at] + z)[n:], z - np.linalg.solve(prior, pull)
+        if ((space.low[at][n:] <= value) & (value <= space.high[at][n:])).all():
+            costs.append(float(dof @ np.log1p(left)) + 0.5 * float(away @ prior @ away))
+    return min(costs, default=np.inf)
+
+
+def usual_of(anchor: Anchor, track: Track, looks: Sequence[Look]) -> Usual:
     """What the windows that made the anchor show."""
-    usual = unknown(len(effects))
+    usual = unknown(len(anchor.space.effects))
     for end in range(1, len(looks) + 1):
         part = looks[max(0, end - SPANS[-1]) : end]
-        found = suspects(anchor, effects, [track] * len(part), part)
-        usual = with_ratios(usual, ratios(found, len(effects)))
+        usual = with_ratios(usual, ratios(anchor, [track] * len(part), part))
     return usual
 
 

@@ -19,11 +19,13 @@ from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import Car
 from steerd.controller.learnt import Learnt, learnt_of
 from steerd.sim_gap.online.amount import is_ratio
-from steerd.sim_gap.online.learner import Change, Learner, State
-from steerd.sim_gap.online.naming import SETTLED, SURE, Cause
+from steerd.sim_gap.online.learner import SETTLED, Change, Learner, State
 from steerd.sim_gap.online.values import values_of
+from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.inference.superset import Superset
 
+SURE = 0.8
+"""A name, or a set of which each is lateness, is followed from this confidence on."""
 BY_ITSELF = ("steer_bias", "speed_gain")
 """Numbers of the base that a lane identifies whatever else the model misses."""
 BEYOND_DOUBT = 3.0
@@ -39,13 +41,14 @@ def find_aim(learner: Learner, state: State) -> Learnt | str:
     if state.known is None:
         return "the car is being learnt"
     current = () if state.change is None else (state.change,)
-    problem = next(filter(None, map(_doubt, (*state.past, *current))), "")
+    named = [_named(change) for change in (*state.past, *current)]
+    problem = next((each for each in named if isinstance(each, str)), "")
     if problem:
         return problem
-    if state.change is not None and len(state.change.looks) < SETTLED:
+    if state.change is not None and len(state.change.windows) < SETTLED:
         return "a change is being looked into"
     file = _numbers(learner.superset, ())
-    now = _numbers(learner.superset, [_named(change) for change in (*state.past, *current)])
+    now = _numbers(learner.superset, [each for each in named if not isinstance(each, str)])
     # A base that was learnt anew is held near the file's: a change that was named knows better.
     own = {
         name: value
@@ -55,31 +58,27 @@ def find_aim(learner: Learner, state: State) -> Learnt | str:
     return now._replace(**own)
 
 
-def _doubt(change: Change) -> str:
-    """Why a change is not to be followed."""
-    finding = change.finding
-    if finding.verdict == "changed":
-        return "a change is being looked into"
-    if finding.verdict == "unexplained":
-        return "a change is unexplained"
-    cause = _named(change)[0]
-    if cause.alternatives and not LATENESS.issuperset((cause.effect, *cause.alternatives)):
-        return f"a change is {cause.effect} or {' or '.join(cause.alternatives)}"
-    return "" if cause.confidence >= SURE else "the name of a change is not sure"
-
-
-def _named(change: Change) -> tuple[Cause, tuple[float, ...]]:
-    """What a change is followed as, and what the effect's parameters were before.
+def _named(change: Change) -> tuple[Cause, tuple[float, ...]] | str:
+    """What a change is followed as and what the effect's parameters were before, or why it is not.
 
     Its name, or that which stood alone before others came beside it.
     """
-    cause = change.finding.cause
-    if change.proven is None or not cause.alternatives:
-        return cause, change.was
-    proven, was = change.proven
-    if cause.effect == proven.effect:
-        return replace(cause, alternatives=()), was
-    return (proven, was) if proven.effect in cause.alternatives else (cause, change.was)
+    cause, was = change.finding.cause, change.was
+    if cause is None:
+        unexplained = change.finding.verdict == "unexplained"
+        return "a change is unexplained" if unexplained else "a change is being looked into"
+    sure, others = cause.confidence, cause.ambiguous_with
+    if others and change.proven is not None:
+        proven, before = change.proven
+        if cause.effect == proven.effect:
+            cause, was, others = replace(cause, ambiguous_with=()), before, ()
+        elif proven.effect in others:
+            (cause, was), others = change.proven, ()
+    if others and not LATENESS.issuperset((cause.effect, *others)):
+        return f"a change is {cause.effect} or {' or '.join(others)}"
+    if others:
+        sure = change.finding.sure
+    return (cause, was) if sure >= SURE else "the name of a change is not sure"
 
 
 def _by_itself(learner: Learner, state: State) -> dict[str, float]:

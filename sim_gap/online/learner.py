@@ -5,7 +5,6 @@ first it learns the car as it is (`reference`), then it follows it (`tracking`) 
 change (`changes`); after one it says what changed (`naming`), and learns the car anew.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,14 +15,13 @@ from steerd.sim_gap.online.changes import (
     Usual,
     faded,
     ratios,
-    suspects,
+    sharpened,
     usual_of,
     with_ratios,
 )
-from steerd.sim_gap.online.fitting import Point, look_closer, looks_for, rank
 from steerd.sim_gap.online.looking import Anchor, Look, look
 from steerd.sim_gap.online.memory import Remembered, with_memory
-from steerd.sim_gap.online.naming import SETTLED, Cause, Finding, name, values_after
+from steerd.sim_gap.online.naming import LOOKS, Finding, find_cause
 from steerd.sim_gap.online.reference import learn_reference
 from steerd.sim_gap.online.samples import (
     LATE,
@@ -35,12 +33,10 @@ from steerd.sim_gap.online.samples import (
     make_window,
     take,
 )
-from steerd.sim_gap.online.settling import settled_fit
-from steerd.sim_gap.online.sharpening import sharpened
 from steerd.sim_gap.online.tracking import Track, follow
+from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.noise import Noise
-from steerd.sysid.inference.residuals import robust_mean
 from steerd.sysid.inference.superset import Superset
 
 Array = NDArray[np.float64]
@@ -51,8 +47,8 @@ ALARM = 20.0
 """A change is called at this ratio per what is usual [nats]."""
 DOUBT = 5.0
 """Windows at which a ratio is larger are not followed, and not usual [nats]."""
-PATIENCE = 6
-"""A change that so many windows after it does not hold is taken back."""
+SETTLED = 16
+"""Windows after which the name of a change counts: eight seconds, a lap of a small eight."""
 DELAY = 8
 """What a window shows counts as usual only so many windows later."""
 FADING = 1.0 / 1200.0
@@ -84,19 +80,16 @@ class Known:
 
     Attributes:
         anchor: the car, and its noise.
-        effects: what is looked for.
         track: what is known of the base now.
-        usual: what ratios the car shows while nothing is the matter; `usual_ratio` what error.
+        usual: what ratios the car shows while nothing is the matter.
         looks: the last windows, oldest first; `tracks` what was known before each.
         shown: ratios of windows that may yet turn out to be a change's.
         peak: the largest ratio per what is usual so far that called no change [nats].
     """
 
     anchor: Anchor
-    effects: tuple[str, ...]
     track: Track
     usual: Usual
-    usual_ratio: float
     looks: tuple[Look, ...] = ()
     tracks: tuple[Track, ...] = ()
     shown: tuple[Array, ...] = ()
@@ -110,8 +103,7 @@ class Change:
     Attributes:
         since: when it began [s]; `noticed` when it was called [s].
         before: what was known of the base before it.
-        looks: the windows since; `windows` the same as drives, with their times.
-        points: likely effects' windows, looked at again.
+        windows: those since, with their times.
         finding: what is said of it.
         was: what the named effect's parameters were before it.
         proven: the last name that stood alone once the change had settled, and what its parameters
@@ -121,10 +113,8 @@ class Change:
     since: float
     noticed: float
     before: Track
-    looks: tuple[Look, ...]
     windows: tuple[tuple[float, Run], ...]
-    points: Mapping[str, Point]
-    finding: Finding
+    finding: Finding = field(default_factory=Finding)
     was: tuple[float, ...] = ()
     proven: tuple[Cause, tuple[float, ...]] | None = None
 
@@ -185,13 +175,16 @@ def take_window(learner: Learner, state: State, t: float, run: Run) -> State:
     state = replace(state, seen=state.seen + 1)
     if state.known is None:
         return _learn(learner, replace(state, windows=(*state.windows, (t, run))))
+    if state.change is not None:
+        change = replace(state.change, windows=(*state.change.windows, (t, run)))
+        if len(change.windows) in LOOKS:
+            change = judge(state.known, change)
+        return _after(learner, state, state.known, change)
     seen = look(state.known.anchor, run, t)
     if seen is None:
         return state
-    if state.change is not None:
-        return _look_into(learner, state, state.known, state.change, seen, run)
     windows = (*state.windows, (t, run))[-SPANS[-1] :]
-    return _watch(replace(state, windows=windows), state.known, seen)
+    return _watch(learner, replace(state, windows=windows), state.known, seen)
 
 
 def _learn(learner: Learner, state: State) -> State:
@@ -219,26 +212,23 @@ def learn(
     found = learn_reference(learner.superset, runs, times, learner.noise)
     if found is None:
         return None
-    effects = found.anchor.space.effects
     track = with_memory(found.anchor, found.track, remembered)
-    usual = usual_of(found.anchor, effects, track, found.looks)
-    level = robust_mean(np.array([seen.ratio for seen in found.looks]))
+    usual = usual_of(found.anchor, track, found.looks)
     looks, tracks = found.looks[-SPANS[-1] :], (track,) * SPANS[-1]
-    return Known(found.anchor, effects, track, usual, level, looks, tracks[: len(looks)])
+    return Known(found.anchor, track, usual, looks, tracks[: len(looks)])
 
 
-def _watch(state: State, known: Known, seen: Look) -> State:
+def _watch(learner: Learner, state: State, known: Known, seen: Look) -> State:
     """A window while nothing is the matter; a change is called where it does not fit."""
     looks = (*known.looks, seen)[-SPANS[-1] :]
     tracks = (*known.tracks, known.track)[-SPANS[-1] :]
-    found = suspects(known.anchor, known.effects, tracks, looks)
-    table, level = ratios(found, len(known.effects)), known.usual.level()
-    table = sharpened(known.anchor, known.effects, tracks, looks, table, level)
+    table, level = ratios(known.anchor, tracks, looks), known.usual.level()
+    table = sharpened(known.anchor, tracks, looks, table, level)
     judged = table / level
     worst = float(np.nanmax(judged))
     if worst >= ALARM:
         span = SPANS[int(np.nanargmax(np.nanmax(judged, axis=0)))]
-        return _call(state, replace(known, looks=looks, tracks=tracks), span)
+        return _call(learner, state, replace(known, looks=looks, tracks=tracks), span)
     n = known.anchor.space.nuisance
     track, shown = known.track, known.shown
     if worst < DOUBT:
@@ -254,55 +244,34 @@ def _watch(state: State, known: Known, seen: Look) -> State:
     return replace(state, known=known)
 
 
-def _call(state: State, known: Known, span: int) -> State:
+def _call(learner: Learner, state: State, known: Known, span: int) -> State:
     """Call a change that began `span` windows ago."""
     looks, before = known.looks[-span:], known.tracks[-span]
     noticed = looks[-1].t + WINDOW + LATE
-    change = judge(known, before, looks, {}, noticed, state.windows[-span:])
+    change = Change(looks[0].t, noticed, before, state.windows[-span:])
     # What was followed since the change is taken back.
     known = replace(known, track=before, shown=())
-    return replace(state, known=known, change=change)
+    if span >= LOOKS[0]:
+        change = judge(known, change)
+    return _after(learner, state, known, change)
 
 
-def judge(
-    known: Known,
-    before: Track,
-    looks: tuple[Look, ...],
-    points: Mapping[str, Point],
-    noticed: float,
-    windows: tuple[tuple[float, Run], ...],
-) -> Change:
-    """A change with what its windows say.
-
-    Args:
-        known: the car.
-        before: what was known of it before the change.
-        looks: the windows since.
-        points: what of them was looked at again so far.
-        noticed: when it was called [s].
-        windows: the windows as drives.
-    """
-    anchor = known.anchor
-    short = {e: p for e, p in points.items() if len(p.looks) == len(looks)}
-    null, fits = rank(anchor, known.effects, before, looks, short)
-    points = look_closer(anchor, null, fits, looks, points)
-    null, fits = rank(anchor, known.effects, before, looks, points)
-    finding = name(anchor, null, fits, known.usual_ratio, points)
-    own = looks_for(anchor, fits[0].effect, looks, points)
-    late = values_after(anchor, settled_fit(anchor, before, own, fits[0]))
-    finding = replace(finding, cause=replace(finding.cause, parameters=late))
-    was = anchor.superset.nulls[finding.cause.effect]
-    return Change(looks[0].t, noticed, before, looks, windows, points, finding, was)
+def judge(known: Known, change: Change) -> Change:
+    """A change with what its windows say."""
+    runs = [run for _, run in change.windows]
+    finding = find_cause(known.anchor, change.before, runs)
+    if finding.cause is None:
+        return replace(change, finding=finding)
+    was = known.anchor.superset.nulls[finding.cause.effect]
+    alone = not finding.cause.ambiguous_with and len(runs) >= SETTLED
+    proven = (finding.cause, was) if alone else change.proven
+    return replace(change, finding=finding, was=was, proven=proven)
 
 
-def _look_into(
-    learner: Learner, state: State, known: Known, change: Change, seen: Look, run: Run
-) -> State:
-    """One more window after a change."""
-    looks, windows = (*change.looks, seen), (*change.windows, (seen.t, run))
-    judged = judge(known, change.before, looks, change.points, change.noticed, windows)
-    change = replace(judged, proven=_proven(judged) or change.proven)
-    if len(looks) >= PATIENCE and change.finding.gain < DOUBT:
+def _after(learner: Learner, state: State, known: Known, change: Change) -> State:
+    """The change kept, taken back where there was none, or the car learnt anew after it."""
+    windows = change.windows
+    if change.finding.verdict == "none":
         kept = replace(known, looks=(), tracks=())
         return replace(state, known=kept, change=None, taken_back=state.taken_back + 1, windows=())
     if len(windows) < REFERENCE + 1:
@@ -311,13 +280,5 @@ def _look_into(
     again = learn(learner, windows[1:])
     if again is None:
         return replace(state, change=replace(change, windows=windows[REFERENCE // 2 :]))
-    past = (*state.past, replace(change, looks=(), windows=(), points={}))
+    past = (*state.past, replace(change, windows=()))
     return replace(state, known=again, change=None, past=past, windows=windows[-SPANS[-1] :])
-
-
-def _proven(change: Change) -> tuple[Cause, tuple[float, ...]] | None:
-    """The name of a settled change and its old values, if it stands alone."""
-    cause = change.finding.cause
-    if change.finding.verdict != "named" or cause.alternatives or len(change.looks) < SETTLED:
-        return None
-    return cause, change.was

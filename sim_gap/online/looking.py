@@ -17,7 +17,7 @@ from steerd.sim_gap.online.samples import WINDOW
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import speed_range
 from steerd.sysid.inference.engine import Engine, make_engine
-from steerd.sysid.inference.likelihood import Likelihood, Reduced, make_likelihood
+from steerd.sysid.inference.likelihood import Reduced, make_likelihood
 from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.readings import make_readings
 from steerd.sysid.inference.residuals import settled
@@ -63,8 +63,6 @@ class Look:
         dof: its degrees of freedom.
         g: (n,) pull on the coordinates (direction of steepest improvement).
         h: (n, n) information about them.
-        likelihood: of the window, to look at it again.
-        x: (1, 7) its start.
     """
 
     t: float
@@ -72,8 +70,6 @@ class Look:
     dof: int
     g: Array
     h: Array
-    likelihood: Likelihood | None = None
-    x: Array | None = None
 
     @property
     def ratio(self) -> float:
@@ -89,15 +85,14 @@ class Look:
 def may_change(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     """Effects that can come about while a car drives and show at once.
 
-    Those with a gradient at their null that could be part of a car: what is a matter of a place or
-    of the time of day is none that a window can show.
+    Those that could be part of a car: what is a matter of a place or of the time of day is none
+    that a window can show.
     """
     effects = {e.name: e for e in superset.effects}
     return tuple(
         name
         for name in informative_effects(superset, runs)
-        if not effects[name].zero_gradient
-        and effects[name].selectable_in_base is not BaseSelection.NEVER
+        if effects[name].selectable_in_base is not BaseSelection.NEVER
     )
 
 
@@ -144,7 +139,7 @@ def look(anchor: Anchor, run: Run, t: float) -> Look | None:
         point = stand(likelihood, anchor.space, anchor.space.centre, found.x, 0.0)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None
-    return replace(looks_of(point.at, [t])[0], likelihood=likelihood, x=point.x)
+    return looks_of(point.at, [t])[0]
 
 
 def looks_of(at: Reduced, times: Sequence[float]) -> list[Look]:
@@ -157,36 +152,3 @@ def looks_of(at: Reduced, times: Sequence[float]) -> list[Look]:
     return [
         Look(t, float(at.square[w]), int(at.dof[w]), at.g[w], at.h[w]) for w, t in enumerate(times)
     ]
-
-
-def look_again(anchor: Anchor, seen: Look, effect: str, z: Array) -> Look:
-    """The same window linearised where an effect is suspected, as a form about the anchor.
-
-    Args:
-        anchor: the car.
-        seen: the window as seen from the anchor.
-        effect: of the library.
-        z: (n_base + k,) deviations from the anchor, the effect's last.
-
-    Returns:
-        The window in the base's coordinates and the effect's alone; as it was seen where its engine
-        is gone or the simulation leaves the map.
-    """
-    n = anchor.space.nuisance
-    old = cut(seen, [*range(n), *anchor.places(effect)])
-    if seen.likelihood is None or seen.x is None:
-        return old
-    space = make_space(anchor.superset, anchor.space.chart.free[:n], [effect])
-    try:
-        at = stand(seen.likelihood, space, space.centre + z, seen.x, 0.0).at
-    except FloatingPointError:
-        return old
-    g, h = at.g[0], at.h[0]
-    square = float(at.square[0] + 2.0 * g @ z + z @ h @ z)
-    return Look(seen.t, square, seen.dof, g + h @ z, h)
-
-
-def cut(seen: Look, places: Sequence[int]) -> Look:
-    """A window as a form in some of the coordinates, the others at the anchor."""
-    at = np.asarray(places)
-    return Look(seen.t, seen.square, seen.dof, seen.g[at], seen.h[np.ix_(at, at)])

@@ -56,7 +56,7 @@ def learn_reference(
         x = engine.readings.layout.guess.copy()
         rough = noise or usual_noise(estimate_noise(runs))
         likelihood = make_likelihood(engine, superset.base, x, rough)
-        library = Library(likelihood, nuisance, ())
+        library = Library(likelihood, nuisance, (), known=False)
         fitted = minimise(likelihood, begin(library, built_in, (), x))
         noise = learn_noise(engine, fitted, noise)
         likelihood = make_likelihood(engine, fitted.parameters, fitted.x, noise)
@@ -65,7 +65,9 @@ def learn_reference(
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None
     learnt = anchored(superset, fitted.parameters)
-    anchor = make_anchor(learnt, nuisance, may_change(learnt, runs), noise)
+    flat = {e.name for e in superset.effects if e.zero_gradient}
+    sloped = [name for name in may_change(learnt, runs) if name not in flat]
+    anchor = make_anchor(learnt, nuisance, sloped, noise)
     try:
         at = stand(likelihood, anchor.space, anchor.space.centre, fitted.x, 0.0).at
     except FloatingPointError:

@@ -8,7 +8,6 @@ from steerd.mocap_link.natnet_frame import (
     Frame,
     RigidBody,
 )
-from steerd.mocap_link.natnet_model import Description, MarkerSetDesc, ModelDef, RigidBodyDesc
 from steerd.mocap_link.natnet_wire import F32, NatNetError
 from steerd.sim_hw.mocap.cameras import BodyPose, Capture
 from steerd.sim_hw.mocap.mocap_config import MULTICAST, TO_DATA, MocapConfig
@@ -19,7 +18,7 @@ from steerd.sim_hw.plant.noise import NoiseSource
 _NS = 1_000_000_000
 _APP_VERSION = (3, 1, 0, 0)
 _ANSWER_NS = 150_000
-_ANOTHER = RigidBodyDesc("newcomer", 9)
+_ANOTHER = natnet.RigidBodyDesc("newcomer", 9)
 """Enters the model list when it changes."""
 
 
@@ -69,7 +68,7 @@ class NatNetServer:
             message = natnet.decode(data, self.config.version)
         except NatNetError:
             return
-        if isinstance(message, natnet.Disconnect):
+        if message is natnet.Bare.DISCONNECT:
             self._clients.pop(peer, None)
             return
         self._clients[peer] = t_ns
@@ -80,11 +79,11 @@ class NatNetServer:
 
     def _answer(self, t_ns: int, message: natnet.Message) -> natnet.Message | None:
         match message:
-            case natnet.Connect() | natnet.Discovery():
+            case natnet.Bare.CONNECT | natnet.Bare.DISCOVERY:
                 return self._info()
             case natnet.EchoRequest():
                 return natnet.EchoResponse(message.client_stamp, self.ticks(t_ns + _ANSWER_NS // 2))
-            case natnet.RequestModelDef():
+            case natnet.Bare.REQUEST_MODEL:
                 self._model_flag = False
                 return self._model()
             case natnet.Request():
@@ -102,16 +101,11 @@ class NatNetServer:
             config.transport == MULTICAST,
         )
 
-    def _model(self) -> ModelDef:
+    def _model(self) -> natnet.ModelDef:
         config = self.config
-        bodies = [RigidBodyDesc(config.body, config.body_id)]
-        bodies += [RigidBodyDesc(b.name, b.id) for b in config.bystanders]
-        if self._grown:
-            bodies.append(_ANOTHER)
-        items: list[Description] = []
-        for body in bodies:
-            items += [MarkerSetDesc(body.name), body]
-        return ModelDef((*items, MarkerSetDesc("all")))
+        bodies = [natnet.RigidBodyDesc(b.name, b.id) for b in config.bystanders]
+        own = natnet.RigidBodyDesc(config.body, config.body_id)
+        return natnet.ModelDef((own, *bodies, *((_ANOTHER,) if self._grown else ())))
 
     # --- frames
 

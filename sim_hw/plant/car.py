@@ -8,8 +8,10 @@ it, so a braked car comes to rest and stays there.
 # Why: docs/decisions/vehicle-model.md#d19
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.car_model.model import Model, delays, hooked, observe
@@ -17,7 +19,6 @@ from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import GRAVITY
 from steerd.car_model.rollout import stiffness_rate
 from steerd.car_model.state import ORIGIN, Observation, State
-from steerd.sim_hw.plant.delay import DelayLine
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.plant.steps import make_steps
 from steerd.steer_bus.quick_values import quick_value
@@ -69,6 +70,51 @@ class CarSetup:
     servo_wait: float = 0.0
     noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
     start: State[float] = ORIGIN
+
+
+class Held(NamedTuple):
+    """A value and the time from which it is in force [ns]."""
+
+    t_ns: int
+    value: float
+
+
+class DelayLine:
+    """A signal held between changes, read `delay_ns` late.
+
+    Args:
+        delay_ns: dead time, zero or more.
+        initial: value before the first change.
+    """
+
+    def __init__(self, delay_ns: int, initial: float) -> None:
+        self._delay_ns = max(0, delay_ns)
+        self._now = initial
+        self._newest = initial
+        self._coming: deque[Held] = deque()
+
+    def push(self, t_ns: int, value: float) -> None:
+        """Hold ``value`` from ``t_ns`` on; times never go back."""
+        if value != self._newest:
+            self._newest = value
+            self._coming.append(Held(t_ns + self._delay_ns, value))
+
+    def mean(self, t0_ns: int, t1_ns: int) -> float:
+        """Mean of the late signal over [t0, t1); later calls start at ``t1`` or after.
+
+        As `steerd.car_model.rollout.channel_delayed`, for changes at any time.
+        """
+        coming = self._coming
+        while coming and coming[0].t_ns <= t0_ns:
+            self._now = coming.popleft().value
+        if not coming or coming[0].t_ns >= t1_ns:
+            return self._now
+        area, since = 0.0, t0_ns
+        while coming and coming[0].t_ns < t1_ns:
+            change = coming.popleft()
+            area += self._now * (change.t_ns - since)
+            self._now, since = change.value, change.t_ns
+        return (area + self._now * (t1_ns - since)) / (t1_ns - t0_ns)
 
 
 class SimCar:

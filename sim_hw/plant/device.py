@@ -1,4 +1,4 @@
-"""What a simulated device is: bytes in at a time, bytes out with their times, a time to be woken.
+"""Bytes of a simulated device: in flight with their times, and logged for judges.
 
 The split is tickit's: a device holds behaviour, `mocap_link` and `vesc_link` hold the wire formats,
 and `links` alone holds sockets. Times are int nanoseconds on whatever monotonic clock the caller
@@ -6,7 +6,7 @@ keeps; a device never asks for the time.
 """
 
 from collections import deque
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from steerd.steer_bus.quick_values import quick_value
 
@@ -17,20 +17,6 @@ class Chunk:
 
     t_ns: int
     data: bytes
-
-
-class Device(Protocol):
-    """A byte-stream device."""
-
-    @property
-    def next_wake_ns(self) -> int | None:
-        """When `advance` has something to do at the latest; None if nothing is pending."""
-
-    def on_bytes(self, t_ns: int, data: bytes) -> None:
-        """Take bytes that arrive at ``t_ns``."""
-
-    def advance(self, t_ns: int) -> list[Chunk]:
-        """Live until ``t_ns`` and give the bytes that are due by then, in order."""
 
 
 class ByteQueue:

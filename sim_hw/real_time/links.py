@@ -60,10 +60,7 @@ class SimHardware:
     """
 
     def __init__(
-        self,
-        config: WorldConfig,
-        options: SimOptions | None = None,
-        clock: Clock | None = None,
+        self, config: WorldConfig, options: SimOptions | None = None, clock: Clock | None = None
     ) -> None:
         options = options or SimOptions()
         self._clock = clock or MonotonicClock()

@@ -2,7 +2,6 @@
 
 import contextlib
 import socket
-from typing import Protocol
 
 from steerd.mocap_link.natnet import MULTICAST_GROUP
 from steerd.sim_hw.mocap.mocap_config import MULTICAST
@@ -15,24 +14,9 @@ _STRANGER = "127.0.0.9"
 _READ = 65_536
 
 
-class MocapSockets(Protocol):
-    """The open ends of a mocap server."""
-
-    url: str
-
-    def read_fds(self) -> tuple[int, ...]:
-        """What to poll."""
-
-    def pump(self, world: World, t_ns: int) -> None:
-        """Move messages both ways."""
-
-    def close(self) -> None:
-        """Close all sockets."""
-
-
 def make_mocap_sockets(
     world: World, command_port: int, data_port: int, vrpn_port: int
-) -> MocapSockets:
+) -> "MocapSockets":
     """Open the sockets of the world's mocap system; port 0 takes a free one.
 
     Raises:
@@ -173,3 +157,7 @@ class VrpnSockets:
         for client in self._clients.values():
             client.close()
         self._clients.clear()
+
+
+MocapSockets = NatNetSockets | VrpnSockets
+"""The open ends of a mocap server."""

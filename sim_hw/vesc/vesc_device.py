@@ -12,31 +12,38 @@ from steerd.sim_hw.plant.car import COAST, Demand, Drive, SimCar
 from steerd.sim_hw.plant.device import ByteLog, Chunk
 from steerd.sim_hw.plant.fault_state import HEALTHY_VESC, VescFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
-from steerd.sim_hw.vesc.vesc_answers import ANSWERS
 from steerd.sim_hw.vesc.vesc_config import MS, VescConfig
-from steerd.sim_hw.vesc.vesc_motor import TICK_NS, Act, Mode, Motor, duty_current
+from steerd.sim_hw.vesc.vesc_motor import Act, Mode, Motor, duty_current
 from steerd.sim_hw.vesc.vesc_power import Power
 from steerd.sim_hw.vesc.vesc_replies import (
     ImuChip,
-    Statistics,
+    make_appconf,
+    make_fw_version,
+    make_mcconf_temp,
     make_terminal_answer,
-    rotor_angle_deg,
+    make_values,
 )
 from steerd.sim_hw.vesc.vesc_wire import ReplyWire
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.frames import FrameParser
-from steerd.vesc_link.identity import CanIds, RotorPosition
-from steerd.vesc_link.ids import FAULT_NAMES, FW_3_00, FW_3_40, FW_5_03, Firmware, command_id
+from steerd.vesc_link.identity import Ack
+from steerd.vesc_link.ids import (
+    FAULT_NAMES,
+    FW_3_00,
+    FW_3_40,
+    FW_5_03,
+    CommandId,
+    Firmware,
+    command_id,
+)
 from steerd.vesc_link.packets import FEEDS_TIMEOUT, Reply, decode_command, encode_reply
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed, servo_pos_to_steer
+from steerd.vesc_link.telemetry import UPTIME_MASK, Uptime
 from steerd.vesc_link.wire import device_number
 
 _UNDER_VOLTAGE = FAULT_NAMES.index("UNDER_VOLTAGE")
 _OVER_TEMP = FAULT_NAMES.index("OVER_TEMP_FET")
 _TERMINAL_NS = 5 * MS
-_CAN_PING_NS = 2_530 * MS
-"""253 ids at 10 ms each."""
-_ROTOR_NS = 10 * MS
 _PARSER_512 = Firmware(3, 48)
 _decode = lru_cache(maxsize=512)(decode_command)
 
@@ -55,7 +62,7 @@ class SimVesc:
     Attributes:
         motor: modes, timeout, faults.
         power: electrical measurements.
-        stats, imu: what GET_STATS and GET_IMU_DATA read.
+        imu: what GET_IMU_DATA reads.
         boot_ns: when it came up.
         counts: host bugs and losses by name: ``short`` (a command without its arguments),
             ``unknown`` ids, ``discarded`` blocking commands, ``lost`` bytes while off.
@@ -92,17 +99,14 @@ class SimVesc:
         self.motor.fault_state = self.fault_state
         self.power = Power(config)
         self.power.heat_c = self.fault_state.heat_c
-        self.stats = Statistics()
-        self.stats.reset(t_ns)
         self.imu = ImuChip(config, self.car, self._noise)
         self._parser = make_parser(config.firmware)
         self.boot_ns = t_ns - uptime_ns
         self._servo_target = self._servo_out = 0.5
         self._servo_steer = servo_pos_to_steer(self._scaling, self._servo_out)
         self._servo_next_ns = t_ns + config.servo_phase_ns
-        self._busy_until_ns = self._alive_next_ns = self._stats_next_ns = t_ns
+        self._busy_until_ns = self._alive_next_ns = t_ns
         self._later: deque[tuple[int, Reply]] = deque()
-        self._rotor_next_ns: int | None = None
         if config.boot_garbage:
             self._wire.send_raw(t_ns, self._noise.random_bytes(config.boot_garbage))
 
@@ -132,9 +136,8 @@ class SimVesc:
         self._held.clear()
         self._off_until_ns = t_ns + self.config.reboot_ns
         self.connected = False
-        self.motor.estop(t_ns, 0)
+        self.motor.release()
         self._later.clear()
-        self._rotor_next_ns = None
 
     @property
     def uuid(self) -> bytes:
@@ -167,9 +170,6 @@ class SimVesc:
         erpm = self._true_erpm()
         demand, current = self._act(self.motor.step(t_ns, h), erpm)
         power.step(current, erpm, h, faults.sag)
-        if t_ns >= self._stats_next_ns:
-            self._stats_next_ns = t_ns + TICK_NS
-            self.stats.sample(self.car.state.speed, power)
         return self._servo(t_ns), demand
 
     def _servo(self, t_ns: int) -> float:
@@ -216,9 +216,6 @@ class SimVesc:
     def next_wake_ns(self) -> int | None:
         """When bytes are due at the latest."""
         due = self._wire.outbox.next_ns
-        rotor_ns = self._rotor_next_ns
-        if rotor_ns is not None and (due is None or rotor_ns < due):
-            due = rotor_ns
         if self._later and (due is None or self._later[0][0] < due):
             due = self._later[0][0]
         return due
@@ -257,9 +254,6 @@ class SimVesc:
         while self._later and self._later[0][0] <= t_ns:
             due, reply = self._later.popleft()
             self._reply(due, reply)
-        while self._rotor_next_ns is not None and self._rotor_next_ns <= t_ns:
-            self._reply(self._rotor_next_ns, RotorPosition(rotor_angle_deg(self.power)))
-            self._rotor_next_ns += _ROTOR_NS
         if not self.connected:
             return []
         chunks = self._wire.outbox.due(t_ns)
@@ -282,28 +276,37 @@ class SimVesc:
             self.counts["short" if known and len(payload) < 5 else "unknown"] += 1
         elif isinstance(command, FEEDS_TIMEOUT):
             self.motor.command(t_ns, command, self._true_erpm())
-        elif (answer := ANSWERS.get(type(command))) is not None:
-            reply = answer(self, t_ns, command)
-            if reply is not None:
-                self._reply(t_ns, reply)
-        else:
-            self._run(t_ns, command)
+        elif (reply := self._answer(t_ns, command)) is not None:
+            self._reply(t_ns, reply)
 
-    def _run(self, t_ns: int, command: c.Command) -> None:
-        """Commands that do something and answer later or never."""
+    def _answer(self, t_ns: int, command: c.Command) -> Reply | None:
+        """Carry out a command that is no motor's; what it says at once, if anything."""
+        config, motor = self.config, self.motor
         match command:
             case c.SetServoPos():
                 self._servo_target = min(max(command.servo_pos, 0.0), 1.0)
-            case c.SetDetect():
-                self._rotor_next_ns = t_ns + _ROTOR_NS if command.mode else None
+            case c.GetValuesSelective(mask=mask):
+                return make_values(config, motor, self.power, self.reported_erpm(), mask)
+            case c.GetImuData(mask=mask):
+                return self.imu.make_reply(mask, t_ns)
+            case c.GetValues():
+                return make_values(config, motor, self.power, self.reported_erpm(), None)
+            case c.GetValuesSetupSelective(mask=mask) if mask == UPTIME_MASK:
+                return Uptime((t_ns - self.boot_ns) // MS % (1 << 32))
+            case c.GetFwVersion():
+                return make_fw_version(config, self.uuid)
+            case c.GetAppConf():
+                return make_appconf(config, motor)
+            case c.GetMcConfTemp():
+                return make_mcconf_temp(config, motor)
+            case c.SetMcConfTemp():
+                motor.set_limits(command)
+                return Ack(CommandId.SET_MCCONF_TEMP) if command.ack else None
             case c.TerminalCommand():
-                self._block(t_ns, _TERMINAL_NS, make_terminal_answer(self.motor, command.text))
-            case c.PingCan():
-                self._block(t_ns, _CAN_PING_NS, CanIds(()))
+                self._block(t_ns, _TERMINAL_NS, make_terminal_answer(motor, command.text))
             case c.Reboot():
                 self.reboot(t_ns)
-            case c.MotorEstop():
-                self.motor.estop(t_ns, command.duration_ms)
+        return None
 
     def _reply(self, t_ns: int, reply: Reply) -> None:
         payload = encode_reply(reply, self.config.firmware)

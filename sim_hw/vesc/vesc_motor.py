@@ -93,10 +93,13 @@ class Motor:
         """Restart the timeout: any motor command does, even one that is then ignored."""
         self._fed_ns = t_ns
 
-    def estop(self, t_ns: int, duration_ms: int) -> None:
-        """Release and take no motor command for a while (MOTOR_ESTOP)."""
+    def set_limits(self, command: c.SetMcConfTemp) -> None:
+        """Take the session's limits (SET_MCCONF_TEMP)."""
+        self.limits = {name: getattr(command, name) for name in self.limits}
+
+    def release(self) -> None:
+        """Let the motor go."""
         self._set(Mode.RELEASED, 0.0)
-        self._ignore_until_ns = max(self._ignore_until_ns, t_ns + duration_ms * MS)
 
     def hold_fault(self, t_ns: int, code: int) -> None:
         """A fault condition is there now: the motor is off until 500 ms after it last was."""
@@ -116,18 +119,14 @@ class Motor:
                     self.ramped = erpm
                 low, high = self.limits["erpm_min"], self.limits["erpm_max"]
                 self._set(Mode.SPEED, min(max(command.erpm, low), high))
-            case c.SetCurrentBrake() | c.SetHandbrake():
+            case c.SetCurrentBrake():
                 low = self.limits["current_min_scale"] * limit
                 self._set(Mode.BRAKE, min(abs(command.current), low))
             case c.SetCurrent():
                 self._set_current(command.current)
-            case c.SetCurrentRel():
-                self._set_current(command.ratio * limit)
             case c.SetDuty():
                 most = self.limits["duty_max"]
                 self._set(Mode.DUTY, min(max(command.duty, -most), most))
-            case c.SetPos():
-                self._set(Mode.RELEASED, 0.0)  # a sensorless motor has no position to hold
 
     def _set_current(self, current: float) -> None:
         limit = self.config.current_limit

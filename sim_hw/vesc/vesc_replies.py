@@ -15,42 +15,9 @@ _IMU_PERIOD_NS = 5 * MS
 """The firmware samples its IMU at 200 Hz; faster polling reads the same sample again."""
 _MEAN_BITS = {"motor_current": 2, "input_current": 3, "d_current": 4, "q_current": 5}
 _MEAN_BITS |= {"v_d": 19, "v_q": 20}
-_FULL_WH = 40.0
 _SIGNATURE = 0x2A1B5C03
 _APPCONF_TAIL = bytes(range(1, 200)) * 2
 """Stands for the rest of the app configuration, whose layout changes with every firmware."""
-_STATS = ("speed", "power", "current", "temp_mos", "temp_motor")
-
-
-class Statistics:
-    """Means and maxima since the last reset (GET_STATS), sampled by the 10 ms thread."""
-
-    def __init__(self) -> None:
-        self.reset(0)
-
-    def reset(self, t_ns: int) -> None:
-        """Start anew."""
-        self._since_ns = t_ns
-        self._count = 0
-        self._sums = [0.0] * len(_STATS)
-        self._most = [0.0] * len(_STATS)
-
-    def sample(self, speed: float, power: Power) -> None:
-        """Take one sample."""
-        watts = abs(power.input_current * power.voltage)
-        values = (abs(speed), watts, abs(power.current), power.temp_c, power.temp_c)
-        self._count += 1
-        self._sums = [a + b for a, b in zip(self._sums, values, strict=True)]
-        self._most = [max(a, b) for a, b in zip(self._most, values, strict=True)]
-
-    def make_reply(self, mask: int, t_ns: int) -> telemetry.Stats:
-        """GET_STATS reply."""
-        values: dict[str, Any] = {"time": (t_ns - self._since_ns) / 1e9}
-        for name, total, most in zip(_STATS, self._sums, self._most, strict=True):
-            suffix = "_c" if name.startswith("temp") else ""
-            values[f"{name}_avg{suffix}"] = total / self._count if self._count else 0.0
-            values[f"{name}_max{suffix}"] = most
-        return telemetry.Stats(mask, **values)
 
 
 def make_values(
@@ -81,48 +48,9 @@ def make_values(
         tachometer=power.tachometer,
         tachometer_abs=power.tachometer_abs,
         fault=motor.fault,
-        pid_pos_deg=rotor_angle_deg(power),
+        pid_pos_deg=power.revolutions % 1.0 * 360.0,
         controller_id=config.controller_id,
         status=motor.status,
-        mask=mask,
-    )
-
-
-def rotor_angle_deg(power: Power) -> float:
-    """Electrical angle of the rotor [deg]."""
-    return power.revolutions % 1.0 * 360.0
-
-
-def make_setup(
-    config: VescConfig, motor: Motor, power: Power, erpm: int, uptime_ns: int, mask: int | None
-) -> telemetry.ValuesSetup:
-    """GET_VALUES_SETUP reply; speed and distance by the VESC's own poles, gear and wheel."""
-    gain = make_mcconf_temp(config, motor).erpm_gain
-    metres = 60.0 / gain
-    left = max(0.0, _FULL_WH - power.wh + power.wh_charged)
-    return telemetry.ValuesSetup(
-        temp_fet_c=power.temp_c,
-        temp_motor_c=power.temp_c,
-        motor_current=power.current,
-        input_current=power.input_current,
-        duty=power.duty,
-        erpm=erpm,
-        speed=erpm / gain,
-        input_voltage=power.voltage,
-        battery_level=left / _FULL_WH,
-        ah=power.ah,
-        ah_charged=power.ah_charged,
-        wh=power.wh,
-        wh_charged=power.wh_charged,
-        distance=power.revolutions * metres,
-        distance_abs=power.travel * metres,
-        pid_pos_deg=rotor_angle_deg(power),
-        fault=motor.fault,
-        controller_id=config.controller_id,
-        vesc_count=1,
-        wh_left=left,
-        odometer_m=int(power.travel * metres),
-        uptime_ms=uptime_ns // MS % (1 << 32),
         mask=mask,
     )
 

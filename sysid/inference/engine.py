@@ -108,7 +108,8 @@ class Engine:
         """(R, ...) rows as (W, D, ...), zero where there is none."""
         there = self.padded.there
         shaped = there.reshape(there.shape + (1,) * (rows.ndim - 1))
-        padded: Array = rows[self.padded.row] * shaped
+        with np.errstate(invalid="ignore"):  # a window that left the map
+            padded: Array = rows[self.padded.row] * shaped
         return padded
 
     def linear(self, space: Space, z: Array, x: Array) -> Linear:

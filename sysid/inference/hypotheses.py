@@ -376,7 +376,13 @@ class Look:
 
 
 def look_at_all(library: Library, start: Point) -> tuple[list[Look], float]:
-    """Every effect that the start lacks, the most promising first, and the start's own cost."""
+    """Every effect that the start lacks, the most promising first, and the start's own cost.
+
+    No window's start is held here: one that the base alone bends too far may be where an effect
+    shows, and could then not follow it.
+    """
+    held = np.zeros_like(start.rotated.held)
+    start = replace(start, rotated=start.rotated._replace(held=held))
     views = [library.likelihood.weigh(start.rotated, share * start.size) for share in _LOOKS]
     every = np.arange(len(start.z))
     level = _expected(library, start, views, start.space, every, start.linear.error)

@@ -18,7 +18,6 @@ from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.natnet_frame import Frame, RigidBody
-from steerd.mocap_link.natnet_model import ModelDef, RigidBodyDesc
 from steerd.mocap_link.sockets import (
     HostClock,
     MocapReceiver,
@@ -28,8 +27,8 @@ from steerd.mocap_link.sockets import (
     make_receiver,
     map_stamp,
 )
-from steerd.mocap_link.source import ClockKind, PoseSample, SourceState
-from steerd.mocap_link.vrpn_server import VrpnServer
+from steerd.mocap_link.source import ClockKind, Pose, SourceState
+from steerd.sim_hw.mocap.vrpn_device import VrpnServer
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -44,7 +43,7 @@ def drive(
     receiver: MocapReceiver,
     pump: Pump,
     done: Callable[[], bool],
-    samples: list[PoseSample],
+    samples: list[Pose],
 ) -> None:
     """Alternate server and receiver until `done`, at most 10 s."""
     end = time.monotonic_ns() + 10 * SECOND
@@ -92,14 +91,14 @@ class UdpServer:
     def answer(self, datagram: bytes, sender: tuple[str, int]) -> None:
         reply: natnet.Message
         match natnet.decode(datagram, (4, 1)):
-            case natnet.Connect():
+            case natnet.Bare.CONNECT:
                 self.client = sender
                 multicast = self.mode == "multicast"
                 reply = natnet.ServerInfo(
                     "Loop", (3, 1, 0, 0), (4, 1, 0, 0), SECOND, self.data_port, multicast, GROUP
                 )
-            case natnet.RequestModelDef():
-                reply = ModelDef((RigidBodyDesc("car", 4),))
+            case natnet.Bare.REQUEST_MODEL:
+                reply = natnet.ModelDef((natnet.RigidBodyDesc("car", 4),))
             case natnet.EchoRequest(client_stamp=stamp):
                 reply = natnet.EchoResponse(stamp, self.ticks())
             case natnet.Request():
@@ -145,7 +144,7 @@ def make_natnet(server: UdpServer) -> NatNetReceiver:
 
 @pytest.mark.realtime
 def test_natnet_poses_arrive_with_their_exposure_time(udp_server: UdpServer) -> None:
-    receiver, samples = make_natnet(udp_server), list[PoseSample]()
+    receiver, samples = make_natnet(udp_server), list[Pose]()
     try:
         assert receiver.interface == LOOPBACK
         drive(
@@ -155,7 +154,7 @@ def test_natnet_poses_arrive_with_their_exposure_time(udp_server: UdpServer) -> 
         assert all(s.rejected is None for s in samples)
         assert samples[-1].clock is ClockKind.ECHO
         last = samples[-1]
-        ticks = last.raw.source_ticks
+        ticks = last.source_ticks
         assert ticks is not None
         # the server's clock is this host's plus 10^15: the map must find that within the echo's
         # half round trip, itself bounded by this thread's turn-taking
@@ -163,7 +162,7 @@ def test_natnet_poses_arrive_with_their_exposure_time(udp_server: UdpServer) -> 
         assert sigma is not None
         assert abs(last.t_valid_ns - (ticks - 10**15)) < sigma + 2 * MS
         assert last.t_valid_ns <= last.t_arrival_ns <= time.monotonic_ns()
-        assert last.x == pytest.approx(last.raw.position[0])
+        assert last.x == pytest.approx(last.position[0])
         status = receiver.status()
         assert (status.server, status.bodies) == ("Loop NatNet 4.1", ("car",))
         assert len(receiver.fds()) == 2
@@ -173,7 +172,7 @@ def test_natnet_poses_arrive_with_their_exposure_time(udp_server: UdpServer) -> 
 
 @pytest.mark.realtime
 def test_natnet_ignores_a_stranger(udp_server: UdpServer) -> None:
-    receiver, samples = make_natnet(udp_server), list[PoseSample]()
+    receiver, samples = make_natnet(udp_server), list[Pose]()
     stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         stranger.bind(("127.0.0.2", 0))
@@ -191,7 +190,7 @@ def test_natnet_ignores_a_stranger(udp_server: UdpServer) -> None:
 @pytest.mark.realtime
 def test_natnet_backlog_keeps_the_newest_five() -> None:
     server = UdpServer("unicast-command")
-    receiver, samples = make_natnet(server), list[PoseSample]()
+    receiver, samples = make_natnet(server), list[Pose]()
     try:
         drive(receiver, server.pump, lambda: len(samples) > 5, samples)
         for _ in range(40):
@@ -199,7 +198,7 @@ def test_natnet_backlog_keeps_the_newest_five() -> None:
         select.select(receiver.fds(), [], [], 1.0)
         late = receiver.read_ready(receiver.fds()[0])
         assert 1 <= len(late) <= 5
-        assert late[-1].raw.frame == server.number
+        assert late[-1].frame == server.number
         assert receiver.status().counts["backlog_dropped"] >= 30
     finally:
         receiver.close()
@@ -228,7 +227,7 @@ def test_natnet_data_port_that_is_taken_is_tried_again() -> None:
     server = UdpServer("unicast-command")
     taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     taken.bind((LOOPBACK, server.data_port))
-    receiver, samples = make_natnet(server), list[PoseSample]()
+    receiver, samples = make_natnet(server), list[Pose]()
     try:
         # unicast frames may come to the command socket, so this is no reason to stop
         drive(receiver, server.pump, lambda: len(samples) > 5, samples)
@@ -247,7 +246,7 @@ def test_natnet_data_port_that_is_taken_is_tried_again() -> None:
 @pytest.mark.realtime
 def test_natnet_server_comes_back_on_another_data_port() -> None:
     server = UdpServer("unicast-data")
-    receiver, samples = make_natnet(server), list[PoseSample]()
+    receiver, samples = make_natnet(server), list[Pose]()
     try:
         drive(receiver, server.pump, lambda: len(samples) > 5, samples)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -315,7 +314,7 @@ def tcp_server() -> Iterator[TcpServer]:
 @pytest.mark.realtime
 def test_vrpn_poses_and_reconnect(tcp_server: TcpServer) -> None:
     receiver = make_receiver(parse_mocap_url(f"vrpn://localhost:{tcp_server.port}/car"), CONFIG)
-    samples: list[PoseSample] = []
+    samples: list[Pose] = []
     try:
         drive(receiver, tcp_server.pump, lambda: len(samples) > 50, samples)
         assert all(s.rejected is None for s in samples)
@@ -351,7 +350,7 @@ def test_vrpn_client_leaves_a_server_of_another_kind() -> None:
 @pytest.mark.realtime
 def test_vrpn_half_open_is_closed_and_tried_again(tcp_server: TcpServer) -> None:
     receiver = make_receiver(parse_mocap_url(f"vrpn://{LOOPBACK}:{tcp_server.port}/car"), CONFIG)
-    samples: list[PoseSample] = []
+    samples: list[Pose] = []
     try:
         drive(receiver, tcp_server.pump, lambda: len(samples) > 5, samples)
         silent_since = time.monotonic_ns()
@@ -397,7 +396,7 @@ def test_the_kernel_stamps_udp_and_tcp(udp_server: UdpServer, tcp_server: TcpSer
     for url, pump in zip(urls, (udp_server.pump, tcp_server.pump), strict=True):
         offset[0] = 0
         receiver = make_receiver(parse_mocap_url(url), CONFIG, clock=clock)
-        samples: list[PoseSample] = []
+        samples: list[Pose] = []
         try:
             drive(receiver, pump, lambda got=samples: len(got) > 5, samples)  # type: ignore[misc]
             pump()

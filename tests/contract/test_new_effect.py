@@ -1,4 +1,4 @@
-"""Adding an effect is adding one file: built, it is listed, simulated, fitted and diagnosed.
+"""An effect may come in a file of its own: built, it is listed, simulated, fitted and diagnosed.
 
 The tests run the command line on a scratch copy of the car model with one file more; every other
 room is the repository's own.
@@ -64,7 +64,7 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(
         ROOT / "car_model", package / "car_model", ignore=shutil.ignore_patterns("__pycache__")
     )
-    (package / "car_model/effects/steering/speed_pull.py").write_text(NEW_EFFECT.lstrip())
+    (package / "car_model/effects/speed_pull.py").write_text(NEW_EFFECT.lstrip())
     build = [sys.executable, "-m", "steerd.car_model.native.build"]
     subprocess.run(build, cwd=folder, check=True, timeout=600)
     return folder

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from steerd.mocap_link import natnet
+from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.natnet_frame import Frame
-from steerd.mocap_link.source import parse_mocap_url
 from steerd.sim_hw.mocap.mocap_config import MULTICAST, MocapConfig
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.links import (
@@ -108,7 +108,7 @@ def test_natnet_frames_arrive_over_multicast_on_the_loopback() -> None:
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as command,
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as data,
         ):
-            command.sendto(natnet.encode(natnet.Connect()), (url.host, url.port))
+            command.sendto(natnet.encode(natnet.Bare.CONNECT), (url.host, url.port))
             assert wait_for(command.fileno())
             info = natnet.decode(command.recv(2000), (4, 1))
             assert isinstance(info, natnet.ServerInfo)
@@ -127,7 +127,7 @@ def test_foreign_frames_come_from_another_address() -> None:
     with spawn_sim(WorldConfig(), options) as sim:
         url = parse_mocap_url(sim.mocap_url)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-            udp.sendto(natnet.encode(natnet.Connect()), (url.host, url.port))
+            udp.sendto(natnet.encode(natnet.Bare.CONNECT), (url.host, url.port))
             senders = set()
             for _ in range(12):
                 assert wait_for(udp.fileno())

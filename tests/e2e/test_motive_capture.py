@@ -77,7 +77,7 @@ def test_the_capture_gives_a_filtered_track(motive) -> None:
     assert len(accepted) >= 0.97 * FRAMES, judged
     assert SourceState.OK in states
     span_s = (samples[-1].t_valid_ns - samples[0].t_valid_ns) * 1e-9
-    frames = samples[-1].raw.frame - samples[0].raw.frame
+    frames = samples[-1].frame - samples[0].frame
     assert frames / span_s == pytest.approx(120.0, rel=0.002)
     latency = np.array([s.t_arrival_ns - s.t_valid_ns for s in accepted])
     assert 5e6 < np.median(latency) < 15e6  # 5.1 to 5.9 ms by Motive's own stamps, and the network

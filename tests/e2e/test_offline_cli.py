@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerd.car_model.effects import ALIASES, EFFECTS, parse_effect
+from steerd.car_model.effects import ALIASES, EFFECTS, parse_effects
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.messages import Actuation, MocapPose, Throttle, WheelSpeed
 from steerd.steer_bus.session import open_session
@@ -141,7 +141,7 @@ def test_each_effect_is_told(name, capsys):
     assert effect.equation in told
     assert all(p.name in told and p.meaning in told for p in effect.parameters)
     example = text.rpartition("--effect ")[2].strip()
-    parsed, values = parse_effect(example)
+    ((parsed, values),) = parse_effects(example)
     assert parsed is effect
     assert any(value != p.null for value, p in zip(values, effect.parameters, strict=True))
 

@@ -23,7 +23,6 @@ from steerd.daemon.ipc.pipe_records import unpack_records
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.children import RunProcesses, start_processes
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.sim_hw.judge import MotorFrame, read_motor_frames
 from steerd.sim_hw.plant.device import Logged
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.links import SimHardware, raise_priority
@@ -31,6 +30,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.messages import RequestKind, StateMessage, Transition
+from tests.safety.judge import MotorFrame, read_motor_frames
 
 BOOT_ID, LEASE_ID = 815, 42
 KEEPALIVE_NS = 60_000_000

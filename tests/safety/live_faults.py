@@ -19,9 +19,9 @@ from websockets.exceptions import ConnectionClosed  # noqa: TID251
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.settings.run_options import ControllerKind
-from steerd.sim_hw.judge import Effort, count_drive_frames, find_stop
 from steerd.steer_bus.messages import RequestKind
 from tests.e2e.test_live_page import live as open_page
+from tests.safety.judge import Effort, count_drive_frames, find_stop
 from tests.safety.live import BOOT_ID, CLOCK, Live, start_live
 from tests.safety.live_terminal import at_terminal
 

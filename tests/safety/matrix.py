@@ -6,7 +6,9 @@ from math import hypot, inf
 
 from steerd.daemon.assembly.build import NS
 from steerd.daemon.loop.transitions import SupervisorState, is_engaged
-from steerd.sim_hw.judge import (
+from steerd.steer_bus.messages import RequestKind
+from tests.safety.catalogue import FAULT_CASES, FaultCase, Must
+from tests.safety.judge import (
     Effort,
     MotorFrame,
     count_drive_frames,
@@ -15,8 +17,6 @@ from steerd.sim_hw.judge import (
     read_motor_frames,
     stopping_distance,
 )
-from steerd.steer_bus.messages import RequestKind
-from tests.safety.catalogue import FAULT_CASES, FaultCase, Must
 from tests.safety.rig import MS, PHASES, Rig, at_phase, twin
 
 TICK = 0.011

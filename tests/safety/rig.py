@@ -19,8 +19,7 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun
 from steerd.daemon.settings.config import Settings
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.mocap_link.sessions import NatNetSource
-from steerd.sim_hw.judge import Motion
+from steerd.mocap_link.natnet_client import NatNetSource
 from steerd.sim_hw.mocap.mocap_config import Bystander
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.world import World
@@ -28,6 +27,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, Transition, make_header
 from tests.designs import design_for
+from tests.safety.judge import Motion
 
 MS = 1_000_000
 BOOT_ID, LEASE_ID = 4711, 42

@@ -1,11 +1,14 @@
 """The judge itself must be able to say no."""
 
+import struct
 from dataclasses import replace
-from math import inf
 
 import pytest
 
-from steerd.sim_hw.judge import (
+from steerd.sim_hw.plant.device import Logged
+from steerd.vesc_link.frames import encode_frame
+from tests.safety.catalogue import BY_CODE, nothing
+from tests.safety.judge import (
     Effort,
     Motion,
     MotorFrame,
@@ -15,11 +18,6 @@ from steerd.sim_hw.judge import (
     read_motor_frames,
     stopping_distance,
 )
-from steerd.sim_hw.plant.device import Logged
-from steerd.vesc_link import commands as c
-from steerd.vesc_link.frames import encode_frame
-from steerd.vesc_link.packets import encode_command
-from tests.safety.catalogue import BY_CODE, nothing
 from tests.safety.matrix import run_cell
 
 
@@ -32,24 +30,26 @@ def brake(t_ns: int) -> MotorFrame:
 
 
 def test_every_motor_command_is_read_for_what_it_does() -> None:
-    sent = (
-        (c.SetErpm(4000.0), Effort.DRIVE, 4000.0),
-        (c.SetErpm(-4000.0), Effort.DRIVE, 4000.0),
-        (c.SetCurrent(3.0), Effort.DRIVE, 3.0),
-        (c.SetCurrent(0.0), Effort.RELEASE, 0.0),
-        (c.SetCurrentBrake(20.0), Effort.BRAKE, 20.0),
-        (c.SetCurrentBrake(0.0), Effort.RELEASE, 0.0),
-        (c.SetDuty(0.5), Effort.DRIVE, 0.5),
-        (c.SetDuty(0.0), Effort.BRAKE, 0.0),
-        (c.SetPos(90.0), Effort.DRIVE, inf),
-        (c.SetCurrentRel(0.5), Effort.DRIVE, 0.5),
-        (c.SetHandbrake(5.0), Effort.BRAKE, 5.0),
+    sent = (  # id and count, from the protocol's table
+        (8, 4000, Effort.DRIVE, 4000.0),
+        (8, -4000, Effort.DRIVE, 4000.0),
+        (6, 3000, Effort.DRIVE, 3.0),
+        (6, 0, Effort.RELEASE, 0.0),
+        (7, 20_000, Effort.BRAKE, 20.0),
+        (7, 0, Effort.RELEASE, 0.0),
+        (5, 50_000, Effort.DRIVE, 0.5),
+        (5, 0, Effort.BRAKE, 0.0),
+        (9, 90_000_000, Effort.DRIVE, 90.0),
+        (84, 50_000, Effort.DRIVE, 0.5),
+        (10, 5000, Effort.BRAKE, 5.0),
     )
-    data = b"".join(encode_frame(encode_command(command)) for command, _, _ in sent)
-    data += encode_frame(encode_command(c.SetServoPos(0.5))) + encode_frame(b"\x04")
+    data = b"".join(encode_frame(struct.pack(">Bi", number, count)) for number, count, _, _ in sent)
+    data += encode_frame(b"\x0c\x01\xf4") + encode_frame(b"\x04")
     log = [Logged(7, "vesc", data[:9]), Logged(8, "host", b"\x02\x01"), Logged(9, "vesc", data[9:])]
     frames = read_motor_frames(log)
-    assert [(f.effort, f.value) for f in frames] == [(effort, value) for _, effort, value in sent]
+    assert [(f.effort, f.value) for f in frames] == [
+        (effort, value) for _, _, effort, value in sent
+    ]
 
 
 def test_a_stop_that_is_taken_back_is_none() -> None:

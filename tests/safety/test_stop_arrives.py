@@ -21,11 +21,11 @@ from websockets.sync.client import connect  # noqa: TID251
 
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.sim_hw.judge import find_stop
 from steerd.steer_bus import topics
 from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.topics import make_key
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
+from tests.safety.judge import find_stop
 from tests.safety.live import BOOT_ID, CLOCK, LEASE_ID, Live, free_port, start_live
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]

@@ -12,7 +12,6 @@ from steerd.car_model.linear import (
     linearise,
     sample,
     steady_turn,
-    understeer_gradient,
 )
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, Car, wheelbase
@@ -20,7 +19,12 @@ from steerd.car_model.planar import CHASSIS
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, State
 from steerd.car_model.tape import TAPE, Tape, jacobian, program
-from tests.textbook import axle_stiffness, feedforward_steer, steady_slip
+from tests.textbook import (
+    axle_stiffness,
+    feedforward_steer,
+    steady_slip,
+    understeer_gradient,
+)
 
 CAR = DEFAULT_CAR
 OVERSTEERING = CAR._replace(c_sf=6.0, c_sr=4.0)

@@ -9,7 +9,6 @@ import pytest
 
 from steerd.mocap_link import natnet
 from steerd.mocap_link.natnet_frame import Frame, RigidBody
-from steerd.mocap_link.natnet_model import ModelDef, RigidBodyDesc
 
 SECOND = 1_000_000_000
 
@@ -60,6 +59,9 @@ def capture(capture_dir: Path) -> list[Datagram]:
     return list(read_pcapng((capture_dir / "traffic.pcapng").read_bytes()))
 
 
+CAR_AND_B2 = (natnet.RigidBodyDesc("car", 1), natnet.RigidBodyDesc("b2", 2))
+
+
 @dataclass
 class FakeServer:
     """Answers like Motive, on a clock of its own that runs `skew` off and begins anywhere."""
@@ -69,7 +71,10 @@ class FakeServer:
     epoch_ticks: int = 987_654_321_012
     skew: float = 0.0
     multicast: bool = True
-    bodies: tuple[RigidBodyDesc, ...] = (RigidBodyDesc("car", 1), RigidBodyDesc("b2", 2))
+    bodies: tuple[natnet.RigidBodyDesc, ...] = (
+        natnet.RigidBodyDesc("car", 1),
+        natnet.RigidBodyDesc("b2", 2),
+    )
     number: int = 0
     received: list[natnet.Message] = field(default_factory=list)
 
@@ -86,10 +91,10 @@ class FakeServer:
         message = natnet.decode(datagram, self.version)
         self.received.append(message)
         match message:
-            case natnet.Connect():
+            case natnet.Bare.CONNECT:
                 reply: natnet.Message = self.info()
-            case natnet.RequestModelDef():
-                reply = ModelDef(self.bodies)
+            case natnet.Bare.REQUEST_MODEL:
+                reply = natnet.ModelDef(self.bodies)
             case natnet.Request(text="FrameRate"):
                 reply = natnet.Response(struct.pack("<f", 100.0))
             case natnet.EchoRequest():

@@ -9,7 +9,7 @@ import pytest
 from steerd.mocap_link import natnet
 from steerd.mocap_link.clock_sync import SKEW_MAX, EchoClock, HullClock
 from steerd.mocap_link.natnet_frame import Frame
-from steerd.mocap_link.source import ClockKind, RawPose
+from steerd.mocap_link.source import ClockKind, Pose
 from steerd.mocap_link.timing import SourceTiming
 
 MS = 1_000_000
@@ -28,9 +28,9 @@ class Truth:
         return self.epoch + round((t_ns - T0) * (1 + self.skew) * self.hz / SECOND)
 
 
-def make_raw(truth: Truth, t_ns: int, pipeline_ns: int, network_ns: int) -> RawPose:
+def make_raw(truth: Truth, t_ns: int, pipeline_ns: int, network_ns: int) -> Pose:
     sent = t_ns + pipeline_ns
-    return RawPose(
+    return Pose(
         "car", None, truth.ticks(t_ns), truth.ticks(sent), sent + network_ns,
         (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0),
     )  # fmt: skip
@@ -180,14 +180,14 @@ def test_one_way_step_drops_the_stamps_then_learns_anew() -> None:
 
 def test_arrival_subtracts_the_servers_pipeline_delay() -> None:
     timing = SourceTiming(1_000_000_000, extra_latency_ns=3 * MS)
-    raw = RawPose("car", 1, 100 * MS, 105 * MS, T0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    raw = Pose("car", 1, 100 * MS, 105 * MS, T0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     assert timing.time_pose(raw) == (T0 - 8 * MS, ClockKind.ARRIVAL)
 
 
 @pytest.mark.parametrize("sent", [101 * MS, 2**64 - 1])
 def test_a_pipeline_is_never_longer_than_a_pose_may_be_late(sent: int) -> None:
     timing = SourceTiming(1)
-    raw = RawPose("car", 1, 0, sent, T0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    raw = Pose("car", 1, 0, sent, T0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     assert timing.time_pose(raw) == (T0 - timing.late_ns, ClockKind.ARRIVAL)
 
 
@@ -195,7 +195,7 @@ def test_without_stamps_arrival_it_is_and_ready_after_two_seconds() -> None:
     timing = SourceTiming(1_000_000_000, extra_latency_ns=MS)
     for i in range(201):
         assert not timing.ready
-        raw = RawPose("car", i, None, None, T0 + i * 10 * MS, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0))
+        raw = Pose("car", i, None, None, T0 + i * 10 * MS, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0))
         assert timing.time_pose(raw) == (raw.t_arrival_ns - MS, ClockKind.ARRIVAL)
     assert timing.ready
     assert timing.sigma_ns is None
@@ -223,7 +223,7 @@ def test_real_capture_is_about_six_milliseconds_old_on_arrival(capture: list[Any
                 timing.add_echo(sent[m.client_stamp], d.t_ns, m.server_ticks)
             case Frame() as f:
                 raws.append(
-                    RawPose(
+                    Pose(
                         "x", f.number, f.mid_exposure_ticks, f.transmit_ticks, d.t_ns,
                         (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0),
                     )

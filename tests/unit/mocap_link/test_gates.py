@@ -1,25 +1,33 @@
 """The gates one by one, on poses made by hand."""
 
 from collections.abc import Callable
-from math import pi, radians
+from dataclasses import replace
+from math import nan, pi, radians
 
 import pytest
 
-from steerd.mocap_link.frame import PlanarPose
 from steerd.mocap_link.gates import GateConfig, GateState, step_gates
-from steerd.mocap_link.source import RawPose
+from steerd.mocap_link.source import Pose
 
 MS = 1_000_000
 CONFIG = GateConfig()
 
 
-def make_raw(frame: int | None, pose: PlanarPose) -> RawPose:
+def make_pose(x: float, yaw: float = 0.0, height: float = 0.1) -> Pose:
+    """A level pose with y 0; `at` gives it number and time."""
     q = (1.0, 0.0, 0.0, 0.0)
-    return RawPose("car", frame, None, None, 0, (pose.x, pose.y, pose.height), q)
+    return Pose(
+        "car", None, None, None, 0, (x, 0.0, height), q,
+        x=x, y=0.0, yaw=yaw, height=height, tilt=0.0,
+    )  # fmt: skip
+
+
+def at(pose: Pose, frame: int | None, t_ns: int) -> Pose:
+    return replace(pose, frame=frame, t_valid_ns=t_ns)
 
 
 def run(
-    place: Callable[[int], PlanarPose],
+    place: Callable[[int], Pose],
     n: int,
     state: GateState | None = None,
     *,
@@ -31,22 +39,21 @@ def run(
     """Feed frames `first` .. `first + n - 1` at 100 Hz."""
     state, reasons = state or GateState(), []
     for i in range(first, first + n):
-        pose = place(i)
         state, reason = step_gates(
-            config, state, make_raw(i, pose), pose, i * 10 * MS,
-            wheel_speed=wheel_speed, stationary=stationary,
+            config, state, at(place(i), i, i * 10 * MS), wheel_speed=wheel_speed,
+            stationary=stationary,
         )  # fmt: skip
         reasons.append(reason)
     return state, reasons
 
 
-def drive(i: int) -> PlanarPose:
+def drive(i: int) -> Pose:
     """1 m/s along x."""
-    return PlanarPose(0.5 + 0.01 * i, 0.0, 0.0, 0.1, 0.0)
+    return make_pose(0.5 + 0.01 * i)
 
 
-def shifted(dx: float, dyaw: float = 0.0) -> Callable[[int], PlanarPose]:
-    return lambda i: drive(i)._replace(x=drive(i).x + dx, yaw=dyaw)
+def shifted(dx: float, dyaw: float = 0.0) -> Callable[[int], Pose]:
+    return lambda i: make_pose(drive(i).x + dx, dyaw)
 
 
 def test_a_clean_drive_passes() -> None:
@@ -60,10 +67,10 @@ def test_a_few_false_poses_leave_the_true_ones_in(speed: float, beyond: float, c
     """Wherever they lie: just beyond what the car can have driven, or far from it."""
     reach = (CONFIG.speed_max - speed) * 0.01 + CONFIG.jump_slack
 
-    def place(i: int) -> PlanarPose:
+    def place(i: int) -> Pose:
         false = 20 <= i < 20 + count
         aside = (reach + beyond if beyond > 0.0 else beyond) if false else 0.0
-        return PlanarPose(0.5 + 0.01 * speed * i + aside, 0.0, 0.0, 0.1, 0.0)
+        return make_pose(0.5 + 0.01 * speed * i + aside)
 
     _, reasons = run(place, 60)
     assert reasons[20] == "jump"
@@ -106,9 +113,8 @@ def test_a_gap_widens_the_gate_by_what_the_car_can_drive() -> None:
     state, _ = run(drive, 20)
     allowed = CONFIG.speed_max * 0.06 + CONFIG.jump_slack
     for dx, reason in ((allowed - 0.001, None), (allowed + 0.001, "jump")):
-        pose = drive(19)._replace(x=drive(19).x + dx)
-        raw = make_raw(25, pose)
-        assert step_gates(CONFIG, state, raw, pose, 250 * MS)[1] == reason
+        pose = at(make_pose(drive(19).x + dx), 25, 250 * MS)
+        assert step_gates(CONFIG, state, pose)[1] == reason
 
 
 def test_a_stopped_car_is_taken_in_elsewhere_after_fifteen_poses() -> None:
@@ -128,14 +134,16 @@ def test_places_that_disagree_are_never_taken_in() -> None:
 def test_calibrated_height_is_never_relearned() -> None:
     config = GateConfig(height=0.1)
     high = 0.14
-    _, reasons = run(lambda i: drive(i)._replace(height=high), 60, config=config, stationary=True)
+    _, reasons = run(
+        lambda i: make_pose(drive(i).x, height=high), 60, config=config, stationary=True
+    )
     assert reasons == ["height"] * 60
 
 
 def test_heights_that_disagree_are_never_taken_in() -> None:
     state, _ = run(drive, 20)
     _, reasons = run(
-        lambda i: drive(i)._replace(height=0.2 + 0.05 * (i % 2)), 60, state, first=20,
+        lambda i: make_pose(drive(i).x, height=0.2 + 0.05 * (i % 2)), 60, state, first=20,
         stationary=True,
     )  # fmt: skip
     assert reasons == ["height"] * 60
@@ -152,19 +160,15 @@ def test_frozen_needs_turning_wheels(wheel_speed: float | None, rejected: int) -
 def test_frame_order() -> None:
     state, _ = run(drive, 5)
     for number, reason in ((4, "duplicate"), (2, "out_of_order"), (None, None), (7, None)):
-        pose = drive(5)
-        assert step_gates(CONFIG, state, make_raw(number, pose), pose, 50 * MS)[1] == reason
+        assert step_gates(CONFIG, state, at(drive(5), number, 50 * MS))[1] == reason
 
 
-def test_no_planar_pose_is_rejected() -> None:
-    raw = make_raw(1, drive(1))
-    assert step_gates(CONFIG, GateState(), raw, None, 0)[1] == "not_finite"
+def test_a_pose_without_a_place_is_rejected() -> None:
+    nowhere = replace(drive(1), x=nan, y=nan, yaw=nan, height=nan, tilt=nan)
+    assert step_gates(CONFIG, GateState(), nowhere)[1] == "not_finite"
 
 
 def test_mean_error_is_in_the_servers_unit() -> None:
-    pose = drive(0)
-    raw = RawPose(
-        "car", 1, None, None, 0, (500.0, 1.0, 100.0), (1.0, 0.0, 0.0, 0.0), mean_error=0.5
-    )
-    assert step_gates(CONFIG, GateState(), raw, pose, 0, metres_per_unit=1e-3)[1] is None
-    assert step_gates(CONFIG, GateState(), raw, pose, 0)[1] == "mean_error"
+    pose = replace(drive(0), position=(500.0, 1.0, 100.0), mean_error=0.5)
+    assert step_gates(CONFIG, GateState(), pose, metres_per_unit=1e-3)[1] is None
+    assert step_gates(CONFIG, GateState(), pose)[1] == "mean_error"

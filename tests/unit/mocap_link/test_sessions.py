@@ -17,10 +17,9 @@ from steerd.mocap_link import natnet
 from steerd.mocap_link.frame import FrameConfig, make_body_pose
 from steerd.mocap_link.gates import REASONS
 from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.natnet_client import NatNetSource
 from steerd.mocap_link.natnet_frame import EDIT_MODE, MODEL_CHANGED, RigidBody
-from steerd.mocap_link.natnet_model import RigidBodyDesc
-from steerd.mocap_link.sessions import NatNetSource
-from steerd.mocap_link.source import ClockKind, PoseSample, SourceState
+from steerd.mocap_link.source import ClockKind, Pose, SourceState
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -46,7 +45,7 @@ def make_body(t_ns: int, body_id: int = 1, shift: float = 0.0) -> RigidBody:
     return RigidBody(body_id, position, (qx, qy, qz, w), 5e-4)
 
 
-def find_error(sample: PoseSample) -> float:
+def find_error(sample: Pose) -> float:
     x, y, _ = truth(sample.t_valid_ns)
     return hypot(sample.x - x, sample.y - y)
 
@@ -65,11 +64,11 @@ class Room:
     repeat: int = 1
     from_ip: str = "10.0.0.1"
     now: int = T0
-    samples: list[PoseSample] = field(default_factory=list)
+    samples: list[Pose] = field(default_factory=list)
     _queue: list[tuple[int, int, bytes]] = field(default_factory=list)
     _count: int = 0
 
-    def run(self, seconds: float) -> list[PoseSample]:
+    def run(self, seconds: float) -> list[Pose]:
         """Advance in 5 ms ticks, a frame every second one; return the new samples."""
         first = len(self.samples)
         for _ in range(round(seconds * 200)):
@@ -129,7 +128,7 @@ def room(make_room: Callable[..., Room]) -> Room:
     return room
 
 
-def assert_no_jump(samples: Iterable[PoseSample]) -> None:
+def assert_no_jump(samples: Iterable[Pose]) -> None:
     accepted = [s for s in samples if s.rejected is None]
     assert all(find_error(s) < 0.03 for s in accepted)
 
@@ -376,11 +375,11 @@ def test_model_change_is_followed(room: Room) -> None:
     room.params = MODEL_CHANGED
     room.run(0.02)
     room.params = 0
-    room.server.bodies = (RigidBodyDesc("car", 7), RigidBodyDesc("b2", 2))
+    room.server.bodies = (natnet.RigidBodyDesc("car", 7), natnet.RigidBodyDesc("b2", 2))
     room.mutate = lambda i, b: (replace(b[0], id=7), b[1])
     room.source.ingest.stationary = True
     room.run(1.5)
-    requested = [m for m in room.server.received if isinstance(m, natnet.RequestModelDef)]
+    requested = [m for m in room.server.received if m is natnet.Bare.REQUEST_MODEL]
     assert 1 <= len(requested) <= 4
     assert room.state is SourceState.OK
 
@@ -403,8 +402,8 @@ def test_unknown_body_lists_what_there_is(make_room: Any) -> None:
 @pytest.mark.parametrize(
     ("bodies", "words"),
     [
-        ((RigidBodyDesc("car", 1), RigidBodyDesc("b2", 1)), "share streaming id 1"),
-        ((RigidBodyDesc("car", 1), RigidBodyDesc("car", 2)), "named 'car'"),
+        ((natnet.RigidBodyDesc("car", 1), natnet.RigidBodyDesc("b2", 1)), "share streaming id 1"),
+        ((natnet.RigidBodyDesc("car", 1), natnet.RigidBodyDesc("car", 2)), "named 'car'"),
     ],
 )
 def test_ambiguous_bodies_are_refused(make_room: Any, bodies: Any, words: str) -> None:
@@ -443,10 +442,10 @@ def test_connect_backs_off(make_room: Any) -> None:
 def test_echoes_and_keepalives_keep_their_pace(make_room: Any) -> None:
     room = make_room(multicast=False)
     room.run(10.0)
-    kinds = [type(m) for m in room.server.received]
-    assert 20 + 19 <= kinds.count(natnet.EchoRequest) <= 20 + 21
-    assert 10 <= kinds.count(natnet.KeepAlive) <= 11
-    assert kinds.count(natnet.Connect) == 1
+    received = room.server.received
+    assert 20 + 19 <= sum(isinstance(m, natnet.EchoRequest) for m in received) <= 20 + 21
+    assert 10 <= received.count(natnet.Bare.KEEP_ALIVE) <= 11
+    assert received.count(natnet.Bare.CONNECT) == 1
 
 
 def test_the_height_of_a_lifted_car_is_taken_anew_when_stopped(room: Room) -> None:

@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import pytest
 
+from steerd.mocap_link.mocap_url import MocapUrl, parse_mocap_url
 from steerd.mocap_link.source import (
-    MocapUrl,
     MonitorConfig,
     MonitorState,
     SourceState,
-    parse_mocap_url,
     step_monitor,
 )
 

@@ -6,10 +6,10 @@ import pytest
 
 from steerd.mocap_link.frame import FrameConfig, make_body_pose
 from steerd.mocap_link.ingest import IngestConfig
-from steerd.mocap_link.sessions import BusPoseSource, VrpnSource
-from steerd.mocap_link.source import ClockKind, PoseSample, RawPose, SourceState
-from steerd.mocap_link.vrpn_server import VrpnServer
-from steerd.mocap_link.zenoh_pose import encode_pose
+from steerd.mocap_link.source import ClockKind, Pose, SourceState
+from steerd.mocap_link.vrpn_client import VrpnSource
+from steerd.mocap_link.zenoh_pose import BusPoseSource, encode_pose
+from steerd.sim_hw.mocap.vrpn_device import VrpnServer
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -25,7 +25,7 @@ def truth(t_ns: int) -> tuple[float, float, float]:
     return RADIUS * sin(a), RADIUS * (1 - cos(a)), a
 
 
-def assert_no_jump(samples: list[PoseSample]) -> None:
+def assert_no_jump(samples: list[Pose]) -> None:
     accepted = [s for s in samples if s.rejected is None]
     assert accepted
     for s in accepted:
@@ -35,7 +35,7 @@ def assert_no_jump(samples: list[PoseSample]) -> None:
 
 def drive_vrpn(
     source: VrpnSource, server: VrpnServer, start: int, n: int, still: bool = False
-) -> list[PoseSample]:
+) -> list[Pose]:
     samples = []
     for i in range(n):
         t = start + i * 10 * MS
@@ -141,7 +141,7 @@ def test_bus_poses() -> None:
     source = BusPoseSource(IngestConfig())
     good = None
     for i in range(300):
-        raw = RawPose(
+        raw = Pose(
             "car", i, i * 10 * MS, None, 0, (0.001 * i, 0.5, 0.1), (1.0, 0.0, 0.0, 0.0), 1e-4
         )
         good = source.on_message(encode_pose(raw), T0 + i * 10 * MS + 3 * MS)
@@ -185,8 +185,8 @@ def test_a_vrpn_stamp_before_its_epoch_is_no_stamp() -> None:
     source.on_bytes(server.hello(), T0)
     good = server.pose("car", 5, (1.0, 2.0, 0.1), (1.0, 0.0, 0.0, 0.0))
     (sample,) = source.on_bytes(good, T0)
-    assert sample.raw.source_ticks == 5
+    assert sample.source_ticks == 5
     early = good[:4] + (-1).to_bytes(4, "big", signed=True) + good[8:]
     (sample,) = source.on_bytes(early, T0 + 10 * MS)
-    assert sample.raw.source_ticks is None
+    assert sample.source_ticks is None
     assert sample.clock is ClockKind.ARRIVAL

@@ -4,7 +4,7 @@ import pytest
 
 from steerd.mocap_link import vrpn
 from steerd.mocap_link.vrpn_client import VrpnClient
-from steerd.mocap_link.vrpn_server import VrpnServer
+from steerd.sim_hw.mocap.vrpn_device import VrpnServer
 
 
 def test_cookie() -> None:
@@ -31,13 +31,13 @@ def test_description_by_hand() -> None:
 
 
 def test_pose_by_hand() -> None:
-    payload = vrpn.write_pose(vrpn.Pose(1, (1.0, 2.0, -0.5), (0.0, 0.0, 0.0, 1.0)))
+    payload = vrpn.write_pose(1, ((1.0, 2.0, -0.5), (0.0, 0.0, 0.0, 1.0)))
     assert payload.hex() == (
         "0000000100000000"
         "3ff00000000000004000000000000000bfe0000000000000"
         "0000000000000000000000000000000000000000000000003ff0000000000000"
     )
-    assert vrpn.read_pose(payload) == vrpn.Pose(1, (1.0, 2.0, -0.5), (0.0, 0.0, 0.0, 1.0))
+    assert vrpn.read_pose(payload) == (1, ((1.0, 2.0, -0.5), (0.0, 0.0, 0.0, 1.0)))
     with pytest.raises(vrpn.VrpnError):
         vrpn.read_pose(payload[:-1])
 
@@ -90,7 +90,7 @@ def test_quaternion_order_changes_at_the_wire() -> None:
 
 def test_other_sensors_and_bad_payloads_are_counted() -> None:
     client, _ = make_pair()
-    other = vrpn.write_pose(vrpn.Pose(3, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0)))
+    other = vrpn.write_pose(3, ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0)))
     for payload in (other, other[:40]):
         assert client.on_bytes(vrpn.encode(vrpn.Message(0, 0, payload=payload)), 1) == []
     assert client.counts["other_sensor"] == 1

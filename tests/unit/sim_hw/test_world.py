@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from steerd.car_model.effects import parse_effect
+from steerd.car_model.effects import parse_effects
 from steerd.car_model.state import ORIGIN
 from steerd.mocap_link import natnet
 from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
-from steerd.mocap_link.natnet_client import NatNetClient
-from steerd.mocap_link.sessions import NatNetSource, VrpnSource
-from steerd.mocap_link.source import PoseSample, SourceState
+from steerd.mocap_link.natnet_client import NatNetSource
+from steerd.mocap_link.source import Pose, SourceState
+from steerd.mocap_link.vrpn_client import VrpnSource
 from steerd.sim_hw.mocap.mocap_config import MULTICAST, TO_COMMAND, TO_DATA, MocapConfig
 from steerd.sim_hw.mocap.network import COMMAND, STREAM
 from steerd.sim_hw.plant.faults import Fault
@@ -31,7 +31,7 @@ POLL = encode_frame(encode_command(c.GetValuesSelective(FAST_MASK)))
 def drive_bytes(config: WorldConfig, faults: list[Fault], step: int = TICK) -> str:
     """SHA-256 of everything that came out of a drive."""
     world = World(config, faults)
-    world.mocap_write(0, natnet.encode(natnet.Connect()))
+    world.mocap_write(0, natnet.encode(natnet.Bare.CONNECT))
     digest = hashlib.sha256()
     for t in range(0, 2000 * MS, TICK):
         orders = encode_frame(encode_command(c.SetErpm(3000 + t // MS)))
@@ -78,7 +78,7 @@ def test_a_caller_woken_on_time_reads_everything_the_moment_it_arrives(
     faults: list[Fault],
 ) -> None:
     world = World(NOISY, faults)
-    world.mocap_write(0, natnet.encode(natnet.Connect()))
+    world.mocap_write(0, natnet.encode(natnet.Bare.CONNECT))
     t, wakes, poses, unplugged = 0, 0, 0, 0
     while t < 1000 * MS:
         if wakes % 5 == 0 and world.serial_name is not None:
@@ -99,8 +99,8 @@ def test_a_caller_woken_on_time_reads_everything_the_moment_it_arrives(
     assert (unplugged > 0) == any(fault.name == "V2" for fault in faults)
 
 
-def track(world: World, seconds: float, source: NatNetSource) -> list[PoseSample]:
-    samples: list[PoseSample] = []
+def track(world: World, seconds: float, source: NatNetSource) -> list[Pose]:
+    samples: list[Pose] = []
     for t in range(0, round(seconds * 1e9), 2 * MS):
         for data in source.on_timer(t):
             world.mocap_write(t, data)
@@ -140,7 +140,7 @@ def test_natnet_client_gets_true_poses_at_their_true_time(
 def test_unicast_client_is_dropped_when_it_falls_silent() -> None:
     world = World(WorldConfig(mocap=MocapConfig(keepalive_ns=500 * MS)))
     assert world.mocap_read(100 * MS) == []  # nobody has connected yet
-    world.mocap_write(100 * MS, natnet.encode(natnet.Connect()))
+    world.mocap_write(100 * MS, natnet.encode(natnet.Bare.CONNECT))
     assert len(world.mocap_read(500 * MS)) > 30
     world.mocap_read(700 * MS)
     assert world.mocap_read(1500 * MS) == []
@@ -148,7 +148,6 @@ def test_unicast_client_is_dropped_when_it_falls_silent() -> None:
 
 def test_natnet_answers_questions_and_survives_nonsense() -> None:
     world = World(WorldConfig(mocap=MocapConfig(transport=MULTICAST, rate_hz=120)))
-    client = NatNetClient("car")
     for junk in (b"", b"\x07", b"\x00\x00\xff\xff", bytes(300)):
         world.mocap_write(0, junk)
     world.mocap_write(0, natnet.encode(natnet.Request("FrameRate")), peer=3)
@@ -158,7 +157,6 @@ def test_natnet_answers_questions_and_survives_nonsense() -> None:
     assert isinstance(rate, natnet.Response)
     assert rate.number == 120.0
     assert isinstance(answers[4], natnet.Unrecognized)
-    assert client.info is None
 
 
 def test_vrpn_client_gets_the_pose_and_pongs() -> None:
@@ -166,7 +164,7 @@ def test_vrpn_client_gets_the_pose_and_pongs() -> None:
     source = VrpnSource("car", IngestConfig())
     world.mocap_connect(0)
     world.mocap_write(0, source.on_connect(), STREAM)
-    samples: list[PoseSample] = []
+    samples: list[Pose] = []
     for t in range(0, 3000 * MS, 2 * MS):
         data = source.on_timer(t)
         if data:
@@ -189,7 +187,7 @@ def test_vrpn_hangs_up_on_a_peer_that_speaks_something_else() -> None:
 
 def test_effects_change_the_car_and_pose_latency_is_not_stamped() -> None:
     def end(text: str | None) -> Any:
-        setting = [parse_effect(text)] if text else []
+        setting = parse_effects(text) if text else []
         config = WorldConfig(
             effects=tuple(e for e, _ in setting), effect_values=tuple(v for _, v in setting)
         )

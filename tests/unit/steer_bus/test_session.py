@@ -278,39 +278,6 @@ def test_big_endian_bytes_are_a_bad_message(tmp_path):
         open_session(writer.finish({})).columns(ClockSample)
 
 
-def written(path, by_one, longest):
-    """A file with chunks of several sizes, and one that grows over the library's limit."""
-    writer = start(path, clock=ClockSample, other=Transition)
-    writer._chunk._known = not by_one
-    if by_one:
-        writer._chunk.add = writer._writer.add_message
-    rng = np.random.default_rng(3)
-    for i in range(400):
-        data = clock(i) + rng.bytes(int(rng.integers(0, longest)))
-        writer.write("/other" if i % 7 == 3 else "/clock", data, 50 * i, 50 * i - 3)
-        if i in (40, 41, 90):
-            writer.flush()
-    return writer.finish({"reason": "test"}).read_bytes()
-
-
-@pytest.mark.parametrize("longest", [50, 20_000])
-def test_messages_handed_over_together_give_the_bytes_of_one_by_one(tmp_path, longest):
-    together = written(tmp_path / "a.mcap", False, longest)
-    assert together == written(tmp_path / "b.mcap", True, longest)
-    assert open_session(tmp_path / "a.mcap").info().count == 400
-
-
-def test_an_unknown_inside_of_the_library_gets_messages_one_by_one(tmp_path):
-    writer = start(tmp_path / "a.mcap", clock=ClockSample)
-    writer._chunk._known = False
-    for i in range(3):
-        writer.write("/clock", clock(i), i)
-    writer.finish({})
-    assert [r.data for r in open_session(tmp_path / "a.mcap").messages()] == [
-        clock(i) for i in range(3)
-    ]
-
-
 def many_chunks(path):
     """A session of a quarter of an hour: 3600 chunks."""
     writer = start(path, clock=ClockSample, other=Transition)

@@ -120,13 +120,13 @@ def test_old_firmware_forgets_everything_after_a_second() -> None:
         assert parser.feed(RPM, 2 * 10**9) == payloads
 
 
-def test_frame_is_stamped_with_the_read_of_its_first_and_last_byte() -> None:
+def test_frame_is_stamped_with_the_read_of_its_first_byte() -> None:
     parser = FrameParser()
     assert parser.feed_stamped(b"\x00" + RPM[:1], 100) == []
     assert parser.feed_stamped(RPM[1:7], 200) == []
     stamped = parser.feed_stamped(RPM[7:] + SERVO + RPM[:4], 300)
-    assert stamped == [Frame(RPM[2:-3], 100, 300), Frame(SERVO[2:-3], 300, 300)]
-    assert parser.feed_stamped(RPM[4:], 400) == [Frame(RPM[2:-3], 300, 400)]
+    assert stamped == [Frame(RPM[2:-3], 100), Frame(SERVO[2:-3], 300)]
+    assert parser.feed_stamped(RPM[4:], 400) == [Frame(RPM[2:-3], 300)]
 
 
 def test_header_bytes_inside_an_arriving_frame_are_no_line_errors() -> None:

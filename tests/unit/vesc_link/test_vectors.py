@@ -1,4 +1,7 @@
-"""Frames that the real firmware's own C code confirmed byte for byte, decoded and built again."""
+"""Frames that the real firmware's own C code confirmed byte for byte, decoded and built again.
+
+All of them are framed; what a car's link does not use (`NOT_USED`) is no command and no reply.
+"""
 
 import dataclasses
 import json
@@ -17,8 +20,14 @@ from steerd.vesc_link.packets import decode_command, decode_reply, encode_comman
 HERE = Path(__file__).parent
 SPEC: dict[str, Any] = json.loads((HERE / "vesc_vectors.json").read_text())
 VECTORS: dict[str, dict[str, Any]] = {vector["name"]: vector for vector in SPEC["vectors"]}
-REQUESTS = [name for name, vector in VECTORS.items() if vector["dir"] == "host->vesc"]
-REPLIES = [name for name, vector in VECTORS.items() if vector["dir"] == "vesc->host"]
+NOT_USED = {9, 10, 31, 34, 47, 62, 63, 115, 128, 159}
+"""Ids of what only VESC Tool, the CAN bus and other applications need."""
+FOREIGN = [n for n, v in VECTORS.items() if int(v["payload"][:2], 16) in NOT_USED]
+SETUP_REPLY = "get_values_setup_selective_reply"
+"""To a mask with more than the uptime, which nobody asks for."""
+USED = [name for name in VECTORS if name not in (*FOREIGN, SETUP_REPLY)]
+REQUESTS = [name for name in USED if VECTORS[name]["dir"] == "host->vesc"]
+REPLIES = [name for name in USED if VECTORS[name]["dir"] == "vesc->host"]
 
 COMMANDS: dict[str, c.Command] = {
     "get_fw_version_req": c.GetFwVersion(),
@@ -26,7 +35,6 @@ COMMANDS: dict[str, c.Command] = {
     "get_values_selective_req_drive": c.GetValuesSelective(0x0020A18F),
     "get_values_selective_req_sysid": c.GetValuesSelective(t.FAST_MASK),
     "get_values_selective_req_min": c.GetValuesSelective(0x180),
-    "get_values_setup_req": c.GetValuesSetup(),
     "get_values_setup_selective_req": c.GetValuesSetupSelective(0x00202040),
     "set_duty_0.1": c.SetDuty(0.1),
     "set_duty_neg0.25": c.SetDuty(-0.25),
@@ -37,8 +45,6 @@ COMMANDS: dict[str, c.Command] = {
     "set_rpm_4614": c.SetErpm(4614),
     "set_rpm_neg2307": c.SetErpm(-2307),
     "set_rpm_0": c.SetErpm(0),
-    "set_pos_180.0": c.SetPos(180.0),
-    "set_handbrake_6.25": c.SetHandbrake(6.25),
     "set_servo_0.5": c.SetServoPos(0.5),
     "set_servo_0.15": c.SetServoPos(0.15),
     "set_servo_0.85": c.SetServoPos(0.85),
@@ -47,15 +53,8 @@ COMMANDS: dict[str, c.Command] = {
     "alive": c.Alive(),
     "reboot": c.Reboot(),
     "terminal_cmd_faults": c.TerminalCommand("faults"),
-    "ping_can": c.PingCan(),
-    "get_decoded_ppm_req": c.GetDecodedPpm(),
     "get_imu_data_req_all": c.GetImuData(t.IMU_ALL_MASK),
     "get_imu_data_req_acc_gyro": c.GetImuData(t.IMU_ACCEL_GYRO_MASK),
-    "get_stats_req_all": c.GetStats(0x07FF),
-    "forward_can_7_get_values": c.ForwardCan(7, b"\x04"),
-    "forward_can_7_set_rpm_neg": c.ForwardCan(7, encode_command(c.SetErpm(-2307))),
-    "app_disable_output_1s": c.AppDisableOutput(1000),
-    "motor_estop_2s": c.MotorEstop(2000),
     "set_mcconf_temp_halfscale": c.SetMcConfTemp(
         0.5, 0.5, -9228, 9228, 0.004999999888241291, 0.949999988079071, -500, 500, -20, 40
     ),
@@ -63,8 +62,6 @@ COMMANDS: dict[str, c.Command] = {
 NAMES = {
     "current_motor": "motor_current",
     "current_in": "input_current",
-    "current_tot": "motor_current",
-    "current_in_tot": "input_current",
     "id": "d_current",
     "iq": "q_current",
     "v_in": "input_voltage",
@@ -76,8 +73,6 @@ NAMES = {
     "temp_fet": "temp_fet_c",
     "temp_motor": "temp_motor_c",
     "temp_pcb": "temp_pcb_c",
-    "batt_level": "battery_level",
-    "num_vescs": "vesc_count",
     "cur_min_scale": "current_min_scale",
     "cur_max_scale": "current_max_scale",
     "min_erpm": "erpm_min",
@@ -87,8 +82,6 @@ NAMES = {
     "in_cur_min": "input_current_min",
     "in_cur_max": "input_current_max",
     "wheel_diameter_m": "wheel_diameter",
-    "start_v": "start_voltage",
-    "end_v": "end_voltage",
     "hw": "hw_name",
     **{f"temp_mos{n}": f"temp_mos{n}_c" for n in range(1, 7)},
 }
@@ -128,8 +121,14 @@ def payload_of(name: str) -> bytes:
     return bytes.fromhex(VECTORS[name]["payload"])
 
 
-def test_every_request_vector_has_a_command() -> None:
+def test_every_request_vector_has_a_command_or_is_not_used() -> None:
     assert sorted(COMMANDS) == sorted(REQUESTS)
+
+
+@pytest.mark.parametrize("name", [*FOREIGN, SETUP_REPLY])
+def test_what_is_not_used_is_neither_command_nor_reply(name: str) -> None:
+    assert decode_reply(payload_of(name)) is None
+    assert name == SETUP_REPLY or decode_command(payload_of(name)) is None
 
 
 @pytest.mark.parametrize("name", REQUESTS)
@@ -160,14 +159,14 @@ def short_form(name: str) -> str:
 @pytest.mark.parametrize("name", [n for n in REPLIES if n.startswith(("get_values", "imu"))])
 def test_absent_fields_are_none(name: str) -> None:
     reply = decode_reply(payload_of(name))
-    assert isinstance(reply, t.Values | t.ValuesSetup | t.Imu)
+    assert isinstance(reply, t.Values | t.Imu)
     known = {*expected_fields(VECTORS[name]["decoded"]), "extra_bytes"}
     rest = {k: v for k, v in dataclasses.asdict(reply).items() if k not in known}
     assert set(rest.values()) <= {None}
 
 
 @pytest.mark.parametrize("strict", [True, False])
-@pytest.mark.parametrize("name", [*REQUESTS, *REPLIES])
+@pytest.mark.parametrize("name", VECTORS)
 def test_vector_frame_whole_bytewise_and_with_a_tail(name: str, strict: bool) -> None:
     frame, payload = frame_of(name), payload_of(name)
     assert FrameParser(strict=strict).feed(frame, 0) == [payload]
@@ -212,7 +211,4 @@ def test_first_good_frame_behind_a_false_long_header_reaches_the_host_at_once() 
 
 def test_reply_types() -> None:
     kinds = {type(decode_reply(payload_of(name))) for name in REPLIES}
-    assert kinds == {
-        t.Values, t.ValuesSetup, t.Imu, i.FwVersion, i.McConfTemp, i.BatteryCut, i.DecodedPpm,
-        i.Print,
-    }  # fmt: skip
+    assert kinds == {t.Values, t.Imu, i.FwVersion, i.McConfTemp, i.Print}

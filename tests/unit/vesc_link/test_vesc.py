@@ -4,23 +4,42 @@ import math
 
 import pytest
 
+from steerd.steer_bus.messages import ActuationMode
 from steerd.vesc_link import commands as c
-from steerd.vesc_link import events as e
 from steerd.vesc_link import identity as i
 from steerd.vesc_link import telemetry as t
 from steerd.vesc_link.commands import Command
 from steerd.vesc_link.frames import FrameParser, encode_frame
+from steerd.vesc_link.identity import limits_hold, make_restored_limits, make_session_limits
 from steerd.vesc_link.ids import FW_3_00, FW_5_03, FW_7_01, PROFILES, CommandId, Firmware, knows
 from steerd.vesc_link.packets import Reply, decode_command, encode_command, encode_reply
 from steerd.vesc_link.scaling import F1TENTH
-from steerd.vesc_link.session_limits import limits_hold, make_restored_limits, make_session_limits
-from steerd.vesc_link.vesc import CONNECT_TRIES, EXPIRY_NS, POLL_EXPIRY_NS, WRITE_LIMIT, VescLink
+from steerd.vesc_link.vesc import (
+    CONNECT_TRIES,
+    EXPIRY_NS,
+    POLL_EXPIRY_NS,
+    WRITE_LIMIT,
+    Answer,
+    Drive,
+    Event,
+    Rebooted,
+    VescLink,
+)  # fmt: skip
 
 MS = 1_000_000
 UUID = bytes(range(12))
 LIMITS = i.McConfTemp(1, 1, -23250, 23250, 0.005, 0.95, -1500, 1500, -20, 40, 4, 11.8, 0.1)
 VALUES = t.Values(erpm=4614.0, tachometer_abs=1000, fault=0, status=0)
-DRIVE = e.DriveSpeed(steer=0.1, speed=1.0)
+DRIVE = Drive(ActuationMode.SPEED, steer=0.1, speed=1.0)
+SILENT = Drive()
+
+
+def brake(current: float, steer: float | None = None) -> Drive:
+    return Drive(ActuationMode.BRAKE, steer, current=current)
+
+
+def go(steer: float, speed: float) -> Drive:
+    return Drive(ActuationMode.SPEED, steer, speed)
 
 
 class Vesc:
@@ -59,7 +78,7 @@ class Vesc:
             case c.GetValuesSelective(mask=mask):
                 return dataclasses.replace(self.values, mask=mask)
             case c.GetValuesSetupSelective(mask=mask):
-                return t.ValuesSetup(uptime_ms=self.uptime_ms, mask=mask)
+                return t.Uptime(self.uptime_ms, mask)
             case c.GetImuData(mask=mask):
                 return t.Imu(mask, accel_x=0.0, accel_y=0.0, accel_z=9.80665, gyro_z=0.5)
             case c.SetMcConfTemp():
@@ -68,8 +87,8 @@ class Vesc:
                 return None
 
 
-def connect(link: VescLink, vesc: Vesc, t_ns: int = 0) -> list[e.Event]:
-    events: list[e.Event] = []
+def connect(link: VescLink, vesc: Vesc, t_ns: int = 0) -> list[Event]:
+    events: list[Event] = []
     for step in range(10):
         if link.ready:
             break
@@ -92,16 +111,25 @@ def link(vesc: Vesc) -> VescLink:
     return made
 
 
-def kinds(events: list[e.Event]) -> list[type[e.Event]]:
-    return [type(event) for event in events]
+def kinds(events: list[Event]) -> list[type[Reply | Rebooted]]:
+    """What was answered, or that it restarted."""
+    return [type(event.reply if isinstance(event, Answer) else event) for event in events]
+
+
+def when(event: Event) -> tuple[int, int]:
+    assert isinstance(event, Answer)
+    return event.t_sent_ns, event.t_received_ns
+
+
+def telemetry_in(events: list[Event]) -> Answer:
+    return next(ev for ev in events if isinstance(ev, Answer) and isinstance(ev.reply, t.Values))
 
 
 def test_connect_reads_who_it_is_and_how_it_is_set(vesc: Vesc) -> None:
     link = VescLink(F1TENTH, expected_uuid=UUID)
     events = connect(link, vesc)
-    assert kinds(events) == [e.Identity, e.AppConfRead, e.LimitsRead]
-    assert isinstance(events[0], e.Identity)
-    assert events[0].expected
+    assert kinds(events) == [i.FwVersion, i.AppConf, i.McConfTemp]
+    assert link.expected
     assert link.firmware == FW_7_01
     assert link.appconf == vesc.appconf
     assert link.limits is not None
@@ -111,9 +139,8 @@ def test_connect_reads_who_it_is_and_how_it_is_set(vesc: Vesc) -> None:
 
 def test_wrong_uuid_is_reported(vesc: Vesc) -> None:
     link = VescLink(F1TENTH, expected_uuid=bytes(12))
-    identity = connect(link, vesc)[0]
-    assert isinstance(identity, e.Identity)
-    assert not identity.expected
+    connect(link, vesc)
+    assert not link.expected
 
 
 @pytest.mark.parametrize("firmware", [Firmware(2, 18), *PROFILES], ids=str)
@@ -126,11 +153,11 @@ def test_connect_and_drive_with_every_firmware(firmware: Firmware) -> None:
     events = link.on_bytes(2 * MS, vesc.answer(link.make_tick(DRIVE, MS)))
     assert c.SetErpm(4614.0) in vesc.seen
     assert [s for s in vesc.seen if isinstance(s, c.SetServoPos)] == [c.SetServoPos(0.409)]
-    telemetry = events[0]
-    assert isinstance(telemetry, e.Telemetry)
-    assert telemetry.values.erpm == 4614.0
-    assert (e.ImuSample in kinds(events)) == (firmware >= (3, 52))
-    assert (e.Uptime in kinds(events)) == (firmware >= FW_5_03)
+    values = telemetry_in(events).reply
+    assert isinstance(values, t.Values)
+    assert values.erpm == 4614.0
+    assert (t.Imu in kinds(events)) == (firmware >= (3, 52))
+    assert (t.Uptime in kinds(events)) == (firmware >= FW_5_03)
     assert link.counters == type(link.counters)()
 
 
@@ -166,48 +193,48 @@ def test_one_tick_is_one_write_of_one_usb_packet(link: VescLink, vesc: Vesc) -> 
 @pytest.mark.parametrize(
     ("drive", "motion"),
     [
-        (e.DriveBrake(None, 8.0), [c.SetCurrentBrake(8.0)]),
-        (e.DriveBrake(0.0, 8.0), [c.SetCurrentBrake(8.0), c.SetServoPos(0.53)]),
-        (e.DriveShort(None), [c.SetDuty(0.0)]),
-        (e.DriveRelease(), [c.SetCurrent(0.0)]),
-        (e.DriveSilent(), []),
-        (e.DriveSilent(steer=0.0), [c.SetServoPos(0.53)]),
-        (e.DriveSpeed(9.0, 99.0), [c.SetErpm(23250.0), c.SetServoPos(0.15)]),
+        (brake(8.0), [c.SetCurrentBrake(8.0)]),
+        (brake(8.0, 0.0), [c.SetCurrentBrake(8.0), c.SetServoPos(0.53)]),
+        (Drive(ActuationMode.SHORT), [c.SetDuty(0.0)]),
+        (Drive(ActuationMode.RELEASE), [c.SetCurrent(0.0)]),
+        (SILENT, []),
+        (Drive(steer=0.0), [c.SetServoPos(0.53)]),
+        (go(9.0, 99.0), [c.SetErpm(23250.0), c.SetServoPos(0.15)]),
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_drive_orders(link: VescLink, vesc: Vesc, drive: e.Drive, motion: list[Command]) -> None:
+def test_drive_orders(link: VescLink, vesc: Vesc, drive: Drive, motion: list[Command]) -> None:
     vesc.answer(link.make_tick(drive, 0))
     assert [s for s in vesc.seen if not type(s).__name__.startswith("Get")] == motion
 
 
 def test_braking_needs_no_identity(vesc: Vesc) -> None:
     link = VescLink(F1TENTH)
-    vesc.answer(link.make_tick(e.DriveBrake(None, 5.0), 0))
+    vesc.answer(link.make_tick(brake(5.0), 0))
     assert vesc.seen == [c.SetCurrentBrake(5.0)]
 
 
 @pytest.mark.parametrize(
     "drive",
     [
-        e.DriveSpeed(math.nan, 1.0),
-        e.DriveSpeed(0.0, math.nan),
-        e.DriveSpeed(0.0, math.inf),
-        e.DriveBrake(0.0, math.nan),
-        e.DriveBrake(math.inf, 1.0),
+        go(math.nan, 1.0),
+        go(0.0, math.nan),
+        go(0.0, math.inf),
+        brake(math.nan, 0.0),
+        brake(1.0, math.inf),
     ],
 )
 def test_order_that_is_no_number_sends_nothing_and_leaves_polls_open(
-    link: VescLink, vesc: Vesc, drive: e.Drive
+    link: VescLink, vesc: Vesc, drive: Drive
 ) -> None:
     with pytest.raises(ValueError, match=r"no command|cannot be sent"):
         link.make_tick(drive, 0)
-    events = link.on_bytes(MS, vesc.answer(link.make_tick(e.DriveBrake(None, 5.0), 0)))
-    assert e.Telemetry in kinds(events)
+    events = link.on_bytes(MS, vesc.answer(link.make_tick(brake(5.0), 0)))
+    assert t.Values in kinds(events)
 
 
 def test_nothing_ever_sends_alive(link: VescLink, vesc: Vesc) -> None:
-    drives = (DRIVE, e.DriveBrake(None, 1.0), e.DriveSilent(), e.DriveRelease())
+    drives = (DRIVE, brake(1.0), SILENT, Drive(ActuationMode.RELEASE))
     for n, drive in zip(range(600), itertools.cycle(drives), strict=False):
         link.on_bytes(n * 5 * MS, vesc.answer(link.make_tick(drive, n * 5 * MS)))
     assert len(vesc.seen) > 1000
@@ -218,123 +245,96 @@ def test_reply_carries_send_and_first_byte_stamps(link: VescLink, vesc: Vesc) ->
     reply = vesc.answer(link.make_tick(DRIVE, 10 * MS))
     assert link.on_bytes(11 * MS, reply[:1]) == []
     events = link.on_bytes(13 * MS, reply[1:])
-    telemetry = events[0]
-    assert isinstance(telemetry, e.Telemetry)
-    assert telemetry.when == e.Stamped(10 * MS, 11 * MS)
-    assert telemetry.when.stamp_ns == 10 * MS + MS // 2
-    assert isinstance(events[1], e.ImuSample)
-    assert events[1].when == e.Stamped(10 * MS, 13 * MS)
+    telemetry, imu, _ = events
+    assert kinds(events) == [t.Values, t.Imu, t.Uptime]
+    assert when(telemetry) == (10 * MS, 11 * MS)
+    assert telemetry_in(events).stamp_ns == 10 * MS + MS // 2
+    assert when(imu) == (10 * MS, 13 * MS)
 
 
 def test_one_request_per_id_until_answered_or_expired(link: VescLink, vesc: Vesc) -> None:
-    link.make_tick(e.DriveSilent(), 0)
+    link.make_tick(SILENT, 0)
     for t_ns in (5 * MS, POLL_EXPIRY_NS):
-        assert link.make_tick(e.DriveSilent(), t_ns) == b""
-    assert kinds(link.on_bytes(POLL_EXPIRY_NS + 1, b"")) == [e.Expired] * 3
-    vesc.answer(link.make_tick(e.DriveSilent(), POLL_EXPIRY_NS + 2))
+        assert link.make_tick(SILENT, t_ns) == b""
+    assert link.on_bytes(POLL_EXPIRY_NS + 1, b"") == []
+    assert link.counters.expired == 3
+    vesc.answer(link.make_tick(SILENT, POLL_EXPIRY_NS + 2))
     assert vesc.seen == [
         c.GetValuesSelective(t.FAST_MASK),
         c.GetImuData(t.IMU_ACCEL_GYRO_MASK),
     ]
-    assert link.counters.expired == 3
 
 
 def test_polls_that_went_lost_are_repeated_five_times_in_100_ms(link: VescLink) -> None:
-    sent = [bool(link.make_tick(e.DriveSilent(), t_ms * MS)) for t_ms in range(0, 100, 10)]
+    sent = [bool(link.make_tick(SILENT, t_ms * MS)) for t_ms in range(0, 100, 10)]
     assert sent == [True, False] * 5
 
 
 def test_a_reply_after_several_repeats_may_answer_the_first_of_them(
     link: VescLink, vesc: Vesc
 ) -> None:
-    first = vesc.answer(link.make_tick(e.DriveSilent(), 0))
+    first = vesc.answer(link.make_tick(SILENT, 0))
     for t_ms in (20, 40, 60):
-        link.make_tick(e.DriveSilent(), t_ms * MS)
-    telemetry = next(ev for ev in link.on_bytes(61 * MS, first) if isinstance(ev, e.Telemetry))
-    assert telemetry.when == e.Stamped(0, 61 * MS)
+        link.make_tick(SILENT, t_ms * MS)
+    assert when(telemetry_in(link.on_bytes(61 * MS, first))) == (0, 61 * MS)
 
 
 def test_late_reply_keeps_its_true_interval(link: VescLink, vesc: Vesc) -> None:
-    late = vesc.answer(link.make_tick(e.DriveSilent(), 0))
+    late = vesc.answer(link.make_tick(SILENT, 0))
     link.on_bytes(81 * MS, b"")
-    second = vesc.answer(link.make_tick(e.DriveSilent(), 82 * MS))
-    telemetry = next(ev for ev in link.on_bytes(83 * MS, late) if isinstance(ev, e.Telemetry))
-    assert telemetry.when == e.Stamped(0, 83 * MS)
-    strays = link.on_bytes(84 * MS, second)
-    assert kinds(strays) == [e.Unknown] * 2
+    second = vesc.answer(link.make_tick(SILENT, 82 * MS))
+    assert when(telemetry_in(link.on_bytes(83 * MS, late))) == (0, 83 * MS)
+    assert link.on_bytes(84 * MS, second) == []
     assert link.counters.unsolicited == 2 + 1  # the late uptime reply as well
-    third = vesc.answer(link.make_tick(e.DriveSilent(), 90 * MS))
-    telemetry = next(ev for ev in link.on_bytes(91 * MS, third) if isinstance(ev, e.Telemetry))
-    assert telemetry.when == e.Stamped(90 * MS, 91 * MS)
+    third = vesc.answer(link.make_tick(SILENT, 90 * MS))
+    assert when(telemetry_in(link.on_bytes(91 * MS, third))) == (90 * MS, 91 * MS)
 
 
 def test_interval_is_not_widened_by_what_expired_long_ago(link: VescLink, vesc: Vesc) -> None:
-    link.make_tick(e.DriveSilent(), 0)
+    link.make_tick(SILENT, 0)
     link.on_bytes(81 * MS, b"")
-    later = vesc.answer(link.make_tick(e.DriveSilent(), 5000 * MS))
-    telemetry = link.on_bytes(5001 * MS, later)[0]
-    assert isinstance(telemetry, e.Telemetry)
-    assert telemetry.when == e.Stamped(5000 * MS, 5001 * MS)
+    later = vesc.answer(link.make_tick(SILENT, 5000 * MS))
+    assert when(link.on_bytes(5001 * MS, later)[0]) == (5000 * MS, 5001 * MS)
 
 
 def test_reply_with_another_mask_is_not_ours(link: VescLink) -> None:
-    link.make_tick(e.DriveSilent(), 0)
+    link.make_tick(SILENT, 0)
     other = encode_frame(encode_reply(dataclasses.replace(VALUES, mask=0x180)))
-    events = link.on_bytes(MS, other)
-    assert isinstance(events[0], e.Unknown)
-    assert (events[0].reason, events[0].command) == ("not requested", 50)
+    assert link.on_bytes(MS, other) == []
     assert link.counters.unsolicited == 1
 
 
 @pytest.mark.parametrize("size", [42, 50, 56])
 def test_telemetry_shorter_than_the_firmware_sends_is_refused(link: VescLink, size: int) -> None:
-    link.make_tick(e.DriveSilent(), 0)
+    link.make_tick(SILENT, 0)
     payload = encode_reply(dataclasses.replace(VALUES, mask=t.FAST_MASK))
     whole = encode_frame((payload + bytes(9))[:size])
     events = link.on_bytes(MS, whole)
-    assert kinds(events) == ([e.Telemetry] if size >= 51 else [e.Unknown])
+    assert kinds(events) == ([t.Values] if size >= 51 else [])
     assert link.counters.odd_lengths == (size < 51)
 
 
 def test_old_firmware_accepts_its_own_table_alone() -> None:
     link, vesc = VescLink(F1TENTH), Vesc(FW_3_00)
     connect(link, vesc)
-    link.make_tick(e.DriveSilent(), 0)
+    link.make_tick(SILENT, 0)
     new_table = encode_frame(encode_reply(VALUES, FW_7_01))
-    assert kinds(link.on_bytes(MS, new_table)) == [e.Unknown]
+    assert link.on_bytes(MS, new_table) == []
+    assert link.counters.odd_lengths == 1
 
 
 def test_short_imu_reply_is_refused(link: VescLink) -> None:
-    link.make_tick(e.DriveSilent(), 0)
+    link.make_tick(SILENT, 0)
     payload = encode_reply(t.Imu(t.IMU_ACCEL_GYRO_MASK))
-    assert kinds(link.on_bytes(MS, encode_frame(payload[:-5]))) == [e.Unknown]
+    assert link.on_bytes(MS, encode_frame(payload[:-5])) == []
+    assert link.counters.odd_lengths == 1
 
 
-def test_unsolicited_frames_are_counted_apart(link: VescLink) -> None:
-    frames = [b"\x15hello", b"\x16\0\0\0\0", b"\x24abc", b"\xfa\1", b"\x00\x07"]
-    events = link.on_bytes(MS, b"".join(map(encode_frame, frames)))
-    assert events[0] == e.Printed("hello", MS)
-    assert [event.reason for event in events[1:] if isinstance(event, e.Unknown)] == [
-        "unsolicited",
-        "unsolicited",
-        "unknown id",
-        "wrong length for this firmware",
-    ]
-    assert link.counters.unknown_ids == 1
-
-
-def test_a_fault_is_said_once_for_as_long_as_it_lasts(link: VescLink, vesc: Vesc) -> None:
-    def tick(n: int, fault: int) -> list[e.Event]:
-        vesc.values = dataclasses.replace(VALUES, fault=fault)
-        return link.on_bytes(n * MS, vesc.answer(link.make_tick(DRIVE, n * MS)))
-
-    assert e.FaultSeen not in kinds(tick(1, 0))
-    seen = [event for event in tick(2, 2) if isinstance(event, e.FaultSeen)]
-    assert seen == [e.FaultSeen(2, "UNDER_VOLTAGE", 2 * MS)]
-    assert e.FaultSeen not in kinds(tick(3, 2))
-    assert e.FaultSeen in kinds(tick(4, 5)), "another one"
-    assert e.FaultSeen not in kinds(tick(5, 0))
-    assert e.FaultSeen in kinds(tick(6, 5)), "again"
+def test_frames_that_answer_nothing_are_counted_apart_and_text_is_let_pass(link: VescLink) -> None:
+    frames = [b"\x15hello", b"\x16\0\0\0\0", b"\x24abc", b"\xfa\1", b"\x00\x07", b"\x30"]
+    assert link.on_bytes(MS, b"".join(map(encode_frame, frames))) == []
+    counted = (link.counters.unknown_ids, link.counters.odd_lengths, link.counters.unsolicited)
+    assert counted == (3, 1, 1)
 
 
 def test_restart_is_seen_by_uptime_tachometer_and_watchdog_fault(
@@ -342,7 +342,7 @@ def test_restart_is_seen_by_uptime_tachometer_and_watchdog_fault(
 ) -> None:
     def reasons(n: int) -> list[str]:
         events = link.on_bytes(n, vesc.answer(link.make_tick(DRIVE, n)))
-        return [event.reason for event in events if isinstance(event, e.Rebooted)]
+        return [event.reason for event in events if isinstance(event, Rebooted)]
 
     assert reasons(0) == []
     vesc.uptime_ms = 10
@@ -374,25 +374,21 @@ def test_requests_go_out_when_there_is_room(link: VescLink, vesc: Vesc) -> None:
     assert len(data) <= WRITE_LIMIT
     link.on_bytes(0, vesc.answer(data))
     assert not any(isinstance(s, c.SetMcConfTemp) for s in vesc.seen)
-    data = link.make_tick(e.DriveSilent(), 5 * MS)
+    data = link.make_tick(SILENT, 5 * MS)
     assert len(data) <= WRITE_LIMIT
     events = link.on_bytes(6 * MS, vesc.answer(data))
-    assert kinds(events) == [e.Answer, e.Telemetry]
+    assert kinds(events) == [i.Ack, t.Values]
     sent = next(s for s in vesc.seen if isinstance(s, c.SetMcConfTemp))
     assert (sent.store, sent.ack, sent.erpm_min, sent.erpm_max) == (False, True, -9228, 9228)
     vesc.limits = dataclasses.replace(vesc.limits, erpm_min=-9228, erpm_max=9228)
     vesc.limits = dataclasses.replace(vesc.limits, current_max_scale=0.5)
     events = link.on_bytes(11 * MS, vesc.answer(link.make_tick(DRIVE, 10 * MS)))
-    read = next(event for event in events if isinstance(event, e.LimitsRead))
-    assert limits_hold(limits, read.limits)
-    assert not limits_hold(make_restored_limits(LIMITS), read.limits)
+    assert i.McConfTemp in kinds(events)
+    assert limits_hold(limits, link.limits)
+    assert not limits_hold(make_restored_limits(LIMITS), link.limits)
 
 
-@pytest.mark.parametrize(
-    "command",
-    [c.SetErpm(0.0), c.Alive(), c.SetServoPos(0.5), c.Reboot(), c.ForwardCan(1, b"\x08"),
-     c.SetDetect(1), c.GetMcConf()],
-)  # fmt: skip
+@pytest.mark.parametrize("command", [c.SetErpm(0.0), c.Alive(), c.SetServoPos(0.5), c.Reboot()])
 def test_what_drives_is_not_sent_on_request(link: VescLink, command: Command) -> None:
     with pytest.raises(ValueError, match="not sent on request"):
         link.request(command)
@@ -418,33 +414,34 @@ def test_long_configuration_passes_the_running_ceiling_only_when_requested(
     assert link.on_bytes(0, stray + bytes(600)) == []
     link.request(c.GetAppConf())
     events = link.on_bytes(MS, vesc.answer(link.make_tick(DRIVE, MS)))
-    assert e.AppConfRead in kinds(events)
+    assert i.AppConf in kinds(events)
 
 
 def test_reset_forgets_the_device_and_its_fault(link: VescLink, vesc: Vesc) -> None:
-    vesc.values = dataclasses.replace(VALUES, fault=5)
-    link.on_bytes(MS, vesc.answer(link.make_tick(DRIVE, 0)))
+    vesc.values = dataclasses.replace(VALUES, fault=10)
+    assert Rebooted in kinds(link.on_bytes(MS, vesc.answer(link.make_tick(DRIVE, 0))))
+    assert Rebooted not in kinds(link.on_bytes(3 * MS, vesc.answer(link.make_tick(DRIVE, 2 * MS))))
     link.reset()
     assert (link.version, link.limits, link.ready) == (None, None, False)
     connect(link, vesc, 10 * MS)
     events = link.on_bytes(500 * MS, vesc.answer(link.make_tick(DRIVE, 500 * MS)))
-    assert e.FaultSeen in kinds(events)
+    assert Rebooted in kinds(events)
 
 
 def test_corrupted_bytes_give_no_event(link: VescLink, vesc: Vesc) -> None:
-    reply = bytearray(vesc.answer(link.make_tick(e.DriveSilent(), 0))[:56])
+    reply = bytearray(vesc.answer(link.make_tick(SILENT, 0))[:56])
     for at in range(2, len(reply)):
         reply[at] ^= 0x10
         fresh = link.on_bytes(at, bytes(reply))
-        assert e.Telemetry not in kinds(fresh)
+        assert t.Values not in kinds(fresh)
         reply[at] ^= 0x10
     assert link.parser.crc_errors >= 54
-    assert e.Telemetry in kinds(link.on_bytes(57, bytes(600) + bytes(reply)))
+    assert t.Values in kinds(link.on_bytes(57, bytes(600) + bytes(reply)))
 
 
 def test_request_for_a_firmware_that_cannot_is_refused_at_once() -> None:
     link, vesc = VescLink(F1TENTH), Vesc(Firmware(3, 40))
     connect(link, vesc)
     with pytest.raises(ValueError, match="needs firmware"):
-        link.request(c.GetBatteryCut())
-    assert encode_command(c.GetBatteryCut())
+        link.request(c.GetMcConfTemp())
+    assert encode_command(c.GetMcConfTemp())

@@ -3,7 +3,7 @@
 import pytest
 
 from steerd.car_model.effects import find_effect
-from steerd.car_model.native.layout import row_layout
+from steerd.car_model.native.print_c import row_layout
 from steerd.car_model.native.trace import CHASSIS, trace
 from steerd.car_model.state import State
 

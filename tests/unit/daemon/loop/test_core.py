@@ -11,12 +11,11 @@ from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.transitions import Request, SupervisorState
 from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.mocap_link.source import ClockKind, PoseSample, RawPose
+from steerd.mocap_link.source import Pose
 from steerd.sim_hw.plant.faults import Fault
-from steerd.vesc_link import events as e
 from steerd.vesc_link.commands import GetMcConfTemp, SetMcConfTemp
-from steerd.vesc_link.events import Stamped, Telemetry
 from steerd.vesc_link.telemetry import Values
+from steerd.vesc_link.vesc import Answer
 
 MS, NS = 1_000_000, 1_000_000_000
 
@@ -93,21 +92,17 @@ def test_a_vesc_that_refuses_the_session_limits_is_tried_thrice_then_reported(pl
     assert not core.flags & Flag.UNBOUNDED
 
 
-def identity(uuid: bytes, expected: bool = True) -> e.Identity:
-    return SimpleNamespace(version=SimpleNamespace(uuid=uuid), expected=expected)
-
-
 def test_one_run_drives_one_vesc(plan):
     core, requests = fresh_core(plan)
-    core._check_identity(identity(b"first"))
+    core._check_identity(b"first")
     core._apply_session_limits(limits(1e9))
     own = core.make_shutdown_frames()
-    core._check_identity(identity(b"other"))
+    core._check_identity(b"other")
     core._apply_session_limits(limits(1e9))
     assert not core._expected
     assert len(requests) == 2, "the other one is not given our limits"
     assert len(core.make_shutdown_frames()) < len(own), "nor the first one's at the end"
-    core._check_identity(identity(b"first"))
+    core._check_identity(b"first")
     assert core._expected
 
 
@@ -150,20 +145,24 @@ def test_an_emergency_stop_is_left_by_reset_after_the_plug_was_out(plan):
     assert state_of(run) in (SupervisorState.DISARMED, SupervisorState.READY)
 
 
-def sample(k: int, t_ns: int) -> PoseSample:
-    raw = RawPose("car", k, None, None, t_ns, (0.01 * k, 0, 0.1), (1.0, 0, 0, 0))
-    return PoseSample(t_ns, t_ns, raw, 0.01 * k, 0.0, 0.0, 0.1, 0.0, None, ClockKind.ARRIVAL)
+def pose(k: int, t_ns: int) -> Pose:
+    x, place, level = 0.01 * k, (0.01 * k, 0, 0.1), (1.0, 0, 0, 0)
+    return Pose(
+        "car", k, None, None, t_ns, place, level, t_valid_ns=t_ns, x=x, y=0.0, yaw=0.0,
+        height=0.1, tilt=0.0,
+    )  # fmt: skip
 
 
 def test_a_reply_read_before_an_older_pose_is_fused_all_the_same(plan):
     core = make_core(plan, 1, 0, (), leased=True)
     seen = core.loop.perception
     for k in range(100):
-        core.loop.on_pose(sample(k, k * 10 * MS))
+        core.loop.perception.on_pose(pose(k, k * 10 * MS))
         seen.estimate(k * 10 * MS + 1)
     now = 1010 * MS
-    core.loop.on_telemetry(Telemetry(Values(erpm=4614), Stamped(now - MS, now)))
-    core.loop.on_pose(sample(100, now - 4 * MS))
+    values = Values(erpm=4614)
+    core.loop.perception.on_telemetry(Answer(values, now - MS, now), values)
+    core.loop.perception.on_pose(pose(100, now - 4 * MS))
     health = seen.estimate(now).health
     assert health.untimely == 0
     assert health.wheel_speed.seen == 1

@@ -5,8 +5,8 @@ import pytest
 from steerd.daemon.loop.failed_loop import describe_error
 from steerd.daemon.loop.loop import Flag
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.sim_hw.judge import Effort, read_motor_frames
 from steerd.steer_bus.messages import RequestKind
+from tests.safety.judge import Effort, read_motor_frames
 from tests.safety.rig import at_phase, twin
 
 

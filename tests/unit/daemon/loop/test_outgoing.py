@@ -16,7 +16,7 @@ from steerd.daemon.loop.outgoing import (
 from steerd.daemon.loop.supervisor import Action, make_supervisor_memory
 from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput, SupervisorState
 from steerd.steer_bus.messages import ActuationMode
-from steerd.vesc_link.events import DriveBrake, DriveRelease, DriveShort, DriveSilent, DriveSpeed
+from steerd.vesc_link.vesc import Drive
 
 ACTION = Action(MotorOutput.SILENT, SteeringOutput.NONE, 0.0, "why", "what")
 
@@ -24,11 +24,11 @@ ACTION = Action(MotorOutput.SILENT, SteeringOutput.NONE, 0.0, "why", "what")
 @pytest.mark.parametrize(
     ("drive", "mode", "speed", "current"),
     [
-        (DriveSpeed(0.1, 2.0), ActuationMode.SPEED, 2.0, None),
-        (DriveBrake(0.1, 20.0), ActuationMode.BRAKE, None, 20.0),
-        (DriveShort(0.1), ActuationMode.SHORT, None, None),
-        (DriveRelease(0.1), ActuationMode.RELEASE, None, None),
-        (DriveSilent(0.1), ActuationMode.SILENT, None, None),
+        (Drive(ActuationMode.SPEED, 0.1, 2.0), ActuationMode.SPEED, 2.0, None),
+        (Drive(ActuationMode.BRAKE, 0.1, current=20.0), ActuationMode.BRAKE, None, 20.0),
+        (Drive(ActuationMode.SHORT, 0.1), ActuationMode.SHORT, None, None),
+        (Drive(ActuationMode.RELEASE, 0.1), ActuationMode.RELEASE, None, None),
+        (Drive(steer=0.1), ActuationMode.SILENT, None, None),
     ],
 )
 def test_an_actuation_holds_what_its_drive_has_and_nan_elsewhere(drive, mode, speed, current):
@@ -40,7 +40,7 @@ def test_an_actuation_holds_what_its_drive_has_and_nan_elsewhere(drive, mode, sp
 
 
 def test_a_state_without_estimate_is_nan_and_has_mode_and_flags():
-    made = make_state(None, None, DriveSilent(None), SupervisorState.READY, 5, 3, 10, 100)
+    made = make_state(None, None, Drive(), SupervisorState.READY, 5, 3, 10, 100)
     assert (made.mode, made.flags, made.seq, made.mono_ns) == (SupervisorState.READY, 5, 3, 10)
     assert all(isnan(value) for value in (made.x, made.speed, made.e1, made.x_sd))
 

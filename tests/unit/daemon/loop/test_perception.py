@@ -9,10 +9,10 @@ from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.daemon.loop.perception import BLIND_S, Perception, best_speed, estimated_state
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
-from steerd.mocap_link.source import ClockKind, PoseSample, RawPose
-from steerd.vesc_link.events import Stamped, Telemetry
+from steerd.mocap_link.source import Pose
 from steerd.vesc_link.scaling import F1TENTH
 from steerd.vesc_link.telemetry import Values
+from steerd.vesc_link.vesc import Answer
 
 MS, NS = 1_000_000, 1_000_000_000
 
@@ -22,12 +22,16 @@ def make_perception():
 
 
 def pose(t_ns, x, rejected=None, valid=True):
-    raw = RawPose("", None, 0, None, t_ns, (x, 0.0, 0.1), (1.0, 0.0, 0.0, 0.0), None, valid)
-    return PoseSample(t_ns, t_ns, raw, x, 0.0, 0.0, 0.1, 0.0, rejected, ClockKind.ARRIVAL)
+    place, level = (x, 0.0, 0.1), (1.0, 0.0, 0.0, 0.0)
+    return Pose(
+        "", None, 0, None, t_ns, place, level, None, valid, True, t_ns, x=x, y=0.0, yaw=0.0,
+        height=0.1, tilt=0.0, rejected=rejected,
+    )  # fmt: skip
 
 
 def telemetry(t_ns, erpm):
-    return Telemetry(Values(erpm=erpm), Stamped(t_ns - MS, t_ns))
+    values = Values(erpm=erpm)
+    return Answer(values, t_ns - MS, t_ns), values
 
 
 def drive(seen, seconds=1.0, speed=1.0):
@@ -35,7 +39,7 @@ def drive(seen, seconds=1.0, speed=1.0):
     for k in range(1, round(seconds * 100) + 1):
         t_ns = k * 10 * MS
         seen.on_pose(pose(t_ns, speed * t_ns / NS))
-        seen.on_telemetry(telemetry(t_ns, speed * F1TENTH.erpm_gain))
+        seen.on_telemetry(*telemetry(t_ns, speed * F1TENTH.erpm_gain))
         seen.estimate(t_ns)
     return t_ns
 

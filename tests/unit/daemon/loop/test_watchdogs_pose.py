@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from steerd.daemon.loop.watchdogs_pose import (
-    PoseFrame,
     PoseVerdict,
     PoseWatch,
     is_flapping,
@@ -16,6 +15,7 @@ from steerd.daemon.loop.watchdogs_pose import (
     step_pose,
 )
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.mocap_link.source import Pose
 from steerd.steer_bus.quick_values import changed
 
 TH = Thresholds(
@@ -26,9 +26,20 @@ ACCEPTED, INVALID, FROZEN, JUMP, REBASED = PoseVerdict
 S = 10**9
 
 
+def make_pose(t_ns, number, place, quaternion, yaw, valid=True, live=True):
+    x, y, height = place
+    return Pose(
+        "car", number, None, None, t_ns, place, quaternion, None, valid, live, t_ns,
+        x=x, y=y, yaw=yaw, height=height,
+    )  # fmt: skip
+
+
 def frame(t_s=1.0, number=1, x=1.0, y=2.0, yaw=0.0, **changes):
-    good = PoseFrame(round(t_s * S), number, (x, y, 0.125), (1.0, 0.0, 0.0, 0.0), yaw)
-    return changed(good, **changes)
+    position = changes.pop("position", (x, y, 0.125))
+    quaternion = changes.pop("quaternion", (1.0, 0.0, 0.0, 0.0))
+    return make_pose(
+        changes.pop("t_ns", round(t_s * S)), number, position, quaternion, yaw, **changes
+    )
 
 
 BASE = PoseWatch(frame())
@@ -48,6 +59,7 @@ def test_first_sane_frame_is_a_start():
     "bad",
     [
         {"valid": False},
+        {"live": False},
         {"position": (0.0, 0.0, 0.0)},
         {"position": (nan, 1.0, 1.0)},
         {"position": (1.0, inf, 1.0)},
@@ -66,7 +78,7 @@ def test_first_sane_frame_is_a_start():
 def test_bad_frames_are_counted_and_dropped(bad):
     watch = BASE
     for count in range(1, 7):
-        watch, verdict = judge(changed(frame(1.01, 2), **bad), watch)
+        watch, verdict = judge(frame(**{"t_s": 1.01, "number": 2} | bad), watch)
         assert (verdict, watch.invalid, watch.base) == (INVALID, count, frame())
     watch, verdict = judge(frame(1.05, 9), watch)
     assert (verdict, watch.invalid) == (ACCEPTED, 0)
@@ -141,7 +153,7 @@ def test_jump_by_distance_at_its_edge():
     for far in (frame(1.25, 2, x=nextafter(1.0 + reach, 9)), frame(1.25, 2, y=2.0 + reach + 1e-9)):
         watch, verdict = judge(far)
         assert (verdict, watch.jumps, watch.base) == (JUMP, 1, frame())
-        assert watch.jump_times == (far.t_ns,)
+        assert watch.jump_times == (far.t_arrival_ns,)
 
 
 def test_jump_by_yaw_at_its_edge_and_through_the_wrap():
@@ -164,7 +176,7 @@ def test_alternating_yaw_is_flapping_after_five():
     for k in range(10):
         flip = pi if k % 2 else 0.0
         watch, _ = judge(frame(1.01 + k / 100, 2 + k, yaw=flip), watch, wheel=0.0)
-        assert is_flapping(TH, watch, watch.base.t_ns) == (k == 9)
+        assert is_flapping(TH, watch, watch.base.t_arrival_ns) == (k == 9)
     assert watch.jumps <= 1
     first = watch.jump_times[0]
     assert is_flapping(TH, watch, first + S)
@@ -236,7 +248,7 @@ def test_minutes_of_driving_with_losses_gaps_and_noise_rejects_nothing():
         place = (cos(angle) + noise[k, 0], sin(angle) + noise[k, 1], 0.1)
         yaw = angle + pi / 2 + noise[k, 2]
         watch, verdict = step_pose(
-            th, watch, PoseFrame(t_ns, k, place, (cos(yaw / 2), 0.0, 0.0, sin(yaw / 2)), yaw),
+            th, watch, make_pose(t_ns, k, place, (cos(yaw / 2), 0.0, 0.0, sin(yaw / 2)), yaw),
             3.0, False,
         )  # fmt: skip
         assert verdict in (ACCEPTED, REBASED)

@@ -41,7 +41,7 @@ class FakePort:
 
     def write(self, data):
         if self.gone:
-            raise LinkDown("/dev/x", "short write", "look at the cable")
+            raise LinkDown("/dev/x", "short write")
         self.sent.append(data)
 
     def out_queue(self):

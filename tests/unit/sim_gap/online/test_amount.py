@@ -5,7 +5,8 @@ import pytest
 from steerd.car_model.effects import find_effect
 from steerd.sim_gap.online.amount import amounts_of
 from steerd.sim_gap.online.learner import Change
-from steerd.sim_gap.online.naming import Cause, Finding
+from steerd.sim_gap.online.naming import Finding
+from steerd.sim_gap.verdict.evidence import Cause
 
 
 def change(effect, after, was):
@@ -13,8 +14,8 @@ def change(effect, after, was):
         p.name: (value, 0.5, p.unit)
         for p, value in zip(find_effect(effect).parameters, after, strict=True)
     }
-    finding = Finding("named", Cause(effect, parameters, 0.95, ()), 50.0)
-    return Change(0.0, 1.0, None, (), (), {}, finding, was)
+    finding = Finding("named", Cause(effect, "", "", parameters, 0.95, (), ""))
+    return Change(0.0, 1.0, None, (), finding, was)
 
 
 def test_an_offset_moved_by_a_difference():
@@ -37,3 +38,7 @@ def test_of_which_form_an_effect_is_has_no_amount():
 
 def test_what_was_not_there_before_moved_by_all_of_it():
     assert amounts_of(change("steer_bias", (0.02,), (0.0,)))["bias"][0] == 0.02
+
+
+def test_a_change_without_a_name_has_no_amount():
+    assert amounts_of(Change(0.0, 1.0, None, ())) == {}

@@ -11,8 +11,9 @@ from steerd.controller.learnt import Learnt, learnt_of
 from steerd.sim_gap.online import followed
 from steerd.sim_gap.online.base import make_learner
 from steerd.sim_gap.online.learner import Change, State
-from steerd.sim_gap.online.naming import Cause, Finding
+from steerd.sim_gap.online.naming import Finding
 from steerd.sim_gap.online.values import Value
+from steerd.sim_gap.verdict.evidence import Cause
 
 KNOWN = SimpleNamespace()
 SETTLED = followed.SETTLED
@@ -31,14 +32,16 @@ def values(monkeypatch):
     return learnt
 
 
-def change(effect, *after, verdict="named", sure=0.95, alternatives=(), windows=SETTLED):
+def change(
+    effect, *after, verdict="named", sure=0.95, alternatives=(), windows=SETTLED, together=0.0
+):
     found = find_effect(effect)
     parameters = {
         p.name: (value, 0.0005, p.unit) for p, value in zip(found.parameters, after, strict=True)
     }
-    cause = Cause(effect, parameters, sure, alternatives)
-    looks = (None,) * windows
-    return Change(0.0, 1.0, None, looks, (), {}, Finding(verdict, cause, 50.0), found.nulls)
+    cause = Cause(effect, "", found.family, parameters, sure, alternatives, "")
+    finding = Finding(verdict, cause if verdict == "named" else None, max(sure, together))
+    return Change(0.0, 1.0, None, ((0.0, None),) * windows, finding, found.nulls)
 
 
 def aim(learner, *past, now=None):
@@ -131,13 +134,20 @@ def test_a_set_that_is_all_lateness_is_followed_as_its_likeliest(learner, values
     assert aim(learner, now=late) == file._replace(steer_delay=file.steer_delay + 0.04)
 
 
+def test_how_sure_a_set_of_lateness_is_counts_and_not_its_likeliest_name(learner, values):
+    late = change("steer_delay", 0.04, sure=0.5, alternatives=("steer_lag",), together=0.9)
+    assert isinstance(aim(learner, now=late), Learnt)
+    doubtful = change("steer_delay", 0.04, sure=0.5, alternatives=("steer_lag",), together=0.7)
+    assert aim(learner, now=doubtful) == "the name of a change is not sure"
+
+
 def test_a_set_that_is_lateness_and_something_else_is_in_doubt(learner, values):
     late = change("steer_delay", 0.04, alternatives=("steer_lag", "yaw_inertia"))
     assert aim(learner, now=late) == "a change is steer_delay or steer_lag or yaw_inertia"
 
 
 SHIFT = {"forward": (0.03, 0.001, "m"), "left": (0.0, 0.001, "m")}
-ALONE = Cause("marker_offset", SHIFT, 0.95, ())
+ALONE = Cause("marker_offset", "observe", "sensor", SHIFT, 0.95, (), "")
 
 
 def proven(later, was=(0.01, 0.0)):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from steerd.sim_gap.online.learner import REFERENCE, State, fold
-from steerd.sim_gap.online.naming import SETTLED
+from steerd.sim_gap.online.learner import REFERENCE, SETTLED, State, fold
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled
 from steerd.sim_gap.online.values import values_of
 
@@ -64,7 +63,8 @@ def test_the_same_samples_give_the_same_state_to_the_bit(learner, drives, quiet)
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "seconds"), [("mocap_yaw", 0.03, 9.8), ("speed_scale", 0.95, 5.0)]
+    ("name", "value", "seconds"),
+    [("mocap_yaw", 0.03, 9.8), ("speed_scale", 0.95, 5.0), ("steer_lag", 0.08, 7.0)],
 )
 def test_a_change_is_noticed_and_named(learner, drives, name, value, seconds):
     state, _ = follow(learner, drives(AT + seconds, name, AT))
@@ -74,7 +74,7 @@ def test_a_change_is_noticed_and_named(learner, drives, name, value, seconds):
     assert state.change.noticed - AT < 3.0
     informed, sd, _ = next(iter(state.change.finding.cause.parameters.values()))
     assert informed == pytest.approx(value, abs=max(4.0 * sd, 0.004))
-    settled = len(state.change.looks) >= SETTLED
+    settled = len(state.change.windows) >= SETTLED
     assert (state.change.proven is not None) == settled
     if settled:
         assert state.change.proven[0].effect == name

@@ -8,8 +8,7 @@ from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.state import ORIGIN
-from steerd.sim_hw.plant.car import COAST, CarSetup, Demand, Drive, SimCar
-from steerd.sim_hw.plant.delay import DelayLine
+from steerd.sim_hw.plant.car import COAST, CarSetup, DelayLine, Demand, Drive, SimCar
 from steerd.sim_hw.plant.noise import make_noise_source
 
 

@@ -16,6 +16,7 @@ from steerd.sim_hw.mocap.mocap_config import Bystander, MocapConfig
 from steerd.sim_hw.mocap.network import CLOSE, FOREIGN, Datagram
 from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, HEALTHY_VESC
 from steerd.sim_hw.plant.faults import FAULTS, Fault, find_fault, make_condition
+from steerd.sim_hw.vesc.vesc_config import STATUS_KILL
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.identity import AppConf
@@ -67,7 +68,7 @@ def test_faults_at_the_same_time_add_up() -> None:
 
 def datagrams(*faults: Fault, config: WorldConfig = DRIVING, until: int = 3000) -> list[Datagram]:
     world = World(replace(config, keep_bytes=False), faults)
-    world.mocap_write(0, natnet.encode(natnet.Connect()))
+    world.mocap_write(0, natnet.encode(natnet.Bare.CONNECT))
     world.serial_write(0, b"")
     out: list[Datagram] = []
     for t in range(0, until * MS, 10 * MS):
@@ -246,7 +247,7 @@ def test_server_restart_begins_numbers_and_clock_again() -> None:
     world = World(DRIVING, [Fault("server_restart", ON, OFF)])
     numbers, ticks = [], []
     for t in range(0, 2000 * MS, 10 * MS):
-        world.mocap_write(t, natnet.encode(natnet.Connect()))
+        world.mocap_write(t, natnet.encode(natnet.Bare.CONNECT))
         for _, f in decoded(world.mocap_read(t)):
             numbers.append(f.number)
             ticks.append(f.mid_exposure_ticks)
@@ -400,7 +401,7 @@ def test_v15_reboot_drops_usb_and_coasts(faulty: MakeHost) -> None:
 
 def test_v18_to_v21_wrong_telemetry(faulty: MakeHost) -> None:
     assert faulty("V18").values().timeout_active
-    assert faulty("V19").values().kill_switch
+    assert faulty("V19").values().status & STATUS_KILL
     host = faulty("V20")
     readings = set()
     for _ in range(10):

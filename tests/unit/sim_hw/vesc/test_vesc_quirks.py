@@ -9,23 +9,25 @@ from typing import Any
 import pytest
 
 from steerd.car_model.state import ORIGIN
+from steerd.sim_hw.vesc.vesc_config import STATUS_KILL
 from steerd.sim_hw.vesc.vesc_motor import duty_current
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.frames import FLUSH, encode_frame
-from steerd.vesc_link.identity import (
-    Ack,
-    AppConf,
-    CanIds,
-    FwVersion,
-    McConfTemp,
-    Print,
-    RotorPosition,
+from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
+from steerd.vesc_link.ids import (
+    FW_3_00,
+    FW_3_40,
+    FW_3_60,
+    FW_5_02,
+    FW_5_03,
+    PROFILES,
+    Firmware,
+    fault_name,
 )
-from steerd.vesc_link.ids import FW_3_00, FW_3_40, FW_3_60, FW_5_02, FW_5_03, PROFILES, Firmware
 from steerd.vesc_link.packets import encode_command
 from steerd.vesc_link.scaling import F1TENTH, servo_pos_to_steer
-from steerd.vesc_link.telemetry import FAST_MASK, Imu, Stats, Values, ValuesSetup, values_size
+from steerd.vesc_link.telemetry import FAST_MASK, UPTIME_MASK, Imu, Values, values_size
 
 MS = 1_000_000
 MakeHost = Callable[..., Any]
@@ -247,8 +249,6 @@ def test_current_pushes_both_ways_and_a_tiny_one_releases(make_host: MakeHost) -
     assert host.speed == pytest.approx(-0.5 * (10.0 * 0.175 - 0.6), rel=0.05)
     host.hold(20, c.SetCurrent(0.04))
     assert host.world.vesc.motor.value == 0.0
-    host.hold(500, c.SetCurrentRel(0.5))
-    assert host.speed > 1.0
 
 
 def test_duty_settles_where_back_emf_meets_the_battery(make_host: MakeHost) -> None:
@@ -275,7 +275,7 @@ def test_faults_clear_themselves_500_ms_after_their_condition(make_host: MakeHos
     host = make_host(timeout_ms=0)
     host.hold(500, c.SetErpm(ERPM_1))
     host.world.vesc.motor.hold_fault(host.t_ns, 4)
-    assert host.values().fault_name == "ABS_OVER_CURRENT"
+    assert fault_name(host.values().fault) == "ABS_OVER_CURRENT"
     host.hold(480, c.SetErpm(ERPM_1))
     assert host.values().fault == 4
     assert host.world.vesc.motor.mode.name == "RELEASED"  # commands are ignored
@@ -288,31 +288,31 @@ def test_faults_clear_themselves_500_ms_after_their_condition(make_host: MakeHos
 def test_voltage_sag_ends_in_under_voltage(make_host: MakeHost) -> None:
     host = make_host(battery_resistance=1.0, voltage_min=9.0)
     host.hold(400, c.SetErpm(4 * ERPM_1))
-    assert host.values().fault_name == "UNDER_VOLTAGE"
+    assert fault_name(host.values().fault) == "UNDER_VOLTAGE"
 
 
 def test_blocking_commands_are_discarded_while_one_runs(make_host: MakeHost) -> None:
     host = make_host()
-    host.send(c.PingCan())
-    host.run(100)
     host.send(c.TerminalCommand("faults"))
-    host.run(2500)
-    assert host.heard() == [CanIds(())]
+    host.run(1)
+    host.send(c.TerminalCommand("nonsense"))
+    host.run(20)
+    assert host.heard() == [Print("Fault: FAULT_CODE_NONE")]
     assert host.world.vesc.counts["discarded"] == 1
-    assert host.ask(c.TerminalCommand("faults"), 10) == Print("Fault: FAULT_CODE_NONE")
+    assert host.ask(c.TerminalCommand("nonsense"), 10) == Print("Invalid command: nonsense")
 
 
 def test_uptime_counts_and_goes_back_with_a_reboot(make_host: MakeHost) -> None:
     host = make_host(uptime_ns=60_000 * MS)
     host.run(1000)
-    assert host.ask(c.GetValuesSetupSelective(0x200000)).uptime_ms == 61_000
+    assert host.ask(c.GetValuesSetupSelective(UPTIME_MASK)).uptime_ms == 61_000
     host.send(c.Reboot())
     with pytest.raises(OSError, match="Input/output"):
         host.world.serial_read(host.t_ns + MS)
     assert host.world.serial_name is None
     host.run(1600)
     assert host.world.serial_name == "vesc"
-    assert host.ask(c.GetValuesSetupSelective(0x200000)).uptime_ms <= 101
+    assert host.ask(c.GetValuesSetupSelective(UPTIME_MASK)).uptime_ms <= 101
 
 
 def test_reboot_forgets_ram_limits_and_centres_the_servo(make_host: MakeHost) -> None:
@@ -375,7 +375,7 @@ def test_kill_switch_shows_in_the_status_and_releases_the_motor(make_host: MakeH
     host = make_host(config=ROLLING)
     host.world.vesc.set_fault_state(0, replace(host.world.vesc.fault_state, kill=True))
     host.hold(500, c.SetErpm(3 * ERPM_1))
-    assert host.values().kill_switch
+    assert host.values().status & STATUS_KILL
     assert host.speed < 1.8
 
 
@@ -401,43 +401,11 @@ def test_host_that_does_not_read_blocks_the_vesc_and_gets_cut_frames(make_host: 
     assert len([r for r in host.heard() if isinstance(r, Values)]) == 3
 
 
-def test_display_mode_sends_rotor_positions_unsolicited(make_host: MakeHost) -> None:
-    host = make_host()
-    host.send(c.SetDetect(3))
-    host.run(100.5)
-    assert len([r for r in host.heard() if isinstance(r, RotorPosition)]) == 10
-    host.send(c.SetDetect(0))
-    host.run(100)
-    assert host.heard() == []
-
-
 def test_boot_garbage_comes_before_everything(make_host: MakeHost) -> None:
     host = make_host(boot_garbage=40)
     host.run(5)
     assert len(host.world.serial_read(host.t_ns)) == 40
     assert isinstance(host.ask(c.GetFwVersion()), FwVersion)
-
-
-def test_estop_ignores_motor_commands_for_its_time(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING, firmware=Firmware(7, 1))
-    host.send(c.MotorEstop(300))
-    host.hold(290, c.SetErpm(3 * ERPM_1))
-    assert host.speed < 1.9
-    host.hold(800, c.SetErpm(3 * ERPM_1))
-    assert host.speed > 2.5
-
-
-def test_statistics_and_set_up_telemetry(make_host: MakeHost) -> None:
-    host = make_host()
-    assert isinstance(host.ask(c.ResetStats(ack=True)), Ack)
-    host.hold(2000, c.SetErpm(2 * ERPM_1))
-    stats, setup = host.ask(c.GetStats(0x7FF)), host.ask(c.GetValuesSetup())
-    assert isinstance(stats, Stats)
-    assert stats.speed_max == pytest.approx(2.0, abs=0.05)
-    assert 1.0 < stats.speed_avg < stats.speed_max
-    assert isinstance(setup, ValuesSetup)
-    assert setup.speed == pytest.approx(2.0, abs=0.05)
-    assert setup.distance == pytest.approx(host.world.truth().state.x, abs=0.05)
 
 
 def test_byte_log_holds_every_byte_with_time_and_direction(make_host: MakeHost) -> None:

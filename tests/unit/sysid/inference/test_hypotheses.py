@@ -9,7 +9,14 @@ import pytest
 from steerd.car_model.effects import EFFECTS
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.engine import open_engine
-from steerd.sysid.inference.hypotheses import Library, begin, carry, explain, judge
+from steerd.sysid.inference.hypotheses import (
+    Library,
+    begin,
+    carry,
+    explain,
+    judge,
+    look_at_all,
+)
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.search import minimise, stand
@@ -85,6 +92,21 @@ def test_values_are_carried_by_their_names(likelihood):
     assert moved["lf"] == point.z[wide.chart.free.index("lf")]
     assert moved["steer_gain.gain"] == own.z[narrow.chart.free.index("steer_gain.gain")]
     assert carry(narrow, point)[-1] == narrow.centre[-1]
+
+
+# --- what is looked at
+
+
+def test_a_start_that_the_base_alone_holds_holds_no_effect_back(late):
+    """The windows in which an effect shows are those that the base bends too far."""
+    library, _ = late
+    start = begin(library, (), (), library.likelihood.engine.readings.layout.guess.copy())
+    found = []
+    for fill in (np.zeros_like, np.ones_like):
+        rotated = start.rotated._replace(held=fill(start.rotated.held))
+        found.append(look_at_all(library, replace(start, rotated=rotated)))
+    assert found[0] == found[1]
+    assert found[0][0][0].effect == "steer_delay"
 
 
 # --- what comes out

@@ -7,14 +7,11 @@ push, a *brake* frame slows it in whichever direction it turns, a *release* lets
 from collections.abc import Iterable, Sequence
 from enum import Enum
 from itertools import pairwise
-from math import hypot, inf
+from math import hypot
 from typing import NamedTuple
 
 from steerd.sim_hw.plant.device import Logged
-from steerd.vesc_link import commands as c
 from steerd.vesc_link.frames import FrameParser
-from steerd.vesc_link.ids import FW_6_05, Firmware
-from steerd.vesc_link.packets import decode_command
 
 
 class Effort(Enum):
@@ -42,36 +39,36 @@ class Motion(NamedTuple):
     speed: float
 
 
-def classify(command: c.Command) -> tuple[Effort, float] | None:
-    """What a command does to the motor; None for one that does nothing to it."""
-    match command:
-        case c.SetErpm():
-            return Effort.DRIVE, abs(command.erpm)
-        case c.SetCurrent():
-            return (Effort.DRIVE if command.current else Effort.RELEASE), abs(command.current)
-        case c.SetDuty():
-            return (Effort.DRIVE if command.duty else Effort.BRAKE), abs(command.duty)
-        case c.SetCurrentBrake() | c.SetHandbrake():
-            return (Effort.BRAKE if command.current else Effort.RELEASE), abs(command.current)
-        case c.SetPos():
-            return Effort.DRIVE, inf
-        case c.SetCurrentRel():
-            return (Effort.DRIVE if command.ratio else Effort.RELEASE), abs(command.ratio)
-        case _:
-            return None
+_DUTY, _CURRENT, _BRAKE, _ERPM, _POSITION, _HANDBRAKE, _RELATIVE = 5, 6, 7, 8, 9, 10, 84
+_COUNTS = {
+    _DUTY: 1e5, _CURRENT: 1e3, _BRAKE: 1e3, _ERPM: 1.0, _POSITION: 1e6, _HANDBRAKE: 1e3,
+    _RELATIVE: 1e5,
+}  # fmt: skip
+"""Ids of all commands that do something to the motor, with their counts per unit."""
 
 
-def read_motor_frames(
-    log: Iterable[Logged], firmware: Firmware = FW_6_05
-) -> tuple[MotorFrame, ...]:
+def classify(payload: bytes) -> tuple[Effort, float] | None:
+    """What a payload does to the motor; None for one that does nothing to it."""
+    number = payload[0]
+    if number not in _COUNTS or len(payload) < 5:
+        return None
+    value = abs(int.from_bytes(payload[1:5], "big", signed=True)) / _COUNTS[number]
+    if number in (_ERPM, _POSITION):
+        return Effort.DRIVE, value
+    if number == _DUTY:
+        return (Effort.DRIVE if value else Effort.BRAKE), value
+    pulls = Effort.BRAKE if number in (_BRAKE, _HANDBRAKE) else Effort.DRIVE
+    return (pulls if value else Effort.RELEASE), value
+
+
+def read_motor_frames(log: Iterable[Logged]) -> tuple[MotorFrame, ...]:
     """Every motor command among the logged bytes that went to the VESC, in order."""
     parser, frames = FrameParser(), []
     for entry in log:
         if entry.to != "vesc":
             continue
         for payload in parser.feed(entry.data, entry.t_ns):
-            command = decode_command(payload, firmware)
-            effect = classify(command) if command is not None else None
+            effect = classify(payload)
             if effect is not None:
                 frames.append(MotorFrame(entry.t_ns, *effect))
     return tuple(frames)

@@ -1,1 +1,0 @@
-"""Effects of the body: masses, inertia, loads."""

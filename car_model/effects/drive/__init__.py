@@ -1,1 +1,0 @@
-"""Effects of the drive: speed command, motor, battery, drag."""

@@ -1,1 +1,0 @@
-"""Effects of the floor: slope and places or times of less grip."""

@@ -1,1 +1,0 @@
-"""Effects of the measurement: mocap's body, yaw and clock."""

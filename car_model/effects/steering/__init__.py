@@ -1,1 +1,0 @@
-"""Effects of the steering: command, servo, linkage."""

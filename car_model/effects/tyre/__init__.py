@@ -1,1 +1,0 @@
-"""Effects of the tyres: stiffness, grip, build-up, slip."""
