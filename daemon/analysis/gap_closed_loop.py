@@ -22,7 +22,6 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import drive, make_virtual_run
-from steerd.daemon.sessions.lane_error import SETTLE
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions, decode_options
 from steerd.sim_gap.lane_comparison import SHORTEST, LaneComparison, LaneDrive
@@ -30,10 +29,12 @@ from steerd.sim_hw.world import World
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.session_read import Session, SessionError, open_session
-from steerd.steer_bus.topics import find_topic
+from steerd.steer_bus.topics import split_key
 
 SECONDS = 20.0
 """Length of a simulated drive: several bends; longer adds nothing to a profile [s]."""
+SETTLE = 3.0
+"""The way into the lane is no lane keeping [s]."""
 _SEED = 7919
 """Added to the recorded seed: a simulated recording must not get its own noise again."""
 
@@ -120,7 +121,7 @@ def _require_unchanged(session: Session) -> None:
         NotALaneDriveError: they were.
     """
     for topic in session.info().topics:
-        if find_topic(topic.name) is topics.PARAMETERS:
+        if (split_key(topic.name) or ("", ""))[1] == topics.PARAMETERS.name:
             said = [record.decode() for record in session.messages(topic.name)]
             if len({(p.speed, p.offset, p.gain) for p in said}) > 1:
                 raise NotALaneDriveError("its live parameters were changed while it drove")
@@ -128,14 +129,18 @@ def _require_unchanged(session: Session) -> None:
 
 def _recorded(session: Session) -> Rows:
     """Rows t, s, e1, e2, steer, x, y, yaw while the car was driven."""
-    names = [t.name for t in session.info().topics if find_topic(t.name) is topics.STATE]
-    tables = session.tables(dict.fromkeys(names, topics.STATE.message)) if names else {}
+    wanted = {
+        t.name: topics.STATE.message
+        for t in session.info().topics
+        if (split_key(t.name) or ("", ""))[1] == topics.STATE.name
+    }
+    tables = session.tables(wanted) if wanted else {}
     if not tables:
         raise NotALaneDriveError("it holds no lane errors")
     table = next(iter(tables.values()))
     t = (table["stamp_ns"] - table["stamp_ns"][:1]).astype(float) * 1e-9
-    columns = ("path_s", "e1", "e2", "steer_ref", "x", "y", "yaw")
-    rows: Rows = np.column_stack([t, *(table[name].astype(float) for name in columns)])
+    names = ("path_s", "e1", "e2", "steer_ref", "x", "y", "yaw")
+    rows: Rows = np.column_stack([t, *(table[name].astype(float) for name in names)])
     rows = rows[(table["mode"] == SupervisorState.RUNNING) & np.isfinite(rows).all(axis=1)]
     if not len(rows):
         raise NotALaneDriveError("it was never driven")

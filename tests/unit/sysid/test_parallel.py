@@ -1,4 +1,4 @@
-"""Work on a cluster: compiled cars find their own code there."""
+"""Work on a cluster: compiled cars find their own code there, joblib's work goes there."""
 
 import pickle
 
@@ -15,6 +15,10 @@ from steerd.car_model.native.windows import (
 )
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.parallel import map_jobs
+
+
+def _square(value):
+    return value * value
 
 
 def _grow(value):
