@@ -181,10 +181,7 @@ def _sections(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -
             f"{_sentence(lane_words(lane))} Laps are averaged by place along the lane; controller, "
             "path and speed are the session's own, only the simulated car is exchanged.",
             figure=figures.draw_lane(lane),
-            table=Table(
-                ("", "recorded", "base car", "with the effect"),
-                [(label, *cells) for label, cells in lane_rows(lane)],
-            ),
+            table=Table(("", "recorded", "base car", "with the effect"), lane_rows(lane)),
         )
     if found.verdict in ("unexplained", "partial"):
         yield Section("What is left", f"{_sentence(residual_words(found))}")

@@ -11,7 +11,6 @@ from typing import Literal
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 Kind = Literal["summarise", "identify", "diagnose"]
-KINDS: tuple[Kind, ...] = ("summarise", "identify", "diagnose")
 _PATTERN = frozenset("*?[")
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effects import find_effect
 from steerd.car_model.params import PARAMETERS
-from steerd.daemon.common.near import find_near
+from steerd.daemon.common.near import did_you_mean
 from steerd.sim_hw.mocap.mocap_config import MocapConfig
 from steerd.sim_hw.vesc.vesc_config import VescConfig
 
@@ -93,6 +93,5 @@ def _find_effect(name: str, rest: str) -> Quantity:
 
 def _hint(name: str) -> str:
     known = [q.name for q in (*_DRIVE, *_INSTRUMENTS)] + [f"car.{p.name}" for p in PARAMETERS]
-    near = find_near(name, known)
     more = "a sweep varies path, speed, car.NAME, effect.NAME, mocap.… and vesc.…"
-    return f"did you mean {near}?" if near else more
+    return did_you_mean(name, known) or more

@@ -63,7 +63,7 @@ def test_without_an_effect_nothing_is_judged():
     assert told.is_closer is None
     assert "drive.mcap" in lane_words(told)
     assert encode_lane(told)["drives"]["with_effect"] is None
-    assert all(cells[2] == "–" for _, cells in lane_rows(told))
+    assert all(row[3] == "–" for row in lane_rows(told))
 
 
 def test_figures_tell_rms_mean_and_the_strongest_frequency():
