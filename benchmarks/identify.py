@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from unittest.mock import patch
 
 import numpy as np
+from least_squares import fit_least_squares
 from numpy.typing import NDArray
 
 from steerd.car_model.model import Model
@@ -36,7 +37,7 @@ from steerd.car_model.params import GRAVITY, Car
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.estimation.fit import TYRES, Fit, Options, fit
 from steerd.sysid.estimation.objective import Evaluation, Problem
-from steerd.sysid.paper.baselines import fit_least_squares, search_cma
+from steerd.sysid.paper.baselines import search_cma
 from steerd.sysid.paper.paper_method import (
     NAMES,
     PaperProblem,

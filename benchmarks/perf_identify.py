@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 from identify import FRICTIONS, TARGET_MM, Judge, circles, ours, ours_watched
+from least_squares import fit_least_squares
 
 from steerd.car_model.native.windows import make_kernels
-from steerd.sysid.paper.baselines import fit_least_squares, search_cma
+from steerd.sysid.paper.baselines import search_cma
 from steerd.sysid.paper.paper_method import draw_starts, make_problem, paper_runs, search_adam
 from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT
 

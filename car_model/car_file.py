@@ -2,12 +2,13 @@
 
 `[car]` and `[effects]` belong to this room and are checked to the last key; every other section is
 handed on as it stands, for the room that it configures. Writing keeps comments, order and sections.
+What identify knows beyond the values lies in a file beside it (`steerd.posterior_file`).
 """
 
 import difflib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -23,11 +24,12 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import PARAMETERS, Car, Parameter
 from steerd.car_model.planar import CHASSIS_NAMES, find_chassis
 from steerd.car_model.single_track import SINGLE_TRACK
+from steerd.posterior_file import TABLES, find_known, posterior_path, read_beside
 from steerd.toml_text import TomlError, parse_toml, read_toml
 
 _OWN = ("car", "effects")
-_LATER = frozenset({"c_x"})
-"""Parameters that files from before the planar chassis do not have."""
+IDENTIFIED = "steerd identify"
+"""Begins the source of a value that identify found."""
 
 
 class CarFileError(ValueError):
@@ -73,15 +75,29 @@ class CarFile:
     source: Mapping[str, str] = field(default_factory=dict)
     """Where values come from, by `parameter` or `effect.parameter`."""
     sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """All other sections, unchecked."""
+    """All other sections, unchecked; `noise` and `knowledge` from the file beside it."""
     text: str = field(default="", repr=False)
     chassis: Chassis = SINGLE_TRACK
     """The equations that `[car] chassis` and `drive` name."""
+    posterior: str = field(default="", repr=False)
+    """Text of the file beside it, empty where there is none."""
+    remark: str = ""
+    """Why what identify knew is not used, as a sentence; empty where it is, or never was."""
 
     @property
     def model(self) -> Model[float]:
         """The car with its effects switched on."""
         return Model(self.car, self.effects, self.values, self.chassis)
+
+    @property
+    def numbers(self) -> dict[str, str | float]:
+        """Every value by `parameter` or `effect.parameter`, and which equations they are for."""
+        found: dict[str, str | float] = {"chassis": self.chassis.name, "drive": self.chassis.drive}
+        found |= {name: float(value) for name, value in self.car._asdict().items()}
+        for effect, values in zip(self.effects, self.values, strict=True):
+            pairs = zip(effect.parameters, values, strict=True)
+            found |= {f"{effect.name}.{p.name}": float(value) for p, value in pairs}
+        return found
 
 
 def default_car_path() -> Path:
@@ -97,7 +113,7 @@ def load_car(path: Path | str) -> CarFile:
     """
     path = Path(path)
     try:
-        return parse_car(read_toml(path), path)
+        return parse_car(read_toml(path), path, read_beside(path))
     except OSError as error:
         hint = "check the path; `steerd config` prints a complete car file"
         raise CarFileError(path, "", f"cannot be read ({error.strerror})", hint) from error
@@ -105,8 +121,13 @@ def load_car(path: Path | str) -> CarFile:
         raise CarFileError(path, "", str(error), "name a car file: TOML, as UTF-8") from error
 
 
-def parse_car(text: str, path: Path) -> CarFile:
-    """Check the text of a car file; `path` is for messages and is not opened.
+def parse_car(text: str, path: Path, posterior: str = "") -> CarFile:
+    """Check the text of a car file.
+
+    Args:
+        text: of the file.
+        path: for messages; it is not opened.
+        posterior: text of the file beside it.
 
     Raises:
         CarFileError: It is no TOML, or says something impossible.
@@ -122,16 +143,21 @@ def parse_car(text: str, path: Path) -> CarFile:
             raise CarFileError(path, name, "is not a section", "put keys under a [section] head")
     if "car" not in tables:
         raise CarFileError(path, "[car]", "is missing", "copy it from `steerd config`")
-    own = _checked(path, "car", _car_table(), tables["car"])
+    own = _checked(path, "car", _table_of(None), tables["car"])
+    try:
+        chassis = find_chassis(own.chassis, own.drive)
+    except ValueError as error:
+        hint = f"chassis = one of {', '.join(CHASSIS_NAMES)}; drive = rear, front or all"
+        raise CarFileError(path, "car.chassis", str(error), hint) from error
     car = Car(*(getattr(own, p.name) for p in PARAMETERS))
     sd, source = dict(own.sd), dict(own.source)
     _check_names(path, "car.sd", [*sd, *source], Car._fields)
-    settings = [
-        _read_effect(path, name, table, sd, source)
-        for name, table in tables.get("effects", {}).items()
-    ]
-    _check_once(path, [effect.name for effect, _ in settings])
-    return CarFile(
+    effects = tables.get("effects", {}).items()
+    settings = [_read_effect(path, name, table, sd, source) for name, table in effects]
+    names = [effect.name for effect, _ in settings]
+    for name in (each for each in names if names.count(each) > 1):  # under an alias
+        raise CarFileError(path, f"effects.{name}", "is given twice", "keep one of the two")
+    file = CarFile(
         path=path,
         name=own.name or path.stem,
         car=car,
@@ -139,26 +165,19 @@ def parse_car(text: str, path: Path) -> CarFile:
         values=tuple(values for _, values in settings),
         sd=sd,
         source=source,
-        sections={name: table for name, table in tables.items() if name not in _OWN},
         text=text,
-        chassis=_read_chassis(path, own),
+        chassis=chassis,
+        posterior=posterior,
     )
+    beside = posterior_path(path).name
+    known, remark = find_known(file.numbers, tables, posterior, beside)
+    if not posterior and not known and any(s.startswith(IDENTIFIED) for s in source.values()):
+        remark = remark or f"{beside} is missing: what identify knew of this car is not used"
+    others = {n: table for n, table in tables.items() if n not in (*_OWN, *TABLES)}
+    return replace(file, sections={**others, **known}, remark=remark)
 
 
-def _read_chassis(path: Path, own: Any) -> Chassis:
-    """The chassis that `[car]` names.
-
-    Raises:
-        CarFileError: there is none of that name, or its wheels are driven in no known way.
-    """
-    try:
-        return find_chassis(own.chassis, own.drive)
-    except ValueError as error:
-        hint = f"chassis = one of {', '.join(CHASSIS_NAMES)}; drive = rear, front or all"
-        raise CarFileError(path, "car.chassis", str(error), hint) from error
-
-
-def update_car(path: Path | str, base: CarFile | Path, updates: Mapping[str, Learned]) -> CarFile:
+def update_car(path: Path, base: CarFile, updates: Mapping[str, Learned]) -> CarFile:
     """The car file that `base` becomes with new numbers; nothing is written.
 
     Args:
@@ -170,13 +189,13 @@ def update_car(path: Path | str, base: CarFile | Path, updates: Mapping[str, Lea
     Raises:
         CarFileError: The result would not be a right car file.
     """
-    old = base if isinstance(base, CarFile) else load_car(base)
-    return parse_car(updated_text(old, updates), Path(path))
-
-
-def updated_text(base: CarFile, updates: Mapping[str, Learned]) -> str:
-    """The text of `base` with new numbers, comments kept."""
     document = tomlkit.parse(base.text)
+    update_document(document, updates)
+    return parse_car(tomlkit.dumps(document), path)
+
+
+def update_document(document: Any, updates: Mapping[str, Learned]) -> None:
+    """Set new numbers in the TOML document of a car file, comments kept; see `update_car`."""
     for name, learned in updates.items():
         owner, dot, parameter = name.rpartition(".")
         if dot:
@@ -188,7 +207,6 @@ def updated_text(base: CarFile, updates: Mapping[str, Learned]) -> str:
             _note(table, "source", parameter, learned.source or None)
         table[parameter] = float(learned.value)
         _note(table, "sd", parameter, learned.sd)
-    return tomlkit.dumps(document)
 
 
 def _effect_table(document: Any, effect: Effect) -> Any:
@@ -215,38 +233,24 @@ def _note(table: Any, kind: str, parameter: str, value: float | str | None) -> N
             del table[kind]
 
 
-@lru_cache(maxsize=1)
-def _car_table() -> type[msgspec.Struct]:
-    """What `[car]` must hold: every parameter within its bounds."""
-    return msgspec.defstruct(
-        "CarTable",
-        [
-            *((p.name, _bounded(p)) for p in PARAMETERS if p.name not in _LATER),
-            *((p.name, _bounded(p), p.default) for p in PARAMETERS if p.name in _LATER),
-            ("name", str, ""),
-            ("chassis", str, SINGLE_TRACK.name),
-            ("drive", str, "all"),
-            ("sd", dict[str, Annotated[float, msgspec.Meta(ge=0.0)]], msgspec.field(default={})),
-            ("source", dict[str, str], msgspec.field(default={})),
-        ],
-        forbid_unknown_fields=True,
-        kw_only=True,
-    )
-
-
 @lru_cache(maxsize=256)
-def _effect_struct(effect: Effect) -> type[msgspec.Struct]:
-    """What an effect's table may hold: parameters within bounds, absent ones at their null."""
-    return msgspec.defstruct(
-        "EffectTable",
-        [
-            *((p.name, _bounded(p), float(p.null)) for p in effect.parameters),
-            ("sd", dict[str, Annotated[float, msgspec.Meta(ge=0.0)]], msgspec.field(default={})),
-            ("source", str, ""),
-        ],
-        forbid_unknown_fields=True,
-        kw_only=True,
-    )
+def _table_of(effect: Effect | None) -> type[msgspec.Struct]:
+    """What an effect's table, or (None) `[car]`, may hold: parameters within their bounds.
+
+    Those of an effect may be absent, which is their null.
+    """
+    fields: list[Any] = [("sd", dict[str, Annotated[float, msgspec.Meta(ge=0.0)]], _NONE)]
+    if effect is None:
+        fields += [(p.name, _bounded(p)) for p in PARAMETERS]
+        fields += [("name", str, ""), ("chassis", str, SINGLE_TRACK.name), ("drive", str, "all")]
+        fields += [("source", dict[str, str], _NONE)]
+    else:
+        fields += [(p.name, _bounded(p), float(p.null)) for p in effect.parameters]
+        fields += [("source", str, "")]
+    return msgspec.defstruct("Table", fields, forbid_unknown_fields=True, kw_only=True)
+
+
+_NONE: Any = msgspec.field(default_factory=dict)
 
 
 def _bounded(parameter: Parameter | EffectParameter) -> Any:
@@ -271,14 +275,14 @@ def _checked(path: Path, where: str, struct: type[msgspec.Struct], table: object
         raise CarFileError(path, key, _plain(what), _hint(key)) from error
 
 
+_KINDS = {"float": "a number", "object": "a table", "str": "text", "bool": "true/false",
+          "int": "a whole number"}  # fmt: skip
+
+
 def _plain(what: str) -> str:
     """A validation message in a user's words."""
-    what = what.replace("`float`", "a number").replace("`object`", "a table")
-    what = (
-        what.replace("`str`", "text")
-        .replace("`bool`", "true/false")
-        .replace("`int`", "a whole number")
-    )
+    for kind, words in _KINDS.items():
+        what = what.replace(f"`{kind}`", words)
     what = re.sub(r"Object missing required field `\w+`", "is missing", what)
     what = re.sub(r"Object contains unknown field `\w+`", "is not known", what)
     return what[:1].lower() + what[1:]
@@ -305,7 +309,7 @@ def _read_effect(
         effect = find_effect(name)
     except ValueError as error:
         raise CarFileError(path, where, str(error), "see `steerd effects`") from error
-    own = _checked(path, where, _effect_struct(effect), table)
+    own = _checked(path, where, _table_of(effect), table)
     names = [p.name for p in effect.parameters]
     _check_names(path, f"{where}.sd", list(own.sd), names)
     sd.update({f"{effect.name}.{key}": value for key, value in own.sd.items()})
@@ -319,10 +323,3 @@ def _check_names(path: Path, where: str, names: list[str], known: Any) -> None:
     for name in names:
         if name not in known:
             raise CarFileError(path, where, f"no parameter {name!r}", f"one of {', '.join(known)}")
-
-
-def _check_once(path: Path, names: list[str]) -> None:
-    """Refuse an effect that is given twice (under an alias)."""
-    for name in names:
-        if names.count(name) > 1:
-            raise CarFileError(path, f"effects.{name}", "is given twice", "keep one of the two")

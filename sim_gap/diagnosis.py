@@ -45,14 +45,6 @@ from steerd.sysid.inference.superset import Superset, make_superset
 Array = NDArray[np.float64]
 
 
-def _silent(stage: str, share: float) -> None:
-    """No progress is shown."""
-
-
-def _unheard(prediction: str) -> None:
-    """No one wants the prediction early."""
-
-
 @dataclass(frozen=True)
 class Options:
     """How to diagnose.
@@ -80,8 +72,8 @@ class Options:
     pairs: bool = True
     jobs: int = 1
     horizons: bool = True
-    progress: Callable[[str, float], None] = _silent
-    written: Callable[[str], None] = _unheard
+    progress: Callable[[str, float], None] = lambda stage, share: None
+    written: Callable[[str], None] = lambda prediction: None
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,10 +344,9 @@ def _moved(null: Hypothesis) -> dict[str, float]:
 
 
 def _base_notes(superset: Superset, base: CarFile | Model[float]) -> tuple[str, ...]:
-    known = superset.knowledge is not None
-    if isinstance(base, CarFile) and base.sections.get("knowledge") and not known:
-        return ("the car file was edited since identify wrote [knowledge]: it is not used",)
-    if not superset.sd and not known:
+    if isinstance(base, CarFile) and base.remark:
+        return (base.remark,)
+    if not superset.sd and superset.knowledge is None:
         return ("the car file gives no standard errors: ordinary ones were assumed",)
     return ()
 

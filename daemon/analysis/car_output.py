@@ -1,5 +1,7 @@
 """Car files that come out of an identification or a diagnosis."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import floor, isfinite, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -7,45 +9,71 @@ from typing import TYPE_CHECKING, Any
 import tomlkit
 
 from steerd.car_model.car_file import (
+    IDENTIFIED,
     CarFile,
     CarFileError,
     Learned,
     default_car_path,
-    load_car,
     parse_car,
-    update_car,
+    update_document,
 )
+from steerd.car_model.effect import EffectParameter
 from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
-from steerd.car_model.params import PARAMETERS
+from steerd.car_model.params import PARAMETERS, Parameter
+from steerd.daemon.assembly.session_meta import read_session_car
+from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.translate import make_car_file_error
+from steerd.daemon.settings.car_edit import Values, edit_document
+from steerd.daemon.settings.config import make_settings
+from steerd.posterior_file import TABLES, encode_posterior
+from steerd.steer_bus.session_read import Session, SessionError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from steerd.sim_gap.verdict.evidence import Cause
     from steerd.sysid.data.dataset import Run
     from steerd.sysid.estimation.outcome import Outcome
     from steerd.sysid.estimation.taught import Stated, TaughtModel
 
+PUBLISHED = "F1TENTH, published figures"
+"""Name of the car file that is installed with steerd; no car that was driven is called so."""
+_LEARNT = ("car", "effects", *TABLES)
+"""Sections that are about the car, not about its wiring."""
 
-def make_car(base: CarFile, updates: "Mapping[str, Learned]", path: Path) -> CarFile:
-    """The base with new values.
+
+def make_car(
+    base: CarFile, updates: Mapping[str, Learned], path: Path, wiring: Values | None = None
+) -> CarFile:
+    """The base with new values, and without what was known beyond the old ones.
 
     Args:
         base: as it was.
         updates: new values by `parameter` or `effect.parameter`.
         path: what messages call the new file.
+        wiring: settings beside the car, see `find_wiring`; left out where they are of a version
+            whose settings were others: the result counts more.
 
     Raises:
         SteerdError: a value is none that a car file may hold.
     """
+    document = tomlkit.parse(base.text)
+    for name in TABLES:  # of a car file from before they had a file of their own
+        document.pop(name, None)
     rounded = {name: _rounded(learned) for name, learned in updates.items()}
+    update_document(document, rounded)
+    _comment(document, rounded)
+    if base.name in (PUBLISHED, ""):
+        document["car"]["name"] = path.stem
+    edit_document(document, wiring or {})
     try:
-        car = update_car(path, base, rounded)
-        return parse_car(_with_own_words(car, base, rounded), path)
-    except CarFileError as error:
-        raise make_car_file_error(error) from None
+        car = parse_car(tomlkit.dumps(document), path)
+        if wiring:
+            make_settings(car)
+        return car
+    except (CarFileError, SteerdError) as error:
+        if wiring:
+            return make_car(base, updates, path)
+        raise make_car_file_error(error) if isinstance(error, CarFileError) else error from None
 
 
 def _rounded(learned: Learned) -> Learned:
@@ -59,35 +87,63 @@ def _rounded(learned: Learned) -> Learned:
     return Learned(round(value, 2 - floor(log10(sd))), float(f"{sd:.2g}"), source)
 
 
-def _with_own_words(car: CarFile, base: CarFile, updates: "Mapping[str, Learned]") -> str:
-    """The file's text with comments that belong to the new values, under a name of its own."""
-    document = tomlkit.parse(car.text)
-    if base.name in (load_car(default_car_path()).name, ""):
-        document["car"]["name"] = car.path.stem
-    known = {p.name: (p.unit, p.meaning) for p in PARAMETERS}
-    for effect in car.effects:
-        known |= {f"{effect.name}.{p.name}": (p.unit, p.meaning) for p in effect.parameters}
+def _comment(document: Any, updates: Mapping[str, Learned]) -> None:
+    """Comments that belong to the new values: unit, error, meaning, origin."""
     for name, learned in updates.items():
         owner, dot, key = name.rpartition(".")
-        tables: Any = document["effects"] if dot else document
-        named = [n for n in tables if not dot or find_effect(n).name == find_effect(owner).name]
-        table = tables[named[0] if dot else "car"]
-        unit, meaning = known[name]
+        table: Any = document["car"]
+        of: Sequence[Parameter | EffectParameter] = PARAMETERS
+        if dot:
+            effect = find_effect(owner)
+            named = next(n for n in document["effects"] if find_effect(n) is effect)
+            table, of = document["effects"][named], effect.parameters
+        about = next(p for p in of if p.name == key)
+        unit = about.unit if about.unit != "1" else ""
+        sd = f"± {learned.sd:.2g}" if learned.sd else ""
+        how = learned.source.partition(":")[0].removeprefix("steerd ")
         value = table[key]
-        value.comment(_comment(unit, meaning, learned))
+        words = (f"{unit} {sd}".strip(), about.meaning, how)
+        value.comment(", ".join(filter(None, words)))
         value.trivia.comment_ws = " " * max(2, 21 - len(f"{key} = {value.as_string()}"))
-    return tomlkit.dumps(document)
 
 
-def _comment(unit: str, meaning: str, learned: Learned) -> str:
-    """What stands beside a value."""
-    sd = f" ± {learned.sd:.2g}" if learned.sd else ""
-    how = learned.source.partition(":")[0].removeprefix("steerd ")
-    return ", ".join(filter(None, (f"{unit}{sd}" if unit != "1" else sd.strip(), meaning, how)))
+def find_wiring(base: CarFile, sessions: Sequence[Session]) -> Values:
+    """What a car file says beside the car, from drives, where nobody named a car file.
+
+    A drive knows its motor's ERPM per m/s, its mocap body and its limits. A car file with F1TENTH's
+    instead would send the driven car off with another car's wiring.
+
+    Returns:
+        Settings of the drives that differ from the base's; none where the drives differ too.
+    """
+    if base.path != default_car_path():
+        return {}
+    found = [_read_wiring(session) for session in sessions]
+    known = _flatten(base.sections)
+    same = found[0] if found and all(each == found[0] for each in found) else {}
+    return {key: value for key, value in same.items() if known.get(key) != value}
+
+
+def _read_wiring(session: Session) -> Values:
+    """Settings of a session's car file, or what somebody stated of the motor at an import."""
+    try:
+        return _flatten(read_session_car(session).sections)
+    except (SessionError, CarFileError):
+        stated = session.info().metadata.get("steerd.scaling", {})
+        return {("vesc", key): session.number("steerd.scaling", key, 0.0) for key in stated}
+
+
+def _flatten(sections: Mapping[str, Mapping[str, Any]]) -> Values:
+    return {
+        (section, key): value
+        for section, table in sections.items()
+        if section not in _LEARNT
+        for key, value in table.items()
+    }
 
 
 def identified_values(
-    outcome: "Outcome", base: CarFile, given: "Mapping[str, Learned]"
+    outcome: "Outcome", base: CarFile, given: Mapping[str, Learned]
 ) -> dict[str, Learned]:
     """Updates for the car file: fitted parameters with error and provenance, and what was stated.
 
@@ -96,16 +152,13 @@ def identified_values(
         base: the car before it.
         given: values that the user stated.
     """
-    return {**_carried_values(base, outcome), **given, **_fitted_values(outcome)}
-
-
-def _carried_values(base: CarFile, outcome: "Outcome") -> dict[str, Learned]:
-    """What a stated wheelbase or mass moved, and nothing fitted: as it was while fitting."""
-    return {
+    # What a stated wheelbase or mass moved, and nothing fitted, is as it was while fitting.
+    carried = {
         name: Learned(getattr(outcome.after, name), None, "follows from what was stated")
         for name in ("lf", "lr", "inertia_z")
         if getattr(outcome.after, name) != getattr(base.model.car, name)
     }
+    return {**carried, **given, **_fitted_values(outcome)}
 
 
 def _fitted_values(outcome: "Outcome") -> dict[str, Learned]:
@@ -113,14 +166,14 @@ def _fitted_values(outcome: "Outcome") -> dict[str, Learned]:
     updates = {}
     for name, row in outcome.rows.items():
         if row.free:
-            source = f"steerd identify ({outcome.method}): {names}"
+            source = f"{IDENTIFIED} ({outcome.method}): {names}"
             source += "" if row.identifiable else "; not identifiable from these data"
             source += _servo_wait(outcome) if name == "steer_delay" else ""
             updates[name] = Learned(row.value, row.sd, source)
         elif row.value != row.before:
-            updates[name] = Learned(row.value, None, f"steerd identify: {names}")
+            updates[name] = Learned(row.value, None, f"{IDENTIFIED}: {names}")
     effects = {
-        name: Learned(row.value, row.sd, f"steerd identify: {names}")
+        name: Learned(row.value, row.sd, f"{IDENTIFIED}: {names}")
         for name, row in outcome.effect_rows.items()
         if row.free
     }
@@ -132,6 +185,16 @@ def _servo_wait(outcome: "Outcome") -> str:
     if outcome.pulses:
         return "; half a frame (10 ms) is the mean wait for a pulse of the 50 Hz servo signal"
     return "; it contains the wait for the servo's next pulse"
+
+
+def diagnosed_values(causes: "Sequence[Cause]", sessions: Sequence[Path]) -> dict[str, Learned]:
+    """Updates for the car file: every parameter of the found effects."""
+    source = f"steerd diagnose: {', '.join(path.name for path in sessions)}"
+    return {
+        f"{cause.effect}.{name}": Learned(value, sd, source)
+        for cause in causes
+        for name, (value, sd, _) in cause.parameters.items()
+    }
 
 
 def teach_car(
@@ -164,45 +227,31 @@ def teach_car(
     return TaughtModel(found.model, found.sd, found.sections, shown, notes)
 
 
-def with_knowledge(
-    car: CarFile, runs: "tuple[Run, ...]", learnt: "Mapping[str, Mapping[str, Any]] | None" = None
-) -> str:
-    """The car file's text with what these drives teach `steerd diagnose`: `[noise]`, `[knowledge]`.
+def learn_known(car: CarFile, runs: "tuple[Run, ...]") -> Mapping[str, Mapping[str, Any]]:
+    """What drives teach beyond a car's values: the size of noise, the joint covariance.
 
-    How large what no car explains was, the joint covariance of the base, where the model fails.
     Other drives of the car are judged by it, cut like these to where the car moves: a standing car
-    is quieter. The file stays without where the drives do not identify it.
+    is quieter.
 
     Args:
         car: the identified car.
         runs: its drives.
-        learnt: the tables, where the identification had to learn them itself.
+
+    Returns:
+        Tables for `with_known`; none where the drives do not identify it.
     """
-    from steerd.sysid.inference.knowledge import about
-
-    document = tomlkit.parse(car.text)
-    try:
-        sections = learnt or _learnt(car, runs)
-    except (ValueError, FloatingPointError):
-        return car.text
-    for name, table in about(car, sections).items():
-        document[name] = table
-    return tomlkit.dumps(document)
-
-
-def _learnt(car: CarFile, runs: "tuple[Run, ...]") -> "dict[str, dict[str, Any]]":
     from steerd.sysid.data.segments import moving_segments
     from steerd.sysid.estimation.prediction_horizon import add_command_history
     from steerd.sysid.inference.car_posterior import learn_sections
 
-    return learn_sections(car, moving_segments(add_command_history(runs, car.model, asked=True)))
+    try:
+        drives = moving_segments(add_command_history(runs, car.model, asked=True))
+        return learn_sections(car, drives)
+    except (ValueError, FloatingPointError):
+        return {}
 
 
-def diagnosed_values(causes: "Sequence[Cause]", sessions: "Sequence[Path]") -> dict[str, Learned]:
-    """Updates for the car file: every parameter of the found effects."""
-    source = f"steerd diagnose: {', '.join(path.name for path in sessions)}"
-    return {
-        f"{cause.effect}.{name}": Learned(value, sd, source)
-        for cause in causes
-        for name, (value, sd, _) in cause.parameters.items()
-    }
+def with_known(car: CarFile, tables: Mapping[str, Mapping[str, Any]]) -> CarFile:
+    """The car with what is known of it beyond its values, for the file beside it."""
+    text = encode_posterior(car.numbers, tables)
+    return replace(car, sections={**car.sections, **tables}, posterior=text, remark="")

@@ -4,11 +4,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import floor
+from typing import NamedTuple
 
 import numpy as np
 
-from steerd.daemon.analysis.drives import Speed, Warn, load_drives
-from steerd.daemon.analysis.held_out import EVERY, HeldOut
+from steerd.car_model.car_file import CarFile
+from steerd.daemon.analysis.drives import Drives, Warn, load_drives
+from steerd.daemon.analysis.options import EVERY, HeldOut, Speed
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run
@@ -23,24 +25,46 @@ FEWEST = 3
 LEAST = 5.0
 """A gap is not identifiable from less driving than this [s]."""
 
-Later = Callable[[], Sequence[Run]] | None
-"""Opens the held-out drives; None if there are none."""
 
+class Split(NamedTuple):
+    """Drives, cut to where the car moves.
 
-def find_moving(drives: Sequence[Run]) -> tuple[Run, ...]:
-    """The parts of drives in which the car moves.
-
-    Raises:
-        SteerdError: there are none.
+    Attributes:
+        runs: what is looked at.
+        later: opens the drives that are held out; None if there are none.
+        held_out_of: what is held out, as text.
+        notes: what a reader should know.
     """
-    try:
-        return moving_segments(drives)
-    except DataError as error:
-        raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
+
+    runs: tuple[Run, ...]
+    later: Callable[[], Sequence[Run]] | None = None
+    held_out_of: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """Driving that is looked at [s]."""
+        return sum(run.driven for run in self.runs)
 
 
-Split = tuple[tuple[Run, ...], Later, str, list[str]]
-"""Drives to look at, how to open the others, what those are, notes."""
+class Case(NamedTuple):
+    """A diagnosis to make.
+
+    Attributes:
+        drives: the sessions.
+        split: their drives, cut to where the car moves, and what is held out.
+        healthy: drives without the gap.
+        base: the car as believed; `base_source` says where it comes from.
+        only, without: effects by their own names; `only` empty for the library.
+    """
+
+    drives: Drives
+    split: Split
+    healthy: tuple[Run, ...]
+    base: CarFile
+    base_source: str
+    only: tuple[str, ...]
+    without: tuple[str, ...]
 
 
 def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: Warn) -> Split:
@@ -53,43 +77,40 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: W
         warn: is handed what is doubtful in those.
 
     Raises:
-        SteerdError: there is too little driving for that.
+        DataError: there is too little driving.
+        SteerdError: there is too little to hold so much out.
     """
-    parts, every, reserved = find_moving(drives), held_out.every, held_out.files
+    parts, every, reserved = moving_segments(drives), held_out.every, held_out.files
     seconds = sum(run.driven for run in parts)
     if seconds < LEAST:
         what = f"only {seconds:.1f} s of driving at more than walking pace"
-        raise SteerdError(what, "drive `steerd collect --plan mixed`", ExitCode.INVALID)
+        raise DataError(what, "drive `steerd collect --plan mixed`")
     if reserved:
-        names = ", ".join(path.name for path in reserved)
         past = drives[0].history
 
         def later() -> Sequence[Run]:
             opened = load_drives(reserved, speed, warn)
-            return find_moving([replace(drive, history=past) for drive in opened])
+            return moving_segments([replace(drive, history=past) for drive in opened.runs])
 
-        return _in_blocks(drives, parts), later, names, _block_notes(drives)
-    whole = _whole_sessions(drives, parts, every or EVERY) if every != 0 else None
-    if whole is not None:
-        return whole
-    return _some_blocks(drives, parts, every)
+        names = ", ".join(path.name for path in reserved)
+        return Split(_in_blocks(drives, parts), later, names, _block_notes(drives))
+    return _whole_sessions(drives, parts, every) or _some_blocks(drives, parts, every)
 
 
-def _whole_sessions(drives: Sequence[Run], parts: tuple[Run, ...], every: int) -> Split | None:
+def _whole_sessions(
+    drives: Sequence[Run], parts: tuple[Run, ...], every: int | None
+) -> Split | None:
     """Every so many sessions held out whole; None if there are too few of them."""
-    sessions = _sessions(drives)
-    names = set(sessions[every - 1 :: every])
+    if every == 0:
+        return None
+    number = every or EVERY
+    names = _sessions(drives)[number - 1 :: number]
     kept = tuple(run for run in parts if run.name in names)
     fitted = tuple(run for run in parts if run.name not in names)
-    if len(sessions) < every or not kept or not fitted:
+    if not kept or not fitted:
         return None
-    named = f"every {_ordinal(every)} session: {', '.join(sorted(names))}"
-    return _in_blocks(drives, fitted), lambda: kept, named, _block_notes(drives)
-
-
-def _sessions(drives: Sequence[Run]) -> list[str]:
-    """Names of the sessions, of which long ones are several drives."""
-    return list(dict.fromkeys(run.name for run in drives))
+    named = f"every {_ordinal(number)} session: {', '.join(sorted(names))}"
+    return Split(_in_blocks(drives, fitted), lambda: kept, named, _block_notes(drives))
 
 
 def _some_blocks(drives: Sequence[Run], parts: tuple[Run, ...], every: int | None) -> Split:
@@ -99,13 +120,18 @@ def _some_blocks(drives: Sequence[Run], parts: tuple[Run, ...], every: int | Non
         every = min(EVERY, len(blocks)) if len(blocks) >= FEWEST else 0
     if every == 0:
         note = "nothing is held out: the shrinkage is predicted, not measured"
-        return _in_blocks(drives, parts), None, "", [*notes, note]
+        return Split(_in_blocks(drives, parts), notes=(*notes, note))
     if len(blocks) < every:
         what = f"only {len(blocks)} blocks: too few to hold every {_ordinal(every)} out"
         raise SteerdError(what, "--held-out 0, or name a session", ExitCode.INVALID)
     kept = blocks[every - 1 :: every]
     fitted = tuple(b for i, b in enumerate(blocks) if i % every != every - 1)
-    return fitted, lambda: kept, f"every {_ordinal(every)} block of the drive", notes
+    return Split(fitted, lambda: kept, f"every {_ordinal(every)} block of the drive", notes)
+
+
+def _sessions(drives: Sequence[Run]) -> list[str]:
+    """Names of the sessions, of which long ones are several drives."""
+    return list(dict.fromkeys(run.name for run in drives))
 
 
 def _ordinal(number: int) -> str:
@@ -136,11 +162,11 @@ def _in_blocks(drives: Sequence[Run], parts: tuple[Run, ...]) -> tuple[Run, ...]
     return make_blocks(parts) if len(drives) < EVERY else parts
 
 
-def _block_notes(drives: Sequence[Run]) -> list[str]:
-    unused = list(describe_unused(drives))
+def _block_notes(drives: Sequence[Run]) -> tuple[str, ...]:
+    unused = describe_unused(drives)
     if len(drives) >= EVERY:
         return unused
     count = len(_sessions(drives))
     what = "one session" if count == 1 else f"{count} sessions"
     first = f"{what}, cut into blocks of {BLOCK:g} s or more: they stand in for further drives"
-    return [first, *unused]
+    return (first, *unused)

@@ -6,32 +6,48 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from steerd.car_model.car_file import CarFile
-from steerd.daemon.analysis.car_output import diagnosed_values, make_car
-from steerd.daemon.analysis.diagnose_case import Case, DiagnoseRequest, make_case
-from steerd.daemon.analysis.drives import Speed, Warn
-from steerd.daemon.analysis.sources import (
-    CarSource,
-    HeldOutSource,
-    SessionSource,
-    list_sessions,
-    make_held_out,
-    read_car,
+from steerd.car_model.car_file import CarFile, CarFileError
+from steerd.daemon.analysis.car_output import diagnosed_values, make_car, with_known
+from steerd.daemon.analysis.diagnose_split import Case, split_drives
+from steerd.daemon.analysis.diagnose_text import describe, following_words
+from steerd.daemon.analysis.drives import (
+    Drives,
+    Warn,
+    is_same,
+    load_drives,
+    refuse_copies,
+    without_reserved,
 )
+from steerd.daemon.analysis.hints import complete, name_all, refusing
+from steerd.daemon.analysis.identification import find_effects
+from steerd.daemon.analysis.options import (
+    CarSource,
+    DiagnoseOptions,
+    HeldOut,
+    SessionSources,
+    by_keywords,
+    list_sessions,
+    read_car,
+    read_held_out,
+)
+from steerd.daemon.assembly.session_meta import read_session_car
+from steerd.daemon.assembly.sim_car import compare_truths, read_origin
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.outputs import check_outputs
-from steerd.daemon.common.written import write_outputs
-from steerd.sim_gap.diagnosis import Diagnosis as Findings
-from steerd.sim_gap.lane_comparison import LaneComparison
+from steerd.daemon.common.written import car_outputs, write_outputs
+from steerd.posterior_file import TABLES
+from steerd.sim_gap import diagnosis as engine
+from steerd.sim_gap.lane_comparison import LaneComparison, encode_lane
+from steerd.sim_gap.report.to_json import to_json
 from steerd.sim_gap.verdict.evidence import Cause
-from steerd.steer_bus.atomic_file import takes_nothing
+from steerd.sysid.data.segments import moving_segments
+from steerd.sysid.estimation.prediction_horizon import add_command_history
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LOADED, DIAGNOSED, DRIVEN = 0.05, 0.85, 0.95
 """Shares of the work done after loading, after the diagnosis, after the closed loop."""
-_IDENTIFY = "a base identified from such drives: steerd identify … -o car.toml, --base car.toml"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +65,7 @@ class Diagnosis:
     """
 
     case: Case
-    findings: Findings
+    findings: engine.Diagnosis
     lane: LaneComparison | None
     lane_note: str = ""
     warnings: tuple[str, ...] = ()
@@ -68,7 +84,7 @@ class Diagnosis:
     def notes(self) -> tuple[str, ...]:
         """What a reader should know about data and method."""
         lane = (self.lane_note,) if self.lane_note else ()
-        return (*self.case.notes, *self.findings.notes, *lane)
+        return (*self.case.split.notes, *self.findings.notes, *lane)
 
     @cached_property
     def car(self) -> CarFile:
@@ -76,7 +92,7 @@ class Diagnosis:
         return self.make_car(Path("diagnosed.toml"))
 
     def make_car(self, path: Path) -> CarFile:
-        """The base with the found effects.
+        """The base with the found effects, and with what still holds of what was known of it.
 
         Args:
             path: what messages call its file.
@@ -84,9 +100,14 @@ class Diagnosis:
         Raises:
             SteerdError: a value is none that a car file may hold.
         """
-        return make_car(
-            self.case.base, diagnosed_values(self.findings.causes, self.case.sessions), path
-        )
+        values = diagnosed_values(self.causes, self.case.drives.paths)
+        car = make_car(self.case.base, values, path)
+        sections = self.case.base.sections
+        known = {name: sections[name] for name in TABLES if name in sections}
+        # The covariance is about the base: it says nothing of an effect beyond it.
+        if any(name in values for name in known.get("knowledge", {}).get("names", ())):
+            del known["knowledge"]
+        return with_known(car, known) if known else car
 
     def save_car(self, path: Path | str) -> Path:
         """Write the car file of `car`, whole or not at all.
@@ -96,32 +117,37 @@ class Diagnosis:
         """
         path = Path(path)
         check_outputs({"save_car": path})
-        write_outputs({path: self.make_car(path).text})
+        write_outputs(car_outputs(path, self.make_car(path)))
         return path
 
     def to_json(self) -> dict[str, Any]:
         """JSON values in the schema `steerd.gap/1`; what they rest on is under `residual`."""
-        from steerd.sim_gap.lane_comparison import encode_lane
-        from steerd.sim_gap.report.to_json import to_json
-
         data = to_json(self.findings)
-        residual = data["residual"]
-        residual["sessions"] = [path.name for path in self.case.sessions]
-        residual["base"] = self.case.base_source
-        residual["held_out_of"] = self.case.held_out_of or None
-        residual["prediction"] = self.findings.shrinkage.text
-        lane_note = [self.lane_note] if self.lane_note else []
-        residual["notes"] = [*self.case.notes, *residual["notes"], *lane_note]
-        residual["closed_loop"] = None if self.lane is None else encode_lane(self.lane)
+        sessions = self.case.drives.sessions
+        if data["next_manoeuvre"] and read_origin(sessions[0].info().metadata):
+            command = data["next_manoeuvre"]["command"]
+            data["next_manoeuvre"]["command"] = complete(f"`{command}`", sessions).strip("`")
+        data["residual"] |= {
+            "sessions": [path.name for path in self.case.drives.paths],
+            "base": self.case.base_source,
+            "held_out_of": self.case.split.held_out_of or None,
+            "prediction": self.findings.shrinkage.text,
+            "notes": list(self.notes),
+            "closed_loop": None if self.lane is None else encode_lane(self.lane),
+        }
         return data
 
     def render_report(self) -> str:
         """The report: one HTML page with its figures."""
         from steerd.sim_gap.report.gap_report import Subject, render_report
 
-        case, lane_note = self.case, (self.lane_note,) if self.lane_note else ()
-        names, notes = tuple(path.name for path in case.sessions), (*case.notes, *lane_note)
-        subject = Subject(names, case.seconds, case.base_source, case.held_out_of, notes)
+        case, split = self.case, self.case.split
+        notes = (*split.notes, self.lane_note) if self.lane_note else split.notes
+        names = tuple(path.name for path in case.drives.paths)
+        following = following_words(case, self.findings)
+        subject = Subject(
+            names, split.seconds, case.base_source, split.held_out_of, following, notes
+        )
         return render_report(subject, self.findings, self.lane)
 
     def plot(self) -> "Figure":
@@ -130,64 +156,28 @@ class Diagnosis:
 
         return plot_diagnosis(self.findings)
 
+    def describe(self, written: Path | None = None, report: Path | None = None) -> str:
+        """The screen; `written` and `report` are the files that were."""
+        return describe(self.case, self.findings, self.lane or self.lane_note, written, report)
+
     def __str__(self) -> str:
-        from steerd.daemon.analysis.diagnose_text import describe
-
-        return describe(self)
+        return self.describe()
 
 
-def diagnose(
-    sessions: SessionSource | Sequence[SessionSource],
-    *,
-    base: CarSource = None,
-    healthy: SessionSource | Sequence[SessionSource] = (),
-    held_out: HeldOutSource = None,
-    only: Sequence[str] = (),
-    without: Sequence[str] = (),
-    pairs: bool = True,
-    closed_loop: bool = True,
-    speed: Speed = "command",
-    jobs: int = 1,
-) -> Diagnosis:
+@by_keywords(DiagnoseOptions)
+def diagnose(sessions: SessionSources, options: DiagnoseOptions) -> Diagnosis:
     """Find where the simulation of a car differs from its drives, and which effect causes it.
 
-    Args:
-        sessions: drives to explain: files, or what `load` and `simulate` give.
-        base: the car as believed: a car file, an `Identification`; None for the car file inside
-            the first session.
-        healthy: drives of the same car without the gap: they determine how large noise is.
-        held_out: what the shrinkage is measured on: every k-th drive or block (default 4, 0 for
-            none), or whole sessions.
-        only: effects to look at; empty for the library.
-        without: effects to leave out.
-        pairs: whether two causes together are tried.
-        closed_loop: whether a lane drive is driven again in simulation, with and without.
-        speed: `wheel` takes the measured wheel speed for the command, where a car did not obey it.
-        jobs: threads for the candidates.
-
-    Returns:
-        Verdict, causes with standard errors, predicted and measured shrinkage.
-
-    Raises:
-        SteerdError: a session, the car or an argument cannot be used; `hint` says what to try.
+    The drives are files, or what `load` and `simulate` give. Returns verdict, causes with standard
+    errors, predicted and measured shrinkage. Raises a `SteerdError` where a session, the car or an
+    argument cannot be used; its `hint` says what to try.
     """
-    request = DiagnoseRequest(
-        sessions=list_sessions(sessions),
-        base=None if base is None else read_car(base),
-        held_out=make_held_out(held_out),
-        healthy=list_sessions(healthy),
-        only=tuple(only),
-        without=tuple(without),
-        pairs=pairs,
-        closed_loop=closed_loop,
-        speed=speed,
-        jobs=jobs,
-    )
-    return run_diagnosis(request)
+    return run_diagnosis(list_sessions(sessions), options)
 
 
 def run_diagnosis(
-    request: DiagnoseRequest,
+    paths: Sequence[Path],
+    options: DiagnoseOptions,
     warn: Warn = lambda texts: None,
     progress: Callable[[float, str], None] = lambda done, step: None,
     written: Callable[[str], None] = lambda prediction: None,
@@ -195,7 +185,8 @@ def run_diagnosis(
     """Read the drives, diagnose, drive the lane again.
 
     Args:
-        request: what to diagnose.
+        paths: the sessions.
+        options: what to diagnose.
         warn: is handed what is doubtful in the sessions as it is found.
         progress: is called with the share of the work done and the next step.
         written: is handed the prediction (JSON) before the held-out drives are looked at.
@@ -210,51 +201,100 @@ def run_diagnosis(
         warn(texts)
 
     progress(0.0, "reading the drives")
-    case = make_case(request, take, lambda share: progress(LOADED * share, ""))
+    case = make_case(paths, options, take, lambda share: progress(LOADED * share, ""))
     span = DIAGNOSED - LOADED
-    findings = _find_causes(
-        request, case, lambda stage, share: progress(LOADED + span * share, stage), written
-    )
+    names = name_all(case.drives.paths)
+    identify = f"steerd identify {names} -o car.toml, then --base car.toml"
+    with refusing(case.drives.sessions, identify):
+        findings = engine.diagnose(case.split.runs, case.base, engine.Options(
+            held_out=case.split.later or (), healthy=case.healthy, only=case.only or None,
+            without=case.without, pairs=options.pairs, jobs=options.jobs, written=written,
+            progress=lambda stage, share: progress(LOADED + span * share, stage),
+        ))  # fmt: skip
     lane, why = None, ""
-    if request.closed_loop:
+    if options.closed_loop:
         from steerd.daemon.analysis.gap_closed_loop import try_lane
 
         progress(DIAGNOSED, "driving the lane again")
-        lane, why = try_lane(case.sessions, case.base, findings.values)
+        lane, why = try_lane(case.drives.sessions, case.base, findings.values)
     return Diagnosis(case, findings, lane, why, tuple(warnings))
 
 
-def _find_causes(
-    request: DiagnoseRequest,
-    case: Case,
-    progress: Callable[[str, float], None],
-    written: Callable[[str], None],
-) -> Findings:
-    from numpy.linalg import LinAlgError
+def make_case(
+    paths: Sequence[Path], options: DiagnoseOptions, warn: Warn, advance: Callable[[float], None]
+) -> Case:
+    """Everything that can be refused is refused here.
 
-    from steerd.sim_gap import diagnosis as engine
-    from steerd.sysid.data.data_checks import DataError
+    Args:
+        paths: the sessions.
+        options: what to diagnose.
+        warn: is handed what is doubtful in the sessions.
+        advance: is called with the share of the files read.
 
-    options = engine.Options(
-        held_out=case.held_out or (),
-        healthy=case.healthy,
-        only=case.only,
-        without=case.without,
-        pairs=request.pairs,
-        jobs=request.jobs,
-        progress=progress,
-        written=written,
-    )
+    Raises:
+        SteerdError: a session, the car file or an option cannot be used.
+    """
+    only, without = find_effects(options.only), find_effects(options.without)
+    held_out, quiet = read_held_out(options.held_out), list_sessions(options.healthy)
+    if only and not set(only) - set(without):
+        raise SteerdError("only and without leave no effect", "", ExitCode.USAGE)
+    sessions = without_reserved(paths, held_out.files, "diagnose")
+    _check(options, held_out, sessions, quiet)
+    drives = load_drives(sessions, options.speed, warn, advance)
+    warn(compare_truths(drives.metadata))
+    base, source, notes = find_base(options.base, drives)
+    jitters = dict.fromkeys(" ".join(d.log_jitter.describe()) for d in drives.runs if d.log_jitter)
+    without_gap = load_drives(quiet, options.speed, warn)
+    with refusing((*drives.sessions, *without_gap.sessions)):
+        runs = add_command_history(drives.runs, base.model, asked=True)
+        split = split_drives(runs, held_out, options.speed, warn)
+        past = add_command_history(without_gap.runs, base.model, asked=True)
+        healthy = moving_segments(past) if quiet else ()
+    split = split._replace(notes=(*notes, *jitters, *split.notes))
+    return Case(drives, split, healthy, base, source, only, without)
+
+
+def _check(
+    options: DiagnoseOptions, held_out: HeldOut, sessions: Sequence[Path], quiet: Sequence[Path]
+) -> None:
+    if options.jobs < 1:
+        raise SteerdError(f"jobs {options.jobs}: 1 or more", "", ExitCode.USAGE)
+    for path in held_out.files:  # opened later, but its absence is reported at once
+        if not path.is_file():
+            raise SteerdError(f"{path} does not exist", "", ExitCode.UNREADABLE)
+    refuse_copies(quiet)
+    for path in quiet:
+        if any(is_same(path, each) for each in (*sessions, *held_out.files)):
+            what = f"healthy {path} is one of the drives to explain: its gap would pass for noise"
+            raise SteerdError(what, "name a drive without the gap", ExitCode.USAGE)
+
+
+def find_base(named: CarSource, drives: Drives) -> tuple[CarFile, str, tuple[str, ...]]:
+    """The car or car file named, else the one inside the first session, else the default.
+
+    Returns:
+        The car, where it comes from, notes.
+
+    Raises:
+        SteerdError: the one that counts cannot be used.
+    """
+    if named is not None:
+        base = read_car(named)
+        return base, str(base.path), ()
+    inside = [
+        s.attachment("car.toml") if "car.toml" in s.info().attachments else b""
+        for s in drives.sessions
+    ]
+    held = [number for number, text in enumerate(inside) if text]
+    if not held:
+        note = "no --base, no car file in the sessions: the default car is assumed"
+        return read_car(None), "the default car (F1TENTH's figures)", (note,)
+    first = drives.sessions[held[0]]
     try:
-        return engine.diagnose(case.runs, case.base, options)
-    except DataError as error:
-        raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
-    except FloatingPointError as error:
-        raise SteerdError(str(error), _IDENTIFY, ExitCode.STOPPED) from None
-    except LinAlgError:
-        what = "the base car's simulation leaves every bound in some of these windows"
-        raise SteerdError(what, _IDENTIFY, ExitCode.STOPPED) from None
-    except (ValueError, OSError) as error:
-        if takes_nothing(error):
-            raise
-        raise SteerdError(str(error), "", ExitCode.INVALID) from None
+        base = drives.car if not held[0] else read_session_car(first)
+    except CarFileError as error:
+        what = f"{first.info().path.name}: the car file inside cannot be used: {error.what}"
+        raise SteerdError(what, "name one with --base car.toml", ExitCode.INVALID) from None
+    differ = f"the sessions' car files differ: the one inside {first.info().path.name} counts"
+    notes = (differ,) if len({*inside}) > 1 else ()
+    return base, "the car file inside the session", notes

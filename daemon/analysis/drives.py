@@ -1,23 +1,29 @@
-"""Sessions as drives for the offline tools; what cannot be used is one clear line."""
+"""Sessions as drives for the offline tools, each opened once; what cannot be used is one line."""
 
 # Why: docs/decisions/identification.md#d107
 
 import filecmp
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from math import pi
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
 
+from steerd.car_model.car_file import CarFile
+from steerd.daemon.analysis.hints import refusing
+from steerd.daemon.analysis.options import Speed
+from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.translate import make_car_file_error, reading
+from steerd.daemon.common.translate import reading
+from steerd.daemon.sessions.info import load_session, make_session_report, read_tables
+from steerd.daemon.sessions.motion import make_range
+from steerd.steer_bus.session_read import Session
+from steerd.sysid.data.dataset import Run, read_run
+from steerd.sysid.data.jitter_correction import correct_log_jitter
+from steerd.sysid.data.segments import PIECE, spread_evenly, thinned, with_wheel_speed
+from steerd.sysid.estimation.prediction_horizon import HISTORY
 
-if TYPE_CHECKING:
-    from steerd.car_model.car_file import CarFile
-    from steerd.sysid.data.dataset import Run
-
-Speed = Literal["command", "wheel"]
-"""What drives the simulated car: the speed command, or the measured wheel speed."""
 Warn = Callable[[Sequence[str]], None]
 """Is handed what is wrong or doubtful in a session, as sentences; the work goes on."""
 MOST = 1200.0
@@ -25,12 +31,41 @@ MOST = 1200.0
 what a diagnosis judges in minutes; time and memory of either would grow with the rest."""
 
 
-def _ignore(texts: Sequence[str]) -> None:
-    """Nobody reads the warnings."""
+@dataclass(frozen=True, eq=False)
+class Drives:
+    """Open sessions, and what of them is looked at.
+
+    Attributes:
+        sessions: each opened once.
+        runs: their drives; of long ones pieces, evenly from the whole.
+    """
+
+    sessions: tuple[Session, ...]
+    runs: tuple[Run, ...]
+
+    @cached_property
+    def car(self) -> CarFile:
+        """The car file inside the first session.
+
+        Raises:
+            SessionError: there is none.
+            CarFileError: it cannot be used.
+        """
+        return read_session_car(self.sessions[0])
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The sessions' files."""
+        return tuple(session.info().path for session in self.sessions)
+
+    @property
+    def metadata(self) -> dict[str, Mapping[str, Mapping[str, str]]]:
+        """What the recorders say, by file."""
+        return {s.info().path.name: s.info().metadata for s in self.sessions}
 
 
-def load_drive(path: Path, speed: Speed = "command", warn: Warn = _ignore) -> "Run":
-    """A session as a drive.
+def load_drive(path: Path, speed: Speed, warn: Warn) -> tuple[Session, Run]:
+    """A session and its drive.
 
     Args:
         path: the session.
@@ -40,35 +75,26 @@ def load_drive(path: Path, speed: Speed = "command", warn: Warn = _ignore) -> "R
     Raises:
         SteerdError: it cannot be read, or is not fit for a fit.
     """
-    from steerd.daemon.sessions.info import load_session, make_session_report
-    from steerd.sysid.data.data_checks import DataError
-    from steerd.sysid.data.dataset import load_run
-    from steerd.sysid.data.jitter_correction import correct_log_jitter
-    from steerd.sysid.data.segments import with_wheel_speed
-
     session = load_session(path)
     damage = [warning.message for warning in session.warnings]
     warn([f"{path.name}: {each}" for each in damage])
-    try:
+    with refusing([session]):
         with reading(path):
-            run = correct_log_jitter(load_run(path))
+            read = read_tables(session)
+            run = correct_log_jitter(read_run(session, read[0]))
         _check_angles(run)
-        doubtful = [each for each in make_session_report(session).warnings if each not in damage]
-        warn([f"{path.name}: {each}" for each in doubtful])
-        return with_wheel_speed(run) if speed == "wheel" else run
-    except DataError as error:
-        raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
-    except OSError as error:
-        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
+        report = make_session_report(session, read)
+        warn([f"{path.name}: {each}" for each in report.warnings if each not in damage])
+        return session, with_wheel_speed(run) if speed == "wheel" else run
 
 
 def load_drives(
     paths: Sequence[Path],
-    speed: Speed = "command",
-    warn: Warn = _ignore,
+    speed: Speed,
+    warn: Warn,
     advance: Callable[[float], None] = lambda _: None,
-) -> list["Run"]:
-    """Sessions as drives, one after the other; of long ones pieces, evenly from the whole.
+) -> Drives:
+    """Sessions as drives, one after the other.
 
     Args:
         paths: the sessions.
@@ -79,15 +105,14 @@ def load_drives(
     Raises:
         SteerdError: one cannot be read, or is not fit for a fit.
     """
-    from steerd.sysid.data.segments import PIECE, spread_evenly, thinned
-    from steerd.sysid.estimation.prediction_horizon import HISTORY
-
+    sessions: list[Session] = []
     found: list[Run] = []
     whole, cut = 0.0, False
     for number, path in enumerate(paths):
-        run = load_drive(path, speed, warn)
+        session, run = load_drive(path, speed, warn)
         parts = spread_evenly(run, max(MOST / len(paths), PIECE), HISTORY)
         cut |= parts[0] is not run
+        sessions.append(session)
         found += parts
         whole += run.driven
         advance((number + 1) / len(paths))
@@ -96,32 +121,16 @@ def load_drives(
         used = sum(run.driven for run in kept) / 60.0
         what = f"of {whole / 3600.0:.1f} h {used:.0f} min are used, in pieces of {PIECE:g} s"
         warn([f"{what}, evenly from all sessions"])
-    return kept
+    return Drives(tuple(sessions), tuple(kept))
 
 
-def _check_angles(run: "Run") -> None:
+def _check_angles(run: Run) -> None:
     """No wheel turns across the car: such a log is in degrees, and a fit would absorb that."""
-    from steerd.daemon.sessions.motion import make_range
-
     found = make_range(run.commands[:, 0])
     if found is not None and max(-found.low, found.high) > pi / 2:
         worst = max(-found.low, found.high)
         what = f"{run.name}: steering reaches {worst:.3g} rad: is it in degrees?"
         raise SteerdError(what, "import it with scale = 0.0174532925 in the map")
-
-
-def load_base(path: Path | str) -> "CarFile":
-    """A car file that somebody named.
-
-    Raises:
-        SteerdError: it cannot be read, or says something impossible.
-    """
-    from steerd.car_model.car_file import CarFileError, load_car
-
-    try:
-        return load_car(path)
-    except CarFileError as error:
-        raise make_car_file_error(error) from None
 
 
 def is_same(one: Path, other: Path) -> bool:
@@ -161,6 +170,7 @@ def without_reserved(
     Raises:
         SteerdError: one drive is named twice, or none is left.
     """
+    refuse_copies(reserved)
     refuse_copies(given)
     kept = tuple(path for path in given if not any(is_same(path, each) for each in reserved))
     if not kept:

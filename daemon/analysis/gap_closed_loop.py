@@ -4,6 +4,7 @@ Path, speed, rate, controller and filter settings are the session's own; only th
 exchanged. The noise of the simulated hardware is another than that of a simulated recording.
 """
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -12,12 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.car_model.car_file import CarFile, CarFileError, parse_car
-from steerd.car_model.effect import Effect
+from steerd.car_model.car_file import CarFile, CarFileError
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.state import ORIGIN, State
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
-from steerd.daemon.assembly.session_meta import csv_file, recorded_path
+from steerd.daemon.assembly.session_meta import csv_file, read_session_car, recorded_path
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
@@ -28,7 +28,7 @@ from steerd.sim_gap.lane_comparison import SHORTEST, LaneComparison, LaneDrive
 from steerd.sim_hw.world import World
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
-from steerd.steer_bus.session_read import Session, SessionError, open_session
+from steerd.steer_bus.session_read import Session, SessionError
 from steerd.steer_bus.topics import split_key
 
 SECONDS = 20.0
@@ -46,11 +46,11 @@ class NotALaneDriveError(Exception):
     """The session was not driven by the lane keeper; says why not."""
 
 
-def compare_lane(path: Path, base: CarFile, found: Values) -> LaneComparison:
+def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparison:
     """Drive a session's lane again without and with effects.
 
     Args:
-        path: the session.
+        session: the recorded drive.
         base: the car as believed so far.
         found: parameters of the found effects by name; empty drives without them only.
 
@@ -58,7 +58,6 @@ def compare_lane(path: Path, base: CarFile, found: Values) -> LaneComparison:
         NotALaneDriveError: there is no lane drive to compare with.
         SteerdError: the session's own car file or path is refused now.
     """
-    session = open_session(path)
     with _planned(session) as plan:
         _require_unchanged(session)
         rows = _recorded(session)
@@ -68,15 +67,16 @@ def compare_lane(path: Path, base: CarFile, found: Values) -> LaneComparison:
         remarks: list[str] = []
         without = _simulated(plan, base, {}, start, remarks)
         other = _simulated(plan, base, found, start, remarks) if found else None
-        again = _again(plan)
-    return LaneComparison(recorded, without, other, path.name, again, tuple(remarks))
+    again = _again(_options_of(session))
+    name = session.info().path.name
+    return LaneComparison(recorded, without, other, name, again, tuple(remarks))
 
 
-def _again(plan: RunPlan) -> str:
-    """Options of `steerd run` for the same lane; a path file's own place is not known."""
-    options = plan.options
-    spec = "csv:path.csv" if csv_file(options.path) is not None else options.path
-    return f"--path {spec} --speed {options.speed:g}"
+def _again(options: RunOptions) -> str:
+    """Options of `steerd run` for the same lane; none of a path file that is no longer there."""
+    file = csv_file(options.path)
+    lane = "" if file and not Path(file).is_file() else f"--path {shlex.quote(options.path)} "
+    return f"{lane}--speed {options.speed:g}"
 
 
 @contextmanager
@@ -84,10 +84,9 @@ def _planned(session: Session) -> Iterator[RunPlan]:
     """The session's plan; the file that its path names comes from the session itself."""
     options = _options_of(session)
     try:
-        text = session.attachment("car.toml").decode()
-        settings = make_settings(parse_car(text, Path("car.toml")), options.speed)
+        settings = make_settings(read_session_car(session), options.speed)
         settings = replace(settings, brakes=replace(settings.brakes, uuid=""))
-    except (SessionError, CarFileError, UnicodeDecodeError) as error:
+    except (SessionError, CarFileError) as error:
         raise NotALaneDriveError(f"its car file cannot be used ({error})") from None
     with ExitStack() as stack:
         try:
@@ -161,26 +160,18 @@ def _lane_drive(rows: Rows, plan: RunPlan) -> LaneDrive:
     return LaneDrive(t, s, e1, e2, steer, float(plan.path.length))
 
 
-def _with_effects(
-    base: CarFile, found: Values
-) -> tuple[tuple[Effect, ...], tuple[tuple[float, ...], ...]]:
-    """The base's effects with the found ones in their places or after them."""
-    merged = dict(zip((e.name for e in base.effects), base.values, strict=True)) | dict(found)
-    return tuple(EFFECTS[name] for name in merged), tuple(merged.values())
-
-
 def _simulated(
     plan: RunPlan, base: CarFile, found: Values, start: State[float], remarks: list[str]
 ) -> LaneDrive | None:
     """The plan driven by its controller on a car; None, and a remark, if it does not last."""
     label = "with the effect" if found else "without the effect"
-    effects, values = _with_effects(base, found)
+    own = dict(zip((e.name for e in base.effects), base.values, strict=True)) | dict(found)
     config = replace(
         make_world_config(plan),
         car=base.car,
         chassis=base.chassis,
-        effects=effects,
-        effect_values=values,
+        effects=tuple(EFFECTS[name] for name in own),
+        effect_values=tuple(own.values()),
         start=start,
     )
     rows: list[tuple[float, ...]] = []
@@ -204,15 +195,16 @@ def _simulated(
 
 
 def try_lane(
-    paths: Sequence[Path], base: CarFile, found: Values
+    sessions: Sequence[Session], base: CarFile, found: Values
 ) -> tuple[LaneComparison | None, str]:
     """The comparison on the first lane drive, or None and why there is none."""
     why = ""
-    for path in paths:
+    for session in sessions:
+        name = session.info().path.name
         try:
-            return compare_lane(path, base, found), ""
+            return compare_lane(session, base, found), ""
         except NotALaneDriveError as error:
-            why = why or f"closed loop not compared: {path.name}: {error}"
+            why = why or f"closed loop not compared: {name}: {error}"
         except SteerdError as error:
-            why = why or f"closed loop not compared: {path.name}: {error.what}"
+            why = why or f"closed loop not compared: {name}: {error.what}"
     return None, why

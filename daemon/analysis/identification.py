@@ -1,62 +1,55 @@
 """`steerd.identify`: the car's parameters from recorded drives, with errors and a validation."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from steerd.car_model.car_file import CarFile, parse_car
-from steerd.daemon.analysis.car_output import identified_values, make_car, with_knowledge
-from steerd.daemon.analysis.drives import Speed, Warn
-from steerd.daemon.analysis.identify_case import (
-    IdentifyRequest,
-    Method,
-    given_values,
-    make_task,
+from steerd.car_model.car_file import CarFile, CarFileError, Learned, update_car
+from steerd.car_model.effects import EFFECTS, find_effect
+from steerd.car_model.model import Model
+from steerd.car_model.params import Car
+from steerd.daemon.analysis.car_output import (
+    find_wiring,
+    identified_values,
+    learn_known,
+    make_car,
+    teach_car,
+    with_known,
 )
-from steerd.daemon.analysis.sources import (
-    CarSource,
-    HeldOutSource,
-    SessionSource,
+from steerd.daemon.analysis.drives import Drives, Warn, load_drives, without_reserved
+from steerd.daemon.analysis.hints import complete, refusing
+from steerd.daemon.analysis.identify_text import Asked, describe
+from steerd.daemon.analysis.options import (
+    EVERY,
+    IdentifyOptions,
+    SessionSources,
+    by_keywords,
     list_sessions,
-    make_held_out,
     read_car,
+    read_held_out,
 )
-from steerd.daemon.analysis.wiring import with_wiring
+from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.outputs import check_outputs
-from steerd.daemon.common.written import write_outputs
-from steerd.steer_bus.atomic_file import takes_nothing
-from steerd.sysid.data.dataset import Run
-from steerd.sysid.estimation.learn import Task
-from steerd.sysid.estimation.outcome import Outcome, encode_outcome
+from steerd.daemon.common.written import writing
+from steerd.posterior_file import posterior_path
+from steerd.steer_bus.session_read import Session
+from steerd.sysid.estimation.fit import Options, default_free
+from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names, held_names, learn
+from steerd.sysid.estimation.outcome import Outcome, Row, encode_outcome
+from steerd.sysid.estimation.prediction_horizon import level_loads, scale_inertia
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FIT_WORK = 2.0
-"""About what the fit costs, in sessions read."""
-
-
-class Parameter(NamedTuple):
-    """One fitted parameter.
-
-    Attributes:
-        value: the estimate; sd: its standard error, NaN where there is none.
-        unit: of both, SI; `1` for none.
-        start: the value before.
-        identifiable: whether these data identify it.
-        manoeuvre: what would identify it; empty where it is identified.
-    """
-
-    value: float
-    sd: float
-    unit: str
-    start: float
-    identifiable: bool
-    manoeuvre: str
+_USAGE = ExitCode.USAGE
+_STARTS = {"ours": 1, "paper": 5, "cma-es": 5}
+_LEAST = {"starts": 1, "iterations": 1, "jobs": 1, "seed": 0}
+_WHEELBASE = 0.05, 4.0
+"""Between a toy's and a lorry's wheelbase [m]; millimetres lie above."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,34 +59,29 @@ class Identification:
     `print(identification)` is the screen of `steerd identify`.
 
     Attributes:
-        request: what was asked for.
+        options: what was asked for.
+        base: the start values.
+        drives: the sessions and the drives that were fitted.
         outcome: every number of the fit and its validation.
-        runs: the drives that were fitted.
         warnings: what is wrong or doubtful in the sessions.
     """
 
-    request: IdentifyRequest
+    options: IdentifyOptions
+    base: CarFile
+    drives: Drives
     outcome: Outcome
-    runs: tuple[Run, ...]
     warnings: tuple[str, ...] = ()
 
     @property
-    def parameters(self) -> dict[str, Parameter]:
-        """The fitted parameters by `name` or `effect.name`."""
-        return {
-            name: Parameter(
-                row.value, float("nan") if row.sd is None else row.sd, row.unit, row.before,
-                row.identifiable, row.manoeuvre,
-            )
-            for name, row in self.outcome.free_rows.items()
-        }  # fmt: skip
+    def parameters(self) -> dict[str, Row]:
+        """The fitted parameters by `name` or `effect.name`, in SI units."""
+        return self.outcome.free_rows
 
     @property
     def improved(self) -> bool:
-        """Whether the result predicts the held-out drives no worse than the start values."""
-        from steerd.daemon.analysis.identify_text import improved
-
-        return improved(self.outcome)
+        """Whether the longest prediction of held-out drives became no worse (2 % are noise)."""
+        known = [h for h in self.outcome.held_out if not isnan(h.after.position)]
+        return bool(known) and known[-1].after.position <= 1.02 * known[-1].before.position
 
     @cached_property
     def car(self) -> CarFile:
@@ -101,34 +89,39 @@ class Identification:
 
         Learning the noise takes some seconds, the first time.
         """
-        text = self.make_car_text(Path("identified.toml"))
-        return parse_car(text, Path("identified.toml"))
+        return self.learn_known(self.make_car(Path("identified.toml")))
 
-    def make_car_text(self, path: Path) -> str:
-        """The car file of the identified car, comments and other sections as in the start's file.
+    def make_car(self, path: Path) -> CarFile:
+        """The identified car, comments and other sections as in the start's file.
 
         Where that is F1TENTH's, the other sections are those of the drives.
 
         Args:
-            path: what messages call the file.
+            path: what messages call its file.
 
         Raises:
             SteerdError: a value is none that a car file may hold.
         """
-        base, given = self.request.car, given_values(self.request.fix)
-        car = make_car(base, identified_values(self.outcome, base, given), path)
-        text = with_knowledge(car, self.runs, self.outcome.sections)
-        return with_wiring(text, base, self.request.sessions)
+        given = _given_values(self.options.fix)
+        values = identified_values(self.outcome, self.base, given)
+        return make_car(self.base, values, path, find_wiring(self.base, self.drives.sessions))
+
+    def learn_known(self, car: CarFile) -> CarFile:
+        """The car of `make_car` with what its drives teach beyond its values: some seconds."""
+        return with_known(car, self.outcome.sections or learn_known(car, self.drives.runs))
 
     def save_car(self, path: Path | str) -> Path:
-        """Write the car file, whole or not at all; a file that steerd did not write is kept.
+        """Write the car file, then what is known of the car beside it, each whole or not at all.
+
+        A file that steerd did not write is kept.
 
         Raises:
             SteerdError: it cannot be written there.
         """
         path = Path(path)
-        check_outputs({"save_car": path})
-        write_outputs({path: self.car.text})
+        with writing({"save_car": path, "beside it": posterior_path(path)}) as write:
+            write(path, self.make_car(path).text)
+            write(posterior_path(path), self.car.posterior)
         return path
 
     def to_json(self) -> dict[str, Any]:
@@ -147,82 +140,36 @@ class Identification:
 
         return plot_identification(self.outcome)
 
+    def describe(self, written: Path | None = None) -> str:
+        """The screen; `written` is the car file that was written."""
+        measured = self.options.wheelbase is not None
+        return describe(self.outcome, Asked(self.drives.sessions, self.improved, measured, written))
+
     def __str__(self) -> str:
-        from steerd.daemon.analysis.identify_text import describe
-
-        return describe(self.outcome, axles_measured=self.request.wheelbase is not None)
+        return self.describe()
 
 
-def identify(
-    sessions: SessionSource | Sequence[SessionSource],
-    *,
-    car: CarSource = None,
-    held_out: HeldOutSource = None,
-    effects: Sequence[str] | Literal["auto"] = (),
-    free: Sequence[str] = (),
-    fix: Mapping[str, float | None] | None = None,
-    wheelbase: float | None = None,
-    speed: Speed = "command",
-    method: Method = "ours",
-    starts: int | None = None,
-    iterations: int | None = None,
-    seed: int = 0,
-    jobs: int = 1,
-    dask: str | None = None,
-) -> Identification:
-    """Identify a car from recorded drives.
+@by_keywords(IdentifyOptions)
+def identify(sessions: SessionSources, options: IdentifyOptions) -> Identification:
+    """Identify a car from recorded drives: files, or what `load` and `simulate` give.
 
-    Args:
-        sessions: drives to fit: files, or what `load` and `simulate` give.
-        car: start values: a car file, an `Identification`; None for the F1TENTH car.
-        held_out: what validates: every k-th block of 5 s (default 4), or whole sessions.
-        effects: the only effects of the library that may be learnt with the car; empty or `auto`
-            for all that the drives show (empty with `free`: none but those).
-        free: parameters to fit; empty for all that the drives can hold.
-        fix: parameters that keep the start value (None) or take this one, in SI units.
-        wheelbase: measured distance of the axles [m].
-        speed: `wheel` takes the measured wheel speed for the command, where a car did not obey it.
-        method: `ours`, or the paper's `paper` and `cma-es`.
-        starts: how many starts; None for 1 (ours) or 5.
-        iterations: of the paper's methods; None for their own number.
-        seed: of random starts.
-        jobs: worker processes.
-        dask: address of a Dask scheduler instead.
-
-    Returns:
-        Estimates, standard errors, validation.
-
-    Raises:
-        SteerdError: a session, the car or an argument cannot be used; `hint` says what to try.
+    Returns estimates, standard errors, validation. Raises a `SteerdError` where a session, the car
+    or an argument cannot be used; its `hint` says what to try.
     """
-    request = IdentifyRequest(
-        sessions=list_sessions(sessions),
-        car=read_car(car),
-        held_out=make_held_out(held_out),
-        free=tuple(free),
-        fix=dict(fix or {}),
-        wheelbase=wheelbase,
-        speed=speed,
-        effects="auto" if effects == "auto" else tuple(effects),
-        method=method,
-        starts=starts,
-        iterations=iterations,
-        seed=seed,
-        jobs=jobs,
-        dask=dask,
-    )
-    return run_identification(request)
+    return run_identification(list_sessions(sessions), options)
 
 
 def run_identification(
-    request: IdentifyRequest,
+    paths: Sequence[Path],
+    options: IdentifyOptions,
     warn: Warn = lambda texts: None,
     progress: Callable[[float, str], None] = lambda done, step: None,
 ) -> Identification:
     """Read the drives and fit.
 
     Args:
-        request: what to identify.
+        paths: the sessions.
+        options: what to identify.
         warn: is handed what is doubtful in the sessions as it is found.
         progress: is called with the work done, in sessions read, and the next step.
 
@@ -236,27 +183,119 @@ def run_identification(
         warn(texts)
 
     progress(0.0, "reading the drives")
-    task = make_task(request, take)
-    progress(float(len(request.sessions) + len(request.held_out.files)), "fitting the car")
-    return Identification(request, _learn(task), task.runs, tuple(warnings))
+    base = read_car(options.car)
+    drives, task = _make_task(paths, options, base, take)
+    progress(float(len(paths)), "fitting the car")
+    closer = "give start values closer to the car: --car FILE.toml, --wheelbase"
+    with refusing(drives.sessions, closer):
+        outcome = _completed(learn(task, time.perf_counter), drives.sessions)
+    return Identification(options, base, drives, outcome, tuple(warnings))
 
 
-def _learn(task: Task) -> Outcome:
-    from steerd.sysid.data.data_checks import DataError
-    from steerd.sysid.estimation.learn import learn
-    from steerd.sysid.paper.search_history import BaselineMissingError
-    from steerd.sysid.parallel import DaskMissingError
+def _completed(outcome: Outcome, sessions: Sequence[Session]) -> Outcome:
+    """The outcome with commands that run as printed."""
+    rows, effect_rows = (
+        {n: r._replace(manoeuvre=complete(r.manoeuvre, sessions)) for n, r in named.items()}
+        for named in (outcome.rows, outcome.effect_rows)
+    )
+    notes = tuple(complete(note, sessions) for note in outcome.notes)
+    return replace(outcome, rows=rows, effect_rows=effect_rows, notes=notes)
 
+
+def _make_task(
+    paths: Sequence[Path], options: IdentifyOptions, base: CarFile, warn: Warn
+) -> tuple[Drives, Task]:
+    """Read the drives and settle what is free; everything that can be refused is refused here.
+
+    Raises:
+        SteerdError: a session or an option cannot be used.
+    """
+    fixed, free, length = [*options.fix], [*options.free], options.wheelbase
+    held_out = read_held_out(options.held_out)
+    _check_counts(options, held_out.every)
+    _check_names((*free, *fixed), base.model)
+    model = _with_fixed(base, _given_values(options.fix))
+    if length is not None and not _WHEELBASE[0] <= length <= _WHEELBASE[1]:
+        raise SteerdError(f"wheelbase {length:g}: in metres", "", _USAGE)
+    auto = options.effects == "auto"
+    candidates = tuple(EFFECTS) if auto else find_effects(options.effects) or None
     try:
-        return learn(task, time.perf_counter)
-    except DataError as error:
-        raise SteerdError(error.what, error.hint, ExitCode.INVALID) from None
-    except (BaselineMissingError, DaskMissingError) as error:
-        raise SteerdError(str(error), "", ExitCode.USAGE) from None
-    except FloatingPointError as error:
-        hint = "give start values closer to the car: --car FILE.toml, --wheelbase"
-        raise SteerdError(str(error), hint, ExitCode.STOPPED) from None
-    except (ValueError, OSError) as error:
-        if takes_nothing(error):
-            raise
-        raise SteerdError(str(error), "", ExitCode.INVALID) from None
+        model = fit_wheelbase(model, length, fixed)
+    except ValueError as error:
+        raise SteerdError(str(error), "fix one of lf and lr, or neither", _USAGE) from None
+    stated = {*free, *fixed}
+    if "inertia_z" not in stated:
+        model = scale_inertia(model, base.model)
+    sessions = without_reserved(paths, held_out.files, "fit")
+    drives = load_drives(sessions, options.speed, warn)
+    other = load_drives(held_out.files, options.speed, warn)
+    if "cog_height" not in stated:
+        model = level_loads(model, drives.runs)
+    different = compare_truths(drives.metadata | other.metadata)
+    warn(different)
+    first = drives.sessions[0].info().metadata
+    return drives, Task(
+        runs=drives.runs,
+        teach=teach_car,
+        held_out=other.runs,
+        every=EVERY if held_out.every is None else held_out.every,
+        model=model,
+        options=Options(
+            free=free_names(
+                free, fixed, default_free(model.chassis), axles_known=length is not None
+            ),
+            wheelbase=length,
+        ),
+        method=options.method,
+        starts=options.starts or _STARTS[options.method],
+        iterations=options.iterations,
+        seed=options.seed,
+        jobs=options.jobs,
+        dask=options.dask,
+        truth=None if different else read_true_car(first),
+        held=held_names(fixed, free, axles_known=length is not None, effects=candidates),
+    )
+
+
+def find_effects(names: Iterable[str]) -> tuple[str, ...]:
+    """Effects by their own names.
+
+    Raises:
+        SteerdError: there is none of a name.
+    """
+    try:
+        return tuple(find_effect(name).name for name in names)
+    except ValueError as error:
+        what, _, hint = str(error).partition("; ")
+        raise SteerdError(what, hint or "`steerd effects` lists them", _USAGE) from None
+
+
+def _given_values(fix: Mapping[str, float | None]) -> dict[str, Learned]:
+    """What the user stated: the file that comes out is of that car."""
+    stated = {name: value for name, value in fix.items() if value is not None}
+    return {name: Learned(value, None, "given with --fix") for name, value in stated.items()}
+
+
+def _with_fixed(base: CarFile, given: Mapping[str, Learned]) -> Model[float]:
+    """The car with the stated values, each within what a car file may say."""
+    try:
+        return update_car(base.path, base, given).model if given else base.model
+    except CarFileError as error:
+        raise SteerdError(f"fix {error.where}: {error.what}", error.hint, _USAGE) from None
+
+
+def _check_names(names: Iterable[str], model: Model[float]) -> None:
+    effects = [f"{e.name}.{p.name}" for e in model.effects for p in e.parameters]
+    for name in names:
+        if name not in Car._fields and name not in effects:
+            known = ", ".join((*Car._fields, *effects))
+            raise SteerdError(f"{name} is no parameter of the car", f"one of {known}", _USAGE)
+
+
+def _check_counts(options: IdentifyOptions, every: int | None) -> None:
+    for name, least in _LEAST.items():
+        value = getattr(options, name)
+        if value is not None and value < least:
+            raise SteerdError(f"{name} {value}: {least} or more", "", _USAGE)
+    if every == 0:
+        raise SteerdError("held out 0: something must validate the fit", "2 or more", _USAGE)

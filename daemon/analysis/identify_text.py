@@ -1,38 +1,45 @@
 """The one screen that `steerd identify` prints."""
 
 import re
+import shlex
+from collections import Counter
 from collections.abc import Iterator
-from math import degrees, isfinite, isnan
+from math import degrees, floor, isfinite, isnan, log10
 from pathlib import Path
+from typing import NamedTuple
 
+from steerd.daemon.analysis.hints import complete, name_all, simulate_with
 from steerd.daemon.common.screen import WIDTH, wrap
+from steerd.steer_bus.session_read import Session
 from steerd.sysid.estimation.learn import POOR
 from steerd.sysid.estimation.outcome import Outcome, Row
 
 _COMMAND = ("next: steerd", "      steerd")
+_PLACES = 8
+"""Digits after the point that are still read; smaller numbers get an exponent."""
 _CERTAIN = 10.0
 """A phase whose log-likelihood leads by more is identified [nats]."""
 
 
-def describe(
-    outcome: Outcome,
-    written: Path | None = None,
-    *,
-    axles_measured: bool = False,
-    sim_option: str = "",
-) -> str:
-    """The screen; what to do next comes last.
+class Asked(NamedTuple):
+    """What the screen depends on beside the outcome.
 
-    Args:
-        outcome: of the identification.
-        written: the car file that was written.
+    Attributes:
+        sessions: the drives.
+        improved: whether the result predicts no worse than the start.
         axles_measured: whether the wheelbase was stated.
-        sim_option: what brings the sessions' simulated car back, see `read_sim_option`.
+        written: the car file that was written.
     """
-    parts = [
-        _data(outcome), _parameters(outcome), _open(outcome), _validation(outcome),
-        _next(outcome, written, axles_measured, sim_option),
-    ]  # fmt: skip
+
+    sessions: tuple[Session, ...]
+    improved: bool
+    axles_measured: bool
+    written: Path | None = None
+
+
+def describe(outcome: Outcome, asked: Asked) -> str:
+    """The screen; what to do next comes last."""
+    parts = [_data(outcome), _parameters(outcome), _validation(outcome), _next(outcome, asked)]
     return "\n\n".join("\n".join(_fitted(lines)) for lines in map(list, parts) if lines)
 
 
@@ -47,8 +54,8 @@ def _fitted(lines: list[str]) -> Iterator[str]:
 
 def _indent(line: str) -> int:
     """Where the text after a label begins."""
-    label = re.match(r"(\w+:? +| +)", line)
-    return label.end() if label else 6
+    label = re.match(r"(\w+: +|\w+ {2,}| +)", line)
+    return label.end() if label else 0
 
 
 def _data(outcome: Outcome) -> Iterator[str]:
@@ -81,31 +88,34 @@ def _data(outcome: Outcome) -> Iterator[str]:
 
 
 def _parameters(outcome: Outcome) -> Iterator[str]:
-    rows = outcome.free_rows
+    """A line for each parameter that the drives identify; one sentence for all the others."""
+    rows = {name: row for name, row in outcome.free_rows.items() if row.identifiable}
     width = max([13, *(len(name) + 1 for name in rows)])
-    yield f"{'':{width - 2}}{'value':>10} {'sd':>10}  {'start':>10}"
     for name, row in rows.items():
-        yield _line(f"{name:<{width}}", row)
-
-
-def _line(name: str, row: Row) -> str:
-    sd = "?" if row.sd is None else f"{row.sd:.2g}"
-    remark = "" if row.identifiable else "  not identifiable"
-    value = f"{row.value:.5g}" if row.identifiable else f"({row.value:.3g})"
-    return f"{name}{value:>10} {sd:>8}  {row.before:>10.5g} {row.unit}{remark}".rstrip()
-
-
-def _open(outcome: Outcome) -> Iterator[str]:
+        unit = "" if row.unit == "1" else row.unit
+        yield f"{name:<{width}}{_value(row):>24} {unit:<7} {_word(row)}"
     if not outcome.unidentified:
         return
-    yield "not identifiable from these data, and the manoeuvre that would identify it"
-    by_hint: dict[str, list[str]] = {}
-    for name, hint in outcome.unidentified.items():
-        by_hint.setdefault(hint, []).append(name)
-    for hint, names in by_hint.items():
-        yield f"   {', '.join(names)}: {hint}"
+    helps = Counter(filter(None, outcome.unidentified.values())).most_common(1)
+    most = f"; what would help most is {helps[0][0]}" if helps else ""
+    yield f"These drives do not identify {', '.join(outcome.unidentified)}{most}."
     for c in (each for each in outcome.combinations if each.known):
-        yield f"   identifiable combination: {c.text} = {c.value:.5g} ± {c.sd:.2g} m"
+        yield f"identifiable combination: {c.text} = {c.value:.5g} ± {c.sd:.2g} m"
+
+
+def _value(row: Row) -> str:
+    """The value to a tenth of its standard error."""
+    if not row.sd or not isfinite(row.sd):
+        return f"{row.value:.5g} ± ?"
+    places = max(1 - floor(log10(row.sd)), 0)
+    if places > _PLACES:
+        return f"{row.value:.3g} ± {row.sd:.2g}"
+    return f"{row.value:.{places}f} ± {row.sd:.{places}f}"
+
+
+def _word(row: Row) -> str:
+    """Whether the drives moved the value, as far as its standard error shows."""
+    return "changed" if abs(row.value - row.before) > 2.0 * (row.sd or 0.0) else "unchanged"
 
 
 def _validation(outcome: Outcome) -> Iterator[str]:
@@ -141,41 +151,34 @@ def _regimes(outcome: Outcome) -> Iterator[str]:
     yield f"   median after 1 s by lateral acceleration [m/s2]: {', '.join(medians)}"
 
 
-def _next(
-    outcome: Outcome, written: Path | None, axles_measured: bool, sim_option: str
-) -> Iterator[str]:
+def _next(outcome: Outcome, asked: Asked) -> Iterator[str]:
+    written, sessions = asked.written, asked.sessions
     yield from (f"note: {note}" for note in outcome.notes)
     if any("`--speed wheel`" in note for note in outcome.notes):
         yield "next: the same command with --speed wheel: these values explain a speed"
         yield "      that the car was not driven at; do not drive with them"
-    elif not improved(outcome):
+    elif not asked.improved:
         yield "next: these values predict no better than the start; keep the old car file"
-        yield from _why(outcome, axles_measured)
+        yield from _why(outcome, asked)
     elif not any(row.identifiable for row in outcome.free_rows.values()):
         yield "next: nothing is identifiable from these data; do not drive with these values:"
         yield "      keep the old car file, and do what the notes say"
     elif written is not None:
-        yield f"next: steerd run --sim{sim_option} --car {written}"
-        yield "      (on the car: --port and --mocap for --sim)"
-        names = " ".join(outcome.sessions)
-        yield f"      steerd diagnose {names} --base {written}"
+        yield f"next: {simulate_with(written, sessions)}"
+        yield "      (on the car: its --port and --mocap for --sim --fast)"
+        names = name_all([session.info().path for session in sessions])
+        yield f"      steerd diagnose {names} --base {shlex.quote(str(written))}"
         yield "      (what this model still misses)"
     else:
         yield "next: repeat with -o car.toml, which writes a car file to drive with"
 
 
-def _why(outcome: Outcome, axles_measured: bool) -> Iterator[str]:
+def _why(outcome: Outcome, asked: Asked) -> Iterator[str]:
     """What to try where the fit did not help."""
     poor = outcome.fit is None or max(outcome.fit.misfit.values(), default=0.0) > POOR
-    if poor and not axles_measured:
+    if poor and not asked.axles_measured:
         yield "      measure the distance of the axles and give it as --wheelbase M: a longer"
         yield "      car, a smaller steering gain and a slower one are hard to distinguish"
     elif not poor and outcome.unidentified:
-        yield "      the start explains these drives, and they are too gentle to improve it: steerd"
-        yield "      collect --plan mixed drives manoeuvres that identify more"
-
-
-def improved(outcome: Outcome) -> bool:
-    """Whether the longest prediction became no worse (2 % are noise)."""
-    known = [h for h in outcome.held_out if not isnan(h.after.position)]
-    return bool(known) and known[-1].after.position <= 1.02 * known[-1].before.position
+        text = "the start explains these drives, and they are too gentle to improve it: drive "
+        yield f"      {complete(f'{text}`steerd collect --plan mixed`', asked.sessions)}"

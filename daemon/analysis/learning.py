@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.analysis.diagnose_case import find_base
+from steerd.daemon.analysis.diagnosis import find_base
+from steerd.daemon.analysis.drives import Drives
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import make_session_error, reading
@@ -29,6 +30,7 @@ class Learnt:
     Attributes:
         session: its file.
         base: where the car came from, as text.
+        remark: why what identify knew of the car is not used; empty where it is.
         report: the last report.
         reports: how many there were, and the SHA-256 of their bytes.
         digest: see `reports`.
@@ -38,6 +40,7 @@ class Learnt:
 
     session: Path
     base: str
+    remark: str
     report: m.Model
     reports: int
     digest: str
@@ -63,7 +66,7 @@ def learn_session(
         SteerdError: session or car file cannot be used, or too little was driven for a report.
     """
     session = load_session(path)
-    base, source, _ = find_base(car, (path,))
+    base, source, _ = find_base(car, Drives((session,), ()))
     with reading(path, "steerd identify writes it anew"):
         # What an earlier drive taught is of the session's own car.
         memory = session.info().metadata.get(METADATA, {}).get("memory", "") if car is None else ""
@@ -80,7 +83,7 @@ def learn_session(
         raise SteerdError(what, "record mocap and actuation of a drive", ExitCode.INVALID)
     digest = hashlib.sha256(b"".join(made)).hexdigest()
     same = sum(one == other for one, other in zip(made, recorded, strict=False))
-    return Learnt(path, source, report, len(made), digest, len(recorded), same)
+    return Learnt(path, source, base.remark, report, len(made), digest, len(recorded), same)
 
 
 def wiring_of_session(session: Session) -> Wiring:

@@ -1,5 +1,6 @@
 """`steerd.load`: a recorded drive as tables and a figure."""
 
+import importlib
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -115,11 +116,8 @@ class Session:
         Raises:
             SteerdError: pandas is not installed, or as `table`.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise _make_missing_error("pandas") from None
-        return pandas.DataFrame(_flatten(self._columns(topic)))
+        frame: pandas.DataFrame = _load("pandas").DataFrame(_flatten(self._columns(topic)))
+        return frame
 
     def to_polars(self, topic: str) -> "polars.DataFrame":
         """A topic as a data frame; arrays of a message become columns `name.0`, `name.1`, ….
@@ -127,14 +125,12 @@ class Session:
         Raises:
             SteerdError: polars is not installed, or as `table`.
         """
-        try:
-            import polars
-        except ImportError:
-            raise _make_missing_error("polars") from None
-        columns = _flatten(self._columns(topic))
-        return polars.DataFrame(
-            {n: c.tolist() if c.dtype == object else c for n, c in columns.items()}
-        )
+        columns = {
+            n: c.tolist() if c.dtype == object else c
+            for n, c in _flatten(self._columns(topic)).items()
+        }
+        frame: polars.DataFrame = _load("polars").DataFrame(columns)
+        return frame
 
     def plot(self) -> "Figure":
         """Track over lane, errors, commands against measurements, over time.
@@ -182,8 +178,12 @@ def load(path: Path | str) -> Session:
     return Session(Path(path), load_session(Path(path)))
 
 
-def _make_missing_error(package: str) -> SteerdError:
-    return SteerdError(f"{package} is not installed", f"pip install {package}", ExitCode.USAGE)
+def _load(package: str) -> Any:
+    try:
+        return importlib.import_module(package)
+    except ImportError:
+        what, hint = f"{package} is not installed", f"pip install {package}"
+        raise SteerdError(what, hint, ExitCode.USAGE) from None
 
 
 def _make_table(columns: Columns) -> Table:

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import mkdtemp
 
+from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.analysis.recorded import Session
-from steerd.daemon.analysis.sources import CarSource, read_car
 from steerd.daemon.assembly.build import RunPlan, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message

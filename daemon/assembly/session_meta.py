@@ -11,10 +11,12 @@ from tempfile import TemporaryDirectory
 
 import platformdirs
 
+from steerd.car_model.car_file import CarFile, parse_car
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.sim_car import make_true_model, make_truth
 from steerd.daemon.settings.run_options import encode_options
-from steerd.steer_bus.session_read import Session
+from steerd.posterior_file import ATTACHED
+from steerd.steer_bus.session_read import WRONG_CONTENT, Session, SessionError
 
 VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000
 """UNIX time at which every drive in virtual time begins: the same drive has the same bytes."""
@@ -87,14 +89,37 @@ def make_metadata(
 
 
 def make_attachments(plan: RunPlan) -> dict[str, str]:
-    """Attachments of the session: car file, path file and the simulated car's file, unchanged."""
+    """Attachments of the session, unchanged.
+
+    The car file and what identify knows of the car, path file, the simulated car's file.
+    """
     texts = {"car.toml": plan.settings.file.text}
+    if plan.settings.file.posterior:
+        texts[ATTACHED] = plan.settings.file.posterior
     if plan.options.sim_car:
         texts["sim_car.toml"] = plan.sim.file.text
     path_file = csv_file(plan.options.path)
     if path_file is not None:
         texts["path.csv"] = Path(path_file).read_text()
     return texts
+
+
+def read_session_car(session: Session) -> CarFile:
+    """The car file inside a session, with what identify knew of the car.
+
+    Raises:
+        SessionError: there is none, or it is no text.
+        CarFileError: it cannot be used.
+    """
+    texts = {}
+    for name in ("car.toml", *({ATTACHED} & {*session.info().attachments})):
+        try:
+            texts[name] = session.attachment(name).decode()
+        except UnicodeDecodeError:
+            what = f"{session.info().path.name}: the attached {name} is no UTF-8"
+            raise SessionError("bad_attachment", what, exit_code=WRONG_CONTENT) from None
+    place = Path(f"{session.info().path.name}:car.toml")
+    return parse_car(texts["car.toml"], place, texts.get(ATTACHED, ""))
 
 
 @contextmanager

@@ -128,13 +128,36 @@ def read_true_car(metadata: Mapping[str, Any]) -> Car[float] | None:
         return None
 
 
-def read_sim_option(metadata: Mapping[str, Any]) -> str:
-    """The words of `steerd run` that bring a session's simulated car back; none for other cars."""
+def read_origin(metadata: Mapping[str, Any], *, own_car: bool = True) -> str:
+    """The options of `steerd run` and `collect` that drive the car of a session again.
+
+    Of simulated hardware they name its car and its effects, of a car its port and its mocap.
+
+    Args:
+        metadata: of the session.
+        own_car: whether they name the session's car file; what is designed from another one says
+            itself what its car is beyond the equations.
+
+    Returns:
+        Words for a command line; none for the log of another system.
+    """
     try:
-        spec = decode_options(metadata.get("steerd.session", {}).get("options", "")).sim_car
+        options = decode_options(metadata.get("steerd.session", {}).get("options", ""))
     except ValueError:
         return ""
-    return f" --sim-car {shlex.quote(clean(spec))}" if spec else ""
+    words: list[str] = []
+    if not options.simulated:
+        if not options.port or not options.mocap:
+            return ""
+        words = ["--port", options.port, "--mocap", options.mocap]
+    else:
+        words = ["--sim", "--fast", *(("--sim-car", options.sim_car) if options.sim_car else ())]
+    if options.sim_car or own_car:
+        words += [word for each in options.effects for word in ("--effect", each)]
+    file = Path(options.car_file)
+    if own_car and file.is_file() and file != default_car_path():
+        words += ["--car", str(file)]
+    return " ".join(shlex.quote(clean(word)) for word in words)
 
 
 def compare_truths(named: Mapping[str, Mapping[str, Any]]) -> list[str]:

@@ -11,6 +11,7 @@ WIDTH = 80
 """Columns of the narrowest terminal that reports are made for."""
 NBSP = "\u00a0"
 """Joins what must stand on one line, a figure and its unit for instance; shown as a space."""
+_COMMAND = re.compile("`steerd [^`]*`")
 TEXT_MAX = 200
 """Text from a file is cut after so many characters."""
 
@@ -32,13 +33,14 @@ def wrap(text: str, first: str = "", rest: str = "", width: int = WIDTH) -> list
     """Lines of at most `width` columns; a longer word has a line of its own.
 
     Args:
-        text: one paragraph; `NBSP` is a space at which no line breaks.
+        text: one paragraph; `NBSP` is a space at which no line breaks, nor does one within a
+            command, which is to be copied.
         first: the head of the first line.
         rest: the indent of the others.
         width: columns.
     """
     lines = textwrap.wrap(
-        text,
+        _COMMAND.sub(lambda found: join_words(found[0]), text),
         width,
         initial_indent=first,
         subsequent_indent=rest,

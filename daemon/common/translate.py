@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
-    from steerd.car_model.car_file import CarFileError
+    from pathlib import Path
+
+    from steerd.car_model.car_file import CarFile, CarFileError
     from steerd.steer_bus.session_read import SessionError
 
 
@@ -18,6 +20,20 @@ def make_car_file_error(error: "CarFileError") -> SteerdError:
     code = ExitCode.UNREADABLE if unreadable else ExitCode.INVALID
     place = f"{error.path}: {error.where}" if error.where else str(error.path)
     return SteerdError(f"{place}: {error.what}", error.hint, code)
+
+
+def load_car_file(path: "Path | str") -> "CarFile":
+    """A car file that somebody named, with what identify knows of the car.
+
+    Raises:
+        SteerdError: it cannot be read, or says something impossible.
+    """
+    from steerd.car_model.car_file import CarFileError, load_car
+
+    try:
+        return load_car(path)
+    except CarFileError as error:
+        raise make_car_file_error(error) from None
 
 
 def make_session_error(error: "SessionError", hint: str = "") -> SteerdError:

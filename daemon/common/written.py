@@ -1,6 +1,7 @@
 """Output files: replaced where steerd wrote them; anything else is kept beside the new one.
 
-A car file is always kept: yesterday's may be the better one, and a car drove by it.
+A car file is always kept, with the file beside it: yesterday's may be the better one, and a car
+drove by it.
 
 The digests of what steerd wrote lie in the user's state folder. A file whose digest is not among
 them was written by somebody else, or edited since. Without the state folder every file is kept.
@@ -12,14 +13,21 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import platformdirs
 
+if TYPE_CHECKING:
+    from steerd.car_model.car_file import CarFile
+
 from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.outputs import check_outputs
 from steerd.daemon.common.screen import print_labelled
 from steerd.daemon.common.whole_file import write_whole
+from steerd.posterior_file import posterior_path
 from steerd.steer_bus.atomic_file import write_atomically
 
 _REMEMBERED = 10_000
@@ -51,36 +59,78 @@ def write_output(path: Path, text: str | bytes) -> Path | None:
     return kept
 
 
+Write = Callable[[Path | None, "str | bytes | None"], bool]
+"""Writes one file, and says whether it is there; nothing where name or content is None."""
+
+
+@contextmanager
+def writing(named: Mapping[str, Path | None], *, announced: bool = False) -> Iterator[Write]:
+    """Write the outputs of a command, each as soon as its content is known.
+
+    What cannot be written is said when the block ends, after the others were written. An interrupt
+    (Ctrl-C) leaves what was written by then and says in one line what that is.
+
+    Args:
+        named: path by option name; None where the option was not given.
+        announced: a terminal shows at the end what was written.
+
+    Raises:
+        SteerdError: an output may not be written (see `check_outputs`), or could not be.
+    """
+    check_outputs(named)
+    failures: dict[Path, SteerdError] = {}
+    written: dict[Path, str | bytes] = {}
+
+    def write(path: Path | None, text: str | bytes | None) -> bool:
+        if path is None or text is None or written.get(path) == text:
+            return path in written
+        try:
+            kept = write_output(path, text)
+        except SteerdError as error:
+            failures[path] = error
+            return False
+        failures.pop(path, None)
+        written[path] = text
+        if kept is not None:
+            print_labelled("note: ", describe_kept(path, kept), sys.stderr)
+        return True
+
+    try:
+        yield write
+    except KeyboardInterrupt:
+        missing = [path for path in named.values() if path and path not in written]
+        text = f"{_are(written)} written" if written else "nothing is written"
+        text += f", {_are(missing)} not" if written and missing else ""
+        print_labelled("interrupted: ", text, sys.stderr)
+        raise
+    if announced and written and sys.stderr.isatty():
+        print_labelled("written: ", ", ".join(map(str, written)), sys.stderr)
+    if failures:
+        first, *others = failures.values()
+        what = "; ".join(each.what for each in (first, *others))
+        raise SteerdError(what, first.hint, first.code)
+
+
+def _are(paths: Collection[Path]) -> str:
+    return f"{', '.join(map(str, paths))} {'is' if len(paths) == 1 else 'are'}"
+
+
 def write_outputs(
     texts: Mapping[Path | None, str | bytes | None], *, announced: bool = False
 ) -> None:
-    """Write every result, and name on standard error what was kept.
-
-    Args:
-        texts: content by file; an entry without a file or without a content is left out.
-        announced: a terminal shows what was written, as after work that ends with it.
+    """Write every result, see `writing`: content by file, without those of which one is None.
 
     Raises:
         SteerdError: every file that failed in one line, after the others were written.
     """
-    failures: list[SteerdError] = []
-    written: list[str] = []
-    for path, text in texts.items():
-        if path is None or text is None:
-            continue
-        try:
-            kept = write_output(path, text)
-        except SteerdError as error:
-            failures.append(error)
-            continue
-        written.append(str(path))
-        if kept is not None:
-            print_labelled("note: ", describe_kept(path, kept), sys.stderr)
-    if announced and written and sys.stderr.isatty():
-        print_labelled("written: ", ", ".join(written), sys.stderr)
-    if failures:
-        what = "; ".join(failure.what for failure in failures)
-        raise SteerdError(what, failures[0].hint, failures[0].code)
+    with writing({}, announced=announced) as write:
+        for path, text in texts.items():
+            write(path, text)
+
+
+def car_outputs(path: Path, car: "CarFile") -> dict[Path | None, str | bytes | None]:
+    """A car file and the file beside it, for `write_outputs`."""
+    return {path: car.text, posterior_path(path): car.posterior or None}
 
 
 def describe_kept(path: Path, kept: Path) -> str:
@@ -104,15 +154,22 @@ def _keep(path: Path, text: str | bytes) -> Path | None:
         return None
     kept = _dated_name(path)
     try:
-        os.link(path, kept)
-    except OSError:  # a file system without links
-        try:
-            shutil.copy2(path, kept)
-        except OSError as error:
-            kept.unlink(missing_ok=True)
-            what = f"{path} is not steerd's and cannot be kept: {error.strerror}"
-            raise SteerdError(what, "choose another name") from None
+        _link(path, kept)
+    except OSError as error:
+        kept.unlink(missing_ok=True)
+        what = f"{path} is not steerd's and cannot be kept: {error.strerror}"
+        raise SteerdError(what, "choose another name") from None
+    if path.suffix == ".toml":
+        with contextlib.suppress(OSError):  # most car files have none
+            _link(posterior_path(path), posterior_path(kept))
     return kept
+
+
+def _link(path: Path, other: Path) -> None:
+    try:
+        os.link(path, other)
+    except OSError:  # a file system without links
+        shutil.copy2(path, other)
 
 
 def _dated_name(path: Path) -> Path:

@@ -7,15 +7,13 @@ the code has changed since the drive, or the loop has an input that is not recor
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from math import isnan
-from pathlib import Path
 from typing import Any
 
-from steerd.car_model.car_file import CarFileError, parse_car
 from steerd.daemon.assembly.build import RunPlan, make_loop_setup, make_plan
-from steerd.daemon.assembly.session_meta import recorded_path
+from steerd.daemon.assembly.session_meta import read_session_car, recorded_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
-from steerd.daemon.common.translate import make_car_file_error, make_session_error, reading
+from steerd.daemon.common.translate import make_session_error, reading
 from steerd.daemon.loop.core import read_identity
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.loop import Loop
@@ -110,11 +108,7 @@ def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bo
     with reading(name, "only sessions of `steerd run` hold what a replay needs"):
         options = decode_options(meta["options"])
         boot_id, epoch_ns = int(meta["boot_id"]), int(meta["epoch_ns"])
-        text = session.attachment("car.toml").decode()
-        try:
-            settings = make_settings(parse_car(text, Path(f"{name}:car.toml")), options.speed)
-        except CarFileError as error:
-            raise make_car_file_error(error) from None
+        settings = make_settings(read_session_car(session), options.speed)
         with recorded_path(session, options.path) as spec:
             plan = make_plan(replace(options, path=spec), settings)
     return plan, boot_id, epoch_ns, meta.get("leased") == "1"

@@ -98,7 +98,9 @@ def make_learner_feed(job: Mapping[str, Any]) -> Feed:
         ValueError: the car file holds what identify does not write.
     """
     wiring = Wiring(int(job["epoch_ns"]), float(job["erpm_gain"]), float(job["erpm_offset"]))
-    car = parse_car(job["car"], Path(job["path"]))
+    car = parse_car(job["car"], Path(job["path"]), job.get("posterior", ""))
+    if car.remark:
+        print(f"steerd learner: {car.remark}", file=sys.stderr)
     return make_feed(car, wiring, read_memory(job.get("memory", "")))
 
 

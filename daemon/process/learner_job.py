@@ -56,6 +56,7 @@ def make_learner_job(
     return {
         "epoch_ns": epoch_ns,
         "car": plan.settings.file.text,
+        "posterior": plan.settings.file.posterior,
         "path": str(plan.settings.file.path),
         "erpm_gain": plan.settings.scaling.erpm_gain,
         "erpm_offset": plan.settings.scaling.erpm_offset,

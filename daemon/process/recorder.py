@@ -11,6 +11,7 @@ import shutil
 import sys
 import threading
 from collections.abc import Mapping
+from mimetypes import guess_type
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,7 @@ class Recording:
     def __init__(self, path: Path, car: str, meta: Mapping[str, Any]) -> None:
         self._topics = {topic.name: make_session_topic(car, topic) for topic in TOPICS}
         attachments = [
-            AttachedFile(name, "application/toml", text.encode())
+            AttachedFile(name, guess_type(name)[0] or "application/toml", text.encode())
             for name, text in meta["attachments"].items()
         ]
         classes = {self._topics[topic.name]: topic.message for topic in TOPICS}

@@ -121,19 +121,27 @@ def load_session(path: Path) -> Session:
     return session
 
 
-def make_session_report(session: Session) -> SessionReport:
+Tables = tuple[dict[str, Columns], list[str]]
+"""Columns by topic, and what could not be read, as sentences."""
+
+
+def make_session_report(session: Session, read: Tables | None = None) -> SessionReport:
     """Read a session once and summarise it.
+
+    Args:
+        session: the session.
+        read: its tables, where they were read already.
 
     Raises:
         SteerdError: the file has changed since it was opened.
     """
     with reading(session.info().path):
-        return _make_report(session)
+        return _make_report(session, read or read_tables(session))
 
 
-def _make_report(session: Session) -> SessionReport:
+def _make_report(session: Session, read: Tables) -> SessionReport:
     info = session.info()
-    tables, unreadable = read_tables(session)
+    tables, unreadable = read
     times = Times(info.start_ns)
     track, signals = _motion(tables, times)
     states = _states(session, info.start_ns)
@@ -167,7 +175,7 @@ def _make_report(session: Session) -> SessionReport:
 # -- reading -------------------------------------------------------------------------------------
 
 
-def read_tables(session: Session) -> tuple[dict[str, Columns], list[str]]:
+def read_tables(session: Session) -> Tables:
     """Every topic of the table as columns, in one pass; what cannot be read, as sentences."""
     wanted: dict[str, type[Any]] = {}
     for info in session.info().topics:

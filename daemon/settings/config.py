@@ -8,14 +8,14 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from steerd.car_model.car_file import CarFile, CarFileError, load_car
+from steerd.car_model.car_file import CarFile
 from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import GRAVITY, wheelbase
 from steerd.controller.config import ControllerConfig, load_controller_config
 from steerd.controller.limits import Limits
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.near import did_you_mean, find_near
-from steerd.daemon.common.translate import make_car_file_error
+from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.settings.effect_checks import check_effects
 from steerd.daemon.settings.thresholds import (
     LAUNCH_RATIO,
@@ -108,11 +108,7 @@ def load_settings(path: Path | str, speed: float | None = None) -> Settings:
     Raises:
         SteerdError: the file cannot be read, or a value is invalid; names it and the remedy.
     """
-    try:
-        car_file = load_car(path)
-    except CarFileError as error:
-        raise make_car_file_error(error) from None
-    return make_settings(car_file, speed)
+    return make_settings(load_car_file(path), speed)
 
 
 def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from steerd.car_model.car_file import CarFileError, default_car_path, parse_car
+from steerd.car_model.car_file import CarFileError, default_car_path
+from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.translate import make_car_file_error
 from steerd.daemon.sessions.info import find_table, load_session, read_tables
@@ -30,14 +31,12 @@ class Recorded:
 
     Attributes:
         settings: of the car file that the drive used.
-        text: of that file.
         frame: room and body, without any offset of the body on the car.
         poses: columns of the accepted poses, times increasing.
         tables: every topic's columns.
     """
 
     settings: Settings
-    text: str
     frame: FrameConfig
     poses: Columns
     tables: dict[str, Columns]
@@ -55,11 +54,7 @@ def load_recorded(path: Path) -> Recorded:
         SteerdError: it cannot be read, or lacks poses.
     """
     session = load_session(path)
-    text = _car_text(session)
-    try:
-        settings = make_settings(parse_car(text, Path(f"{path.name}:car.toml")))
-    except CarFileError as error:
-        raise make_car_file_error(error) from None
+    settings = _read_settings(session)
     tables, problems = read_tables(session)
     poses = find_table(tables, topics.MOCAP)
     if poses is None or not (good := poses["reject"] == "").any():
@@ -69,14 +64,17 @@ def load_recorded(path: Path) -> Recorded:
     order = np.argsort(kept["t_valid_ns"], kind="stable")
     order = order[np.diff(kept["t_valid_ns"][order], prepend=0) > 0]
     kept = {name: column[order] for name, column in kept.items()}
-    return Recorded(settings, text, _frame_without_mount(settings, session), kept, tables)
+    return Recorded(settings, _frame_without_mount(settings, session), kept, tables)
 
 
-def _car_text(session: Session) -> str:
+def _read_settings(session: Session) -> Settings:
+    """Of the car file that the drive used; F1TENTH's where it holds none."""
     try:
-        return session.attachment("car.toml").decode()
-    except (SessionError, UnicodeDecodeError):
-        return load_settings(default_car_path()).file.text
+        return make_settings(read_session_car(session))
+    except SessionError:
+        return load_settings(default_car_path())
+    except CarFileError as error:
+        raise make_car_file_error(error) from None
 
 
 def _frame_without_mount(settings: Settings, session: Session) -> FrameConfig:

@@ -1,5 +1,6 @@
 """The last lines of a run: what was driven, where it is kept, what to do with it."""
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,11 +18,11 @@ def closing_lines(plan: RunPlan, tally: Tally, session: Path) -> Iterator[str]:
     yield tally.describe(lane=followed)
     # Of a folder that nobody chose, commands find the last drive by themselves.
     usual = session.parent == default_session_path("car", 0, 0).parent
-    name = "@last" if usual else str(session)
+    name = "@last" if usual else shlex.quote(str(session))
     yield f"session: {below_home(session) if usual else session}"
     if collected:
         own = plan.options.car_file not in ("", str(default_car_path()))
-        car = f" --car {plan.options.car_file}" if own else ""
+        car = f" --car {shlex.quote(plan.options.car_file)}" if own else ""
         yield f"   next: steerd identify {name}{car} -o car.toml"
     else:
         yield f"   next: steerd plot {name}   (or steerd info)"

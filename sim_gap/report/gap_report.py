@@ -18,7 +18,6 @@ from steerd.sim_gap.report.summary_text import (
     known_leads,
     lane_rows,
     lane_words,
-    manoeuvre_words,
     residual_words,
     share_words,
     short,
@@ -54,6 +53,7 @@ class Subject:
         seconds: driving that was looked at [s].
         base: where the base car comes from.
         held_out_of: what was held out, as text; empty if nothing.
+        following: what to drive next, as text.
         notes: what a reader should know about the data.
     """
 
@@ -61,6 +61,7 @@ class Subject:
     seconds: float
     base: str
     held_out_of: str
+    following: str
     notes: tuple[str, ...] = ()
 
 
@@ -185,18 +186,16 @@ def _sections(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -
         )
     if found.verdict in ("unexplained", "partial"):
         yield Section("What is left", f"{_sentence(residual_words(found))}")
-    yield Section(
-        "What next", f"{_sentence('to drive: ' + manoeuvre_words(found))} {_typed(found)}"
-    )
+    yield Section("What next", f"{_sentence('to drive: ' + subject.following)} {_typed(found)}")
 
 
 def _typed(found: Diagnosis) -> str:
     if not found.causes:
         return ""
     return (
-        "To type: steerd diagnose … -o car.toml writes the effect into a car file. steerd run "
-        "--sim --car car.toml then drives a car that behaves like this one, and controllers and "
-        "filters designed from that file know of the effect as far as it is a parameter of theirs."
+        "The same command with -o CAR.toml writes the effect into a car file. A simulation with "
+        "--car CAR.toml then behaves like this car, and controllers and filters designed from that "
+        "file know of the effect as far as it is a parameter of theirs."
     )
 
 

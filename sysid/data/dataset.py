@@ -4,7 +4,7 @@
 a typed error that says what is wrong and what to do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
@@ -270,7 +270,17 @@ def _speed_input(
 
 
 def load_run(path: Path | str, h: float = GRID) -> Run:
-    """Read a drive from a session (steerd's own or an imported one).
+    """Read a drive from a session (steerd's own or an imported one); raises as `read_run`."""
+    return read_run(open_session(path), h=h)
+
+
+def read_run(session: Session, tables: Mapping[str, Columns] | None = None, h: float = GRID) -> Run:
+    """The drive of an open session.
+
+    Args:
+        session: steerd's own or an imported one.
+        tables: columns by topic, where they were read already.
+        h: step of the command grid [s].
 
     Poses that the mocap checks rejected are left out, and commands while the car was not driven
     (mode other than SPEED).
@@ -279,23 +289,24 @@ def load_run(path: Path | str, h: float = GRID) -> Run:
         DataError: the drive cannot be used for identification.
         steerd.steer_bus.session.SessionError: the file cannot be read.
     """
-    path = Path(path)
-    session = open_session(path)
-    topics = {t.name: t.type_name for t in session.info().topics}
-    by_name = {(split_key(name) or ("", ""))[1]: name for name in topics}
+    name = session.info().path.name
+    needed = MOCAP.name, ACTUATION.name
+    short = {t: (split_key(t.name) or ("", ""))[1] for t in session.info().topics}
+    by_name = {n: t.name for t, n in short.items() if t.count or n in needed}
     wanted = {by_name[t.name]: t.message for t in _SOURCES if t.name in by_name}
-    for topic in (MOCAP, ACTUATION):
-        if topic.name not in by_name:
-            what = f"{path.name}: no topic {topic.name!r}"
+    for topic in needed:
+        if topic not in by_name:
+            what = f"{name}: no topic {topic!r}"
             raise DataError(
                 what, "record with `steerd run`, or import the log with `steerd import`"
             )
-    tables = session.tables(wanted)
+    if tables is None or not tables.keys() >= wanted.keys():
+        tables = session.tables(wanted)
     columns = {name: tables[key] for name, key in by_name.items() if key in tables}
     scaling = session.contents.metadata.get("steerd.scaling", {})
     ours = "servo_gain" in scaling  # an import may state the ERPM of a VESC that steerd never drove
     return make_run(
-        path.name,
+        name,
         **_signals(session, columns),
         h=h,
         servo_frame=SERVO_FRAME if ours else 0.0,

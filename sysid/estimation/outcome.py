@@ -51,6 +51,11 @@ class Row(NamedTuple):
     identifiable: bool
     manoeuvre: str = ""
 
+    @property
+    def start(self) -> float:
+        """The value before."""
+        return self.before
+
 
 class HeldOut(NamedTuple):
     """Prediction errors at one horizon, after and before."""

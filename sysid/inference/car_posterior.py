@@ -37,7 +37,6 @@ from steerd.sysid.inference.knowledge import (
     Knowledge,
     excess_by_regime,
     knowledge_section,
-    numbers_of,
 )
 from steerd.sysid.inference.likelihood import SPUN, Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
@@ -340,8 +339,10 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
         ValueError: no window sees enough poses.
     """
     taught = teach_with_limits(base, runs)
-    sections = with_sections(base, base, knowledge_of(taught), taught.noise).sections
-    return {name: dict(sections[name]) for name in ("noise", "knowledge")}
+    return {
+        "noise": noise_section(taught.noise),
+        "knowledge": knowledge_section(knowledge_of(taught)),
+    }
 
 
 def teach_with_limits(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHING) -> Taught:
@@ -388,7 +389,7 @@ def taught_car(base: CarFile, taught: Taught) -> CarFile:
         values=tuple(own[e.name] for e in chosen),
         sd={**base.sd, **{n: v for n, v in sd.items() if "." not in n or n.split(".")[0] in own}},
     )
-    return with_sections(moved, moved, known, taught.noise)
+    return with_sections(moved, known, taught.noise)
 
 
 def _model_error(name: str, kept: Sequence[str]) -> float:
@@ -398,12 +399,10 @@ def _model_error(name: str, kept: Sequence[str]) -> float:
     return MODEL_ERROR.get(name, 1.0)
 
 
-def with_sections(base: CarFile, file: CarFile, known: Knowledge, noise: Noise) -> CarFile:
-    """The base with `[noise]` and `[knowledge]`, as they stand beside the numbers of `file`."""
-    section = knowledge_section(replace(known, of=numbers_of(file)))
-    return replace(
-        base, sections={**base.sections, "noise": noise_section(noise), "knowledge": section}
-    )
+def with_sections(base: CarFile, known: Knowledge, noise: Noise) -> CarFile:
+    """The base with what its drives taught beyond its values."""
+    tables = {"noise": noise_section(noise), "knowledge": knowledge_section(known)}
+    return replace(base, sections={**base.sections, **tables})
 
 
 def _structures(taught: Taught) -> list[str]:

@@ -1,21 +1,18 @@
 """What healthy drives teach about a base car, beyond its values: how sure, and where it fails.
 
-Two things travel in the car file from `identify` to `diagnose`. The joint covariance of the base's
-coordinates: lengths, gains and inertia move together, and an effect must not be named for what the
-base's own uncertainty covers. And the model discrepancy: by how much errors exceed the noise where
-the car corners hard (Kennedy and O'Hagan, 2001, as a variance by regime), so that a base that is
-not good enough there cannot accuse.
+Two things travel from `identify` to `diagnose`, in the file beside the car file. The joint
+covariance of the base's coordinates: lengths, gains and inertia move together, and an effect must
+not be named for what the base's own uncertainty covers. And the model discrepancy: by how much
+errors exceed the noise where the car corners hard (Kennedy and O'Hagan, 2001, as a variance by
+regime), so that a base that is not good enough there cannot accuse.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from math import isclose, nan
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from steerd.car_model.car_file import CarFile
 
 Array = NDArray[np.float64]
 
@@ -36,21 +33,12 @@ class Knowledge:
         covariance: (n, n) of the coordinates.
         excess: (len(EDGES) + 1,) squared error over noise by lateral acceleration, 1 or more.
         values: the parameters' values that the covariance lies about, empty: the base's own.
-        of: the file's numbers when this was written; a file edited since knows it no more.
     """
 
     names: tuple[str, ...]
     covariance: Array
     excess: tuple[float, ...] = (1.0,) * (len(EDGES) + 1)
     values: tuple[float, ...] = ()
-    of: Mapping[str, float] = field(default_factory=dict)
-
-    def fits(self, car: CarFile) -> bool:
-        """Whether a car file is still the one that this is about."""
-        now = numbers_of(car)
-        added = any("." in n and n in now and n not in self.of for n in self.names)
-        same = all(isclose(now.get(n, nan), v, rel_tol=1e-9) for n, v in self.of.items())
-        return same and not added
 
     def part(self, names: Sequence[str]) -> Array:
         """Covariance of some of the coordinates, in this order.
@@ -60,16 +48,6 @@ class Knowledge:
         """
         places = [self.names.index(name) for name in names]
         return np.asarray(self.covariance[np.ix_(places, places)])
-
-
-def numbers_of(car: CarFile) -> dict[str, float]:
-    """A car file's parameters and its effects' by name."""
-    own = {
-        f"{effect.name}.{parameter.name}": float(value)
-        for effect, values in zip(car.effects, car.values, strict=True)
-        for parameter, value in zip(effect.parameters, values, strict=True)
-    }
-    return {**{name: float(value) for name, value in car.car._asdict().items()}, **own}
 
 
 def excess_by_regime(ratio: Array, lateral: Array) -> tuple[float, ...]:
@@ -96,7 +74,7 @@ def excess_by_regime(ratio: Array, lateral: Array) -> tuple[float, ...]:
 
 
 def knowledge_section(known: Knowledge) -> dict[str, Any]:
-    """A car file's `[knowledge]` table: names, standard deviations and correlations."""
+    """The table `knowledge` of the file beside a car file: names, deviations, correlations."""
     sd = np.sqrt(np.diag(known.covariance))
     correlation = known.covariance / np.outer(sd, sd)
     rows = [[round(float(c), 6) for c in row[: i + 1]] for i, row in enumerate(correlation)]
@@ -106,20 +84,11 @@ def knowledge_section(known: Knowledge) -> dict[str, Any]:
         "correlation": rows,
         "excess": [round(v, 3) for v in known.excess],
         "values": [float(f"{v:.9g}") for v in known.values],
-        "of": dict(known.of),
     }
 
 
-def about(car: CarFile, sections: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """A car file's learnt tables, `[knowledge]` marked as being about this file's numbers."""
-    tables = {name: dict(table) for name, table in sections.items()}
-    if "knowledge" in tables:
-        tables["knowledge"]["of"] = numbers_of(car)
-    return tables
-
-
 def knowledge_of_section(table: Mapping[str, Any]) -> Knowledge | None:
-    """Knowledge from a car file's `[knowledge]` table, None if it has none.
+    """Knowledge from the table that `knowledge_section` makes, None if it is empty.
 
     Raises:
         ValueError: the table is no covariance.
@@ -135,8 +104,7 @@ def knowledge_of_section(table: Mapping[str, Any]) -> Knowledge | None:
             correlation[i, : i + 1] = row
         excess = tuple(float(v) for v in table["excess"])
         values = tuple(float(v) for v in table["values"])
-        of = {str(name): float(v) for name, v in table["of"].items()}
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+    except (IndexError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"[knowledge] is not what identify writes ({error})") from error
     correlation += np.tril(correlation, -1).T
     shaped = len(rows) == len(sd) == len(values) == len(names) and len(excess) == len(EDGES) + 1
@@ -145,4 +113,4 @@ def knowledge_of_section(table: Mapping[str, Any]) -> Knowledge | None:
     # Rounding may leave a tiny negative eigenvalue; a covariance has none.
     spectrum, axes = np.linalg.eigh(correlation)
     correlation = (axes * np.maximum(spectrum, 1e-8)) @ axes.T
-    return Knowledge(names, correlation * np.outer(sd, sd), excess, values, of)
+    return Knowledge(names, correlation * np.outer(sd, sd), excess, values)

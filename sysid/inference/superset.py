@@ -80,17 +80,17 @@ def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset
 
 
 def _known(superset: Superset, base: CarFile | Model[float], stated: Collection[str]) -> Superset:
-    """The superset about what the base's healthy drives taught, if its file still fits it.
+    """The superset about what the base's healthy drives taught, if that is known.
 
     What a prescribed speed states, of parameters or effects, stays.
 
     Raises:
-        ValueError: the file's `[knowledge]` is not what identify writes.
+        ValueError: the base's `knowledge` is not what identify writes.
     """
     if not isinstance(base, CarFile):
         return superset
     known = knowledge_of_section(base.sections.get("knowledge", {}))
-    if known is None or not known.fits(base):
+    if known is None:
         return superset
     names, parameters = superset.kernels.names, superset.base.copy()
     for name, value in zip(known.names, known.values, strict=False):

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.daemon.analysis.drives import load_base
 from steerd.daemon.analysis.gap_closed_loop import try_lane
 from steerd.daemon.assembly.build import make_plan, make_world_config
 from steerd.daemon.cli.commands.driving import run as run_command
@@ -20,6 +19,7 @@ from steerd.daemon.cli.main import run_cli
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import drive, make_virtual_run
 from steerd.sim_hw.world import World
+from steerd.steer_bus.session_read import open_session
 
 LANE = "--path figure8 --speed 1.8"
 DELAY = 0.05
@@ -153,9 +153,9 @@ def test_a_path_file_comes_from_the_session_itself(tmp_path):
     quietly("run", "--sim", "--fast", "--path", f"csv:{lane}", "--duration", 14,
             "--record", session)  # fmt: skip
     lane.unlink()
-    told, why = try_lane([session], load_base(default_car_path()), {})
+    told, why = try_lane([open_session(session)], load_car(default_car_path()), {})
     assert told is not None, why
-    assert "--path csv:path.csv" in told.again
+    assert told.again == "--speed 1", "the path's file is gone"
     assert told.with_effect is None
     before, after = told.distances
     assert after is None
@@ -165,6 +165,6 @@ def test_a_path_file_comes_from_the_session_itself(tmp_path):
 def test_too_short_a_lane_drive_is_said(tmp_path):
     session = tmp_path / "short.mcap"
     quietly("run", "--sim", "--fast", "--path", "line", "--duration", 3, "--record", session)
-    told, why = try_lane([session], load_base(default_car_path()), {})
+    told, why = try_lane([open_session(session)], load_car(default_car_path()), {})
     assert told is None
     assert "less than 9 s" in why

@@ -4,6 +4,7 @@ import errno
 import os
 import resource
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -118,7 +119,8 @@ def test_a_bag_is_not_blamed_for_a_full_temporary_folder(monkeypatch, tmp_path, 
 class Found:
     """A diagnosis without the work."""
 
-    text = "mass = 3.0\n"
+    text, posterior = "mass = 3.0\n", ""
+    findings = SimpleNamespace(shrinkage=SimpleNamespace(text="the prediction"))
 
     def to_json(self):
         return {"verdict": "explained"}
@@ -129,6 +131,9 @@ class Found:
     def make_car(self, _output):
         return self
 
+    def describe(self, *_):
+        return "THE CAUSE"
+
 
 @pytest.mark.parametrize(
     ("size", "written"), [(0, []), (100, ["better.toml", "gap.json", "prediction.json"])]
@@ -136,15 +141,14 @@ class Found:
 def test_a_diagnosis_is_told_before_it_is_written(
     size, written, monkeypatch, tmp_path, full, capsys
 ):
-    def diagnose(request, warn, advance, announce):
+    def diagnose(paths, options, warn, advance, announce):
         announce("the prediction")
         return Found()
 
     monkeypatch.setattr("steerd.daemon.analysis.diagnosis.run_diagnosis", diagnose)
-    monkeypatch.setattr("steerd.daemon.analysis.diagnose_text.describe", lambda *_: "THE CAUSE")
     names = {
-        "--prediction": "prediction.json", "--json": "gap.json", "--report": "gap.html",
-        "-o": "better.toml",
+        "--prediction": "prediction.json", "-o": "better.toml", "--json": "gap.json",
+        "--report": "gap.html",
     }  # fmt: skip
     session, out = tmp_path / "drive.mcap", tmp_path / "out"
     session.touch()
@@ -188,7 +192,7 @@ def test_a_cache_without_any_place_is_named(monkeypatch, tmp_path, capsys):
     session = tmp_path / "drive.mcap"
     drive = ["run", "--sim", "--fast", "--duration", "14", "--record", session]
     assert said_of(drive, capsys)[0] == 0
-    monkeypatch.setattr("steerd.sysid.estimation.learn.learn", learn)
+    monkeypatch.setattr("steerd.daemon.analysis.identification.learn", learn)
     code, said = said_of(["identify", session], capsys)
     assert code == 3
     assert said.splitlines()[-2] == "steerd: /cache/kernels: No space left on device"

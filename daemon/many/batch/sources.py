@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from steerd.car_model.car_file import CarFile
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.translate import load_car_file
 
 Kind = Literal["summarise", "identify", "diagnose"]
 _PATTERN = frozenset("*?[")
@@ -20,16 +22,17 @@ class Question:
 
     Attributes:
         kind: summarise, identify or diagnose.
-        cars: text of a car file by the car's name, under "" that of every other car; where there
-            is none, identification starts at the F1TENTH car and a diagnosis takes the session's.
+        cars: car file by the car's name, under "" that of every other car; where there is none,
+            identification starts at the F1TENTH car and a diagnosis takes the session's.
     """
 
     kind: Kind
-    cars: Mapping[str, str]
+    cars: Mapping[str, CarFile]
 
     def digest(self) -> str:
         """What a session's row depends on, beside the session itself."""
-        text = json.dumps([self.kind, dict(sorted(self.cars.items()))])
+        texts = {name: [car.text, car.posterior] for name, car in sorted(self.cars.items())}
+        text = json.dumps([self.kind, texts])
         return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -84,23 +87,21 @@ def _expand(word: str) -> list[Path]:
     return [name for name in names if name.is_file() and name.suffix == ".mcap"]
 
 
-def read_cars(named: Path | None) -> dict[str, str]:
+def read_cars(named: Path | None) -> dict[str, CarFile]:
     """Car files by the cars' names: of a folder `NAME.toml` each, or one file for every car.
 
     Raises:
         SteerdError: there is none, or one cannot be used.
     """
-    from steerd.daemon.analysis.drives import load_base
-
     if named is None:
         return {}
     if not named.is_dir():
-        return {"": load_base(named).text}
+        return {"": load_car_file(named)}
     files = sorted(named.glob("*.toml"))
     if not files:
         what = f"{named} holds no car file"
         raise SteerdError(what, "NAME.toml for the car NAME", ExitCode.UNREADABLE)
-    return {file.stem: load_base(file).text for file in files}
+    return {file.stem: load_car_file(file) for file in files}
 
 
 def make_tasks(paths: Sequence[Path], question: Question) -> dict[str, UnitTask]:

@@ -7,7 +7,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from steerd.car_model.car_file import CarFile, parse_car
+from steerd.car_model.car_file import CarFile
 from steerd.car_model.params import wheelbase
 from steerd.daemon.assembly.session_meta import is_virtual
 from steerd.daemon.common.errors import SteerdError
@@ -79,13 +79,12 @@ def _summarise(path: Path, car: str, question: Question) -> dict[str, Any]:
 
 
 def _identify(path: Path, car: str, question: Question) -> dict[str, Any]:
-    from steerd.daemon.analysis.identification import run_identification
-    from steerd.daemon.analysis.identify_case import IdentifyRequest
-    from steerd.daemon.analysis.sources import read_car
+    from steerd.daemon.analysis.identification import identify
+    from steerd.daemon.analysis.options import read_car
 
     start = _find_car(question, car) or read_car(None)
-    length = wheelbase(start.car)  # of a ruler: one drive does not decide a car's scale
-    found = run_identification(IdentifyRequest(sessions=(path,), car=start, wheelbase=length))
+    # A ruler's length: one drive does not decide a car's scale.
+    found = identify(path, car=start, wheelbase=wheelbase(start.car))
     said = found.to_json()
     horizons = said["held_out"]["horizons"]
     row: dict[str, Any] = {
@@ -99,11 +98,9 @@ def _identify(path: Path, car: str, question: Question) -> dict[str, Any]:
 
 
 def _diagnose(path: Path, car: str, question: Question) -> dict[str, Any]:
-    from steerd.daemon.analysis.diagnose_case import DiagnoseRequest
-    from steerd.daemon.analysis.diagnosis import run_diagnosis
+    from steerd.daemon.analysis.diagnosis import diagnose
 
-    base = _find_car(question, car)
-    said = run_diagnosis(DiagnoseRequest(sessions=(path,), base=base, closed_loop=False)).to_json()
+    said = diagnose(path, base=_find_car(question, car), closed_loop=False).to_json()
     row: dict[str, Any] = {
         "verdict": said["verdict"],
         "causes": ", ".join(sorted(cause["effect"] for cause in said["causes"])),
@@ -120,8 +117,7 @@ def _diagnose(path: Path, car: str, question: Question) -> dict[str, Any]:
 
 def _find_car(question: Question, car: str) -> CarFile | None:
     """The car file of a car; None where the batch names none for it."""
-    text = question.cars.get(car, question.cars.get(""))
-    return None if text is None else parse_car(text, Path(f"{car or 'car'}.toml"))
+    return question.cars.get(car, question.cars.get(""))
 
 
 _ANSWERS: Mapping[str, Callable[[Path, str, Question], dict[str, Any]]] = {

@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from steerd.daemon.analysis.sources import CarSource, read_car
+from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.written import write_outputs
 from steerd.daemon.many.journal import Row, journal_path

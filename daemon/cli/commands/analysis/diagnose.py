@@ -12,18 +12,20 @@ base car's simulation diverges.
 """
 
 import argparse
+import hashlib
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.car_written import report_refusal
 from steerd.daemon.cli.inputs import reads_car, reads_session
-from steerd.daemon.cli.session_argument import add_sessions, pick_sessions
+from steerd.daemon.cli.session_argument import (
+    add_sessions,
+    pick_sessions,
+    split_held_out,
+    split_paths,
+)  # fmt: skip
 from steerd.daemon.common.errors import ExitCode, SteerdError
-
-if TYPE_CHECKING:
-    from steerd.daemon.analysis.diagnose_case import DiagnoseRequest
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ))  # fmt: skip
     what.add_argument("--car", dest="base", type=Path, help=argparse.SUPPRESS)
     reads_session(what.add_argument(
-        "--healthy", action="append", default=[], metavar="FILE,…",
+        "--healthy", type=split_paths, action="extend", default=[], metavar="FILE,…",
         help="drives of the same car without the gap: they determine how large noise is",
     ))  # fmt: skip
     what.add_argument(
@@ -45,7 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--without", action="append", default=[], metavar="EFFECT", help="leave it out (repeat)"
     )
-    what.add_argument("--no-pairs", action="store_true", help="one cause at most; faster")
+    what.add_argument(
+        "--no-pairs", dest="pairs", action="store_false", help="one cause at most; faster"
+    )
     what.add_argument(
         "--speed",
         choices=("command", "wheel"),
@@ -53,12 +57,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="wheel: the speed command was not obeyed, take the measured speed instead",
     )
     reads_session(what.add_argument(
-        "--held-out", action="append", default=[], metavar="K|FILE,…",
+        "--held-out", type=split_held_out, action="extend", metavar="K|FILE,…",
         help="measure the shrinkage on every K-th drive (default 4; 0: none), or on these files",
     ))  # fmt: skip
     what.add_argument(
-        "--runs-held-out", dest="held_out", action="append", help=argparse.SUPPRESS
-    )  # until 0.1
+        "--runs-held-out", dest="held_out", type=split_held_out, action="extend",
+        help=argparse.SUPPRESS,
+    )  # until 0.1  # fmt: skip
     out = parser.add_argument_group("output")
     out.add_argument(
         "--json", nargs="?", const="-", metavar="FILE", help="for programs; alone: to the terminal"
@@ -71,40 +76,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--prediction", type=Path, metavar="FILE", help="the prediction, before it is measured"
     )
     out.add_argument(
-        "--no-closed-loop", action="store_true", help="do not drive the session's lane again"
+        "--no-closed-loop",
+        dest="closed_loop",
+        action="store_false",
+        help="do not drive the session's lane again",
     )
     where = parser.add_argument_group("where")
     where.add_argument("--jobs", type=int, default=1, metavar="N", help="candidates side by side")
-    where.add_argument(
-        "--dask", metavar="ADDRESS", help="gone: `steerd batch` shares whole sessions"
-    )
-
-
-def make_request(args: argparse.Namespace) -> "DiagnoseRequest":
-    """Typed values of the command line.
-
-    Raises:
-        SteerdError: what is held out makes no sense, or an option is gone.
-    """
-    if args.dask is not None:
-        what = "--dask: the candidates of one diagnosis share nothing worth sending"
-        hint = "steerd batch diagnose SESSIONS --dask ADDRESS shares whole sessions"
-        raise SteerdError(what, hint, ExitCode.USAGE)
-    from steerd.daemon.analysis.diagnose_case import DiagnoseRequest
-    from steerd.daemon.analysis.held_out import parse_held_out, split_list
-
-    return DiagnoseRequest(
-        sessions=tuple(pick_sessions(args.sessions)),
-        base=args.base,
-        held_out=parse_held_out(args.held_out),
-        healthy=tuple(map(Path, split_list(args.healthy))),
-        only=tuple(args.only),
-        without=tuple(args.without),
-        pairs=not args.no_pairs,
-        closed_loop=not args.no_closed_loop,
-        speed=args.speed,
-        jobs=args.jobs,
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -113,71 +91,52 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: a session, the car file or an option cannot be used.
     """
-    from steerd.daemon.analysis.diagnose_text import describe
     from steerd.daemon.analysis.diagnosis import DRIVEN, run_diagnosis
+    from steerd.daemon.analysis.options import DiagnoseOptions, read_arguments
     from steerd.daemon.common.progress import show_progress
-    from steerd.daemon.common.written import write_outputs
+    from steerd.daemon.common.written import car_outputs, writing
     from steerd.daemon.sessions.text import print_warnings
 
-    _check_outputs(args)
-    request = make_request(args)
-    late: list[str] = []
-    with show_progress("diagnosing", 1.0) as advance:
-        found = run_diagnosis(
-            request, print_warnings, advance, lambda text: _announce(text, args.prediction, late)
-        )
-        advance(DRIVEN, "")
-        data = found.to_json()
-    if args.json == "-":
-        print(json.dumps(data, indent=1), flush=True)
-    else:
-        print(describe(found, args.output, args.report), flush=True)
-    # What follows may fail, for want of space for instance; the result is on the screen by then.
-    with show_progress("writing", 1.0) as advance:
-        advance(0.0, "drawing the report" if args.report else "")
-        report = found.render_report() if args.report else None
-    named = Path(args.json) if args.json and args.json != "-" else None
-    car = found.make_car(args.output).text if args.output else None
-    text = json.dumps(data, indent=1) + "\n"
-    foretold = late[0] if late else None
-    texts = {args.prediction: foretold, named: text, args.report: report, args.output: car}
-    write_outputs(texts, announced=True)
+    named = _named_outputs(args)
+    with writing(named, announced=True) as write:
+
+        def foretell(text: str) -> None:
+            """The prediction's digest, and the prediction itself, before anything is measured."""
+            digest = hashlib.sha256(text.encode()).hexdigest()
+            print(f"predicted before measuring: sha256 {digest}", file=sys.stderr)
+            write(args.prediction, text)
+
+        options, paths = read_arguments(DiagnoseOptions, args), pick_sessions(args.sessions)
+        with show_progress("diagnosing", 1.0) as advance:
+            found = run_diagnosis(paths, options, print_warnings, advance, foretell)
+            advance(DRIVEN, "")
+            text = json.dumps(found.to_json(), indent=1) + "\n"
+        car = found.make_car(args.output) if args.output else None
+        there = [write(*each) for each in (car_outputs(args.output, car) if car else {}).items()]
+        write(named["--json"], text)
+        if args.json == "-":
+            print(text, end="", flush=True)
+        else:
+            print(found.describe(args.output if any(there) else None, args.report), flush=True)
+        # What is on the screen is written; what takes longer is added.
+        with show_progress("writing", 1.0) as advance:
+            advance(0.0, "drawing the report" if args.report else "")
+            write(args.report, found.render_report() if args.report else None)
+        write(args.prediction, found.findings.shrinkage.text)  # where it could not be, at first
     if car is not None:
-        report_refusal(args.output)
+        report_refusal(car)
     return ExitCode.OK
 
 
-def _check_outputs(args: argparse.Namespace) -> None:
-    """What cannot be written is reported before the work, not after it."""
-    from steerd.daemon.common.outputs import check_outputs
-
+def _named_outputs(args: argparse.Namespace) -> dict[str, Path | None]:
+    """What is to be written, by option."""
     named = args.json if args.json != "-" else None
     if named is not None and named.endswith(".mcap"):
         what = f"--json {named}: that is a session"
         raise SteerdError(what, "put --json last, or --json gap.json", ExitCode.USAGE)
-    check_outputs(
-        {
-            "--json": Path(named) if named else None,
-            "--report": args.report,
-            "-o": args.output,
-            "--prediction": args.prediction,
-        }
-    )
-
-
-def _announce(prediction: str, path: Path | None, late: list[str]) -> None:
-    """The prediction's digest, and the prediction itself, before anything is measured.
-
-    Where it cannot be written, the diagnosis goes on: the digest is on the screen, so the same
-    text, kept in `late`, may be written after it.
-    """
-    import hashlib
-
-    from steerd.daemon.common.written import write_outputs
-
-    digest = hashlib.sha256(prediction.encode()).hexdigest()
-    print(f"predicted before measuring: sha256 {digest}", file=sys.stderr)
-    try:
-        write_outputs({path: prediction})
-    except SteerdError:
-        late.append(prediction)
+    return {
+        "--json": Path(named) if named else None,
+        "--report": args.report,
+        "-o": args.output,
+        "--prediction": args.prediction,
+    }

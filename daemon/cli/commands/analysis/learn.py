@@ -8,6 +8,7 @@ steerd learn RUN.mcap --base car.toml --json
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 from steerd.daemon.cli.inputs import reads_car
@@ -31,11 +32,14 @@ def run(args: argparse.Namespace) -> int:
     """
     from steerd.daemon.analysis.learning import learn_session
     from steerd.daemon.common.progress import show_progress
+    from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.learning.text import encode_model, format_model
 
     path = pick_session(args.session)
     with show_progress("learning", 1.0) as advance:
         found = learn_session(path, args.base, share=advance)
+    if found.remark:
+        print_labelled("note: ", found.remark, sys.stderr)
     if args.json:
         import json
 

@@ -88,7 +88,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _read_plan(file: Path) -> "SweepPlan":
-    from steerd.daemon.analysis.sources import read_car
+    from steerd.daemon.analysis.options import read_car
     from steerd.daemon.many.sweep.plan import make_sweep_plan, read_sweep_file
 
     given = read_sweep_file(file)

@@ -17,6 +17,7 @@ from steerd.daemon.cli.inputs import reads_car, reads_session
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
+    from steerd.car_model.car_file import CarFile
     from steerd.daemon.setup.steering_calibration import SteeringCalibration
     from steerd.vesc_link.scaling import Scaling
 
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _from_session(args: argparse.Namespace) -> int:
     from steerd.daemon.common.screen import print_labelled
-    from steerd.daemon.settings.car_edit import load_text
+    from steerd.daemon.common.translate import load_car_file
     from steerd.daemon.setup.calibration_data import load_recorded, make_motion, steering_commands
     from steerd.daemon.setup.steering_calibration import calibrate_steering
 
@@ -63,8 +64,8 @@ def _from_session(args: argparse.Namespace) -> int:
     print("\n".join(_describe(found, scaling)))
     for warning in found.warnings:
         print_labelled("warning: ", warning, sys.stderr)
-    text = load_text(args.car) if args.car else r.text
-    return _finish(args, text, servo_values(scaling))
+    base = load_car_file(args.car) if args.car else r.settings.file
+    return _finish(args, base, servo_values(scaling))
 
 
 def servo_scaling(found: "SteeringCalibration", old: "Scaling") -> "Scaling":
@@ -106,22 +107,21 @@ def _describe(found: "SteeringCalibration", scaling: "Scaling") -> list[str]:
     ]
 
 
-def _finish(args: argparse.Namespace, text: str, values: dict[tuple[str, str], float]) -> int:
-    from steerd.daemon.common.written import write_outputs
-    from steerd.daemon.settings.car_edit import edit_text
+def _finish(args: argparse.Namespace, base: "CarFile", values: dict[tuple[str, str], float]) -> int:
+    from steerd.daemon.common.written import car_outputs, write_outputs
+    from steerd.daemon.settings.car_edit import edit_car
 
-    new = edit_text(text, values)
+    new = edit_car(base, values)
     if args.output is None:
         print("   next: the same with -o car.toml writes it")
         return ExitCode.OK
-    write_outputs({args.output: new})
+    write_outputs(car_outputs(args.output, new))
     print(f"{args.output}: written\n   next: steerd config --check {args.output}")
     return ExitCode.OK
 
 
 def _from_keys(args: argparse.Namespace) -> int:
     from steerd.car_model.car_file import default_car_path
-    from steerd.daemon.settings.car_edit import load_text
     from steerd.daemon.settings.config import load_settings
     from steerd.daemon.terminal.servo_keys import steer_by_keys
     from steerd.steer_bus.clock import MonotonicClock
@@ -133,4 +133,4 @@ def _from_keys(args: argparse.Namespace) -> int:
     if scaling is None:
         print("nothing was changed")
         return ExitCode.INTERRUPTED
-    return _finish(args, load_text(path), servo_values(scaling))
+    return _finish(args, settings.file, servo_values(scaling))

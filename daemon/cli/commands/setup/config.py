@@ -39,30 +39,31 @@ def run(args: argparse.Namespace) -> int:
         SteerdError: a file cannot be read, or is not right.
     """
     from steerd.car_model.car_file import default_car_path
-    from steerd.daemon.settings.car_edit import edit_text, load_text
+    from steerd.daemon.settings.car_edit import edit_car
     from steerd.daemon.settings.config import load_settings
 
     path = args.check or default_car_path()
     if args.from_vesc_yaml:
         from steerd.daemon.settings.vesc_yaml import make_car_values, read_vesc_yaml
 
-        base = load_settings(path).scaling
-        scaling = read_vesc_yaml(_read(args.from_vesc_yaml), base)
-        print(edit_text(load_text(path), make_car_values(scaling)), end="")
+        base = load_settings(path)
+        scaling = read_vesc_yaml(_read(args.from_vesc_yaml), base.scaling)
+        print(edit_car(base.file, make_car_values(scaling)).text, end="")
         return ExitCode.OK
     if args.to_vesc_yaml:
         return _to_yaml(load_settings(path), args.to_vesc_yaml)
     if args.check:
         return _check(args.check)
-    print(load_text(path), end="")
+    print(load_settings(path).file.text, end="")
     return ExitCode.OK
 
 
 def _check(path: Path) -> int:
     from steerd.daemon.assembly.car_check import plan_car
     from steerd.daemon.common.screen import NBSP, wrap
+    from steerd.daemon.common.translate import load_car_file
 
-    settings, plan = plan_car(path)
+    settings, plan = plan_car(load_car_file(path))
     print("\n".join(describe(settings)))
     label = "  controller  "
     about = re.sub(r"(?<=\d) (?=[mH])", NBSP, plan.controller.report.describe())  # with its unit

@@ -121,8 +121,9 @@ def _check_live(args: argparse.Namespace) -> "list[Check]":
 def _calibrate(args: argparse.Namespace) -> int:
     from steerd.daemon.common.outputs import check_outputs
     from steerd.daemon.common.screen import print_labelled
-    from steerd.daemon.common.written import write_outputs
-    from steerd.daemon.settings.car_edit import edit_text, load_text
+    from steerd.daemon.common.translate import load_car_file
+    from steerd.daemon.common.written import car_outputs, write_outputs
+    from steerd.daemon.settings.car_edit import edit_car
     from steerd.daemon.setup.calibration_data import load_recorded, make_drive
     from steerd.daemon.setup.mount_calibration import calibrate_mount
 
@@ -133,12 +134,11 @@ def _calibrate(args: argparse.Namespace) -> int:
     print("\n".join(_describe(found, r)))
     for warning in found.warnings:
         print_labelled("warning: ", warning, sys.stderr)
-    base = load_text(args.car) if args.car else r.text
-    text = edit_text(base, values)
+    car = edit_car(load_car_file(args.car) if args.car else r.settings.file, values)
     if args.output is None:
         print(f"   next: steerd mocap calibrate {args.session} -o car.toml")
         return ExitCode.OK
-    write_outputs({args.output: text})
+    write_outputs(car_outputs(args.output, car))
     print(f"{args.output}: written\n   next: steerd run --sim --car {args.output}")
     print("         (on the car: --port and --mocap for --sim)")
     return ExitCode.OK

@@ -63,7 +63,7 @@ def test_the_identified_car_is_simulated_saved_and_read_again(fit, tmp_path):
 def test_what_is_stated_stands_in_the_car(drive):
     found = steerd.identify(drive, free=["speed_lag"], fix={"mass": 3.0, "lf": None})
     assert found.car.car.mass == 3.0
-    assert found.car.car.lf == found.request.car.car.lf
+    assert found.car.car.lf == found.base.car.lf
 
 
 def test_a_cause_is_named_and_goes_into_the_car(gap):

@@ -8,7 +8,7 @@ import pytest
 from steerd.daemon.analysis import drives as module
 from steerd.daemon.analysis.diagnose_split import split_drives
 from steerd.daemon.analysis.drives import is_same, load_drives, refuse_copies, without_reserved
-from steerd.daemon.analysis.held_out import HeldOut
+from steerd.daemon.analysis.options import HeldOut
 from steerd.daemon.common.errors import SteerdError
 from steerd.sysid.data.dataset import Signal, make_run
 
@@ -63,7 +63,7 @@ def minutes(monkeypatch):
         turned = t / 5.0
         pose = np.column_stack([5.0 * np.sin(turned), -5.0 * np.cos(turned), turned])
         steer, speed = Signal(t, 0.1 * np.sin(t)), Signal(t, np.ones_like(t))
-        return make_run(path.name, steer, speed, Signal(t, pose))
+        return None, make_run(path.name, steer, speed, Signal(t, pose))
 
     monkeypatch.setattr(module, "load_drive", load)
 
@@ -72,7 +72,7 @@ def minutes(monkeypatch):
         paths = [Path(f"{name}.mcap") for name in names]
         found = load_drives(paths, "command", said.extend, read.append)
         assert read == [(n + 1) / len(paths) for n in range(len(paths))]
-        return found, said
+        return found.runs, said
 
     return opened
 

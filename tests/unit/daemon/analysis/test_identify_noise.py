@@ -1,10 +1,9 @@
-"""`[noise]` of `steerd identify -o`: learnt where the car moves, as `steerd diagnose` judges."""
+"""Noise of `steerd identify -o`: learnt where the car moves, as `steerd diagnose` judges."""
 
 import numpy as np
-import tomlkit
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.daemon.analysis.car_output import with_knowledge
+from steerd.daemon.analysis.car_output import learn_known
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import SPEED_MIN, moving_segments
 from steerd.sysid.inference.noise import Noise, noise_section
@@ -27,16 +26,16 @@ def test_noise_is_learnt_where_the_car_moves(monkeypatch):
         lambda car, runs: (seen.extend(runs), {"noise": noise_section(NOISE)})[1],
     )
     run = _half_standing()
-    text = with_knowledge(load_car(default_car_path()), (run,))
-    assert tomlkit.parse(text)["noise"] == noise_section(NOISE)
+    known = learn_known(load_car(default_car_path()), (run,))
+    assert known == {"noise": noise_section(NOISE)}
     assert [r.duration for r in seen] == [r.duration for r in moving_segments([run])]
     assert all(np.all(r.commands[:, 1] > SPEED_MIN) for r in seen)
     assert sum(r.duration for r in seen) < 10.0
 
 
-def test_a_creeping_car_leaves_the_file_as_it_is():
+def test_a_creeping_car_teaches_nothing():
     t, pace = np.arange(1000) * 0.01, 0.5 * SPEED_MIN
     pose = Signal(t, np.column_stack([pace * t, np.zeros((1000, 2))]))
     run = make_run("creep", Signal(t, np.zeros(1000)), Signal(t, np.full(1000, pace)), pose)
     car = load_car(default_car_path())
-    assert with_knowledge(car, (run,)) == car.text
+    assert learn_known(car, (run,)) == {}

@@ -2,18 +2,35 @@
 
 from dataclasses import replace
 from math import inf, nan
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.analysis.identify_text import describe, improved
+from steerd.daemon.analysis.drives import Drives
+from steerd.daemon.analysis.identification import Identification
+from steerd.daemon.analysis.options import IdentifyOptions
+from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.log_jitter import LogJitter
 from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row, Step
 from steerd.sysid.estimation.validation import Prediction, Regime
 
 DRIVEN = Excitation(60.0, 100.0, 1.0, 2.0, 0.1, 1.0, 0.4, 0.4, 3.0, ())
+
+
+SIMULATED = {"steerd.session": {"options": encode_options(RunOptions("", simulated=True))}}
+
+
+def describe(found, written=None, *, wheelbase=None, metadata=SIMULATED) -> str:
+    return identified(found, wheelbase, metadata).describe(written)
+
+
+def identified(found, wheelbase=None, metadata=SIMULATED) -> Identification:
+    info = SimpleNamespace(path=Path("drives/a b.mcap"), metadata=metadata)
+    drives = Drives((SimpleNamespace(info=lambda: info),), ())
+    return Identification(IdentifyOptions(wheelbase=wheelbase), None, drives, found)
 
 
 def outcome(*positions: tuple[float, float]) -> Outcome:
@@ -48,22 +65,44 @@ def outcome(*positions: tuple[float, float]) -> Outcome:
     ],
 )
 def test_the_longest_known_prediction_decides(positions, better):
-    assert improved(outcome(*positions)) is better
+    assert identified(outcome(*positions)).improved is better
 
 
 def test_parameters_of_effects_stand_beside_the_cars():
     row = Row(0.02, 1.0, 0.99, "1", True, False, "ramp to the limit")
     said = describe(replace(outcome((0.1, 0.4)), effect_rows={"tyre_saturation.q": row}))
-    assert "tyre_saturation.q     (0.02)     0.99           1 1  not identifiable" in said
-    assert "   tyre_saturation.q: ramp to the limit" in said
-    assert "lf                       0.2     0.01        0.16 m" in said
+    told = "These drives do not identify tyre_saturation.q; what would help most is ramp to the"
+    assert told in " ".join(said.split())
+    assert "lf                      0.200 ± 0.010 m       changed" in said
+
+
+def test_what_is_not_identified_is_one_sentence_with_the_drive_that_helps_most():
+    hints = {"lf": "slow bends", "lr": "bends", "mass": "", "c_sf": "bends"}
+    rows = {n: Row(0.2, 0.16, 0.1, "m", True, False, hint) for n, hint in hints.items()}
+    rows["mu"] = Row(1.0, 1.001, 0.01, "1", True, True)
+    said = describe(replace(outcome((0.1, 0.4)), rows=rows)).split("\n\n")[1]
+    assert said.splitlines() == [
+        "mu                      1.000 ± 0.010         unchanged",
+        "These drives do not identify lf, lr, mass, c_sf; what would help most is bends.",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "shown"),
+    [(15.293, 0.17, "15.29 ± 0.17"), (1234.0, 250.0, "1234 ± 250"), (0.2, None, "0.2 ± ?"),
+     (2.5e-9, 3.1e-10, "2.5e-09 ± 3.1e-10")],
+)  # fmt: skip
+def test_a_value_has_the_digits_of_its_error(value, sd, shown):
+    row = Row(value, 0.0, sd, "1", True, True)
+    assert f" {shown} " in describe(replace(outcome((0.1, 0.4)), rows={"c_x": row}))
 
 
 def test_a_result_that_helps_is_driven_with(tmp_path):
     said = describe(outcome((0.1, 0.4)), tmp_path / "car.toml")
     assert "0.5 s     100.0 mm" in said
     assert "4.0 x" in said
-    assert f"steerd run --sim --car {tmp_path / 'car.toml'}" in said
+    assert f"steerd run --sim --fast --duration 20 --car {tmp_path / 'car.toml'}\n" in said
+    assert "steerd diagnose 'drives/a b.mcap' --base " in said
 
 
 def test_a_result_that_does_not_help_is_not_and_the_axles_may_be_why():
@@ -72,15 +111,18 @@ def test_a_result_that_does_not_help_is_not_and_the_axles_may_be_why():
     assert "keep the old car file" in said
     assert "--wheelbase" in said
     assert "--car" not in said
-    assert "--wheelbase" not in describe(worse, axles_measured=True)
+    assert "--wheelbase" not in describe(worse, wheelbase=0.33)
 
 
 def test_drives_that_are_too_gentle_are_not_blamed_on_the_axles():
     row = Row(0.2, 0.16, 0.1, "m", True, False, "bends")
     fitted = SimpleNamespace(misfit={"position": 1.1}, iterations=3)
-    said = describe(replace(outcome((0.4, 0.1)), rows={"lf": row}, fit=fitted))
+    found = replace(outcome((0.4, 0.1)), rows={"lf": row}, fit=fitted)
+    said = describe(found)
     assert "keep the old car file" in said
     assert "too gentle" in said
+    assert "`steerd collect --plan mixed --sim --fast`" in said
+    assert "`steerd collect --help`" in describe(found, metadata={})
     assert "--wheelbase" not in said
 
 

@@ -13,11 +13,11 @@ from steerd.daemon.assembly.sim_car import (
     SHARES,
     compare_truths,
     load_sim_car,
-    read_sim_option,
+    read_origin,
     read_true_car,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.settings.run_options import RunOptions
+from steerd.daemon.settings.run_options import RunOptions, encode_options
 
 CAR_FILE = Path(__file__).resolve().parents[4] / "config" / "f1tenth.toml"
 
@@ -68,8 +68,21 @@ def test_the_car_file_is_the_controllers_and_the_other_one_is_driven(tmp_path):
 def test_a_session_tells_its_true_car_and_how_to_drive_it_again():
     plan = make("hidden:5")
     assert read_true_car(meta(plan)) == plan.sim.file.car != plan.settings.file.car
-    assert read_sim_option(meta(plan)) == " --sim-car hidden:5"
-    assert read_sim_option(meta(make())) == ""
+    assert read_origin(meta(plan)) == "--sim --fast --sim-car hidden:5"
+    assert read_origin(meta(make())) == "--sim --fast"
+    assert read_origin({"steerd.session": {"mode": "import"}}) == ""
+
+
+def test_a_car_is_driven_again_through_its_own_port_and_mocap():
+    options = RunOptions("gone.toml", port="/dev/vesc", mocap="vrpn://lab/my car")
+    found = {"steerd.session": {"options": encode_options(options)}}
+    assert read_origin(found) == "--port /dev/vesc --mocap 'vrpn://lab/my car'"
+
+
+def test_effects_go_with_the_simulated_car_and_not_with_a_file_that_has_them():
+    found = meta(make(effects=("steer_lag=0.02",)))
+    assert read_origin(found) == "--sim --fast --effect steer_lag=0.02"
+    assert read_origin(found, own_car=False) == "--sim --fast"
 
 
 def test_sessions_of_different_true_cars_are_told_apart():

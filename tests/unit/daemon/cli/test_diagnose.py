@@ -14,12 +14,13 @@ import pytest
 from steerd.car_model.car_file import load_car
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.car_output import diagnosed_values
-from steerd.daemon.analysis.diagnose_case import make_case
 from steerd.daemon.analysis.diagnose_text import COLUMNS, LINES
-from steerd.daemon.analysis.held_out import HeldOut, parse_held_out
+from steerd.daemon.analysis.diagnosis import make_case
+from steerd.daemon.analysis.options import DiagnoseOptions, HeldOut, read_arguments, read_held_out
 from steerd.daemon.cli.commands.analysis import diagnose as command
 from steerd.daemon.cli.main import run_cli as main
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.cli.session_argument import split_held_out
+from steerd.daemon.common.errors import SteerdError
 from tests.csv_logs import STEP, import_log, make_noisy_rows
 
 pytestmark = pytest.mark.slow
@@ -131,16 +132,9 @@ def test_help_says_what_it_does(capsys):
         main(["diagnose", "--help"])
     assert stopped.value.code == 0
     text = capsys.readouterr().out
-    for option in ("--held-out", "--base", "--only", "--without", "--report", "--dask"):
+    for option in ("--held-out", "--base", "--only", "--without", "--report"):
         assert option in text
     assert "--runs-held-out" not in text
-
-
-def test_an_option_that_is_gone_says_what_replaced_it(tmp_path, capsys):
-    (tmp_path / "a.mcap").write_bytes(b"")
-    argv = ["diagnose", str(tmp_path / "a.mcap"), "--dask", "tcp://127.0.0.1:1"]
-    assert main(argv) == ExitCode.USAGE
-    assert "steerd batch diagnose" in capsys.readouterr().err
 
 
 # --- what is refused
@@ -262,7 +256,8 @@ def test_options_that_make_no_sense(options, code, words, diagnosed, tmp_path, m
     ],
 )
 def test_what_is_held_out(given, held_out):
-    assert parse_held_out(given) == held_out
+    parsed = [part for text in given for part in split_held_out(text)]
+    assert read_held_out(parsed) == held_out
 
 
 # --- what is looked at and what is held out
@@ -271,8 +266,9 @@ def test_what_is_held_out(given, held_out):
 def case_of(*words):
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
-    request = command.make_request(parser.parse_args([str(word) for word in words]))
-    return make_case(request, lambda texts: None, lambda share: None)
+    args = parser.parse_args([str(word) for word in words])
+    options = read_arguments(DiagnoseOptions, args)
+    return make_case([Path(p) for p in args.sessions], options, lambda _: None, lambda _: None)
 
 
 @pytest.fixture(scope="module")
@@ -283,18 +279,18 @@ def four(rows, tmp_path_factory):
 
 def test_of_many_sessions_every_fourth_is_held_out_whole(four):
     case = case_of(*four)
-    assert {run.name for run in case.runs} == {"run0.mcap", "run1.mcap", "run2.mcap"}
-    assert {run.name for run in case.held_out()} == {"run3.mcap"}
-    assert case.held_out_of == "every 4th session: run3.mcap"
-    assert not any("blocks" in note for note in case.notes)
+    assert {run.name for run in case.split.runs} == {"run0.mcap", "run1.mcap", "run2.mcap"}
+    assert {run.name for run in case.split.later()} == {"run3.mcap"}
+    assert case.split.held_out_of == "every 4th session: run3.mcap"
+    assert not any("blocks" in note for note in case.split.notes)
 
 
 def test_named_files_are_held_out_even_if_they_are_given_twice(four):
     case = case_of(*four, "--held-out", f"{four[1]},{four[2]}")
-    assert {path.name for path in case.sessions} == {"run0.mcap", "run3.mcap"}
-    assert {run.name for run in case.runs} == {"run0.mcap", "run3.mcap"}
-    assert {run.name for run in case.held_out()} == {"run1.mcap", "run2.mcap"}
-    assert any("2 sessions, cut into blocks" in note for note in case.notes)
+    assert {path.name for path in case.drives.paths} == {"run0.mcap", "run3.mcap"}
+    assert {run.name for run in case.split.runs} == {"run0.mcap", "run3.mcap"}
+    assert {run.name for run in case.split.later()} == {"run1.mcap", "run2.mcap"}
+    assert any("2 sessions, cut into blocks" in note for note in case.split.notes)
 
 
 def test_reserved_sessions_are_not_opened_before_they_are_asked_for(four, tmp_path):
@@ -302,14 +298,14 @@ def test_reserved_sessions_are_not_opened_before_they_are_asked_for(four, tmp_pa
     broken.write_bytes(b"nothing")
     case = case_of(*four, "--held-out", broken)
     with pytest.raises(SteerdError, match=r"broken\.mcap"):
-        case.held_out()
+        case.split.later()
 
 
 def test_blocks_of_one_session_share_no_measurement(diagnosed):
     case = case_of(diagnosed[0] / "run.mcap")
     spans = sorted(
         (run.start + run.pose.t[0], run.start + run.pose.t[-1])
-        for run in (*case.runs, *case.held_out())
+        for run in (*case.split.runs, *case.split.later())
     )
     assert len(spans) >= 3
     assert all(a[1] < b[0] for a, b in itertools.pairwise(spans))
@@ -318,7 +314,7 @@ def test_blocks_of_one_session_share_no_measurement(diagnosed):
 def test_windows_of_blocks_reach_a_second_ahead(diagnosed):
     from steerd.sysid.data.windows import make_layout
 
-    layout = make_layout(case_of(diagnosed[0] / "run.mcap").runs, 1.0)
+    layout = make_layout(case_of(diagnosed[0] / "run.mcap").split.runs, 1.0)
     assert (layout.spans[:, 3] * layout.h).min() >= 0.99
 
 
@@ -329,8 +325,8 @@ def test_too_few_blocks_for_what_is_asked_are_refused(diagnosed):
 
 def test_nothing_is_held_out_on_demand(diagnosed):
     case = case_of(diagnosed[0] / "run.mcap", "--held-out", "0")
-    assert case.held_out is None
-    assert any("predicted, not measured" in note for note in case.notes)
+    assert case.split.later is None
+    assert any("predicted, not measured" in note for note in case.split.notes)
 
 
 def test_healthy_drives_and_the_named_base_are_taken(four, diagnosed):
@@ -339,7 +335,7 @@ def test_healthy_drives_and_the_named_base_are_taken(four, diagnosed):
     )
     assert {run.name for run in case.healthy} == {"run1.mcap", "run2.mcap"}
     assert [effect.name for effect in case.base.effects] == ["steer_delay"]
-    assert not any("default car" in note for note in case.notes)
+    assert not any("default car" in note for note in case.split.notes)
 
 
 def test_effects_go_by_their_aliases_too(four):
@@ -352,7 +348,7 @@ def test_old_spellings_mean_the_same(four, diagnosed):
     car = diagnosed[0] / "car.toml"
     old = case_of(four[0], four[1], "--runs-held-out", four[1], "--car", car)
     new = case_of(four[0], four[1], "--held-out", four[1], "--base", car)
-    assert old.held_out_of == new.held_out_of == "run1.mcap"
+    assert old.split.held_out_of == new.split.held_out_of == "run1.mcap"
     assert old.base_source == new.base_source == str(car)
 
 

@@ -3,6 +3,8 @@
 import contextlib
 import json
 import resource
+import signal
+import tomllib
 from functools import partial
 from types import SimpleNamespace
 
@@ -11,6 +13,7 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.params import DEFAULT_CAR
+from steerd.daemon.analysis.identification import Identification
 from steerd.daemon.cli.main import run_cli as main
 from steerd.daemon.common.errors import SteerdError
 from steerd.steer_bus.session import SessionWriter
@@ -48,8 +51,10 @@ def test_a_drive_becomes_a_car_file_json_and_report(rows, importer, tmp_path, ca
     given = ["--fix", "mass=3.2"]
     assert main(["identify", str(session), *FREE, *given, *_outputs(tmp_path)]) == 0
     screen = capsys.readouterr().out
-    assert "next: steerd run --sim --car" in screen
+    assert "next: steerd run --sim --fast --duration 20 --car" in screen
     car = load_car(tmp_path / "car.toml")
+    assert not {"noise", "knowledge"} & tomllib.loads(car.text).keys()
+    assert {"noise", "knowledge"} <= car.sections.keys()
     assert car.car.steer_gain == pytest.approx(TRUE.steer_gain, rel=0.02)
     assert car.car.c_sf == pytest.approx(TRUE.c_sf, rel=0.1)
     assert car.sd["steer_gain"] > 0.0
@@ -233,7 +238,7 @@ def test_json_to_the_terminal_is_all_that_is_printed(rows, importer, tmp_path, c
     assert not (tmp_path / "-").exists()
 
 
-def test_the_result_is_on_the_screen_before_the_noise_and_the_noise_before_any_file(
+def test_what_is_on_the_screen_is_written_and_an_interrupt_leaves_it(
     rows, importer, tmp_path, monkeypatch, capsys
 ):
     steps, out = [], tmp_path / "out"
@@ -243,15 +248,22 @@ def test_the_result_is_on_the_screen_before_the_noise_and_the_noise_before_any_f
     def shown(label, total):
         yield lambda done, step="": steps.append((label, done / max(total, 1.0), step))
 
-    def interrupted(car, runs, learnt):
-        assert "steer_gain " in capsys.readouterr().out
-        raise KeyboardInterrupt
+    def interrupted(found, car):
+        said = capsys.readouterr().out
+        assert "steer_gain " in said
+        assert str(out / "car.toml") in said
+        signal.raise_signal(signal.SIGINT)
 
     session = importer(rows)
+    capsys.readouterr()
     monkeypatch.setattr("steerd.daemon.common.progress.show_progress", shown)
-    monkeypatch.setattr("steerd.daemon.analysis.identification.with_knowledge", interrupted)
+    monkeypatch.setattr(Identification, "learn_known", interrupted)
     assert main(["identify", str(session), *FREE, *_outputs(out)]) == 130
-    assert list(out.iterdir()) == []
+    assert {path.name for path in out.iterdir()} == {"car.toml", "o.json", "r.html"}
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("interrupted: ")
+    assert line.endswith(f"are written, {out / 'car.posterior.json'} is not")
+    assert "car.posterior.json is missing" in load_car(out / "car.toml").remark
     assert [step for *_, step in steps] == [
         "reading the drives",
         "fitting the car",
@@ -261,6 +273,19 @@ def test_the_result_is_on_the_screen_before_the_noise_and_the_noise_before_any_f
     places = [(label, share) for label, share, _ in steps]
     assert places == sorted(places), "identifying, then writing; neither bar goes back"
     assert places[-1][1] < 0.5, "the noise takes longer than all before it"
+
+
+def test_an_interrupted_fit_says_that_nothing_is_written(
+    rows, importer, tmp_path, monkeypatch, capsys
+):
+    def interrupted(task, clock):
+        signal.raise_signal(signal.SIGINT)
+
+    session = importer(rows)
+    capsys.readouterr()
+    monkeypatch.setattr("steerd.daemon.analysis.identification.learn", interrupted)
+    assert main(["identify", str(session), "-o", str(tmp_path / "car.toml")]) == 130
+    assert capsys.readouterr().err == "interrupted: nothing is written\n"
 
 
 def test_a_full_disk_takes_the_files_and_not_the_table(rows, importer, tmp_path, capsys):
@@ -301,14 +326,13 @@ def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path
         raise SteerdError(f"{path}: car.lf: expected a number >= 0.02", "lf = 0.15")
 
     found = SimpleNamespace(
-        to_json=dict, make_car_text=refuse, render_report=lambda: "<html>", improved=False,
-        outcome=None,
+        to_json=dict, make_car=refuse, render_report=lambda: "<html>", improved=False,
+        describe=lambda written: "TABLE",
     )  # fmt: skip
     session = tmp_path / "a.mcap"
     SessionWriter(session, {}, {}).finish({})
     monkeypatch.setattr("steerd.daemon.analysis.identification.run_identification",
                         lambda *_: found)  # fmt: skip
-    monkeypatch.setattr("steerd.daemon.analysis.identify_text.describe", lambda *_, **__: "TABLE")
     car, page = tmp_path / "car.toml", tmp_path / "page.html"
     code = main(["identify", str(session), "-o", str(car), "--report", str(page)])
     said = capsys.readouterr()

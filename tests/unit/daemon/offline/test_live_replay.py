@@ -105,7 +105,7 @@ def true_offsets(session, plan, start, end):
 
 def test_such_a_drive_is_no_measure_of_a_simulated_one(session):
     with pytest.raises(NotALaneDriveError, match="live parameters were changed"):
-        compare_lane(session.info().path, load_car(default_car_path()), {})
+        compare_lane(session, load_car(default_car_path()), {})
 
 
 def test_the_lane_lies_beside_the_path(session):

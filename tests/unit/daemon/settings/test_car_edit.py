@@ -4,22 +4,23 @@ import tomllib
 
 import pytest
 
-from steerd.car_model.car_file import default_car_path
+from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.settings.car_edit import edit_text, load_text
+from steerd.daemon.common.translate import load_car_file
+from steerd.daemon.settings.car_edit import edit_car
 
 DEFAULT = default_car_path().read_text()
 
 
 def test_edits_keep_comments_and_order():
-    text = edit_text(
-        load_text(default_car_path()),
+    text = edit_car(
+        load_car(default_car_path()),
         {
             ("mocap", "marker_rear_x"): 0.21,
             ("vesc", "erpm_gain"): 4300.0,
             ("vesc", "uuid"): "ab" * 12,
         },
-    )
+    ).text
     old, new = DEFAULT.splitlines(), text.splitlines()
     kept = [line for line in new if "uuid" not in line]
     changed = [(a, b) for a, b in zip(old, kept, strict=True) if a != b]
@@ -38,13 +39,13 @@ def test_edits_keep_comments_and_order():
 )
 def test_edits_with_an_invalid_result_are_refused(key, value, said):
     with pytest.raises(SteerdError, match=said):
-        edit_text(DEFAULT, {key: value})
+        edit_car(load_car(default_car_path()), {key: value})
 
 
 def test_a_file_that_cannot_be_read_or_is_invalid_is_refused(tmp_path):
     with pytest.raises(SteerdError):
-        load_text(tmp_path / "none.toml")
+        load_car_file(tmp_path / "none.toml")
     path = tmp_path / "car.toml"
     path.write_text("[car]\nmass = -1.0\n")
     with pytest.raises(SteerdError):
-        load_text(path)
+        load_car_file(path)

@@ -1,11 +1,12 @@
 """Folders, patterns and files; car files by the cars' names; what a session's row depends on."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from steerd.car_model.car_file import default_car_path
+from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.many.batch.sources import (
     Question,
@@ -76,10 +77,15 @@ def test_a_file_that_was_written_since_is_another_unit(folder):
 
 
 def test_rows_depend_on_the_question_and_the_cars():
-    one = Question("identify", {"red": "x"})
-    assert one.digest() == Question("identify", {"red": "x"}).digest()
-    others = [Question("diagnose", {"red": "x"}), Question("identify", {"red": "y"})]
-    assert len({one.digest(), *(other.digest() for other in others)}) == 3
+    car = load_car(default_car_path())
+    one = Question("identify", {"red": car})
+    assert one.digest() == Question("identify", {"red": car}).digest()
+    others = [
+        Question("diagnose", {"red": car}),
+        Question("identify", {"red": replace(car, text="y")}),
+        Question("identify", {"red": replace(car, posterior="y")}),
+    ]
+    assert len({one.digest(), *(other.digest() for other in others)}) == 4
 
 
 def test_what_is_shipped_is_read_when_it_leaves(folder):

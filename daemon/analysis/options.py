@@ -1,0 +1,190 @@
+"""What `identify` and `diagnose` are asked: one frozen value each.
+
+A notebook's keyword arguments are the fields of that value, and so are the parsed arguments of the
+command line.
+"""
+
+import argparse
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import wraps
+from pathlib import Path
+from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
+
+from steerd.car_model.car_file import CarFile, default_car_path
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.translate import load_car_file
+
+EVERY = 4
+"""Unless stated otherwise every 4th block or session is held out."""
+
+Speed = Literal["command", "wheel"]
+"""What drives the simulated car: the speed command, or the measured wheel speed."""
+Method = Literal["ours", "paper", "cma-es"]
+
+
+class HasPath(Protocol):
+    """A recorded session: anything with its file."""
+
+    @property
+    def path(self) -> Path:
+        """The session file."""
+
+
+class HasCar(Protocol):
+    """An identification: anything with a car."""
+
+    @property
+    def car(self) -> CarFile:
+        """The car."""
+
+
+SessionSource = Path | str | HasPath
+SessionSources = SessionSource | Sequence[SessionSource]
+CarSource = CarFile | HasCar | Path | str | None
+HeldOutSource = int | SessionSource | Sequence[int | SessionSource] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifyOptions:
+    """How to identify a car.
+
+    Attributes:
+        car: start values: a car file, an `Identification`; None for the F1TENTH car.
+        held_out: what validates: every k-th block of 5 s (default 4), or whole sessions.
+        effects: the only effects of the library that may be learnt with the car; empty or `auto`
+            for all that the drives show (empty with `free`: none but those).
+        free: parameters to fit; empty for all that the drives can hold.
+        fix: parameters that keep the start value (None) or take this one, in SI units.
+        wheelbase: measured distance of the axles [m].
+        speed: `wheel` takes the measured wheel speed for the command, where a car did not obey it.
+        method: `ours`, or the paper's `paper` and `cma-es`.
+        starts: how many starts; None for 1 (ours) or 5.
+        iterations: of the paper's methods; None for their own number.
+        seed: of random starts.
+        jobs: worker processes.
+        dask: address of a Dask scheduler instead.
+    """
+
+    car: CarSource = None
+    held_out: HeldOutSource = None
+    effects: Sequence[str] | Literal["auto"] = ()
+    free: Sequence[str] = ()
+    fix: Mapping[str, float | None] = field(default_factory=dict)
+    wheelbase: float | None = None
+    speed: Speed = "command"
+    method: Method = "ours"
+    starts: int | None = None
+    iterations: int | None = None
+    seed: int = 0
+    jobs: int = 1
+    dask: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseOptions:
+    """How to diagnose.
+
+    Attributes:
+        base: the car as believed: a car file, an `Identification`; None for the car file inside
+            the first session.
+        healthy: drives of the same car without the gap: they determine how large noise is.
+        held_out: what the shrinkage is measured on: every k-th drive or block (default 4, 0 for
+            none), or whole sessions.
+        only: effects to look at; empty for the library.
+        without: effects to leave out.
+        pairs: whether two causes together are tried.
+        closed_loop: whether a lane drive is driven again in simulation, with and without.
+        speed: `wheel` takes the measured wheel speed for the command, where a car did not obey it.
+        jobs: threads for the candidates.
+    """
+
+    base: CarSource = None
+    healthy: SessionSources = ()
+    held_out: HeldOutSource = None
+    only: Sequence[str] = ()
+    without: Sequence[str] = ()
+    pairs: bool = True
+    closed_loop: bool = True
+    speed: Speed = "command"
+    jobs: int = 1
+
+
+P = ParamSpec("P")
+O = TypeVar("O")  # noqa: E741
+R = TypeVar("R")
+
+
+def by_keywords(
+    options: Callable[P, O],
+) -> Callable[[Callable[[SessionSources, O], R]], Callable[Concatenate[SessionSources, P], R]]:
+    """A function of sessions and options as one of sessions and the options' own keywords."""
+
+    def decorate(work: Callable[[SessionSources, O], R]) -> Callable[..., R]:
+        @wraps(work)
+        def call(sessions: SessionSources, /, *args: P.args, **given: P.kwargs) -> R:
+            return work(sessions, options(*args, **given))
+
+        first = next(iter(inspect.signature(work).parameters.values()))
+        keywords = inspect.signature(options).parameters.values()
+        shown = inspect.Signature([first, *keywords])
+        call.__dict__["__signature__"] = shown
+        call.__doc__ = f"{work.__doc__}\n{options.__doc__}"
+        return call
+
+    return decorate
+
+
+def read_arguments(options: Callable[..., O], args: argparse.Namespace) -> O:
+    """The options of a command line whose arguments are called as the fields."""
+    return options(**{each.name: getattr(args, each.name) for each in fields(options)})  # type: ignore[arg-type]
+
+
+class HeldOut(NamedTuple):
+    """What validates: every k-th part (0 for none, None as usual), or whole sessions."""
+
+    every: int | None = None
+    files: tuple[Path, ...] = ()
+
+
+def read_held_out(given: HeldOutSource) -> HeldOut:
+    """What is held out.
+
+    Raises:
+        SteerdError: the number makes no sense, or stands beside files.
+    """
+    listed = _listed(() if given is None else given)
+    numbers = [each for each in listed if isinstance(each, int)]
+    files = list_sessions([each for each in listed if not isinstance(each, int)])
+    every = numbers[0] if numbers else None
+    if len(numbers) > 1 or (numbers and files):
+        what = f"held out {every}: every K-th part, or files, not both"
+        raise SteerdError(what, "", ExitCode.USAGE)
+    if every is not None and (every < 0 or every == 1):
+        what = f"held out {every}: every K-th part is held out, 2 or more"
+        raise SteerdError(what, "0 holds nothing out", ExitCode.USAGE)
+    return HeldOut(every, files)
+
+
+def _listed(given: Any) -> Sequence[Any]:
+    """One or several, as several."""
+    return given if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
+
+
+def list_sessions(given: SessionSources) -> tuple[Path, ...]:
+    """Session files, of one source or several."""
+    return tuple(Path(e) if isinstance(e, str | Path) else e.path for e in _listed(given))
+
+
+def read_car(given: CarSource) -> CarFile:
+    """A car; the F1TENTH car for None.
+
+    Raises:
+        SteerdError: the car file cannot be read, or says something impossible.
+    """
+    if isinstance(given, CarFile):
+        return given
+    if given is None or isinstance(given, str | Path):
+        return load_car_file(given or default_car_path())
+    return given.car
