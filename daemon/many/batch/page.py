@@ -2,19 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.batch.changes import Change, Series, make_band, split_series
-from steerd.daemon.many.batch.text import nothing_changed, tabulate_changes
+from steerd.daemon.many.batch.text import Rows, nothing_changed, tabulate_changes
 from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_grid, to_svg
 from steerd.sysid.report.report import Report, Section, Table
-
-if TYPE_CHECKING:
-    from steerd.daemon.many.batch.run import Batch
 
 _DAY = 86_400.0
 _FIGURES = 30
@@ -25,17 +22,19 @@ _LEAST_SHARE = 0.01
 
 
 @rc_context(STYLE)
-def make_report(found: "Batch") -> Report:
+def make_report(
+    kind: str, rows: Rows, series: Sequence[Series], changes: Sequence[Change]
+) -> Report:
     """What the page shows."""
-    first: dict[tuple[str, str], Change] = {(c.car, c.quantity): c for c in found.changes}
-    ordered = sorted(found.series, key=lambda s: (s.car, s.quantity) not in first)
-    sections = [Section("Cars", table=_count_cars(found))]
-    if found.changes:
+    first: dict[tuple[str, str], Change] = {(c.car, c.quantity): c for c in changes}
+    ordered = sorted(series, key=lambda s: (s.car, s.quantity) not in first)
+    sections = [Section("Cars", table=_count_cars(rows))]
+    if changes:
         sections.insert(0, Section(
             "What changed, and since when",
             "A step in the estimates of one car that chance explains in less than one batch of a "
             "thousand. Between: days between which the first one lies (95 %).",
-            table=tabulate_changes(found.changes),
+            table=tabulate_changes(changes),
         ))  # fmt: skip
     if ordered:
         drawn = ordered[:_FIGURES]
@@ -47,48 +46,48 @@ def make_report(found: "Batch") -> Report:
             "that changed first.",
             figure=figure,
         ))  # fmt: skip
-    failed = [row for row in found.rows if row["outcome"] != "done"]
+    failed = [row for row in rows if row["outcome"] != "done"]
     if failed:
-        rows = [(clean(str(row["session"]), 60), clean(row["failure"])) for row in failed]
+        shown = [(clean(str(row["session"]), 60), clean(row["failure"])) for row in failed]
         more = len(failed) - _FAILURES
         sections.append(Section(
             "What failed",
             f"{more} more are in the table of `-o`." if more > 0 else "",
-            table=Table(("session", "why"), rows[:_FAILURES], words=(1,)),
+            table=Table(("session", "why"), shown[:_FAILURES], words=(1,)),
         ))  # fmt: skip
     return Report(
-        title=f"{len(found.rows)} sessions, {found.kind}",
+        title=f"{len(rows)} sessions, {kind}",
         subject="",
         about="",
-        lead=_headline(found),
+        lead=_headline(changes, len(series)),
         sections=sections,
         foot="Written by steerd batch. Dates are UTC; units are SI.",
     )
 
 
-def _headline(found: "Batch") -> str:
+def _headline(changes: Sequence[Change], series: int) -> str:
     """The result in a sentence."""
     clearest: dict[str, Change] = {}
-    for change in found.changes:
+    for change in changes:
         clearest.setdefault(change.car, change)
     if not clearest:
-        why = nothing_changed(found)
+        why = nothing_changed(series)
         return f"{why[0].upper()}{why[1:]}."
     parts = [f"{clean(c.car, 24)} since {c.day} ({c.quantity})" for c in clearest.values()]
     return f"Changed: {', '.join(parts)}."
 
 
-def _count_cars(found: "Batch") -> Table:
+def _count_cars(rows: Rows) -> Table:
     """Each car's sessions, failures and days."""
     cars: dict[str, list[Mapping[str, Any]]] = {}
-    for row in found.rows:
+    for row in rows:
         cars.setdefault(str(row.get("car") or "?"), []).append(row)
-    rows = []
+    table = []
     for car, own in sorted(cars.items()):
         days = sorted(row["day"] for row in own if row.get("day")) or ["–"]
         failed = sum(row["outcome"] != "done" for row in own)
-        rows.append((clean(car, 24), str(len(own)), str(failed), days[0], days[-1]))
-    return Table(("car", "sessions", "failed", "first", "last"), rows)
+        table.append((clean(car, 24), str(len(own)), str(failed), days[0], days[-1]))
+    return Table(("car", "sessions", "failed", "first", "last"), table)
 
 
 def _draw(series: Sequence[Series], changes: dict[tuple[str, str], Change]) -> str:

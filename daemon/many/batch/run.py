@@ -90,12 +90,12 @@ class Batch(RowTable):
         """Quantities over weeks with their bands, and the days of changes."""
         from steerd.daemon.many.batch.page import make_report
 
-        return make_report(self)
+        return make_report(self.kind, self.rows, self.series, self.changes)
 
     def __str__(self) -> str:
         from steerd.daemon.many.batch.text import describe_batch
 
-        return describe_batch(self)
+        return describe_batch(self.rows, self.worked, len(self.series), self.changes)
 
 
 def batch(

@@ -1,7 +1,7 @@
 """The page of `steerd sweep`: one HTML file without links."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.sweep.distributions import Distribution
 from steerd.daemon.many.sweep.measures import DRIVEN, STOPPED
-from steerd.daemon.many.sweep.plan import Choice
+from steerd.daemon.many.sweep.plan import Choice, SweepPlan
 from steerd.daemon.many.sweep.summary import STOPS, Sensitivity, Summary, column
 from steerd.daemon.many.sweep.text import (
     SCALES,
@@ -23,9 +23,7 @@ from steerd.daemon.many.sweep.text import (
 from steerd.sysid.report.drawing import AFTER, BEFORE, STYLE, make_grid, to_svg
 from steerd.sysid.report.report import Cell, Report, Section, Table
 
-if TYPE_CHECKING:
-    from steerd.daemon.many.sweep.run import Sweep
-
+Rows = Sequence[Mapping[str, Any]]
 _BINS = 30
 _TICKS = 5
 """Numbers below a small diagram at most: more would touch."""
@@ -38,10 +36,8 @@ _VALUES = 6
 
 
 @rc_context(STYLE)
-def make_report(found: "Sweep") -> Report:
+def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
     """The page: distributions, stops, sensitivity of each to each."""
-    plan, summary = found.plan, found.summary
-    histograms, scatters = _draw_histograms(found), _draw_scatters(found)
     fixed = [] if "path" in plan.vary else [plan.path]
     fixed += [] if "speed" in plan.vary else [f"{plan.speed:g} m/s"]
     seeds = f"{len(plan.seeds)} seeds, {plan.duration:g} s each, loop at {plan.rate:g} Hz"
@@ -58,7 +54,7 @@ def make_report(found: "Sweep") -> Report:
             "sweep FILE.toml` `--again N` `--record drive.mcap` drives it once more and records "
             "it.",
             table=tabulate_spreads(summary),
-            figure=histograms,
+            figure=_draw_histograms(rows, summary),
         ),
     ]
     if summary.sensitivities:
@@ -67,10 +63,10 @@ def make_report(found: "Sweep") -> Report:
             "Rank correlation of each varied quantity with each measure, from −1 to 1; a list of "
             "texts has no sign. Bold: more than chance alone shows in one case of twenty.",
             table=_moves(summary),
-            figure=scatters,
+            figure=_draw_scatters(plan, rows, summary),
         ))  # fmt: skip
     return Report(
-        title=f"{len(found.rows)} drives, each another draw",
+        title=f"{len(rows)} drives, each another draw",
         subject=clean(plan.car.name),
         about="; ".join([seeds, *fixed]),
         lead=_headline(summary),
@@ -124,18 +120,18 @@ def _describe(choice: Choice) -> str:
             return f"{one} to {other}" + (" (logarithmic)" if shape == "log_uniform" else "")
 
 
-def _scaled(rows: Sequence[Mapping[str, Any]], name: str) -> np.ndarray:
+def _scaled(rows: Rows, name: str) -> np.ndarray:
     return column(rows, name) * SCALES.get(UNITS.get(name, ""), (1.0, ""))[0]
 
 
-def _draw_histograms(found: "Sweep") -> str:
+def _draw_histograms(rows: Rows, summary: Summary) -> str:
     """How often each measure takes which value."""
-    names = [spread.name for spread in found.summary.spreads]
+    names = [spread.name for spread in summary.spreads]
     if not names:
         return ""
     figure, axes = make_grid(len(names), 1.9)
     for axis, name in zip(axes, names, strict=True):
-        values = _scaled(found.rows, name)
+        values = _scaled(rows, name)
         axis.hist(values[np.isfinite(values)], bins=_BINS, color=BEFORE)
         axis.locator_params(axis="x", nbins=_TICKS)
         axis.set(title=name_measure(name), ylabel="drives")
@@ -143,22 +139,22 @@ def _draw_histograms(found: "Sweep") -> str:
     return to_svg(figure)
 
 
-def _draw_scatters(found: "Sweep") -> str:
+def _draw_scatters(plan: SweepPlan, rows: Rows, summary: Summary) -> str:
     """The strongest dependences, a point for each drive."""
-    units = {q.name: q.unit for q in found.plan.quantities}
-    strong = [s for s in list_strongest(found.summary) if s.measure != STOPS][:_SCATTERS]
+    units = {q.name: q.unit for q in plan.quantities}
+    strong = [s for s in list_strongest(summary) if s.measure != STOPS][:_SCATTERS]
     if not strong:
         return ""
     figure, axes = make_grid(len(strong), 2.4)
     for axis, s in zip(axes, strong, strict=True):
-        _draw_scatter(axis, found.rows[:_POINTS], s)
+        _draw_scatter(axis, rows[:_POINTS], s)
         unit = units[s.quantity]
         axis.set_xlabel(f"{s.quantity} [{unit}]" if unit not in ("", "1") else s.quantity)
         axis.set_ylabel(name_measure(s.measure))
     return to_svg(figure)
 
 
-def _draw_scatter(axis: Axes, rows: Sequence[Mapping[str, Any]], s: Sensitivity) -> None:
+def _draw_scatter(axis: Axes, rows: Rows, s: Sensitivity) -> None:
     given = [row[s.quantity] for row in rows]
     if any(isinstance(value, str) for value in given):
         names = sorted({str(value) for value in given})

@@ -61,12 +61,15 @@ class Sweep(RowTable):
         """Distributions, stops, sensitivity of each to each."""
         from steerd.daemon.many.sweep.page import make_report
 
-        return make_report(self)
+        return make_report(self.plan, self.rows, self.summary)
 
     def __str__(self) -> str:
         from steerd.daemon.many.sweep.text import describe_sweep
 
-        return describe_sweep(self)
+        seconds = sum(row.get("seconds") or 0.0 for row in self.rows)
+        share = self.driven / len(self.rows)
+        speed = seconds * share / self.wall if self.driven and self.wall > 0.0 else None
+        return describe_sweep(self.plan, self.rows, self.summary, speed)
 
 
 def sweep(

@@ -1,14 +1,13 @@
 """The screen of `steerd sweep`, and the tables that it shares with the page."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from steerd.daemon.common.screen import clean, wrap
 from steerd.daemon.many.sweep.measures import DRIVEN, MEASURES
+from steerd.daemon.many.sweep.plan import SweepPlan
 from steerd.daemon.many.sweep.summary import Sensitivity, Summary
 from steerd.sysid.report.report import Table, format_table
-
-if TYPE_CHECKING:
-    from steerd.daemon.many.sweep.run import Sweep
 
 UNITS = {c.name: c.unit for c in MEASURES}
 """SI unit by measure."""
@@ -18,21 +17,21 @@ _SHOWN = 8
 """Dependences that are shown."""
 
 
-def describe_sweep(found: "Sweep") -> str:
-    """The screen: how it ended, what moved what."""
-    plan, summary = found.plan, found.summary
+def describe_sweep(
+    plan: SweepPlan, rows: Sequence[Mapping[str, Any]], summary: Summary, speed: float | None
+) -> str:
+    """The screen: how it ended, what moved what; `speed` is that of the simulation, if known."""
     varied = ", ".join(plan.vary) or "nothing but the seeds"
-    seconds = sum(row.get("seconds") or 0.0 for row in found.rows)
-    lines = [f"drives     {len(found.rows)} of {plan.duration:g} s, {seconds:.0f} s driven"]
+    seconds = sum(row.get("seconds") or 0.0 for row in rows)
+    lines = [f"drives     {len(rows)} of {plan.duration:g} s, {seconds:.0f} s driven"]
     lines += wrap(varied, "varied     ", " " * 11)
-    if found.driven and found.wall > 0.0:
-        share = found.driven / len(found.rows)
-        lines.append(f"speed      {seconds * share / found.wall:.0f} x real time")
+    if speed is not None:
+        lines.append(f"speed      {speed:.0f} x real time")
     parts = [tabulate_ends(summary), tabulate_spreads(summary)]
     strong = list_strongest(summary)[:_SHOWN]
     if strong:
-        rows = [(s.quantity, s.measure, f"{s.value:+.2f}") for s in strong]
-        parts.append(Table(("what moves", "what", "rank correlation"), rows, words=(1,)))
+        found = [(s.quantity, s.measure, f"{s.value:+.2f}") for s in strong]
+        parts.append(Table(("what moves", "what", "rank correlation"), found, words=(1,)))
     return "\n".join([*lines, *(line for part in parts for line in ("", *format_table(part)))])
 
 

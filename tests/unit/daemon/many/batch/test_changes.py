@@ -1,7 +1,6 @@
 """Steps in series of estimates: found on their day, and not where there are none."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -159,4 +158,4 @@ def test_bands_are_weekly_means():
 
 @pytest.mark.parametrize(("count", "told"), [(0, "no car has the 6 drives"), (3, "in 3 series")])
 def test_why_no_change_is_named(count, told):
-    assert told in nothing_changed(SimpleNamespace(series=[None] * count))
+    assert told in nothing_changed(count)
