@@ -35,8 +35,13 @@ from steerd.car_model.native.windows import (
 )
 from steerd.car_model.params import GRAVITY, Car
 from steerd.sysid.data.dataset import Run, Signal, make_run
-from steerd.sysid.estimation.fit import TYRES, Fit, Options, fit
-from steerd.sysid.estimation.objective import Evaluation, Problem
+from steerd.sysid.data.segments import make_blocks
+from steerd.sysid.estimation.fit import Fit, fit_of_plain
+from steerd.sysid.inference import disturbance_response, engine
+from steerd.sysid.inference import values as simulation
+from steerd.sysid.inference.engine import Engine, Linear
+from steerd.sysid.inference.plain_car import TYRES, Asked, search_blocks, search_rough
+from steerd.sysid.inference.space import Space
 from steerd.sysid.paper.baselines import search_cma
 from steerd.sysid.paper.paper_method import (
     NAMES,
@@ -162,24 +167,41 @@ class Judge:
 
 @contextmanager
 def watched(judge: Judge) -> Iterator[None]:
-    """Our fit shows only its end: here every simulation that it makes of the drives is watched."""
-    evaluate = Problem.evaluate
+    """Our search shows only its end: here every point is watched at which it takes derivatives."""
+    linear = Engine.linear
 
-    def seen(self: Problem, z: Array, x: Array) -> Evaluation:
-        found = evaluate(self, z, x)
-        four = self.chart.parameters(z)[[self.chart.names.index(name) for name in NAMES]]
+    def seen(self: Engine, space: Space, z: Array, x: Array) -> Linear:
+        found = linear(self, space, z, x)
+        four = space.chart.parameters(z)[[space.chart.names.index(name) for name in NAMES]]
         judge.watch(len(judge.log), four, 0.0)
         return found
 
     judge.start()
-    with patch.object(Problem, "evaluate", seen):
+    with patch.object(Engine, "linear", seen):
+        yield
+
+
+@contextmanager
+def as_simulated() -> Iterator[None]:
+    """Our windows integrated as the data are."""
+    with (
+        patch.object(engine, "INTEGRATOR", INTEGRATOR),
+        patch.object(simulation, "INTEGRATOR", INTEGRATOR),
+        patch.object(disturbance_response, "INTEGRATOR", INTEGRATOR),
+        patch.object(engine, "stable_substeps", lambda *given: round(H / PAPER_STEP)),
+    ):
         yield
 
 
 def ours(runs: list[Run], base: Car[float], start: Array) -> Fit:
     car = base._replace(**dict(zip(NAMES, start.tolist(), strict=True)))
-    options = Options(free=TYRES, integrator=INTEGRATOR, substeps=round(H / PAPER_STEP))
-    return fit(runs, Model(car), options=options)
+    asked, blocks = Asked(Model(car), TYRES), make_blocks(runs)
+    with as_simulated():
+        rough = search_rough(asked.model, blocks, asked)
+        found = rough and search_blocks(blocks, asked, rough)
+        if not found:
+            raise FloatingPointError("the simulation diverges")
+        return fit_of_plain(found, blocks, asked, ())
 
 
 def _said(reached: tuple[int, float] | None) -> str:
@@ -279,14 +301,14 @@ def converge(runs: list[Run], truth: Car[float], starts: Array) -> None:
         seconds = time.process_time() - began
         four = np.array([getattr(found.model.car, name) for name in NAMES])
         off = 100.0 * np.abs(sums(four, truth.mu) / true - 1.0).max()
-        rows.append((found.converged, len(found.unidentified), off, found.evaluations, seconds))
-    done, untold, off, count, seconds = map(np.array, zip(*rows, strict=True))
+        untold = sum(not e.identifiable for e in found.estimates.values())
+        rows.append((found.converged, untold, off, seconds))
+    done, untold, off, seconds = map(np.array, zip(*rows, strict=True))
     print(
         f"ours from {len(starts)} starts: converged {done.sum()}, worst sum {off.max():.4f} % off,"
     )
     print(f"   says that it does not know {untold.min()} to {untold.max()} of the four;")
-    print(f"   {np.median(count):.0f} ({count.min()} to {count.max()}) evaluations,", end=" ")
-    print(f"{np.median(seconds):.2f} ({seconds.min():.2f} to {seconds.max():.2f}) s")
+    print(f"   {np.median(seconds):.2f} ({seconds.min():.2f} to {seconds.max():.2f}) s")
 
 
 def main() -> None:

@@ -25,9 +25,10 @@ from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.daemon.cli import main as cli
 from steerd.daemon.offline import fast
 from steerd.sysid.data.dataset import load_run
-from steerd.sysid.estimation.fit import DEFAULT_FREE, Options
-from steerd.sysid.estimation.learn import Task, fit_wheelbase, learn
+from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import Outcome
+from steerd.sysid.estimation.preparation import fit_wheelbase
+from steerd.sysid.inference.plain_car import DEFAULT_FREE
 
 NAMES = DEFAULT_FREE
 FRAME_NS, STEP_NS = 20_000_000, 1_000_000
@@ -98,9 +99,8 @@ def identify(session: Path, seed: int) -> Outcome:
     """As `steerd identify SESSION --wheelbase …` does."""
     car = hide(seed).car
     length = car.lf + car.lr
-    options = Options(wheelbase=length)
     base = fit_wheelbase(Model(DEFAULT_CAR), length)
-    return learn(Task((load_run(session),), base, options=options), lambda: 0.0)
+    return learn(Task((load_run(session),), base, wheelbase=length), lambda: 0.0)
 
 
 def pulls(outcome: Outcome, car: Car[float]) -> list[tuple[float, float]]:

@@ -22,12 +22,7 @@ from steerd.car_model.params import Car
 from steerd.sim_gap.diagnosis import Options, diagnose
 from steerd.sim_gap.report.to_json import to_json
 from steerd.sysid.data.dataset import Run, load_run
-from steerd.sysid.estimation.fit import Options as FitOptions
-from steerd.sysid.estimation.fit import fit
 from steerd.sysid.inference.car_posterior import refine
-
-HORIZONS = (0.5, 2.0)
-"""Windows of the identification [s]: over whole drives, disturbances bias it."""
 
 
 def load_runs(out: Path, names: Sequence[str]) -> list[Run]:
@@ -37,12 +32,7 @@ def load_runs(out: Path, names: Sequence[str]) -> list[Run]:
 
 def identify(out: Path, names: Sequence[str]) -> CarFile:
     """A car from its healthy sessions, noise included."""
-    runs = load_runs(out, names)
-    start = load_car(default_car_path())
-    found = fit(runs, start.model, options=FitOptions(horizons=HORIZONS))
-    sd = {name: e.sd for name, e in found.estimates.items()}
-    base = CarFile(start.path, start.name, found.model.car, sd=sd, sections=start.sections)
-    return refine(base, runs)
+    return refine(load_car(default_car_path()), load_runs(out, names))
 
 
 def _claimed(path: Path) -> bool:

@@ -31,7 +31,7 @@ from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.plant.car import SimCar
 from steerd.sim_hw.world import World
-from steerd.sysid.estimation.chart import RELATIVE
+from steerd.sysid.inference.chart import RELATIVE
 from steerd.sysid.inference.space import FLOORS, LIMITS
 
 CHANGES = {

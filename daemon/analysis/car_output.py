@@ -19,7 +19,6 @@ from steerd.car_model.car_file import (
 )
 from steerd.car_model.effect import EffectParameter
 from steerd.car_model.effects import find_effect
-from steerd.car_model.model import Model
 from steerd.car_model.params import PARAMETERS, Parameter
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.common.errors import SteerdError
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from steerd.sim_gap.verdict.evidence import Cause
     from steerd.sysid.data.dataset import Run
     from steerd.sysid.estimation.outcome import Outcome
-    from steerd.sysid.estimation.taught import Stated, TaughtModel
 
 PUBLISHED = "F1TENTH, published figures"
 """Name of the car file that is installed with steerd; no car that was driven is called so."""
@@ -197,36 +195,6 @@ def diagnosed_values(causes: "Sequence[Cause]", sessions: Sequence[Path]) -> dic
     }
 
 
-def teach_car(
-    starts: "Sequence[Model[float]]", runs: "Sequence[Run]", stated: "Stated"
-) -> "TaughtModel":
-    """A car taught by drives, disturbances known: see `sysid.estimation.taught`.
-
-    Raises:
-        FloatingPointError: the car's simulation diverges.
-        ValueError: no window sees enough poses.
-    """
-    from steerd.sysid.estimation.taught import TaughtModel
-    from steerd.sysid.inference.car_posterior import (
-        choose_start,
-        describe_lost,
-        taught_car,
-        teach_with_limits,
-    )
-
-    model = starts[0] if len(starts) == 1 else choose_start(starts, runs, stated)
-    file = CarFile(
-        Path("taught.toml"), "taught", model.car, model.effects, model.values,
-        chassis=model.chassis,
-    )  # fmt: skip
-    taught = teach_with_limits(file, runs, stated)
-    found = taught_car(file, taught)
-    kept = {effect.name for effect in found.effects}
-    shown = tuple(step for step in taught.selected if step.effect in kept)
-    notes = describe_lost(taught, runs)
-    return TaughtModel(found.model, found.sd, found.sections, shown, notes)
-
-
 def learn_known(car: CarFile, runs: "tuple[Run, ...]") -> Mapping[str, Mapping[str, Any]]:
     """What drives teach beyond a car's values: the size of noise, the joint covariance.
 
@@ -241,7 +209,7 @@ def learn_known(car: CarFile, runs: "tuple[Run, ...]") -> Mapping[str, Mapping[s
         Tables for `with_known`; none where the drives do not identify it.
     """
     from steerd.sysid.data.segments import moving_segments
-    from steerd.sysid.estimation.prediction_horizon import add_command_history
+    from steerd.sysid.estimation.preparation import add_command_history
     from steerd.sysid.inference.car_posterior import learn_sections
 
     try:

@@ -41,7 +41,7 @@ from steerd.sim_gap.lane_comparison import LaneComparison, encode_lane
 from steerd.sim_gap.report.to_json import to_json
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.data.segments import moving_segments
-from steerd.sysid.estimation.prediction_horizon import add_command_history
+from steerd.sysid.estimation.preparation import add_command_history
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

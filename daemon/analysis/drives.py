@@ -22,7 +22,7 @@ from steerd.steer_bus.session_read import Session
 from steerd.sysid.data.dataset import Run, read_run
 from steerd.sysid.data.jitter_correction import correct_log_jitter
 from steerd.sysid.data.segments import PIECE, spread_evenly, thinned, with_wheel_speed
-from steerd.sysid.estimation.prediction_horizon import HISTORY
+from steerd.sysid.estimation.preparation import HISTORY
 
 Warn = Callable[[Sequence[str]], None]
 """Is handed what is wrong or doubtful in a session, as sentences; the work goes on."""

@@ -17,7 +17,6 @@ from steerd.daemon.analysis.car_output import (
     identified_values,
     learn_known,
     make_car,
-    teach_car,
     with_known,
 )
 from steerd.daemon.analysis.drives import Drives, Warn, load_drives, without_reserved
@@ -37,10 +36,16 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.written import writing
 from steerd.posterior_file import posterior_path
 from steerd.steer_bus.session_read import Session
-from steerd.sysid.estimation.fit import Options, default_free
-from steerd.sysid.estimation.learn import Task, fit_wheelbase, free_names, held_names, learn
+from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import Outcome, Row, encode_outcome
-from steerd.sysid.estimation.prediction_horizon import level_loads, scale_inertia
+from steerd.sysid.estimation.preparation import (
+    fit_wheelbase,
+    free_names,
+    held_names,
+    level_loads,
+    scale_inertia,
+)
+from steerd.sysid.inference.plain_car import default_free
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -236,16 +241,11 @@ def _make_task(
     first = drives.sessions[0].info().metadata
     return drives, Task(
         runs=drives.runs,
-        teach=teach_car,
         held_out=other.runs,
         every=EVERY if held_out.every is None else held_out.every,
         model=model,
-        options=Options(
-            free=free_names(
-                free, fixed, default_free(model.chassis), axles_known=length is not None
-            ),
-            wheelbase=length,
-        ),
+        free=free_names(free, fixed, default_free(model.chassis), axles_known=length is not None),
+        wheelbase=length,
         method=options.method,
         starts=options.starts or _STARTS[options.method],
         iterations=options.iterations,

@@ -11,8 +11,8 @@ from typing import NamedTuple
 from steerd.daemon.analysis.hints import complete, name_all, simulate_with
 from steerd.daemon.common.screen import WIDTH, wrap
 from steerd.steer_bus.session_read import Session
-from steerd.sysid.estimation.learn import POOR
 from steerd.sysid.estimation.outcome import Outcome, Row
+from steerd.sysid.inference.plain_car import POOR
 
 _COMMAND = ("next: steerd", "      steerd")
 _PLACES = 8
@@ -65,10 +65,9 @@ def _data(outcome: Outcome) -> Iterator[str]:
     sides = f"left {e.left:.0%}, right {e.right:.0%}, steering {e.steer_rate:.2f} rad/s"
     yield f"driven     {pace}; {sides}"
     yield from (f"lacking    {what}" for what in e.lacking)
-    windows = "windows of growing length" if outcome.fit else "windows of 1 s"
+    windows = f"windows of {outcome.fit.horizon:.0f} s" if outcome.fit else ""
     how = {"ours": windows, "paper": "soft-DTW and chamfer by Adam"}
-    effort = f", {outcome.fit.iterations} steps" if outcome.fit else ""
-    effort += f", {len(outcome.searches)} starts" if outcome.searches else ""
+    effort = f", {len(outcome.searches)} starts" if outcome.searches else ""
     name = how.get(outcome.method, "the same loss by CMA-ES")
     for pulse in outcome.pulses:
         certain = "" if pulse.sure > _CERTAIN else " (weakly identifiable)"
@@ -82,7 +81,7 @@ def _data(outcome: Outcome) -> Iterator[str]:
         yield f"log        {found}"
         yield f"           {corrected}"
     for step in outcome.selected_effects:
-        gain = f"gains {step.gain:.0f} ± {step.se:.0f} nats"
+        gain = f"gains {step.gain:.0f} nats"
         yield f"effect     {step.effect}: selected, these drives show it ({gain})"
     yield f"method     {outcome.method} ({name}{effort}), {outcome.seconds:.1f} s"
 

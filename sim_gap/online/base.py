@@ -5,7 +5,7 @@ from dataclasses import replace
 from steerd.car_model.car_file import CarFile
 from steerd.sim_gap.online.learner import Learner
 from steerd.sim_gap.online.memory import Memory, remember
-from steerd.sysid.estimation.chart import RELATIVE
+from steerd.sysid.inference.chart import RELATIVE
 from steerd.sysid.inference.noise import noise_of_section
 from steerd.sysid.inference.space import FLOORS, LIMITS
 from steerd.sysid.inference.superset import Superset, make_superset

@@ -9,10 +9,11 @@ from steerd.car_model.params import Car
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.log_jitter import LogJitter
 from steerd.sysid.estimation.fit import Fit
-from steerd.sysid.estimation.identifiability import Combination
 from steerd.sysid.estimation.servo_pulse import Pulse
 from steerd.sysid.estimation.setpoint_ramp import Ramp
 from steerd.sysid.estimation.validation import Prediction, Regime, Trace
+from steerd.sysid.inference.identifiability import Combination
+from steerd.sysid.inference.teaching import Step
 from steerd.sysid.paper.search_history import SearchHistory
 
 SCHEMA = "steerd.identify/1"
@@ -21,14 +22,6 @@ REPORTED: tuple[str, ...] = (
     "steer_delay", "steer_lag", "steer_rate", "speed_gain", "speed_lag",
 )  # fmt: skip
 """Parameters of the JSON result."""
-
-
-class Step(NamedTuple):
-    """An effect that drives show: its gain on windows left out [nats] and the standard error."""
-
-    effect: str
-    gain: float
-    se: float
 
 
 class Row(NamedTuple):
@@ -80,7 +73,6 @@ class Outcome:
         before, after: the car.
         rows: every parameter of the car; effect_rows: those of its effects that were free, as
             `effect.parameter`.
-        combinations: sums that the data fix.
         held_out: prediction errors.
         excitation: of the fitted drives.
         traces: predictions of the held-out drives, after and before.
@@ -92,9 +84,7 @@ class Outcome:
         pulses: phases of the servo's pulses, by drive.
         ramps: limits of the motor controller's setpoint, by drive.
         log_jitters: how late slow logs stored the steering, by drive.
-        selected_effects: effects that the drives showed, those that every car has aside.
         regimes: prediction errors after 1 s by lateral acceleration.
-        sections: tables that were learnt with the car, for its file; empty where they were not.
     """
 
     method: str
@@ -103,7 +93,6 @@ class Outcome:
     before: Car[float]
     after: Car[float]
     rows: dict[str, Row]
-    combinations: tuple[Combination, ...]
     held_out: tuple[HeldOut, ...]
     excitation: Excitation
     traces: tuple[list[Trace], list[Trace]]
@@ -116,9 +105,22 @@ class Outcome:
     ramps: tuple[Ramp, ...] = ()
     effect_rows: dict[str, Row] = field(default_factory=dict)
     log_jitters: tuple[LogJitter, ...] = ()
-    selected_effects: tuple[Step, ...] = ()
     regimes: tuple[Regime, ...] = ()
-    sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def combinations(self) -> tuple[Combination, ...]:
+        """Sums that the data fix."""
+        return self.fit.combinations if self.fit else ()
+
+    @property
+    def selected_effects(self) -> tuple[Step, ...]:
+        """Effects that the drives showed, those that every car has aside."""
+        return self.fit.selected if self.fit else ()
+
+    @property
+    def sections(self) -> Mapping[str, Mapping[str, Any]]:
+        """Tables that were learnt with the car, for its file; empty where they were not."""
+        return self.fit.sections if self.fit else {}
 
     @property
     def free_rows(self) -> dict[str, Row]:

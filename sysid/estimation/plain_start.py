@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from steerd.car_model.model import Model
 from steerd.car_model.params import wheelbase
 from steerd.sysid.data.dataset import Run, pose_rates
-from steerd.sysid.estimation.taught import Stated
+from steerd.sysid.inference.teaching import Stated
 
 Array = NDArray[np.float64]
 

@@ -18,20 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.car_model.model import Model
-from steerd.car_model.native.windows import delays_of, make_kernels
 from steerd.sysid.data.dataset import Run, Signal, hold_means
-from steerd.sysid.data.segments import moving_segments
-from steerd.sysid.data.windows import make_layout, speed_range
-from steerd.sysid.estimation.fit import Fit, Options, fit
-from steerd.sysid.estimation.levenberg_marquardt import damped_step, gain_ahead
-from steerd.sysid.estimation.objective import (
-    Problem,
-    cost_of,
-    eliminate,
-    normal_equations,
-    robust_limit,
-)
+from steerd.sysid.estimation.log_timing import losses
+from steerd.sysid.inference.plain_car import Asked, Rough
 
 Array = NDArray[np.float64]
 
@@ -39,9 +28,6 @@ PHASES = 8
 """Phases that are tried, evenly over a frame (2.5 ms apart)."""
 SURE = 3.0
 """A log-likelihood smaller by less than this does not distinguish two phases."""
-SECONDS = 20.0
-"""This much of a drive is enough to determine its phase [s]."""
-_HORIZONS = (0.5, 2.0)
 
 
 class Pulse(NamedTuple):
@@ -74,45 +60,34 @@ def latch(run: Run, phase: float) -> Run:
 
 
 def settle_servo(
-    runs: Sequence[Run], rough: Fit, options: Options
+    runs: Sequence[Run], rough: Rough, asked: Asked
 ) -> tuple[tuple[Run, ...], tuple[Pulse, ...]]:
     """Sample every pulsed drive's steering at its likeliest phase; other drives stay.
 
     Args:
         runs: whole drives, not parts of them.
-        rough: a car near the truth, see `rough_fit`.
-        options: of the fit.
+        rough: a car near the truth.
+        asked: what is free beside the phase.
 
     Raises:
         DataError: a drive does not move.
     """
-    pulses = {id(run): find_phase(run, rough, options) for run in runs if run.servo_frame}
+    pulses = {id(run): find_phase(run, rough, asked) for run in runs if run.servo_frame}
     settled = (latch(run, pulses[id(run)].phase) if id(run) in pulses else run for run in runs)
     return tuple(settled), tuple(pulses.values())
 
 
-def rough_fit(runs: Sequence[Run], model: Model[float], options: Options) -> Fit:
-    """A car good enough to determine phases with: short windows, commands as if each was seen.
-
-    Raises:
-        DataError: no drive moves, or the steering never changes.
-        FloatingPointError: no finite simulation from the start values.
-    """
-    return fit(moving_segments(runs), model, options=replace(options, horizons=_HORIZONS))
-
-
-def find_phase(run: Run, rough: Fit, options: Options) -> Pulse:
+def find_phase(run: Run, rough: Rough, asked: Asked) -> Pulse:
     """The likeliest phase of a drive's pulses, all free parameters adapted to each."""
     step = run.servo_frame / PHASES
     phases = step * (np.arange(PHASES) + 0.5)
-    x, limit = settle_states(run, rough, options)
-    candidates = [rough_problem(latch(run, float(phase)), rough, options) for phase in phases]
-    tried = np.array([stepped_loss(problem, rough.z, x, limit) for problem in candidates])
+    tried = losses(run, [latch(run, float(phase)) for phase in phases], rough, asked)
     best, alike = _middle(tried)
     others = tried[~alike]
     sure = float(others.min() - tried.min()) if len(others) else 0.0
     phase = _on_grid(float(phases[0] + best * step), run.h, step)
-    return Pulse(run.name, phase, sure, float(step * alike.sum() / np.sqrt(12.0)))
+    possible = int((tried <= tried.min() + SURE).sum())
+    return Pulse(run.name, phase, sure, float(step * possible / np.sqrt(12.0)))
 
 
 def _on_grid(phase: float, h: float, step: float) -> float:
@@ -122,42 +97,6 @@ def _on_grid(phase: float, h: float, step: float) -> float:
     """
     near = h * round(phase / h)
     return near if abs(near - phase) <= 0.5 * step + 1e-9 else phase
-
-
-def rough_problem(run: Run, rough: Fit, options: Options) -> Problem:
-    """The drive in windows of 2 s, as the rough fit sees it."""
-    parts = moving_segments([run])
-    kernels = make_kernels(rough.model.effects, rough.model.chassis)
-    late = float(delays_of(kernels, rough.parameters)[2])
-    layout = make_layout(parts, _HORIZONS[-1], late, SECONDS)
-    return Problem(
-        kernels, rough.chart, layout, rough.noise, speed_range(parts),
-        options.integrator, options.substeps,
-    )  # fmt: skip
-
-
-def settle_states(run: Run, rough: Fit, options: Options) -> tuple[Array, float]:
-    """Initial states (W, 7) of a drive's windows under the rough fit, and where outliers begin."""
-    plain = rough_problem(run, rough, options)
-    x = plain.layout.guess.copy()
-    at = plain.evaluate(rough.z, x)
-    limit = robust_limit(at.error)
-    equations = eliminate(normal_equations(plain, at, limit), 0.0)
-    x += equations.states(np.zeros(len(rough.z)))
-    return x, robust_limit(plain.evaluate(rough.z, x).error)
-
-
-def profile_loss(problem: Problem, z: Array, x: Array, limit: float) -> float:
-    """Loss at the minimum over coordinates and initial states of the linearised problem."""
-    at = problem.evaluate(z, x)
-    ahead = gain_ahead(problem, normal_equations(problem, at, limit), z)
-    return cost_of(at, limit) - 0.5 * ahead
-
-
-def stepped_loss(problem: Problem, z: Array, x: Array, limit: float) -> float:
-    """As `profile_loss`, after a step towards the minimum: for what moves it far."""
-    normal = normal_equations(problem, problem.evaluate(z, x), limit)
-    return profile_loss(problem, *damped_step(problem, normal, z, x, 0.0), limit)
 
 
 def _middle(losses: Array) -> tuple[float, NDArray[np.bool_]]:

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.sysid.data.dataset import Run, Signal
-from steerd.sysid.estimation.fit import Fit, Options
-from steerd.sysid.estimation.servo_pulse import rough_problem, settle_states, stepped_loss
+from steerd.sysid.estimation.log_timing import losses
+from steerd.sysid.inference.plain_car import Asked, Rough
 
 Array = NDArray[np.float64]
 
@@ -75,14 +75,14 @@ class Ramp(NamedTuple):
 
 
 def settle_ramp(
-    runs: Sequence[Run], rough: Fit, options: Options
+    runs: Sequence[Run], rough: Rough, asked: Asked
 ) -> tuple[tuple[Run, ...], tuple[Ramp, ...]]:
     """Every drive's speed commands as its motor controller let them through, if that is likelier.
 
     Args:
         runs: whole drives, not parts of them.
-        rough: a car near the truth, see `servo.rough_fit`.
-        options: of the fit.
+        rough: a car near the truth.
+        asked: what is free beside the ramp.
 
     Raises:
         DataError: a drive does not move.
@@ -93,12 +93,9 @@ def settle_ramp(
         if after is run:
             settled.append(run)
             continue
-        x, limit = settle_states(run, rough, options)
-        plain, limited = (
-            stepped_loss(rough_problem(each, rough, options), rough.z, x, limit)
-            for each in (run, after)
-        )
+        plain, limited = losses(run, (run, after), rough, asked)
         better = limited < plain
         settled.append(after if better else run)
-        found.append(Ramp(run.name, run.speed_ramp if better else 0.0, abs(plain - limited)))
+        rate = run.speed_ramp if better else 0.0
+        found.append(Ramp(run.name, rate, float(abs(plain - limited))))
     return tuple(settled), tuple(found)

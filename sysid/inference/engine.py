@@ -11,8 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from steerd.car_model.native.windows import (
+    STATES,
     HeldCommands,
     Stations,
     compute_readings,
@@ -21,16 +23,19 @@ from steerd.car_model.native.windows import (
 )
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import speed_range
-from steerd.sysid.estimation.objective import STATE_SPREAD, STATES, STEER_SPREAD_UNKNOWN
-from steerd.sysid.estimation.stability import stable_substeps
 from steerd.sysid.inference.knowledge import EDGES
 from steerd.sysid.inference.readings import HORIZON, Readings, make_readings
 from steerd.sysid.inference.space import Space
+from steerd.sysid.inference.stability import stable_substeps
 from steerd.sysid.inference.superset import Superset
 from steerd.sysid.inference.values import INTEGRATOR, predicted
 
 Array = NDArray[np.float64]
 
+STATE_SPREAD = np.array([0.1, 0.1, 0.2, 0.5, 2.0, 0.2, 0.01])
+"""Prior standard deviation of a start about its first guess (poses show it far better)."""
+STEER_SPREAD_UNKNOWN = 0.2
+"""That of its steering angle where the commands before the window are not known [rad]."""
 STEER_SPREAD = 0.003
 """How far the steering may be from where the known commands bring it [rad]."""
 FREE_STATES = 6
@@ -44,10 +49,19 @@ WILD_ERROR = 1.0
 
 
 class Padded(NamedTuple):
-    """Rows by window: `row` (W, D) place among all rows, `there` (W, D) 1 where there is one."""
+    """Rows by window.
+
+    Attributes:
+        row: (W, D) place among all rows, of the first where several are averaged.
+        there: (W, D) 1 where there is one.
+        merged: (W, D) how many are averaged.
+        means: (W * D, R) weights of the averages; None where each is one row.
+    """
 
     row: NDArray[np.int64]
     there: Array
+    merged: Array
+    means: csr_array | None = None
 
 
 class Linear(NamedTuple):
@@ -106,7 +120,11 @@ class Engine:
 
     def pad(self, rows: Array) -> Array:
         """(R, ...) rows as (W, D, ...), zero where there is none."""
-        there = self.padded.there
+        there, means = self.padded.there, self.padded.means
+        if means is not None:
+            return np.asarray(
+                (means @ rows.reshape(len(rows), -1)).reshape(*there.shape, *rows.shape[1:])
+            )
         shaped = there.reshape(there.shape + (1,) * (rows.ndim - 1))
         with np.errstate(invalid="ignore"):  # a window that left the map
             padded: Array = rows[self.padded.row] * shaped
@@ -173,29 +191,61 @@ class Engine:
 
 def pad_rows(readings: Readings) -> Padded:
     """Where the rows of each window lie."""
-    bounds = readings.layout.bounds
-    width = int(np.diff(bounds).max())
-    place = np.arange(width)[None, :]
+    if readings.slot is not None:
+        return _pad_means(readings, readings.slot)
+    row, there = _places(readings.layout.bounds)
+    return Padded(row, there, there)
+
+
+def _places(bounds: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+    """(W, D) numbers from each window's bounds, and where they are within them."""
+    place = np.arange(int(np.diff(bounds).max()))[None, :]
     there = place < np.diff(bounds)[:, None]
-    index = np.where(there, bounds[:-1, None] + place, bounds[:-1, None])
-    return Padded(index, there.astype(float))
+    return np.where(there, bounds[:-1, None] + place, bounds[:-1, None]), there.astype(float)
+
+
+def _pad_means(readings: Readings, slot: NDArray[np.int64]) -> Padded:
+    """The same where rows of one slot are averaged; slots are numbered window after window."""
+    _, first, member, counts = np.unique(
+        slot, return_index=True, return_inverse=True, return_counts=True
+    )
+    window = np.searchsorted(readings.layout.bounds, first, side="right") - 1
+    bounds = np.searchsorted(window, np.arange(readings.count + 1))
+    place, there = _places(bounds)
+    flat = np.flatnonzero(there.ravel() > 0.0)
+    weights = csr_array(
+        (1.0 / counts[member], (flat[member], np.arange(len(slot)))),
+        shape=(there.size, len(slot)),
+    )
+    return Padded(first[place], there, np.where(there > 0.0, counts[place], 1), weights)
 
 
 def make_engine(superset: Superset, readings: Readings) -> Engine:
     """The windows as the superset is simulated over them."""
-    car = model_of(superset.kernels, superset.base).car
-    substeps = stable_substeps(car, *readings.speeds, readings.layout.h, INTEGRATOR)
-    return Engine(superset, readings, pad_rows(readings), substeps)
+    return stepped_for(Engine(superset, readings, pad_rows(readings), 1), superset.base)
 
 
-def open_engine(superset: Superset, runs: Sequence[Run], horizon: float = HORIZON) -> Engine:
-    """The windows of some drives.
+def stepped_for(engine: Engine, parameters: Array) -> Engine:
+    """The engine with steps as short as a car (P,) needs, if its own are longer."""
+    readings, car = engine.readings, model_of(engine.superset.kernels, parameters).car
+    needed = stable_substeps(car, *readings.speeds, readings.layout.h, INTEGRATOR)
+    return replace(engine, substeps=max(engine.substeps, needed))
+
+
+def open_engine(
+    superset: Superset,
+    runs: Sequence[Run],
+    horizon: float = HORIZON,
+    most: float = np.inf,
+    means: bool = False,
+) -> Engine:
+    """The windows of some drives; `horizon`, `most` and `means` as in `make_readings`.
 
     Raises:
         ValueError: the runs' grids differ, or no window sees enough poses.
     """
     late = float(superset.base[superset.kernels.names.index("pose_delay")])
-    return make_engine(superset, make_readings(runs, late, speed_range(runs), horizon))
+    return make_engine(superset, make_readings(runs, late, speed_range(runs), horizon, most, means))
 
 
 def take_windows(engine: Engine, chosen: NDArray[np.bool_]) -> Engine:
@@ -223,5 +273,6 @@ def take_windows(engine: Engine, chosen: NDArray[np.bool_]) -> Engine:
         layout=cut,
         t=engine.readings.t[rows],
         channel=engine.readings.channel[rows],
+        slot=None if engine.readings.slot is None else engine.readings.slot[rows],
     )
     return replace(engine, readings=readings, padded=pad_rows(readings))

@@ -29,10 +29,9 @@ from steerd.sysid.inference.residuals import robust_mean
 from steerd.sysid.inference.search import (
     Point,
     explore,
-    fresh,
     minimise,
     newton,
-    settle,
+    open_point,
     stand,
     with_size,
 )
@@ -319,11 +318,7 @@ def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Ar
     space, likelihood = library.space(names), library.likelihood
     z = space.centre.copy()
     z[len(z) - len(values) :] = values
-    point = stand(likelihood, space, np.clip(z, space.low, space.high), x, 1.0)
-    for _ in range(3):
-        size = likelihood.best_size(point.rotated, point.linear.error, point.x)
-        point = settle(likelihood, with_size(likelihood, point, size), 2)
-    return fresh(likelihood, point)
+    return open_point(likelihood, space, z, x)
 
 
 def _again(library: Library, names: Sequence[str], point: Point) -> Point:

@@ -9,7 +9,7 @@ regime), so that a base that is not good enough there cannot accuse.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,33 @@ class Knowledge:
         """
         places = [self.names.index(name) for name in names]
         return np.asarray(self.covariance[np.ix_(places, places)])
+
+
+class Spread(NamedTuple):
+    """How much scores really vary.
+
+    Attributes:
+        scores: sum of their squares (n, n) over pieces of driving.
+        pieces: how many there are.
+    """
+
+    scores: Array
+    pieces: float
+
+
+def inflate_each(covariance: Array, spread: Spread) -> Array:
+    """The covariance with each coordinate as wide as its own scores make it, correlations kept.
+
+    This is the sandwich of White (1982), coordinate by coordinate, never narrower than before: with
+    about as many coordinates as pieces no direction is separated from chance, but a single
+    coordinate's standard error is known from p pieces to one part in sqrt(2 p).
+    """
+    pieces = max(spread.pieces, 2.0)
+    scores = spread.scores * pieces / (pieces - 1.0)
+    robust = np.einsum("ij,jk,ik->i", covariance, scores, covariance)
+    wider = np.sqrt(np.maximum(robust / np.diag(covariance), 1.0))
+    each: Array = covariance * np.outer(wider, wider)
+    return each
 
 
 def excess_by_regime(ratio: Array, lateral: Array) -> tuple[float, ...]:

@@ -263,6 +263,6 @@ def make_likelihood(engine: Engine, parameters: Array, x: Array, noise: Noise) -
     lower = np.linalg.inv(np.linalg.cholesky(healthy))
     spectrum, axes = np.linalg.eigh(lower @ unknown @ lower.transpose(0, 2, 1))
     rotation = (axes.transpose(0, 2, 1) @ lower) * there[:, None, :]
-    own = np.einsum("wij,wjk,wik->wi", lower, instruments, lower)
+    own = ((lower @ instruments) * lower).sum(axis=2)
     pushed = ((1.0 - own) * there).sum(axis=1) / there.sum(axis=1)
     return Likelihood(engine, rotation, np.maximum(spectrum, 0.0), pushed)

@@ -112,6 +112,15 @@ def usual_noise(signals: Array) -> Noise:
     return noise_of_sizes(np.concatenate([np.maximum(signals, _LEAST[:4]), _START[4:]]))
 
 
+def signal_noise(signals: Array) -> Noise:
+    """Instruments alone, as noisy as their signals are; whatever else acts is a discrepancy.
+
+    Args:
+        signals: as in `usual_noise`.
+    """
+    return noise_of_sizes(np.concatenate([signals, np.zeros(4)]))
+
+
 def slip_shape(engine: Engine, error: Array) -> Array:
     """Covariance (W, D, D) of the wheel speed for a unit slip coefficient of each window.
 
@@ -148,10 +157,11 @@ def instrument_rows(engine: Engine) -> Array:
 
 def covariance(engine: Engine, noise: Noise, pushed: Sequence[Array]) -> Array:
     """(W, D, D) covariance of the errors; 1 where there is no row."""
-    sizes = np.maximum(noise.sizes, _LEAST) ** 2
+    sizes = noise.sizes**2
     out = sum(s * shape for s, shape in zip(sizes[_INSTRUMENTS:], pushed, strict=True))
     out = np.array(out)
     white = np.einsum("g,gwd->wd", sizes[:_INSTRUMENTS], instrument_rows(engine))
+    white /= np.maximum(engine.padded.merged, 1.0)
     width = range(out.shape[1])
     out[:, width, width] += white + (1.0 - engine.padded.there)
     return np.asarray(out)
@@ -248,7 +258,7 @@ def calibrated(noise: Noise, left: float, should: float = 1.0) -> Noise:
         should: what they should leave, see `noise_share`: by another measure than the floor's,
             healthy drives would lie above it.
     """
-    return noise_of_sizes(noise.sizes * np.sqrt(left / should))
+    return noise_of_sizes(np.maximum(noise.sizes * np.sqrt(left / should), _LEAST))
 
 
 def noise_share(engine: Engine, wheel: float) -> float:

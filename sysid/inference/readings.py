@@ -1,4 +1,4 @@
-"""Windows of one second whose measurements are thinned to one reading each 50 ms.
+"""Windows whose measurements are thinned to one reading each 50 ms.
 
 Denser readings add nothing but rows: what is not noise of the instrument is correlated over far
 longer times.
@@ -31,12 +31,14 @@ class Readings:
         t: (R,) time of each row since its window's start [s].
         channel: (R,) 0 x, 1 y, 2 yaw, 3 wheel speed, 4 yaw rate.
         speeds: slowest and fastest [m/s].
+        slot: (R,) what is compared is the mean of rows of one number; None: every row.
     """
 
     layout: Layout
     t: Array
     channel: Indices
     speeds: tuple[float, float]
+    slot: Indices | None = None
 
     @property
     def count(self) -> int:
@@ -48,11 +50,16 @@ class Readings:
         return slice(int(self.layout.bounds[window]), int(self.layout.bounds[window + 1]))
 
 
+def _slots(seen: Seen, spacing: float) -> Indices:
+    """A number of each reading's window, instrument and multiple of `spacing`."""
+    slot = np.round(seen.t / spacing).astype(np.int64)
+    return np.asarray((seen.window * 3 + seen.kind) * 100_000 + slot)
+
+
 def _kept(seen: Seen, spacing: float) -> NDArray[np.bool_]:
     """Of each window's and instrument's readings, the one nearest to each multiple of `spacing`."""
-    slot = np.round(seen.t / spacing).astype(np.int64)
-    key = (seen.window * 3 + seen.kind) * 100_000 + slot
-    off = np.abs(seen.t - slot * spacing)
+    key = _slots(seen, spacing)
+    off = np.abs(seen.t - spacing * (key % 100_000))
     order = np.lexsort((off, key))
     first = np.ones(len(order), bool)
     first[1:] = key[order][1:] != key[order][:-1]
@@ -90,11 +97,32 @@ def make_readings(
     pose_delay: float,
     speeds: tuple[float, float],
     horizon: float = HORIZON,
+    most: float = np.inf,
+    means: bool = False,
 ) -> Readings:
     """Cut runs into windows and thin their measurements.
+
+    Args:
+        runs: on one grid.
+        pose_delay: how late poses are, as far as it is known [s].
+        speeds: slowest and fastest [m/s].
+        horizon: length of a window [s].
+        most: take windows of so much driving in all, evenly from the whole [s].
+        means: compare means over `SPACING` instead of single readings: where instruments' noise is
+            all that is random, every reading counts.
 
     Raises:
         ValueError: the runs' grids differ, or no window sees enough poses.
     """
-    layout, t, channel = thin(make_layout(runs, horizon, pose_delay))
-    return Readings(layout, t, channel, speeds)
+    layout = make_layout(runs, horizon, pose_delay, most)
+    if not means:
+        return Readings(*thin(layout), speeds)
+    seen, rows = layout.seen, len(layout.values)
+    t, channel, slot = np.empty(rows), np.empty(rows, np.int64), np.empty(rows, np.int64)
+    key = 3 * _slots(seen, SPACING)
+    for number in range(3):
+        mine = (seen.kind == 0) | (number == 0)
+        at = seen.row[mine] + number
+        t[at], slot[at] = seen.t[mine], key[mine] + number
+        channel[at] = np.array([0, 3, 4])[seen.kind[mine]] + number
+    return Readings(layout, t, channel, speeds, slot)

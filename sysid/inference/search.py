@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sysid.estimation.bounded_step import step_within
+from steerd.sysid.inference.bounded_step import step_within
 from steerd.sysid.inference.engine import Engine, Linear
 from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed, take_some
 from steerd.sysid.inference.space import Space
@@ -148,6 +148,19 @@ def stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float)
     at = likelihood.reduce(weighed, linear.error, x)
     point = Point(space, z, x, size, linear, rotated, weighed, at, _cost(space, at, z))
     return _settled(likelihood, point)
+
+
+def open_point(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Point:
+    """A hypothesis at given coordinates, its starts settled under the discrepancy that it needs.
+
+    Raises:
+        FloatingPointError: the simulation diverges there.
+    """
+    point = stand(likelihood, space, np.clip(z, space.low, space.high), x, 1.0)
+    for _ in range(3):
+        size = likelihood.best_size(point.rotated, point.linear.error, point.x)
+        point = settle(likelihood, with_size(likelihood, point, size), 2)
+    return fresh(likelihood, point)
 
 
 def _settled(likelihood: Likelihood, point: Point) -> Point:

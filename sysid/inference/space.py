@@ -3,15 +3,16 @@
 The base's parameters are nuisance: an effect is named only for what no believable base explains.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Channel
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.estimation.chart import (
+from steerd.sysid.inference.chart import (
     INVERSE,
     LENGTHS,
     LOGARITHM,
@@ -20,6 +21,7 @@ from steerd.sysid.estimation.chart import (
     make_chart,
     relative_length,
 )
+from steerd.sysid.inference.knowledge import Knowledge
 from steerd.sysid.inference.superset import Superset
 
 Array = NDArray[np.float64]
@@ -172,10 +174,11 @@ def make_space(superset: Superset, nuisance: Sequence[str], effects: Sequence[st
     names = superset.kernels.names
     own = [names[i] for effect in effects for i in superset.places(effect)]
     base = [name for name in nuisance if name not in own]
-    chart = make_chart(superset.effects, superset.base, [*base, *own])
+    chart = make_chart(superset.effects, superset.base, [*base, *own], superset.wheelbase)
+    base = [name for name in base if name in chart.free]
     centre = chart.coordinates(superset.base)
     low, high = chart.bounds()
-    covariance = _base_covariance(superset, chart, [*base, *own], len(base))
+    covariance = _base_covariance(superset, chart, len(base))
     if superset.knowledge is None:
         spread = BOX * np.sqrt(np.diag(covariance))[: len(base)]
         low[: len(base)] = np.maximum(low[: len(base)], (centre[: len(base)] - spread))
@@ -187,8 +190,18 @@ def make_space(superset: Superset, nuisance: Sequence[str], effects: Sequence[st
     return Space(chart, centre, covariance, precision, low, high, tuple(effects), len(base))
 
 
-def _base_covariance(superset: Superset, chart: Chart, free: Sequence[str], nuisance: int) -> Array:
+def weak_knowledge(
+    superset: Superset, names: Sequence[str], shares: Mapping[str, float] = MappingProxyType({})
+) -> Knowledge:
+    """Knowing next to nothing: ordinary spreads of cars, or a share of them by parameter."""
+    chart = make_chart(superset.effects, superset.base, names, superset.wheelbase)
+    own = [shares.get(name, 1.0) for name in chart.free]
+    return Knowledge(chart.free, np.diag(np.square(own * chart.spread)))
+
+
+def _base_covariance(superset: Superset, chart: Chart, nuisance: int) -> Array:
     """(n, n) covariance of what the base knows; zero for what it does not have."""
+    free = chart.free
     covariance = np.zeros((len(free),) * 2)
     known = superset.knowledge
     if known is None:
@@ -207,6 +220,8 @@ def _base_covariance(superset: Superset, chart: Chart, free: Sequence[str], nuis
 
 def _floor(superset: Superset, name: str) -> float:
     """Least standard deviation of a base coordinate: what changes from day to day."""
+    if name not in FLOORS and "." not in name:
+        return 0.0
     if name not in FLOORS:
         effect, _, parameter = name.partition(".")
         found = next(e for e in superset.effects if e.name == effect)

@@ -18,11 +18,14 @@ from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.native.windows import Kernels, make_kernels, parameter_vector
 from steerd.car_model.params import Car
+from steerd.car_model.planar import make_planar
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.estimation.fit import prescribe_speed
 from steerd.sysid.inference.knowledge import Knowledge, knowledge_of_section
 
 Array = NDArray[np.float64]
+
+NO_SLIP = 1e6
+"""Slip stiffness of wheels that turn as fast as the ground passes, to a tenth of a millimetre."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +38,7 @@ class Superset:
         nulls: what each effect's parameters are when it is not a hypothesis: the base's values.
         sd: standard errors of the base by parameter name, as far as they are known.
         knowledge: the joint covariance that healthy drives gave it, if they did.
+        wheelbase: measured distance of the axles [m]: of `lf` and `lr`, one follows from the other.
     """
 
     kernels: Kernels
@@ -42,6 +46,7 @@ class Superset:
     nulls: dict[str, tuple[float, ...]]
     sd: dict[str, float]
     knowledge: Knowledge | None = None
+    wheelbase: float | None = None
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -54,12 +59,28 @@ class Superset:
         return [i for i, name in enumerate(names) if name.startswith(f"{effect}.")]
 
 
+def prescribe_speed(model: Model[float], runs: Sequence[Run]) -> Model[float]:
+    """The car whose speed follows a measured speed at once, where there is no command to explain.
+
+    A speed from poses is the body's and not the wheels': no slip lies between, and no driven front
+    axle rolls along its own wheels.
+    """
+    sources = {run.speed_source for run in runs}
+    if sources <= {"command"}:
+        return model
+    car: Car[float] = model.car._replace(
+        speed_lag=0.0, drive_delay=0.0, accel_max=1e3, decel_max=1e3
+    )
+    if sources == {"pose"} and model.chassis.drive:
+        return model._replace(car=car._replace(c_x=NO_SLIP), chassis=make_planar("rear"))
+    return model._replace(car=car)
+
+
 def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset:
     """The superset about a base car.
 
-    Where a run has no speed command its measured speed is prescribed, as in
-    `steerd.sysid.estimation.fit`. The acceleration of a measured speed is mostly noise, so loads
-    and slip do not follow it then.
+    Where a run has no speed command its measured speed is prescribed. The acceleration of a
+    measured speed is mostly noise, so loads and slip do not follow it then.
     """
     sd = dict(base.sd) if isinstance(base, CarFile) else {}
     given = base.model if isinstance(base, CarFile) else base

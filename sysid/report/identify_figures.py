@@ -77,41 +77,30 @@ def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
 
 def draw_residuals(found: Fit) -> str:
     """Residuals of each kind over time, and their spread against the signal's own noise."""
-    present = [int(g) for g in np.unique(found.layout.group)]
+    left = found.residuals
+    present = [int(g) for g in np.unique(left.group)]
     figure, axes = make_figure(len(present), 2, 1.5 * len(present) + 0.4)
-    times = _row_times(found)
     for row, group in zip(axes, present, strict=True):
-        mine = found.layout.group == group
+        mine = left.group == group
         unit = UNITS[GROUPS[group]]
-        values = 1e3 * found.residuals[mine]
-        row[0].plot(_thin(times[mine]), _thin(values), ".", ms=1.2, color=AFTER)
+        values = 1e3 * left.error[mine]
+        row[0].plot(_thin(left.t[mine]), _thin(values), ".", ms=1.2, color=AFTER)
         row[0].set(ylabel=f"{GROUPS[group]} [{unit}]".replace("_", " "))
-        edge = max(4e3 * float(found.noise[group]), 1e-6)
+        edge = max(4.0 * float(np.sqrt(np.mean(values**2))), 1e-6)
         bins = np.linspace(-edge, edge, 60)
         row[1].hist(values, bins, color=AFTER, alpha=0.7, density=True)
-        sigma = 1e3 * float(found.noise_signal[group])
+        sigma = 1e3 * float(left.signal[group])
         bell = np.exp(-0.5 * (bins / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
         row[1].plot(bins, bell, color=INK, lw=1.0)
     axes[0, 0].set_title("residuals of the fit")
     axes[0, 1].set_title("their spread; the line is the instrument's own noise")
-    axes[-1, 0].set_xlabel("time into each part [s]")
+    axes[-1, 0].set_xlabel("time into each drive [s]")
     return to_svg(figure)
-
-
-def _row_times(found: Fit) -> Array:
-    """Time into its run of every row [s]."""
-    seen, layout = found.layout.seen, found.layout
-    times = np.zeros(len(layout.values))
-    t = layout.t[seen.window] + seen.t
-    for offset in range(3):
-        mine = (offset == 0) | (seen.kind == 0)
-        times[seen.row[mine] + offset] = t[mine]
-    return times
 
 
 def draw_correlation(found: Fit) -> str:
     """Correlation of the coordinates."""
-    labels = found.chart.labels
+    labels = found.labels
     figure = Figure(figsize=(6.0, 5.0), layout="constrained")
     axes = figure.subplots()
     axes.grid(visible=False)
@@ -126,17 +115,6 @@ def draw_correlation(found: Fit) -> str:
             axes.text(j, i, f"{value:.1f}", ha="center", va="center", fontsize=6.5, color=ink)
     figure.colorbar(image, ax=axes, shrink=0.7)
     return to_svg(figure)
-
-
-def plot_costs(axis: Axes, found: Fit) -> None:
-    """Cost over steps, one line a stage; each stage has its own scale of weights."""
-    start = 0
-    for number, costs in enumerate(found.costs):
-        steps = start + np.arange(len(costs))
-        axis.plot(steps, costs, ".-", color=LINES[number % len(LINES)], lw=1.2)
-        start += len(costs) - 1
-    axis.set(yscale="log", xlabel="accepted steps", ylabel="cost",
-             title="cost by stage: windows grow, then noise levels settle")  # fmt: skip
 
 
 def plot_searches(left: Axes, right: Axes, searches: Sequence[SearchHistory]) -> None:

@@ -125,7 +125,6 @@ def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Secti
             "Near ±1: the data identify the combination, not its members.",
             figure=figures.draw_correlation(outcome.fit),
         )
-        yield Section("Convergence", figure=draw(figures.plot_costs, 2.6, outcome.fit))
     if outcome.searches:
         yield Section(
             "Convergence",

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerd.car_model.params import DEFAULT_CAR, PARAMETERS
-from steerd.sysid.estimation.chart import make_chart
+from steerd.sysid.inference.chart import make_chart
 
 NAMES = [p.name for p in PARAMETERS]
 CHOICES = st.lists(st.sampled_from(NAMES), min_size=1, max_size=12, unique=True)

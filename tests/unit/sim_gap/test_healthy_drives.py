@@ -5,8 +5,8 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sim_gap.diagnosis import Options, diagnose
-from steerd.sysid.estimation.taught import Stated
 from steerd.sysid.inference.car_posterior import refine
+from steerd.sysid.inference.teaching import Stated
 
 pytestmark = pytest.mark.slow
 

@@ -14,8 +14,9 @@ from steerd.daemon.analysis.options import IdentifyOptions
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.log_jitter import LogJitter
-from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row, Step
+from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row
 from steerd.sysid.estimation.validation import Prediction, Regime
+from steerd.sysid.inference.teaching import Step
 
 DRIVEN = Excitation(60.0, 100.0, 1.0, 2.0, 0.1, 1.0, 0.4, 0.4, 3.0, ())
 
@@ -47,7 +48,6 @@ def outcome(*positions: tuple[float, float]) -> Outcome:
         DEFAULT_CAR,
         DEFAULT_CAR,
         rows,
-        (),
         held_out,
         DRIVEN,
         ([], []),
@@ -116,7 +116,10 @@ def test_a_result_that_does_not_help_is_not_and_the_axles_may_be_why():
 
 def test_drives_that_are_too_gentle_are_not_blamed_on_the_axles():
     row = Row(0.2, 0.16, 0.1, "m", True, False, "bends")
-    fitted = SimpleNamespace(misfit={"position": 1.1}, iterations=3)
+    fitted = SimpleNamespace(
+        misfit={"position": 1.1}, horizon=5.4, selected=(Step("steer_backlash", 97.4),),
+        combinations=(),
+    )  # fmt: skip
     found = replace(outcome((0.4, 0.1)), rows={"lf": row}, fit=fitted)
     said = describe(found)
     assert "keep the old car file" in said
@@ -124,19 +127,20 @@ def test_drives_that_are_too_gentle_are_not_blamed_on_the_axles():
     assert "`steerd collect --plan mixed --sim --fast`" in said
     assert "`steerd collect --help`" in describe(found, metadata={})
     assert "--wheelbase" not in said
+    lines = said.splitlines()
+    assert "effect     steer_backlash: selected, these drives show it (gains 97 nats)" in lines
+    assert any(line.startswith("method     ours (windows of 5 s)") for line in lines)
 
 
 def test_what_was_undone_and_found_stands_on_the_screen():
     found = replace(
         outcome((0.1, 0.2), (0.2, 0.9)),
         log_jitters=(LogJitter("a.mcap", 0.1, 0.45, -0.019, 40.0),),
-        selected_effects=(Step("steer_backlash", 97.4, 26.0),),
         regimes=(Regime(0.0, 2.0, 5, 0.02, 0.03), Regime(6.0, inf, 4, 0.15, 0.2)),
     )
     lines = describe(found).splitlines()
     assert "log        a.mcap: steering stored 0 to 100 ms late" in lines
     assert any("1.9 ms/s" in line for line in lines)
-    assert "effect     steer_backlash: selected, these drives show it (gains 97 ± 26 nats)" in lines
     assert any(line.endswith("[m/s2]: 20 mm to 2, 150 mm above 6") for line in lines)
 
 

@@ -18,16 +18,10 @@ from steerd.sysid.data.segments import (
     smooth_speed,
     with_wheel_speed,
 )
-from steerd.sysid.estimation.fit import Options, fit
-from steerd.sysid.estimation.learn import (
-    Task,
-    fit_wheelbase,
-    free_names,
-    held_names,
-    learn,
-    scatter,
-)
+from steerd.sysid.estimation.learn import Task, learn
+from steerd.sysid.estimation.multistart import scatter
 from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
+from steerd.sysid.estimation.preparation import fit_wheelbase, free_names, held_names
 from steerd.sysid.estimation.validation import (
     HORIZONS,
     errors_at,
@@ -50,7 +44,7 @@ def run(make_drive, truth):
 
 @pytest.fixture(scope="module")
 def outcome(run):
-    return learn(Task((run,), DEFAULT, options=Options(wheelbase=0.332)), lambda: 0.0)
+    return learn(Task((run,), DEFAULT, wheelbase=0.332), lambda: 0.0)
 
 
 def test_a_part_keeps_commands_and_measurements_together(run):
@@ -133,6 +127,13 @@ def test_json_is_the_schema(outcome):
     }  # fmt: skip
 
 
+def test_one_constant_steering_is_refused(simulated):
+    commands = np.column_stack([np.full(400, 0.1), np.ones(400)])
+    first = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.1])
+    with pytest.raises(DataError, match="constant"):
+        learn(Task((simulated(DEFAULT, commands, first, 0),), DEFAULT), lambda: 0.0)
+
+
 def test_the_report_needs_nothing_else(outcome, truth, monkeypatch):
     monkeypatch.setattr("steerd.sysid.report.design_comparison.SECONDS", 2.0)
     monkeypatch.setattr("steerd.sysid.report.design_comparison.FRICTIONS", {"standard": 1.0})
@@ -141,7 +142,7 @@ def test_the_report_needs_nothing_else(outcome, truth, monkeypatch):
         lambda plant, cars: compare_designs(plant, {"true": plant}),
     )
     page = render_report(replace(outcome, truth=truth.car))
-    assert page.count("<svg") == 6
+    assert page.count("<svg") == 5
     for outside in ("<script", "stylesheet", "<img", "src=", "@import"):
         assert outside not in page
     assert "not fitted" in page
@@ -182,7 +183,7 @@ def test_a_fixed_length_and_the_wheelbase_make_the_other():
 def test_drives_with_and_without_speed_commands_are_not_one_fit(run, truth):
     bare = replace(with_wheel_speed(run), name="bare")
     with pytest.raises(DataError, match=r"bare has no speed commands, run 5 has.*--speed wheel"):
-        fit([run, bare], DEFAULT)
+        learn(Task((run, bare), DEFAULT), lambda: 0.0)
     with pytest.raises(DataError, match="bare has no speed commands"):
         trace_windows(truth, [run, bare], max(HORIZONS))
     with pytest.raises(DataError, match="bare has no speed commands"):
@@ -220,15 +221,17 @@ def _stepping(make, truth, faster):
     return make(Model(car), np.column_stack([steer, np.full(len(t), 1.5)]), first, 2)
 
 
-def test_a_slew_limit_that_nobody_measured_is_doubted_where_it_is_felt(simulated, truth):
+def test_a_slew_limit_that_nobody_measured_is_learnt_where_it_is_felt(simulated, truth):
     run = _stepping(simulated, truth, 7.0)
-    task = Task((run,), DEFAULT, options=Options(wheelbase=0.332))
+    task = Task((run,), DEFAULT, wheelbase=0.332)
     found = learn(task, lambda: 0.0)
     for name, row in found.free_rows.items():
         if row.identifiable:
             assert abs(row.value - getattr(truth.car, name)) < 4.0 * row.sd, name
     sure = learn(replace(task, held=("steer_rate",)), lambda: 0.0)
-    assert sure.rows["steer_lag"].sd < 0.3 * found.rows["steer_lag"].sd
+    rate = found.rows["steer_rate"]
+    assert abs(rate.value - 7.0) < 4.0 * rate.sd
+    assert not sure.rows["steer_rate"].free
 
 
 def test_what_keeps_its_value():

@@ -12,7 +12,7 @@ from steerd.sysid.estimation.plain_start import (
     possible_starts,
     rolling_length,
 )
-from steerd.sysid.estimation.taught import NOTHING, Stated
+from steerd.sysid.inference.teaching import NOTHING, Stated
 
 MODEL = Model(DEFAULT_CAR)
 LENGTHS = (0.1, 0.15, 0.33, 0.8, 3.0)

@@ -1,12 +1,4 @@
-"""How far a model holds, and a start that does not stand in its way.
-
-Where a model is right, long windows show most: errors of a start fade, those of a parameter grow.
-Where it is not, what long windows show are the model's own errors, heaped up; a fit to them bends
-every parameter to pass for what is missing, and long windows have more minima than one. So a car
-that is off by more than instruments after 2 s is fitted over 2 s at most.
-"""
-
-# Why: docs/decisions/identification.md#d46
+"""What is free, and drives and a start that do not stand in a search's way."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,40 +6,22 @@ from itertools import accumulate
 
 import numpy as np
 
+from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car, wheelbase
 from steerd.sysid.data.dataset import HISTORY as PAST
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.data.windows import GROUPS
-from steerd.sysid.estimation.fit import Fit, Options
 
-ROUGH: tuple[float, ...] = (0.5, 2.0)
-"""Windows that show whether a model holds [s]."""
-SHORT: tuple[float, ...] = (0.5, 1.0, 2.0)
-"""Windows for a model that does not [s]."""
-MISFIT = 10.0
-"""Residuals so many times the noise after 2 s are the model's ..."""
-OFF: dict[str, float] = {"position": 0.005, "yaw": 0.01}
-"""... if they are larger than this, too: no model is right to the noise of a mocap [m, rad]."""
 _RESTS = 1e-3
 """Steering that changes by less from one step of the grid to the next rests [rad]."""
 HISTORY = 4.0
 """Commands before a window that a linkage with play may remember [s]."""
 _BARELY = 1.05
 """A slew limit that is passed by less makes no difference."""
+AGREE = 5e-4
+"""Lengths that agree to this are the same measurement [m]."""
 _ROOM = 1.5
 """A gain that is not known yet may be so much larger."""
-
-
-def is_adequate(found: Fit) -> bool:
-    """Whether the model explains the fit's windows but for noise."""
-    left = {name: float(found.noise[GROUPS.index(name)]) for name in OFF}
-    return all(found.misfit[name] <= MISFIT or left[name] <= OFF[name] for name in OFF)
-
-
-def choose_horizons(options: Options, rough: Fit) -> Options:
-    """The options, with windows as long as the model holds."""
-    return options if is_adequate(rough) else replace(options, horizons=SHORT)
 
 
 def add_command_history(runs: Sequence[Run], model: Model[float], asked: bool = False) -> list[Run]:
@@ -133,3 +107,64 @@ def level_loads(model: Model[float], runs: Sequence[Run]) -> Model[float]:
     if all(run.speed_source == "command" for run in runs):
         return model
     return model._replace(car=model.car._replace(cog_height=0.0))
+
+
+def fit_wheelbase(
+    model: Model[float], length: float | None, fixed: Sequence[str] = ()
+) -> Model[float]:
+    """The model with its axles at a known distance [m], in the same proportion.
+
+    Of `fixed` lengths, one leaves the other to be what is missing; two are as they are.
+
+    Raises:
+        ValueError: fixed lengths and the distance do not agree.
+    """
+    if length is None:
+        return model
+    car = model.car
+    if kept := [name for name in ("lf", "lr") if name in fixed]:
+        other = length - getattr(car, kept[0])
+        name = "lr" if kept[0] == "lf" else "lf"
+        if other <= 0.0 or (len(kept) > 1 and abs(other - getattr(car, name)) > AGREE):
+            lengths = " and ".join(f"{n} = {getattr(car, n):g}" for n in kept)
+            raise ValueError(f"{lengths} do not make a wheelbase of {length:g} m")
+        return model if len(kept) > 1 else model._replace(car=car._replace(**{name: other}))
+    scale = length / wheelbase(model.car)
+    return model._replace(car=model.car._replace(lf=model.car.lf * scale, lr=model.car.lr * scale))
+
+
+def free_names(
+    free: Sequence[str] | None,
+    fixed: Sequence[str],
+    default: Sequence[str],
+    *,
+    axles_known: bool = False,
+) -> tuple[str, ...]:
+    """Free parameters after `--free` and `--fix`.
+
+    With the distance of the axles known, one fixed length leaves nothing of the other to learn.
+    """
+    known = {"lf", "lr"} if axles_known and {"lf", "lr"} & set(fixed) else set()
+    return tuple(name for name in (free or default) if name not in known.union(fixed))
+
+
+def held_names(
+    fixed: Sequence[str],
+    free: Sequence[str],
+    *,
+    axles_known: bool,
+    effects: Sequence[str] | None = None,
+) -> tuple[str, ...]:
+    """What keeps its value: what is fixed, and all else where `--free` names what does not.
+
+    With the distance of the axles known, the other length follows from the one that is fixed or
+    free. `effects` are the only ones that may be learnt; None leaves it to `free`.
+    """
+    axles = ("lf", "lr") if axles_known else ()
+    kept = axles if set(axles) & set(fixed) else ()
+    follows = axles if set(axles) & set(free) else ()
+    moving = {*free, *follows, *(effects or ())}
+    others = [name for name in Car._fields if name not in moving] if free else []
+    if free or effects is not None:  # an effect may bear the name of the parameter that it moves
+        others += [name for name in EFFECTS if name not in (*moving, *Car._fields)]
+    return tuple(dict.fromkeys((*fixed, *kept, *others)))

@@ -6,7 +6,7 @@ import pytest
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.dataset import Signal, make_run
-from steerd.sysid.estimation.prediction_horizon import (
+from steerd.sysid.estimation.preparation import (
     exceeds_slew_rate,
     largest_steering,
     level_loads,

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from steerd.sysid.estimation.bounded_step import step_within
+from steerd.sysid.inference.bounded_step import step_within
 
 
 def _quadratic(seed: int, n: int) -> tuple[np.ndarray, ...]:

@@ -8,8 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.car_model.effect import Effect
 from steerd.car_model.params import GRAVITY
-from steerd.sysid.estimation.chart import INVERSE, RELATIVE, SPREAD, WHEELBASE, Chart
+from steerd.sysid.inference.chart import (
+    INVERSE,
+    RELATIVE,
+    SPREAD,
+    WHEELBASE,
+    Chart,
+    make_chart,
+)
 
 Array = NDArray[np.float64]
 
@@ -35,8 +43,6 @@ AT_BOUND = 1e-3
 """This share of it away is still at the bound."""
 SUM_MAX = 0.02
 """A sum is called known when its standard error, doubts included, is below this share of it."""
-NAMED_MIN = 0.25
-"""Coordinates that carry less of a direction are not named in it."""
 
 _SHOWING = "a drive that lets this effect show"
 _TWO_SPEEDS = "constant steering at two or more speeds (`steerd collect --plan mixed`)"
@@ -98,24 +104,6 @@ class Combination:
     value: float
     sd: float
     known: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class Direction:
-    """A direction in the coordinates (scaled by what they could be) and how well it is known.
-
-    Attributes:
-        text: its largest parts.
-        parts: weight of each coordinate.
-        gain: prior standard deviation over the posterior one; about 1 says that the data are
-            silent.
-        identifiable: whether the data say more than the prior.
-    """
-
-    text: str
-    parts: Array
-    gain: float
-    identifiable: bool
 
 
 def standard_errors(chart: Chart, z: Array, covariance: Array) -> Array:
@@ -213,34 +201,27 @@ def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     return out
 
 
+def taught_estimates(
+    effects: Sequence[Effect], parameters: Array, sds: Mapping[str, float]
+) -> dict[str, Estimate]:
+    """The same of parameters (P,) whose standard errors, by name, are known already."""
+    chart = make_chart(effects, parameters, tuple(sds))
+    z = chart.coordinates(parameters)
+    priors = standard_errors(chart, z, np.diag(chart.spread**2))
+    moved, out = "marker_offset.forward" in sds, {}
+    for name, sd in sds.items():
+        i = chart.names.index(name)
+        value, prior = float(parameters[i]), float(priors[i])
+        known = is_identifiable(name, value, sd, prior)
+        out[name] = Estimate(value, sd, prior, known, "" if known else manoeuvre_for(name, moved))
+    return out
+
+
 def silent_estimates(chart: Chart, names: Sequence[str]) -> dict[str, Estimate]:
     """What nothing in the drives excites: as believed, and as uncertain as before."""
     hint = f"the speed was never changed: {_SPEED_STEPS}"
     values = dict(zip(chart.names, chart.prior.tolist(), strict=True))
     return {n: Estimate(values[n], SPREAD[n], SPREAD[n], False, hint) for n in names}
-
-
-def directions(chart: Chart, z: Array, information: Array) -> tuple[Direction, ...]:
-    """Singular directions of the data's information at `z`, weakest first."""
-    scale = _scale(chart, z)
-    scaled = information * np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-    found = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        gain = float(np.sqrt(max(float(value), 1.0)))
-        found.append(Direction(_say(chart, vector), vector, gain, gain > GAIN_MIN))
-    return tuple(found)
-
-
-def _say(chart: Chart, vector: Array) -> str:
-    order = np.argsort(-np.abs(vector))
-    sign = np.sign(vector[order[0]]) or 1.0
-    parts = []
-    for i in order:
-        weight = sign * vector[i]
-        if abs(weight) >= NAMED_MIN:
-            parts.append(f"{weight:+.2f} {chart.labels[i]}")
-    return " ".join(parts).lstrip("+")
 
 
 def combinations(

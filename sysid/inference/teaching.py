@@ -1,0 +1,309 @@
+"""A car taught by healthy drives: car and noise in turn, under the errors of one second.
+
+Errors are weighed by instruments and disturbances both, the same measure by which a diagnosis
+judges, so that a healthy car has no gap to it. The search begins under a discrepancy as large as
+the start is wrong. Base parameters and the structure that every car has (tyres that level off, a
+bent linkage) are free together under weak priors.
+"""
+
+# Why: docs/decisions/diagnosis.md#d52
+# Why: docs/decisions/identification.md#d94
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.car_file import CarFile
+from steerd.car_model.effect import BaseSelection
+from steerd.car_model.model import Model
+from steerd.sysid.data.dataset import Run
+from steerd.sysid.data.segments import thinned
+from steerd.sysid.data.windows import estimate_noise
+from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.engine import Engine, open_engine
+from steerd.sysid.inference.hypotheses import Library, begin, explain
+from steerd.sysid.inference.knowledge import excess_by_regime
+from steerd.sysid.inference.likelihood import SPUN, Likelihood, make_likelihood
+from steerd.sysid.inference.noise import (
+    Noise,
+    calibrated,
+    learn_noise,
+    noise_of_sizes,
+    noise_share,
+    usual_noise,
+)
+from steerd.sysid.inference.residuals import robust_mean
+from steerd.sysid.inference.search import Point, minimise, stand, with_size
+from steerd.sysid.inference.space import (
+    informative_effects,
+    make_space,
+    nuisance_names,
+    weak_knowledge,
+)
+from steerd.sysid.inference.superset import Superset, make_superset
+
+Array = NDArray[np.float64]
+
+ORDINARY: dict[str, float] = {
+    "lf": 0.075, "lr": 0.1, "steer_gain": 0.33, "inertia_z": 0.4, "c_sf": 0.7, "c_sr": 0.7,
+    "marker_offset.forward": 0.25, "accel_max": 0.2, "decel_max": 0.2,
+    "lateral_load_transfer.k": 0.3,
+}  # fmt: skip
+"""Share of identification's weak priors that is left when a base is taught.
+
+A car comes with a wheelbase (the coordinate of `lf`) known to 15 mm, a centre of gravity known
+to 2 cm, markers placed to 5 mm and a gain known to 0.1. A tyre's friction falls by a few tenths at
+most where its load doubles, which makes `k` 0.15 on a car as low as these; a larger one stands in
+for tyres that slide, and says too much of bends harder than the drives'.
+"""
+MEASURED = 5e-4
+"""The wheelbase's share where it was measured: it stays within 0.1 mm of what was stated."""
+_LOUDER, _LOUDEST = 3.0, 80.0
+"""Noise grows by this factor, and to so many times the usual at most, until ..."""
+_FAR_OFF = 0.2
+"""... a smaller share of the windows is bounded at the start."""
+_STIFFER, _ENOUGH = 3.0, 60.0
+"""Stiffness of a further start, and driving that is enough to choose between them [s]."""
+_ROUNDS = 2
+"""How often noise and base are learnt in turn."""
+
+
+class Step(NamedTuple):
+    """An effect that drives show, and what the evidence gains by those that were found [nats]."""
+
+    effect: str
+    gain: float
+
+
+class Stated(NamedTuple):
+    """What whoever asks vouches for.
+
+    Attributes:
+        wheelbase: whether the model's axles stand at a measured distance.
+        held: parameters and effects that keep the model's values.
+    """
+
+    wheelbase: bool = False
+    held: tuple[str, ...] = ()
+
+    def holds(self, name: str) -> bool:
+        """Whether a parameter (`name` or `effect.name`) keeps its value."""
+        return name in self.held or name.partition(".")[0] in self.held
+
+
+NOTHING = Stated()
+
+
+@dataclass(frozen=True, eq=False)
+class Taught:
+    """A car at its best on healthy drives.
+
+    Attributes:
+        likelihood: the windows under what was learnt to be random.
+        point: the car there.
+        noise: how large what is random is.
+        nuisance: names of the car's free parameters.
+        shares: of identification's weak priors, by parameter (see `ORDINARY`).
+        selected: effects beyond those of every car that the drives show, the surest first.
+    """
+
+    likelihood: Likelihood
+    point: Point
+    noise: Noise
+    nuisance: tuple[str, ...]
+    shares: Mapping[str, float]
+    selected: tuple[Step, ...] = ()
+
+    @property
+    def superset(self) -> Superset:
+        """The car that was fitted."""
+        return self.likelihood.engine.superset
+
+
+def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NOTHING) -> Taught:
+    """Fit car and noise in turn, under weak priors about the base's values.
+
+    Args:
+        base: where it starts.
+        runs: drives without a gap.
+        stated: what keeps the base's value.
+
+    Raises:
+        FloatingPointError: the base car's simulation diverges.
+        ValueError: no window sees enough poses.
+    """
+    return _in_turn(_first(base, runs, stated), runs, _ROUNDS)
+
+
+def teach_with_limits(
+    base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NOTHING
+) -> Taught:
+    """`teach`, once more with the limits and the play that the drives show, free like the rest."""
+    taught = teach(base, runs, stated)
+    shown = informative_effects(taught.superset, runs)
+    free = {name.partition(".")[0] for name in taught.nuisance if "." in name}
+    effects = tuple(
+        e
+        for e in taught.superset.effects
+        if e.name in shown
+        and e.name not in free
+        and not stated.holds(e.name)
+        and not (e.same_as and set(e.same_as) <= set(taught.nuisance))
+        and e.selectable_in_base is not BaseSelection.NEVER
+    )
+    found = explain(Library(taught.likelihood, taught.nuisance, effects, known=False), c.BUILT_IN)
+    if not found.best.effects:
+        better = found.best.point
+        return replace(taught, point=better) if better.cost < taught.point.cost else taught
+    gain = found.best.posterior.evidence - found.null.posterior.evidence
+    steps = tuple(Step(name, gain) for name in found.best.effects)
+    return replace(_with_effects(taught, found.best.point, runs), selected=steps)
+
+
+def choose_start(
+    starts: Sequence[Model[float]], runs: Sequence[Run], stated: Stated = NOTHING
+) -> Model[float]:
+    """The start from which these drives are explained best; each also on stiffer tyres.
+
+    From tyres that are too soft, hard bends lead to softer ones still instead of to ones that
+    level off.
+
+    Raises:
+        FloatingPointError: the simulation diverges at every one.
+        ValueError: no window sees enough poses.
+    """
+    some, found = thinned(runs, _ENOUGH), []
+    models = [stiffer(start, factor, stated) for start in starts for factor in (1.0, _STIFFER)]
+    for number, start in enumerate(models):
+        try:
+            found.append((_first(start, some, stated).point.cost, number))
+        except (FloatingPointError, np.linalg.LinAlgError):
+            continue
+    if not found:
+        raise FloatingPointError("the simulation diverges at every start")
+    return models[min(found)[1]]
+
+
+def stiffer(model: Model[float], factor: float, stated: Stated) -> Model[float]:
+    """The model on tyres so many times as stiff, as far as nobody stated what they are."""
+    car = model.car
+    moved = {n: factor * getattr(car, n) for n in ("c_sf", "c_sr") if not stated.holds(n)}
+    return model._replace(car=car._replace(**moved))
+
+
+def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) -> Taught:
+    """The car at its best under noise as learnt about it, from noise that forgives the start.
+
+    A window that is far off is bounded and pulls at nothing; were all so, the search would stay
+    where it began.
+    """
+    base = replace(base, sd={}, sections={}) if isinstance(base, CarFile) else base
+    superset = make_superset(base, runs)
+    names = (*nuisance_names(superset, runs), *structure_names(superset, runs))
+    nuisance = tuple(name for name in names if not stated.holds(name))
+    shares = {**ORDINARY, **({"lf": MEASURED} if stated.wheelbase else {})}
+    superset = replace(superset, knowledge=weak_knowledge(superset, nuisance, shares))
+    engine, usual = open_engine(superset, runs), usual_noise(estimate_noise(runs))
+    x = engine.readings.layout.guess.copy()
+    noise = usual
+    begun = _begin(engine, nuisance, x, noise)
+    while _bounded(begun[1]) >= _FAR_OFF and noise.sizes[0] < _LOUDEST * usual.sizes[0]:
+        noise = noise_of_sizes(_LOUDER * noise.sizes)
+        begun = _begin(engine, nuisance, x, noise)
+    taught = Taught(begun[0], minimise(*begun), noise, nuisance, shares)
+    return taught if noise is usual else _again(taught, learn_noise(engine, taught.point, noise))
+
+
+def _begin(
+    engine: Engine, nuisance: tuple[str, ...], x: Array, noise: Noise
+) -> tuple[Likelihood, Point]:
+    """Windows under a noise, and the base at its prior."""
+    likelihood = make_likelihood(engine, engine.superset.base, x, noise)
+    return likelihood, begin(Library(likelihood, nuisance, (), known=False), (), (), x)
+
+
+def _bounded(point: Point) -> float:
+    """Share of the windows that are so far off that they pull at nothing."""
+    return float((point.at.square >= SPUN * point.at.dof).mean())
+
+
+def _again(taught: Taught, noise: Noise) -> Taught:
+    """The car at its best under another noise, its responses taken where the car is now."""
+    engine, old = taught.likelihood.engine, taught.point
+    likelihood = make_likelihood(engine, old.parameters, old.x, noise)
+    space = make_space(engine.superset, taught.nuisance)
+    z = np.clip(space.chart.coordinates(old.parameters), space.low, space.high)
+    begun = stand(likelihood, space, z, old.x, max(old.size, c.SIZE_SMALL))
+    return replace(taught, likelihood=likelihood, point=minimise(likelihood, begun), noise=noise)
+
+
+def _in_turn(taught: Taught, runs: Sequence[Run], rounds: int) -> Taught:
+    """Noise and car, each given the other; then what regimes are allowed beyond the noise."""
+    for _ in range(rounds):
+        noise = learn_noise(taught.likelihood.engine, taught.point, taught.noise)
+        taught = _again(taught, noise)
+    noise = learn_noise(taught.likelihood.engine, taught.point, taught.noise)
+    taught = _again(taught, noise)
+    left, should = robust_mean(unweighed(taught)), noise_share_of(taught, runs)
+    taught = _again(taught, calibrated(noise, left, should))
+    excess = excess_of(taught)
+    weak = weak_knowledge(taught.superset, taught.nuisance, taught.shares)
+    known = replace(weak, excess=tuple(e / excess[0] for e in excess))
+    engine = replace(taught.likelihood.engine, superset=replace(taught.superset, knowledge=known))
+    likelihood = replace(taught.likelihood, engine=engine)
+    return _again(replace(taught, likelihood=likelihood), taught.noise)
+
+
+def noise_share_of(taught: Taught, runs: Sequence[Run]) -> float:
+    """What noise should leave of these drives' whitened error."""
+    return noise_share(taught.likelihood.engine, float(estimate_noise(runs)[2]))
+
+
+def ratios(taught: Taught) -> Array:
+    """(W,) whitened squared errors per degree of freedom, no discrepancy allowed."""
+    at = with_size(taught.likelihood, taught.point, 0.0).at
+    return np.asarray(at.square / at.dof)
+
+
+def unweighed(taught: Taught) -> Array:
+    """(W,) the same without what regimes are allowed beyond the noise."""
+    return ratios(taught) * taught.likelihood.engine.excess
+
+
+def excess_of(taught: Taught, should: float = 1.0) -> tuple[float, ...]:
+    """How much larger than noise errors are by lateral acceleration, whatever they are weighed by.
+
+    Hard bends, in which the model misses most, shall not decide about values that gentle ones show.
+    """
+    return excess_by_regime(unweighed(taught) / should, taught.likelihood.engine.lateral)
+
+
+def structure_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Parameters of the effects that no real car is without, as far as such drives show them."""
+    shown = informative_effects(superset, runs)
+    return tuple(
+        f"{effect.name}.{parameter.name}"
+        for effect in superset.effects
+        if effect.on_every_car and effect.name in shown
+        for parameter in effect.parameters
+    )
+
+
+def _with_effects(taught: Taught, point: Point, runs: Sequence[Run]) -> Taught:
+    """What was taught, with the effects of a hypothesis free about its values."""
+    old, start = taught.superset, point.parameters
+    centre, nulls = old.base.copy(), dict(old.nulls)
+    for name in point.space.effects:
+        centre[old.places(name)] = start[old.places(name)]
+        nulls[name] = tuple(start[old.places(name)].tolist())
+    own = tuple(n for n in old.kernels.names if n.partition(".")[0] in point.space.effects)
+    nuisance = (*taught.nuisance, *own)
+    superset = replace(old, base=centre, nulls=nulls)
+    superset = replace(superset, knowledge=weak_knowledge(superset, nuisance, taught.shares))
+    engine = replace(taught.likelihood.engine, superset=superset)
+    likelihood = replace(taught.likelihood, engine=engine)
+    grown = replace(taught, likelihood=likelihood, point=point, nuisance=nuisance)
+    return _in_turn(grown, runs, 0)
