@@ -107,16 +107,3 @@ def encode_table(
 
 def _value(value: Any) -> Any:
     return None if isinstance(value, float) and value != value else value
-
-
-def read_table(path: Path) -> list[dict[str, Any]]:
-    """The rows of a table.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: it is no Parquet file.
-    """
-    from pyarrow import parquet  # noqa: TID251
-
-    rows: list[dict[str, Any]] = parquet.read_table(path).to_pylist()
-    return rows

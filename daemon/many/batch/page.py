@@ -38,13 +38,12 @@ def make_report(
         ))  # fmt: skip
     if ordered:
         drawn = ordered[:_FIGURES]
-        figure = _draw(drawn, first)
         sections.append(Section(
             "Over time",
             "Dots are single drives, the line is the mean of each week with its 95 % band; a "
             f"dashed line marks a change. {len(drawn)} of {len(ordered)} series are drawn, those "
             "that changed first.",
-            figure=figure,
+            figure=_draw(drawn, first),
         ))  # fmt: skip
     failed = [row for row in rows if row["outcome"] != "done"]
     if failed:

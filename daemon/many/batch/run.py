@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from steerd.daemon.common.written import write_outputs
+from steerd.daemon.many.batch.changes import Change, Series, find_changes, list_series
 from steerd.daemon.many.batch.sources import (
     Kind,
     Question,
@@ -15,14 +15,12 @@ from steerd.daemon.many.batch.sources import (
     read_cars,
     read_content,
 )
+from steerd.daemon.many.batch.text import describe_batch
 from steerd.daemon.many.batch.unit import day_of, run_unit
 from steerd.daemon.many.journal import Row
 from steerd.daemon.many.tables import Column, RowTable
 from steerd.daemon.many.units import FAILED, Done, Where, work_through
 from steerd.sysid.report.report import Report
-
-if TYPE_CHECKING:
-    from steerd.daemon.many.batch.changes import Change, Series
 
 DONE = "done"
 _HEAD = (
@@ -68,17 +66,13 @@ class Batch(RowTable):
         return tuple(n for n in names if n not in _NO_ESTIMATE and not n.endswith("_sd"))
 
     @cached_property
-    def series(self) -> "tuple[Series, ...]":
+    def series(self) -> tuple[Series, ...]:
         """Every quantity of every car with enough drives, over time."""
-        from steerd.daemon.many.batch.changes import list_series
-
         return tuple(list_series(self.rows, self.quantities))
 
     @cached_property
-    def changes(self) -> "tuple[Change, ...]":
+    def changes(self) -> tuple[Change, ...]:
         """What changed, the clearest first."""
-        from steerd.daemon.many.batch.changes import find_changes
-
         return tuple(find_changes(self.series))
 
     @property
@@ -93,8 +87,6 @@ class Batch(RowTable):
         return make_report(self.kind, self.rows, self.series, self.changes)
 
     def __str__(self) -> str:
-        from steerd.daemon.many.batch.text import describe_batch
-
         return describe_batch(self.rows, self.worked, len(self.series), self.changes)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -14,12 +14,11 @@ from steerd.daemon.many.journal import Row, journal_path
 from steerd.daemon.many.sweep.drive import Task, run_case, start_row
 from steerd.daemon.many.sweep.measures import list_columns
 from steerd.daemon.many.sweep.plan import SweepPlan, list_cases, make_sweep_plan
+from steerd.daemon.many.sweep.summary import Summary, summarise_sweep
+from steerd.daemon.many.sweep.text import describe_sweep
 from steerd.daemon.many.tables import Column, RowTable
 from steerd.daemon.many.units import FAILED, Done, Where, work_through
 from steerd.sysid.report.report import Report
-
-if TYPE_CHECKING:
-    from steerd.daemon.many.sweep.summary import Summary
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +45,8 @@ class Sweep(RowTable):
         return list_columns(self.plan.quantities)
 
     @cached_property
-    def summary(self) -> "Summary":
+    def summary(self) -> Summary:
         """Distributions, stops, sensitivities."""
-        from steerd.daemon.many.sweep.summary import summarise_sweep
-
         return summarise_sweep(self.plan, self.rows)
 
     @property
@@ -64,11 +61,8 @@ class Sweep(RowTable):
         return make_report(self.plan, self.rows, self.summary)
 
     def __str__(self) -> str:
-        from steerd.daemon.many.sweep.text import describe_sweep
-
-        seconds = sum(row.get("seconds") or 0.0 for row in self.rows)
-        share = self.driven / len(self.rows)
-        speed = seconds * share / self.wall if self.driven and self.wall > 0.0 else None
+        mean = sum(row.get("seconds") or 0.0 for row in self.rows) / len(self.rows)
+        speed = self.driven * mean / self.wall if self.driven and self.wall > 0.0 else None
         return describe_sweep(self.plan, self.rows, self.summary, speed)
 
 
