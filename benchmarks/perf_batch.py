@@ -18,10 +18,10 @@ from pathlib import Path
 
 from batch_drives import DAY, FIRST, Hidden, make_fleet
 
-from steerd.daemon.batch.run import Batch, run_batch
-from steerd.daemon.batch.sources import Question
-from steerd.daemon.batch.unit import day_of
-from steerd.daemon.jobs.units import Where
+from steerd.daemon.many.batch.run import Batch, run_batch
+from steerd.daemon.many.batch.sources import Question
+from steerd.daemon.many.batch.unit import day_of
+from steerd.daemon.many.units import Where
 
 HIDDEN = (
     Hidden("car3", "steer_bias", 11, 0.02),

@@ -155,17 +155,17 @@ def figures_of(drive: LaneDrive) -> LaneFigures:
     )  # fmt: skip
 
 
-def profile(drive: LaneDrive, values: Array) -> Array:
-    """(BINS,) mean of `values` at places along the lane; NaN where the drive never was."""
-    place = np.floor((drive.s / drive.length % 1.0) * BINS).astype(int).clip(0, BINS - 1)
-    count = np.bincount(place, minlength=BINS)
-    total = np.bincount(place, weights=values, minlength=BINS)
+def profile(along: Array, length: float, values: Array, bins: int = BINS) -> Array:
+    """(bins,) mean of values at places along a lane [m]; NaN where the drive never was."""
+    place = np.floor((along / length % 1.0) * bins).astype(int).clip(0, bins - 1)
+    count = np.bincount(place, minlength=bins)
+    total = np.bincount(place, weights=values, minlength=bins)
     means: Array = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     return means
 
 
 def _profile_distance(a: LaneDrive, b: LaneDrive, field: str) -> float:
-    first, second = (profile(d, getattr(d, field)) for d in (a, b))
+    first, second = (profile(d.s, d.length, getattr(d, field)) for d in (a, b))
     both = np.isfinite(first) & np.isfinite(second)
     if not both.any():
         return float("inf")

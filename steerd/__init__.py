@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from steerd.daemon.analysis.identification import Identification, identify
     from steerd.daemon.analysis.recorded import Session, load
     from steerd.daemon.analysis.simulation import simulate
-    from steerd.daemon.batch.run import Batch, batch
     from steerd.daemon.common.errors import SteerdError
+    from steerd.daemon.many.batch.run import Batch, batch
+    from steerd.daemon.many.sweep.run import Sweep, sweep
     from steerd.daemon.process.external_controller import serve
-    from steerd.daemon.sweep.run import Sweep, sweep
 
 __all__ = [
     "Batch",
@@ -45,19 +45,19 @@ __all__ = [
 ]
 
 _MODULES = {
-    "Batch": "batch.run",
+    "Batch": "many.batch.run",
     "Diagnosis": "analysis.diagnosis",
     "Identification": "analysis.identification",
     "Session": "analysis.recorded",
     "SteerdError": "common.errors",
-    "Sweep": "sweep.run",
-    "batch": "batch.run",
+    "Sweep": "many.sweep.run",
+    "batch": "many.batch.run",
     "diagnose": "analysis.diagnosis",
     "identify": "analysis.identification",
     "load": "analysis.recorded",
     "serve": "process.external_controller",
     "simulate": "analysis.simulation",
-    "sweep": "sweep.run",
+    "sweep": "many.sweep.run",
 }
 
 if not TYPE_CHECKING:  # type checkers read the imports above

@@ -1,7 +1,5 @@
 """What notebooks plot: one matplotlib figure of a drive, an identification or a diagnosis."""
 
-from typing import Any
-
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -123,13 +121,12 @@ def plot_diagnosis(found: Diagnosis) -> Figure:
     runs = list(dict.fromkeys(line.run))[:TIMELINES] if line is not None else []
     present = find_measured(found.before)
     rows = 0.24 * max(len(found.candidates), 6)
-    style: dict[Any, Any] = {**STYLE, "axes.axisbelow": True}
-    with rc_context(style):
+    with rc_context(STYLE):
         heights = (2.4, rows, *(1.5 for _ in runs))
         figure = Figure(figsize=(WIDTH, sum(heights) + 1.0), layout="constrained")
         grid = figure.add_gridspec(len(heights), len(present), height_ratios=heights)
         top = [figure.add_subplot(grid[0, column]) for column in range(len(present))]
-        plot_gap(top, present, found.before, found.after, explained)
+        plot_gap(top, found)
         plot_candidates(figure.add_subplot(grid[1, :]), found)
         for row, run in enumerate(runs, 2):
             axis = figure.add_subplot(grid[row, :])

@@ -32,17 +32,13 @@ _POLL_S = 0.01
 _WORD_MAX = 64
 """A page's message is a word."""
 _NICE = 5
-_FILES = Path(__file__).parent / "live_page"
+_TEMPLATE = Path(__file__).parent / "live_page" / "live.html"
 
 
 def make_page(job: Mapping[str, Any]) -> str:
     """The page: its style, its script and what it draws the car on."""
-    return render_page(
-        _FILES / "live.html",
-        job={name: job[name] for name in ("car", "lane", "closed", "half_width", "body")},
-        style=(_FILES / "live.css").read_text(encoding="utf-8"),
-        script=(_FILES / "live.js").read_text(encoding="utf-8"),
-    )
+    shown = {name: job[name] for name in ("car", "lane", "closed", "half_width", "body")}
+    return render_page(_TEMPLATE, job=shown)
 
 
 class PageTalk:

@@ -1,14 +1,14 @@
 """Drives of one lane side by side: what each did at the same place, as one HTML page."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from steerd.car_model.path.path import Path as Lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -17,23 +17,12 @@ from steerd.daemon.sessions.info import Times, find_table, load_session, make_tr
 from steerd.daemon.sessions.lane_error import find_settled, rms
 from steerd.daemon.sessions.motion import Array, Track
 from steerd.daemon.sessions.plot_data import load_lane
+from steerd.sim_gap.lane_comparison import profile
 from steerd.steer_bus import topics
-from steerd.sysid.report.drawing import (
-    AFTER,
-    BEFORE,
-    FAINT,
-    GREEN,
-    STYLE,
-    TEAL,
-    VIOLET,
-    make_figure,
-    to_svg,
-)
-from steerd.sysid.report.page import render_page
+from steerd.sysid.report.drawing import FAINT, LINES, STYLE, draw, make_figure, to_svg
+from steerd.sysid.report.page import render_report
+from steerd.sysid.report.report import Report, Section, Table
 
-TEMPLATE = Path(__file__).parent / "page" / "compare.html"
-COLOURS = (BEFORE, AFTER, TEAL, VIOLET, GREEN)
-"""One a drive; the eye does not distinguish more."""
 BINS = 400
 """Places along the lane."""
 NAME_MAX = 40
@@ -108,8 +97,8 @@ def check_same_lane(drives: Sequence[LaneSession]) -> None:
     Raises:
         SteerdError: two lanes differ in shape or length, or there are too many drives.
     """
-    if len(drives) > len(COLOURS):
-        what = f"{len(drives)} drives: {len(COLOURS)} at most can be distinguished"
+    if len(drives) > len(LINES):
+        what = f"{len(drives)} drives: {len(LINES)} at most can be distinguished"
         raise SteerdError(what, "name fewer", ExitCode.USAGE)
     first = drives[0]
     for other in drives[1:]:
@@ -121,35 +110,34 @@ def check_same_lane(drives: Sequence[LaneSession]) -> None:
             raise SteerdError(what, hint, ExitCode.INVALID)
 
 
-def profile(drive: LaneSession, values: Array) -> Array:
-    """(BINS,) mean at each place of the lane; NaN where the drive never was."""
-    place = (drive.place / drive.lane.length * BINS).astype(int).clip(0, BINS - 1)
-    count = np.bincount(place, minlength=BINS)
-    total = np.bincount(place, weights=values, minlength=BINS)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
+@rc_context(STYLE)
 def render_comparison(drives: Sequence[LaneSession]) -> str:
     """The page of several drives of one lane."""
-    with rc_context({**STYLE, "axes.axisbelow": True}):
-        tracks, curves = _draw_tracks(drives), _draw_curves(drives)
-    colours = [f"var(--{name})" for name in ("before", "after", "teal", "violet", "green")]
-    return render_page(
-        TEMPLATE,
-        names=[(d.name, colour) for d, colour in zip(drives, colours, strict=False)],
-        lane=clean(drives[0].spec, NAME_MAX),
-        heads=[d.name for d in drives],
-        rows=list(_rows(drives)),
-        tracks=tracks,
-        curves=curves,
+    names = [drive.name for drive in drives]
+    report = Report(
+        title="Drives of one lane, compared",
+        subject=", ".join(names),
+        about=f"path {clean(drives[0].spec, NAME_MAX)}",
+        lead="From 3 s after each start.",
+        sections=[
+            Section(table=Table(["", *names], list(_rows(drives)))),
+            Section(
+                "At the same place along the lane",
+                "Dots are single samples of every lap, the line is their mean at that place.",
+                figure=_draw_curves(drives),
+            ),
+            Section("Tracks", figure=draw(_plot_tracks, 4.2, drives)),
+        ],
+        foot="Written by steerd plot. Frames are ISO 8855, angles positive to the left.",
     )
+    return render_report(report)
 
 
-def _rows(drives: Sequence[LaneSession]) -> Any:
-    """A table: label and a figure a drive."""
+def _rows(drives: Sequence[LaneSession]) -> Iterator[list[str]]:
+    """Rows of the table: label and a figure a drive."""
 
-    def row(label: str, form: str, figure: Any) -> tuple[str, list[str]]:
-        return label, [format(figure(d), form) for d in drives]
+    def row(label: str, form: str, figure: Callable[[LaneSession], float]) -> list[str]:
+        return [label, *(format(figure(d), form) for d in drives)]
 
     yield row("laps", ".1f", lambda d: d.laps)
     yield row("e1 RMS [mm]", ".1f", lambda d: 1e3 * rms(d.values["e1"]))
@@ -159,31 +147,34 @@ def _rows(drives: Sequence[LaneSession]) -> Any:
     yield row("fastest [m/s]", ".2f", lambda d: d.values["speed"].max())
 
 
-def _draw_tracks(drives: Sequence[LaneSession]) -> str:
+def _plot_tracks(axis: Axes, drives: Sequence[LaneSession]) -> None:
     """Tracks over the lane."""
-    figure, axes = make_figure(1, 1, 4.2)
-    axis, lane = axes[0, 0], drives[0].lane
+    lane = drives[0].lane
     x, y = ([*v, v[0]] if lane.closed else [*v] for v in (lane.x, lane.y))
     axis.plot(x, y, color=FAINT, lw=1.0, ls="--")
-    for drive, colour in zip(drives, COLOURS, strict=False):
+    for drive, colour in zip(drives, LINES, strict=False):
         if drive.track is not None:
             step = max(1, len(drive.track.x) // _POINTS_MAX)
             axis.plot(drive.track.x[::step], drive.track.y[::step], color=colour, lw=1.1)
     axis.set_aspect("equal", adjustable="datalim")
     axis.set(xlabel="x [m]", ylabel="y [m]")
-    return to_svg(figure, "Tracks over the lane")
 
 
 def _draw_curves(drives: Sequence[LaneSession]) -> str:
     """Errors, speed and steering over the place along the lane."""
     figure, axes = make_figure(len(_PANELS), 1, 1.9 * len(_PANELS))
     for axis, (name, title, scale) in zip(axes[:, 0], _PANELS, strict=True):
-        for drive, colour in zip(drives, COLOURS, strict=False):
+        for drive, colour in zip(drives, LINES, strict=False):
             _draw_drive(axis, drive, scale * drive.values[name], colour)
         axis.set_title(title)
         axis.set_xlim(0.0, drives[0].lane.length)
     axes[-1, 0].set_xlabel("place along the lane [m]")
-    return to_svg(figure, "Errors, speed and steering along the lane")
+    lines = [
+        Line2D([], [], color=colour, lw=3.0, label=drive.name)
+        for drive, colour in zip(drives, LINES, strict=False)
+    ]
+    figure.legend(handles=lines, loc="outside upper left", ncols=2, fontsize=8)
+    return to_svg(figure)
 
 
 def _draw_drive(axis: Axes, drive: LaneSession, values: Array, colour: str) -> None:
@@ -191,4 +182,4 @@ def _draw_drive(axis: Axes, drive: LaneSession, values: Array, colour: str) -> N
     step = max(1, len(values) // _POINTS_MAX)
     axis.plot(drive.place[::step], values[::step], ".", ms=1.0, color=colour, alpha=0.35)
     at = (np.arange(BINS) + 0.5) / BINS * drive.lane.length
-    axis.plot(at, profile(drive, values), color=colour, lw=1.4)
+    axis.plot(at, profile(drive.place, drive.lane.length, values, BINS), color=colour, lw=1.4)

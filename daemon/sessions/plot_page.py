@@ -25,14 +25,7 @@ TRACK_SLOTS = 12_000
 LANE_POINTS = 1500
 """Largest number of points of the lane."""
 WARNINGS_SHOWN = 8
-_PAGE = Path(__file__).parent / "page"
-_OWN_FILES = {
-    "css": "plot.css",
-    "js": "plot.js",
-    "uplot_css": "uplot.min.css",
-    "uplot_js": "uplot.min.js",
-}
-"""Styles and scripts of the page, put in as they are: they are ours, not the session's."""
+_TEMPLATE = Path(__file__).parent / "page" / "plot.html"
 
 
 def make_page(report: SessionReport, drawing: Drawing) -> str:
@@ -44,15 +37,10 @@ def make_page(report: SessionReport, drawing: Drawing) -> str:
     """
     page = ""
     for buckets in BUCKETS:
-        page = _render(_data(report, drawing, buckets))
+        page = render_page(_TEMPLATE, data=_data(report, drawing, buckets))
         if len(page.encode()) < SIZE_MAX:
             break
     return page
-
-
-def _render(data: dict[str, Any]) -> str:
-    own = {name: (_PAGE / file).read_text(encoding="utf-8") for name, file in _OWN_FILES.items()}
-    return render_page(_PAGE / "plot.html", data=data, **own)
 
 
 def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, Any]:

@@ -1,10 +1,9 @@
 """The gap report's figures as inline SVG, styled as those of the identification."""
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.lines import Line2D
@@ -22,7 +21,7 @@ from steerd.sim_gap.lane_comparison import (
 from steerd.sim_gap.report.summary_text import EQUATIONS, known_leads
 from steerd.sim_gap.verdict.shrinkage import Shrinkage
 from steerd.sim_gap.verdict.timeline import Timeline
-from steerd.sim_gap.verdict.where import Regime, Share, range_words
+from steerd.sim_gap.verdict.where import Regime, Where, range_words
 from steerd.sysid.inference.residuals import Gap
 from steerd.sysid.report.drawing import (
     AFTER,
@@ -32,8 +31,8 @@ from steerd.sysid.report.drawing import (
     FAINT,
     INK,
     MEASURED,
-    STYLE,
     make_figure,
+    name_colours,
     to_svg,
 )
 
@@ -41,8 +40,6 @@ Array = NDArray[np.float64]
 
 SHOWN_MOST = 12
 """Candidates that are drawn; the rest is in the JSON."""
-Corner = Literal["upper left", "lower right"]
-_STYLE: dict[Any, Any] = {**STYLE, "axes.axisbelow": True}
 
 
 def _plain_log(axis: Axis) -> None:
@@ -51,19 +48,10 @@ def _plain_log(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _name(axes: Axes, colours: dict[str, str], where: Corner) -> None:
-    for label, colour in colours.items():
-        axes.plot([], [], color=colour, label=label, lw=3.0)
-    axes.legend(loc=where, fontsize=8)
-
-
-def draw_gap(before: Gap, after: Gap, explained: bool) -> str:
-    """Error after each lead, before and after the effect, with 90 % intervals."""
-    with rc_context(_STYLE):
-        present = find_measured(before)
-        figure, axes = make_figure(1, len(present), 2.5)
-        plot_gap(list(axes[0]), present, before, after, explained)
-        return to_svg(figure, "Prediction error by horizon, before and after")
+def _name_rows(axis: Axes, labels: Sequence[str]) -> None:
+    """Names at the left, the first on top."""
+    axis.set_yticks(range(len(labels)), labels)
+    axis.set_ylim(len(labels) - 0.4, -0.6)
 
 
 def find_measured(gap: Gap) -> list[int]:
@@ -71,22 +59,13 @@ def find_measured(gap: Gap) -> list[int]:
     return [i for i in range(3) if any(row[1 + i] > 0.0 for row in gap.errors)] or [0]
 
 
-def plot_gap(
-    axes: Sequence[Axes], present: Sequence[int], before: Gap, after: Gap, explained: bool
-) -> None:
-    """Error after each lead with 90 % intervals.
-
-    Args:
-        axes: one for each of `present`, see `find_measured`.
-        present: which errors.
-        before: of the base.
-        after: with the effect.
-        explained: whether there is an effect.
-    """
+def plot_gap(axes: Sequence[Axes], found: Diagnosis) -> None:
+    """Error after each lead with 90 % intervals, an axis for each of `find_measured`."""
+    before, after, explained = found.before, found.after, bool(found.causes)
     names = {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
     gaps = (before, after) if explained else (before,)
     units = ("position [mm]", "heading [mrad]", "wheel speed [mm/s]")
-    for axis, i in zip(axes, present, strict=True):
+    for axis, i in zip(axes, find_measured(before), strict=True):
         label, scale = units[i], 1e3
         _bars(axis, before, i, scale, -0.2 if explained else 0.0, BEFORE)
         if explained:
@@ -97,7 +76,7 @@ def plot_gap(
         _plain_log(axis.yaxis)
         axis.grid(visible=False, axis="x")
     axes[0].set_ylabel("root mean square")
-    _name(axes[0], names, "upper left")
+    name_colours(axes[0], names, loc="upper left")
 
 
 def _limits(gaps: Sequence[Gap], i: int, scale: float) -> tuple[float, float]:
@@ -119,15 +98,6 @@ def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str)
     )  # fmt: skip
 
 
-def draw_candidates(found: Diagnosis) -> str:
-    """Posterior probability of each hypothesis, something else among them."""
-    with rc_context(_STYLE):
-        rows = min(len(found.candidates) + 1, SHOWN_MOST)
-        figure, axes = make_figure(1, 1, 0.7 + 0.24 * max(rows, 2))
-        plot_candidates(axes[0, 0], found)
-        return to_svg(figure, "Hypotheses and their probabilities")
-
-
 def plot_candidates(axis: Axes, found: Diagnosis) -> None:
     """Posterior probability of each hypothesis, something else among them."""
     none = "no gap" if found.verdict == "none" else "something else"
@@ -141,55 +111,49 @@ def plot_candidates(axis: Axes, found: Diagnosis) -> None:
         colour = AFTER if chosen else CONFOUNDED if parts & confounded else FAINT
         axis.barh(place, 100.0 * probability, 0.66, color=colour)
         axis.text(100.0 * probability + 1.0, place, f"{probability:.0%}", va="center", fontsize=8)
-    axis.set_yticks(range(len(rows)), [row[0].replace("+", " + ") for row in rows])
+    _name_rows(axis, [row[0].replace("+", " + ") for row in rows])
     axis.set_xlim(0.0, 112.0)
-    axis.invert_yaxis()
     axis.grid(visible=False, axis="y")
     axis.set_xlabel("posterior probability [%]")
     colours = {"named": AFTER, "may be it instead": CONFOUNDED, "others": FAINT}
     if not confounded:
         del colours["may be it instead"]
     if names:
-        _name(axis, colours, "lower right")
+        name_colours(axis, colours, loc="lower right")
 
 
-def draw_where(equation: Sequence[Share], channels: Sequence[Share]) -> str:
+def plot_where(left: Axes, right: Axes, where: Where) -> None:
     """Shares by equation and by measured channel."""
-    with rc_context(_STYLE):
-        figure, axes = make_figure(1, 2, 1.9)
-        labels = [EQUATIONS.get(s.name, s.name) for s in equation]
-        _shares(axes[0, 0], labels, [s.share for s in equation])
-        axes[0, 0].set_title("hidden input that would remove the error")
-        shown = [s for s in channels if s.share > 5e-3] or list(channels[:1])
-        _shares(axes[0, 1], [s.name.replace("_", " ") for s in shown], [s.share for s in shown])
-        axes[0, 1].set_title("measurement in which it shows")
-        return to_svg(figure, "Where the error lies, by equation and by channel")
+    _shares(left, [(EQUATIONS.get(s.name, s.name), s.share) for s in where.equation])
+    left.set_title("hidden input that would remove the error")
+    shown = [s for s in where.channels if s.share > 5e-3] or where.channels[:1]
+    _shares(right, [(s.name.replace("_", " "), s.share) for s in shown])
+    right.set_title("measurement in which it shows")
 
 
-def _shares(axis: Axes, labels: Sequence[str], shares: Sequence[float]) -> None:
+def _shares(axis: Axes, rows: Sequence[tuple[str, float]]) -> None:
+    shares = [share for _, share in rows]
     colours = [AFTER if share == max(shares) else FAINT for share in shares]
     axis.barh(range(len(shares)), [100.0 * s for s in shares], 0.66, color=colours)
     for place, share in enumerate(shares):
         axis.text(100.0 * share + 1.0, place, f"{share:.0%}", va="center", fontsize=8)
-    axis.set_yticks(range(len(labels)), labels)
+    _name_rows(axis, [label for label, _ in rows])
     axis.set(xlim=(0.0, 112.0), xlabel="share [%]")
     axis.set_xticks([0, 25, 50, 75, 100])
-    axis.invert_yaxis()
     axis.grid(visible=False, axis="y")
 
 
 def draw_timeline(line: Timeline, stretches: Sequence[Any], explained: bool) -> str:
     """Whitened error of each window over its drive's time; stretches that stand out are shaded."""
     runs = list(dict.fromkeys(line.run))[:4]
-    with rc_context(_STYLE):
-        figure, axes = make_figure(len(runs), 1, 0.6 + 1.5 * len(runs))
-        for axis, name in zip(axes[:, 0], runs, strict=True):
-            plot_timeline(axis, line, name, stretches, explained)
-        axes[-1, 0].set_xlabel("time into the drive [s]")
-        colours = {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
-        handles = [Line2D([], [], color=c, lw=3.0, label=name) for name, c in colours.items()]
-        figure.legend(handles=handles, loc="outside lower left", ncols=2, fontsize=8)
-        return to_svg(figure, "The gap over time")
+    figure, axes = make_figure(len(runs), 1, 0.6 + 1.5 * len(runs))
+    for axis, name in zip(axes[:, 0], runs, strict=True):
+        plot_timeline(axis, line, name, stretches, explained)
+    axes[-1, 0].set_xlabel("time into the drive [s]")
+    colours = {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
+    handles = [Line2D([], [], color=c, lw=3.0, label=name) for name, c in colours.items()]
+    figure.legend(handles=handles, loc="outside lower left", ncols=2, fontsize=8)
+    return to_svg(figure)
 
 
 def plot_timeline(
@@ -213,46 +177,34 @@ def _steps(axis: Axes, line: Timeline, mine: Array, values: Array, colour: str) 
     axis.hlines(shown, line.t0[mine], line.t1[mine], color=colour, lw=2.0)
 
 
-def draw_regimes(regimes: Sequence[Regime]) -> str:
+def plot_regimes(axis: Axes, rows: Sequence[Regime]) -> None:
     """How much larger the error is in each regime of driving than elsewhere."""
-    rows = list(regimes[:6])
-    with rc_context(_STYLE):
-        figure, axes = make_figure(1, 1, 0.7 + 0.28 * len(rows))
-        axis = axes[0, 0]
-        for place, r in enumerate(rows):
-            colour = AFTER if r.ratio_low > 1.0 else FAINT
-            ratio = max(r.ratio, 1e-3)
-            axis.plot([max(r.ratio_low, 1e-3), max(r.ratio_high, 1e-3)], [place, place],
-                      color=colour, lw=2.0)  # fmt: skip
-            axis.plot(ratio, place, "o", color=colour)
-        labels = [f"{r.variable.replace('_', ' ')} {range_words(r)}" for r in rows]
-        axis.set_yticks(range(len(rows)), labels)
-        axis.set_ylim(len(rows) - 0.4, -0.6)
-        axis.axvline(1.0, color=INK, lw=0.8, ls=":")
-        axis.set(xscale="log", xlabel="error there / error elsewhere, with 90 % interval")
-        _plain_log(axis.xaxis)
-        ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000)
-                 if axis.get_xlim()[0] <= t <= axis.get_xlim()[1]]  # fmt: skip
-        axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
-        return to_svg(figure, "In which regime of driving the error is larger")
+    for place, r in enumerate(rows):
+        colour = AFTER if r.ratio_low > 1.0 else FAINT
+        ratio = max(r.ratio, 1e-3)
+        axis.plot([max(r.ratio_low, 1e-3), max(r.ratio_high, 1e-3)], [place, place],
+                  color=colour, lw=2.0)  # fmt: skip
+        axis.plot(ratio, place, "o", color=colour)
+    _name_rows(axis, [f"{r.variable.replace('_', ' ')} {range_words(r)}" for r in rows])
+    axis.axvline(1.0, color=INK, lw=0.8, ls=":")
+    axis.set(xscale="log", xlabel="error there / error elsewhere, with 90 % interval")
+    _plain_log(axis.xaxis)
+    ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000)
+             if axis.get_xlim()[0] <= t <= axis.get_xlim()[1]]  # fmt: skip
+    axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
 
 
-def draw_shrinkage(s: Shrinkage) -> str:
+def plot_shrinkage(axis: Axes, s: Shrinkage) -> None:
     """Predicted share of the excess error, with its interval, against what was measured."""
-    with rc_context(_STYLE):
-        figure, axes = make_figure(1, 1, 1.35)
-        axis = axes[0, 0]
-        axis.plot([100 * s.low, 100 * s.high], [0, 0], color=BEFORE, lw=6.0, alpha=0.4,
-                  solid_capstyle="butt")  # fmt: skip
-        axis.plot(100 * s.predicted, 0, "o", color=BEFORE, ms=8)
-        labels = ["predicted"]
-        if s.measured is not None:
-            axis.plot(100 * s.measured, 1, "D", color=AFTER, ms=8)
-            labels.append("measured")
-        axis.set_yticks(range(len(labels)), labels)
-        axis.set_ylim(len(labels) - 0.4, -0.6)
-        axis.set(xlim=(-2.0, 104.0), xlabel="excess error removed [%]; 100 leaves noise alone")
-        return to_svg(figure, "Shrinkage, predicted and measured")
+    axis.plot([100 * s.low, 100 * s.high], [0, 0], color=BEFORE, lw=6.0, alpha=0.4,
+              solid_capstyle="butt")  # fmt: skip
+    axis.plot(100 * s.predicted, 0, "o", color=BEFORE, ms=8)
+    labels = ["predicted"]
+    if s.measured is not None:
+        axis.plot(100 * s.measured, 1, "D", color=AFTER, ms=8)
+        labels.append("measured")
+    _name_rows(axis, labels)
+    axis.set(xlim=(-2.0, 104.0), xlabel="excess error removed [%]; 100 leaves noise alone")
 
 
 def draw_lane(lane: LaneComparison) -> str:
@@ -265,26 +217,25 @@ def draw_lane(lane: LaneComparison) -> str:
     if lane.with_effect is not None:
         drives.append((lane.with_effect, AFTER, 1.3))
         colours["simulated, with the effect"] = AFTER
-    with rc_context(_STYLE):
-        figure, axes = make_figure(1, 3, 3.0)
-        for drive, colour, width in drives:
-            alpha = 0.45 if drive is lane.recorded else 1.0
-            for axis, field in ((axes[0, 0], "e1"), (axes[0, 1], "e2")):
-                means = profile(drive, getattr(drive, field))
-                at = (np.arange(len(means)) + 0.5) / len(means) * drive.length
-                axis.plot(at, 1e3 * means, color=colour, lw=width, alpha=alpha)
-            shown = drive if lane.without is None else as_long(drive, lane.without)
-            f, density = steering_spectrum(shown)
-            axes[0, 2].plot(f, 1e3 * density, color=colour, lw=width, alpha=alpha)
-        axes[0, 0].set(xlabel="along the lane [m]", title="lateral offset e1 [mm]")
-        axes[0, 1].set(xlabel="along the lane [m]", title="heading error e2 [mrad]")
-        axes[0, 2].set(xlabel="frequency [Hz]", yscale="log", xscale="log",
-                       title="steering spectrum [mrad/√Hz]")  # fmt: skip
-        _plain_log(axes[0, 2].xaxis)
-        axes[0, 2].set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])
-        _plain_log(axes[0, 2].yaxis)
-        for label, colour in colours.items():
-            axes[0, 0].plot([], [], color=colour, label=label, lw=3.0)
-        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=3,
-                      fontsize=8)  # fmt: skip
-        return to_svg(figure, "Lane keeping, recorded and simulated")
+    figure, axes = make_figure(1, 3, 3.0)
+    for drive, colour, width in drives:
+        alpha = 0.45 if drive is lane.recorded else 1.0
+        for axis, field in ((axes[0, 0], "e1"), (axes[0, 1], "e2")):
+            means = profile(drive.s, drive.length, getattr(drive, field))
+            at = (np.arange(len(means)) + 0.5) / len(means) * drive.length
+            axis.plot(at, 1e3 * means, color=colour, lw=width, alpha=alpha)
+        shown = drive if lane.without is None else as_long(drive, lane.without)
+        f, density = steering_spectrum(shown)
+        axes[0, 2].plot(f, 1e3 * density, color=colour, lw=width, alpha=alpha)
+    axes[0, 0].set(xlabel="along the lane [m]", title="lateral offset e1 [mm]")
+    axes[0, 1].set(xlabel="along the lane [m]", title="heading error e2 [mrad]")
+    axes[0, 2].set(xlabel="frequency [Hz]", yscale="log", xscale="log",
+                   title="steering spectrum [mrad/√Hz]")  # fmt: skip
+    _plain_log(axes[0, 2].xaxis)
+    axes[0, 2].set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])
+    _plain_log(axes[0, 2].yaxis)
+    for label, colour in colours.items():
+        axes[0, 0].plot([], [], color=colour, label=label, lw=3.0)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=3,
+                  fontsize=8)  # fmt: skip
+    return to_svg(figure)

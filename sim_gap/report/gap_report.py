@@ -1,9 +1,9 @@
 """The gap report: one HTML file that needs nothing else, for a reader who was not there."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import NamedTuple
+
+from matplotlib import rc_context
 
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Diagnosis
@@ -26,11 +26,22 @@ from steerd.sim_gap.report.summary_text import (
     value_words,
 )
 from steerd.sim_gap.verdict.evidence import Cause
-from steerd.sysid.report.page import render_page
+from steerd.sysid.report import page
+from steerd.sysid.report.drawing import STYLE, draw
+from steerd.sysid.report.report import Card, Fold, Report, Section, Table
 
 OTHER_SHOWN = 0.005
 """Something else is shown from this probability on."""
-TEMPLATE = Path(__file__).parent / "templates" / "gap.html"
+GRADES = {"explained": "good", "partial": "fair", "unexplained": "bad", "unjudged": "bad"}
+METHOD = (
+    "The drives are cut into windows of one second. From each window's start, which is unknown and "
+    "estimated, the base car predicts what mocap, wheels and gyro should show, from the commands "
+    "alone. The error is measured in units of its own noise: 1 is noise, more is a gap. Every "
+    "effect of the library is then added by itself, the base's parameters staying free within "
+    "their uncertainty, and is scored on windows that its fit did not see (one nat is a factor 2.7 "
+    "in likelihood). The name goes to the effect that predicts best; what predicts nearly as well, "
+    "or looks alike in these drives, is listed beside it."
+)
 
 
 @dataclass(frozen=True)
@@ -54,36 +65,35 @@ class Subject:
     notes: tuple[str, ...] = ()
 
 
-class Card(NamedTuple):
-    """One figure that is read first."""
-
-    label: str
-    figure: str
-    text: str
-
-
-class Section(NamedTuple):
-    """A headed figure or table with a sentence about it; `words` is a table of text."""
-
-    title: str
-    text: str
-    figure: str = ""
-    heads: Sequence[str] = ()
-    rows: Sequence[Sequence[str]] = ()
-    words: bool = False
-
-
 def render_report(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -> str:
     """The whole page."""
-    return render_page(
-        TEMPLATE,
-        subject=subject,
-        found=found,
-        family=FAMILIES[found.verdict],
-        headline=headline(found),
-        cards=list(_cards(subject, found)),
-        sections=list(_sections(subject, found, lane)),
+    return page.render_report(make_report(subject, found, lane))
+
+
+@rc_context(STYLE)
+def make_report(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -> Report:
+    """What a diagnosis found."""
+    s = found.shrinkage
+    how = Section(
+        "How this was done",
+        METHOD,
         notes=(*subject.notes, *found.notes),
+        fold=Fold(
+            "the prediction, as it was written before the reserved drives were opened",
+            f"{s.text} SHA-256 {s.digest}",
+        ),
+    )
+    return Report(
+        title="What the simulation is missing of this car",
+        subject=", ".join(subject.sessions),
+        about=f"{subject.seconds:.0f} s to explain · base: {subject.base}",
+        lead=headline(found),
+        sections=[*_sections(subject, found, lane), how],
+        foot="Written by steerd diagnose. Frames are ISO 8855, angles positive to the left; "
+        "sd is one standard error; intervals are 90 %.",
+        verdict=FAMILIES[found.verdict],
+        grade=GRADES.get(found.verdict, ""),
+        cards=list(_cards(subject, found)),
     )
 
 
@@ -144,27 +154,35 @@ def _sections(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -
         "The car's pose and wheel speed are predicted from a window's start; this is how far the "
         "prediction is off after so many seconds, with 90 % intervals. The start itself is fitted "
         "to the window, so a wrong model is met best somewhere in its middle.",
-        figures.draw_gap(found.before, found.after, explained),
+        figure=draw(
+            lambda *axes: figures.plot_gap(axes, found),
+            2.5,
+            columns=len(figures.find_measured(found.before)),
+        ),
     )
     if found.verdict != "none":
         yield from _where(found, explained)
     if found.candidates:
-        yield Section("Which effect", _which(found), figures.draw_candidates(found))
+        shown = min(len(found.candidates) + 1, figures.SHOWN_MOST)
+        yield Section(
+            "Which effect",
+            _which(found),
+            figure=draw(figures.plot_candidates, 0.7 + 0.24 * max(shown, 2), found),
+        )
     if explained:
         yield from _why(found)
         yield Section(
             "How far the gap shrinks",
             f"Adding the effect: {shrink_words(found, subject.held_out_of)}.",
-            figures.draw_shrinkage(found.shrinkage),
+            figure=draw(figures.plot_shrinkage, 1.35, found.shrinkage),
         )
     if lane is not None:
         yield Section(
             "Lane keeping, driven again",
             f"{_sentence(lane_words(lane))} Laps are averaged by place along the lane; controller, "
             "path and speed are the session's own, only the simulated car is exchanged.",
-            figures.draw_lane(lane),
-            ("", "recorded", "base car", "with the effect"),
-            [(label, *cells) for label, cells in lane_rows(lane)],
+            figure=figures.draw_lane(lane),
+            table=Table(("", "recorded", "base car", "with the effect"), lane_rows(lane)),
         )
     if found.verdict in ("unexplained", "partial"):
         yield Section("What is left", f"{_sentence(residual_words(found))}")
@@ -188,21 +206,24 @@ def _sentence(text: str) -> str:
 def _where(found: Diagnosis, explained: bool) -> Iterator[Section]:
     where = found.where
     yield Section(
-        "Where it lies", where.sentence, figures.draw_where(where.equation, where.channels)
+        "Where it lies",
+        where.sentence,
+        figure=draw(figures.plot_where, 1.9, where, columns=2),
     )
     if found.timeline is not None:
         yield Section(
             "",
             "Over time: each bar is a window of one second. Shaded stretches stand out; the dotted "
             "line is noise alone.",
-            figures.draw_timeline(found.timeline, where.windows, explained),
+            figure=figures.draw_timeline(found.timeline, where.windows, explained),
         )
-    if where.regimes:
+    regimes = where.regimes[:6]
+    if regimes:
         yield Section(
             "",
             "By regime: right of the dotted line the error is larger than elsewhere "
             "(coloured where its interval says so).",
-            figures.draw_regimes(where.regimes),
+            figure=draw(figures.plot_regimes, 0.7 + 0.28 * len(regimes), regimes),
         )
 
 
@@ -233,4 +254,4 @@ def _why(found: Diagnosis) -> Iterator[Section]:
     ]
     heads = ("effect", "value ± sd", "confidence", "what it is", "not distinguishable from")
     other = f"Something else than the library: {found.something_else:.0%}."
-    yield Section("How sure", other, "", heads, rows, words=True)
+    yield Section("How sure", other, table=Table(heads, rows, words=(1, 3, 4)))

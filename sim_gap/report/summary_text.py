@@ -163,7 +163,7 @@ def lane_words(lane: LaneComparison) -> str:
     )
 
 
-def lane_rows(lane: LaneComparison) -> list[tuple[str, list[str]]]:
+def lane_rows(lane: LaneComparison) -> list[list[str]]:
     """A table: figures of the recorded and the simulated drives."""
     drives = [lane.recorded, lane.without, lane.with_effect]
     if lane.without is not None:
@@ -177,7 +177,7 @@ def lane_rows(lane: LaneComparison) -> list[tuple[str, list[str]]]:
                                                    "steer_peak_hz"),
     ]  # fmt: skip
     return [
-        (label, ["–" if f is None else f"{scale * getattr(f, name):.3g}" for f in found])
+        [label, *("–" if f is None else f"{scale * getattr(f, name):.3g}" for f in found)]
         for label, scale, name in rows
     ]
 

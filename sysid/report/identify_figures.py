@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -18,33 +17,22 @@ from steerd.sysid.report.drawing import (
     AFTER,
     BEFORE,
     FAINT,
-    GREEN,
     INK,
+    LINES,
     MEASURED,
-    STYLE,
-    TEAL,
-    VIOLET,
     make_figure,
+    name_colours,
     to_svg,
 )
 
 Array = NDArray[np.float64]
 
-COLOURS = (AFTER, TEAL, BEFORE, VIOLET, GREEN)
 UNITS = {"position": "mm", "yaw": "mrad", "wheel_speed": "mm/s", "yaw_rate": "mrad/s"}
 POINTS_MAX = 1500
 
 
 def _thin(values: Array) -> Array:
     return values[:: max(1, len(values) // POINTS_MAX)]
-
-
-def draw_traces(traces: tuple[list[Trace], list[Trace]]) -> str:
-    """Held-out windows in the plane, and the heading error as predictions age."""
-    with rc_context(STYLE):
-        figure, axes = make_figure(1, 2, 4.0)
-        plot_traces(axes[0, 0], axes[0, 1], traces)
-        return to_svg(figure)
 
 
 def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]) -> None:
@@ -63,28 +51,10 @@ def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]
             late.plot(trace.ahead, 1e3 * off, color=colour, lw=0.8, alpha=0.7)
     plane.set(xlabel="x [m]", ylabel="y [m]", title="held-out drives and their predictions")
     plane.set_aspect("equal", adjustable="datalim")
-    _name(plane, {"measured": MEASURED, "start values": BEFORE, "identified": AFTER})
+    name_colours(plane, {"measured": MEASURED, "start values": BEFORE, "identified": AFTER})
     late.axvline(0.0, color=FAINT, lw=0.8)
     late.set(xlabel="time since the prediction began [s]", ylabel="distance [mm]",
              title="prediction error of each window", ylim=(0.0, None))  # fmt: skip
-
-
-def _name(axes: Axes, colours: dict[str, str], *, above: bool = False) -> None:
-    """A legend, above the axes where bars of any height leave no room in them."""
-    for label, colour in colours.items():
-        axes.plot([], [], color=colour, label=label)
-    if above:
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=8)
-    else:
-        axes.legend(loc="best", fontsize=8)
-
-
-def draw_held_out(held_out: Sequence[HeldOut]) -> str:
-    """Errors at the horizons, before and after, on a logarithmic axis."""
-    with rc_context(STYLE):
-        figure, axes = make_figure(1, 2, 2.6)
-        plot_held_out(axes[0, 0], axes[0, 1], held_out)
-        return to_svg(figure)
 
 
 def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
@@ -92,7 +62,7 @@ def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
     places = np.arange(len(held_out))
     for axis, field, scale, unit in (
         (left, "position", 1e3, "mm"),
-        (right, "heading", 180.0 / np.pi, "deg"),
+        (right, "heading", 180.0 / np.pi, "°"),
     ):
         for shift, name, colour in ((-0.2, "before", BEFORE), (0.2, "after", AFTER)):
             values = [scale * getattr(getattr(h, name), field) for h in held_out]
@@ -100,86 +70,83 @@ def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
         axis.set(xticks=places, yscale="log", ylabel=f"{field} [{unit}]")
         axis.set_xticklabels([f"{h.after.horizon:g} s" for h in held_out])
     left.set_title("RMS prediction error on held-out drives")
-    _name(right, {"start values": BEFORE, "identified": AFTER}, above=True)
+    names = {"start values": BEFORE, "identified": AFTER}
+    # Above the axes: bars of any height leave no room in them.
+    name_colours(right, names, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
 
 
 def draw_residuals(found: Fit) -> str:
     """Residuals of each kind over time, and their spread against the signal's own noise."""
     left = found.residuals
     present = [int(g) for g in np.unique(left.group)]
-    with rc_context(STYLE):
-        figure, axes = make_figure(len(present), 2, 1.5 * len(present) + 0.4)
-        for row, group in zip(axes, present, strict=True):
-            mine = left.group == group
-            unit = UNITS[GROUPS[group]]
-            values = 1e3 * left.error[mine]
-            row[0].plot(_thin(left.t[mine]), _thin(values), ".", ms=1.2, color=AFTER)
-            row[0].set(ylabel=f"{GROUPS[group]} [{unit}]".replace("_", " "))
-            edge = max(4.0 * float(np.sqrt(np.mean(values**2))), 1e-6)
-            bins = np.linspace(-edge, edge, 60)
-            row[1].hist(values, bins, color=AFTER, alpha=0.7, density=True)
-            sigma = 1e3 * float(left.signal[group])
-            bell = np.exp(-0.5 * (bins / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
-            row[1].plot(bins, bell, color=INK, lw=1.0)
-        axes[0, 0].set_title("residuals of the fit")
-        axes[0, 1].set_title("their spread; the line is the instrument's own noise")
-        axes[-1, 0].set_xlabel("time into each drive [s]")
-        return to_svg(figure)
+    figure, axes = make_figure(len(present), 2, 1.5 * len(present) + 0.4)
+    for row, group in zip(axes, present, strict=True):
+        mine = left.group == group
+        unit = UNITS[GROUPS[group]]
+        values = 1e3 * left.error[mine]
+        row[0].plot(_thin(left.t[mine]), _thin(values), ".", ms=1.2, color=AFTER)
+        row[0].set(ylabel=f"{GROUPS[group]} [{unit}]".replace("_", " "))
+        edge = max(4.0 * float(np.sqrt(np.mean(values**2))), 1e-6)
+        bins = np.linspace(-edge, edge, 60)
+        row[1].hist(values, bins, color=AFTER, alpha=0.7, density=True)
+        sigma = 1e3 * float(left.signal[group])
+        bell = np.exp(-0.5 * (bins / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
+        row[1].plot(bins, bell, color=INK, lw=1.0)
+    axes[0, 0].set_title("residuals of the fit")
+    axes[0, 1].set_title("their spread; the line is the instrument's own noise")
+    axes[-1, 0].set_xlabel("time into each drive [s]")
+    return to_svg(figure)
 
 
 def draw_correlation(found: Fit) -> str:
     """Correlation of the coordinates."""
     labels = found.labels
-    with rc_context({**STYLE, "axes.grid": False}):
-        figure = Figure(figsize=(6.0, 5.0), layout="constrained")
-        axes = figure.subplots()
-        image = axes.imshow(found.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-        places = range(len(labels))
-        axes.set_xticks(places, labels, rotation=90)
-        axes.set_yticks(places, labels)
-        for i in places:
-            for j in places:
-                value = found.correlation[i, j]
-                ink = "white" if abs(value) > 0.6 else "black"
-                axes.text(j, i, f"{value:.1f}", ha="center", va="center", fontsize=6.5, color=ink)
-        figure.colorbar(image, ax=axes, shrink=0.7)
-        return to_svg(figure)
+    figure = Figure(figsize=(6.0, 5.0), layout="constrained")
+    axes = figure.subplots()
+    axes.grid(visible=False)
+    image = axes.imshow(found.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    places = range(len(labels))
+    axes.set_xticks(places, labels, rotation=90)
+    axes.set_yticks(places, labels)
+    for i in places:
+        for j in places:
+            value = found.correlation[i, j]
+            ink = "white" if abs(value) > 0.6 else "black"
+            axes.text(j, i, f"{value:.1f}", ha="center", va="center", fontsize=6.5, color=ink)
+    figure.colorbar(image, ax=axes, shrink=0.7)
+    return to_svg(figure)
 
 
-def draw_searches(searches: Sequence[SearchHistory]) -> str:
+def plot_searches(left: Axes, right: Axes, searches: Sequence[SearchHistory]) -> None:
     """The paper's loss curves: every start's, iterations along x, shifted to be positive."""
     floor = min(float(search.losses.min()) for search in searches if len(search.losses))
-    with rc_context(STYLE):
-        figure, axes = make_figure(1, 2, 3.0)
-        for number, search in enumerate(searches):
-            colour = COLOURS[number % len(COLOURS)]
-            best = np.minimum.accumulate(search.losses) - floor + 1e-3
-            axes[0, 0].plot(search.losses - floor + 1e-3, color=colour, lw=0.6, alpha=0.5)
-            axes[0, 0].plot(best, color=colour, lw=1.4, label=f"start {number + 1}")
-            axes[0, 1].plot(search.path[:, 2], search.path[:, 3], color=colour, lw=1.0)
-            axes[0, 1].plot(*search.path[0, 2:], "o", color=colour, mfc="white")
-            axes[0, 1].plot(*search.final[2:], "o", color=colour)
-        axes[0, 0].set(yscale="log", xlabel="iterations", ylabel="loss above the lowest")
-        axes[0, 0].set_title("loss of the batch, and the best so far")
-        axes[0, 1].set(xlabel="C_Sf", ylabel="C_Sr", title="stiffness from start (hollow) to end")
-        axes[0, 0].legend(fontsize=8)
-        return to_svg(figure)
+    for number, search in enumerate(searches):
+        colour = LINES[number % len(LINES)]
+        best = np.minimum.accumulate(search.losses) - floor + 1e-3
+        left.plot(search.losses - floor + 1e-3, color=colour, lw=0.6, alpha=0.5)
+        left.plot(best, color=colour, lw=1.4, label=f"start {number + 1}")
+        right.plot(search.path[:, 2], search.path[:, 3], color=colour, lw=1.0)
+        right.plot(*search.path[0, 2:], "o", color=colour, mfc="white")
+        right.plot(*search.final[2:], "o", color=colour)
+    left.set(yscale="log", xlabel="iterations", ylabel="loss above the lowest")
+    left.set_title("loss of the batch, and the best so far")
+    right.set(xlabel="C_Sf", ylabel="C_Sr", title="stiffness from start (hollow) to end")
+    left.legend(fontsize=8)
 
 
 def draw_profiles(profiles: Sequence[Profile]) -> str:
     """Lateral and heading error of each design, a column a floor."""
     names = list(dict.fromkeys(profile.design for profile in profiles))
-    with rc_context(STYLE):
-        figure, axes = make_figure(2, len(FRICTIONS), 4.4)
-        for column, floor in enumerate(FRICTIONS):
-            for profile in (p for p in profiles if p.friction == floor):
-                colour = (INK, AFTER, BEFORE)[names.index(profile.design) % 3]
-                label = profile.design
-                axes[0, column].plot(profile.t, 1e3 * profile.e1, color=colour, lw=1.1, label=label)
-                axes[1, column].plot(profile.t, np.degrees(profile.e2), color=colour, lw=1.1)
-            axes[0, column].set_title(f"{floor} friction")
-            axes[1, column].set_xlabel("time [s]")
-        axes[0, 0].set_ylabel("e1 [mm]")
-        axes[1, 0].set_ylabel("e2 [deg]")
-        axes[0, 0].legend(fontsize=8, title="designed from")
-        return to_svg(figure)
+    figure, axes = make_figure(2, len(FRICTIONS), 4.4)
+    for column, floor in enumerate(FRICTIONS):
+        for profile in (p for p in profiles if p.friction == floor):
+            colour = (INK, AFTER, BEFORE)[names.index(profile.design) % 3]
+            label = profile.design
+            axes[0, column].plot(profile.t, 1e3 * profile.e1, color=colour, lw=1.1, label=label)
+            axes[1, column].plot(profile.t, np.degrees(profile.e2), color=colour, lw=1.1)
+        axes[0, column].set_title(f"{floor} friction")
+        axes[1, column].set_xlabel("time [s]")
+    axes[0, 0].set_ylabel("e1 [mm]")
+    axes[1, 0].set_ylabel("e2 [°]")
+    axes[0, 0].legend(fontsize=8, title="designed from")
+    return to_svg(figure)

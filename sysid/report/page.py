@@ -1,11 +1,18 @@
-"""Reports as HTML pages: jinja2 lives here, and the look that they share."""
+"""Reports as HTML pages without links: jinja2 lives here, and the look that all pages share."""
 
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, select_autoescape
 
+from steerd.sysid.report.report import Report
+
 _SHARED = Path(__file__).parent / "templates"
+
+
+def render_report(report: Report) -> str:
+    """The page of a report."""
+    return render_page(_SHARED / "report.html", report=report)
 
 
 def render_page(template: Path, **values: Any) -> str:

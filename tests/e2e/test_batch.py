@@ -9,9 +9,9 @@ import pytest
 
 import steerd
 from benchmarks.batch_drives import Hidden, make_fleet
-from steerd.daemon.batch import run as batching
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode
+from steerd.daemon.many.batch import run as batching
 
 pytestmark = pytest.mark.slow
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"

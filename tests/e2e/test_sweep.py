@@ -8,7 +8,7 @@ import pytest
 import steerd
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.sweep import run as sweeping
+from steerd.daemon.many.sweep import run as sweeping
 from steerd.steer_bus.session_read import open_session
 
 VARY = {"effect.steer_delay": {"low": 0.0, "high": 0.05}, "car.mass": [3.0, 4.5]}

@@ -98,9 +98,9 @@ function drawTrack() {
   if (J.lane.length) {
     trace(J.lane); if (J.closed) g.closePath();
     g.strokeStyle = css("lane"); g.lineWidth = Math.max(2 * J.half_width * k, 2); g.stroke();
-    g.strokeStyle = css("soft"); g.lineWidth = 1; g.setLineDash([6, 5]); g.stroke(); g.setLineDash([]);
+    g.strokeStyle = css("quiet"); g.lineWidth = 1; g.setLineDash([6, 5]); g.stroke(); g.setLineDash([]);
   }
-  trace(trail); g.strokeStyle = css("driven"); g.lineWidth = 2; g.stroke();
+  trace(trail); g.strokeStyle = css("before"); g.lineWidth = 2; g.stroke();
   if (last && last.x != null) {
     g.save(); g.translate(px(last.x), py(last.y)); g.rotate(-last.yaw);
     const l = Math.max((J.body.lf + J.body.lr) * k, 16), b = l * .55; g.fillStyle = css("back"); g.strokeStyle = css("ink"); g.lineWidth = 2;
@@ -110,9 +110,9 @@ function drawTrack() {
 function drawCurve() {
   const [g, w, h] = pen("curve"), top = Math.max(.02, ...errors.map(([, v]) => Math.abs(v ?? 0))) * 1.1, now = errors.length ? errors[errors.length - 1][0] : 0;
   g.strokeStyle = css("line"); g.lineWidth = 1; g.beginPath(); g.moveTo(0, h / 2); g.lineTo(w, h / 2); g.stroke();
-  g.strokeStyle = css("driven"); g.lineWidth = 1.5; g.beginPath(); let open = false;
+  g.strokeStyle = css("before"); g.lineWidth = 1.5; g.beginPath(); let open = false;
   for (const [t, v] of errors) { if (v == null) { open = false; continue; } const x = w - (now - t) / SPAN_S * w, y = h / 2 - v / top * h / 2; g[open ? "lineTo" : "moveTo"](x, y); open = true; }
-  g.stroke(); g.fillStyle = css("soft"); g.font = "11px system-ui,sans-serif"; g.fillText(`±${(100 * top).toFixed(1)} cm`, 6, 14);
+  g.stroke(); g.fillStyle = css("quiet"); g.font = "11px system-ui,sans-serif"; g.fillText(`±${(100 * top).toFixed(1)} cm`, 6, 14);
 }
 function frame() {
   const silent = last === null || performance.now() - heard > LOST_MS || last.silent > LOST_MS / 1000;

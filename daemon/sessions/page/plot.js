@@ -27,10 +27,10 @@ const instants = g => Float64Array.from({length: g.slots}, (_, i) => g.start + i
 // --- head
 document.getElementById("title").textContent = D.title;
 for (const [label, value] of D.facts) {
-  const f = el("div", "", document.getElementById("facts"), "fact");
+  const f = el("div", "", document.getElementById("facts"), "card");
   el("b", value, f); el("span", label, f);
 }
-for (const w of D.warnings) el("div", w, document.getElementById("warnings"), "warning");
+for (const w of D.warnings) el("div", w, document.getElementById("warnings"), "note");
 
 // --- curves over time
 const x = instants(D.grid), end = D.grid.start + D.grid.slots * D.grid.step;
@@ -61,7 +61,7 @@ const span = (_, lo, hi) => lo == null ? [0, 1] : hi - lo < 1e-9 ? [lo - 1, hi +
 function makePlot(panel, data, height, last) {
   const box = el("div", "", home, "panel" + (panel.strip ? " strip" : ""));
   if (panel.title) { const h = el("h2", panel.title + " ", box); if (panel.unit) el("small", panel.unit, h); }
-  const axis = {stroke: css("soft"), grid: {show: !panel.strip, stroke: css("line"), width: 1}, ticks: {stroke: css("line"), width: 1}, font: "11px system-ui,sans-serif"};
+  const axis = {stroke: css("quiet"), grid: {show: !panel.strip, stroke: css("line"), width: 1}, ticks: {stroke: css("line"), width: 1}, font: "11px system-ui,sans-serif"};
   const u = new uPlot({
     width: home.clientWidth, height,
     cursor: {sync: {key: "t"}, drag: {x: true, y: false}, points: {size: 6}, y: false},
@@ -99,7 +99,7 @@ const px = v => canvas.clientWidth / 2 + (v - view.x) * view.k, py = v => canvas
 function grid() {
   const want = 70 / view.k, p = 10 ** Math.floor(Math.log10(want)), step = [1, 2, 5, 10].map(m => m * p).find(s => s >= want);
   const w = canvas.clientWidth, h = canvas.clientHeight;
-  ctx.strokeStyle = css("line"); ctx.fillStyle = css("soft"); ctx.lineWidth = 1; ctx.font = "11px system-ui,sans-serif";
+  ctx.strokeStyle = css("line"); ctx.fillStyle = css("quiet"); ctx.lineWidth = 1; ctx.font = "11px system-ui,sans-serif";
   const shown = v => +v.toFixed(6) + " m";
   for (let v = Math.ceil((view.x - w / 2 / view.k) / step) * step; px(v) < w; v += step) {
     ctx.beginPath(); ctx.moveTo(px(v), 0); ctx.lineTo(px(v), h); ctx.stroke(); if (px(v) > 44) ctx.fillText(shown(v), px(v) + 3, h - 5);

@@ -47,17 +47,17 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SteerdError: an argument cannot be used, or a file not be written.
     """
-    from steerd.daemon.batch.sources import Question, find_batch, read_cars
     from steerd.daemon.common.outputs import check_outputs
-    from steerd.daemon.jobs.journal import going_on
-    from steerd.daemon.jobs.units import Where
+    from steerd.daemon.many.batch.sources import Question, find_batch, read_cars
+    from steerd.daemon.many.journal import going_on
+    from steerd.daemon.many.units import Where
 
     check_outputs({"-o": args.output, "--page": args.page})
     paths, where = find_batch(args.sessions), Where(args.jobs, args.dask)
     question = Question(args.kind, read_cars(args.cars))
-    from steerd.daemon.batch.run import run_batch
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.written import write_outputs
+    from steerd.daemon.many.batch.run import run_batch
 
     with show_progress(args.kind, float(len(paths))) as advance, going_on(args.output):
         found = run_batch(paths, question, where, args.output, lambda n: advance(float(n)))

@@ -19,7 +19,7 @@ from steerd.daemon.cli.inputs import reads_file
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
-    from steerd.daemon.sweep.plan import SweepPlan
+    from steerd.daemon.many.sweep.plan import SweepPlan
 
 EXAMPLE = """\
 # How often: every combination of the lists below, with each of these seeds.
@@ -89,7 +89,7 @@ def _check(args: argparse.Namespace) -> None:
 
 def _read_plan(file: Path) -> "SweepPlan":
     from steerd.daemon.analysis.options import read_car
-    from steerd.daemon.sweep.plan import make_sweep_plan, read_sweep_file
+    from steerd.daemon.many.sweep.plan import make_sweep_plan, read_sweep_file
 
     given = read_sweep_file(file)
     car = given.pop("car", None)
@@ -99,9 +99,9 @@ def _read_plan(file: Path) -> "SweepPlan":
 def _run_all(plan: "SweepPlan", args: argparse.Namespace) -> int:
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.written import write_outputs
-    from steerd.daemon.jobs.journal import going_on
-    from steerd.daemon.jobs.units import Where
-    from steerd.daemon.sweep.run import finish_sweep, run_sweep
+    from steerd.daemon.many.journal import going_on
+    from steerd.daemon.many.sweep.run import finish_sweep, run_sweep
+    from steerd.daemon.many.units import Where
 
     where = Where(args.jobs)
     with show_progress("driving", float(plan.count)) as advance, going_on(args.output):
@@ -117,10 +117,10 @@ def _run_all(plan: "SweepPlan", args: argparse.Namespace) -> int:
 def _drive_again(plan: "SweepPlan", args: argparse.Namespace) -> int:
     """Drive one case of the sweep and record it."""
     from steerd.daemon.common.screen import NBSP, wrap
+    from steerd.daemon.many.sweep.drive import prepare
+    from steerd.daemon.many.sweep.run import find_case
     from steerd.daemon.offline.fast import check_driven, record_virtual
     from steerd.daemon.offline.virtual import drive
-    from steerd.daemon.sweep.drive import prepare
-    from steerd.daemon.sweep.run import find_case
     from steerd.sim_hw.world import World
 
     case = find_case(plan, args.again).case

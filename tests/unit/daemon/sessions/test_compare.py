@@ -9,12 +9,12 @@ from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.sessions.compare import (
     BINS,
-    COLOURS,
     LaneSession,
     check_same_lane,
-    profile,
     render_comparison,
 )
+from steerd.sim_gap.lane_comparison import profile
+from steerd.sysid.report.drawing import LINES
 
 CIRCLE = parse_path("circle:radius=2")
 
@@ -30,14 +30,16 @@ def test_a_profile_is_the_mean_of_the_laps_at_each_place():
     one = drive(offset=0.01)
     at = (np.arange(BINS) + 0.5) / BINS
     expected = 0.01 + 0.02 * np.sin(2.0 * np.pi * at)
-    np.testing.assert_allclose(profile(one, one.values["e1"]), expected, atol=5e-4)
+    np.testing.assert_allclose(
+        profile(one.place, CIRCLE.length, one.values["e1"], BINS), expected, atol=5e-4
+    )
 
 
 def test_where_a_drive_never_was_there_is_no_value():
     one = drive()
     half = one.place < 0.5 * CIRCLE.length
     cut = replace(one, place=one.place[half])
-    means = profile(cut, one.values["e1"][half])
+    means = profile(cut.place, CIRCLE.length, one.values["e1"][half], BINS)
     assert np.isnan(means[BINS // 2 + 2 :]).all()
     assert np.isfinite(means[: BINS // 2 - 2]).all()
 
@@ -48,7 +50,7 @@ def test_places_of_different_lanes_are_not_compared():
     with pytest.raises(SteerdError, match=r"b\.mcap"):
         check_same_lane([drive(), other])
     with pytest.raises(SteerdError, match="at most"):
-        check_same_lane([drive()] * (len(COLOURS) + 1))
+        check_same_lane([drive()] * (len(LINES) + 1))
 
 
 def test_the_page_names_the_drives_and_their_errors():

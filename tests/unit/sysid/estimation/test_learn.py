@@ -143,7 +143,7 @@ def test_the_report_needs_nothing_else(outcome, truth, monkeypatch):
     )
     page = render_report(replace(outcome, truth=truth.car))
     assert page.count("<svg") == 5
-    for outside in ("<script", "<link", "<img", "src=", "@import"):
+    for outside in ("<script", "stylesheet", "<img", "src=", "@import"):
         assert outside not in page
     assert "not fitted" in page
     assert "<th>true</th>" in page

@@ -1,1 +1,0 @@
-"""Many independent work units: workers, a journal that lets them go on, the table at the end."""

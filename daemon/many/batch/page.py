@@ -1,0 +1,118 @@
+"""The page of `steerd batch`: quantities over weeks, car by car, and the days of changes."""
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+
+from steerd.daemon.common.screen import clean
+from steerd.daemon.many.batch.changes import Change, Series, make_band, split_series
+from steerd.daemon.many.batch.text import Rows, nothing_changed, tabulate_changes
+from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_grid, to_svg
+from steerd.sysid.report.report import Report, Section, Table
+
+_DAY = 86_400.0
+_FIGURES = 30
+"""Series that are drawn: those that changed first; more make a page nobody looks through."""
+_FAILURES = 20
+_LEAST_SHARE = 0.01
+"""Least height of a diagram, as a share of what it shows."""
+
+
+@rc_context(STYLE)
+def make_report(
+    kind: str, rows: Rows, series: Sequence[Series], changes: Sequence[Change]
+) -> Report:
+    """What the page shows."""
+    first: dict[tuple[str, str], Change] = {(c.car, c.quantity): c for c in changes}
+    ordered = sorted(series, key=lambda s: (s.car, s.quantity) not in first)
+    sections = [Section("Cars", table=_count_cars(rows))]
+    if changes:
+        sections.insert(0, Section(
+            "What changed, and since when",
+            "A step in the estimates of one car that chance explains in less than one batch of a "
+            "thousand. Between: days between which the first one lies (95 %).",
+            table=tabulate_changes(changes),
+        ))  # fmt: skip
+    if ordered:
+        drawn = ordered[:_FIGURES]
+        sections.append(Section(
+            "Over time",
+            "Dots are single drives, the line is the mean of each week with its 95 % band; a "
+            f"dashed line marks a change. {len(drawn)} of {len(ordered)} series are drawn, those "
+            "that changed first.",
+            figure=_draw(drawn, first),
+        ))  # fmt: skip
+    failed = [row for row in rows if row["outcome"] != "done"]
+    if failed:
+        shown = [(clean(str(row["session"]), 60), clean(row["failure"])) for row in failed]
+        more = len(failed) - _FAILURES
+        sections.append(Section(
+            "What failed",
+            f"{more} more are in the table of `-o`." if more > 0 else "",
+            table=Table(("session", "why"), shown[:_FAILURES], words=(1,)),
+        ))  # fmt: skip
+    return Report(
+        title=f"{len(rows)} sessions, {kind}",
+        subject="",
+        about="",
+        lead=_headline(changes, len(series)),
+        sections=sections,
+        foot="Written by steerd batch. Dates are UTC; units are SI.",
+    )
+
+
+def _headline(changes: Sequence[Change], series: int) -> str:
+    """The result in a sentence."""
+    clearest: dict[str, Change] = {}
+    for change in changes:
+        clearest.setdefault(change.car, change)
+    if not clearest:
+        why = nothing_changed(series)
+        return f"{why[0].upper()}{why[1:]}."
+    parts = [f"{clean(c.car, 24)} since {c.day} ({c.quantity})" for c in clearest.values()]
+    return f"Changed: {', '.join(parts)}."
+
+
+def _count_cars(rows: Rows) -> Table:
+    """Each car's sessions, failures and days."""
+    cars: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        cars.setdefault(str(row.get("car") or "?"), []).append(row)
+    table = []
+    for car, own in sorted(cars.items()):
+        days = sorted(row["day"] for row in own if row.get("day")) or ["–"]
+        failed = sum(row["outcome"] != "done" for row in own)
+        table.append((clean(car, 24), str(len(own)), str(failed), days[0], days[-1]))
+    return Table(("car", "sessions", "failed", "first", "last"), table)
+
+
+def _draw(series: Sequence[Series], changes: dict[tuple[str, str], Change]) -> str:
+    """A small figure for each series."""
+    figure, axes = make_grid(len(series), 2.0)
+    for axis, s in zip(axes, series, strict=True):
+        _draw_series(axis, s, changes.get((s.car, s.quantity)))
+    return to_svg(figure)
+
+
+def _draw_series(axis: Axes, s: Series, change: Change | None) -> None:
+    """Estimates as dots, weekly means with their bands, the day of a change."""
+    dates, parts = s.start / _DAY, [s]
+    if change is not None:
+        day = datetime.fromisoformat(change.day).replace(tzinfo=UTC).timestamp()
+        axis.axvline(day / _DAY, color=AFTER, lw=1.0, ls="--")
+        parts = split_series(s, day)
+    for band in map(make_band, parts):
+        weeks = band.start / _DAY
+        axis.fill_between(weeks, band.mean - band.half, band.mean + band.half, color=BAND, lw=0)
+        axis.plot(weeks, band.mean, color=AFTER, lw=1.3, marker="o", ms=2.5)
+    axis.plot(dates, s.value, ".", ms=3.0, color=BEFORE)
+    low, high = axis.get_ylim()
+    least = _LEAST_SHARE * abs(low + high) / 2.0
+    if high - low < least:  # drives that differ by rounding alone
+        axis.set_ylim((low + high - least) / 2.0, (low + high + least) / 2.0)
+    axis.set_title(f"{clean(s.car, 14)}: {s.quantity}")
+    ends = sorted({int(dates[0]), int((dates[0] + dates[-1]) / 2.0), int(dates[-1])})
+    axis.set_xticks(ends, [f"{datetime.fromtimestamp(d * _DAY, UTC):%-d %b}" for d in ends])

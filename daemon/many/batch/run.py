@@ -1,0 +1,165 @@
+"""`steerd.batch`: hundreds of sessions, each a row; what changed on which car, and when."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from steerd.daemon.common.notebook import shown
+from steerd.daemon.common.written import write_outputs
+from steerd.daemon.many.batch.changes import Change, Series, find_changes, list_series
+from steerd.daemon.many.batch.sources import (
+    Kind,
+    Question,
+    find_batch,
+    make_tasks,
+    read_cars,
+    read_content,
+)
+from steerd.daemon.many.batch.text import describe_batch
+from steerd.daemon.many.batch.unit import day_of, run_unit
+from steerd.daemon.many.journal import Row
+from steerd.daemon.many.tables import Column, RowTable
+from steerd.daemon.many.units import FAILED, Done, Where, work_through
+from steerd.sysid.report.report import Report
+
+DONE = "done"
+_HEAD = (
+    Column("session", "text", "", "file"),
+    Column("car", "text", "", "name"),
+    Column("day", "text", "", "of the drive, UTC"),
+    Column("start", "number", "s", "UNIX time of the drive"),
+    Column("outcome", "text", "", "done or failed"),
+    Column("failure", "text", "", "why it failed"),
+    Column("tries", "count", "", "times that it was begun"),
+)
+_TEXTS = ("lane", "mode", "verdict", "causes")
+_NO_ESTIMATE = ("start", "tries", "seconds", "metres")
+
+
+@shown
+@dataclass(frozen=True, eq=False)
+class Batch(RowTable):
+    """What a batch found.
+
+    `print(batch)` is the screen of `steerd batch`.
+
+    Attributes:
+        kind: what was asked.
+        rows: one session each, values by column; see `columns`.
+        worked: how many sessions this start worked on; the others were in the journal.
+    """
+
+    kind: Kind
+    rows: tuple[Row, ...] = field(repr=False)
+    worked: int = 0
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns of the table."""
+        more = {name for row in self.rows for name in row} - {column.name for column in _HEAD}
+        rest = (Column(n, "text" if n in _TEXTS else "number", "", "") for n in sorted(more))
+        return (*_HEAD, *rest)
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Columns that hold estimates."""
+        names = (column.name for column in self.columns if column.kind == "number")
+        return tuple(n for n in names if n not in _NO_ESTIMATE and not n.endswith("_sd"))
+
+    @cached_property
+    def series(self) -> tuple[Series, ...]:
+        """Every quantity of every car with enough drives, over time."""
+        return tuple(list_series(self.rows, self.quantities))
+
+    @cached_property
+    def changes(self) -> tuple[Change, ...]:
+        """What changed, the clearest first."""
+        return tuple(find_changes(self.series))
+
+    @property
+    def about(self) -> Mapping[str, str]:
+        """What was asked."""
+        return {"steerd.batch": self.kind}
+
+    def make_report(self) -> Report:
+        """Quantities over weeks with their bands, and the days of changes."""
+        from steerd.daemon.many.batch.page import make_report
+
+        return make_report(self.kind, self.rows, self.series, self.changes)
+
+    def __str__(self) -> str:
+        return describe_batch(self.rows, self.worked, len(self.series), self.changes)
+
+
+def batch(
+    kind: Kind,
+    sessions: str | Path | Sequence[str | Path],
+    *,
+    cars: Path | str | None = None,
+    output: Path | str | None = None,
+    jobs: int = 0,
+    dask: str | None = None,
+) -> Batch:
+    """Summarise, identify or diagnose many sessions, each by itself.
+
+    Args:
+        kind: `summarise`, `identify` or `diagnose`.
+        sessions: folders (with all below), patterns and files.
+        cars: a folder with NAME.toml for the car NAME, or one car file for all: where an
+            identification starts, what a diagnosis takes for the car.
+        output: Parquet file to write; what is finished is not done again.
+        jobs: worker processes; 0 for one per core.
+        dask: address of a Dask scheduler instead.
+
+    Returns:
+        The table, and what changed on which car and when.
+
+    Raises:
+        SteerdError: an argument cannot be used. A session that fails is a row.
+    """
+    words = [sessions] if isinstance(sessions, str | Path) else list(sessions)
+    paths = find_batch([str(word) for word in words])
+    question = Question(kind, read_cars(None if cars is None else Path(cars)))
+    out = None if output is None else Path(output)
+    found = run_batch(paths, question, Where(jobs, dask), out)
+    if out is not None:
+        write_outputs({out: found.encode_table()})
+    return found
+
+
+def run_batch(
+    paths: Sequence[Path],
+    question: Question,
+    where: Where,
+    output: Path | None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Batch:
+    """Work on what is new, or failed before.
+
+    Args:
+        paths: the sessions.
+        question: what is asked of each.
+        where: processes or cluster.
+        output: the table that is to be written; its journal lies beside it and stays.
+        progress: is called with the number of sessions done.
+
+    Raises:
+        SteerdError: the journal belongs to another question, or the cluster is lost.
+    """
+    tasks = make_tasks(paths, question)
+
+    def make_row(done: Done) -> Row:
+        row = {"session": str(tasks[done.unit].path), "tries": done.tries}
+        row |= {"outcome": FAILED if done.row is None else DONE, "failure": done.failure}
+        return row | (done.row or {})
+
+    rows, worked = work_through(
+        run_unit, tasks, where, output, question.digest(), make_row, progress, read_content
+    )
+    return Batch(question.kind, tuple(map(_finish, rows)), worked)
+
+
+def _finish(row: Row) -> Row:
+    start = row.get("start")
+    return row if start is None else row | {"day": day_of(start)}

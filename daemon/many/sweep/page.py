@@ -1,0 +1,163 @@
+"""The page of `steerd sweep`: one HTML file without links."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+
+from steerd.daemon.common.screen import clean
+from steerd.daemon.many.sweep.distributions import Distribution
+from steerd.daemon.many.sweep.measures import DRIVEN, STOPPED
+from steerd.daemon.many.sweep.plan import Choice, SweepPlan
+from steerd.daemon.many.sweep.summary import STOPS, Sensitivity, Summary, column
+from steerd.daemon.many.sweep.text import (
+    SCALES,
+    UNITS,
+    list_strongest,
+    name_measure,
+    tabulate_ends,
+    tabulate_spreads,
+)
+from steerd.sysid.report.drawing import AFTER, BEFORE, STYLE, make_grid, to_svg
+from steerd.sysid.report.report import Cell, Report, Section, Table
+
+Rows = Sequence[Mapping[str, Any]]
+_BINS = 30
+_TICKS = 5
+"""Numbers below a small diagram at most: more would touch."""
+_SCATTERS = 6
+"""Strongest dependences that are drawn."""
+_POINTS = 1500
+"""Points of a scatter figure; more make a page heavy and show no more."""
+_VALUES = 6
+"""Values of a list that are shown."""
+
+
+@rc_context(STYLE)
+def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
+    """The page: distributions, stops, sensitivity of each to each."""
+    fixed = [] if "path" in plan.vary else [plan.path]
+    fixed += [] if "speed" in plan.vary else [f"{plan.speed:g} m/s"]
+    seeds = f"{len(plan.seeds)} seeds, {plan.duration:g} s each, loop at {plan.rate:g} Hz"
+    varied = [(q.name, _describe(plan.vary[q.name]), q.unit, q.meaning) for q in plan.quantities]
+    sections = [
+        Section("How they ended", table=tabulate_ends(summary)),
+        Section(
+            "What was varied",
+            table=Table(("quantity", "values", "unit", "meaning"), varied, words=(1, 3)),
+        ),
+        Section(
+            "Distributions",
+            "Errors count after the first 3 s. The last column is the drive to look at: `steerd "
+            "sweep FILE.toml` `--again N` `--record drive.mcap` drives it once more and records "
+            "it.",
+            table=tabulate_spreads(summary),
+            figure=_draw_histograms(rows, summary),
+        ),
+    ]
+    if summary.sensitivities:
+        sections.append(Section(
+            "What moves what",
+            "Rank correlation of each varied quantity with each measure, from −1 to 1; a list of "
+            "texts has no sign. Bold: more than chance alone shows in one case of twenty.",
+            table=_moves(summary),
+            figure=_draw_scatters(plan, rows, summary),
+        ))  # fmt: skip
+    return Report(
+        title=f"{len(rows)} drives, each another draw",
+        subject=clean(plan.car.name),
+        about="; ".join([seeds, *fixed]),
+        lead=_headline(summary),
+        sections=sections,
+        foot="Written by steerd sweep. Simulated drives in virtual time; both ends of VESC and "
+        "mocap are encoded and parsed as on a car.",
+    )
+
+
+def _headline(summary: Summary) -> str:
+    """The result in a sentence or two."""
+    shares = {share.name: share for share in summary.outcomes}
+    driven, stopped = shares[DRIVEN], shares[STOPPED]
+    text = f"{driven.value:.1%} of the drives ended as planned"
+    text += f", a watchdog stopped {stopped.value:.1%}." if stopped.count else "."
+    for s in summary.spreads:
+        if s.name == "true_e1_max":
+            text += f" In 95 % of them the car stays within {1e3 * s.high:.0f} mm of its lane."
+    return text
+
+
+def _moves(summary: Summary) -> Table:
+    """A row for each measure: there are more measures than quantities, and pages are narrow."""
+    heads = [*dict.fromkeys(s.quantity for s in summary.sensitivities)]
+    found = {(s.quantity, s.measure): s for s in summary.sensitivities}
+    rows: list[list[str | Cell]] = []
+    for name in dict.fromkeys(s.measure for s in summary.sensitivities):
+        cells = [found.get((head, name)) for head in heads]
+        rows.append([name, *map(_rank_cell, cells)])
+    return Table(["measure", *heads], rows)
+
+
+def _rank_cell(s: Sensitivity | None) -> Cell:
+    if s is None:
+        return Cell("–", "quiet")
+    return Cell(f"{s.value:+.2f}", "strong" if s.shown else "quiet")
+
+
+def _describe(choice: Choice) -> str:
+    """A list or a distribution in a few words."""
+    if not isinstance(choice, Distribution):
+        shown = ", ".join(clean(str(value), 24) for value in choice[:_VALUES])
+        return shown + (", …" if len(choice) > _VALUES else "")
+    one, other = f"{choice.one:.4g}", f"{choice.other:.4g}"
+    match choice.shape:
+        case "normal":
+            return f"{one} ± {other}"
+        case "log_normal":
+            return f"{one}, factor {other}"
+        case shape:
+            return f"{one} to {other}" + (" (logarithmic)" if shape == "log_uniform" else "")
+
+
+def _scaled(rows: Rows, name: str) -> np.ndarray:
+    return column(rows, name) * SCALES.get(UNITS.get(name, ""), (1.0, ""))[0]
+
+
+def _draw_histograms(rows: Rows, summary: Summary) -> str:
+    """How often each measure takes which value."""
+    names = [spread.name for spread in summary.spreads]
+    if not names:
+        return ""
+    figure, axes = make_grid(len(names), 1.9)
+    for axis, name in zip(axes, names, strict=True):
+        values = _scaled(rows, name)
+        axis.hist(values[np.isfinite(values)], bins=_BINS, color=BEFORE)
+        axis.locator_params(axis="x", nbins=_TICKS)
+        axis.set(title=name_measure(name), ylabel="drives")
+        axis.yaxis.get_major_locator().set_params(integer=True)
+    return to_svg(figure)
+
+
+def _draw_scatters(plan: SweepPlan, rows: Rows, summary: Summary) -> str:
+    """The strongest dependences, a point for each drive."""
+    units = {q.name: q.unit for q in plan.quantities}
+    strong = [s for s in list_strongest(summary) if s.measure != STOPS][:_SCATTERS]
+    if not strong:
+        return ""
+    figure, axes = make_grid(len(strong), 2.4)
+    for axis, s in zip(axes, strong, strict=True):
+        _draw_scatter(axis, rows[:_POINTS], s)
+        unit = units[s.quantity]
+        axis.set_xlabel(f"{s.quantity} [{unit}]" if unit not in ("", "1") else s.quantity)
+        axis.set_ylabel(name_measure(s.measure))
+    return to_svg(figure)
+
+
+def _draw_scatter(axis: Axes, rows: Rows, s: Sensitivity) -> None:
+    given = [row[s.quantity] for row in rows]
+    if any(isinstance(value, str) for value in given):
+        names = sorted({str(value) for value in given})
+        axis.set_xticks(range(len(names)), [clean(name, 14) for name in names])
+        given = [names.index(str(value)) for value in given]
+    axis.plot(given, _scaled(rows, s.measure), ".", ms=2.5, color=AFTER, alpha=0.6)

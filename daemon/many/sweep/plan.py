@@ -1,0 +1,209 @@
+"""A sweep: what is varied, over which seeds, and the drives that follow from it.
+
+A sweep file is TOML:
+
+    seeds = 1000                  # or a list of them
+    duration = 20.0               # of each drive [s]
+    car = "car.toml"              # what the controller is designed from
+
+    [vary]                        # of the simulated car and its drive
+    path = ["figure8", "circle:radius=2"]
+    speed = { low = 1.0, high = 2.0 }
+    "car.mass" = { share = 0.05 }
+    "effect.steer_delay" = { low = 0.0, high = 0.04 }
+    "mocap.position_noise" = [0.0002, 0.001]
+"""
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from steerd.car_model.car_file import CarFile
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.near import did_you_mean
+from steerd.daemon.many.sweep.distributions import (
+    Distribution,
+    check_bounds,
+    is_list,
+    parse_distribution,
+)
+from steerd.daemon.many.sweep.quantities import Quantity, find_quantity
+from steerd.toml_text import TomlError, load_toml
+
+DURATION_MAX = 3600.0
+"""Longest drive of a sweep [s]."""
+DRIVES_MAX = 1_000_000
+"""More drives are a mistake in a list."""
+_TOP = ("seeds", "duration", "car", "rate", "path", "speed", "vary")
+Value = float | str
+Choice = tuple[Value, ...] | Distribution
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """A sweep that can be driven.
+
+    Attributes:
+        car: what the controller is designed from, and the simulated car unless varied.
+        seeds: of draws and of the simulated hardware's noise.
+        duration: of a drive [s].
+        rate: of the loop [Hz].
+        path, speed: of all drives, where they are not varied.
+        vary: values or a distribution by the quantity's name.
+    """
+
+    car: CarFile
+    seeds: tuple[int, ...]
+    duration: float = 20.0
+    rate: float = 100.0
+    path: str = "figure8"
+    speed: float = 1.0
+    vary: Mapping[str, Choice] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """Number of drives."""
+        total = len(self.seeds)
+        for choice in self.vary.values():
+            total *= len(choice) if isinstance(choice, tuple) else 1
+        return total
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What is varied."""
+        return tuple(find_quantity(name, self.car) for name in self.vary)
+
+    def digest(self) -> str:
+        """What the drives' results depend on, beside the program itself."""
+        choices = {
+            name: asdict(choice) if isinstance(choice, Distribution) else list(choice)
+            for name, choice in self.vary.items()
+        }
+        rest = [self.car.text, self.seeds, self.duration, self.rate, self.path, self.speed]
+        text = json.dumps([choices, *rest])
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class DriveCase:
+    """One drive of a sweep.
+
+    Attributes:
+        number: from 0, in the order of the table.
+        seed: of the simulated hardware's noise.
+        values: of what is varied.
+    """
+
+    number: int
+    seed: int
+    values: Mapping[str, Value]
+
+
+def list_cases(plan: SweepPlan) -> Iterator[DriveCase]:
+    """Every combination of the lists, each with every seed.
+
+    Raises:
+        SteerdError: a distribution never yields what its quantity may be.
+    """
+    lists = {name: c for name, c in plan.vary.items() if isinstance(c, tuple)}
+    drawn = {name: c for name, c in plan.vary.items() if isinstance(c, Distribution)}
+    number = itertools.count()
+    for combination in itertools.product(*lists.values()):
+        fixed = dict(zip(lists, combination, strict=True))
+        for seed in plan.seeds:
+            values = {name: _draw(drawn, name, seed, fixed) for name in plan.vary}
+            yield DriveCase(next(number), seed, values)
+
+
+def _draw(
+    drawn: Mapping[str, Distribution], name: str, seed: int, fixed: Mapping[str, Value]
+) -> Value:
+    if name in fixed:
+        return fixed[name]
+    try:
+        return drawn[name].draw(name, seed)
+    except ValueError as error:
+        raise SteerdError(str(error), "", ExitCode.USAGE) from None
+
+
+def read_sweep_file(path: Path) -> dict[str, Any]:
+    """The tables of a sweep file.
+
+    Raises:
+        SteerdError: it cannot be read, or is no TOML.
+    """
+    try:
+        return load_toml(path)
+    except OSError as error:
+        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
+    except TomlError as error:
+        raise SteerdError(f"{path}: {error}", "", ExitCode.INVALID) from None
+
+
+def make_sweep_plan(car: CarFile, given: Mapping[str, Any]) -> SweepPlan:
+    """Check what a sweep file or a caller says.
+
+    Args:
+        car: the car file.
+        given: `seeds`, `duration`, `rate`, `path`, `speed`, `vary`.
+
+    Raises:
+        SteerdError: something is unknown, missing or impossible.
+    """
+    odd = next((key for key in given if key not in _TOP), None)
+    if odd is not None:
+        hint = did_you_mean(odd, _TOP) or f"there are {', '.join(_TOP)}"
+        raise SteerdError(f"a sweep has no {odd!r}", hint)
+    try:
+        vary = {
+            name: _parse_choice(find_quantity(name, car), choice)
+            for name, choice in dict(given.get("vary", {})).items()
+        }
+        plan = SweepPlan(
+            car,
+            _parse_seeds(given.get("seeds", 100)),
+            check_bounds("duration", given.get("duration", 20.0), 0.1, DURATION_MAX),
+            check_bounds("rate", given.get("rate", 100.0), 20.0, 1000.0),
+            _parse_path(given.get("path", "figure8")),
+            check_bounds("speed", given.get("speed", 1.0), 0.05, 20.0),
+            vary,
+        )
+    except ValueError as error:
+        raise SteerdError(str(error), "", ExitCode.INVALID) from None
+    if plan.count > DRIVES_MAX:
+        raise SteerdError(f"{plan.count} drives: {DRIVES_MAX} at most", "shorten the lists")
+    return plan
+
+
+def _parse_path(given: Any) -> str:
+    if not isinstance(given, str):
+        raise ValueError(f"path must be a text such as 'figure8', not {given!r}")
+    return given
+
+
+def _parse_seeds(given: Any) -> tuple[int, ...]:
+    """A number of seeds from 0, or a list."""
+    if isinstance(given, int) and not isinstance(given, bool) and given > 0:
+        return tuple(range(given))
+    whole = is_list(given) and all(type(seed) is int and seed >= 0 for seed in given)
+    if not (whole and given and len(set(given)) == len(given)):
+        raise ValueError("seeds: how many, or a list of different whole numbers from 0")
+    return tuple(given)
+
+
+def _parse_choice(quantity: Quantity, given: Any) -> Choice:
+    """A list of values, or a distribution."""
+    if isinstance(given, Mapping):
+        if quantity.is_text:
+            raise ValueError(f"{quantity.name} is a text: give a list")
+        return parse_distribution(quantity.name, given, quantity.low, quantity.high, quantity.usual)
+    values: Sequence[Any] = given if is_list(given) else [given]
+    if not values:
+        raise ValueError(f"{quantity.name}: the list is empty")
+    if quantity.is_text:
+        return tuple(_parse_path(value) for value in values)
+    return tuple(check_bounds(quantity.name, v, quantity.low, quantity.high) for v in values)

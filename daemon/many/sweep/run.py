@@ -1,0 +1,164 @@
+"""`steerd.sweep`: many drives of the closed loop in virtual time, as a table and a page."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from steerd.daemon.analysis.options import CarSource, read_car
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.notebook import shown
+from steerd.daemon.common.written import write_outputs
+from steerd.daemon.many.journal import Row, journal_path
+from steerd.daemon.many.sweep.drive import Task, run_case, start_row
+from steerd.daemon.many.sweep.measures import list_columns
+from steerd.daemon.many.sweep.plan import SweepPlan, list_cases, make_sweep_plan
+from steerd.daemon.many.sweep.summary import Summary, summarise_sweep
+from steerd.daemon.many.sweep.text import describe_sweep
+from steerd.daemon.many.tables import Column, RowTable
+from steerd.daemon.many.units import FAILED, Done, Where, work_through
+from steerd.sysid.report.report import Report
+
+
+@shown
+@dataclass(frozen=True, eq=False)
+class Sweep(RowTable):
+    """What a sweep found.
+
+    `print(sweep)` is the screen of `steerd sweep`.
+
+    Attributes:
+        plan: what was driven.
+        rows: one drive each, values by column; see `columns`.
+        wall: how long this start of the command took [s].
+        driven: how many drives it drove; the others were found in the journal.
+    """
+
+    plan: SweepPlan
+    rows: tuple[Row, ...] = field(repr=False)
+    wall: float = 0.0
+    driven: int = 0
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns of the table with units and meanings."""
+        return list_columns(self.plan.quantities)
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Distributions, stops, sensitivities."""
+        return summarise_sweep(self.plan, self.rows)
+
+    @property
+    def about(self) -> Mapping[str, str]:
+        """What the drives' results depend on."""
+        return {"steerd.sweep": self.plan.digest()}
+
+    def make_report(self) -> Report:
+        """Distributions, stops, sensitivity of each to each."""
+        from steerd.daemon.many.sweep.page import make_report
+
+        return make_report(self.plan, self.rows, self.summary)
+
+    def __str__(self) -> str:
+        mean = sum(row.get("seconds") or 0.0 for row in self.rows) / len(self.rows)
+        speed = self.driven * mean / self.wall if self.driven and self.wall > 0.0 else None
+        return describe_sweep(self.plan, self.rows, self.summary, speed)
+
+
+def sweep(
+    vary: Mapping[str, Any],
+    *,
+    seeds: int | Sequence[int] = 100,
+    car: CarSource = None,
+    path: str = "figure8",
+    speed: float = 1.0,
+    duration: float = 20.0,
+    rate: float = 100.0,
+    jobs: int = 0,
+    output: Path | str | None = None,
+) -> Sweep:
+    """Drive the closed loop many times in virtual time, each time with another draw.
+
+    Args:
+        vary: by the quantity's name (`path`, `speed`, `car.mass`, `effect.steer_delay`,
+            `mocap.position_noise`, …) a list, which is crossed with the other lists, or a
+            distribution: `{"low": 1, "high": 2}`, `{"mean": 3, "sd": 0.2}`,
+            `{"median": 0.01, "factor": 2}` or `{"share": 0.05}` of the car file's value.
+        seeds: how many, or which; every combination of the lists is driven with each.
+        car: what the controller is designed from, and the simulated car unless varied.
+        path: of every drive, unless varied.
+        speed: of every drive on straights [m/s], unless varied.
+        duration: of a drive [s].
+        rate: of the loop [Hz].
+        jobs: worker processes; 0 for one per core.
+        output: Parquet file to write. An interrupted sweep goes on where it was.
+
+    Returns:
+        The table, distributions, stops and sensitivities.
+
+    Raises:
+        SteerdError: a quantity or a value cannot be used.
+    """
+    given = {
+        "seeds": seeds if isinstance(seeds, int) else list(seeds), "path": path, "speed": speed,
+        "duration": duration, "rate": rate, "vary": vary,
+    }  # fmt: skip
+    plan = make_sweep_plan(read_car(car), given)
+    found = run_sweep(plan, Where(jobs), None if output is None else Path(output))
+    if output is not None:
+        finish_sweep(found, Path(output))
+    return found
+
+
+def run_sweep(
+    plan: SweepPlan,
+    where: Where,
+    output: Path | None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Sweep:
+    """Drive what is not yet driven.
+
+    Args:
+        plan: what to drive.
+        where: worker processes.
+        output: the table that is to be written; its journal lies beside it until then.
+        progress: is called with the number of drives done.
+
+    Raises:
+        SteerdError: the journal belongs to another sweep, or cannot be written.
+    """
+    began = time.perf_counter()
+    tasks = {str(case.number): Task(plan, case) for case in list_cases(plan)}
+
+    def make_row(done: Done) -> Row:
+        failed = {"outcome": FAILED, "reason": done.failure}
+        return start_row(tasks[done.unit].case) | (failed if done.row is None else done.row)
+
+    rows, driven = work_through(run_case, tasks, where, output, plan.digest(), make_row, progress)
+    return Sweep(plan, rows, time.perf_counter() - began, driven)
+
+
+def finish_sweep(found: Sweep, output: Path) -> None:
+    """Write the table; its journal is then no longer needed.
+
+    Raises:
+        SteerdError: it cannot be written; the journal stays.
+    """
+    write_outputs({output: found.encode_table()}, announced=True)
+    journal_path(output).unlink(missing_ok=True)
+
+
+def find_case(plan: SweepPlan, number: int) -> Task:
+    """One drive of a sweep, to be driven again alone.
+
+    Raises:
+        SteerdError: there is no such drive.
+    """
+    for case in list_cases(plan):
+        if case.number == number:
+            return Task(plan, case)
+    what = f"there is no drive {number}: they are 0 to {plan.count - 1}"
+    raise SteerdError(what, "", ExitCode.USAGE)

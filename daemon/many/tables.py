@@ -1,0 +1,109 @@
+"""Rows of many units as a Parquet file: the only file that knows PyArrow.
+
+Parquet is what pandas, polars, DuckDB, R and MATLAB read without a word about types or units; its
+columns are small and one can be read without the others.
+"""
+
+import io
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from steerd.daemon.common.outputs import check_outputs
+from steerd.daemon.common.written import write_outputs
+from steerd.daemon.many.journal import Row
+from steerd.sysid.report.report import Report
+
+Kind = Literal["number", "count", "text", "truth"]
+_TYPES = {"number": "float64", "count": "int64", "text": "string", "truth": "bool"}
+
+
+class Column(NamedTuple):
+    """A column of a table.
+
+    Attributes:
+        name: of the column.
+        kind: of its values; each may be missing.
+        unit: SI, `1` for none; empty where it is no number.
+        meaning: one line.
+    """
+
+    name: str
+    kind: Kind
+    unit: str
+    meaning: str
+
+
+class RowTable(ABC):
+    """What a command found about many units.
+
+    Attributes:
+        rows: one unit each, values by column; see `columns`.
+    """
+
+    rows: tuple[Row, ...]
+
+    @property
+    @abstractmethod
+    def columns(self) -> Sequence[Column]:
+        """The columns of the table with units and meanings."""
+
+    @property
+    @abstractmethod
+    def about(self) -> Mapping[str, str]:
+        """Texts in the file that say where the table comes from."""
+
+    def encode_table(self) -> bytes:
+        """The rows as a Parquet file; the same rows give the same bytes."""
+        return encode_table(self.columns, self.rows, self.about)
+
+    def save_table(self, path: Path | str) -> Path:
+        """Write the rows as a Parquet file, whole or not at all; its path.
+
+        Raises:
+            SteerdError: it cannot be written there.
+        """
+        path = Path(path)
+        check_outputs({"save_table": path})
+        write_outputs({path: self.encode_table()})
+        return path
+
+    @abstractmethod
+    def make_report(self) -> Report:
+        """What the page shows."""
+
+    def render_report(self) -> str:
+        """The page, one HTML file without links."""
+        from steerd.sysid.report.page import render_report
+
+        return render_report(self.make_report())
+
+
+def encode_table(
+    columns: Sequence[Column], rows: Sequence[Mapping[str, Any]], about: Mapping[str, str]
+) -> bytes:
+    """A Parquet file; the same rows give the same bytes.
+
+    Args:
+        columns: in the table's order, units and meanings go into the file.
+        rows: values by column's name; what is absent, None or NaN is missing.
+        about: texts that say where the table comes from.
+    """
+    import pyarrow as pa  # noqa: TID251
+    from pyarrow import parquet  # noqa: TID251
+
+    fields, values = [], []
+    for column in columns:
+        kind = _TYPES[column.kind]
+        note = {"unit": column.unit, "meaning": column.meaning}
+        fields.append(pa.field(column.name, kind, metadata=note))
+        values.append(pa.array([_value(row.get(column.name)) for row in rows], kind))
+    schema = pa.schema(fields, metadata=dict(about))
+    out = io.BytesIO()
+    parquet.write_table(pa.table(values, schema=schema), out, compression="zstd")
+    return out.getvalue()
+
+
+def _value(value: Any) -> Any:
+    return None if isinstance(value, float) and value != value else value

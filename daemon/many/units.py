@@ -1,0 +1,261 @@
+"""Work units side by side, each a row: on this machine by joblib, or on a Dask cluster.
+
+A unit that fails is a result and ends nothing. What fails for want of something that may come back
+(a file system, memory, a worker) is tried again. A worker that dies takes the units that it and its
+neighbours held along; each is then done alone, so that only the one that kills workers is given up.
+"""
+
+import os
+import signal
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.outputs import check_outputs
+from steerd.daemon.many.journal import Row, journal_path, open_journal
+from steerd.sysid.parallel import quiet_workers
+
+TRIES = 3
+"""Times that a unit is begun before it is given up."""
+AHEAD = 4
+"""Units that wait at a cluster for each of its workers: their content is in memory."""
+_ANSWER = "10s"
+"""Time that a scheduler has to answer."""
+
+FAILED = "failed"
+"""Outcome of a row whose unit failed; the next start tries it again."""
+_AGAIN = ("lost", "pending")
+"""A result that died with its worker before it was fetched: the scheduler computes it again."""
+
+Work = Callable[[Any], dict[str, Any]]
+"""A function of a module: what a unit is about to the columns of its row."""
+
+
+class Done(NamedTuple):
+    """A unit that has ended.
+
+    Attributes:
+        unit: its name.
+        row: what its work gave; None where it failed.
+        failure: why, one sentence; empty where it did not fail.
+        tries: how often it was begun.
+    """
+
+    unit: str
+    row: dict[str, Any] | None
+    failure: str
+    tries: int
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where the work is done.
+
+    Attributes:
+        jobs: processes on this machine; 0 for one per core.
+        dask: address of a Dask scheduler, which then does all of it.
+    """
+
+    jobs: int = 0
+    dask: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.jobs < 0:
+            what = f"--jobs {self.jobs}: 1 or more; 0 for one process per core"
+            raise SteerdError(what, "", ExitCode.USAGE)
+
+    @property
+    def processes(self) -> int:
+        """Processes on this machine."""
+        return self.jobs or len(os.sched_getaffinity(0))
+
+
+def work_through(
+    work: Work,
+    units: Mapping[str, Any],
+    where: Where,
+    output: Path | None,
+    purpose: str,
+    make_row: Callable[[Done], Row],
+    progress: Callable[[int], None] = lambda done: None,
+    ship: Callable[[Any], Any] = lambda about: about,
+) -> tuple[tuple[Row, ...], int]:
+    """Do what an earlier start did not finish.
+
+    Args:
+        work: what is done with one unit's argument.
+        units: argument by the unit's name.
+        where: processes or cluster.
+        output: the table that is to be written; its journal lies beside it.
+        purpose: digest of all that the rows depend on.
+        make_row: the table's row of a unit that has ended; its `outcome` is `FAILED` or another.
+        progress: is called with the number of units done.
+        ship: makes an argument complete before it leaves for another machine.
+
+    Returns:
+        A row for each unit, in their order, and how many of them were done now.
+
+    Raises:
+        SteerdError: the journal belongs to other work, or the cluster is lost.
+    """
+    if output is not None:
+        check_outputs({"-o": output})
+    with open_journal(output and journal_path(output), purpose) as journal:
+        old = {unit for unit, row in journal.rows.items() if row["outcome"] != FAILED}
+        todo = {unit: about for unit, about in units.items() if unit not in old}
+        before = len(units) - len(todo)
+        progress(before)
+        for number, done in enumerate(run_units(work, todo, where, ship), 1):
+            journal.add(done.unit, make_row(done))
+            progress(before + number)
+        return tuple(journal.rows[unit] for unit in units), len(todo)
+
+
+def run_units(
+    work: Work,
+    todo: Mapping[str, Any],
+    where: Where,
+    ship: Callable[[Any], Any] = lambda about: about,
+) -> Iterator[Done]:
+    """Do every unit; results come as they end.
+
+    Args:
+        work: what is done with one unit's argument.
+        todo: argument by the unit's name.
+        where: processes or cluster.
+        ship: makes an argument complete before it leaves for another machine.
+
+    Raises:
+        SteerdError: the cluster does not answer, or is lost.
+    """
+    if where.dask is not None:
+        return _run_on_cluster(work, todo, where.dask, ship)
+    if where.processes == 1 or len(todo) == 1:
+        return (_try_unit(work, unit, about) for unit, about in todo.items())
+    return _run_in_processes(work, todo, where.processes)
+
+
+def _try_unit(work: Work, unit: str, about: Any) -> Done:
+    """Do a unit, again where what it lacked may have come back."""
+    failure = ""
+    for attempt in range(1, TRIES + 1):
+        try:
+            return Done(unit, work(about), "", attempt)
+        except SteerdError as error:
+            return Done(unit, None, error.what, attempt)
+        except (OSError, MemoryError) as error:
+            failure = describe_failure(error)
+        except Exception as error:
+            return Done(unit, None, describe_failure(error), attempt)
+    return Done(unit, None, failure, TRIES)
+
+
+def _try_in_worker(work: Work, unit: str, about: Any) -> Done:
+    """The same in a process of ours, which leaves Ctrl-C to its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return _try_unit(work, unit, about)
+
+
+def describe_failure(error: BaseException) -> str:
+    """An exception as one line for a table."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+# -- this machine ----------------------------------------------------------------------------------
+
+
+def _run_in_processes(work: Work, todo: Mapping[str, Any], jobs: int) -> Iterator[Done]:
+    left, deaths = dict(todo), Counter[str]()
+    while left:
+        suspects = [unit for unit in left if deaths[unit]]
+        batch = suspects[:1] or [*left]
+        held: set[str] = set()
+        try:
+            for done in _dispatch(work, {unit: left[unit] for unit in batch}, jobs, held):
+                held.discard(done.unit)
+                del left[done.unit]
+                yield done._replace(tries=done.tries + deaths[done.unit])
+        except BrokenProcessPool:
+            for unit in held & left.keys():
+                deaths[unit] += 1
+                if deaths[unit] >= TRIES:
+                    del left[unit]
+                    yield Done(unit, None, "its worker died each time", TRIES)
+
+
+def _dispatch(work: Work, batch: Mapping[str, Any], jobs: int, held: set[str]) -> Iterator[Done]:
+    """Results of a batch as they end; `held` is what workers have begun."""
+    from joblib import Parallel, delayed
+
+    def hand_out() -> Iterator[Any]:
+        for unit, about in batch.items():
+            held.add(unit)
+            yield delayed(_try_in_worker)(work, unit, about)
+
+    pool = Parallel(
+        n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs"
+    )
+    with quiet_workers():
+        yield from pool(hand_out())
+
+
+# -- a cluster -------------------------------------------------------------------------------------
+
+
+def _run_on_cluster(
+    work: Work, todo: Mapping[str, Any], address: str, ship: Callable[[Any], Any]
+) -> Iterator[Done]:
+    try:
+        import distributed
+    except ImportError:
+        raise SteerdError("--dask needs Dask", "pip install distributed", ExitCode.USAGE) from None
+    dask: Any = distributed  # its functions carry no types
+    try:
+        client = dask.Client(address, timeout=_ANSWER, set_as_default=False)
+    except (OSError, ValueError) as error:
+        what = f"--dask {address}: {describe_failure(error)}"
+        hint = "start a scheduler and workers, for instance with `dask scheduler`"
+        raise SteerdError(what, hint, ExitCode.UNREACHABLE) from None
+    with client, client.as_current():
+        waiting, names = iter(todo.items()), {}
+
+        def hand_out() -> Any:
+            """The next unit as a future; None where no unit is left."""
+            unit, about = next(waiting, (None, None))
+            if unit is None:
+                return None
+            future = client.submit(_try_unit, work, unit, ship(about), pure=False)
+            names[future.key] = unit
+            return future
+
+        ahead = AHEAD * max(1, sum(client.nthreads().values()))
+        begun = [future for _ in range(ahead) if (future := hand_out()) is not None]
+        ended = dask.as_completed(begun)
+        for future in ended:
+            if future.status in _AGAIN:
+                ended.add(future)
+                continue
+            yield _take(future, names.pop(future.key), address)
+            future.release()
+            if (later := hand_out()) is not None:
+                ended.add(later)
+
+
+def _take(future: Any, unit: str, address: str) -> Done:
+    """A future's result; a unit whose workers died each time is one that failed.
+
+    Raises:
+        SteerdError: the cluster has lost it.
+    """
+    if future.status == "finished":
+        done: Done = future.result()
+        return done
+    if future.status == "error":
+        return Done(unit, None, describe_failure(future.exception()), TRIES)
+    what = f"--dask {address}: the scheduler is gone"
+    raise SteerdError(what, "the same command goes on where it was", ExitCode.UNREACHABLE)

@@ -1,0 +1,114 @@
+"""What a command found, as one value; pages and screens are made of it."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+Tone = Literal["", "quiet", "strong"]
+
+
+class Cell(NamedTuple):
+    """Text of a table that stands out, or does not."""
+
+    text: str
+    tone: Tone = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of figures; its first column names the rows.
+
+    Attributes:
+        heads: a name for each column.
+        rows: cells in the columns' order.
+        words: numbers of the columns that hold sentences, which may be broken.
+    """
+
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str | Cell]]
+    words: Sequence[int] = ()
+
+    @property
+    def cells(self) -> list[list[Cell]]:
+        """The rows, every cell with its tone."""
+        return [[c if isinstance(c, Cell) else Cell(c) for c in row] for row in self.rows]
+
+    def pick(self, *heads: str) -> "Table":
+        """The same rows with these columns alone."""
+        at = [self.heads.index(head) for head in heads]
+        return replace(self, heads=heads, rows=[[row[i] for i in at] for row in self.rows])
+
+
+class Card(NamedTuple):
+    """A figure that is read first: what it is, its value, a few words about it."""
+
+    label: str
+    figure: str
+    text: str
+
+
+class Fold(NamedTuple):
+    """Text below a headline, shown when asked for."""
+
+    headline: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A headed part; what is empty is left out.
+
+    Attributes:
+        title: its heading.
+        text: a paragraph about it; `steerd …` in backquotes is shown as a command.
+        notes: what a reader should know, each set off.
+        table: figures.
+        figure: inline SVG.
+        fold: what few will read.
+    """
+
+    title: str = ""
+    text: str = ""
+    notes: Sequence[str] = ()
+    table: Table | None = None
+    figure: str = ""
+    fold: Fold | None = None
+
+
+@dataclass(frozen=True)
+class Report:
+    """A report, results first.
+
+    Attributes:
+        title: what it answers.
+        subject: names of what it is about: sessions, a car.
+        about: facts about that.
+        lead: the result in a sentence or two.
+        sections: in reading order.
+        foot: who wrote it, conventions.
+        verdict: the result in a word; empty where there is none.
+        grade: how good that is: `good`, `fair` or `bad`.
+        cards: figures that are read first.
+    """
+
+    title: str
+    subject: str
+    about: str
+    lead: str
+    sections: Sequence[Section]
+    foot: str
+    verdict: str = ""
+    grade: str = ""
+    cards: Sequence[Card] = ()
+
+
+def format_table(table: Table) -> Iterator[str]:
+    """Lines for a terminal: names to the left, figures to the right of their columns."""
+    rows = [[*table.heads], *([cell.text for cell in row] for row in table.cells)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = [
+            f"{text:<{width}}" if i == 0 or i in table.words else f"{text:>{width}}"
+            for i, (text, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        yield "  ".join(cells).rstrip()

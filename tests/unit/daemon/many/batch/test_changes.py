@@ -1,0 +1,161 @@
+"""Steps in series of estimates: found on their day, and not where there are none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from steerd.daemon.many.batch.changes import (
+    CHANCE,
+    LEAST,
+    WEEK,
+    Series,
+    find_changes,
+    list_series,
+    make_band,
+    split_series,
+)
+from steerd.daemon.many.batch.text import nothing_changed
+
+DAY, BEGIN = 86_400.0, 1_772_366_400.0
+
+
+def make_series(rng, count=30, at=None, step=0.0, sd=0.02, extra=0.0, car="a", name="x"):
+    value = 1.0 + rng.normal(0.0, np.hypot(sd, extra), count)
+    if at is not None:
+        value[at:] += step
+    return Series(car, name, BEGIN + DAY * np.arange(count), value, np.full(count, sd))
+
+
+def test_a_step_is_found_on_its_day():
+    rng, off = np.random.default_rng(1), []
+    for _ in range(50):
+        (found,) = find_changes([make_series(rng, at=12, step=0.12, extra=0.02)])
+        off.append(int(found.day[-2:]) - 13)
+        assert found.earliest <= found.day <= found.latest
+        assert found.after - found.before == pytest.approx(0.12, abs=0.05)
+        assert found.sigmas > 4.0
+    assert np.mean(np.abs(off) <= 1) > 0.95
+
+
+def test_quiet_series_are_left_alone():
+    rng, wrong = np.random.default_rng(2), 0
+    for _ in range(300):
+        wrong += bool(find_changes([make_series(rng, extra=0.03) for _ in range(5)]))
+    assert wrong <= 6, f"{wrong} of 300 batches, at a bound of {CHANCE}"
+
+
+def test_drives_that_are_too_sure_make_no_step():
+    rng, wrong = np.random.default_rng(7), 0
+    for _ in range(200):
+        series = make_series(rng)
+        odd = rng.choice(30, 5, replace=False)
+        series.value[odd], series.sd[odd] = 1.04 + rng.normal(0.0, 0.002, 5), 0.002
+        wrong += bool(find_changes([series]))
+    assert wrong <= 2, f"{wrong} of 200"
+
+
+def test_errors_with_tails_make_few_steps():
+    """Log-normal, as prediction errors are, without stated errors: a tail is no step."""
+    rng, wrong = np.random.default_rng(8), 0
+    for _ in range(300):
+        tailed = replace(make_series(rng, sd=0.0), value=rng.lognormal(-6.5, 0.6, 30))
+        wrong += bool(find_changes([tailed]))
+    assert wrong <= 3, f"{wrong} of 300"
+
+
+def test_a_step_is_found_among_drives_that_are_too_sure():
+    rng = np.random.default_rng(9)
+    for _ in range(20):
+        series = make_series(rng, at=12, step=0.3)
+        odd = rng.choice(30, 5, replace=False)
+        series.sd[odd] = 0.002
+        (found,) = find_changes([series])
+        assert abs(int(found.day[-2:]) - 13) <= 1
+
+
+def make_two_models(rng, at, step):
+    """Every third drive is twenty times as sure, of a value that lies a little higher."""
+    series = make_series(rng, at=at, step=step)
+    surer = np.arange(30) % 3 == 0
+    series.value[surer] = 1.03 + rng.normal(0.0, 0.001, 10) + step * (np.flatnonzero(surer) >= at)
+    series.sd[surer] = 0.001
+    return series
+
+
+def test_a_step_that_only_surer_drives_see_is_found():
+    rng = np.random.default_rng(10)
+    for _ in range(20):
+        (found,) = find_changes([make_two_models(rng, 15, 0.015)])
+        assert found.earliest <= "2026-03-16" <= found.latest
+        assert found.after - found.before == pytest.approx(0.015, abs=0.004)
+
+
+def test_surer_drives_of_another_level_make_no_step():
+    rng, wrong = np.random.default_rng(11), 0
+    for _ in range(300):
+        series = make_two_models(rng, 15, 0.0)
+        order = np.lexsort((rng.random(30), np.arange(30) // rng.integers(3, 30)))
+        series = replace(series, value=series.value[order], sd=series.sd[order])
+        wrong += bool(find_changes([series]))
+    assert wrong <= 2, f"{wrong} of 300"
+
+
+def test_the_clearest_comes_first_and_carries_its_names():
+    rng = np.random.default_rng(3)
+    series = [
+        make_series(rng, at=10, step=0.1, car="a", name="x"),
+        make_series(rng, at=20, step=0.4, car="b", name="y"),
+        make_series(rng, car="c"),
+    ]
+    found = find_changes(series)
+    assert [(c.car, c.quantity) for c in found] == [("b", "y"), ("a", "x")]
+    assert found[0].day == "2026-03-21"
+
+
+def test_few_drives_say_nothing():
+    rows = [
+        {"car": "a", "start": BEGIN + DAY * i, "session": str(i), "x": float(i > 2)}
+        for i in range(LEAST)
+    ]
+    assert list(list_series(rows[:-1], ("x",))) == []
+    assert len(list(list_series(rows, ("x", "y")))) == 1
+
+
+def test_series_are_a_cars_own_in_the_order_of_time():
+    rows = [
+        {"car": car, "start": BEGIN + DAY * day, "session": f"{car}{day}", "x": day, "x_sd": 0.1}
+        for day in (3, 1, 0, 2, 5, 4)
+        for car in ("b", "a")
+    ]
+    rows.append({"car": None, "start": None, "session": "broken"})
+    one, two = list_series(rows, ("x",))
+    assert (one.car, two.car) == ("a", "b")
+    np.testing.assert_array_equal(one.value, range(6))
+    np.testing.assert_array_equal(one.sd, [0.1] * 6)
+
+
+def test_a_band_mixes_no_drives_from_before_and_after_a_change():
+    series = make_series(np.random.default_rng(6), 14, at=9, step=3.0)
+    before, after = split_series(series, BEGIN + 9 * DAY)
+    assert (len(before.value), len(after.value)) == (9, 5)
+    assert make_band(before).mean.max() < 1.5
+    assert make_band(after).mean.min() > 3.5
+    (alone,) = split_series(series, BEGIN + DAY)[:1]
+    assert make_band(alone).mean == pytest.approx(alone.value)
+
+
+def test_bands_are_weekly_means():
+    rng = np.random.default_rng(5)
+    series = make_series(rng, 28, sd=0.02)
+    band = make_band(series)
+    assert len(band.mean) == 4
+    assert np.diff(band.start) == pytest.approx(WEEK)
+    first = series.value[:7]
+    assert band.mean[0] == pytest.approx(first.mean(), abs=1e-9)
+    assert 1.96 * 0.02 / np.sqrt(7) <= band.half[0] < 0.05
+
+
+@pytest.mark.parametrize(("count", "told"), [(0, "no car has the 6 drives"), (3, "in 3 series")])
+def test_why_no_change_is_named(count, told):
+    assert told in nothing_changed(count)

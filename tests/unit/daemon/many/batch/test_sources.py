@@ -1,0 +1,95 @@
+"""Folders, patterns and files; car files by the cars' names; what a session's row depends on."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from steerd.car_model.car_file import default_car_path, load_car
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.many.batch.sources import (
+    Question,
+    UnitTask,
+    find_batch,
+    make_tasks,
+    read_cars,
+    read_content,
+)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("a/one.mcap", "a/b/two.mcap", "three.mcap", "a/notes.txt", "three.mcap.partial"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(name.encode())
+    return tmp_path
+
+
+def names(paths, folder):
+    return [str(path.relative_to(folder)) for path in paths]
+
+
+def test_folders_patterns_and_files_name_each_session_once(folder):
+    every = ["a/b/two.mcap", "a/one.mcap", "three.mcap"]
+    assert names(find_batch([str(folder)]), folder) == every
+    assert names(find_batch([f"{folder}/**/*.mcap", str(folder / "a")]), folder) == every
+    assert names(find_batch([f"{folder}/a/*"]), folder) == ["a/one.mcap"]
+    assert names(find_batch([str(folder / "three.mcap")]), folder) == ["three.mcap"]
+
+
+@pytest.mark.parametrize("word", ["none", "none/*.mcap", "a/b/*.txt"])
+def test_a_word_that_names_nothing_is_refused(folder, word, monkeypatch):
+    monkeypatch.chdir(folder)
+    with pytest.raises(SteerdError) as caught:
+        find_batch(["three.mcap", word])
+    assert caught.value.code is ExitCode.UNREADABLE
+    assert word in caught.value.what
+
+
+def test_car_files_are_found_by_name(tmp_path):
+    text = default_car_path().read_text()
+    (tmp_path / "red.toml").write_text(text)
+    (tmp_path / "blue.toml").write_text(text.replace("mass = 3.74", "mass = 3.9"))
+    cars = read_cars(tmp_path)
+    assert set(cars) == {"red", "blue"}
+    assert cars["red"] != cars["blue"]
+    assert read_cars(tmp_path / "red.toml") == {"": cars["red"]}
+    assert read_cars(None) == {}
+
+
+def test_a_folder_without_a_car_file_is_refused(tmp_path):
+    with pytest.raises(SteerdError, match="no car file"):
+        read_cars(tmp_path)
+    (tmp_path / "odd.toml").write_text("[car]\nmass = 'heavy'\n")
+    with pytest.raises(SteerdError, match="mass"):
+        read_cars(tmp_path)
+
+
+def test_a_file_that_was_written_since_is_another_unit(folder):
+    question, path = Question("summarise", {}), folder / "three.mcap"
+    (before,) = make_tasks([path], question)
+    os.utime(path, ns=(0, 5))
+    (after,) = make_tasks([path], question)
+    assert before != after
+    assert make_tasks([path], question)[after].changed_ns == 5
+
+
+def test_rows_depend_on_the_question_and_the_cars():
+    car = load_car(default_car_path())
+    one = Question("identify", {"red": car})
+    assert one.digest() == Question("identify", {"red": car}).digest()
+    others = [
+        Question("diagnose", {"red": car}),
+        Question("identify", {"red": replace(car, text="y")}),
+        Question("identify", {"red": replace(car, posterior="y")}),
+    ]
+    assert len({one.digest(), *(other.digest() for other in others)}) == 4
+
+
+def test_what_is_shipped_is_read_when_it_leaves(folder):
+    question = Question("summarise", {})
+    path, gone = folder / "three.mcap", Path("gone.mcap")
+    assert read_content(UnitTask(path, 1, question)).content == path.read_bytes()
+    assert read_content(UnitTask(gone, 1, question)).content is None

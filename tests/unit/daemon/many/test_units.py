@@ -1,0 +1,118 @@
+"""Work units: failures are results, workers may die, a cluster does the same."""
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+from joblib.externals.loky import process_executor
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.many.units import TRIES, Where, describe_failure, run_units
+
+
+def work(about):
+    """Does what it is told: `(what, file)`; the file counts the tries."""
+    what, file = about
+    with Path(file).open("ab") as out:
+        out.write(b"x")
+    tries = Path(file).stat().st_size
+    if what == "refuse":
+        raise SteerdError("no such car")
+    if what == "break":
+        raise ZeroDivisionError("in a unit")
+    if what == "disk" or (what == "disk once" and tries == 1):
+        raise OSError(5, "Input/output error")
+    if what == "die" or (what == "die once" and tries == 1):
+        os.kill(os.getpid(), signal.SIGKILL)
+    if what == "grow":
+        process_executor._MAX_MEMORY_LEAK_SIZE = process_executor._MEMORY_LEAK_CHECK_DELAY = -1e18
+    return {"tries": tries}
+
+
+def run(tmp_path, where, *kinds):
+    todo = {f"{i} {kind}": (kind, str(tmp_path / str(i))) for i, kind in enumerate(kinds)}
+    return {done.unit: done for done in run_units(work, todo, where)}
+
+
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_failed_unit_is_a_result_and_no_end(tmp_path, jobs):
+    found = run(tmp_path, Where(jobs), "good", "refuse", "break", "disk", "disk once", "good")
+    assert len(found) == 6
+    assert found["0 good"].row == {"tries": 1}
+    assert found["1 refuse"].failure == "no such car"
+    assert found["1 refuse"].tries == 1, "what is refused once is refused again"
+    assert found["2 break"].failure == "ZeroDivisionError: in a unit"
+    assert found["3 disk"].tries == TRIES
+    assert "Input/output" in found["3 disk"].failure
+    assert found["4 disk once"].row == {"tries": 2}
+    assert found["4 disk once"].tries == 2
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_takes_nobody_along(tmp_path):
+    found = run(tmp_path, Where(2), "good", "die", "die once", *["good"] * 5)
+    assert len(found) == 8
+    assert found["1 die"].row is None
+    assert found["1 die"].failure == "its worker died each time"
+    assert found["1 die"].tries == TRIES
+    assert {name for name, done in found.items() if done.row is None} == {"1 die"}
+    assert found["2 die once"].row is not None
+
+
+@pytest.mark.slow
+def test_a_worker_that_has_grown_makes_way_without_a_word(tmp_path, recwarn):
+    found = run(tmp_path, Where(2), *["grow"] * 12)
+    assert [done.tries for done in found.values()] == [1] * 12
+    assert not recwarn.list
+
+
+def test_nothing_to_do_is_nothing(tmp_path):
+    assert run(tmp_path, Where(2)) == {}
+
+
+def test_numbers_of_processes():
+    assert Where(3).processes == 3
+    assert Where().processes == len(os.sched_getaffinity(0))
+    with pytest.raises(SteerdError, match="--jobs -1") as caught:
+        Where(-1)
+    assert caught.value.code is ExitCode.USAGE
+
+
+def test_a_failure_is_one_line():
+    assert describe_failure(ValueError("two\n lines")) == "ValueError: two lines"
+    assert describe_failure(KeyError()) == "KeyError"
+
+
+# --- a cluster
+
+
+@pytest.fixture
+def cluster():
+    """A real scheduler and two worker processes on loopback."""
+    distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(**options, host="127.0.0.1") as one:
+        yield one
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_gives_the_same_results_and_survives_a_worker(cluster, tmp_path):
+    kinds = ("good", "refuse", "break", "disk once", "die once", *["good"] * 12)
+    found = run(tmp_path, Where(dask=cluster.scheduler_address), *kinds)
+    assert len(found) == len(kinds)
+    assert {n for n, done in found.items() if done.row is None} == {"1 refuse", "2 break"}
+    assert found["1 refuse"].failure == "no such car"
+    assert found["3 disk once"].row is not None
+    assert found["4 die once"].row is not None
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="the extra dask is not installed")
+    monkeypatch.setattr("steerd.daemon.many.units._ANSWER", "200ms")
+    with pytest.raises(SteerdError, match=r"--dask tcp://127\.0\.0\.1:9") as caught:
+        run(tmp_path, Where(dask="tcp://127.0.0.1:9"), "good")
+    assert caught.value.code is ExitCode.UNREACHABLE
