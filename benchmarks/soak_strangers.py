@@ -106,10 +106,7 @@ def open_page(url: str) -> Talker:
 def knock(url: str, data: bytes) -> None:
     """Bytes that are no HTTP, on the port of an address."""
     host, port = url.split("/")[2].rsplit(":", 1)
-    with (
-        contextlib.suppress(OSError),
-        socket.create_connection((host, int(port)), 0.2) as other,
-    ):
+    with contextlib.suppress(OSError), socket.create_connection((host, int(port)), 0.2) as other:
         other.sendall(data)
 
 

@@ -80,11 +80,7 @@ def make_controller(
 
 
 def _design_checked(
-    car: Car[float],
-    config: ControllerConfig,
-    timing: Timing,
-    speed_max: float,
-    design: DesignTable,
+    car: Car[float], config: ControllerConfig, timing: Timing, speed_max: float, design: DesignTable
 ) -> tuple[GainTable, tuple[Stability, ...]]:
     """Gains that passed the check."""
     table = design(car, config, timing, speed_max)

@@ -11,22 +11,9 @@ import numpy as np
 from joblib import Parallel, delayed
 from rich.progress import Progress
 
-from benchmarks.blind_gap.bank import (
-    CARS,
-    ROUTES,
-    Case,
-    Source,
-    make_plan,
-    needs_place,
-)
+from benchmarks.blind_gap.bank import CARS, ROUTES, Case, Source, make_plan, needs_place
 from benchmarks.blind_gap.car import MISMATCH, PlantCar, make_car
-from benchmarks.blind_gap.drives import (
-    LEAD,
-    make_noise,
-    make_orders,
-    make_route,
-    make_start,
-)
+from benchmarks.blind_gap.drives import LEAD, make_noise, make_orders, make_route, make_start
 from benchmarks.blind_gap.effects import EFFECTS, OUTSIDE, SIZES, Place, draw_place
 from benchmarks.blind_gap.plant import Array, simulate
 from benchmarks.blind_gap.seal import make_key, save_key, seal, sha256

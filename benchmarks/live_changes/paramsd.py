@@ -79,10 +79,7 @@ def slope(x: Array) -> tuple[Array, Array]:
     rows[:, STEER] = pull / x[RATIO]
     rows[:, U] = -(side - pull * angle) / u - np.array([r, 0.0])
     rows[:, V] = [-(cf + cr) / (m * u), -(cf * a - cr * b) / (j * u)]
-    rows[:, R] = [
-        -(cf * a - cr * b) / (m * u) - u,
-        -(cf * a * a + cr * b * b) / (j * u),
-    ]
+    rows[:, R] = [-(cf * a - cr * b) / (m * u) - u, -(cf * a * a + cr * b * b) / (j * u)]
     rows[0, ROLL] = -GRAVITY
     jacobian[[V, R]] = rows
     rates = np.zeros(9)

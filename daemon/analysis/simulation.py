@@ -14,11 +14,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.offline.fast import check_driven, record_virtual
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive
-from steerd.daemon.process.external_controller import (
-    Controller,
-    ExternalController,
-    while_driving,
-)
+from steerd.daemon.process.external_controller import Controller, ExternalController, while_driving
 from steerd.daemon.sessions.info import load_session
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions

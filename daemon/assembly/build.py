@@ -264,9 +264,7 @@ def make_core(
     setup = make_loop_setup(plan, boot_id, leased)
     uuid = settings.brakes.uuid
     link = VescLink(
-        settings.scaling,
-        bytes.fromhex(uuid) if uuid else None,
-        imu_mask=IMU_ACCEL_GYRO_MASK,
+        settings.scaling, bytes.fromhex(uuid) if uuid else None, imu_mask=IMU_ACCEL_GYRO_MASK
     )
     return Core(Loop(setup), link, Outbox(epoch_ns, tuple(sinks)))
 

@@ -110,12 +110,7 @@ def _try(proposal: Proposal, source: Path, trial: Trial) -> Meaning | str:
 
 
 def _read_meaning(session: "Session", report: "SessionReport") -> Meaning:
-    from steerd.daemon.sessions.info import (
-        Times,
-        find_table,
-        make_track_of,
-        read_tables,
-    )
+    from steerd.daemon.sessions.info import Times, find_table, make_track_of, read_tables
     from steerd.daemon.sessions.motion import Signal, find_erpm_gain, round_gain
     from steerd.steer_bus.topics import VESC
 

@@ -39,11 +39,7 @@ _INT32_MAX = (1 << 31) - 1
 
 
 def import_csv(
-    source: Path,
-    map_path: Path,
-    out: Path,
-    advance: Advance,
-    erpm_gain: float | None = None,
+    source: Path, map_path: Path, out: Path, advance: Advance, erpm_gain: float | None = None
 ) -> ImportReport:
     """Turn a csv file into a session.
 

@@ -9,13 +9,7 @@ from dataclasses import dataclass, replace
 from steerd.controller.acceptance import Acceptance, file_numbers
 from steerd.controller.build import DesignTable
 from steerd.controller.design import DesignRefused
-from steerd.controller.learnt import (
-    Design,
-    Learnt,
-    approach_learnt,
-    learnt_car,
-    learnt_timing,
-)
+from steerd.controller.learnt import Design, Learnt, approach_learnt, learnt_car, learnt_timing
 from steerd.daemon.learning.feed import Feed
 from steerd.daemon.loop.design_desk import REFUSED
 from steerd.daemon.loop.design_message import make_design, make_no_design, read_design

@@ -32,11 +32,7 @@ def changes_of(state: State) -> tuple[Change, ...]:
 
 
 def make_model(
-    state: State,
-    mono_ns: int,
-    epoch_ns: int,
-    dropped: int,
-    remembered: tuple[Remembered, ...] = (),
+    state: State, mono_ns: int, epoch_ns: int, dropped: int, remembered: tuple[Remembered, ...] = ()
 ) -> m.Model:
     """The report of a state.
 

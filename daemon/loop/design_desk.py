@@ -11,12 +11,7 @@ from collections.abc import Iterator
 from steerd.controller.acceptance import check_design
 from steerd.controller.learnt import Design, Learnt
 from steerd.daemon.loop.adapting import Adapting
-from steerd.daemon.loop.design_message import (
-    DESIGN_BYTES,
-    make_design,
-    make_no_design,
-    read_design,
-)
+from steerd.daemon.loop.design_message import DESIGN_BYTES, make_design, make_no_design, read_design
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import CodecError, decode
 

@@ -145,10 +145,7 @@ def advance(state: FollowState, model: FollowModel, t_ns: int, speed: float) -> 
 
 
 def compare(
-    state: FollowState,
-    model: FollowModel,
-    wheel: tuple[int, float] | None,
-    turns: tuple[Turn, ...],
+    state: FollowState, model: FollowModel, wheel: tuple[int, float] | None, turns: tuple[Turn, ...]
 ) -> Followed:
     """Hold the latest measurements against the bands of their own time.
 
@@ -300,10 +297,7 @@ def _curvature(model: FollowModel, steer: Band, speed: float) -> Band:
     short = max(model.base.low + model.understeer.low * square, 0.5 * model.base.low)
     long = model.base.high + model.understeer.high * square
     low, high = tan(steer.low - model.slack), tan(steer.high + model.slack)
-    return Band(
-        low / (short if low < 0.0 else long),
-        high / (short if high > 0.0 else long),
-    )
+    return Band(low / (short if low < 0.0 else long), high / (short if high > 0.0 else long))
 
 
 def _settling(model: FollowModel, speed: float) -> float:

@@ -6,12 +6,7 @@ from dataclasses import dataclass, replace
 from math import inf
 
 from steerd.daemon.loop.transitions import Request
-from steerd.steer_bus.messages import (
-    DriveCommand,
-    OperatorRequest,
-    ParameterRequest,
-    RequestKind,
-)
+from steerd.steer_bus.messages import DriveCommand, OperatorRequest, ParameterRequest, RequestKind
 
 VALID_MAX_MS = 300
 """Longest validity of an external command [ms]."""

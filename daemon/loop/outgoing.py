@@ -85,10 +85,7 @@ def make_imu(header: m.Header, when: Answer, i: Imu) -> m.VescImu:
     """An IMU reading."""
     values = (i.accel_x, i.accel_y, i.accel_z, i.gyro_x, i.gyro_y, i.gyro_z)
     return m.VescImu(
-        header,
-        when.t_sent_ns,
-        when.t_received_ns,
-        *_numbers(*values, i.q_w, i.q_x, i.q_y, i.q_z),
+        header, when.t_sent_ns, when.t_received_ns, *_numbers(*values, i.q_w, i.q_x, i.q_y, i.q_z)
     )
 
 

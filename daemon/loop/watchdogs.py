@@ -304,24 +304,9 @@ TIMED: tuple[Timed, ...] = (
         lambda th, _: th.lateral_hold,
         lambda i: f"{show(abs(i.lateral_error), '.2f')} m",
     ),
-    Timed(
-        "W20",
-        _is_fast,
-        lambda th, _: th.overspeed_hold,
-        _describe_speeds,
-    ),
-    Timed(
-        "W21",
-        _is_mismatched,
-        lambda th, _: th.mismatch_hold,
-        _describe_speeds,
-    ),
-    Timed(
-        "W22",
-        _is_blocked,
-        lambda th, _: th.blocked_hold,
-        _describe_block,
-    ),
+    Timed("W20", _is_fast, lambda th, _: th.overspeed_hold, _describe_speeds),
+    Timed("W21", _is_mismatched, lambda th, _: th.mismatch_hold, _describe_speeds),
+    Timed("W22", _is_blocked, lambda th, _: th.blocked_hold, _describe_block),
     Timed(
         "W30",
         lambda _, i: i.state in _DRIVING and not i.followed.speed_excess <= 0.0,

@@ -69,10 +69,7 @@ class Child:
 
 
 def spawn(
-    module: str,
-    fds: Mapping[str, int],
-    job: Mapping[str, Any],
-    keep: socket.socket | None = None,
+    module: str, fds: Mapping[str, int], job: Mapping[str, Any], keep: socket.socket | None = None
 ) -> Child:
     """Start `python -m module` with these descriptors and the job as JSON on standard input.
 

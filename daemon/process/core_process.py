@@ -127,11 +127,7 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
     sinks = [pipes_sink(*takers), status_sink(pipes["status"])]
     clock = MonotonicClock()
     core = make_core(
-        plan,
-        int(job["boot_id"]),
-        int(job["epoch_ns"]),
-        sinks,
-        leased=bool(job["leased"]),
+        plan, int(job["boot_id"]), int(job["epoch_ns"]), sinks, leased=bool(job["leased"])
     )
     latch_stray_exceptions(core)
     requests = tuple(socket.socket(fileno=fds[name]) for name in ("parent", "gateway_requests"))

@@ -86,11 +86,7 @@ class ProcessGuard:
     """
 
     def __init__(
-        self,
-        realtime: bool,
-        *,
-        simulated: bool = False,
-        silent_s: float = SILENT_S,
+        self, realtime: bool, *, simulated: bool = False, silent_s: float = SILENT_S
     ) -> None:
         self._silent_ns = round(silent_s * 1e9)
         self._stale_ns = STALE_NS if realtime else STALE_NS_NO_RT

@@ -14,11 +14,7 @@ from typing import Any
 from steerd.daemon.ipc.operator import read_lab
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.page_link import CarView, PageOperator
-from steerd.daemon.process.secret_server import (
-    ConnectionClosed,
-    SecretServer,
-    ServerConnection,
-)
+from steerd.daemon.process.secret_server import ConnectionClosed, SecretServer, ServerConnection
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile

@@ -127,10 +127,7 @@ def _topics(report: SessionReport) -> list[str]:
     if not shown:
         return []
     head = ("topic", "type", "messages", "rate", "gaps")
-    rows = [
-        head,
-        *((_short(t.name), _type(t), _count(t.count), _rate(t), _gaps(t)) for t in shown),
-    ]
+    rows = [head, *((_short(t.name), _type(t), _count(t.count), _rate(t), _gaps(t)) for t in shown)]
     lines = _table(rows)
     more = len(report.topics) - len(shown)
     if more:

@@ -17,12 +17,7 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.near import did_you_mean, find_near
 from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.settings.effect_checks import check_effects
-from steerd.daemon.settings.thresholds import (
-    LAUNCH_RATIO,
-    LAUNCH_SPEED,
-    Thresholds,
-    check_bounds,
-)
+from steerd.daemon.settings.thresholds import LAUNCH_RATIO, LAUNCH_SPEED, Thresholds, check_bounds
 from steerd.estimator.config import FilterConfig, load_filter_config
 from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig

@@ -206,9 +206,7 @@ def _sentence(text: str) -> str:
 def _where(found: Diagnosis, explained: bool) -> Iterator[Section]:
     where = found.where
     yield Section(
-        "Where it lies",
-        where.sentence,
-        figure=draw(figures.plot_where, 1.9, where, columns=2),
+        "Where it lies", where.sentence, figure=draw(figures.plot_where, 1.9, where, columns=2)
     )
     if found.timeline is not None:
         yield Section(

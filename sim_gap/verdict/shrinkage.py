@@ -123,11 +123,7 @@ def _shares(
 
 
 def predict(
-    before: Point,
-    chosen: Point,
-    floor: float,
-    blocks: NDArray[np.int64],
-    folds: NDArray[np.int64],
+    before: Point, chosen: Point, floor: float, blocks: NDArray[np.int64], folds: NDArray[np.int64]
 ) -> tuple[float, float, float]:
     """Expected share on unseen drives with its 90 % interval, from windows left out."""
     found = _shares(ratios(before), held_out(chosen, folds), ratios(chosen), floor, blocks)

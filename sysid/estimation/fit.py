@@ -24,13 +24,7 @@ from steerd.sysid.inference.identifiability import (
     taught_estimates,
 )
 from steerd.sysid.inference.noise import signal_noise
-from steerd.sysid.inference.plain_car import (
-    Asked,
-    PlainCar,
-    covariance_of,
-    misfit_of,
-    silent_names,
-)
+from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, misfit_of, silent_names
 from steerd.sysid.inference.readings import HORIZON
 from steerd.sysid.inference.search import with_size
 from steerd.sysid.inference.teaching import Step, Taught
@@ -118,10 +112,7 @@ def fit_of_plain(
 
 
 def fit_of_taught(
-    taught: Taught,
-    base: Model[float],
-    runs: Sequence[Run],
-    doubts: Sequence[tuple[str, float]],
+    taught: Taught, base: Model[float], runs: Sequence[Run], doubts: Sequence[tuple[str, float]]
 ) -> Fit:
     """What a car says that windows of one second taught, disturbances known.
 

@@ -23,12 +23,7 @@ from steerd.car_model.car_file import CarFile
 from steerd.car_model.model import Model
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.identifiability import BODY_OR_COG
-from steerd.sysid.inference.knowledge import (
-    Knowledge,
-    Spread,
-    inflate_each,
-    knowledge_section,
-)
+from steerd.sysid.inference.knowledge import Knowledge, Spread, inflate_each, knowledge_section
 from steerd.sysid.inference.likelihood import SPUN
 from steerd.sysid.inference.noise import Noise, noise_section
 from steerd.sysid.inference.posterior import posterior_of

@@ -157,10 +157,7 @@ def _bounds(effects: Sequence[Effect]) -> tuple[Array, Array]:
 
 
 def make_chart(
-    effects: Sequence[Effect],
-    prior: Array,
-    free: Sequence[str],
-    wheelbase: float | None = None,
+    effects: Sequence[Effect], prior: Array, free: Sequence[str], wheelbase: float | None = None
 ) -> Chart:
     """Coordinates for some free parameters.
 

@@ -214,8 +214,7 @@ def _pad_means(readings: Readings, slot: NDArray[np.int64]) -> Padded:
     place, there = _places(bounds)
     flat = np.flatnonzero(there.ravel() > 0.0)
     weights = csr_array(
-        (1.0 / counts[member], (flat[member], np.arange(len(slot)))),
-        shape=(there.size, len(slot)),
+        (1.0 / counts[member], (flat[member], np.arange(len(slot)))), shape=(there.size, len(slot))
     )
     return Padded(first[place], there, np.where(there > 0.0, counts[place], 1), weights)
 

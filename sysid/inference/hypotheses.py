@@ -258,9 +258,7 @@ class _Search:
 
 
 def explain(
-    library: Library,
-    most: int = 2,
-    progress: Callable[[float], None] = lambda share: None,
+    library: Library, most: int = 2, progress: Callable[[float], None] = lambda share: None
 ) -> Findings:
     """The hypotheses of a case.
 

@@ -10,14 +10,7 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
 from steerd.car_model.params import GRAVITY
-from steerd.sysid.inference.chart import (
-    INVERSE,
-    RELATIVE,
-    SPREAD,
-    WHEELBASE,
-    Chart,
-    make_chart,
-)
+from steerd.sysid.inference.chart import INVERSE, RELATIVE, SPREAD, WHEELBASE, Chart, make_chart
 
 Array = NDArray[np.float64]
 

@@ -40,10 +40,7 @@ Pump = Callable[[], None]
 
 
 def drive(
-    receiver: MocapReceiver,
-    pump: Pump,
-    done: Callable[[], bool],
-    samples: list[Pose],
+    receiver: MocapReceiver, pump: Pump, done: Callable[[], bool], samples: list[Pose]
 ) -> None:
     """Alternate server and receiver until `done`, at most 10 s."""
     end = time.monotonic_ns() + 10 * SECOND

@@ -295,11 +295,7 @@ def test_urls_without_a_descriptor_are_refused(url: str, tmp_path: Path) -> None
     ],
 )
 def test_errors_of_open_become_types_with_a_hint(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    number: int,
-    kind: type[PortError],
-    hint: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, kind: type[PortError], hint: str
 ) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise transport.serial.SerialException(number, "no")

@@ -47,8 +47,7 @@ def test_sound_hardware_is_described(capsys):
 
 def test_what_is_wrong_is_found(capsys):
     world = WorldConfig(
-        vesc=VescConfig(timeout_ms=0, timeout_brake_current=0.0),
-        mocap=MocapConfig(body="cart"),
+        vesc=VescConfig(timeout_ms=0, timeout_brake_current=0.0), mocap=MocapConfig(body="cart")
     )
     with spawn_sim(world) as sim:
         url = sim.mocap_url.replace("/cart", "/car")

@@ -13,10 +13,7 @@ from hypothesis import strategies as st
 from steerd.mocap_link import natnet, vrpn
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.natnet_client import NatNetSource
-from steerd.mocap_link.natnet_frame import (
-    Frame,
-    RigidBody,
-)
+from steerd.mocap_link.natnet_frame import Frame, RigidBody
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.vrpn_client import VrpnClient
 from steerd.sim_hw.mocap.vrpn_device import VrpnServer

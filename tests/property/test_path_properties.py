@@ -45,11 +45,7 @@ def test_offset_equals_brute_force(spec: str, share: float, offset: float) -> No
 
 @pytest.mark.parametrize("spec", PATHS)
 @settings(max_examples=60, deadline=None, derandomize=True)
-@given(
-    share=st.floats(0.05, 0.95),
-    offset=st.floats(-0.5, 0.5),
-    behind=st.integers(-12, 12),
-)
+@given(share=st.floats(0.05, 0.95), offset=st.floats(-0.5, 0.5), behind=st.integers(-12, 12))
 def test_the_hint_does_not_matter(spec: str, share: float, offset: float, behind: int) -> None:
     path = PATHS[spec]
     x, y = point_beside(path, share * path.length, offset)

@@ -224,10 +224,7 @@ def trips(id: str, outcome: Outcome) -> bool:
 
 def write_trace() -> list[str]:
     """The table for docs/reference/safety-matrix.md; drives every watchdog's cell twice."""
-    lines = [
-        "| watchdog | code | thresholds | shown by | without it |",
-        "|---|---|---|---|---|",
-    ]
+    lines = ["| watchdog | code | thresholds | shown by | without it |", "|---|---|---|---|---|"]
     for id, trace in TRACES.items():
         shown, without = run_trace(id)
         behind = f" (without {', '.join(trace.behind)})" if trace.behind else ""

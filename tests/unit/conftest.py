@@ -79,11 +79,7 @@ def drive() -> Drive:
     """`drive(effects, runs=4, seconds=8, seed=0)`: runs of the default car with effects on."""
 
     def make(
-        text: str = "",
-        runs: int = 4,
-        seconds: float = 8.0,
-        seed: int = 0,
-        wheel_sd: float = 0.02,
+        text: str = "", runs: int = 4, seconds: float = 8.0, seed: int = 0, wheel_sd: float = 0.02
     ) -> list[Run]:
         rng = np.random.default_rng(seed)
         return [_drive(text, seconds, rng, f"run-{i}", wheel_sd) for i in range(runs)]

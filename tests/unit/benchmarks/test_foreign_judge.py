@@ -59,12 +59,7 @@ def test_healthy_drives_are_the_cars_and_later_ones_the_cases() -> None:
         np.testing.assert_array_equal(a.poses, b.poses)
     first, labels = later_logs(other)
     assert labels == [
-        {
-            "effect": "steer_delay",
-            "size": "large",
-            "strength": 0.06,
-            "parameters": {"delay": 0.06},
-        }
+        {"effect": "steer_delay", "size": "large", "strength": 0.06, "parameters": {"delay": 0.06}}
     ]
     assert len(first) == 3
     assert not np.array_equal(first[0].commands, first[1].commands)

@@ -6,25 +6,14 @@ import numpy as np
 import pytest
 
 from steerd.car_model.chassis import Chassis, derivative
-from steerd.car_model.linear import (
-    augmented,
-    lane_error_model,
-    linearise,
-    sample,
-    steady_turn,
-)
+from steerd.car_model.linear import augmented, lane_error_model, linearise, sample, steady_turn
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, Car, wheelbase
 from steerd.car_model.planar import CHASSIS
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, State
 from steerd.car_model.tape import TAPE, Tape, jacobian, program
-from tests.textbook import (
-    axle_stiffness,
-    feedforward_steer,
-    steady_slip,
-    understeer_gradient,
-)
+from tests.textbook import axle_stiffness, feedforward_steer, steady_slip, understeer_gradient
 
 CAR = DEFAULT_CAR
 OVERSTEERING = CAR._replace(c_sf=6.0, c_sr=4.0)
@@ -82,12 +71,7 @@ def test_lane_errors_are_rajamanis_equation_2_45(car: Car[float], speed: float) 
         ],
     ]
     b1 = [0, cf / m, 0, cf * lf / inertia]
-    b2 = [
-        0,
-        -(cf * lf - cr * lr) / (m * v) - v,
-        0,
-        -(cf * lf**2 + cr * lr**2) / (inertia * v),
-    ]
+    b2 = [0, -(cf * lf - cr * lr) / (m * v) - v, 0, -(cf * lf**2 + cr * lr**2) / (inertia * v)]
     found = lane_error_model(car, speed)
     np.testing.assert_allclose(found.a, a, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(found.b_steer, b1, rtol=1e-10)

@@ -105,8 +105,7 @@ def test_a_car_pushed_ahead_moves_along_its_heading() -> None:
 
 
 @pytest.mark.parametrize(
-    "bad",
-    [{"units": "cm"}, {"up": "x"}, {"body_forward": "x"}, {"body_forward": "+y", "up": "y"}],
+    "bad", [{"units": "cm"}, {"up": "x"}, {"body_forward": "x"}, {"body_forward": "+y", "up": "y"}]
 )
 def test_meaningless_configurations_are_refused(bad: dict[str, str]) -> None:
     with pytest.raises(ValueError, match=r"mocap|body_forward"):

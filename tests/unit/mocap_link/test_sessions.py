@@ -182,10 +182,7 @@ FAULTS: dict[str, tuple[str, Mutate]] = {
     "infinite": ("not_finite", lambda i, b: (replace(b[0], position=(float("inf"),) * 3), b[1])),
     "millimetres": (
         "units",
-        lambda i, b: (
-            replace(b[0], position=(1000 * b[0].position[0] + 1e5, 0.1, 0.0)),
-            b[1],
-        ),
+        lambda i, b: (replace(b[0], position=(1000 * b[0].position[0] + 1e5, 0.1, 0.0)), b[1]),
     ),
     "mean error": ("mean_error", lambda i, b: (replace(b[0], mean_error=0.006), b[1])),
     "NaN mean error": ("mean_error", lambda i, b: (replace(b[0], mean_error=NAN), b[1])),

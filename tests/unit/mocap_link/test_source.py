@@ -5,12 +5,7 @@ from dataclasses import replace
 import pytest
 
 from steerd.mocap_link.mocap_url import MocapUrl, parse_mocap_url
-from steerd.mocap_link.source import (
-    MonitorConfig,
-    MonitorState,
-    SourceState,
-    step_monitor,
-)
+from steerd.mocap_link.source import MonitorConfig, MonitorState, SourceState, step_monitor
 
 MS = 1_000_000
 CONFIG = MonitorConfig()

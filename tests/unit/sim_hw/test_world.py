@@ -74,9 +74,7 @@ def test_a_device_that_draws_more_numbers_changes_nothing_for_the_others() -> No
 
 
 @pytest.mark.parametrize("faults", [[], FAULTS, [Fault("V2", 300 * MS, 700 * MS)]])
-def test_a_caller_woken_on_time_reads_everything_the_moment_it_arrives(
-    faults: list[Fault],
-) -> None:
+def test_a_caller_woken_on_time_reads_everything_the_moment_it_arrives(faults: list[Fault]) -> None:
     world = World(NOISY, faults)
     world.mocap_write(0, natnet.encode(natnet.Bare.CONNECT))
     t, wakes, poses, unplugged = 0, 0, 0, 0

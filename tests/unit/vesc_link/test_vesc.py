@@ -259,10 +259,7 @@ def test_one_request_per_id_until_answered_or_expired(link: VescLink, vesc: Vesc
     assert link.on_bytes(POLL_EXPIRY_NS + 1, b"") == []
     assert link.counters.expired == 3
     vesc.answer(link.make_tick(SILENT, POLL_EXPIRY_NS + 2))
-    assert vesc.seen == [
-        c.GetValuesSelective(t.FAST_MASK),
-        c.GetImuData(t.IMU_ACCEL_GYRO_MASK),
-    ]
+    assert vesc.seen == [c.GetValuesSelective(t.FAST_MASK), c.GetImuData(t.IMU_ACCEL_GYRO_MASK)]
 
 
 def test_polls_that_went_lost_are_repeated_five_times_in_100_ms(link: VescLink) -> None:

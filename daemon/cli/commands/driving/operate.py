@@ -60,11 +60,7 @@ _KINDS = {
 _WANTED = {
     RequestKind.ARM: (SupervisorState.ARMED,),
     RequestKind.START: (SupervisorState.RUNNING,),
-    RequestKind.DISARM: (
-        SupervisorState.STOPPING,
-        SupervisorState.DISARMED,
-        SupervisorState.READY,
-    ),
+    RequestKind.DISARM: (SupervisorState.STOPPING, SupervisorState.DISARMED, SupervisorState.READY),
     RequestKind.CLEAR: (SupervisorState.DISARMED, SupervisorState.READY),
     **STOPS,
 }

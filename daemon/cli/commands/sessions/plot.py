@@ -60,11 +60,7 @@ def _draw(path: Path) -> str:
 
 
 def _compare(paths: list[Path]) -> str:
-    from steerd.daemon.sessions.compare import (
-        check_same_lane,
-        load_lane_session,
-        render_comparison,
-    )
+    from steerd.daemon.sessions.compare import check_same_lane, load_lane_session, render_comparison
 
     drives = [load_lane_session(path) for path in paths]
     check_same_lane(drives)

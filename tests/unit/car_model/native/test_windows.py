@@ -13,13 +13,7 @@ import pytest
 from steerd.car_model.effects import EFFECTS, find_effect
 from steerd.car_model.model import Model, memory_size
 from steerd.car_model.native import windows
-from steerd.car_model.native.build import (
-    BuildError,
-    Compiler,
-    compile_model,
-    link,
-    model_text,
-)
+from steerd.car_model.native.build import BuildError, Compiler, compile_model, link, model_text
 from steerd.car_model.native.library import LibraryError, load_function, load_library, model_label
 from steerd.car_model.native.windows import (
     STATES,

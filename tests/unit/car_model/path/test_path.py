@@ -8,13 +8,7 @@ import pytest
 from scipy.special import j0
 
 from steerd.car_model.path import path_shapes
-from steerd.car_model.path.path import (
-    Path,
-    interpolate,
-    locate,
-    project,
-    wrap_angle,
-)
+from steerd.car_model.path.path import Path, interpolate, locate, project, wrap_angle
 from steerd.car_model.path.path_csv import load_path, make_path, read_track
 from steerd.car_model.path.path_spec import parse_path
 

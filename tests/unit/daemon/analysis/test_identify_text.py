@@ -42,15 +42,7 @@ def outcome(*positions: tuple[float, float]) -> Outcome:
     )
     rows = {"lf": Row(0.2, 0.16, 0.01, "m", True, True)}
     return Outcome(
-        "ours",
-        ("a.mcap",),
-        "b.mcap",
-        DEFAULT_CAR,
-        DEFAULT_CAR,
-        rows,
-        held_out,
-        DRIVEN,
-        ([], []),
+        "ours", ("a.mcap",), "b.mcap", DEFAULT_CAR, DEFAULT_CAR, rows, held_out, DRIVEN, ([], [])
     )
 
 

@@ -1,17 +1,7 @@
 """A supervisor with settable conditions, ticked by hand."""
 
-from steerd.daemon.loop.supervisor import (
-    Conditions,
-    make_supervisor_memory,
-    step_supervisor,
-)
-from steerd.daemon.loop.transitions import (
-    ARMED,
-    READY,
-    RUNNING,
-    Fact,
-    Request,
-)
+from steerd.daemon.loop.supervisor import Conditions, make_supervisor_memory, step_supervisor
+from steerd.daemon.loop.transitions import ARMED, READY, RUNNING, Fact, Request
 
 MS = 1_000_000
 GOOD = (

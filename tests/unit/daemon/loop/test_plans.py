@@ -70,11 +70,7 @@ def test_after_its_end_a_plan_stands():
 
 
 @settings(derandomize=True, deadline=None, max_examples=8)
-@given(
-    name=st.sampled_from(plans.NAMES),
-    side=st.floats(4.0, 30.0),
-    speed=st.floats(0.5, 3.0),
-)
+@given(name=st.sampled_from(plans.NAMES), side=st.floats(4.0, 30.0), speed=st.floats(0.5, 3.0))
 def test_a_plan_fits_its_box_and_its_limits_or_is_refused(name, side, speed):
     box = plans.parse_box(f"{side}")
     try:

@@ -8,12 +8,7 @@ from steerd.daemon.loop.findings import WATCHDOGS, make_finding, summarise
 from steerd.daemon.loop.follow_model import Band
 from steerd.daemon.loop.following import Followed
 from steerd.daemon.loop.transitions import Fact, SupervisorState
-from steerd.daemon.loop.watchdogs import (
-    COMMANDED_S,
-    WatchdogState,
-    mocap_timeout,
-    step_watchdogs,
-)
+from steerd.daemon.loop.watchdogs import COMMANDED_S, WatchdogState, mocap_timeout, step_watchdogs
 from steerd.daemon.loop.watchdogs_pose import PoseWatch
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.steer_bus.quick_values import changed

@@ -51,8 +51,7 @@ def test_a_process_that_ends_before_it_is_ready_is_named_with_its_code():
 
 
 @pytest.mark.parametrize(
-    ("core", "recorder", "viewer", "code"),
-    [(0, 0, 0, 0), (0, 5, 0, 5), (3, 5, 0, 3), (0, 0, 9, 0)],
+    ("core", "recorder", "viewer", "code"), [(0, 0, 0, 0), (0, 5, 0, 5), (3, 5, 0, 3), (0, 0, 9, 0)]
 )
 def test_the_cores_code_counts_then_the_recorders_never_the_viewers(
     core, recorder, viewer, code, capsys

@@ -7,12 +7,7 @@ import pytest
 
 from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.sessions.compare import (
-    BINS,
-    LaneSession,
-    check_same_lane,
-    render_comparison,
-)
+from steerd.daemon.sessions.compare import BINS, LaneSession, check_same_lane, render_comparison
 from steerd.sim_gap.lane_comparison import profile
 from steerd.sysid.report.drawing import LINES
 

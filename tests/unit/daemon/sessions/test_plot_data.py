@@ -5,12 +5,7 @@ import pytest
 
 from steerd.daemon.imports.import_session import MessageMaker
 from steerd.daemon.sessions.info import load_session
-from steerd.daemon.sessions.plot_data import (
-    GAP,
-    LANE_HALF_WIDTH,
-    make_curve,
-    make_drawing,
-)
+from steerd.daemon.sessions.plot_data import GAP, LANE_HALF_WIDTH, make_curve, make_drawing
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session import AttachedFile, SessionWriter
 from steerd.steer_bus.topics import MOCAP, WHEEL, make_session_topic

@@ -6,12 +6,7 @@ import pytest
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, wheelbase
 from steerd.sysid.data.dataset import Signal, make_run
-from steerd.sysid.estimation.plain_start import (
-    LOCK,
-    WIDEST,
-    possible_starts,
-    rolling_length,
-)
+from steerd.sysid.estimation.plain_start import LOCK, WIDEST, possible_starts, rolling_length
 from steerd.sysid.inference.teaching import NOTHING, Stated
 
 MODEL = Model(DEFAULT_CAR)

@@ -9,14 +9,7 @@ import pytest
 from steerd.car_model.effects import EFFECTS
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.engine import open_engine
-from steerd.sysid.inference.hypotheses import (
-    Library,
-    begin,
-    carry,
-    explain,
-    judge,
-    look_at_all,
-)
+from steerd.sysid.inference.hypotheses import Library, begin, carry, explain, judge, look_at_all
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.search import minimise, stand
