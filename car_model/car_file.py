@@ -28,6 +28,8 @@ from steerd.posterior_file import TABLES, find_known, posterior_path, read_besid
 from steerd.toml_text import TomlError, parse_toml, read_toml
 
 _OWN = ("car", "effects")
+_LATER = "c_x"
+"""What files and sessions from before the planar chassis do not have."""
 IDENTIFIED = "steerd identify"
 """Begins the source of a value that identify found."""
 
@@ -241,7 +243,8 @@ def _table_of(effect: Effect | None) -> type[msgspec.Struct]:
     """
     fields: list[Any] = [("sd", dict[str, Annotated[float, msgspec.Meta(ge=0.0)]], _NONE)]
     if effect is None:
-        fields += [(p.name, _bounded(p)) for p in PARAMETERS]
+        fields += [(p.name, _bounded(p)) for p in PARAMETERS if p.name != _LATER]
+        fields += [(p.name, _bounded(p), p.default) for p in PARAMETERS if p.name == _LATER]
         fields += [("name", str, ""), ("chassis", str, SINGLE_TRACK.name), ("drive", str, "all")]
         fields += [("source", dict[str, str], _NONE)]
     else:

@@ -115,7 +115,7 @@ def test_info_plot_and_catalogue_show_it(holed, capsys):
 def test_a_drive_is_cut_there(holed):
     path, said, _ = holed
     warned = []
-    run = load_drive(path, warn=warned.extend)
+    _, run = load_drive(path, "command", warned.extend)
     ((first, last),) = pauses(run)
     ((hole_ns, end_ns),) = open_session(path).holes()
     assert last - first >= (end_ns - hole_ns) / NS

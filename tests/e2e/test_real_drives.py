@@ -19,7 +19,7 @@ def imported(tmp_path, name):
     out = tmp_path / f"{name}.mcap"
     the_map = ROOT / "examples" / "import-dart.toml"
     assert run_cli(["import", "csv", str(source), "--map", str(the_map), "-o", str(out)]) == 0
-    return load_drive(out)
+    return load_drive(out, "command", lambda texts: None)[1]
 
 
 def test_four_drives_of_a_morning_were_logged_late_by_the_same_two_timers(tmp_path, capsys):
