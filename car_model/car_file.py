@@ -21,15 +21,13 @@ from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect, EffectParameter
 from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
-from steerd.car_model.params import PARAMETERS, Car, Parameter
+from steerd.car_model.params import DEFAULT_CAR, PARAMETERS, Car, Parameter
 from steerd.car_model.planar import CHASSIS_NAMES, find_chassis
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.posterior_file import TABLES, find_known, posterior_path, read_beside
 from steerd.toml_text import TomlError, parse_toml, read_toml
 
 _OWN = ("car", "effects")
-_LATER = "c_x"
-"""What files and sessions from before the planar chassis do not have."""
 IDENTIFIED = "steerd identify"
 """Begins the source of a value that identify found."""
 
@@ -137,15 +135,15 @@ def parse_car(text: str, path: Path, posterior: str = "") -> CarFile:
     try:
         tables = parse_toml(text)
     except TomlError as error:
-        where = re.search(r"line \d+", str(error))
-        hint = "write `key = value` lines under `[section]` heads"
+        where, hint = re.search(r"line \d+", str(error)), "write `key = value` under `[section]`"
         raise CarFileError(path, where[0] if where else "", str(error), hint) from error
     for name, table in tables.items():
         if not isinstance(table, dict):
             raise CarFileError(path, name, "is not a section", "put keys under a [section] head")
     if "car" not in tables:
         raise CarFileError(path, "[car]", "is missing", "copy it from `steerd config`")
-    own = _checked(path, "car", _table_of(None), tables["car"])
+    numbers = {"c_x": DEFAULT_CAR.c_x, **tables["car"]}  # older files and sessions have none
+    own = _checked(path, "car", _table_of(None), numbers)
     try:
         chassis = find_chassis(own.chassis, own.drive)
     except ValueError as error:
@@ -243,8 +241,7 @@ def _table_of(effect: Effect | None) -> type[msgspec.Struct]:
     """
     fields: list[Any] = [("sd", dict[str, Annotated[float, msgspec.Meta(ge=0.0)]], _NONE)]
     if effect is None:
-        fields += [(p.name, _bounded(p)) for p in PARAMETERS if p.name != _LATER]
-        fields += [(p.name, _bounded(p), p.default) for p in PARAMETERS if p.name == _LATER]
+        fields += [(p.name, _bounded(p)) for p in PARAMETERS]
         fields += [("name", str, ""), ("chassis", str, SINGLE_TRACK.name), ("drive", str, "all")]
         fields += [("source", dict[str, str], _NONE)]
     else:

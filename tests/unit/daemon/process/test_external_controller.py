@@ -37,8 +37,7 @@ def test_a_function_drives_to_a_stop_and_the_drive_replays(tmp_path, capsys):
 def test_the_cars_limits_hold_for_a_function(tmp_path):
     drive = steerd.simulate(**CIRCLE, controller=lambda t, state, lane: (0.2, 50.0))
     state = drive.table("state")
-    lateral = np.nanmax(np.abs(state["speed"] * state["yaw_rate"]))
-    assert lateral < 12.0
+    assert np.nanmax(np.abs(state["speed"] * state["yaw_rate"])) < 12.0
     assert np.nanmax(state["speed"]) < 6.0
 
 
