@@ -5,15 +5,12 @@ columns are small and one can be read without the others.
 """
 
 import io
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from steerd.daemon.common.outputs import check_outputs
 from steerd.daemon.common.written import write_outputs
-from steerd.daemon.many.journal import Row
-from steerd.sysid.report.report import Report
 
 Kind = Literal["number", "count", "text", "truth"]
 _TYPES = {"number": "float64", "count": "int64", "text": "string", "truth": "bool"}
@@ -35,49 +32,16 @@ class Column(NamedTuple):
     meaning: str
 
 
-class RowTable(ABC):
-    """What a command found about many units.
+def save_table(path: Path | str, content: bytes) -> Path:
+    """Write a table, whole or not at all; its path.
 
-    Attributes:
-        rows: one unit each, values by column; see `columns`.
+    Raises:
+        SteerdError: it cannot be written there.
     """
-
-    rows: tuple[Row, ...]
-
-    @property
-    @abstractmethod
-    def columns(self) -> Sequence[Column]:
-        """The columns of the table with units and meanings."""
-
-    @property
-    @abstractmethod
-    def about(self) -> Mapping[str, str]:
-        """Texts in the file that say where the table comes from."""
-
-    def encode_table(self) -> bytes:
-        """The rows as a Parquet file; the same rows give the same bytes."""
-        return encode_table(self.columns, self.rows, self.about)
-
-    def save_table(self, path: Path | str) -> Path:
-        """Write the rows as a Parquet file, whole or not at all; its path.
-
-        Raises:
-            SteerdError: it cannot be written there.
-        """
-        path = Path(path)
-        check_outputs({"save_table": path})
-        write_outputs({path: self.encode_table()})
-        return path
-
-    @abstractmethod
-    def make_report(self) -> Report:
-        """What the page shows."""
-
-    def render_report(self) -> str:
-        """The page, one HTML file without links."""
-        from steerd.sysid.report.page import render_report
-
-        return render_report(self.make_report())
+    path = Path(path)
+    check_outputs({"save_table": path})
+    write_outputs({path: content})
+    return path
 
 
 def encode_table(

@@ -16,7 +16,6 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.hypotheses import Library, explain
 from steerd.sysid.inference.knowledge import Knowledge
 from steerd.sysid.inference.likelihood import make_likelihood
-from steerd.sysid.inference.space import KNOWN_WIDER
 from steerd.sysid.inference.superset import Superset
 
 LOOKS = (5, 6, 8, 11, 16, 21, 27, 34, 42, 50)
@@ -63,16 +62,12 @@ def find_cause(anchor: Anchor, before: Track, windows: Sequence[Run]) -> Finding
 
 
 def believed(anchor: Anchor, track: Track) -> Superset:
-    """The anchor's car with what was learnt about it, as a base that healthy drives taught.
-
-    A track's variances are inflated for the same drive already, so a space's own widening for
-    another day is taken off.
-    """
+    """The anchor's car with what was learnt about it: the same drive, so no wider."""
     space = anchor.space
     n, z = space.nuisance, space.centre.copy()
     z[:n] += track.mean
     learnt = anchored(anchor.superset, space.chart.parameters(z))
-    known = Knowledge(space.chart.free[:n], track.covariance / KNOWN_WIDER**2)
+    known = Knowledge(space.chart.free[:n], track.covariance)
     if learnt.knowledge is not None:
         known = replace(known, excess=learnt.knowledge.excess)
     return replace(learnt, knowledge=known)

@@ -1,18 +1,19 @@
 """Every number that decides, in one place.
 
 Calibrated on the development list of `benchmarks/foreign_cars` (nonce 20261124: 72 cases of 12 cars
-on three simulators, of which 58 were judged); no sealed set was used. Tolerances of arithmetic stay
-in their modules.
+on three simulators); no sealed set was used. Tolerances of arithmetic stay in their modules.
 """
 
-FITTED = 6
-"""Hypotheses with a first effect that are brought to their optimum ..."""
-FITTED_FURTHER = 3
-"""... and with a further one."""
+FITTED, FITTED_FURTHER = 6, 3
+"""Hypotheses with a first effect that are brought to their optimum, and with a further one."""
 NEARLY = 4.0
 """Hypotheses whose log odds lie this near to the best's are searched from more starts [nats]."""
 FURTHER_ODDS = 10.0
 """Odds against each further cause, beside its share of the library."""
+KNOWN_WIDER = 2.0
+"""Prior standard deviations of a base on another day per those that its healthy drives left."""
+WEAK = 2.0
+"""Standard deviations of a prior that knows next to nothing per ordinary spreads of such cars."""
 BUILT_IN = 3
 """Effects that a healthy car may turn out to have, beside those of every car."""
 SIZE_SMALL = 0.05

@@ -290,12 +290,9 @@ def explain(
     share = np.exp(odds - odds.max())
     share /= share.sum()
     ranked = [replace(h, probability=float(p)) for h, p in zip(found, share, strict=True)]
-    ends = start, ranked[0].point
-    covering = (
-        covering_size(library.likelihood, ends[0]),
-        covering_size(library.likelihood, ends[1]),
-    )
-    return Findings(tuple(ranked), start, search.temper(), tuple(sorted(search.untested)), covering)
+    untested = tuple(sorted(search.untested))
+    before, after = (covering_size(library.likelihood, p) for p in (start, ranked[0].point))
+    return Findings(tuple(ranked), start, search.temper(), untested, (before, after))
 
 
 def covering_size(likelihood: Likelihood, point: Point) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Channel
 from steerd.sysid.data.dataset import Run
+from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.chart import (
     INVERSE,
     LENGTHS,
@@ -45,8 +46,6 @@ parameter's unit.
 """
 LIMITS = ("steer_rate", "accel_max", "decel_max")
 """Limits, which a data sheet gives for another car; drives that reach them identify this one's."""
-KNOWN_WIDER = 2.0
-"""Prior standard deviations per those of a joint covariance from healthy drives."""
 SESSION = 0.3
 """Of the floors, what a car differs by from one day to the next beside that."""
 UNKNOWN = 3.0
@@ -193,10 +192,10 @@ def make_space(superset: Superset, nuisance: Sequence[str], effects: Sequence[st
 def weak_knowledge(
     superset: Superset, names: Sequence[str], shares: Mapping[str, float] = MappingProxyType({})
 ) -> Knowledge:
-    """Knowing next to nothing: ordinary spreads of cars, or a share of them by parameter."""
+    """Knowing next to nothing: wide spreads of cars, or a share of them by parameter."""
     chart = make_chart(superset.effects, superset.base, names, superset.wheelbase)
-    own = [shares.get(name, 1.0) for name in chart.free]
-    return Knowledge(chart.free, np.diag(np.square(own * chart.spread)))
+    wide = c.WEAK * np.array([shares.get(name, 1.0) for name in chart.free]) * chart.spread
+    return Knowledge(chart.free, np.diag(np.square(wide)))
 
 
 def _base_covariance(superset: Superset, chart: Chart, nuisance: int) -> Array:
@@ -209,7 +208,7 @@ def _base_covariance(superset: Superset, chart: Chart, nuisance: int) -> Array:
         covariance[range(nuisance), range(nuisance)] = np.square(spread)
         return covariance
     held = [i for i, name in enumerate(free) if name in known.names]
-    covariance[np.ix_(held, held)] = KNOWN_WIDER**2 * known.part([free[i] for i in held])
+    covariance[np.ix_(held, held)] = known.part([free[i] for i in held])
     for i, name in enumerate(free[:nuisance]):
         if i in held:
             covariance[i, i] += (SESSION * _floor(superset, name)) ** 2

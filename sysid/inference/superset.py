@@ -20,6 +20,7 @@ from steerd.car_model.native.windows import Kernels, make_kernels, parameter_vec
 from steerd.car_model.params import Car
 from steerd.car_model.planar import make_planar
 from steerd.sysid.data.dataset import Run
+from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.knowledge import Knowledge, knowledge_of_section
 
 Array = NDArray[np.float64]
@@ -119,4 +120,5 @@ def _known(superset: Superset, base: CarFile | Model[float], stated: Collection[
             continue
         parameters[names.index(name)] = value
     nulls = {e.name: tuple(parameters[superset.places(e.name)].tolist()) for e in superset.effects}
+    known = replace(known, covariance=c.KNOWN_WIDER**2 * known.covariance)
     return replace(superset, base=parameters, nulls=nulls, knowledge=known)

@@ -1,6 +1,6 @@
 """`steerd.batch`: hundreds of sessions, each a row; what changed on which car, and when."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -19,9 +19,8 @@ from steerd.daemon.many.batch.sources import (
 from steerd.daemon.many.batch.text import describe_batch
 from steerd.daemon.many.batch.unit import day_of, run_unit
 from steerd.daemon.many.journal import Row
-from steerd.daemon.many.tables import Column, RowTable
+from steerd.daemon.many.tables import Column, encode_table, save_table
 from steerd.daemon.many.units import FAILED, Done, Where, work_through
-from steerd.sysid.report.report import Report
 
 DONE = "done"
 _HEAD = (
@@ -39,7 +38,7 @@ _NO_ESTIMATE = ("start", "tries", "seconds", "metres")
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Batch(RowTable):
+class Batch:
     """What a batch found.
 
     `print(batch)` is the screen of `steerd batch`.
@@ -77,16 +76,24 @@ class Batch(RowTable):
         """What changed, the clearest first."""
         return tuple(find_changes(self.series))
 
-    @property
-    def about(self) -> Mapping[str, str]:
-        """What was asked."""
-        return {"steerd.batch": self.kind}
+    def encode_table(self) -> bytes:
+        """The rows as a Parquet file; the same rows give the same bytes."""
+        return encode_table(self.columns, self.rows, {"steerd.batch": self.kind})
 
-    def make_report(self) -> Report:
-        """Quantities over weeks with their bands, and the days of changes."""
+    def save_table(self, path: Path | str) -> Path:
+        """Write that file, whole or not at all; its path.
+
+        Raises:
+            SteerdError: it cannot be written there.
+        """
+        return save_table(path, self.encode_table())
+
+    def render_report(self) -> str:
+        """The page: quantities over weeks with their bands, and the days of changes."""
         from steerd.daemon.many.batch.page import make_report
+        from steerd.sysid.report.page import render_report
 
-        return make_report(self.kind, self.rows, self.series, self.changes)
+        return render_report(make_report(self.kind, self.rows, self.series, self.changes))
 
     def __str__(self) -> str:
         return describe_batch(self.rows, self.worked, len(self.series), self.changes)

@@ -17,14 +17,13 @@ from steerd.daemon.many.sweep.measures import list_columns
 from steerd.daemon.many.sweep.plan import SweepPlan, list_cases, make_sweep_plan
 from steerd.daemon.many.sweep.summary import Summary, summarise_sweep
 from steerd.daemon.many.sweep.text import describe_sweep
-from steerd.daemon.many.tables import Column, RowTable
+from steerd.daemon.many.tables import Column, encode_table, save_table
 from steerd.daemon.many.units import FAILED, Done, Where, work_through
-from steerd.sysid.report.report import Report
 
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Sweep(RowTable):
+class Sweep:
     """What a sweep found.
 
     `print(sweep)` is the screen of `steerd sweep`.
@@ -51,16 +50,24 @@ class Sweep(RowTable):
         """Distributions, stops, sensitivities."""
         return summarise_sweep(self.plan, self.rows)
 
-    @property
-    def about(self) -> Mapping[str, str]:
-        """What the drives' results depend on."""
-        return {"steerd.sweep": self.plan.digest()}
+    def encode_table(self) -> bytes:
+        """The rows as a Parquet file; the same rows give the same bytes."""
+        return encode_table(self.columns, self.rows, {"steerd.sweep": self.plan.digest()})
 
-    def make_report(self) -> Report:
-        """Distributions, stops, sensitivity of each to each."""
+    def save_table(self, path: Path | str) -> Path:
+        """Write that file, whole or not at all; its path.
+
+        Raises:
+            SteerdError: it cannot be written there.
+        """
+        return save_table(path, self.encode_table())
+
+    def render_report(self) -> str:
+        """The page: distributions, stops, sensitivity of each to each."""
         from steerd.daemon.many.sweep.page import make_report
+        from steerd.sysid.report.page import render_report
 
-        return make_report(self.plan, self.rows, self.summary)
+        return render_report(make_report(self.plan, self.rows, self.summary))
 
     def __str__(self) -> str:
         mean = sum(row.get("seconds") or 0.0 for row in self.rows) / len(self.rows)
