@@ -96,14 +96,6 @@ def test_echo_recovers_from_a_stepped_epoch(step_s: float) -> None:
     assert max(abs(error) for _, error, _ in out) < (70 if abs(step_s) < 0.1 else 10) * MS
 
 
-def test_echo_after_a_restart_is_right_within_two_seconds() -> None:
-    rng, timing = np.random.default_rng(3), SourceTiming(10_000_000, two_way=True)
-    run(timing, Truth(10_000_000, -40e-6), rng, T0, 5.0)
-    timing.reset()
-    out = run(timing, Truth(10_000_000, -40e-6, epoch=17), rng, T0 + 7 * SECOND, 2.0)
-    assert max(abs(error) for _, error, _ in out) < 1 * MS
-
-
 def test_slow_echoes_do_not_enter_the_fit() -> None:
     clock = EchoClock(1_000_000_000)
     for i in range(20):

@@ -167,24 +167,6 @@ def test_full_telemetry_of_every_firmware(version: tuple[int, int], size: int) -
     assert values.extra_bytes == 0
 
 
-@pytest.mark.parametrize("firmware", PROFILES, ids=str)
-@pytest.mark.parametrize("mask", [t.FAST_MASK, 0x180, 0x3FFFFF, 0, 1 << 18, 0xFFFFFFFF])
-def test_selective_telemetry_of_every_profile(mask: int, firmware: Firmware) -> None:
-    if not knows(firmware, CommandId.GET_VALUES_SELECTIVE):
-        with pytest.raises(ValueError, match="needs firmware"):
-            encode_reply(dataclasses.replace(ALL_VALUES, mask=mask), firmware)
-        return
-    payload = encode_reply(dataclasses.replace(ALL_VALUES, mask=mask), firmware)
-    assert len(payload) == t.values_size(mask, firmware)
-    values = decode_reply(payload, firmware)
-    assert isinstance(values, t.Values)
-    assert values.mask == mask
-    known = present(values)
-    assert {**present(ALL_VALUES), "mask": mask, "extra_bytes": 0}.items() >= known.items()
-    if mask == 0x3FFFFF and firmware >= (5, 3):
-        assert len(known) == 24 + 2
-
-
 def test_fast_reply_fits_one_usb_packet() -> None:
     fast = encode_reply(dataclasses.replace(ALL_VALUES, mask=t.FAST_MASK))
     assert len(encode_frame(fast)) == 56

@@ -10,6 +10,7 @@ import pytest
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.process.children import Child, RunProcesses, spawn
+from steerd.daemon.process.prepared import hand_over, prepare, prepared
 
 ECHO = """
 import json, os, sys
@@ -64,3 +65,56 @@ def test_the_cores_code_counts_then_the_recorders_never_the_viewers(
     assert theirs.recv(1) == b""  # the core's end of the requests sees that nobody asks any more
     theirs.close()
     assert ("the viewer ended with code 9" in capsys.readouterr().err) is (viewer == 9)
+
+
+# A process that waits for its job: given one, given none, ended before it came.
+
+WAITER = """
+import os
+from steerd.daemon.process.prepared import receive_job
+job = receive_job()
+if job is not None:
+    os.write(job.fds["answer"], f"{job.about['word']} {os.getpgid(0) == os.getpid()}".encode())
+"""
+
+
+@pytest.fixture
+def waiter(tmp_path, monkeypatch):
+    """A module that writes its job's word into the descriptor that it is given."""
+    (tmp_path / "waiting_job.py").write_text(WAITER)
+    paths = (str(tmp_path), os.environ.get("PYTHONPATH", ""))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+    return "waiting_job"
+
+
+def test_a_job_comes_with_its_descriptors_by_name_and_may_be_long(waiter):
+    word = "long" * 100_000
+    read_fd, write_fd = os.pipe()
+    with prepared(waiter) as waiting, os.fdopen(read_fd) as answer:
+        hand_over(waiting, {"other": read_fd, "answer": write_fd}, {"word": word})
+        os.close(write_fd)
+        assert answer.read() == f"{word} True"
+        assert waiting.process.wait() == 0
+
+
+def test_without_a_job_it_ends_by_itself_and_says_nothing(waiter):
+    waiting = prepare(waiter)
+    waiting.end.close()
+    assert waiting.process.wait() == 0
+
+
+def test_whoever_leaves_without_handing_over_leaves_no_process(waiter):
+    with pytest.raises(ValueError, match="no such path"), prepared(waiter) as waiting:
+        raise ValueError("no such path")
+    assert waiting.process.returncode is not None
+
+
+def test_a_process_that_has_ended_takes_no_job_and_its_descriptors_are_closed(waiter):
+    read_fd, write_fd = os.pipe()
+    waiting = prepare(waiter)
+    waiting.process.kill()
+    waiting.process.wait()
+    hand_over(waiting, {"answer": write_fd}, {"word": "late"})
+    os.close(write_fd)
+    assert os.read(read_fd, 1) == b"", "nobody holds the other end"
+    os.close(read_fd)

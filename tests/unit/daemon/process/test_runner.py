@@ -502,21 +502,11 @@ def test_stamps_that_are_wrong_bring_no_tick_without_waiting(monkeypatch, ahead_
     assert all(abs(t.due_ns - t.woke_ns) <= period // 2 for t in ticks)
 
 
-def test_two_poses_a_period_make_one_tick(monkeypatch):
-    ticks, _, period = ticks_of(monkeypatch, 5 * MS)
-    assert np.diff(woke(ticks[250:])).min() > 0.9 * period
-
-
-@pytest.mark.parametrize("hz", [50, 95, 102, 250, 300, 333.3, 400, 500, 600, 800, 960, 1000])
+@pytest.mark.parametrize("hz", [50, 95, 102, 120, 200, 250, 333.3, 400, 500, 600, 960, 1000])
 def test_no_rate_of_mocap_makes_ticks_uneven(monkeypatch, hz):
     ticks, _, period = ticks_of(monkeypatch, round(1e9 / hz), count=900)
     spans = np.diff(woke(ticks[400:])) / period
     assert 0.8 < spans.min() <= spans.max() < 1.2
-
-
-def test_a_mocap_of_another_rate_leaves_the_ticks_alone(monkeypatch):
-    ticks, _, period = ticks_of(monkeypatch, 1_000_000_000 // 120)
-    assert set(np.diff(woke(ticks))) == {period}
 
 
 def runner_with(monkeypatch, world: World, notes: list[str]) -> Runner:
