@@ -14,7 +14,6 @@ from steerd.mocap_link.timing import SourceTiming
 
 MS = 1_000_000
 SECOND = 1000 * MS
-HZ = [3_312_787, 10_000_000, 1_000_000]
 T0 = 123_456_789_012_345  # host time at the start; nothing may depend on its size
 
 
@@ -70,8 +69,9 @@ def run(
     return out
 
 
-@pytest.mark.parametrize("hz", HZ)
-@pytest.mark.parametrize("skew", [-40e-6, 0.0, 40e-6])
+@pytest.mark.parametrize(
+    ("hz", "skew"), [(3_312_787, -40e-6), (10_000_000, 0.0), (1_000_000, 40e-6)]
+)
 def test_echo_is_within_a_tenth_of_a_millisecond(hz: int, skew: float) -> None:
     timing = SourceTiming(hz, two_way=True)
     out = run(timing, Truth(hz, skew), np.random.default_rng(1), T0, 90.0)

@@ -112,7 +112,7 @@ MAP = '[columns]\nt = "t"\nx = "x"\ny = "y"\nyaw = "yaw"\nsteer_cmd = "steer"\n'
 
 @pytest.fixture
 def imported(tmp_path, capsys):
-    rows = [f"{0.02 * i:.2f},{0.01 * i:.3f},0,0,{0.1 * (i % 9)}" for i in range(2000)]
+    rows = [f"{0.02 * i:.2f},{0.01 * i:.3f},0,0,{0.1 * (i % 9)}" for i in range(200)]
     (tmp_path / "log.csv").write_text("t,x,y,yaw,steer\n" + "\n".join(rows) + "\n")
     (tmp_path / "map.toml").write_text(MAP)
     out = tmp_path / "log.mcap"

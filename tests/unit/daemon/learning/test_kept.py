@@ -210,9 +210,7 @@ def test_the_car_that_steerd_brings_is_kept_in_the_data_folder(plan, tmp_path, m
 
 
 @pytest.mark.parametrize("change", [{"learn": False}, {"simulated": True}])
-def test_simulated_hardware_and_a_run_without_a_learner_keep_nothing(
-    plan, quiet_report, change
-):
+def test_simulated_hardware_and_a_run_without_a_learner_keep_nothing(plan, quiet_report, change):
     kept(plan, quiet_report)
     other = make_plan(replace(plan.options, **change))
     memory = recalled(other, m.stamp_ns(quiet_report.header))

@@ -251,9 +251,7 @@ def test_the_same_rows_are_the_same_bytes():
     assert encode_table(COLUMNS, MIXED_ROWS, {"a": "1"}) == encode_table(
         COLUMNS, MIXED_ROWS, {"a": "1"}
     )
-    assert encode_table(COLUMNS, MIXED_ROWS, {}) != encode_table(
-        COLUMNS, MIXED_ROWS[:2], {}
-    )
+    assert encode_table(COLUMNS, MIXED_ROWS, {}) != encode_table(COLUMNS, MIXED_ROWS[:2], {})
 
 
 def test_an_empty_table_has_its_columns(tmp_path):
