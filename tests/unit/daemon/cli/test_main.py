@@ -14,7 +14,6 @@ from steerd.car_model.native.library import load_library
 from steerd.daemon.cli import main
 from steerd.daemon.cli.main import COMMANDS, run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.steer_bus.session_read import open_session
 
 
 def test_a_bug_has_its_own_code_and_says_that_it_is_one(monkeypatch, capsys):
@@ -72,28 +71,6 @@ def test_own_warnings_are_told_as_errors_are_and_others_with_their_place(monkeyp
     assert first == "steerd: /srv/cache: full"
     assert "test_main.py" in second
     assert second.endswith("RuntimeWarning: of a library")
-
-
-@pytest.mark.slow
-def test_a_drive_that_was_interrupted_does_not_say_that_it_ended(tmp_path, monkeypatch, capsys):
-    from steerd.daemon.offline import virtual
-
-    def some(run, tick):
-        def stopped(now):
-            tick(now)
-            if now.t_ns > 200_000_000:
-                raise KeyboardInterrupt
-
-        virtual.drive(run, stopped)
-
-    monkeypatch.setattr("steerd.daemon.offline.fast.drive", some)
-    path = tmp_path / "drive.mcap"
-    argv = ["run", "--sim", "--fast", "--duration", "3", "--record", str(path)]
-    assert run_cli(argv) == ExitCode.INTERRUPTED
-    assert f"interrupted; what was driven so far: {path}" in capsys.readouterr().err
-    info = open_session(path).info()
-    assert info.metadata["steerd.end"]["reason"] == "interrupted"
-    assert info.count > 10
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -23,7 +23,6 @@ from steerd.sysid.estimation.multistart import scatter
 from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
 from steerd.sysid.estimation.preparation import fit_wheelbase, free_names, held_names
 from steerd.sysid.estimation.validation import HORIZONS, errors_at, trace_windows
-from steerd.sysid.parallel import map_jobs
 from steerd.sysid.report.design_comparison import compare_designs
 from steerd.sysid.report.identify_report import render_report
 
@@ -184,14 +183,6 @@ def test_drives_with_and_without_speed_commands_are_not_one_fit(run, truth):
         trace_windows(truth, [run, bare], max(HORIZONS))
     with pytest.raises(DataError, match="bare has no speed commands"):
         learn(Task((run,), DEFAULT, held_out=(bare,)), lambda: 0.0)
-
-
-def _square(x):
-    return x * x
-
-
-def test_work_side_by_side_keeps_its_order():
-    assert map_jobs(_square, range(5), jobs=2) == [0, 1, 4, 9, 16]
 
 
 @pytest.mark.filterwarnings("ignore")

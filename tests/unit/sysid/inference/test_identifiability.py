@@ -270,12 +270,3 @@ def test_two_coordinates_that_do_the_same_still_give_a_step() -> None:
     assert np.isfinite(dz).all()
     assert (np.abs(dz) <= 0.1).all()
     assert slope @ dz - 0.5 * dz @ h @ dz > 0.0
-
-
-def test_a_step_stays_within_bounds() -> None:
-    h = np.array([[2.0, 0.5], [0.5, 1.0]])
-    low, high = np.array([-1.0, -1.0]), np.array([1.0, 0.1])
-    z = np.array([0.0, 0.1])
-    dz = step_within(h, np.array([1.0, 5.0]), z, low, high)
-    assert dz[1] == 0.0
-    assert dz[0] == pytest.approx(0.5)
