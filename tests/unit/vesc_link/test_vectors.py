@@ -155,21 +155,6 @@ def short_form(name: str) -> str:
     return encode_frame(payload).hex() if len(payload) == 255 else ""
 
 
-@pytest.mark.parametrize("strict", [True, False])
-@pytest.mark.parametrize("name", VECTORS)
-def test_vector_frame_whole_bytewise_and_with_a_tail(name: str, strict: bool) -> None:
-    frame, payload = frame_of(name), payload_of(name)
-    assert FrameParser(strict=strict).feed(frame, 0) == [payload]
-    parser = FrameParser(strict=strict)
-    for at, byte in enumerate(frame):
-        assert parser.feed(bytes((byte,)), at) == ([payload] if at == len(frame) - 1 else [])
-    assert (parser.frames, parser.crc_errors, parser.dropped_bytes) == (1, 0, 0)
-    parser = FrameParser(strict=strict)
-    assert parser.feed(frame + frame[:-1], 0) == [payload]
-    assert parser.buffered == len(frame) - 1
-    assert parser.feed(frame[-1:], 0) == [payload]
-
-
 @pytest.mark.parametrize("stream", SPEC["streams"], ids=lambda s: s["name"])
 def test_stream_completes_at_the_firmware_byte(stream: dict[str, Any]) -> None:
     data = bytes.fromhex(stream["bytes"])

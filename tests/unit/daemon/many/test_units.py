@@ -239,14 +239,6 @@ def test_values_come_back_and_what_is_missing_is_missing(tmp_path):
     assert third["count"] == 2**60
 
 
-def test_another_reader_takes_them_too(tmp_path):
-    path = tmp_path / "t.parquet"
-    path.write_bytes(encode_table(COLUMNS, MIXED_ROWS, {}))
-    frame = polars.read_parquet(path)
-    assert frame.columns == [column.name for column in COLUMNS]
-    assert frame["name"].to_list() == ["a", None, "ü"]
-
-
 def test_the_same_rows_are_the_same_bytes():
     assert encode_table(COLUMNS, MIXED_ROWS, {"a": "1"}) == encode_table(
         COLUMNS, MIXED_ROWS, {"a": "1"}

@@ -185,20 +185,6 @@ def test_drives_with_and_without_speed_commands_are_not_one_fit(run, truth):
         learn(Task((run,), DEFAULT, held_out=(bare,)), lambda: 0.0)
 
 
-@pytest.mark.filterwarnings("ignore")
-def test_dask_gives_the_same_answer(make_circles):
-    distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
-    runs = tuple(make_circles(4, 2.5))
-    task = Task(runs[:3], DEFAULT, runs[3:], method="paper", starts=2, iterations=2)
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-    ) as cluster:
-        far = learn(replace(task, dask=cluster.scheduler_address), lambda: 0.0)
-    near = learn(task, lambda: 0.0)
-    for a, b in zip(far.searches, near.searches, strict=True):
-        np.testing.assert_array_equal(a.path, b.path)
-
-
 def _stepping(make, truth, faster):
     """Steps of steering at one speed, on a car whose servo is faster than the file says."""
     car = truth.car._replace(steer_rate=faster)
