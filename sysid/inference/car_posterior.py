@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.model import Model
@@ -66,8 +67,8 @@ SLIDING, HARD, SLOW = 0.35, 6.0, 0.5
 MOVED, FORWARD = "marker_offset", "marker_offset.forward"
 """The effect of a mocap body that is elsewhere on the car, and how far ahead that is."""
 _NAMED = 3
-CLEAR = 2.0
-"""An effect within so many standard deviations of its null is left out of the car file."""
+CHANCE = 0.05
+"""An effect that chance takes as far from its null this often is left out of the car file."""
 
 
 def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
@@ -169,14 +170,19 @@ def _doubtful(taught: Taught, covariance: Array) -> Array:
 
 
 def _as_mounted(taught: Taught, covariance: Array) -> Array:
-    """The covariance where the mocap body is taken to be where it was mounted, within the prior."""
+    """The covariance where the mocap body is taken to be where it was mounted, within the prior.
+
+    That the drives would have it elsewhere is either the model's error or the mounting's: what it
+    makes of the other parameters counts as their error.
+    """
     space = taught.point.space
     if FORWARD not in space.chart.free:
         return covariance
     place = space.chart.free.index(FORWARD)
-    own = covariance[place]
-    mounted = space.covariance[place, place] / c.WEAK**2
-    return covariance - np.outer(own, own) / (own[place] + mounted)
+    own, mounted = covariance[place], space.covariance[place, place] / c.WEAK**2
+    left_out = own / own[place] * (taught.point.z[place] - space.centre[place])
+    update = np.outer(own, own) / (own[place] + mounted)
+    return covariance - update + np.outer(left_out, left_out)
 
 
 def with_sections(base: CarFile, known: Knowledge, noise: Noise) -> CarFile:
@@ -193,7 +199,7 @@ def _structures(taught: Taught) -> list[str]:
 def _without_small(taught: Taught, covariance: Array) -> tuple[Array, list[str]]:
     """Coordinates with every effect at its null that is not clearly elsewhere, and those kept.
 
-    The smallest goes first; what moves with it moves to where it lies given that null.
+    The likeliest by chance goes first; what moves with it moves to where it lies given that null.
     """
     space, superset = taught.point.space, taught.superset
     labels, z = list(space.chart.free), taught.point.z.copy()
@@ -202,13 +208,13 @@ def _without_small(taught: Taught, covariance: Array) -> tuple[Array, list[str]]
              for name in _structures(taught)}  # fmt: skip
     gone: list[int] = []
     while names:
-        sizes = {}
+        chances = {}
         for name, mine in names.items():
             away = z[mine] - np.array(nulls[name])
-            sizes[name] = float(away @ np.linalg.solve(covariance[np.ix_(mine, mine)], away))
-            sizes[name] /= len(mine)
-        least = min(sizes, key=lambda name: sizes[name])
-        if sizes[least] > CLEAR**2:
+            square = float(away @ np.linalg.solve(covariance[np.ix_(mine, mine)], away))
+            chances[name] = float(chdtrc(len(mine), square))
+        least = max(chances, key=lambda name: chances[name])
+        if chances[least] < CHANCE:
             break
         gone += names.pop(least)
         held = np.array([nulls[labels[i].partition(".")[0]][_place(labels, i)] for i in gone])
