@@ -25,7 +25,6 @@ from steerd.car_model.model import Model
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.knowledge import Knowledge, Spread, inflate_each, knowledge_section
-from steerd.sysid.inference.likelihood import SPUN
 from steerd.sysid.inference.noise import Noise, noise_section
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.residuals import blocks_of, robust_mean
@@ -42,33 +41,22 @@ from steerd.sysid.inference.teaching import (
 Array = NDArray[np.float64]
 
 MODEL_ERROR: dict[str, float] = {
-    "c_sf": 4.0, "c_sr": 2.3, "c_x": 2.0, "inertia_z": 4.5, "steer_gain": 2.0,
-    "speed_gain": 2.5,
+    "c_sf": 4.0, "c_sr": 2.3, "c_x": 2.0, "inertia_z": 4.5, "steer_gain": 2.0, "speed_gain": 2.5,
 }  # fmt: skip
 """Standard errors are so many times those of the fit.
 
 What the model misses is the same in every drive, so no spread between drives shows it: a servo of
 second order looks like inertia, a foreign tyre like a stiff one. Root mean square of the errors in
 the fit's standard errors on four cars each of three foreign simulators (seeds 9001 to 9004), the
-wheelbase measured; of two further `own` cars for the lengths; of what has no true value there, as
-for the others at first. `speed_gain` has that of the twelve cars of the sixth sealed set (1.7 and
-1.1 on two simulators, 3.8 on the one with sprung wheels). `[knowledge]` keeps the fit's: a later
+wheelbase measured; of what has no true value there, as for the others at first. `speed_gain` has
+that of twelve cars that were sealed once (1.7 and 1.1 on two simulators, 3.8 on one with springs). `[knowledge]` keeps the fit's: a later
 drive of the same car misses the same.
-"""
-COG_PLACE = 0.035
-"""Doubt about where the centre of gravity is between the axles, per wheelbase.
-
-Drives fix where the mocap body is between the axles to a millimetre; only the finer points of the
-model say where the centre of gravity is, and those are never right. Root mean square of what 20
-cars of four foreign simulators showed of a body that was not misplaced, the largest 24 mm.
 """
 SLIDING, HARD, SLOW = 0.35, 6.0, 0.5
 """What a window that no car holds is said to be like [rad, m/s^2, m/s]."""
 MOVED, FORWARD = "marker_offset", "marker_offset.forward"
 """The effect of a mocap body that is elsewhere on the car, and how far ahead that is."""
 _NAMED = 3
-CHANCE = 0.05
-"""An effect that chance takes as far from its null this often is left out of the car file."""
 
 
 def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
@@ -79,7 +67,7 @@ def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
         runs: its drives.
     """
     engine, layout = taught.likelihood.engine, taught.likelihood.engine.readings.layout
-    lost = ratios(taught) >= SPUN
+    lost = ratios(taught) >= c.SPUN
     if not lost.any():
         return ()
     speed, slip = np.abs(taught.point.x[:, 3]), np.abs(taught.point.x[:, 5])
@@ -166,7 +154,7 @@ def _doubtful(taught: Taught, covariance: Array) -> Array:
     wheelbase = float(p[axle("lf")] + p[axle("lr")])
     along = np.zeros(len(names))
     along[names.index("lr")], along[names.index(FORWARD)] = -wheelbase, wheelbase
-    return covariance + COG_PLACE**2 * np.outer(along, along)
+    return covariance + c.COG_PLACE**2 * np.outer(along, along)
 
 
 def _as_mounted(taught: Taught, covariance: Array) -> Array:
@@ -181,8 +169,9 @@ def _as_mounted(taught: Taught, covariance: Array) -> Array:
     place = space.chart.free.index(FORWARD)
     own, mounted = covariance[place], space.covariance[place, place] / c.WEAK**2
     left_out = own / own[place] * (taught.point.z[place] - space.centre[place])
-    update = np.outer(own, own) / (own[place] + mounted)
-    return covariance - update + np.outer(left_out, left_out)
+    known = np.outer(own, own) / (own[place] + mounted)
+    moved: Array = covariance - known + np.outer(left_out, left_out)
+    return moved
 
 
 def with_sections(base: CarFile, known: Knowledge, noise: Noise) -> CarFile:
@@ -214,7 +203,7 @@ def _without_small(taught: Taught, covariance: Array) -> tuple[Array, list[str]]
             square = float(away @ np.linalg.solve(covariance[np.ix_(mine, mine)], away))
             chances[name] = float(chdtrc(len(mine), square))
         least = max(chances, key=lambda name: chances[name])
-        if chances[least] < CHANCE:
+        if chances[least] < c.CHANCE:
             break
         gone += names.pop(least)
         held = np.array([nulls[labels[i].partition(".")[0]][_place(labels, i)] for i in gone])
