@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 
+from steerd.car_model.actuators import actuate
 from steerd.car_model.chassis import SPEED_KINEMATIC, Rates
 from steerd.car_model.model import (
     Model,
@@ -11,7 +12,6 @@ from steerd.car_model.model import (
     bound_hooks,
     car_now,
     delays,
-    drive_actuators,
     link,
     memory_size,
     model_rates,
@@ -78,7 +78,7 @@ def step(
     """One step of `h` seconds, `t` seconds into the run, under an already delayed command."""
     car = car_now(ops, model, moment.state, t)
     ref = aim(ops, model, car, command, t)
-    out = drive_actuators(ops, model, car, moment.state, ref, h)
+    out = actuate(ops, car, moment.state, ref, h)
     return glide(ops, model, moment, out.steer, out.accel, t, h, integrate)
 
 
