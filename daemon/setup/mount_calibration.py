@@ -7,8 +7,9 @@ axle, a left turn positive):
     u_y = r_x w - slip u_x^2 w         u_x = gain v_wheel / turned - r_y w
 
 where a driven front axle rolls along its steered wheels, faster than the rear: with its share f of
-the drive and the wheelbase L, turned = 1 - f + f hypot(1, L w / u_x). So two least squares give the body's place (r_x, r_y), its heading error and the wheels' gain; the
-delay is the one at which poses and wheels agree best while the speed changes. Pure.
+the drive and the wheelbase L, turned = 1 - f + f hypot(1, L w / u_x). So two least squares give the
+body's place (r_x, r_y), its heading error and the wheels' gain; the delay is the one at which poses
+and wheels agree best while the speed changes. Pure.
 """
 
 from dataclasses import dataclass, fields
