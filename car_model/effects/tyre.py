@@ -180,7 +180,10 @@ LATERAL_LOAD_TRANSFER = Effect(
         ),
     ),
     least_size=0.4,
-    confounded_with=Confounding(("tyre_saturation",), "tyre_saturation: less grip in hard bends"),
+    confounded_with=Confounding(
+        ("tyre_saturation", "tyre_friction"),
+        "tyre_saturation and tyre_friction: less grip in hard bends",
+    ),
     needs_commands=None,
     selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
@@ -298,7 +301,9 @@ TYRE_FRICTION = Effect(
     ),
     least_size=0.02,
     confounded_with=Confounding(
-        ("cornering_stiffness",), "cornering_stiffness below about 70 % of the limit"
+        ("cornering_stiffness", "tyre_saturation", "lateral_load_transfer"),
+        "cornering_stiffness below about 70 % of the limit,"
+        " tyre_saturation and lateral_load_transfer above it",
     ),
     needs_commands=None,
     selectable_in_base=BaseSelection.HEALTHY,
