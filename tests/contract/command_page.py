@@ -62,11 +62,15 @@ def _rows(prog: str, parser: argparse.ArgumentParser) -> Iterator[str]:
 
 
 def make_page() -> str:
-    """The whole page."""
+    """The whole page; options that an earlier command has too are listed there."""
     lines = [_HEAD]
+    first: dict[str, str] = {}
     for name, (_, summary) in COMMANDS.items():
-        lines += [f"## steerd {name}", "", f"{summary[0].upper()}{summary[1:]}."]
-        lines += [*_rows(name, make_parser(name)), ""]
+        rows = "\n".join(_rows(name, make_parser(name)))
+        other = first.setdefault(rows, name)
+        if rows and other != name:
+            rows = f"Options: those of `steerd {other}`."
+        lines += [f"## steerd {name}", "", f"{summary[0].upper()}{summary[1:]}.", rows, ""]
     return "\n".join(lines).rstrip() + "\n"
 
 
