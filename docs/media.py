@@ -4,6 +4,7 @@ A drive whose steering is 50 ms late, the simulation that does not know it, what
 the drive, and the simulation with that. Every curve is a run of the whole loop in virtual time.
 """
 
+import sys
 from pathlib import Path
 
 import matplotlib as mpl
@@ -91,7 +92,7 @@ def main() -> None:
     pictures[0].save(
         PICTURE, save_all=True, append_images=pictures[1:], duration=FRAME_MS, loop=0, optimize=True
     )
-    print(f"{PICTURE}: {PICTURE.stat().st_size / 1e3:.0f} kB; {said}")
+    sys.stdout.write(f"{PICTURE}: {PICTURE.stat().st_size / 1e3:.0f} kB; {said}\n")
 
 
 if __name__ == "__main__":

@@ -123,13 +123,8 @@ def make_page() -> str:
 
 
 def _page_rows(effect: Effect) -> list[str]:
-    what = (
-        f"{effect.summary} (also: {', '.join(effect.aliases)})"
-        if effect.aliases
-        else effect.summary
-    )
     equation = effect.equation.replace("|", "\\|")
-    head = f"`{effect.name}` | {what} | {equation}"
+    head = f"`{effect.name}` | {effect.summary} | {equation}"
     rows = []
     for index, p in enumerate(effect.parameters):
         cells = f"`{p.name}` | {p.null:g}, {p.low:g}..{p.high:g} | {p.scale:g} {p.unit}"
@@ -144,7 +139,7 @@ on in a simulation, fitted in the diagnosis, kept in a car file's `[effects]` an
 
 ```
 steerd effects                                # this list
-steerd effects steer_backlash                 # one of them
+steerd effects steer_backlash                 # one of them, with its other names
 steerd run --sim --fast --duration 20 --effect steer_delay=0.03
 ```
 
