@@ -1,4 +1,4 @@
-"""Propagation of a belief in Python: the reference that the compiled filter is held against.
+"""Propagation of a belief in Python: the reference that the compiled filter is compared with.
 
 The equations are `car_model.prediction`'s, evaluated number by number.
 """

@@ -59,7 +59,10 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
             "analysis.diagnose",
             "where simulation and car differ, why, and how far adding it helps",
         ),
-        "learn": ("analysis.learn", "what a drive teaches: parameters, and when the car changed"),
+        "learn": (
+            "analysis.learn",
+            "the parameters that a drive identifies, and when the car changed",
+        ),
         "effects": (
             "analysis.effects",
             "the unmodelled effects that can be simulated and diagnosed",

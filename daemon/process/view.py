@@ -177,7 +177,7 @@ def main() -> int:
             os.write(ready_fd, f"--view {job['host']}:{job['port']}: {error}\n".encode())
         return 3
     if missed:
-        print(f"note: the viewer missed {missed} messages", file=sys.stderr)
+        print(f"note: {missed} messages did not reach the viewer", file=sys.stderr)
     return 0
 
 
