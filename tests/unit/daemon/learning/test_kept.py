@@ -23,8 +23,7 @@ from steerd.daemon.learning.kept import (
     recall,
 )
 from steerd.daemon.process.learner import make_keeper, make_learner_feed
-from steerd.daemon.process.learner_job import make_learner_job
-from steerd.daemon.process.learner_memory import learnt_page, recall_learnt
+from steerd.daemon.process.learner_memory import learnt_page, make_learner_job, recall_learnt
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 

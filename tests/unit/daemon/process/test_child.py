@@ -1,0 +1,69 @@
+"""A process and its job: given one, given none, ended before it came or before it was ready."""
+
+import os
+
+import pytest
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.process.child import hand_over, prepare, prepared, spawn
+
+WAITER = """
+import os
+from steerd.daemon.process.child import receive_job
+job = receive_job()
+if job is not None:
+    job.say_ready(f"{job.about['word']} {os.getpgid(0) == os.getpid()}")
+    os.write(job.fds["answer"], b"done")
+"""
+
+
+@pytest.fixture
+def waiter(tmp_path, monkeypatch):
+    """A module that writes its job's word into the descriptor that it is given."""
+    (tmp_path / "waiting_job.py").write_text(WAITER)
+    paths = (str(tmp_path), os.environ.get("PYTHONPATH", ""))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+    return "waiting_job"
+
+
+def test_a_job_comes_with_its_descriptors_by_name_and_may_be_long(waiter):
+    word = "long" * 100_000
+    read_fd, write_fd = os.pipe()
+    with prepared(waiter) as waiting, os.fdopen(read_fd) as answer:
+        child = hand_over(waiting, {"other": read_fd, "answer": write_fd}, {"word": word})
+        os.close(write_fd)
+        assert child.wait_ready("waiter") == f"{word} True"
+        assert answer.read() == "done"
+        assert child.process.wait() == 0
+        os.close(child.ready_fd)
+
+
+def test_a_process_that_ends_before_it_is_ready_is_named_with_its_code(tmp_path, waiter):
+    (tmp_path / "ending.py").write_text("raise SystemExit(7)")
+    with pytest.raises(SteerdError, match="the recorder ended with code 7") as caught:
+        spawn("ending", {}, {}).wait_ready("recorder")
+    assert caught.value.code is ExitCode.INTERNAL
+
+
+def test_without_a_job_it_ends_by_itself_and_says_nothing(waiter):
+    waiting = prepare(waiter)
+    waiting.end.close()
+    assert waiting.process.wait() == 0
+
+
+def test_whoever_leaves_without_handing_over_leaves_no_process(waiter):
+    with pytest.raises(ValueError, match="no such path"), prepared(waiter) as waiting:
+        raise ValueError("no such path")
+    assert waiting.process.returncode is not None
+
+
+def test_a_process_that_has_ended_takes_no_job_and_its_descriptors_are_closed(waiter):
+    read_fd, write_fd = os.pipe()
+    waiting = prepare(waiter)
+    waiting.process.kill()
+    waiting.process.wait()
+    child = hand_over(waiting, {"answer": write_fd}, {"word": "late"})
+    os.close(write_fd)
+    for fd in (read_fd, child.ready_fd):
+        assert os.read(fd, 1) == b"", "nobody holds the other end"
+        os.close(fd)
