@@ -16,12 +16,12 @@ from steerd.daemon.loop.outgoing import (
     make_state,
     make_transition,
     read_actuation,
-from steerd.steer_bus.quick_values import changed
 )
 from steerd.daemon.loop.supervisor import Action, make_supervisor_memory
 from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput, SupervisorState
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.steer_bus.messages import ActuationMode
+from steerd.steer_bus.quick_values import changed
 from steerd.vesc_link.scaling import F1TENTH
 from steerd.vesc_link.vesc import Drive
 
