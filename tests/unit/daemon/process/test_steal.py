@@ -7,7 +7,7 @@ import pytest
 from steerd.daemon.loop.findings import blame_machine, make_finding
 from steerd.daemon.process import rtcheck
 from steerd.daemon.process.rtcheck import keep_busy
-from steerd.daemon.process.steal import is_stalled, parse_steal, read_steal_ns
+from steerd.daemon.process.stall import is_stalled, parse_steal, read_steal_ns
 
 MS = 1_000_000
 STAT = "cpu  10 0 5 900 1 0 0 42 0 0\ncpu0 10 0 5 900 1 0 0 42 0 0\n"
