@@ -40,7 +40,7 @@ from steerd.daemon.loop.findings import (
     make_unknown,
     summarise,
 )
-from steerd.daemon.loop.flags import Flag, blame, make_reported_findings
+from steerd.daemon.loop.flags import Flag, blame_late, make_reported_findings
 from steerd.daemon.loop.follow_model import make_follow_model
 from steerd.daemon.loop.following import (
     Followed,
@@ -302,7 +302,7 @@ class Loop:
             self._lateness, due_ns, now_ns, self.setup.period_ns, self._late_rules
         )
         if late is not None:
-            reported.append(blame(late, flags))
+            reported.append(blame_late(late, flags))
         reported += self._check_launch(estimate, now_ns)
         reported += self._check_commands(now_ns)
         inputs = self._measure(estimate, report, speed, now_ns, tuple(reported))
