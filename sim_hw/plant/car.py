@@ -53,23 +53,17 @@ COAST = Demand(Drive.BRAKE, 0.0)
 
 @dataclass(frozen=True)
 class CarSetup:
-    """How the plant is stepped.
+    """How the plant is stepped."""
 
-    Attributes:
-        step_ns: physics step.
-        coast_decel: drag of the released drive train [m/s^2].
-        servo_wait: part of the car's ``steer_delay`` that the simulated servo signal brings along
-            by itself (half its frame), hence not added again [s].
-        noise: random acceleration of speed [m/s^2], yaw rate [rad/s^2] and slip [rad/s], each as
-            standard deviation over one second (it grows with the root of time).
-        start: state at the beginning.
-    """
-
-    step_ns: int = 2_000_000
-    coast_decel: float = 0.6
+    step_ns: int = 2_000_000  # physics step
+    coast_decel: float = 0.6  # drag of the released drive train [m/s^2]
+    # Part of the car's ``steer_delay`` that the simulated servo signal brings along by itself
+    # (half its frame), hence not added again [s]
     servo_wait: float = 0.0
+    # Random acceleration of speed [m/s^2], yaw rate [rad/s^2] and slip [rad/s], each as standard
+    # deviation over one second (it grows with the root of time)
     noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    start: State[float] = ORIGIN
+    start: State[float] = ORIGIN  # state at the beginning
 
 
 class Held(NamedTuple):

@@ -7,7 +7,8 @@ from math import inf
 from struct import Struct
 from typing import NamedTuple
 
-from steerd.car_model.model import Model, Moment, aim, car_now, drive_actuators, memory_size
+from steerd.car_model.actuators import actuate
+from steerd.car_model.model import Model, Moment, aim, car_now, memory_size
 from steerd.car_model.native.windows import (
     STATES,
     Kernels,
@@ -97,11 +98,11 @@ def plain_steps(model: Model[float], h: float) -> Steps:
         after = step_floats(FLOAT, model, moment, Command(steer, speed), t, h)
         return (*after.state, *after.memory)
 
-    def actuate(*numbers: float) -> Numbers:
+    def actuate_floats(*numbers: float) -> Numbers:
         moment, (steer, speed, t) = split(numbers)
         car = car_now(FLOAT, model, moment.state, t)
         ref = aim(FLOAT, model, car, Command(steer, speed), t)
-        return tuple(drive_actuators(FLOAT, model, car, moment.state, ref, h))
+        return tuple(actuate(FLOAT, car, moment.state, ref, h))
 
     def glide_floats(count: int, *numbers: float) -> Numbers:
         moment, (end, accel, t) = split(numbers)
@@ -111,4 +112,4 @@ def plain_steps(model: Model[float], h: float) -> Steps:
             moment = glide(FLOAT, model, moment, steer, accel, t + i * part, part)
         return (*moment.state, *moment.memory)
 
-    return Steps(memory, follow_floats, actuate, glide_floats)
+    return Steps(memory, follow_floats, actuate_floats, glide_floats)
