@@ -15,7 +15,7 @@ from math import isfinite
 from typing import NamedTuple
 
 from steerd.car_model.params import Car
-from steerd.controller.design import assessed_speeds, find_faults, stability_at
+from steerd.controller.design import assessed_speeds, find_faults, margins, stability_at
 from steerd.controller.gain_table import N_LANE, N_TURNING, look_up
 from steerd.controller.lane_controller import LaneController
 from steerd.controller.learnt import (
@@ -30,7 +30,6 @@ from steerd.controller.learnt import (
     steps,
 )
 from steerd.controller.loop_model import Timing, sampled_loop, turn_response
-from steerd.controller.margins import margins
 
 DISTANCE = 0.5
 """Least distance from -1: gain may be doubled, or a third be missing; 29 degrees of phase."""
@@ -43,19 +42,12 @@ _NEAR = 1e-6
 
 
 class Acceptance(NamedTuple):
-    """What a design is held against.
+    """What a design is held against."""
 
-    Attributes:
-        file: the controller of the car file.
-        bounds: of the numbers.
-        steps: how far they may be from those in force.
-        distance: least distance from -1.
-    """
-
-    file: LaneController
-    bounds: LearntBounds
-    steps: Learnt
-    distance: float
+    file: LaneController  # the controller of the car file
+    bounds: LearntBounds  # of the numbers
+    steps: Learnt  # how far they may be from those in force
+    distance: float  # least distance from -1
 
 
 def make_acceptance(file: LaneController) -> Acceptance:

@@ -26,50 +26,34 @@ class LaneController(NamedTuple):
     table: GainTable
     keeper: LaneKeeper
     profile: SpeedProfile
-    report: DesignReport
-    """What was designed and how stable it is."""
+    report: DesignReport  # what was designed and how stable it is
 
 
 class ControllerState(NamedTuple):
     """What one tick leaves to the next."""
 
-    hint: int
-    """Path sample next to the car."""
+    hint: int  # path sample next to the car
     past: tuple[float, ...]
     """References within the dead time less their feed-forward [rad], newest first."""
-    feedforward: float
-    """Of the last tick [rad]."""
-    speed: float
-    """Speed reference [m/s]."""
-    t_ns: int
-    """Of the last tick [ns]."""
+    feedforward: float  # of the last tick [rad]
+    speed: float  # speed reference [m/s]
+    t_ns: int  # of the last tick [ns]
 
 
 class ControlReport(NamedTuple):
     """What a tick saw and decided."""
 
-    e1: float
-    """Lateral offset from the lane that is followed [m]."""
-    e1_rate: float
-    """[m/s]."""
-    e2: float
-    """Heading error [rad]."""
-    e2_rate: float
-    """[rad/s]."""
-    s: float
-    """Arc length of the car's place on the path [m]."""
-    curvature: float
-    """Of the path there [1/m]."""
-    distance: float
-    """To the path [m]; exceeds `|e1|` beyond an open path's ends."""
-    wheel: float
-    """Reference of the road-wheel angle [rad]."""
-    feedforward: float
-    """Its part from the path's curvature [rad]."""
-    speed: float
-    """Speed reference [m/s]."""
-    speed_target: float
-    """The profile's speed here [m/s]."""
+    e1: float  # lateral offset from the lane that is followed [m]
+    e1_rate: float  # [m/s]
+    e2: float  # heading error [rad]
+    e2_rate: float  # [rad/s]
+    s: float  # arc length of the car's place on the path [m]
+    curvature: float  # of the path there [1/m]
+    distance: float  # to the path [m]; exceeds `|e1|` beyond an open path's ends
+    wheel: float  # reference of the road-wheel angle [rad]
+    feedforward: float  # its part from the path's curvature [rad]
+    speed: float  # speed reference [m/s]
+    speed_target: float  # the profile's speed here [m/s]
 
 
 def start_controller(
