@@ -208,12 +208,7 @@ class World:
         if not vesc.connected:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         due = vesc.next_wake_ns
-        if due is None or due > t_ns:
-            return b""
-        data = b"".join([chunk.data for chunk in vesc.advance(t_ns)])
-        if data:
-            vesc.on_read(len(data))
-        return data
+        return b"" if due is None or due > t_ns else vesc.read(t_ns)
 
     # --- mocap
 
@@ -242,4 +237,5 @@ class World:
         """Messages that have reached the host by ``t_ns``, in order of arrival."""
         if t_ns > self.t_ns or t_ns >= self._edge_ns:
             self.advance(t_ns)
-        return self.network.due(t_ns)
+        due = self.network.next_ns
+        return [] if due is None or due > t_ns else self.network.due(t_ns)
