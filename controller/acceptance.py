@@ -22,7 +22,6 @@ from steerd.controller.learnt import (
     Design,
     Learnt,
     LearntBounds,
-    follow_learnt,
     learnt_car,
     learnt_of,
     learnt_timing,
@@ -61,20 +60,14 @@ def make_acceptance(file: LaneController) -> Acceptance:
     return Acceptance(file, make_bounds(file.car), steps(file.car), distance)
 
 
-def accept(held: Acceptance, now: Learnt, design: Design) -> LaneController | str:
-    """The controller of a design, or why it is refused.
+def check_design(held: Acceptance, now: Learnt, design: Design) -> Iterator[str]:
+    """The check piece by piece: nothing for one that passes, and the last is why it is refused.
 
     Args:
-        held: what it is held against.
+        held: what the design is held against.
         now: the numbers in force.
         design: the proposal.
     """
-    problem = next(filter(None, check_design(held, now, design)), "")
-    return problem or follow_learnt(held.file, design)
-
-
-def check_design(held: Acceptance, now: Learnt, design: Design) -> Iterator[str]:
-    """The check piece by piece: nothing for one that passes, and the last is why it is refused."""
     problem = _check_numbers(held, now, design) or _check_table(held, design)
     yield problem
     if problem:
