@@ -64,7 +64,7 @@ def check_design(held: Acceptance, now: Learnt, design: Design) -> Iterator[str]
     """The check piece by piece: nothing for one that passes, and the last is why it is refused.
 
     Args:
-        held: what the design is held against.
+        held: what the design is compared with.
         now: the numbers in force.
         design: the proposal.
     """
