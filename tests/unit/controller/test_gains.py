@@ -13,11 +13,10 @@ from steerd.controller.config import (
     LqrWeights,
     load_controller_config,
 )
-from steerd.controller.design import DesignRefused, closed_loop, stability_at
+from steerd.controller.design import DesignRefused, closed_loop, margins, stability_at
 from steerd.controller.gain_table import N_LANE, GainTable, Turning, look_up
 from steerd.controller.gains import design_table, lqr_gains, pole_placement_gains
 from steerd.controller.loop_model import Timing, sampled_loop, turn_response
-from steerd.controller.margins import margins
 from tests.designs import design_for, scaled, standard
 from tests.textbook import feedforward_steer, steady_slip
 

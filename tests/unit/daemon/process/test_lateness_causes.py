@@ -8,12 +8,11 @@ import pytest
 from steerd.daemon.cli.main import dispatch
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.findings import make_finding
-from steerd.daemon.loop.flags import CAUSES, Flag, blame
+from steerd.daemon.loop.flags import CAUSES, Flag, blame_late
 from steerd.daemon.process import rtcheck
 from steerd.daemon.process.guardian import PERIOD_NS
 from steerd.daemon.process.rtcheck import keep_busy, measure_wakes, summarise_wakes
-from steerd.daemon.process.stall import LEAST_NS, find_cause
-from steerd.daemon.process.steal import is_stalled, parse_steal, read_steal_ns
+from steerd.daemon.process.stall import LEAST_NS, find_cause, is_stalled, parse_steal, read_steal_ns
 
 MS = 1_000_000
 START = 10**12
@@ -68,14 +67,14 @@ def test_stolen_time_says_more_than_the_guardian():
 
 def test_each_cause_has_its_own_sentence_and_stops_as_before():
     late = make_finding("W15", "a tick 41 ms late")
-    said = [blame(late, flag) for flag in (Flag.STALLED, Flag.ALL_LATE, Flag.ALONE_LATE, 0)]
+    said = [blame_late(late, flag) for flag in (Flag.STALLED, Flag.ALL_LATE, Flag.ALONE_LATE, 0)]
     assert len({finding.text for finding in said}) == 4
     assert all(finding.text.startswith("W15 loop late: a tick 41 ms late; ") for finding in said)
     assert all(finding.severity is late.severity for finding in said)
     assert said[3] == late
     assert "close other programs" in said[2].text
     assert "close other programs" not in said[0].text + said[1].text
-    assert blame(late, ~CAUSES) == late
+    assert blame_late(late, ~CAUSES) == late
 
 
 # Late ticks of a machine whose host took the processor are told from those of this program.
