@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.notebook import shown
+from steerd.daemon.common.screen import shown
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.sessions.info import SessionReport, Times, load_session, make_session_report
 from steerd.steer_bus import session_read

@@ -18,9 +18,9 @@ import warnings
 from collections.abc import Sequence
 from typing import TextIO
 
-from steerd.daemon.cli.inputs import check_inputs
+from steerd.daemon.cli.arguments import check_inputs
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.streams import prepare_streams
+from steerd.daemon.common.screen import prepare_streams
 
 # OpenBLAS's threads slow small matrices down: a controller design took 3 s instead of 0.05 s.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -117,7 +117,7 @@ def parse_command(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
         print(f"steerd {version('steerd')}")
         raise SystemExit(0)
     if argv and not argv[0].startswith("-") and argv[0] not in COMMANDS:
-        from steerd.daemon.common.near import did_you_mean
+        from steerd.daemon.common.errors import did_you_mean
 
         hint = did_you_mean(argv[0], COMMANDS) or "`steerd --help` lists the commands"
         raise SteerdError(f"there is no command {argv[0]!r}", hint, ExitCode.USAGE)
@@ -178,7 +178,7 @@ def _unusable(name: str, error: argparse.ArgumentError) -> SteerdError:
 
 def _refuse(name: str, parser: argparse.ArgumentParser, unknown: list[str]) -> SteerdError:
     """The error of words that a command does not take, with the nearest option."""
-    from steerd.daemon.common.near import did_you_mean
+    from steerd.daemon.common.errors import did_you_mean
 
     options = [text for action in parser._actions for text in action.option_strings]  # noqa: SLF001
     word = next((each for each in unknown if each.startswith("-")), unknown[0])

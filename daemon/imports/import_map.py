@@ -15,8 +15,7 @@ from typing import Any
 
 import msgspec
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.near import did_you_mean
+from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.mocap_link.frame import FrameConfig
 from steerd.steer_bus.topics import check_car_name

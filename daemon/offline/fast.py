@@ -11,7 +11,7 @@ from steerd.daemon.assembly.session_meta import (
     make_metadata,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.streams import raw
+from steerd.daemon.common.screen import raw
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState

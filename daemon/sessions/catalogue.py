@@ -21,7 +21,7 @@ from steerd.daemon.assembly.session_meta import default_session_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import clean
 from steerd.daemon.common.translate import reading
-from steerd.daemon.common.whole_file import write_whole
+from steerd.daemon.common.written import write_whole
 from steerd.toml_text import load_toml
 
 _SCHEMA = 2

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.holes import describe_holes
+from steerd.daemon.common.screen import describe_holes
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.motion import (

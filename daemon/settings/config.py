@@ -13,8 +13,7 @@ from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import GRAVITY, wheelbase
 from steerd.controller.config import ControllerConfig, load_controller_config
 from steerd.controller.limits import Limits
-from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.near import did_you_mean, find_near
+from steerd.daemon.common.errors import SteerdError, did_you_mean, find_near
 from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.settings.effect_checks import check_effects
 from steerd.daemon.settings.thresholds import LAUNCH_RATIO, LAUNCH_SPEED, Thresholds, check_bounds

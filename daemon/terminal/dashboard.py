@@ -9,8 +9,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from steerd.daemon.common.screen import NBSP, show
-from steerd.daemon.common.streams import remove_controls
+from steerd.daemon.common.screen import NBSP, remove_controls, show
 from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.learning.text import QUIET, design_text, gap_text

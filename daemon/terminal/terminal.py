@@ -12,7 +12,7 @@ from math import inf
 from rich.console import Console
 from rich.live import Live
 
-from steerd.daemon.common.streams import raw
+from steerd.daemon.common.screen import raw
 from steerd.daemon.ipc.gateway_wire import pack_request
 from steerd.daemon.ipc.live_setting import SETTING_MAX, parse_setting
 from steerd.daemon.ipc.operator import Operator

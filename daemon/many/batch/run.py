@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from steerd.daemon.common.notebook import shown
+from steerd.daemon.common.screen import shown
 from steerd.daemon.common.written import write_outputs
 from steerd.daemon.many.batch.changes import Change, Series, find_changes, list_series
 from steerd.daemon.many.batch.sources import (

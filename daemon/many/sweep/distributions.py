@@ -13,7 +13,7 @@ from zlib import crc32
 
 import numpy as np
 
-from steerd.daemon.common.near import did_you_mean
+from steerd.daemon.common.errors import did_you_mean
 
 _STREAM = 23
 """Keeps these numbers apart from those of the simulated instruments' noise."""

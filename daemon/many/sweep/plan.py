@@ -23,8 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from steerd.car_model.car_file import CarFile
-from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.near import did_you_mean
+from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
 from steerd.daemon.many.sweep.distributions import (
     Distribution,
     check_bounds,

@@ -9,7 +9,7 @@ from typing import Any
 
 from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.notebook import shown
+from steerd.daemon.common.screen import shown
 from steerd.daemon.common.written import write_outputs
 from steerd.daemon.many.journal import Row, journal_path
 from steerd.daemon.many.sweep.drive import Task, run_case, start_row

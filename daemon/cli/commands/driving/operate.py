@@ -19,7 +19,7 @@ import getpass
 import sys
 from collections.abc import Callable
 
-from steerd.daemon.cli.bus_options import add_bus_arguments
+from steerd.daemon.cli.arguments import add_car_arguments, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.gateway_wire import make_badge
 from steerd.daemon.ipc.operator import KEEPALIVE_NS, connect
@@ -76,20 +76,10 @@ _OVER = (
 )
 
 
-def add_car_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which car, and where."""
-    add_bus_arguments(parser)
-    parser.add_argument("--name", default="car1", help="the car's name")
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of these commands."""
     add_car_arguments(parser)
-    parser.add_argument(
-        "--no-hold",
-        action="store_true",
-        help="arm, start: do not stay (cars without a deadman only)",
-    )
+    option(parser, "--no-hold", "", "arm, start: do not stay (cars without a deadman only)")
 
 
 class _Link:

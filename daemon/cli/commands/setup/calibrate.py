@@ -13,7 +13,7 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.inputs import reads_car, reads_session
+from steerd.daemon.cli.arguments import missing_car, missing_session, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
@@ -26,21 +26,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to calibrate, and from what."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="servo")
     servo = kinds.add_parser("servo", help="centre, gain and limits of the steering")
-    reads_session(servo.add_argument("session", nargs="?", type=Path, metavar="SESSION"))
-    servo.add_argument("--port", metavar="DEV", help="move the servo of this VESC by the keys")
-    reads_car(
-        servo.add_argument("--car", type=Path, metavar="FILE.toml", help="car file to start from")
-    )
-    servo.add_argument("-o", "--output", type=Path, metavar="CAR.toml", help="car file to make")
+    option(servo, "session", "SESSION", "", missing_session, nargs="?", type=Path)
+    option(servo, "--port", "DEV", "move the servo of this VESC by the keys")
+    option(servo, "--car", "FILE.toml", "car file to start from", missing_car, type=Path)
+    option(servo, "-o --output", "CAR.toml", "car file to make", type=Path)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate.
-
-    Raises:
-        SteerdError: session, port or car file cannot be used.
-    """
-    from steerd.daemon.common.outputs import check_outputs
+    """Calibrate."""
+    from steerd.daemon.common.written import check_outputs
 
     if bool(args.session) == bool(args.port):
         hint = "steerd calibrate servo DRIVE.mcap, or steerd calibrate servo --port DEV"

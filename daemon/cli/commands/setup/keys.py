@@ -13,6 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from steerd.daemon.cli.arguments import option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.lab import DEFAULT_PORT
@@ -33,25 +34,17 @@ class Roster(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd keys`."""
-    parser.add_argument("folder", type=Path, metavar="DIR", help="the lab's folder")
-    parser.add_argument("--host", help="the car's address or name in the lab's network")
-    parser.add_argument("--port", type=int, default=DEFAULT_PORT, help="its TCP port")
-    parser.add_argument("--car", default="car1", metavar="NAME", help="the car's name on the bus")
-    parser.add_argument(
-        "--operator", action="append", default=[], metavar="NAME", help="who may drive"
-    )
-    parser.add_argument(
-        "--viewer", action="append", default=[], metavar="NAME", help="who may only watch"
-    )
-    parser.add_argument("--years", type=float, default=5.0, help="how long they hold (default 5)")
+    option(parser, "folder", "DIR", "the lab's folder", type=Path)
+    option(parser, "--host", None, "the car's address or name in the lab's network")
+    option(parser, "--port", None, "its TCP port", type=int, default=DEFAULT_PORT)
+    option(parser, "--car", "NAME", "the car's name on the bus", default="car1")
+    option(parser, "--operator", "NAME", "who may drive", action="append")
+    option(parser, "--viewer", "NAME", "who may only watch", action="append")
+    option(parser, "--years", None, "how long they hold (default 5)", type=float, default=5.0)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command.
-
-    Raises:
-        SteerdError: a file exists already, or a name is not valid.
-    """
+    """Run the command."""
     if not 0.0 < args.years <= 50.0 or not 0 < args.port < 65536:
         raise SteerdError("--years: up to 50; --port: 1 to 65535", "", ExitCode.USAGE)
     if args.host is not None and not args.host.strip():

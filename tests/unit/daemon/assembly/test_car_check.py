@@ -3,7 +3,7 @@
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.daemon.cli.car_written import report_refusal
+from steerd.daemon.assembly.car_check import report_refusal
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode
 
