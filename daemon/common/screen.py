@@ -26,6 +26,11 @@ def clean(text: str, length: int = TEXT_MAX) -> str:
     return shown + ("…" if len(text) > length else "")
 
 
+def cut(text: str, width: int) -> str:
+    """At most so many columns of a text, the last of them a mark where something is left out."""
+    return text if len(text) <= width else f"{text[: width - 1]}…"
+
+
 def show(value: float, form: str) -> str:
     """A number in a format, or a dash of that width where it is not known (NaN, infinite)."""
     if isfinite(value):

@@ -9,7 +9,6 @@ import datetime
 import math
 import re
 from dataclasses import dataclass, field
-from math import radians
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import msgspec
 
 from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
 from steerd.daemon.common.packaged import EXAMPLE_MAP
+from steerd.daemon.settings.config import read_frame
 from steerd.mocap_link.frame import FrameConfig
 from steerd.steer_bus.topics import check_car_name
 from steerd.toml_text import parse_toml, read_toml
@@ -42,20 +42,6 @@ class ColumnSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gate: str | None = None
 
 
-class FrameSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Room, body and offsets, named as in a car file's `[mocap]` section."""
-
-    units: str = "m"
-    up: str = "z"
-    body_forward: str = "+x"
-    world_yaw_deg: float = 0.0
-    world_xy: tuple[float, float] = (0.0, 0.0)
-    mount_yaw_deg: float = 0.0
-    marker_rear_x: float = 0.0
-    marker_rear_y: float = 0.0
-    cog_ahead_of_rear: float = 0.0
-
-
 class VescSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How the log's electrical rpm and the car's speed belong together; negative: wired so."""
 
@@ -75,7 +61,7 @@ class _Tables(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     columns: dict[str, str | ColumnSpec] = {}
     topics: dict[str, str] = {}
     rigid: int | None = None
-    frame: FrameSpec | None = None
+    frame: dict[str, Any] | None = None
     vesc: VescSpec | None = None
     session: SessionSpec = SessionSpec()
 
@@ -130,13 +116,14 @@ def parse_map(text: str) -> ImportMap:
     """
     try:
         tables = msgspec.convert(parse_toml(text), _Tables)
+        frame = None if tables.frame is None else read_frame(tables.frame)
     except msgspec.ValidationError as error:
         raise ValueError(_readable(str(error))) from error
     return ImportMap(
         columns=_columns(tables.columns),
         topics=_topics(tables.topics),
         rigid=tables.rigid,
-        frame=make_frame(tables.frame) if tables.frame else None,
+        frame=frame,
         vesc=check_vesc(tables.vesc) if tables.vesc else None,
         car=check_car_name(tables.session.car),
         epoch_ns=_epoch_ns(tables.session.epoch),
@@ -168,18 +155,6 @@ def check_vesc(spec: VescSpec) -> VescSpec:
     if not 1.0 <= abs(spec.erpm_gain) <= 1e6 or not abs(spec.erpm_offset) <= 1e6:
         raise ValueError("[vesc] erpm_gain is the ERPM of 1 m/s, 4614 for an F1TENTH car")
     return spec
-
-
-def make_frame(spec: FrameSpec) -> FrameConfig:
-    """The frame of a map.
-
-    Raises:
-        ValueError: an unknown unit or axis.
-    """
-    values: dict[str, Any] = msgspec.structs.asdict(spec)
-    for name in ("world_yaw", "mount_yaw"):
-        values[name] = radians(values.pop(f"{name}_deg"))
-    return FrameConfig(**values)
 
 
 def _readable(text: str) -> str:

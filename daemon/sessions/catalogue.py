@@ -201,26 +201,22 @@ def _remembered(index: sqlite3.Connection, path: Path) -> Entry:
 
 def summarise(path: Path) -> Entry:
     """Read a session's figures; what cannot be read is said in the verdict."""
-    from steerd.daemon.sessions.info import Times, find_table, load_session, make_session_report
+    from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.lane_error import rms, settled_errors
     from steerd.steer_bus import topics
 
     changed_ns = path.stat().st_mtime_ns
     try:
-        session = load_session(path)
-        report = make_session_report(session)
-        name = next(
-            (t.name for t in report.topics if topics.find_topic(t.name) is topics.STATE), ""
-        )
+        read = load_recording(path)
+        report = make_session_report(read)
         with reading(path):
-            tables = session.tables({name: topics.STATE.message}) if name else {}
-            missing_s = 1e-9 * sum(last - first for first, last in session.holes())
+            missing_s = 1e-9 * sum(last - first for first, last in read.session.holes())
             lane, followed = _lane(report.info.metadata.get("steerd.session", {}))
     except SteerdError as error:
         return Entry(path, changed_ns, verdict=clean(f"unreadable: {error}", 60))
-    state = find_table(tables, topics.STATE)
-    errors = None if state is None else settled_errors(state, Times(report.info.start_ns))
-    driven = followed and errors is not None and errors.size > 0
+    state = read.table(topics.STATE) if followed else None
+    errors = None if state is None else settled_errors(state, read.times(state))
+    driven = errors is not None and errors.size > 0
     stops = [change.reason for change in report.states if change.state in _FAULTS]
     end = report.end if report.info.finished else "the recorder was killed"
     return Entry(

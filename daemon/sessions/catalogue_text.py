@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from datetime import datetime
 from typing import Any
 
-from steerd.daemon.common.screen import clean, wrap
+from steerd.daemon.common.screen import clean, cut, wrap
 from steerd.daemon.sessions.catalogue import Entry
 
 _NAME, _CAR, _LANE = 20, 8, 17
@@ -28,8 +28,8 @@ def format_entries(entries: Sequence[Entry], numbers: Sequence[int]) -> Iterator
         metres = "" if e.metres is None else f"{e.metres:.0f}"
         error = "" if e.e1_rms is None else f"{1e3 * e.e1_rms:.1f}"
         yield (
-            f"{place:<6}{when:%m-%d %H:%M} {_fit(e.path.stem, _NAME):<{_NAME + 1}}"
-            f"{_fit(e.car, _CAR):<{_CAR + 1}}{_fit(e.lane, _LANE):<{_LANE + 1}}"
+            f"{place:<6}{when:%m-%d %H:%M} {cut(clean(e.path.stem), _NAME):<{_NAME + 1}}"
+            f"{cut(e.car, _CAR):<{_CAR + 1}}{cut(e.lane, _LANE):<{_LANE + 1}}"
             f"{metres:>5}{error:>8}"
         )
         yield from _remarks(e)
@@ -43,11 +43,6 @@ def _remarks(e: Entry) -> Iterator[str]:
     parts += [e.note] if e.note else []
     if parts:
         yield from wrap(" · ".join(parts), " " * 6, " " * 6)
-
-
-def _fit(text: str, width: int) -> str:
-    text = clean(text)
-    return text if len(text) <= width else f"{text[: width - 1]}…"
 
 
 def make_json(entries: Iterable[Entry]) -> dict[str, Any]:

@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Work on the sessions, print, write."""
     from steerd.daemon.common.written import check_outputs
-    from steerd.daemon.many.batch.sources import Question, find_batch, read_cars
+    from steerd.daemon.many.batch.unit import Question, find_batch, read_cars
     from steerd.daemon.many.journal import going_on
     from steerd.daemon.many.units import Where
 

@@ -242,8 +242,7 @@ def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
     from steerd.daemon.assembly.session_meta import default_session_path
     from steerd.daemon.ipc.operator import Operator
     from steerd.daemon.process.children import start_processes
-    from steerd.daemon.terminal.closing import closing_lines
-    from steerd.daemon.terminal.dashboard import Dashboard
+    from steerd.daemon.terminal.dashboard import Dashboard, closing_lines
     from steerd.daemon.terminal.terminal import Terminal
     from steerd.steer_bus.clock import MonotonicClock
 

@@ -44,9 +44,8 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.common.screen import raw
     from steerd.daemon.process.bus_operator import REPEAT_NS
     from steerd.daemon.terminal.dashboard import Dashboard
-    from steerd.daemon.terminal.keyboard import keys_one_by_one, wait_for_key
-    from steerd.daemon.terminal.watch import DEPTH, SECOND, Watch, find_car
-    from steerd.daemon.terminal.watch_desk import desk_help, make_desk
+    from steerd.daemon.terminal.key_desk import keys_one_by_one, wait_for_key
+    from steerd.daemon.terminal.watch import DEPTH, SECOND, Watch, desk_help, find_car, make_desk
     from steerd.steer_bus.clock import MonotonicClock
     from steerd.steer_bus.topics import make_key
 

@@ -137,10 +137,10 @@ def _make_trial(args: argparse.Namespace, kind: str, source: Path) -> Callable[[
 
 def _print_result(made: "ImportReport", args: argparse.Namespace) -> None:
     from steerd.daemon.common.screen import print_labelled
-    from steerd.daemon.sessions.info import load_session, make_session_report
+    from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.text import format_report
 
-    report = make_session_report(load_session(made.path))
+    report = make_session_report(load_recording(made.path))
     print(format_report(report))
     for remark in made.remarks:
         print_labelled("note: ", remark, sys.stderr)

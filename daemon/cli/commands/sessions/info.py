@@ -18,10 +18,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print what the session holds; warnings go to standard error."""
-    from steerd.daemon.sessions.info import load_session, make_session_report
+    from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.text import format_report, make_json, print_warnings
 
-    report = make_session_report(load_session(pick_session(args.session)))
+    report = make_session_report(load_recording(pick_session(args.session)))
     if args.json:
         import json
 

@@ -39,16 +39,16 @@ def _default_output(paths: list[Path]) -> Path:
 
 
 def _draw(path: Path) -> str:
-    from steerd.daemon.sessions.info import load_session, make_session_report
+    from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.plot_data import make_drawing
     from steerd.daemon.sessions.plot_model import with_model
     from steerd.daemon.sessions.plot_page import make_page
     from steerd.daemon.sessions.text import print_warnings
 
-    session = load_session(path)
-    report = make_session_report(session)
+    read = load_recording(path)
+    report = make_session_report(read)
     print_warnings(report.warnings)
-    return make_page(report, with_model(make_drawing(session), session))
+    return make_page(report, with_model(make_drawing(read), read))
 
 
 def _compare(paths: list[Path]) -> str:

@@ -61,13 +61,12 @@ def _check(args: argparse.Namespace) -> int:
 
 
 def _check_session(path: Path) -> "list[Check]":
-    from steerd.daemon.sessions.info import find_table
     from steerd.daemon.setup.calibration_data import load_recorded
     from steerd.daemon.setup.mocap_check import Movement, check_movement
     from steerd.steer_bus import topics
 
     r = load_recorded(path)
-    p, every = r.poses, find_table(r.tables, topics.MOCAP)
+    p, every = r.poses, r.read.table(topics.MOCAP)
     refused = 0 if every is None else int((every["reject"] != "").sum())
     t = (p["t_valid_ns"] - r.start_ns) * 1e-9
     columns = (p[name] for name in ("x", "y", "yaw", "height", "tilt"))
