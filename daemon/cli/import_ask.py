@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.imports.propose import Proposal, change, format_map, known_names
+from steerd.daemon.imports.propose import Proposal, change, format_map, list_sections
 
 if TYPE_CHECKING:
     from steerd.daemon.sessions.info import Recording, SessionReport
 
-Trial = Callable[[Path, Path], None]
+Trial = Callable[[Path, Path], object]
 """Imports by a map file into a session file."""
 _LEFT, _MM = "must be left positive", "millimetres"
 
@@ -59,7 +59,7 @@ def ask(proposal: Proposal, source: Path, trial: Trial) -> str:
         if not line or answer == "q":
             raise SteerdError("nothing was written", "", ExitCode.USAGE)
         if answer == "?":
-            print("  " + ", ".join(known_names(proposal)))
+            print("  " + ", ".join(list_sections(proposal)))
         elif answer:
             wrong = change(proposal, answer)
             if wrong:

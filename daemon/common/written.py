@@ -91,7 +91,7 @@ def writing(named: Mapping[str, Path | None], *, announced: bool = False) -> Ite
         failures.pop(path, None)
         written[path] = text
         if kept is not None:
-            print_labelled("note: ", describe_kept(path, kept), sys.stderr)
+            print_labelled("note: ", f"what {path} was before is kept as {kept}", sys.stderr)
         return True
 
     try:
@@ -130,11 +130,6 @@ def write_outputs(
 def car_outputs(path: Path, car: "CarFile") -> dict[Path | None, str | bytes | None]:
     """A car file and the file beside it, for `write_outputs`."""
     return {path: car.text, posterior_path(path): car.posterior or None}
-
-
-def describe_kept(path: Path, kept: Path) -> str:
-    """One line about a file that was kept."""
-    return f"what {path} was before is kept as {kept}"
 
 
 def _keep(path: Path, text: str | bytes) -> Path | None:
@@ -257,9 +252,6 @@ def _is_session(path: Path) -> bool:
         return False
 
 
-_ELSEWHERE = "choose another folder"
-
-
 def write_whole(path: Path, text: str | bytes) -> None:
     """Write a file in one move, so that nobody ever sees half of it.
 
@@ -270,5 +262,5 @@ def write_whole(path: Path, text: str | bytes) -> None:
         write_atomically(path, text)
     except OSError as error:
         what = f"{path}: {error.strerror}"
-        hint = "free some space, or choose another folder" if is_full(error) else _ELSEWHERE
+        hint = f"{'free some space, or ' if is_full(error) else ''}choose another folder"
         raise SteerdError(what, hint, ExitCode.UNREADABLE) from None

@@ -8,6 +8,7 @@ is not the car's centre of gravity, `[session]` for what the log does not say.
 import datetime
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -119,9 +120,11 @@ def parse_map(text: str) -> ImportMap:
         frame = None if tables.frame is None else read_frame(tables.frame)
     except msgspec.ValidationError as error:
         raise ValueError(_readable(str(error))) from error
+    for role in tables.topics:
+        _expect("topics", role, ROLES)
     return ImportMap(
         columns=_columns(tables.columns),
-        topics=_topics(tables.topics),
+        topics=tables.topics,
         rigid=tables.rigid,
         frame=frame,
         vesc=check_vesc(tables.vesc) if tables.vesc else None,
@@ -168,11 +171,7 @@ def _columns(columns: dict[str, str | ColumnSpec]) -> dict[str, ColumnSpec]:
     known = ("t", *STREAM_COLUMNS)
     made = {k: ColumnSpec(v) if isinstance(v, str) else v for k, v in columns.items()}
     for name, spec in made.items():
-        if name not in known:
-            meant = did_you_mean(name, known)
-            raise ValueError(
-                f"[columns] {name!r} is none of {', '.join(known)}; {meant}".strip("; ")
-            )
+        _expect("columns", name, known)
         if not (math.isfinite(spec.scale) and math.isfinite(spec.offset)) or spec.scale == 0.0:
             raise ValueError(f"[columns] {name}: scale and offset must be finite, scale not 0")
     if made and "t" not in made:
@@ -186,14 +185,10 @@ def _columns(columns: dict[str, str | ColumnSpec]) -> dict[str, ColumnSpec]:
     return made
 
 
-def _topics(topics: dict[str, str]) -> dict[str, str]:
-    for role in topics:
-        if role not in ROLES:
-            meant = did_you_mean(role, ROLES)
-            raise ValueError(
-                f"[topics] {role!r} is none of {', '.join(ROLES)}; {meant}".strip("; ")
-            )
-    return topics
+def _expect(section: str, name: str, known: Sequence[str]) -> None:
+    if name not in known:
+        what = f"[{section}] {name!r} is none of {', '.join(known)}; {did_you_mean(name, known)}"
+        raise ValueError(what.strip("; "))
 
 
 def _epoch_ns(epoch: float | datetime.datetime) -> int:

@@ -174,15 +174,8 @@ def _summarise(path: Path, car: str, question: Question) -> dict[str, Any]:
     entry = summarise(path)
     if entry.verdict.startswith("unreadable"):
         raise SteerdError(entry.verdict)
-    return {
-        "lane": entry.lane,
-        "mode": entry.mode,
-        "verdict": entry.verdict,
-        "seconds": entry.seconds,
-        "metres": entry.metres,
-        "e1_rms": entry.e1_rms,
-        "e1_max": entry.e1_max,
-    }
+    names = ("lane", "mode", "verdict", "seconds", "metres", "e1_rms", "e1_max")
+    return {name: getattr(entry, name) for name in names}
 
 
 def _identify(path: Path, car: str, question: Question) -> dict[str, Any]:

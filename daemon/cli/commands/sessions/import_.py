@@ -10,7 +10,7 @@ import argparse
 import re
 import shlex
 import sys
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -107,7 +107,7 @@ def _ask(args: argparse.Namespace, kind: str, source: Path, out: Path) -> int:
     from steerd.daemon.imports.import_session import check_output
 
     check_output(out)
-    text = ask(_propose(kind, source), source, _make_trial(args, kind, source))
+    text = ask(_propose(kind, source), source, partial(_import, args, kind, source))
     the_map = out.with_suffix(".map.toml")
     write_outputs({the_map: text})
     print(f"written: {the_map}")
@@ -128,24 +128,16 @@ def _propose(kind: str, source: Path) -> dict[str, dict[str, object]]:
     return propose_bag(source)
 
 
-def _make_trial(args: argparse.Namespace, kind: str, source: Path) -> Callable[[Path, Path], None]:
-    def trial(the_map: Path, out: Path) -> None:
-        _import(args, kind, source, the_map, out)
-
-    return trial
-
-
 def _print_result(made: "ImportReport", args: argparse.Namespace) -> None:
     from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.sessions.info import load_recording, make_session_report
-    from steerd.daemon.sessions.text import format_report
+    from steerd.daemon.sessions.text import format_report, print_warnings
 
     report = make_session_report(load_recording(made.path))
     print(format_report(report))
     for remark in made.remarks:
         print_labelled("note: ", remark, sys.stderr)
-    for warning in (*made.notes, *report.warnings):
-        print_labelled("warning: ", warning, sys.stderr)
+    print_warnings((*made.notes, *report.warnings))
     print(f"\nwritten: {made.path}")
     session = made.path
     if found := re.search(r"--erpm-gain (-?\d+)", " ".join(report.warnings)):

@@ -52,8 +52,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> int:
     from steerd.daemon.common.progress import show_progress
-    from steerd.daemon.sessions.catalogue import find_sessions, list_entries
-    from steerd.daemon.sessions.catalogue_text import format_entries, make_json
+    from steerd.daemon.sessions.catalogue import (
+        find_sessions,
+        format_entries,
+        list_entries,
+        make_json,
+    )
 
     paths = find_sessions(folders)
     shown = paths if args.all or args.tag or args.car or args.json else paths[:SHOWN]

@@ -44,8 +44,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _from_session(args: argparse.Namespace) -> int:
-    from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.common.translate import load_car_file
+    from steerd.daemon.sessions.text import print_warnings
     from steerd.daemon.setup.calibration_data import load_recorded, make_motion, steering_commands
     from steerd.daemon.setup.steering_calibration import calibrate_steering
 
@@ -56,8 +56,7 @@ def _from_session(args: argparse.Namespace) -> int:
     )
     scaling = servo_scaling(found, r.settings.scaling)
     print("\n".join(_describe(found, scaling)))
-    for warning in found.warnings:
-        print_labelled("warning: ", warning, sys.stderr)
+    print_warnings(found.warnings)
     base = load_car_file(args.car) if args.car else r.settings.file
     return _finish(args, base, servo_values(scaling))
 
@@ -102,15 +101,12 @@ def _describe(found: "SteeringCalibration", scaling: "Scaling") -> list[str]:
 
 
 def _finish(args: argparse.Namespace, base: "CarFile", values: dict[tuple[str, str], float]) -> int:
-    from steerd.daemon.common.written import car_outputs, write_outputs
-    from steerd.daemon.settings.car_edit import edit_car
+    from steerd.daemon.settings.car_edit import write_edited
 
-    new = edit_car(base, values)
-    if args.output is None:
+    if write_edited(args.output, base, values):
+        print(f"{args.output}: written\n   next: steerd config --check {args.output}")
+    else:
         print("   next: the same with -o car.toml writes it")
-        return ExitCode.OK
-    write_outputs(car_outputs(args.output, new))
-    print(f"{args.output}: written\n   next: steerd config --check {args.output}")
     return ExitCode.OK
 
 

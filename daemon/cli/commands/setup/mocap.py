@@ -55,7 +55,7 @@ def _check(args: argparse.Namespace) -> int:
     checks = _check_session(args.session) if args.session else _check_live(args)
     for check in checks:
         print(f"{'pass' if check.ok else 'FAIL'}  {check.name:<8} {check.figure}")
-        if check.fix:
+        if not check.ok:
             print(f"      try: {check.fix}")
     return ExitCode.OK if all(check.ok for check in checks) else ExitCode.STOPPED
 
@@ -113,27 +113,24 @@ def _check_live(args: argparse.Namespace) -> "list[Check]":
 
 
 def _calibrate(args: argparse.Namespace) -> int:
-    from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.common.translate import load_car_file
-    from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
-    from steerd.daemon.settings.car_edit import edit_car
+    from steerd.daemon.common.written import check_outputs
+    from steerd.daemon.sessions.text import print_warnings
+    from steerd.daemon.settings.car_edit import write_edited
     from steerd.daemon.setup.calibration_data import load_recorded, make_drive
     from steerd.daemon.setup.mount_calibration import calibrate_mount
 
     check_outputs({"-o": args.output})
     r = load_recorded(args.session)
     found = calibrate_mount(make_drive(r), r.settings.file.car)
-    values = new_values(found, r)
     print("\n".join(_describe(found, r)))
-    for warning in found.warnings:
-        print_labelled("warning: ", warning, sys.stderr)
-    car = edit_car(load_car_file(args.car) if args.car else r.settings.file, values)
-    if args.output is None:
+    print_warnings(found.warnings)
+    base = load_car_file(args.car) if args.car else r.settings.file
+    if write_edited(args.output, base, new_values(found, r)):
+        print(f"{args.output}: written\n   next: steerd run --sim --car {args.output}")
+        print("         (on the car: --port and --mocap for --sim)")
+    else:
         print(f"   next: steerd mocap calibrate {args.session} -o car.toml")
-        return ExitCode.OK
-    write_outputs(car_outputs(args.output, car))
-    print(f"{args.output}: written\n   next: steerd run --sim --car {args.output}")
-    print("         (on the car: --port and --mocap for --sim)")
     return ExitCode.OK
 
 
