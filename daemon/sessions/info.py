@@ -23,22 +23,11 @@ from steerd.daemon.sessions.motion import (
     make_range,
     make_track,
 )
+from steerd.steer_bus import topics
 from steerd.steer_bus.fields import flat_leaves
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session import Session, SessionError, SessionInfo, TopicInfo, open_session
 from steerd.steer_bus.topic_columns import Columns
-from steerd.steer_bus.topics import (
-    ACTUATION,
-    IMU,
-    MOCAP,
-    STATE,
-    TRANSITION,
-    VESC,
-    WHEEL,
-    Topic,
-    find_topic,
-    split_key,
-)
 from steerd.vesc_link.scaling import F1TENTH
 
 GAP_FACTOR = 3.0
@@ -146,31 +135,31 @@ class Recording:
     @cached_property
     def track(self) -> Track | None:
         """The car's track: accepted mocap poses, or the estimate where there are none."""
-        poses = self.table(MOCAP)
+        poses = self.table(topics.MOCAP)
         if poses is not None and (accepted := poses["reject"] == "").sum() > 2:
             poses = {name: column[accepted] for name, column in poses.items()}
         else:
-            poses = self.table(STATE)
+            poses = self.table(topics.STATE)
         if poses is None:
             return None
         return make_track(self.times(poses), poses["x"], poses["y"], poses["yaw"])
 
-    def table(self, topic: Topic) -> Columns | None:
+    def table(self, topic: topics.Topic) -> Columns | None:
         """The columns of a topic, whatever the car's name; None where there is none."""
-        found = (t for name, t in sorted(self.tables.items()) if find_topic(name) is topic)
+        found = (t for name, t in sorted(self.tables.items()) if topics.find_topic(name) is topic)
         return next(found, None)
 
     def times(self, table: Columns) -> Array:
         """Stamps of a table, from the session's start [s]."""
         return seconds_since(self.info.start_ns, table["stamp_ns"])
 
-    def signal(self, topic: Topic, name: str) -> Signal | None:
+    def signal(self, topic: topics.Topic, name: str) -> Signal | None:
         """A field of a topic, of commands while driven; None where it has no finite value."""
         table = self.table(topic)
         if table is None:
             return None
         t, values = self.times(table), table[name].astype(float)
-        if topic is ACTUATION:
+        if topic is topics.ACTUATION:
             driving = table["mode"] == ActuationMode.SPEED
             t, values = t[driving], values[driving]
         order = np.argsort(t, kind="stable")
@@ -200,7 +189,7 @@ def read_recording(session: Session) -> Recording:
     """
     wanted: dict[str, type[Any]] = {}
     for info in session.info().topics:
-        topic = find_topic(info.name)
+        topic = topics.find_topic(info.name)
         if topic is not None and info.count and flat_leaves(topic.message) is not None:
             wanted[info.name] = topic.message
     with reading(session.info().path):
@@ -241,11 +230,11 @@ def make_session_report(read: Recording) -> SessionReport:
 
 def _make_report(read: Recording) -> SessionReport:
     info, track = read.info, read.track
-    steer, wheel = read.signal(ACTUATION, "steer"), read.signal(WHEEL, "speed")
-    gyro = read.signal(IMU, "gyro_z")
+    steer, wheel = read.signal(topics.ACTUATION, "steer"), read.signal(topics.WHEEL, "speed")
+    gyro = read.signal(topics.IMU, "gyro_z")
     motion = _motion(read, wheel, gyro)
     about, end = (info.metadata.get(f"steerd.{name}", {}) for name in ("session", "end"))
-    cars = sorted({key[0] for topic in info.topics if (key := split_key(topic.name))})
+    cars = sorted({key[0] for topic in info.topics if (key := topics.split_key(topic.name))})
     values = (steer.value if steer else np.empty(0), *motion)
     steer_range, speed_range, lateral_range = map(make_range, values)
     dropped = describe_holes(end.get("dropped", ""), read.session.holes(), info.start_ns)
@@ -275,12 +264,12 @@ def _make_report(read: Recording) -> SessionReport:
 def _check_erpm(read: Recording) -> list[str]:
     """Doubts about the ERPM of another system's log; steerd's own have their car file's figures."""
     gain = read.session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
-    return check_erpm(read.track, read.signal(VESC, "erpm"), gain)
+    return check_erpm(read.track, read.signal(topics.VESC, "erpm"), gain)
 
 
 def _motion(read: Recording, wheel: Signal | None, gyro: Signal | None) -> tuple[Array, Array]:
     """Speed and lateral acceleration, by the estimate, the poses or the wheels."""
-    state, track = read.table(STATE), read.track
+    state, track = read.table(topics.STATE), read.track
     if state is not None and np.isfinite(state["speed"]).any():
         return state["speed"], state["speed"] * state["yaw_rate"]
     if track is not None and not (track.coarse and wheel):
@@ -293,7 +282,7 @@ def _motion(read: Recording, wheel: Signal | None, gyro: Signal | None) -> tuple
 
 
 def _states(read: Recording) -> tuple[StateChange, ...]:
-    table = read.table(TRANSITION)
+    table = read.table(topics.TRANSITION)
     if table is None:
         return ()
     columns = (table["from_state"], table["to_state"], table["text"])
@@ -314,7 +303,7 @@ def _state_name(number: int) -> str:
 
 
 def _topic(topic: TopicInfo, read: Recording) -> TopicReport:
-    row, table = find_topic(topic.name), read.tables.get(topic.name)
+    row, table = topics.find_topic(topic.name), read.tables.get(topic.name)
     known = (topic.name, topic.type_name, topic.count)
     irregular = TopicReport(*known, topic.rate_hz, None, 0.0, 0.0)
     if row is None or row.rate_hz <= 0.0 or table is None or topic.count <= 2:
