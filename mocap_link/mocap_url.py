@@ -9,27 +9,17 @@ _FORMS = "natnet://HOST[:PORT]/BODY?up=y, vrpn://HOST[:PORT]/BODY or zenoh:KEY"
 
 @dataclass(frozen=True, slots=True)
 class MocapUrl:
-    """A parsed source address.
+    """A parsed source address."""
 
-    Attributes:
-        scheme: `natnet`, `vrpn` or `zenoh`.
-        host: server name or address; empty for zenoh.
-        port: command port (NatNet) or TCP port (VRPN); 0 for zenoh.
-        body: body name, or `id:42` (NatNet); empty for zenoh.
-        key: key expression (zenoh only).
-        up: the vendor's up axis, `y` or `z`; None leaves it to the configuration.
-        unicast: True or False forces it; None follows what the server says (NatNet).
-        interface: local address that joins the multicast group; None derives it.
-    """
-
-    scheme: str
-    host: str = ""
-    port: int = 0
-    body: str = ""
-    key: str = ""
-    up: str | None = None
+    scheme: str  # `natnet`, `vrpn` or `zenoh`
+    host: str = ""  # server name or address; empty for zenoh
+    port: int = 0  # command port (NatNet) or TCP port (VRPN); 0 for zenoh
+    body: str = ""  # body name, or `id:42` (NatNet); empty for zenoh
+    key: str = ""  # key expression (zenoh only)
+    up: str | None = None  # the vendor's up axis, `y` or `z`; None leaves it to the configuration
+    # True or False forces it; None follows what the server says (NatNet)
     unicast: bool | None = None
-    interface: str | None = None
+    interface: str | None = None  # local address that joins the multicast group; None derives it
 
 
 def parse_mocap_url(text: str) -> MocapUrl:

@@ -22,7 +22,7 @@ NEW_EFFECT = '''
 
 from collections.abc import Sequence
 
-from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Stage
+from steerd.car_model.effect import Effect, EffectParameter, Stage
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
@@ -43,10 +43,6 @@ EFFECT = Effect(
         EffectParameter("pull", 0.0, -0.05, 0.05, "rad s/m", 0.01, "wheel angle per speed"),
     ),
     least_size=0.001,
-    confounded_with=None,
-    needs_commands=None,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     car=_car,
 )
 '''

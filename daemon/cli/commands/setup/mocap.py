@@ -113,6 +113,7 @@ def _check_live(args: argparse.Namespace) -> "list[Check]":
 
 
 def _calibrate(args: argparse.Namespace) -> int:
+    from steerd.car_model.planar import DRIVES
     from steerd.daemon.common.translate import load_car_file
     from steerd.daemon.common.written import check_outputs
     from steerd.daemon.sessions.text import print_warnings
@@ -122,10 +123,11 @@ def _calibrate(args: argparse.Namespace) -> int:
 
     check_outputs({"-o": args.output})
     r = load_recorded(args.session)
-    found = calibrate_mount(make_drive(r), r.settings.file.car)
+    file = r.settings.file
+    found = calibrate_mount(make_drive(r), file.car, DRIVES.get(file.chassis.drive, 0.0))
     print("\n".join(_describe(found, r)))
     print_warnings(found.warnings)
-    base = load_car_file(args.car) if args.car else r.settings.file
+    base = load_car_file(args.car) if args.car else file
     if write_edited(args.output, base, new_values(found, r)):
         print(f"{args.output}: written\n   next: steerd run --sim --car {args.output}")
         print("         (on the car: --port and --mocap for --sim)")
