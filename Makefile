@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # The tests start Python hundreds of times: let it keep what it compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install car lock demo test lint types layers docs unit all-tests safety bench size clean
+.PHONY: help install car lock demo test lint types layers docs media unit all-tests safety bench size clean
 help:            ## this list
 	@grep -hE '^[a-z]+: .*##|^[a-z]+:  +##' Makefile | sed 's/:.*##/\t/'
 
@@ -54,6 +54,9 @@ layers: install   ## which room may import which
 
 docs: install     ## the site, into site/; a broken link or anchor is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+media: install    ## the moving picture of README and site, from real runs (two minutes)
+	$(BIN)/python docs/media.py
 
 unit: install     ## the quick tests, half a minute: no processes, no statistics, no whole commands
 	$(PYTEST) -n 2 -m "not realtime and not slow" tests/unit

@@ -12,11 +12,11 @@ from functools import lru_cache
 from math import nan
 
 from steerd.steer_bus.messages import ActuationMode
-from steerd.steer_bus.quick_values import quick_init, quick_value
+from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.commands import Command
 from steerd.vesc_link.frames import MAX_PAYLOAD, RUNNING_CEILING, Frame, FrameParser, encode_frame
-from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
+from steerd.vesc_link.identity import AppConf, FwVersion, McConfTemp, Print
 from steerd.vesc_link.ids import (
     FAULT_WATCHDOG_BOOT,
     FW_3_00,

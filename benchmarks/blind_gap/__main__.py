@@ -50,7 +50,7 @@ def _score(args: argparse.Namespace) -> str:
         f" whole {labels.get('whole') or 'none'}: generates again with these.",
         f"Report sets were opened {len(openings)} times so far"
         " (`benchmarks/blind_gap/opened.jsonl`).",
-        f"A name is confident from {CONFIDENT} on.",
+        f"A name is confident from {CONFIDENT} on; names and sets are given detection.",
     ]
     title = "The blind test" if labels["set"] == "report" else "The blind test, on tuning seeds"
     write_report(scores, args.page, title, notes)

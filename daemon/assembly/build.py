@@ -96,7 +96,7 @@ class RunPlan:
 
     @cached_property
     def learnt(self) -> Acceptance | None:
-        """What designs of the learner are held against; None without `--adapt`."""
+        """What designs of the learner are compared with; None without `--adapt`."""
         from steerd.controller.acceptance import make_acceptance
 
         return make_acceptance(self.controller) if self.options.adapt else None

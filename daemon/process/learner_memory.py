@@ -5,7 +5,6 @@
 import hashlib
 import sys
 from collections.abc import Mapping
-from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -24,6 +23,7 @@ from steerd.daemon.learning.kept import (
     recall,
 )
 from steerd.daemon.settings.run_options import encode_options
+from steerd.version import VERSION
 
 
 class LearnerMemory(NamedTuple):
@@ -64,7 +64,7 @@ def recall_learnt(plan: RunPlan, session: Path, now_ns: int) -> LearnerMemory:
         return LearnerMemory()
     page, scaling = learnt_page(plan), plan.settings.scaling
     numbers = digest_numbers(plan.settings.file, scaling.erpm_gain, scaling.erpm_offset)
-    about = About(plan.options.car, numbers, version("steerd"), session.name)
+    about = About(plan.options.car, numbers, VERSION, session.name)
     try:
         with page.open("rb") as file:
             data = file.read(SIZE_MAX + 1)

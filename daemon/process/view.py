@@ -176,7 +176,7 @@ def main() -> int:
             given.say_ready(f"--view {given.about['host']}:{given.about['port']}: {error}")
         return 3
     if missed:
-        print(f"note: the viewer missed {missed} messages", file=sys.stderr)
+        print(f"note: {missed} messages did not reach the viewer", file=sys.stderr)
     return 0
 
 

@@ -10,13 +10,13 @@ steerd completion man > ~/.local/share/man/man1/steerd.1
 import argparse
 import importlib
 import re
-from importlib.metadata import version
 from pathlib import Path
 
 import shtab
 
 from steerd.daemon.cli.arguments import list_actions, option
 from steerd.daemon.common.errors import ExitCode
+from steerd.version import VERSION
 
 SHELLS = ("bash", "zsh", "tcsh", "fish")
 _FILE_MARKS = ("FILE", "PATH", "SESSION", ".toml", ".mcap", ".html", "DEV")
@@ -40,11 +40,10 @@ def make_manual(parser: argparse.ArgumentParser) -> str:
     """The manual page in roff; the same text for the same commands and version."""
     from argparse_manpage.manpage import Manpage
 
-    number = version("steerd")
     parser.description = "Control, identification and sim-to-real diagnosis for Ackermann cars."
-    page = str(Manpage(parser, _data={"version": number, "project_name": "steerd"}))
+    page = str(Manpage(parser, _data={"version": VERSION, "project_name": "steerd"}))
     # The day on which it was printed is nobody's business.
-    return _HEAD.sub(f'.TH STEERD "1" "" "steerd {number}" "steerd"', page, count=1)
+    return _HEAD.sub(f'.TH STEERD "1" "" "steerd {VERSION}" "steerd"', page, count=1)
 
 
 def make_full_parser() -> argparse.ArgumentParser:
