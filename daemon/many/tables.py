@@ -9,8 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from steerd.daemon.common.outputs import check_outputs
-from steerd.daemon.common.written import write_outputs
+from steerd.daemon.common.written import check_outputs, write_outputs
 
 Kind = Literal["number", "count", "text", "truth"]
 _TYPES = {"number": "float64", "count": "int64", "text": "string", "truth": "bool"}

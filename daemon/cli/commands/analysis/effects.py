@@ -6,22 +6,19 @@ steerd effects steer_backlash
 
 import argparse
 
+from steerd.daemon.cli.arguments import option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The effect and the output format."""
-    parser.add_argument("name", nargs="?", metavar="NAME", help="one effect, or an alias of it")
-    parser.add_argument("--json", action="store_true", help="the same for programs")
-    parser.add_argument("--page", action="store_true", help="the same as a Markdown page")
+    option(parser, "name", "NAME", "one effect, or an alias of it", nargs="?")
+    option(parser, "--json", "", "the same for programs")
+    option(parser, "--page", "", "the same as a Markdown page")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the table, or one effect.
-
-    Raises:
-        SteerdError: there is no effect of that name.
-    """
+    """Print the table, or one effect."""
     from steerd.car_model.effects import EFFECTS, find_effect
     from steerd.daemon.analysis.effects_text import (
         format_effect,

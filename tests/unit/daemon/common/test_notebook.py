@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from steerd.daemon.common.notebook import shown
+from steerd.daemon.common.screen import shown
 
 
 @shown

@@ -8,8 +8,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from steerd.daemon.imports.import_map import ROLES, STREAM_COLUMNS, FrameSpec, load_map, parse_map
+from steerd.daemon.imports.import_map import ROLES, STREAM_COLUMNS, load_map, parse_map
 from steerd.daemon.process.view import SCENE
+from steerd.daemon.settings.config import FRAME_ANGLES
+from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.gates import REASONS
 from steerd.mocap_link.source import ClockKind
 from steerd.steer_bus.fields import Nested, Scalar, message_fields
@@ -48,7 +50,8 @@ def test_every_clock_is_explained():
 
 def test_every_frame_key_is_explained():
     keys = first_cells("reference/mocap.md", "| key |")
-    assert {*keys, "cog_ahead_of_rear"} == set(msgspec.structs.asdict(FrameSpec()))
+    known = {f"{k}_deg" if k in FRAME_ANGLES else k for k in FrameConfig.__slots__}
+    assert {*keys, "cog_ahead_of_rear"} == known
 
 
 def test_every_role_and_column_is_explained():

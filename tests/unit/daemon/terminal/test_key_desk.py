@@ -14,7 +14,7 @@ from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.key_desk import KEYS, NUDGE_HELP, NUDGES, nudge
 from steerd.daemon.terminal.servo_keys import Servo, press
 from steerd.daemon.terminal.terminal import Terminal
-from steerd.daemon.terminal.watch_desk import desk_help, make_desk
+from steerd.daemon.terminal.watch import desk_help, make_desk
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode
