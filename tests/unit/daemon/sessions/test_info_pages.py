@@ -5,7 +5,6 @@ import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from steerd.daemon.imports.import_map import ROLES, STREAM_COLUMNS, load_map, parse_map
