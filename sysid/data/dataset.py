@@ -4,6 +4,8 @@
 a typed error that says what is wrong and what to do.
 """
 
+# Why: docs/decisions/identification.md#d45
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
@@ -18,7 +20,6 @@ from steerd.steer_bus.session import Session, open_session
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, split_key
 from steerd.sysid.data.data_checks import DataError, check_run, check_times, noise_of
-from steerd.sysid.data.log_jitter import LogJitter
 from steerd.vesc_link.scaling import F1TENTH
 
 Array = NDArray[np.float64]
@@ -43,6 +44,35 @@ HALF_SPAN = 2
 """Samples to either side over which rates of a pose are differences, at least ..."""
 SPEED_BLUR = 0.15
 """... and more where the poses' noise would blur a speed by more than this [m/s]."""
+
+
+class LogJitter(NamedTuple):
+    """Sampling jitter of a steering log: it is late by `period (phase + drift t) mod period`.
+
+    Attributes:
+        run: the drive's name.
+        period: of the log [s].
+        phase: at the drive's first command, in periods.
+        drift: how fast the phase moves [periods/s].
+        log_likelihood: gain over a constant delay [nats].
+    """
+
+    run: str
+    period: float
+    phase: float
+    drift: float
+    log_likelihood: float
+
+    def delay(self, t: Array) -> Array:
+        """How late commands logged at `t` were stored [s]."""
+        delayed: Array = self.period * np.mod(self.phase + self.drift * t, 1.0)
+        return delayed
+
+    def describe(self) -> tuple[str, str]:
+        """What was found, and what was done about it."""
+        late, drift = 1e3 * self.period, 1e3 * abs(self.drift) * self.period
+        found = f"{self.run}: steering stored 0 to {late:.0f} ms late"
+        return found, f"(two timers drift apart by {drift:.1f} ms/s), corrected"
 
 
 class Signal(NamedTuple):

@@ -14,8 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sysid.data.dataset import Run, Signal, hold_means, pose_speed
-from steerd.sysid.data.log_jitter import LogJitter
+from steerd.sysid.data.dataset import LogJitter, Run, Signal, hold_means, pose_speed
 
 Array = NDArray[np.float64]
 

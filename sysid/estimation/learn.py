@@ -22,8 +22,13 @@ from steerd.sysid.estimation.multistart import (
     mark_ambiguous,
     scatter,
 )
-from steerd.sysid.estimation.outcome import HeldOut, Outcome
-from steerd.sysid.estimation.outcome_rows import make_effect_rows, make_rows, searched_estimates
+from steerd.sysid.estimation.outcome import (
+    HeldOut,
+    Outcome,
+    make_effect_rows,
+    make_rows,
+    searched_estimates,
+)
 from steerd.sysid.estimation.plain_start import possible_starts
 from steerd.sysid.estimation.preparation import (
     add_command_history,

@@ -1,20 +1,24 @@
 """What an identification came to, whatever the method: for the screen, JSON and the report."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite, isnan
+from math import isfinite, isnan, nan
 from typing import Any, NamedTuple
 
-from steerd.car_model.params import Car
+import numpy as np
+
+from steerd.car_model.effects import EFFECTS
+from steerd.car_model.model import Model
+from steerd.car_model.params import PARAMETERS, Car
+from steerd.sysid.data.dataset import LogJitter
 from steerd.sysid.data.excitation import Excitation
-from steerd.sysid.data.log_jitter import LogJitter
 from steerd.sysid.estimation.fit import Fit
 from steerd.sysid.estimation.servo_pulse import Pulse
 from steerd.sysid.estimation.setpoint_ramp import Ramp
 from steerd.sysid.estimation.validation import Prediction, Regime, Trace
-from steerd.sysid.inference.identifiability import Combination
+from steerd.sysid.inference.identifiability import MANOEUVRES, RELATIVE_MAX, Combination, Estimate
 from steerd.sysid.inference.teaching import Step
-from steerd.sysid.paper.search_history import SearchHistory
+from steerd.sysid.paper.search_history import NAMES, SearchHistory
 
 SCHEMA = "steerd.identify/1"
 REPORTED: tuple[str, ...] = (
@@ -179,3 +183,55 @@ def encode_outcome(outcome: Outcome) -> dict[str, Any]:
         "misfit": None if outcome.fit is None else outcome.fit.misfit,
         "notes": list(outcome.notes),
     }
+
+
+def make_rows(
+    given: Car[float], after: Car[float], known: Mapping[str, Estimate]
+) -> dict[str, Row]:
+    """A row for each parameter of the car; what is not among the estimates was not free."""
+    return {
+        p.name: _row(getattr(after, p.name), getattr(given, p.name), p.unit, known.get(p.name))
+        for p in PARAMETERS
+    }
+
+
+def make_effect_rows(
+    start: Model[float], after: Model[float], known: Mapping[str, Estimate]
+) -> dict[str, Row]:
+    """A row for each free parameter of the effects that the car came out with."""
+    before = {
+        f"{e.name}.{p.name}": value
+        for e, values in zip(start.effects, start.values, strict=True)
+        for p, value in zip(e.parameters, values, strict=True)
+    }
+    rows = {}
+    for effect in after.effects:
+        for p in EFFECTS[effect.name].parameters:
+            name = f"{effect.name}.{p.name}"
+            if name in known:
+                found = known[name]
+                rows[name] = _row(found.value, before.get(name, p.null), p.unit, found)
+    return rows
+
+
+def _row(value: float, before: float, unit: str, found: Estimate | None) -> Row:
+    if found is None:
+        return Row(float(value), float(before), None, unit, False, False)
+    sd = None if np.isnan(found.sd) else found.sd
+    return Row(float(value), float(before), sd, unit, True, found.identifiable, found.manoeuvre)
+
+
+def searched_estimates(searches: Sequence[SearchHistory]) -> dict[str, Estimate]:
+    """What the searches of the paper's methods found.
+
+    A search has no standard error; the spread over its starts stands for it.
+    """
+    sound = [search for search in searches if not search.diverged]
+    best = min(sound, key=lambda search: float(search.losses[-20:].mean())).final
+    finals = np.array([search.final for search in sound])
+    spread = finals.std(axis=0, ddof=1) if len(finals) > 1 else np.full(len(NAMES), nan)
+    out = {}
+    for name, value, sd in zip(NAMES, best.tolist(), spread.tolist(), strict=True):
+        known = sd < RELATIVE_MAX * value
+        out[name] = Estimate(value, sd, nan, known, "" if known else MANOEUVRES[name])
+    return out

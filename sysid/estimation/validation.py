@@ -22,8 +22,7 @@ from steerd.car_model.native.windows import (
 )
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.windows import Layout, estimate_noise, make_layout, speed_range
-from steerd.sysid.inference.engine import STATE_SPREAD
-from steerd.sysid.inference.stability import stable_substeps
+from steerd.sysid.inference.engine import STATE_SPREAD, stable_substeps
 from steerd.sysid.inference.superset import prescribe_speed
 
 Array = NDArray[np.float64]

@@ -143,7 +143,8 @@ def taught_car(base: CarFile, taught: Taught) -> CarFile:
         values=tuple(own[e.name] for e in chosen),
         sd={**base.sd, **{n: v for n, v in sd.items() if "." not in n or n.split(".")[0] in own}},
     )
-    return with_sections(moved, known, taught.noise)
+    tables = {"noise": noise_section(taught.noise), "knowledge": knowledge_section(known)}
+    return replace(moved, sections={**moved.sections, **tables})
 
 
 def _doubtful(taught: Taught, covariance: Array) -> Array:
@@ -173,12 +174,6 @@ def _as_mounted(taught: Taught, covariance: Array) -> Array:
     known = np.outer(own, own) / (own[place] + mounted)
     moved: Array = covariance - known + np.outer(left_out, left_out)
     return moved
-
-
-def with_sections(base: CarFile, known: Knowledge, noise: Noise) -> CarFile:
-    """The base with what its drives taught beyond its values."""
-    tables = {"noise": noise_section(noise), "knowledge": knowledge_section(known)}
-    return replace(base, sections={**base.sections, **tables})
 
 
 def _structures(taught: Taught) -> list[str]:

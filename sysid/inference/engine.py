@@ -5,6 +5,7 @@ Unknown are the coordinates `z` (n,) of a hypothesis and each window's start `x`
 
 # Why: docs/decisions/diagnosis.md#d51
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from steerd.car_model.chassis import KINEMATIC_RATE, dynamic_share
 from steerd.car_model.native.windows import (
     STATES,
     HeldCommands,
@@ -21,12 +23,14 @@ from steerd.car_model.native.windows import (
     delays_of,
     model_of,
 )
+from steerd.car_model.numpy_ops import NUMPY
+from steerd.car_model.params import Car
+from steerd.car_model.rollout import stiffness_rate
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import speed_range
 from steerd.sysid.inference.knowledge import EDGES
 from steerd.sysid.inference.readings import HORIZON, Readings, make_readings
 from steerd.sysid.inference.space import Space
-from steerd.sysid.inference.stability import stable_substeps
 from steerd.sysid.inference.superset import Superset
 from steerd.sysid.inference.values import INTEGRATOR, predicted
 
@@ -46,6 +50,9 @@ WILD_SHARE = 0.5
 """Share of such windows above which the whole simulation counts as diverged."""
 WILD_ERROR = 1.0
 """What every reading of such a window is taken to be off by, whatever is changed [m, rad, ...]."""
+DECAY_MAX = {"rk4": 2.0, "midpoint": 1.4, "euler": 1.4}
+"""Decay per step that is surely stable (the limits are 2.78, 2 and 2)."""
+SUBSTEPS_MAX = 16
 
 
 class Padded(NamedTuple):
@@ -275,3 +282,24 @@ def take_windows(engine: Engine, chosen: NDArray[np.bool_]) -> Engine:
         slot=None if engine.readings.slot is None else engine.readings.slot[rows],
     )
     return replace(engine, readings=readings, padded=pad_rows(readings))
+
+
+def decay_rate(car: Car[float], slowest: float, fastest: float) -> float:
+    """Fastest decay of yaw rate and slip between two speeds [1/s].
+
+    Below walking pace the tyre equations fade into the kinematic ones, so the rate stays bounded.
+    """
+    speeds = np.linspace(slowest, fastest, 32)
+    share = np.asarray(dynamic_share(NUMPY, speeds), float)
+    tyres = np.array([stiffness_rate(car, float(v)) for v in speeds])
+    return float(np.max(share * tyres + (1.0 - share) * KINEMATIC_RATE))
+
+
+def stable_substeps(
+    car: Car[float], slowest: float, fastest: float, h: float, integrator: str = "rk4"
+) -> int:
+    """Integration steps that a step of `h` seconds needs for speeds in this range [m/s]."""
+    rate = decay_rate(car, slowest, fastest)
+    if not math.isfinite(rate):
+        return SUBSTEPS_MAX
+    return min(max(1, math.ceil(h * rate / DECAY_MAX[integrator])), SUBSTEPS_MAX)

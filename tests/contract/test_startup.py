@@ -6,6 +6,7 @@ should wait for them to read that a file does not exist.
 
 import argparse
 import importlib
+import os
 import subprocess
 import sys
 
@@ -69,7 +70,8 @@ def load(line: str, folder: object) -> tuple[int, str, set[str]]:
         "sys.exit(code)\n"
     )
     argv = [sys.executable, "-c", code, *line.split()]
-    done = subprocess.run(argv, capture_output=True, text=True, check=False, cwd=str(folder))
+    here = {**os.environ, "XDG_DATA_HOME": str(folder)}
+    done = subprocess.run(argv, capture_output=True, text=True, check=False, cwd=folder, env=here)
     said, _, loaded = done.stderr.rpartition("loaded")
     return done.returncode, said, set(loaded.split())
 

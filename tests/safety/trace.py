@@ -48,7 +48,7 @@ TRACES = {
         also="live: mocap silent",
     ),
     "W2": Trace(
-        _HERE + "_check_pose",
+        _HERE + "_check_poses",
         _names("freeze_warn freeze_frames freeze_speed"),
         ("M2", "P5"),
         also="live: mocap frozen",
@@ -66,13 +66,13 @@ TRACES = {
         also="live: mocap jumps",
     ),
     "W5": Trace(
-        _HERE + "_check_innovation",
+        _HERE + "_check_poses",
         _names("nis_frames nis_share nis_window mocap_rate"),
         ("C13", "P6"),
     ),
     "W6": Trace(_HERE + "_check_estimate", _names("sigma_position sigma_yaw"), ("C6", "P5")),
     "W7": Trace(
-        _HERE + "_check_telemetry",
+        _HERE + "_check_vesc",
         _names("telemetry_warn telemetry"),
         ("V4", "P5"),
         also="live: VESC mute",
@@ -87,7 +87,7 @@ TRACES = {
     "W10": Trace(_HERE + "_check_vesc", (), ("V19", "P5"), also="live: kill switch"),
     "W11": Trace(_HERE + "_check_vesc", (), ("V13", "P5"), also="live: VESC fault"),
     "W12": Trace(_HERE + "_step_vesc", (), ("C7", "P5"), also="live: VESC reboots"),
-    "W13": Trace(_HERE + "_check_battery", _names("cell_warn cell cell_hold"), ("V16b", "P5")),
+    "W13": Trace(_HERE + "_check_vesc", _names("cell_warn cell cell_hold"), ("V16b", "P5")),
     "W14": Trace(
         _HERE + "_check_temperature", _names("fet_warn fet motor_warn motor"), ("V17b", "P5")
     ),

@@ -22,9 +22,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.daemon.common.screen import clean
 from steerd.daemon.many.batch.unit import day_of
+from steerd.sysid.report.report import Table
 
 Array = NDArray[np.float64]
+Rows = Sequence[Mapping[str, Any]]
 CHANCE = 1e-3
 """Probability that a batch without any change reports one."""
 LEAST = 6
@@ -230,3 +233,23 @@ def make_band(s: Series) -> Band:
         rows.append((s.start[mine].mean(), mean, _WIDE / sqrt(total)))
     start, mean, half = np.array(rows).T
     return Band(start, mean, half)
+
+
+def nothing_changed(series: int) -> str:
+    """Why no change is named: none was found, or none could be."""
+    if not series:
+        return f"no car has the {LEAST} drives from which a change could be seen"
+    return f"no change beyond what chance explains, in {series} series"
+
+
+def tabulate_changes(changes: Sequence[Change]) -> Table:
+    """A row for each change."""
+    heads = ("car", "quantity", "since", "between", "before", "after", "± (difference)", "sigma")
+    rows = [
+        (
+            clean(c.car, 13), clean(c.quantity, 24), c.day, f"{c.earliest} to {c.latest}",
+            f"{c.before:.4g}", f"{c.after:.4g}", f"{c.sd:.2g}", f"{c.sigmas:.0f}",
+        )
+        for c in changes
+    ]  # fmt: skip
+    return Table(heads, rows, words=(1,))

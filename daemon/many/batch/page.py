@@ -8,8 +8,15 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
-from steerd.daemon.many.batch.changes import Change, Series, make_band, split_series
-from steerd.daemon.many.batch.run import Rows, nothing_changed, tabulate_changes
+from steerd.daemon.many.batch.changes import (
+    Change,
+    Rows,
+    Series,
+    make_band,
+    nothing_changed,
+    split_series,
+    tabulate_changes,
+)
 from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_grid, to_svg
 from steerd.sysid.report.report import Report, Section, Table
 

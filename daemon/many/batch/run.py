@@ -1,15 +1,22 @@
 """`steerd.batch`: hundreds of sessions, each a row; what changed on which car, and when."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from steerd.daemon.common.screen import clean, shown, wrap
 from steerd.daemon.common.written import write_outputs
-from steerd.daemon.many.batch.changes import LEAST, Change, Series, find_changes, list_series
+from steerd.daemon.many.batch.changes import (
+    Change,
+    Rows,
+    Series,
+    find_changes,
+    list_series,
+    nothing_changed,
+    tabulate_changes,
+)
 from steerd.daemon.many.batch.unit import (
     Kind,
     Question,
@@ -23,7 +30,7 @@ from steerd.daemon.many.batch.unit import (
 from steerd.daemon.many.journal import Row
 from steerd.daemon.many.tables import Column, encode_table, save_table
 from steerd.daemon.many.units import FAILED, Done, Where, work_through
-from steerd.sysid.report.report import Table, format_table
+from steerd.sysid.report.report import format_table
 
 DONE = "done"
 _HEAD = (
@@ -175,7 +182,6 @@ def _finish(row: Row) -> Row:
     return row if start is None else row | {"day": day_of(start)}
 
 
-Rows = Sequence[Mapping[str, Any]]
 _FAILURES, _CHANGES = 5, 12
 """Lines of each that are shown."""
 
@@ -219,23 +225,3 @@ def _changes(changes: Sequence[Change], series: int) -> Iterator[str]:
     yield from format_table(table.pick("car", "quantity", "since", "before", "after", "sigma"))
     if len(changes) > _CHANGES:
         yield f"and {len(changes) - _CHANGES} more: see the table or --page"
-
-
-def nothing_changed(series: int) -> str:
-    """Why no change is named: none was found, or none could be."""
-    if not series:
-        return f"no car has the {LEAST} drives from which a change could be seen"
-    return f"no change beyond what chance explains, in {series} series"
-
-
-def tabulate_changes(changes: Sequence[Change]) -> Table:
-    """A row for each change."""
-    heads = ("car", "quantity", "since", "between", "before", "after", "± (difference)", "sigma")
-    rows = [
-        (
-            clean(c.car, 13), clean(c.quantity, 24), c.day, f"{c.earliest} to {c.latest}",
-            f"{c.before:.4g}", f"{c.after:.4g}", f"{c.sd:.2g}", f"{c.sigmas:.0f}",
-        )
-        for c in changes
-    ]  # fmt: skip
-    return Table(heads, rows, words=(1,))

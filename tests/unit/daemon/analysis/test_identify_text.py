@@ -12,8 +12,8 @@ from steerd.daemon.analysis.drives import Drives
 from steerd.daemon.analysis.identification import Identification
 from steerd.daemon.analysis.options import IdentifyOptions
 from steerd.daemon.settings.run_options import RunOptions, encode_options
+from steerd.sysid.data.dataset import LogJitter
 from steerd.sysid.data.excitation import Excitation
-from steerd.sysid.data.log_jitter import LogJitter
 from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row
 from steerd.sysid.estimation.validation import Prediction, Regime
 from steerd.sysid.inference.teaching import Step

@@ -5,14 +5,7 @@ import pytest
 
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.disturbance_response import responses
-from steerd.sysid.inference.likelihood import (
-    DISCREPANCY,
-    DISCREPANCY_MEMORY,
-    SIZES,
-    SPUN_SHARE,
-    loss_of,
-    take_some,
-)
+from steerd.sysid.inference.likelihood import SIZES, loss_of, take_some
 from steerd.sysid.inference.noise import covariance, shapes, slip_shape
 from steerd.sysid.inference.search import stand, with_size
 from tests.unit.sysid.inference.conftest import NOISE
@@ -27,8 +20,8 @@ def dense(healthy):
     seen = responses(healthy, parameters, x, BODY)
     slip = slip_shape(healthy, healthy.error_at(parameters, x))
     own = covariance(healthy, NOISE, [*shapes(healthy, seen, BODY), slip])
-    pushes = shapes(healthy, seen, BODY, DISCREPANCY_MEMORY)
-    return own, sum(size**2 * p for size, p in zip(DISCREPANCY, pushes, strict=True))
+    pushes = shapes(healthy, seen, BODY, c.DISCREPANCY_MEMORY)
+    return own, sum(size**2 * p for size, p in zip(c.DISCREPANCY, pushes, strict=True))
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +134,7 @@ def test_a_window_in_which_the_car_spins_hardly_pulls_and_decides_little(likelih
     usual = spun.dof[2] * np.log1p(spun.square[2] / spun.dof[2])
     bounded = spun.dof[2] * np.log1p(c.SPUN)
     found = loss_of(spun.square, spun.dof)[2]
-    assert found == pytest.approx(bounded + SPUN_SHARE * (usual - bounded))
+    assert found == pytest.approx(bounded + c.SPUN_SHARE * (usual - bounded))
 
 
 def test_a_weight_is_the_slope_of_the_loss(likelihood, small):

@@ -19,6 +19,7 @@ from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import make_blocks
 from steerd.sysid.estimation.fit import fit_of_plain
+from steerd.sysid.inference.engine import stable_substeps
 from steerd.sysid.inference.plain_car import (
     DEFAULT_FREE,
     TYRES,
@@ -27,7 +28,6 @@ from steerd.sysid.inference.plain_car import (
     search_blocks,
     search_rough,
 )
-from steerd.sysid.inference.stability import stable_substeps
 from steerd.sysid.inference.superset import prescribe_speed
 
 SLID = (0.18917528114233922, 0.29462271010112046, 5.025340279936621, 2.177483451231206)
