@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # The tests start Python hundreds of times: let it keep what it compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install car lock demo test lint types layers docs unit all-tests safety bench size clean
+.PHONY: help install car lock demo test lint types layers docs unit all-tests safety bench media size clean
 help:            ## this list
 	@grep -hE '^[a-z]+: .*##|^[a-z]+:  +##' Makefile | sed 's/:.*##/\t/'
 
@@ -63,6 +63,9 @@ all-tests: install
 	# A machine that stalls for 30 ms rightly stops a car; such a drive is driven again, twice at most;
 	# the run fails if more than a tenth of them needed that (tests/conftest.py).
 	$(PYTEST) -m realtime --reruns 2
+
+media: install    ## draw the pictures of README and tutorial from their own commands (needs Chromium)
+	$(BIN)/python -m tests.media
 
 bench: install     ## measure everything; writes docs/results/performance.md (20 minutes)
 	$(BIN)/python -m pip install --quiet --progress-bar off -c constraints.txt --group bench

@@ -160,7 +160,7 @@ def _check_estimate(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.covariance_ok and not known:
         report(make_unknown("W6", "no estimate yet"))
     elif not (good and i.covariance_ok):
-        text = f"sigma {i.sigma_position:.3f} m, {degrees(i.sigma_yaw):.1f} deg"
+        text = f"sigma {i.sigma_position:.3f} m, {degrees(i.sigma_yaw):.1f}°"
         report(make_finding("W6", text if i.covariance_ok else "covariance not positive definite"))
 
 
@@ -210,7 +210,7 @@ def _check_path(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if not isfinite(heading):
         report(make_unknown("W18", "no heading error"))
     elif heading > th.heading_warn:
-        text = f"{degrees(heading):.0f} deg"
+        text = f"{degrees(heading):.0f}°"
         report(make_finding("W18", text, _WARN if heading <= th.heading else None))
 
 

@@ -171,8 +171,8 @@ def _figures(s: _Tables, track: Track | None) -> tuple[tuple[str, str], ...]:
         running = state["mode"] == SupervisorState.RUNNING
         e1 = settled_errors(state, s.seconds)
         if e1.size:
-            facts.append(("lateral error RMS, after 3 s", f"{100 * rms(e1):.2f} cm"))
-            facts.append(("largest", f"{100 * e1.max():.2f} cm"))
+            facts.append(("lateral error RMS, after 3 s", f"{1e3 * rms(e1):.1f} mm"))
+            facts.append(("largest", f"{1e3 * e1.max():.1f} mm"))
         if running.any():
             facts.append(("fastest", f"{np.nanmax(state['speed'][running]):.2f} m/s"))
     if tick is not None and len(tick["due_ns"]):
@@ -185,7 +185,7 @@ def _figures(s: _Tables, track: Track | None) -> tuple[tuple[str, str], ...]:
 
 def _lane_errors(s: _Tables) -> Panel:
     return Panel(
-        "lateral error e1", "cm", tuple(s.curve(topics.STATE, "e1", "e1", "estimate", 100.0))
+        "lateral error e1", "mm", tuple(s.curve(topics.STATE, "e1", "e1", "estimate", 1e3))
     )
 
 

@@ -1,6 +1,7 @@
 """What the learner reported during a drive, as panels of the plot page."""
 
 from dataclasses import replace
+from math import degrees
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ class Shown(NamedTuple):
 
 PANELS: tuple[Shown, ...] = (
     Shown("learnt: gains", "", ("steer_gain", "speed_gain")),
-    Shown("learnt: steering bias", "mrad", ("steer_bias",), 1e3),
+    Shown("learnt: steering bias", "°", ("steer_bias",), degrees(1.0)),
     Shown("learnt: steering dead time and lag", "ms", ("steer_delay", "steer_lag"), 1e3),
     Shown("learnt: cornering coefficients", "1/rad", ("c_sf", "c_sr")),
 )

@@ -13,7 +13,6 @@ from steerd.daemon.many.sweep.measures import DRIVEN, STOPPED
 from steerd.daemon.many.sweep.plan import Choice, SweepPlan
 from steerd.daemon.many.sweep.summary import STOPS, Sensitivity, Summary, column
 from steerd.daemon.many.sweep.text import (
-    SCALES,
     UNITS,
     list_strongest,
     name_measure,
@@ -21,7 +20,7 @@ from steerd.daemon.many.sweep.text import (
     tabulate_spreads,
 )
 from steerd.sysid.report.drawing import AFTER, BEFORE, STYLE, make_grid, to_svg
-from steerd.sysid.report.report import Cell, Report, Section, Table
+from steerd.sysid.report.report import SCALES, Cell, Report, Section, Table
 
 Rows = Sequence[Mapping[str, Any]]
 _BINS = 30

@@ -62,24 +62,34 @@ class Share:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How much of a measure's ranks one varied quantity explains.
+    """How much of a measure's ranks one varied quantity explains, and how far it moves it.
 
     Attributes:
         quantity, measure: their names.
         value: rank correlation (Spearman's rho) of numbers; of a list of texts the correlation
             ratio of the ranks, which has no sign.
         least: what chance alone exceeds in one case in twenty.
+        start, end: mean of the measure over the fifth of the drives with the lowest and with the
+            highest values of the quantity; of texts, over those with the least and the greatest.
     """
 
     quantity: str
     measure: str
     value: float
     least: float
+    start: float
+    end: float
 
     @property
     def shown(self) -> bool:
         """Whether these drives show a dependence."""
         return abs(self.value) > self.least
+
+    @property
+    def size(self) -> float:
+        """The move as a share of the larger of the two means."""
+        largest = max(abs(self.start), abs(self.end))
+        return abs(self.end - self.start) / largest if largest > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -149,12 +159,15 @@ def _sensitivities(plan: SweepPlan, rows: Sequence[Mapping[str, Any]]) -> list[S
                 continue
             if given is not None and np.ptp(given[known]) > 0.0:
                 value, groups = _rank_correlation(given[known], seen[known]), 2
+                means = _outer_means(given[known], seen[known])
             elif texts is not None and len(set(texts[known])) > 1:
                 value, groups = _correlation_ratio(texts[known], seen[known])
+                each = [float(seen[known & (texts == text)].mean()) for text in set(texts[known])]
+                means = min(each), max(each)
             else:
                 continue
             least = _Z * sqrt((groups - 1) / (known.sum() - 1))
-            found.append(Sensitivity(quantity.name, name, value, min(least, 1.0)))
+            found.append(Sensitivity(quantity.name, name, value, min(least, 1.0), *means))
     return found
 
 
@@ -163,6 +176,12 @@ def rank(values: Array) -> Array:
     _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
     last = np.cumsum(counts)
     return np.asarray((last - 0.5 * (counts - 1))[index], dtype=np.float64)
+
+
+def _outer_means(given: Array, seen: Array) -> tuple[float, float]:
+    """Means of a measure over the lowest and the highest fifth of a quantity, ties included."""
+    low, high = np.quantile(given, (0.2, 0.8))
+    return float(seen[given <= low].mean()), float(seen[given >= high].mean())
 
 
 def _rank_correlation(one: Array, other: Array) -> float:

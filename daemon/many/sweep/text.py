@@ -7,12 +7,10 @@ from steerd.daemon.common.screen import clean, wrap
 from steerd.daemon.many.sweep.measures import DRIVEN, MEASURES
 from steerd.daemon.many.sweep.plan import SweepPlan
 from steerd.daemon.many.sweep.summary import Sensitivity, Summary
-from steerd.sysid.report.report import Table, format_table
+from steerd.sysid.report.report import SCALES, Table, format_table
 
 UNITS = {c.name: c.unit for c in MEASURES}
 """SI unit by measure."""
-SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (57.29577951308232, "°")}
-"""Unit that people read, by the SI unit: factor and name."""
 _SHOWN = 8
 """Dependences that are shown."""
 
@@ -30,8 +28,11 @@ def describe_sweep(
     parts = [tabulate_ends(summary), tabulate_spreads(summary)]
     strong = list_strongest(summary)[:_SHOWN]
     if strong:
-        found = [(s.quantity, s.measure, f"{s.value:+.2f}") for s in strong]
-        parts.append(Table(("what moves", "what", "rank correlation"), found, words=(1,)))
+        found = [
+            (s.quantity, name_measure(s.measure), *_ends(s), f"{s.value:+.2f}") for s in strong
+        ]
+        heads = ("what moves", "what", "from", "to", "rank correlation")
+        parts.append(Table(heads, found, words=(1,)))
     return "\n".join([*lines, *(line for part in parts for line in ("", *format_table(part)))])
 
 
@@ -56,8 +57,14 @@ def tabulate_spreads(summary: Summary) -> Table:
 
 
 def list_strongest(summary: Summary) -> list[Sensitivity]:
-    """Dependences that the drives show, the strongest first."""
-    return sorted((s for s in summary.sensitivities if s.shown), key=lambda s: -abs(s.value))
+    """Dependences that the drives show, by how far the measure moves."""
+    return sorted((s for s in summary.sensitivities if s.shown), key=lambda s: -s.size)
+
+
+def _ends(s: Sensitivity) -> tuple[str, str]:
+    """What the measure is for low and for high values of the quantity."""
+    factor, _ = SCALES.get(UNITS.get(s.measure, ""), (1.0, ""))
+    return f"{factor * s.start:.3g}", f"{factor * s.end:.3g}"
 
 
 def name_measure(name: str) -> str:

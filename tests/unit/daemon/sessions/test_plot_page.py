@@ -83,8 +83,8 @@ def test_the_curves_are_the_recorded_numbers(tmp_path):
     assert late["name"] == "late"
     assert 0.9 < late["high"] <= 1.0
     facts = dict(data["facts"])
-    assert facts["lateral error RMS, after 3 s"] == "2.00 cm"
-    assert facts["largest"] == "2.00 cm"
+    assert facts["lateral error RMS, after 3 s"] == "20.0 mm"
+    assert facts["largest"] == "20.0 mm"
     assert data["states"] == [[0.0, "ARMED"], [0.0, "RUNNING"]]
 
 
