@@ -32,7 +32,7 @@ from steerd.daemon.process.learner_memory import LearnerMemory, recall_learnt
 from steerd.daemon.process.page_job import make_page_job
 from steerd.daemon.process.prepared import CORE, Prepared, hand_over, prepare
 from steerd.daemon.process.view_job import make_view_job
-from steerd.daemon.settings.run_options import encode_options
+from steerd.daemon.settings.run_options import ControllerKind, encode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
 
 READY_S = 30.0
@@ -255,7 +255,7 @@ def start_processes(
         # are ready waits in its pipes.
         meta = make_metadata(plan, boot_id, epoch_ns, leased=leased) | dict(memory.metadata)
         started.append(_start_recorder(plan, session, meta, epoch_ns, pipes))
-        started.append(_start_gateway(plan, pipes, gateway_end.fileno()))
+        started.append(_start_gateway(plan, pipes, gateway_end.fileno(), boot_id))
         job = _make_core_job(plan, boot_id, epoch_ns, leased)
         started.append(_start_core(core or prepare(CORE), fds, job))
         viewer_requests = None
@@ -381,9 +381,11 @@ def _start_viewer(plan: RunPlan, pipe_fd: int) -> tuple[Child, socket.socket | N
     return child, ours
 
 
-def _start_gateway(plan: RunPlan, pipes: Mapping[str, tuple[int, int]], requests_fd: int) -> Child:
-    mocap = plan.options.mocap or ""
-    pose_key = parse_mocap_url(mocap).key if mocap.startswith("zenoh:") else None
+def _start_gateway(
+    plan: RunPlan, pipes: Mapping[str, tuple[int, int]], requests_fd: int, boot_id: int
+) -> Child:
+    mocap = plan.options.mocap
+    pose_key = (parse_mocap_url(mocap).key or None) if mocap else None
     job = {
         "listen": plan.options.listen,
         "lab": plan.options.lab,
@@ -391,6 +393,7 @@ def _start_gateway(plan: RunPlan, pipes: Mapping[str, tuple[int, int]], requests
         "car": plan.options.car,
         "pose_key": pose_key,
         "ros_domain": plan.options.ros_domain,
+        "ros_drive": boot_id if plan.options.controller is ControllerKind.ROS2 else None,
     }
     fds = {"pipe": pipes["gateway"][0], "requests": requests_fd} | reader_fds(pipes, "gateway")
     return spawn("steerd.daemon.process.gateway", fds, job)

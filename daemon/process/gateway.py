@@ -24,7 +24,9 @@ from steerd.daemon.ipc.report_pipe import ReportPipe
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.bus_operator import STOPS
 from steerd.daemon.process.ros_bridge import RosBridge
+from steerd.daemon.process.ros_drive import RosDrive
 from steerd.daemon.process.views import Views
+from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError, Keep, Subscription
 from steerd.steer_bus.codec import CodecError, decode, encode
@@ -68,10 +70,16 @@ class Gateway:
     """One car on the bus, and in ROS's graph if there is a bridge."""
 
     def __init__(
-        self, bus: Bus, car: str, pose_key: str | None, ros: RosBridge | None = None
+        self,
+        bus: Bus,
+        car: str,
+        pose_key: str | None,
+        ros: RosBridge | None = None,
+        drive: RosDrive | None = None,
     ) -> None:
         self._bus = bus
-        self._ros = ros
+        self._ros, self._drive = ros, drive
+        self._commands: list[bytes] = []
         self._car = car
         self._views = Views()
         self._requests: list[tuple[Topic, Subscription]] = [
@@ -94,6 +102,9 @@ class Gateway:
     def publish_records(self, records: Iterable[PipeRecord]) -> None:
         """Publish records, each with its standard ROS message."""
         for record in records:
+            if self._drive is not None and record.topic is topics.STATE:
+                command = self._drive.answer(decode(m.StateMessage, record.data))
+                self._commands += [] if command is None else [command]
             for each in (record, *self._views.convert(record)):
                 if each.topic is topics.MODEL:
                     self._model = each.data
@@ -110,6 +121,9 @@ class Gateway:
             for sample in subscription.poll():
                 who = sample.key.removeprefix(make_key(self._car, topic)).removeprefix("/")
                 _send(core, known, seal(topic, sample.data, who))
+        for command in self._commands:
+            _send(core, topics.DRIVE, seal(topics.DRIVE, command, ""))
+        self._commands.clear()
         for topic, subscription in self._plain:
             for sample in subscription.poll():
                 if len(sample.data) <= REQUEST_MAX:
@@ -154,7 +168,9 @@ def main() -> int:
         with ZenohBus(_make_profile(options)) as bus:
             domain = options["ros_domain"]
             ros = None if domain is None else RosBridge(bus, options["car"], domain)
-            gateway = Gateway(bus, options["car"], options["pose_key"], ros)
+            boot_id = options["ros_drive"]
+            drive = None if boot_id is None else RosDrive(bus, domain, boot_id)
+            gateway = Gateway(bus, options["car"], options["pose_key"], ros, drive)
             os.write(ready_fd, b"ready\n")
             os.close(ready_fd)
             run_gateway(gateway, pipe_fd, core, ReportPipe(next(iter(reported), None)))

@@ -2,10 +2,17 @@
 
 steerd effects
 steerd effects steer_backlash
+steerd effects --add my_effect.py       # build one of your own into the library
+
+An effect that was added is simulated, identified and named like any other, in
+every command, car file and notebook of this installation. Building takes a
+minute and a C compiler (`pip install ziglang`).
 """
 
 import argparse
+from pathlib import Path
 
+from steerd.daemon.cli.inputs import reads_file
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
@@ -14,14 +21,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("name", nargs="?", metavar="NAME", help="one effect, or an alias of it")
     parser.add_argument("--json", action="store_true", help="the same for programs")
     parser.add_argument("--page", action="store_true", help="the same as a Markdown page")
+    own = parser.add_argument_group("effects of your own").add_mutually_exclusive_group()
+    reads_file(own.add_argument("--add", type=Path, metavar="FILE.py", help="add those of a file"))
+    own.add_argument("--remove", type=Path, metavar="FILE.py", help="take them away again")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the table, or one effect.
 
     Raises:
-        SteerdError: there is no effect of that name.
+        SteerdError: there is no effect of that name, or none can be added or removed.
     """
+    if args.add or args.remove:
+        return _change(args)
     from steerd.car_model.effects import EFFECTS, find_effect
     from steerd.daemon.analysis.effects_text import (
         format_effect,
@@ -43,4 +55,14 @@ def run(args: argparse.Namespace) -> int:
         print(make_page(), end="")
     else:
         print(format_effect(effect) if effect else format_table())
+    return ExitCode.OK
+
+
+def _change(args: argparse.Namespace) -> int:
+    from steerd.daemon.common.progress import show_progress
+    from steerd.daemon.setup.own_effect import add_effect, remove_effect
+
+    with show_progress("compiling the equations", 1.0):
+        names = add_effect(args.add) if args.add else remove_effect(args.remove)
+    print(f"added: {', '.join(names)}; try: steerd effects {names[0]}" if names else "removed")
     return ExitCode.OK

@@ -39,7 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--mocap",
         metavar="URL",
-        help="natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY or zenoh:KEY",
+        help="natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY, ros2:///TOPIC or "
+        "zenoh:KEY",
     )
     where.add_argument("--sim", action="store_true", help="simulated hardware on a pty and sockets")
     where.add_argument("--fast", action="store_true", help="with --sim: virtual time, repeatable")
@@ -65,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--controller",
         choices=[kind.value for kind in ControllerKind],
         default="lane",
-        help="zenoh: apply the commands of `steerd control`",
+        help="zenoh: apply the commands of `steerd control`; ros2: those of a ROS node's /drive",
     )
     _add_network_arguments(run)
 
@@ -150,8 +151,9 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         _check_view(args)
     if args.page is not None:
         _check_page(args)
-    if args.ros_domain is not None:
-        _check_domain(args)
+    ros = args.controller == ControllerKind.ROS2 or str(args.mocap).startswith("ros2:")
+    if ros or args.ros_domain is not None:
+        _check_ros(args)
     if args.adapt:
         _check_adapt(args)
     listen = _choose_endpoint(args)
@@ -224,15 +226,15 @@ def _choose_endpoint(args: argparse.Namespace) -> str:
     return endpoint
 
 
-def _check_domain(args: argparse.Namespace) -> None:
+def _check_ros(args: argparse.Namespace) -> None:
     from steerd.steer_bus.ros_keys import DOMAIN_MAX
 
-    if not 0 <= args.ros_domain <= DOMAIN_MAX:
+    if not 0 <= (args.ros_domain or 0) <= DOMAIN_MAX:
         what = f"--ros-domain {args.ros_domain}: 0 to {DOMAIN_MAX}"
         raise SteerdError(what, "", ExitCode.USAGE)
     if args.lab is not None:
         what = "the hub of a lab passes steerd's own topics only, not those of ROS"
-        raise SteerdError(what, "drop --lab or --ros-domain", ExitCode.USAGE)
+        raise SteerdError(what, "drop --lab, or --ros-domain and what is ros2", ExitCode.USAGE)
 
 
 def _check_view(args: argparse.Namespace) -> None:
