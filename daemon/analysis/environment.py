@@ -72,6 +72,7 @@ class Environment(_Base):  # type: ignore[misc]
             raise SteerdError(f"every {every}: 1 or more", "", ExitCode.USAGE)
         # The drive itself is longer: its end belongs to the episode's truncation.
         self._plan = plan_drive(car, path, speed, duration + 1.0, 0, effects, external=True)
+        make_world_config(self._plan)  # refuses effects that there are not
         self._ticks, self._every, self._reward = round(duration * 100.0), every, reward
         self._action: tuple[float, float] = (0.0, 0.0)
         self._left = 0

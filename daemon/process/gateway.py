@@ -16,7 +16,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, make_badge, pack_request
 from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
@@ -24,7 +24,6 @@ from steerd.daemon.ipc.report_pipe import ReportPipe
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.bus_operator import STOPS
 from steerd.daemon.process.ros_bridge import RosBridge
-from steerd.daemon.process.ros_drive import RosDrive
 from steerd.daemon.process.views import Views
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -33,6 +32,9 @@ from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import load_lab
 from steerd.steer_bus.topics import LAST_MODEL, Topic, alive_key, make_key, schema_replies
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
+
+if TYPE_CHECKING:
+    from steerd.daemon.process.ros_drive import RosDrive
 
 _POLL_MS = 4
 """Longest time that a request waits here [ms]."""
@@ -75,7 +77,7 @@ class Gateway:
         car: str,
         pose_key: str | None,
         ros: RosBridge | None = None,
-        drive: RosDrive | None = None,
+        drive: "RosDrive | None" = None,
     ) -> None:
         self._bus = bus
         self._ros, self._drive = ros, drive
@@ -168,8 +170,7 @@ def main() -> int:
         with ZenohBus(_make_profile(options)) as bus:
             domain = options["ros_domain"]
             ros = None if domain is None else RosBridge(bus, options["car"], domain)
-            boot_id = options["ros_drive"]
-            drive = None if boot_id is None else RosDrive(bus, domain, boot_id)
+            drive = _make_drive(bus, domain, options["ros_drive"])
             gateway = Gateway(bus, options["car"], options["pose_key"], ros, drive)
             os.write(ready_fd, b"ready\n")
             os.close(ready_fd)
@@ -181,6 +182,14 @@ def main() -> int:
     # zenoh's threads may keep the interpreter alive; nothing is left to do.
     sys.stderr.flush()
     os._exit(0)
+
+
+def _make_drive(bus: Bus, domain: int | None, boot_id: int | None) -> "RosDrive | None":
+    if boot_id is None:
+        return None
+    from steerd.daemon.process.ros_drive import RosDrive  # brings NumPy, which few gateways need
+
+    return RosDrive(bus, domain, boot_id)
 
 
 def _make_profile(options: Mapping[str, Any]) -> Profile:

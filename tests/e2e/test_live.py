@@ -19,6 +19,7 @@ from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+ROS_PEER = Path(__file__).with_name("ros_peer.py")
 CIRCLE = ("--path", "circle:radius=2", "--speed", "1")
 STOPS = {SupervisorState.STOPPING, SupervisorState.FAULT_STOP}
 
@@ -153,15 +154,28 @@ def test_keys_of_its_own_terminal_over_vrpn(undisturbed, capsys) -> None:
     undisturbed(scenario)
 
 
-def test_poses_from_the_bus(undisturbed, capsys) -> None:
-    """`--mocap zenoh:KEY`, fed by the example program, which reads them from NatNet."""
-
+@pytest.mark.parametrize(
+    ("mocap", "options", "program", "off"),
+    [
+        pytest.param(
+            "zenoh:lab/pose/car", (),
+            lambda url, bus: (EXAMPLES / "publish_poses.py", url, "--key", "lab/pose/car",
+                              "--connect", bus),
+            0.05, id="the example program, which reads them from NatNet",
+        ),
+        pytest.param(
+            "ros2:///pf/pose/odom", ("--controller", "ros2"),
+            lambda url, bus: (ROS_PEER, url, bus),
+            0.15, id="a ROS 2 peer, which also steers",
+        ),
+    ],
+)  # fmt: skip
+def test_poses_from_the_bus(mocap, options, program, off, undisturbed, capsys) -> None:
     def scenario(steerd, folder):
         port, url = steerd.sim(folder)
-        run, record = start_run(steerd, folder, "--port", port, "--mocap", "zenoh:lab/pose/car")
+        run, record = start_run(steerd, folder, "--port", port, "--mocap", mocap, *options)
         run.expect("first pose")
-        argv = [str(EXAMPLES / "publish_poses.py"), url, "--key", "lab/pose/car"]
-        steerd.script(*argv, "--connect", steerd.endpoint)
+        steerd.script(*map(str, program(url, steerd.endpoint)))
         run.expect("READY")
         arm = steerd("arm", "--connect", steerd.endpoint)
         arm.expect("armed:")
@@ -174,7 +188,7 @@ def test_poses_from_the_bus(undisturbed, capsys) -> None:
         assert go.wait() == 0, go.text
         run.send(signal.SIGINT)
         assert run.wait() == 0, run.text
-        assert np.abs(lane_errors(record)).max() < 0.05
+        assert np.abs(lane_errors(record)).max() < off
         capsys.readouterr()
         assert run_cli(["replay", str(record)]) == 0
 
