@@ -40,14 +40,15 @@ class Environment(_Base):  # type: ignore[misc]
     """A drive that waits for an action at every estimate, 100 times a second.
 
     An action is (steer [rad], speed [m/s]), an observation the estimate's fields `OBSERVED`. The
-    loop, the limits and the watchdogs are those of every drive: a watchdog that stops the car
-    terminates the episode, the end of `duration` truncates it. The same seed and actions give the
+    loop, the limits and the watchdogs are those of every drive: a watchdog that stops the car, or
+    leaving the lane, terminates the episode; the end of `duration` truncates it. The same seed and actions give the
     same episode. With Gymnasium installed this is one of its environments.
 
     Args:
         car, path, speed, effects: as for `simulate`.
         duration: of an episode [s].
         every: estimates to a step; the action is held in between.
+        leave: offset from the lane that ends the episode [m].
         reward: from the estimate and the action; `stay_in_lane` without.
 
     Raises:
@@ -66,6 +67,7 @@ class Environment(_Base):  # type: ignore[misc]
         duration: float = 20.0,
         effects: EffectValues | None = None,
         every: int = 1,
+        leave: float = 0.5,
         reward: Callable[[StateMessage, Sequence[float]], float] = stay_in_lane,
     ) -> None:
         if every < 1:
@@ -73,7 +75,8 @@ class Environment(_Base):  # type: ignore[misc]
         # The drive itself is longer: its end belongs to the episode's truncation.
         self._plan = plan_drive(car, path, speed, duration + 1.0, 0, effects, external=True)
         make_world_config(self._plan)  # refuses effects that there are not
-        self._ticks, self._every, self._reward = round(duration * 100.0), every, reward
+        self._ticks, self._every = round(duration * 100.0), every
+        self._leave, self._reward = leave, reward
         self._action: tuple[float, float] = (0.0, 0.0)
         self._left = 0
         if _Base is not object:
@@ -117,7 +120,7 @@ class Environment(_Base):  # type: ignore[misc]
         """Hold an action until the next step.
 
         Returns:
-            Observation, reward, whether a watchdog stopped the car, whether the time is over, and
+            Observation, reward, whether the car was stopped or left its lane, whether time is over, and
             a dictionary: `t` [s] since the start, `fault` in words, `state`, the whole estimate.
 
         Raises:
@@ -132,7 +135,8 @@ class Environment(_Base):  # type: ignore[misc]
             self._left -= 1
             if loop.faulted:
                 break
-        stopped, seconds = loop.faulted, (self._ticks - self._left) * 0.01
+        seconds = (self._ticks - self._left) * 0.01
+        stopped = loop.faulted or abs(self._state.e1) > self._leave
         info = {"t": seconds, "fault": str(loop.fault or ""), "state": self._state}
         over = self._left <= 0 and not stopped
         self._left = 0 if stopped else self._left

@@ -1,7 +1,7 @@
 """A ROS 2 localiser and controller with nothing of ours on the wire: rosbags packs, zenoh sends.
 
-Reads the simulated mocap, publishes it as `/pf/pose/odom`, 50 times a second and a little wrong, and
-follows a circle of 2 m with `/drive`.
+Reads the simulated mocap, publishes it as `/pf/pose/odom`, 50 times a second and a little wrong,
+and follows a circle of 2 m with `/drive`.
 """
 
 import json

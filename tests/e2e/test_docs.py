@@ -29,6 +29,8 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").r
 ROOMS = "daemon|tests|sysid|sim_gap|sim_hw|car_model|steer_bus"
 ROOMS += "|vesc_link|mocap_link|estimator|controller"
 HARDWARE = re.compile(r"/dev/tty|/dev/vesc|natnet://|vrpn://|zenoh:")
+OWN_EFFECT = re.compile(r"effects --(add|remove)|speed_pull")
+"""Run by tests/contract/test_new_effect.py, on an installation of its own."""
 OPERATOR = ("arm", "start", "stop", "disarm", "clear", "estop")
 OPERATOR += ("status", "control", "watch", "page", "teleop")
 LONG = ("identify", "diagnose", "collect", "sweep", "batch")
@@ -119,7 +121,7 @@ def kind_of(command):
         return "prose"
     if arguments[0] in OPERATOR or arguments[0] in LONG:
         return "parsed"
-    if arguments[0] == "import" or ".partial" in command:
+    if arguments[0] == "import" or ".partial" in command or OWN_EFFECT.search(command):
         return "parsed"
     live = arguments[0] in ("sim", "probe") or (arguments[0] == "run" and "--fast" not in arguments)
     return "hardware" if live or HARDWARE.search(command) else "run"
@@ -164,7 +166,7 @@ def against(arguments, port, url):
 def options_of(command):
     """The command and its options, without their values; mocap addresses by their protocol."""
     arguments = arguments_of(command)
-    schemes = re.findall(r"\b(natnet|vrpn|zenoh):", command)
+    schemes = re.findall(r"\b(natnet|vrpn|zenoh|ros2):", command)
     return frozenset([arguments[0], *schemes, *(w for w in arguments if w.startswith("--"))])
 
 
@@ -178,7 +180,7 @@ def chosen(commands):
 
 
 HARDWARE_LINES = [p.values[0] for p in command_lines() if kind_of(p.values[0]) == "hardware"]
-ELSEWHERE = [c for c in HARDWARE_LINES if "vrpn:" in c or "zenoh" in c]
+ELSEWHERE = [c for c in HARDWARE_LINES if "vrpn:" in c or "zenoh" in c or "ros2:" in c]
 """Driven by tests/e2e/test_live.py, with programs beside them that the pages do not show."""
 DRIVEN = chosen([c for c in HARDWARE_LINES if c not in ELSEWHERE])
 
