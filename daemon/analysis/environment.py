@@ -41,8 +41,8 @@ class Environment(_Base):  # type: ignore[misc]
 
     An action is (steer [rad], speed [m/s]), an observation the estimate's fields `OBSERVED`. The
     loop, the limits and the watchdogs are those of every drive: a watchdog that stops the car, or
-    leaving the lane, terminates the episode; the end of `duration` truncates it. The same seed and actions give the
-    same episode. With Gymnasium installed this is one of its environments.
+    leaving the lane, terminates the episode; the end of `duration` truncates it. The same seed and
+    actions give the same episode. With Gymnasium installed this is one of its environments.
 
     Args:
         car, path, speed, effects: as for `simulate`.
@@ -120,8 +120,8 @@ class Environment(_Base):  # type: ignore[misc]
         """Hold an action until the next step.
 
         Returns:
-            Observation, reward, whether the car was stopped or left its lane, whether time is over, and
-            a dictionary: `t` [s] since the start, `fault` in words, `state`, the whole estimate.
+            Observation, reward, whether the car was stopped or left its lane, whether time is over,
+            and a dictionary: `t` [s] since the start, `fault` in words, `state`, the estimate.
 
         Raises:
             SteerdError: the episode is over, or the action is not two finite numbers.
